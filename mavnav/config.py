@@ -1,0 +1,121 @@
+"""The configuration: strict models, presets, and files whose errors name line and nearest key.
+
+A configuration is the defaults below, overlaid by the method's preset in ``configs/``, a file (``--config``),
+single values (``--set robust.cell_mm=25``) and the command line's own options, in this order.
+Lengths and angles are in the paper's units and say so in their names.
+"""
+
+from __future__ import annotations
+
+import difflib
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from mavnav.errors import ConfigError
+
+MethodName = Literal["robust", "paper"]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class GridSize(_Strict):
+    """Points of the search grid in the plane, ``NxM``."""
+
+    nx: int = Field(10, ge=2, le=200)
+    ny: int = Field(10, ge=2, le=200)
+
+    @classmethod
+    def parse(cls, text: str) -> GridSize:
+        """Read ``10x10``; raises ConfigError."""
+        parts = text.lower().split("x")
+        if len(parts) != 2 or not all(p.isdecimal() for p in parts):
+            msg = f"grid {text!r} is not of the form NxM; write for example --grid 10x10"
+            raise ConfigError(msg)
+        nx, ny = int(parts[0]), int(parts[1])
+        if not (2 <= nx <= 200 and 2 <= ny <= 200):
+            msg = f"grid {text!r} is out of range; each side takes 2 to 200 points, for example --grid 10x10"
+            raise ConfigError(msg)
+        return cls(nx=nx, ny=ny)
+
+    def __str__(self) -> str:
+        """Write as ``NxM``."""
+        return f"{self.nx}x{self.ny}"
+
+    @property
+    def points(self) -> int:
+        """Number of points in the plane."""
+        return self.nx * self.ny
+
+
+class PaperConfig(_Strict):
+    """The paper's method. Where the paper gives a number it stands here; else the choice is docs/paper.md's."""
+
+    cell_mm: float = Field(14.0, gt=0, description="cell edge; 7 cells are then just under the paper's 100 mm")
+    near_mm: float = Field(100.0, ge=0, description="cost step vi: nearer points are left out")
+    far_mm: float = Field(5000.0, gt=0, description="cost step vi: farther points are left out")
+    mixed_pixel_mm: float = Field(100.0, gt=0, description="cost step vii: least jump to both neighbours")
+    occlusion_mm: float = Field(300.0, gt=0, description="cost step viii: larger radius differences are left out")
+    cluster_gap_cells: int = Field(0, ge=0, description="empty cells that a thick wall may contain along a ray")
+    min_beams_share: float = Field(0.1, gt=0, le=1, description="fewer contributing points than this share make no match")
+    window_mm: float = Field(200.0, gt=0, description="half-width of the first search in the plane")
+    window_deg: float = Field(15.0, gt=0, description="half-width of the first azimuth search")
+    shrink: float = Field(0.3, gt=0, lt=1, description="narrowing of the search from iteration to iteration")
+    stop_mm: float = Field(0.01, gt=0, description="convergence in the plane")
+    stop_deg: float = Field(0.01, gt=0, description="convergence in azimuth")
+    extend_border: bool = Field(True, description="move the search when the minimum lies on its border")
+    max_extensions: int = Field(5, ge=0, description="border extensions an iteration at most")
+    refine_above_mm2: float = Field(300.0, gt=0, description="refine the grid where the coarse cost stays above")
+    refine_factor: int = Field(2, ge=1, description="points an axis are multiplied by this; 1 turns refinement off")
+    gate_mm2: float = Field(400.0, gt=0, description="map and pose are updated at this cost or below")
+
+
+class RobustConfig(_Strict):
+    """The robust method: point to local line over the whole map, see docs/method.md."""
+
+    cell_mm: float = Field(20.0, gt=0, description="cell edge of the map")
+    near_mm: float = Field(100.0, ge=0, description="nearer returns are not used")
+    far_mm: float = Field(30000.0, gt=0, description="farther returns are not used")
+    voxel_mm: float = Field(30.0, gt=0, description="points are averaged in voxels of this size before matching")
+    line_sigma_mm: float = Field(60.0, gt=0, description="Gaussian window of the local line fit")
+    line_noise_mm: float = Field(10.0, gt=0, description="noise floor of the local line fit")
+    truncate_mm: float = Field(150.0, gt=0, description="distances are capped here")
+    window_mm: float = Field(350.0, gt=0, description="half-width of the first search in the plane")
+    window_deg: float = Field(20.0, gt=0, description="half-width of the first azimuth search")
+    final_window_mm: float = Field(50.0, gt=0, description="half-width of the final pass in the plane")
+    final_window_deg: float = Field(3.0, gt=0, description="half-width of the final pass in azimuth")
+    stop_mm: float = Field(1.0, gt=0, description="search ends at this spacing in the plane")
+    stop_deg: float = Field(0.02, gt=0, description="search ends at this spacing in azimuth")
+    max_extensions: int = Field(3, ge=0, description="border extensions a level at most")
+
+
+class Config(_Strict):
+    """Everything that decides a run's result besides the log and the version."""
+
+    method: MethodName = "robust"
+    grid: GridSize = GridSize()
+    azimuth: int = Field(20, ge=2, le=2000, description="points of the azimuth grid")
+    odom: str = Field("auto", description="odometry as prediction: auto, off, or a topic")
+    final_pass: bool = Field(True, description="match every scan once more against the finished map")
+    paper: PaperConfig = PaperConfig()
+    robust: RobustConfig = RobustConfig()
+
+    @field_validator("grid", mode="before")
+    @classmethod
+    def _grid_from_text(cls, value: object) -> object:
+        return GridSize.parse(value) if isinstance(value, str) else value
+
+    @property
+    def cell_m(self) -> float:
+        """Cell edge of the chosen method's map, in metres."""
+        return (self.paper.cell_mm if self.method == "paper" else self.robust.cell_mm) * 1e-3
+
+    def document(self) -> dict[str, Any]:
+        """Return the effective configuration as plain data, grid as text."""
+        return {**self.model_dump(), "grid": str(self.grid)}

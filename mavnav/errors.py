@@ -1,0 +1,62 @@
+"""The exception tree and its exit codes.
+
+::
+
+    MavnavError                       70  a bug, if it is this class itself
+    ├── UsageError                     2  what was typed cannot be done
+    │   ├── ConfigError                2  a configuration file or value is wrong
+    │   └── TopicError                 2  no such topic, or several to choose from
+    ├── NoScansError                   4  the input holds no usable scan, or is no log
+    └── OutputError                    6  the output cannot be written, or exists
+
+Each says in one line what is wrong, where, and what to do next. Nobody but ``cli.main`` prints it.
+"""
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """Exit codes of the command line."""
+
+    DONE = 0
+    GATE_FAILED = 1
+    USAGE = 2
+    DAMAGED_INPUT = 3
+    NO_SCANS = 4
+    TRACKING_LOST = 5
+    OUTPUT = 6
+    BUG = 70
+    INTERRUPTED = 130
+    TERMINATED = 143
+
+
+class MavnavError(Exception):
+    """Base of everything that mavnav raises on purpose."""
+
+    exit_code = ExitCode.BUG
+
+
+class UsageError(MavnavError):
+    """The command line asks for something that cannot be done."""
+
+    exit_code = ExitCode.USAGE
+
+
+class ConfigError(UsageError):
+    """A configuration file or value is wrong."""
+
+
+class TopicError(UsageError):
+    """The topic asked for is missing, or several scan topics wait for a choice."""
+
+
+class NoScansError(MavnavError):
+    """The input is no log, or holds no usable scan."""
+
+    exit_code = ExitCode.NO_SCANS
+
+
+class OutputError(MavnavError):
+    """The output cannot be written, or exists already."""
+
+    exit_code = ExitCode.OUTPUT

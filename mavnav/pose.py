@@ -1,0 +1,143 @@
+"""Poses in the plane: SE(2) composition, and trajectories of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan2, cos, pi, sin
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+def wrap_angle(yaw_rad: float) -> float:
+    """Bring an angle (rad) to [-pi, pi)."""
+    return (yaw_rad + pi) % (2.0 * pi) - pi
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A rigid motion in the plane: read ``a_T_b`` as the pose of frame b in frame a (REP-103 axes).
+
+    ``x_m`` and ``y_m`` are metres, ``yaw_rad`` radians, counter-clockwise.
+    """
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_rad: float = 0.0
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """Compose: ``a_T_b @ b_T_c`` is ``a_T_c``."""
+        c, s = cos(self.yaw_rad), sin(self.yaw_rad)
+        return Pose(
+            self.x_m + c * other.x_m - s * other.y_m,
+            self.y_m + s * other.x_m + c * other.y_m,
+            wrap_angle(self.yaw_rad + other.yaw_rad),
+        )
+
+    def inverse(self) -> Pose:
+        """Return ``b_T_a`` of ``a_T_b``."""
+        c, s = cos(self.yaw_rad), sin(self.yaw_rad)
+        return Pose(
+            -c * self.x_m - s * self.y_m, s * self.x_m - c * self.y_m, wrap_angle(-self.yaw_rad)
+        )
+
+    def between(self, other: Pose) -> Pose:
+        """Return the pose of ``other`` seen from here: ``self.inverse() @ other``."""
+        return self.inverse() @ other
+
+    @property
+    def distance_m(self) -> float:
+        """Length of the translation."""
+        return float(np.hypot(self.x_m, self.y_m))
+
+    def as_array(self) -> NDArray[np.float64]:
+        """Return ``[x_m, y_m, yaw_rad]``, shape (3,)."""
+        return np.array([self.x_m, self.y_m, self.yaw_rad])
+
+
+def transform_points(a_T_b: Pose, xy_b_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bring points (n, 2) in metres from frame b to frame a."""
+    c, s = cos(a_T_b.yaw_rad), sin(a_T_b.yaw_rad)
+    x, y = xy_b_m[:, 0], xy_b_m[:, 1]
+    return np.column_stack((a_T_b.x_m + c * x - s * y, a_T_b.y_m + s * x + c * y))
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Poses of one moving frame in one fixed frame, over time.
+
+    ``stamps_ns`` is (n,) int64, strictly ascending; ``xyyaw`` is (n, 3) float64 in m, m, rad.
+    Both are read-only.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    xyyaw: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Check the shapes and freeze the arrays."""
+        if self.stamps_ns.ndim != 1 or self.xyyaw.shape != (len(self.stamps_ns), 3):
+            msg = f"shapes {self.stamps_ns.shape} and {self.xyyaw.shape} are no trajectory"
+            raise ValueError(msg)
+        self.stamps_ns.flags.writeable = False
+        self.xyyaw.flags.writeable = False
+
+    @classmethod
+    def of(cls, stamps_ns: list[int], poses: list[Pose]) -> Trajectory:
+        """Build from stamps and poses, one each."""
+        xyyaw = np.array([(p.x_m, p.y_m, p.yaw_rad) for p in poses], dtype=np.float64)
+        return cls(np.array(stamps_ns, dtype=np.int64), xyyaw.reshape(len(poses), 3))
+
+    def __len__(self) -> int:
+        """Count the poses."""
+        return len(self.stamps_ns)
+
+    def __getitem__(self, index: int) -> Pose:
+        """Return one pose."""
+        x, y, yaw = self.xyyaw[index]
+        return Pose(float(x), float(y), float(yaw))
+
+    def at(self, stamp_ns: int, max_gap_ns: int) -> Pose | None:
+        """Interpolate the pose at a time; None outside, or in a gap longer than ``max_gap_ns``."""
+        k = int(np.searchsorted(self.stamps_ns, stamp_ns))
+        if k < len(self) and self.stamps_ns[k] == stamp_ns:
+            return self[k]
+        if k in (0, len(self)):
+            return None
+        t0, t1 = int(self.stamps_ns[k - 1]), int(self.stamps_ns[k])
+        if t1 - t0 > max_gap_ns:
+            return None
+        share = (stamp_ns - t0) / (t1 - t0)
+        a, b = self[k - 1], self[k]
+        return Pose(
+            a.x_m + share * (b.x_m - a.x_m),
+            a.y_m + share * (b.y_m - a.y_m),
+            wrap_angle(a.yaw_rad + share * wrap_angle(b.yaw_rad - a.yaw_rad)),
+        )
+
+    def compose(self, b_T_c: Pose) -> Trajectory:
+        """Follow another point of the same rigid body: ``a_T_b`` over time gives ``a_T_c``."""
+        yaw = self.xyyaw[:, 2]
+        c, s = np.cos(yaw), np.sin(yaw)
+        return Trajectory(
+            self.stamps_ns,
+            np.column_stack(
+                (
+                    self.xyyaw[:, 0] + c * b_T_c.x_m - s * b_T_c.y_m,
+                    self.xyyaw[:, 1] + s * b_T_c.x_m + c * b_T_c.y_m,
+                    (yaw + b_T_c.yaw_rad + pi) % (2.0 * pi) - pi,
+                )
+            ),
+        )
+
+    @property
+    def length_m(self) -> float:
+        """Length of the path."""
+        return float(np.hypot(*np.diff(self.xyyaw[:, :2], axis=0).T).sum())
+
+
+def yaw_of_quaternion(x: float, y: float, z: float, w: float) -> float:
+    """Return the yaw (rad) of a quaternion, the rotation about z in Z-Y-X order (REP-103)."""
+    return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -1,0 +1,62 @@
+"""Laser scans: what a sensor is, what it saw, and where that lies in the laser's own frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class LaserSpec:
+    """Geometry and limits of a planar laser (sensor_msgs/LaserScan).
+
+    Beam ``i`` points to ``angle_min_rad + i * angle_step_rad``, counter-clockwise from the laser's x axis;
+    the step may be negative. ``range_max_m`` is inf where the sensor tells no limit.
+    ``time_increment_s`` lies between two beams, ``scan_time_s`` between two scans (0: not told).
+    """
+
+    angle_min_rad: float
+    angle_step_rad: float
+    beams: int
+    range_min_m: float
+    range_max_m: float
+    time_increment_s: float = 0.0
+    scan_time_s: float = 0.0
+
+    @property
+    def angles_rad(self) -> NDArray[np.float64]:
+        """Bearings of the beams, shape (beams,)."""
+        return self.angle_min_rad + self.angle_step_rad * np.arange(self.beams)
+
+    @property
+    def field_of_view_rad(self) -> float:
+        """Angle between the first beam and the last."""
+        return abs(self.angle_step_rad) * max(self.beams - 1, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """One sweep of the laser.
+
+    ``ranges_m`` is (beams,) float64, read-only; NaN means no valid return, and nothing else is ever odd:
+    every convention of a sensor or driver ends where logs are read. ``stamp_ns`` is the time of the first beam.
+    """
+
+    stamp_ns: int
+    ranges_m: NDArray[np.float64]
+    spec: LaserSpec
+
+    def __post_init__(self) -> None:
+        """Freeze the ranges."""
+        self.ranges_m.flags.writeable = False
+
+    def points(self) -> NDArray[np.float64]:
+        """Return the end points of the valid beams in the laser's frame, (n, 2) in metres."""
+        good = np.isfinite(self.ranges_m)
+        r, angle = self.ranges_m[good], self.spec.angles_rad[good]
+        return np.column_stack((r * np.cos(angle), r * np.sin(angle)))

@@ -1,0 +1,10 @@
+"""Factors to SI. ``250 * MM`` is 0.25 m; configuration and reports alone speak mm and deg."""
+
+from math import pi
+from typing import Final
+
+MM: Final = 1e-3
+MM2: Final = 1e-6
+DEG: Final = pi / 180.0
+MS: Final = 1e-3
+NS: Final = 1e-9
