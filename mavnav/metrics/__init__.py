@@ -1,0 +1,1 @@
+"""Metrics: pure functions from maps and trajectories to numbers."""
