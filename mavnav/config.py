@@ -1,4 +1,4 @@
-"""The configuration: strict models, presets, and files whose errors name line and nearest key.
+"""The configuration: strict models and their defaults; ``config_file`` reads files and presets.
 
 A configuration is the defaults below, overlaid by the method's preset in ``configs/``, a file (``--config``),
 single values (``--set robust.cell_mm=25``) and the command line's own options, in this order.
@@ -7,14 +7,9 @@ Lengths and angles are in the paper's units and say so in their names.
 
 from __future__ import annotations
 
-import difflib
-from functools import cache
-from importlib import resources
-from pathlib import Path
 from typing import Any, Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from mavnav.errors import ConfigError
 

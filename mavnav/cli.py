@@ -1,0 +1,149 @@
+"""The command line: the typer app, and ``main``, the one place that catches, prints and exits."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from mavnav.commands.config import app as config_app
+from mavnav.commands.info import info
+from mavnav.commands.replay import replay
+from mavnav.commands.terminal import emit, note
+from mavnav.errors import ExitCode, MavnavError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import FrameType
+
+LIBRARIES = ("numpy", "numba", "scipy", "mcap", "rosbags", "pydantic", "matplotlib", "typer")
+
+EPILOG = """
+[bold]Examples[/bold]
+
+mavnav info drive.mcap
+
+mavnav replay drive.mcap -o runs/drive
+
+mavnav replay drive.bag --method paper --grid 20x20 --azimuth 40
+
+[bold]Exit codes[/bold]  0 done, 1 a quality gate failed, 2 usage or configuration, 3 done but the input was damaged,
+4 no usable scans, 5 tracking was lost for good, 6 the output cannot be written, 70 a bug, 130 interrupted,
+143 terminated.
+"""
+
+
+class Terminated(BaseException):
+    """SIGTERM arrived; unwinds the stack as KeyboardInterrupt does, so that unfinished files are removed."""
+
+
+app = typer.Typer(
+    name="mavnav",
+    help="Map a recorded 2D laser log offline: trajectory, map and map quality, without ROS and without odometry.",
+    epilog=EPILOG,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command()(info)
+app.command()(replay)
+app.add_typer(config_app, name="config")
+
+
+def _print_version(wanted: bool) -> None:
+    if not wanted:
+        return
+    import platform
+    from importlib.metadata import version
+
+    from mavnav import __version__
+
+    libraries = ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
+    emit(f"mavnav {__version__} (Python {platform.python_version()}; {libraries})")
+    raise typer.Exit
+
+
+@app.callback()
+def _global_options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the versions and exit.")
+    ] = False,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show the traceback of an error; anywhere on the line, or MAVNAV_DEBUG=1.")
+    ] = False,
+) -> None:
+    """Take the options that belong to no command; ``main`` has acted on them before."""
+
+
+def run(args: Sequence[str], *, debug: bool = False) -> int:
+    """Run one command line and return its exit code; everything that goes wrong is said in one line on stderr."""
+    try:
+        code = app(args=list(args), prog_name="mavnav", standalone_mode=False)
+        sys.stdout.flush()
+    except BaseException as error:
+        if debug and isinstance(error, Exception):
+            import traceback
+
+            traceback.print_exception(error)
+        return _explain(error)
+    return int(code or 0)
+
+
+def _explain(error: BaseException) -> int:
+    """Say on stderr what went wrong, and return the exit code."""
+    match error:
+        case typer.TyperException():
+            context = getattr(error, "ctx", None)
+            command = context.command_path if context else "mavnav"
+            note(f"mavnav: error: {error.format_message().rstrip('.')}; see '{command} --help'")
+            return ExitCode.USAGE
+        case MavnavError():
+            note(f"mavnav: error: {error}")
+            return error.exit_code
+        case KeyboardInterrupt():
+            note("mavnav: interrupted")
+            return ExitCode.INTERRUPTED
+        case Terminated():
+            note("mavnav: terminated")
+            return ExitCode.TERMINATED
+        case BrokenPipeError():
+            return ExitCode.OUTPUT
+        case SystemExit(__context__=BrokenPipeError()):  # typer's way with a reader that has gone, as in `| head`
+            return ExitCode.OUTPUT
+        case SystemExit():  # shell completion
+            return int(error.code or 0)
+        case _:
+            return _explain_bug(error)
+
+
+def _explain_bug(error: BaseException) -> int:
+    note(f"mavnav: error: a bug: {type(error).__name__}: {error}; run again with --debug and report what it shows")
+    return ExitCode.BUG
+
+
+def _terminate(_signum: int, _frame: FrameType | None) -> NoReturn:
+    raise Terminated
+
+
+def _split_debug(args: Sequence[str]) -> tuple[list[str], bool]:
+    """Take ``--debug`` out of the arguments before any ``--``, so that it may stand after the command too."""
+    end = args.index("--") if "--" in args else len(args)
+    rest = [a for a in args[:end] if a != "--debug"] + list(args[end:])
+    return rest, len(rest) < len(args) or os.environ.get("MAVNAV_DEBUG", "") not in ("", "0")
+
+
+def main(args: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line and exit with its code (design: docs/cli.md, "Exit codes")."""
+    signal.signal(signal.SIGTERM, _terminate)
+    rest, debug = _split_debug(sys.argv[1:] if args is None else args)
+    code = run(rest or ["--help"], debug=debug)
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # Or the interpreter would complain at shutdown that it cannot flush.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = code or ExitCode.OUTPUT
+    sys.exit(code)

@@ -1,0 +1,37 @@
+"""``mavnav config``: see the effective configuration, and the schema for editors."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from mavnav.commands.terminal import emit
+
+app = typer.Typer(help="Show the configuration, its presets and its schema.")
+
+
+@app.command()
+def show(
+    config: Annotated[
+        str | None, typer.Argument(metavar="FILE", help="YAML file, or the name of a preset.", show_default=False)
+    ] = None,
+    sets: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of it.", show_default=False)
+    ] = None,
+    method: Annotated[str | None, typer.Option(help="robust (default) or paper.", show_default=False)] = None,
+) -> None:
+    """Print the effective configuration as YAML, a comment for every value; it can be given to --config."""
+    from mavnav.config_file import load_config, to_yaml
+
+    emit(to_yaml(load_config(config, sets or [], {"method": method} if method else {})).rstrip())
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of configuration files, for editors that check while you type."""
+    from json import dumps
+
+    from mavnav.config import Config
+
+    emit(dumps(Config.model_json_schema(), indent=2))

@@ -1,0 +1,115 @@
+"""How far a long job is, on stderr: a bar with the time left on a terminal, a plain line now and then elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from time import monotonic
+from typing import TYPE_CHECKING
+
+from mavnav.commands.terminal import console, note
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from rich.progress import Progress as Bars
+
+    Report = Callable[[str, int, int | None], None]
+
+BAR_PERIOD_S = 0.1
+LINE_PERIOD_S = 5.0
+SPEAK_AFTER_S = 1.0
+
+
+def silent(phase: str, done: int, total: int | None) -> None:
+    """Report nothing."""
+
+
+@dataclass(slots=True)
+class _Pace:
+    """Lets a report through when its phase is new, or when a period has gone by."""
+
+    period_s: float
+    phase: str = ""
+    began_s: float = 0.0
+    spoke_s: float = field(default_factory=monotonic)
+
+    def due(self, phase: str) -> bool:
+        now_s = monotonic()
+        fresh = phase != self.phase
+        if fresh:
+            self.phase, self.began_s = phase, now_s
+        if not fresh and now_s - self.spoke_s < self.period_s:
+            return False
+        self.spoke_s = now_s
+        return True
+
+    def seconds_left(self, done: int, total: int) -> float:
+        return (monotonic() - self.began_s) * (total - done) / max(done, 1)
+
+
+@contextmanager
+def reporting(*, quiet: bool) -> Iterator[Report]:
+    """Give the function that a long job reports to: (what is being done, how much of it is done, of how much)."""
+    if quiet:
+        yield silent
+    elif sys.stderr.isatty():
+        with _bars() as bars:
+            yield _bar_report(bars)
+    else:
+        yield _line_report()
+
+
+def _bars() -> Bars:
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    return Progress(
+        TextColumn("{task.description:12}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        console=console(stderr=True),
+        transient=True,
+    )
+
+
+def _bar_report(bars: Bars) -> Report:
+    pace = _Pace(BAR_PERIOD_S)
+
+    def report(phase: str, done: int, total: int | None) -> None:
+        fresh = phase != pace.phase
+        if not pace.due(phase) and done != total:
+            return
+        if fresh:
+            for task in bars.task_ids:
+                bars.remove_task(task)
+            bars.add_task(phase, total=total)
+        bars.update(bars.task_ids[-1], completed=done)
+
+    return report
+
+
+def _line_report() -> Report:
+    pace = _Pace(LINE_PERIOD_S, spoke_s=monotonic())
+
+    def report(phase: str, done: int, total: int | None) -> None:
+        fresh = phase != pace.phase
+        if pace.due(phase) and not fresh and total:
+            note(f"mavnav: {phase} {100 * done // total} %, {pace.seconds_left(done, total):.0f} s left")
+
+    return report
+
+
+@contextmanager
+def speaking_up(text: str, *, quiet: bool) -> Iterator[None]:
+    """Say what is going on if it takes longer than a second."""
+    timer = threading.Timer(SPEAK_AFTER_S, note, [text])
+    timer.daemon = True
+    if not quiet:
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

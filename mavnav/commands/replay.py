@@ -1,0 +1,172 @@
+"""``mavnav replay LOG``: from a recorded log to a trajectory, a map and its quality."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mavnav.commands.progress import reporting, speaking_up
+from mavnav.commands.terminal import console, emit, note, printable
+from mavnav.errors import ExitCode, UsageError
+
+if TYPE_CHECKING:
+    from mavnav.config import Config
+    from mavnav.pose import Pose
+
+EPILOG = """
+[bold]Examples[/bold]
+
+mavnav replay drive.mcap
+
+mavnav replay drive.bag -o runs/drive --odom off --start 5 --end 60
+
+mavnav replay rosbag2_folder --method paper --grid 20x20 --azimuth 40
+
+mavnav replay drive.mcap --set robust.cell_mm=25 --json | jq .wall_thickness
+"""
+
+
+def replay(
+    log: Annotated[Path, typer.Argument(help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False)],
+    *,
+    directory: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Run directory; runs/LOG-METHOD-GRID if not given.", show_default=False),
+    ] = None,
+    method: Annotated[str | None, typer.Option(help="robust (default) or paper.", show_default=False)] = None,
+    grid: Annotated[
+        str | None, typer.Option(metavar="NxM", help="Points of the search grid in the plane.", show_default=False)
+    ] = None,
+    azimuth: Annotated[int | None, typer.Option(help="Points of the azimuth grid.", show_default=False)] = None,
+    online: Annotated[bool, typer.Option("--online", help="Leave out the final pass over the finished map.")] = False,
+    odom: Annotated[
+        str | None,
+        typer.Option(metavar="auto|TOPIC|off", help="Odometry as prediction (never with paper).", show_default=False),
+    ] = None,
+    topic: Annotated[str | None, typer.Option(help="Scan topic, where there are several.", show_default=False)] = None,
+    start: Annotated[
+        float | None, typer.Option(help="Begin so many seconds after the first scan.", show_default=False)
+    ] = None,
+    end: Annotated[
+        float | None, typer.Option(help="End so many seconds after the first scan.", show_default=False)
+    ] = None,
+    extrinsic: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,YAW", help="Laser on its base, m, m, rad; overrides tf.", show_default=False),
+    ] = None,
+    config: Annotated[
+        str | None, typer.Option(metavar="FILE", help="YAML file, or the name of a preset.", show_default=False)
+    ] = None,
+    sets: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of it.", show_default=False)
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the run directory if it exists.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print run.json on stdout and nothing else.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+) -> None:
+    """Map a recorded log: trajectory, map, pictures and wall thickness."""
+    chosen = _config(config, sets or [], method=method, grid=grid, azimuth=azimuth, odom=odom, online=online)
+    mounting = None if extrinsic is None else _pose(extrinsic)
+    started_s = perf_counter()
+    with speaking_up("mavnav: compiling kernels, once after installation; some ten seconds", quiet=quiet):
+        from mavnav import replay as pipeline
+    compile_s = perf_counter() - started_s
+
+    target = directory or pipeline.default_directory(log, chosen)
+    request = pipeline.Request(log, target, chosen, topic, start, end, mounting, force)
+    with reporting(quiet=quiet) as report:
+        _, document = pipeline.replay(request, report, compile_s)
+    _tell(document, target, json=json)
+    raise typer.Exit(document["exit_code"])
+
+
+def _config(file: str | None, sets: list[str], *, online: bool, **options: object) -> Config:
+    """Load the configuration; options that were not given leave it alone."""
+    from mavnav.config_file import load_config
+
+    overrides = {name: value for name, value in options.items() if value is not None}
+    return load_config(file, sets, overrides | ({"final_pass": False} if online else {}))
+
+
+def _pose(text: str) -> Pose:
+    """Read ``x,y,yaw`` in m, m, rad; raises UsageError."""
+    from math import isfinite
+
+    from mavnav.pose import Pose
+
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != 3 or not all(map(isfinite, values)):
+        raise UsageError(
+            f"--extrinsic {text!r} is not X,Y,YAW in m, m, rad; write for example --extrinsic 0.1,0,1.5708"
+        )
+    return Pose(*values)
+
+
+def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
+    """Print the result on stdout, and on stderr what the user must not miss."""
+    if json:
+        from json import dumps
+
+        emit(dumps(document, indent=2))
+    else:
+        _print_table(_summary(document, directory))
+    for warning in document["warnings"]:
+        note(f"mavnav: warning: {warning}")
+    if document["exit_code"] == ExitCode.DAMAGED_INPUT:
+        first = document["damage"][0]
+        note(
+            f"mavnav: warning: the input is damaged, {len(document['damage'])} times, first: {first['what']},"
+            f" {first['where']}; what is intact was used"
+        )
+    if document["exit_code"] == ExitCode.TRACKING_LOST:
+        note(_lost_line(document))
+
+
+def _lost_line(document: dict[str, Any]) -> str:
+    last = document["tracking"]["intervals"][-1]
+    share = document["tracking"]["tracked_share"]
+    return (
+        f"mavnav: error: tracking was lost for good {last['start_s']:.1f} s after the first scan,"
+        f" {100 * share:.0f} % of the scans have a pose; results up to there are written,"
+        " try --odom auto, a finer --grid, or look at map.png"
+    )
+
+
+def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]:
+    """Return the rows of the table that ends a run."""
+    scans, tracking, timing = document["scans"], document["tracking"], document["timing"]
+    lost = sum(interval["scans"] for interval in tracking["intervals"])
+    rows = [
+        ("scans", f"{scans['processed']} of {scans['total']}"),
+        ("accepted", f"{100 * scans['accepted'] / max(scans['processed'], 1):.1f} %"),
+        ("lost", f"{len(tracking['intervals'])} times, {lost} scans" if tracking["intervals"] else "never"),
+        ("path", f"{tracking['path_length_m']:.2f} m"),
+    ]
+    rows += [(f"wall thickness, >= {hits} hits", _thickness(wall)) for hits, wall in document["wall_thickness"].items()]
+    rows += [
+        ("speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"),
+        ("pictures", f"{directory / 'map.png'}, {directory / 'wall_thickness.png'}"),
+    ]
+    return rows
+
+
+def _thickness(wall: dict[str, Any]) -> str:
+    if not wall["sections"]:
+        return "no straight wall"
+    return f"p95 {wall['p95_mm']:.0f} mm, max {wall['max_mm']:.0f} mm ({wall['max_cells']:.1f} cells)"
+
+
+def _print_table(rows: list[tuple[str, str]]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for name, value in rows:
+        table.add_row(Text(name, style="bold"), Text(printable(value), overflow="fold"))
+    console().print(table)

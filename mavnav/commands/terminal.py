@@ -1,0 +1,35 @@
+"""The terminal: text that is safe to print, and a console for results or for talk."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def printable(text: object) -> str:
+    """Return text with control, format and bidirectional characters spelt out, so that data cannot steer a terminal."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+
+
+def console(*, stderr: bool = False) -> Console:
+    """Return a console for results (stdout) or talk (stderr); data is printed on it with markup off.
+
+    Colours follow NO_COLOR, and end where the stream is no terminal.
+    """
+    from rich.console import Console
+
+    return Console(stderr=stderr, highlight=False, markup=False, soft_wrap=True)
+
+
+def note(text: str) -> None:
+    """Say one line on stderr."""
+    print(printable(text), file=sys.stderr, flush=True)  # noqa: T201  this room is the one that prints
+
+
+def emit(text: str) -> None:
+    """Write a result to stdout as it is."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()

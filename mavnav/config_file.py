@@ -1,0 +1,169 @@
+"""Configuration from files, presets, ``--set`` and options; every error names its line and the nearest known key.
+
+Later layers win: defaults, the method's preset in ``configs/``, the file, ``--set``, options of their own.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from functools import cache
+from json import dumps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel, ValidationError
+
+from mavnav.config import Config
+from mavnav.errors import ConfigError
+from mavnav.layers import Key, Layer, layer_of, read_yaml
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from pydantic_core import ErrorDetails
+
+
+@cache
+def presets_folder() -> Path:
+    """Return ``configs/``: in the installed package, or beside it in a checkout."""
+    package = Path(__file__).parent
+    installed = package / "configs"
+    return installed if installed.is_dir() else package.parent / "configs"
+
+
+def presets() -> list[str]:
+    """Return the names of the presets."""
+    return sorted(path.stem for path in presets_folder().glob("*.yaml"))
+
+
+def _file_layer(file: str | Path | None) -> Layer:
+    """Read a file, or the preset of that name where no such file lies in the current folder."""
+    if file is None:
+        return Layer()
+    path = Path(file)
+    if not path.exists() and str(file) in presets():
+        path = presets_folder() / f"{file}.yaml"
+    if not path.exists():
+        raise ConfigError(f"{path}: no such file; name a YAML file, or a preset: {', '.join(presets())}")
+    return read_yaml(path)
+
+
+def load_config(
+    file: str | Path | None = None, sets: Iterable[str] = (), overrides: Mapping[str, object] | None = None
+) -> Config:
+    """Load the effective configuration.
+
+    Parameters
+    ----------
+    file
+        Path of a YAML file, or the name of a preset.
+    sets
+        ``key=value`` with dotted keys, values read as YAML.
+    overrides
+        Values of command line options by the name of the field.
+
+    Raises
+    ------
+    ConfigError
+        One line: file and line, dotted key, what is wrong, the nearest known name.
+    """
+    layers = [_file_layer(file), *map(_set_layer, sets), _option_layer(overrides or {})]
+    top = Layer()
+    for layer in layers:
+        top = layer.over(top)
+    method = top.values.get(("method",), Config.model_fields["method"].default)
+    if method in presets():
+        top = top.over(_file_layer(presets_folder() / f"{method}.yaml"))
+    return _validate(top)
+
+
+def _set_layer(assignment: str) -> Layer:
+    dotted, equals, text = assignment.partition("=")
+    if not equals or not dotted.strip():
+        raise ConfigError(f"--set {assignment!r} is not key=value; write for example --set robust.cell_mm=25")
+    key = tuple(dotted.strip().split("."))
+    value = layer_of(f"value: {text}", f"--set {assignment}").values
+    if list(value) != [("value",)]:
+        raise ConfigError(f"--set {assignment!r} sets more than one value; write for example --set robust.cell_mm=25")
+    return Layer({key: value["value",]}, {key: f"--set {assignment}"})
+
+
+def _option_layer(overrides: Mapping[str, object]) -> Layer:
+    keys = {name: tuple(name.split(".")) for name in overrides}
+    return Layer(
+        {keys[name]: value for name, value in overrides.items()},
+        {keys[name]: f"--{name.replace('_', '-')}" for name in overrides},
+    )
+
+
+def _validate(layer: Layer) -> Config:
+    try:
+        return Config.model_validate(layer.tree())
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+        raise ConfigError(_complaint(details[0], layer) + more) from error
+    except ConfigError as error:
+        grid = layer.origins.get(("grid",), "grid")
+        raise ConfigError(f"{grid}: {error}") from error
+
+
+def _complaint(details: ErrorDetails, layer: Layer) -> str:
+    key = tuple(str(part) for part in details["loc"])
+    where = next((layer.origins[key[:n]] for n in range(len(key), 0, -1) if key[:n] in layer.origins), "configuration")
+    if details["type"] == "extra_forbidden":
+        return f"{where}: unknown key {'.'.join(key)}; {_nearest(key)}"
+    problem = details["msg"].removeprefix("Input ").removeprefix("Value error, ")
+    return f"{where}: {'.'.join(key)} is {details['input']!r}, it {problem}; {_hint(key)}"
+
+
+def _nearest(key: Key) -> str:
+    """Propose the nearest known key, wherever in the configuration it stands."""
+    known = [".".join(path) for path, _ in fields()]
+    by_last_name = {path[-1]: ".".join(path) for path, _ in fields()}
+    proposal = [by_last_name[key[-1]]] if key[-1] in by_last_name else []
+    proposal = proposal or difflib.get_close_matches(".".join(key), known, n=1)
+    proposal = proposal or [by_last_name[name] for name in difflib.get_close_matches(key[-1], by_last_name, n=1)]
+    return f"did you mean {proposal[0]}?" if proposal else "see 'mavnav config show' for the known keys"
+
+
+def _hint(key: Key) -> str:
+    descriptions = dict(fields())
+    return descriptions.get(key) or "see 'mavnav config show'"
+
+
+def fields(model: type[BaseModel] = Config, above: Key = ()) -> list[tuple[Key, str]]:
+    """Return every key of the configuration with its description, in order."""
+    found: list[tuple[Key, str]] = []
+    for name, info in model.model_fields.items():
+        kind = info.annotation
+        found.append(((*above, name), info.description or ""))
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            found += fields(kind, (*above, name))
+    return found
+
+
+def to_yaml(config: Config) -> str:
+    """Write a configuration as YAML, with a comment from every field's description; ``load_config`` reads it back."""
+    descriptions = dict(fields())
+    return "".join(_yaml_lines(config.document(), (), descriptions))
+
+
+def _yaml_lines(document: Mapping[str, Any], above: Key, descriptions: Mapping[Key, str]) -> list[str]:
+    lines: list[str] = []
+    indent = "  " * len(above)
+    for name, value in document.items():
+        key = (*above, name)
+        comment = f"  # {descriptions[key]}" if descriptions.get(key) else ""
+        if isinstance(value, dict):
+            lines += [f"{indent}{name}:{comment}\n", *_yaml_lines(value, key, descriptions)]
+        else:
+            lines.append(f"{indent}{name}: {_scalar(value)}{comment}\n")
+    return lines
+
+
+def _scalar(value: object) -> str:
+    if isinstance(value, str) and value and re.fullmatch(r"[A-Za-z/][\w/.-]*|\d+x\d+", value):
+        return value
+    return dumps(value)

@@ -1,0 +1,150 @@
+"""Layers of configuration values that remember where each was written, and the strict YAML they are read from.
+
+YAML is read as version 1.2 does (``off`` is a word, ``1e-3`` a number), without aliases, tags or duplicate keys.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from mavnav.errors import ConfigError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+MAX_BYTES = 1_000_000
+MAX_DEPTH = 20
+
+Key = tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """Values by dotted key, and for each where it was written (``file:line`` or the option)."""
+
+    values: dict[Key, object] = field(default_factory=dict)
+    origins: dict[Key, str] = field(default_factory=dict)
+
+    def over(self, below: Layer) -> Layer:
+        """Lay this layer over another one; a value hides what lay under and above its own key."""
+        kept = {k: v for k, v in below.values.items() if not any(_related(k, mine) for mine in self.values)}
+        return Layer(kept | self.values, below.origins | self.origins)
+
+    def tree(self) -> dict[str, Any]:
+        """Return nested dictionaries."""
+        root: dict[str, Any] = {}
+        for key, value in self.values.items():
+            branch = root
+            for name in key[:-1]:
+                branch = branch.setdefault(name, {})
+            branch[key[-1]] = value
+        return root
+
+
+def _related(a: Key, b: Key) -> bool:
+    shorter = min(len(a), len(b))
+    return a[:shorter] == b[:shorter]
+
+
+class _Yaml12(yaml.SafeLoader):
+    """The safe loader with the few scalar types of YAML 1.2's core schema."""
+
+    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012  yaml's own way
+
+
+for _tag, _pattern, _first in (
+    ("bool", r"^(?:true|True|TRUE|false|False|FALSE)$", "tTfF"),
+    ("null", r"^(?:~|null|Null|NULL|)$", ["~", "n", "N", ""]),
+    ("int", r"^[-+]?[0-9]+$", "-+0123456789"),
+    ("float", r"^[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?$", "-+.0123456789"),
+):
+    _Yaml12.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(_pattern), list(_first))
+
+_SCALAR_TAGS = {f"tag:yaml.org,2002:{name}" for name in ("bool", "null", "int", "float", "str")}
+
+
+def read_yaml(path: Path) -> Layer:
+    """Read one configuration file.
+
+    Raises
+    ------
+    ConfigError
+        Where it cannot be read, is no YAML mapping, has aliases, tags, duplicate keys, or is too large or too deep.
+    """
+    if path.exists() and not path.is_file():
+        raise ConfigError(f"{path} is not a regular file; name a YAML file")
+    try:
+        with path.open("rb") as file:
+            text = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read, {error.strerror}; name a YAML file or a preset") from error
+    if len(text) > MAX_BYTES:
+        raise ConfigError(f"{path} is larger than {MAX_BYTES} bytes; name a configuration file")
+    return layer_of(text, str(path))
+
+
+def layer_of(text: bytes | str, name: str) -> Layer:
+    """Read YAML text; ``name`` is what its errors call it."""
+    try:
+        _refuse_tricks(text, name)
+        root = yaml.compose(text, _Yaml12)
+    except yaml.MarkedYAMLError as error:
+        raise ConfigError(
+            f"{name}:{_line(error.problem_mark)}: not valid YAML, {error.problem}; mend that line"
+        ) from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{name}: not YAML text; name a configuration file") from error
+    layer = Layer()
+    if root is not None:
+        _collect(root, (), name, layer)
+    return layer
+
+
+def _refuse_tricks(text: bytes | str, name: str) -> None:
+    """Refuse aliases and deep nesting before anything is built from them."""
+    depth = 0
+    for event in yaml.parse(text, _Yaml12):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        line = _line(event.start_mark)
+        if isinstance(event, yaml.AliasEvent):
+            raise ConfigError(f"{name}:{line}: aliases are not read; write the value out")
+        if depth > MAX_DEPTH:
+            raise ConfigError(f"{name}:{line}: nested deeper than {MAX_DEPTH} levels; name a configuration file")
+
+
+def _line(mark: Any) -> int:  # noqa: ANN401  yaml has two classes of marks
+    return mark.line + 1 if mark else 1
+
+
+def _collect(node: yaml.Node, key: Key, name: str, layer: Layer) -> None:
+    """Walk a mapping and note its values and lines in ``layer``."""
+    where = f"{name}:{_line(node.start_mark)}"
+    if not isinstance(node, yaml.MappingNode):
+        raise ConfigError(f"{where}: {'.'.join(key) or 'the file'} is no mapping; write 'key: value' lines")
+    for key_node, value_node in node.value:
+        line = _line(key_node.start_mark)
+        if not isinstance(key_node, yaml.ScalarNode):
+            raise ConfigError(f"{name}:{line}: a key is no plain word; write 'key: value' lines")
+        child = (*key, str(key_node.value))
+        if child in layer.origins:
+            raise ConfigError(f"{name}:{line}: {'.'.join(child)} stands there twice; keep one of them")
+        layer.origins[child] = f"{name}:{line}"
+        if isinstance(value_node, yaml.MappingNode):
+            _collect(value_node, child, name, layer)
+        else:
+            layer.values[child] = _value(value_node, f"{name}:{line}: {'.'.join(child)}")
+
+
+def _value(node: yaml.Node, where: str) -> object:
+    """Return the plain value of a scalar, or a list of scalars."""
+    if isinstance(node, yaml.SequenceNode):
+        return [_value(item, where) for item in node.value]
+    if not isinstance(node, yaml.ScalarNode) or node.tag not in _SCALAR_TAGS:
+        raise ConfigError(f"{where} has a tag or a nested mapping; write a plain number, word or list")
+    loader = _Yaml12("")
+    value: object = loader.construct_object(node)
+    return value

@@ -1,0 +1,110 @@
+"""The pipeline of ``mavnav replay``: log -> slam -> metrics -> outputs."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import TYPE_CHECKING, Any
+
+from mavnav import slam
+from mavnav.errors import OutputError
+from mavnav.logs import open_log
+from mavnav.metrics.wall_thickness import wall_thickness
+from mavnav.outputs import Run, Timing, write_run
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mavnav.config import Config
+    from mavnav.logs import Log
+    from mavnav.pose import Pose
+
+    # (what is being done, how much of it is done, how much there is or None)
+    Progress = Callable[[str, int, int | None], None]
+
+THRESHOLDS = (1, 2, 5)
+"""Wall thickness is reported for cells of at least so many hits (findings: the threshold decides the answer)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is asked for: the log, which part of it, how, and where to.
+
+    ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base.
+    """
+
+    log: Path
+    directory: Path
+    config: Config
+    topic: str | None = None
+    start_s: float | None = None
+    end_s: float | None = None
+    extrinsic: Pose | None = None
+    force: bool = False
+
+
+def default_directory(log: Path, config: Config) -> Path:
+    """Return ``runs/<log>-<method>-<grid>``."""
+    name = log.resolve()
+    stem = name.name if name.is_dir() else name.name.removesuffix(".zst").removesuffix(".zstd")
+    for suffix in (".mcap", ".bag.active", ".bag", ".db3"):
+        stem = stem.removesuffix(suffix) or stem
+    return Path("runs") / f"{stem}-{config.method}-{config.grid}"
+
+
+def check_directory(directory: Path, *, force: bool) -> None:
+    """Fail now rather than after the work: raise OutputError where the run directory could not be written."""
+    if directory.exists() and not force:
+        raise OutputError(f"{directory} exists; choose another with -o, or replace it with --force")
+    ancestor = next(p for p in (directory.absolute(), *directory.absolute().parents)[1:] if p.exists())
+    if not ancestor.is_dir():
+        raise OutputError(f"{directory} cannot be made, {ancestor} is not a folder; choose another place with -o")
+    if not os.access(ancestor, os.W_OK | os.X_OK):
+        raise OutputError(f"{directory} cannot be made, {ancestor} is not writable; choose another place with -o")
+
+
+def replay(request: Request, progress: Progress, compile_s: float) -> tuple[Run, dict[str, Any]]:
+    """Run the whole job and return the run with its document (run.json).
+
+    ``compile_s`` is the time that loading the kernels took before. Raises what the rooms raise: TopicError,
+    NoScansError, UsageError, OutputError.
+    """
+    check_directory(request.directory, force=request.force)
+    wall_s, cpu_s = perf_counter(), process_time()
+    log = _open(request, progress)
+    outcome = _track(log, request.config, progress)
+    grid = outcome.grid
+    run = Run(
+        log=log,
+        config=request.config,
+        slam=outcome,
+        thickness={k: wall_thickness(grid.hits, grid.cell_m, k) for k in THRESHOLDS},
+        timing=Timing(wall_s=perf_counter() - wall_s, cpu_s=process_time() - cpu_s, compile_s=compile_s),
+    )
+    progress("write", 0, None)
+    return run, write_run(run, request.directory, force=request.force)
+
+
+def _open(request: Request, progress: Progress) -> Log:
+    """Survey the log; the paper's method never looks at odometry."""
+    return open_log(
+        request.log,
+        topic=request.topic,
+        odom="off" if request.config.method == "paper" else request.config.odom,
+        start_s=request.start_s,
+        end_s=request.end_s,
+        extrinsic=request.extrinsic,
+        progress=lambda done, total: progress("survey", done, total),
+    )
+
+
+def _track(log: Log, config: Config, progress: Progress) -> slam.Slam:
+    total = log.counts.usable
+    return slam.replay(
+        log.scans,
+        config,
+        log.odometry.odom_T_laser if log.odometry else None,
+        on_step=lambda phase, done: progress(phase, done, total),
+    )

@@ -1,0 +1,32 @@
+"""What every test may use: the real recordings, and helper modules that lie in this folder."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent
+
+# With --import-mode=importlib nothing is on the path: `from synthetic import ...` needs this folder.
+sys.path.insert(0, str(HERE))
+
+
+@pytest.fixture(scope="session")
+def repo_root() -> Path:
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def real_logs() -> Path:
+    """Return the folder of the real recordings; skip without it, or fail where they are required."""
+    folder = Path(os.environ.get("MAVNAV_REAL_LOGS") or ROOT.parent / "shared" / "logs")
+    if folder.is_dir():
+        return folder
+    reason = f"no real recordings at {folder}; set MAVNAV_REAL_LOGS"
+    if os.environ.get("MAVNAV_REQUIRE_REAL_LOGS") == "1":
+        pytest.fail(reason)
+    pytest.skip(reason)
