@@ -66,7 +66,7 @@ def run_moments(
         cells = weight = s_x = s_y = s_xx = s_xy = s_yy = 0
         for r in range(max(0, mid2 // 2 - reach), min(rows, (mid2 + 1) // 2 + reach + 1)):
             for c in range(max(0, col - reach), min(cols, col + reach + 1)):
-                h, x2, y2 = np.int64(hits[r, c]), 2 * (c - col), 2 * r - mid2
+                h, x2, y2 = int(hits[r, c]), 2 * (c - col), 2 * r - mid2
                 if h < min_hits or x2 * x2 + y2 * y2 > 4.0 * radius * radius:
                     continue
                 cells += 1

@@ -1,0 +1,59 @@
+"""Outputs: the files of a run, each by one writer, and the directory that holds them.
+
+A new file is one function ``(Run, Path) -> None`` and one line in `WRITERS`. The writers import their heavy libraries
+when they are called.
+"""
+
+from __future__ import annotations
+
+from hashlib import sha256
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav.outputs.directory import RUN_FILE, check_directory, staged, sync
+from mavnav.outputs.document import plain, run_document, to_json, write_metrics
+from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
+from mavnav.outputs.run import Run, Timing
+from mavnav.outputs.trajectory import write_base_tum, write_csv, write_tum
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+__all__ = ["WRITERS", "Run", "Timing", "check_directory", "write_run"]
+
+WRITERS: Final[dict[str, Callable[[Run, Path], None]]] = {
+    "trajectory.tum": write_tum,
+    "trajectory_base.tum": write_base_tum,
+    "trajectory.csv": write_csv,
+    "map.pgm": write_pgm,
+    "map.yaml": write_yaml,
+    "hits.npz": write_npz,
+    "metrics.json": write_metrics,
+}
+_NEEDS_MOUNTING: Final = {"trajectory_base.tum"}
+
+
+def write_run(run: Run, directory: Path, *, force: bool = False) -> dict[str, Any]:
+    """Write all files of a run and return its document, which is run.json.
+
+    The directory appears complete or not at all. Raises OutputError where it exists (and ``force`` does not say to
+    replace it), holds something else than a run, or cannot be written.
+    """
+    with staged(directory, force=force) as partial:
+        digests = {name: _write(run, partial / name) for name in _names(run)}
+        document: dict[str, Any] = plain(run_document(run, digests))
+        path = partial / RUN_FILE
+        path.write_text(to_json(document), encoding="utf-8")
+        sync(path)
+    return document
+
+
+def _names(run: Run) -> list[str]:
+    return [name for name in WRITERS if run.log.base_T_laser is not None or name not in _NEEDS_MOUNTING]
+
+
+def _write(run: Run, path: Path) -> str:
+    """Write one file to the disk and return its SHA-256."""
+    WRITERS[path.name](run, path)
+    sync(path)
+    return sha256(path.read_bytes()).hexdigest()

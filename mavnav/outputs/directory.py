@@ -1,0 +1,92 @@
+"""The run directory: written beside, complete or not at all, renamed at the end."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Final
+
+from mavnav.errors import OutputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+RUN_FILE: Final = "run.json"
+"""The file that makes a directory a run of ours."""
+
+
+def check_directory(directory: Path, *, force: bool) -> None:
+    """Raise OutputError where a run cannot be put; cheap enough to ask before the work begins.
+
+    What exists stays, unless ``force`` is set and it is an earlier run or empty.
+    """
+    if not os.path.lexists(directory):
+        _check_parent(directory)
+    elif not directory.is_dir():
+        raise OutputError(f"{directory} is a file; choose another directory with -o")
+    elif any(directory.iterdir()) and not (directory / RUN_FILE).is_file():
+        raise OutputError(f"{directory} holds other files (no {RUN_FILE}); choose another directory with -o")
+    elif not force:
+        raise OutputError(f"{directory} exists; choose another directory with -o, or --force to replace it")
+
+
+def _check_parent(directory: Path) -> None:
+    for parent in directory.absolute().parents:
+        if parent.is_dir():
+            if not os.access(parent, os.W_OK | os.X_OK):
+                raise OutputError(f"{directory} cannot be made: {parent} is not writable; choose another with -o")
+            return
+        if os.path.lexists(parent):
+            raise OutputError(f"{directory} cannot be made: {parent} is no directory; choose another with -o")
+
+
+@contextmanager
+def staged(directory: Path, *, force: bool) -> Iterator[Path]:
+    """Give a temporary directory beside ``directory`` that takes its name when the block ends well.
+
+    On any failure it is removed, and what was there before stays. Raises OutputError where the disk says no.
+    """
+    try:
+        check_directory(directory, force=force)
+        final = directory.resolve()
+        final.parent.mkdir(parents=True, exist_ok=True)
+        partial = final.with_name(f".{final.name}.partial-{os.getpid()}")
+        shutil.rmtree(partial, ignore_errors=True)  # left by a killed process of the same number
+        partial.mkdir()
+        try:
+            yield partial
+            sync(partial)
+            _swap(partial, final)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(f"{directory} cannot be written: {reason}; make room or choose another with -o") from error
+
+
+def _swap(partial: Path, final: Path) -> None:
+    """Put the new directory in place of the old, which comes back if that fails."""
+    if not final.exists():
+        partial.rename(final)
+    else:
+        old = final.with_name(f".{final.name}.replaced-{os.getpid()}")
+        final.rename(old)
+        try:
+            partial.rename(final)
+        except BaseException:
+            with suppress(OSError):
+                old.rename(final)
+            raise
+        shutil.rmtree(old, ignore_errors=True)
+    sync(final.parent)
+
+
+def sync(path: Path) -> None:
+    """Bring a file, or the names in a directory, to the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

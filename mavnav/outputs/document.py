@@ -1,0 +1,187 @@
+"""The documents that machines read: run.json and metrics.json."""
+
+from __future__ import annotations
+
+import json
+import platform
+from dataclasses import asdict
+from importlib.metadata import version
+from math import isfinite
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from mavnav import __version__
+from mavnav.outputs.gridmap import known_part
+from mavnav.units import MM, NS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mavnav.metrics.wall_thickness import WallThickness
+    from mavnav.outputs.run import Run
+
+SCHEMA_VERSION: Final = 1
+LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "matplotlib", "pydantic", "pyyaml")
+
+Document = dict[str, Any]
+
+
+def run_document(run: Run, outputs: dict[str, str]) -> Document:
+    """Describe a run; ``outputs`` maps the files written to their SHA-256. Times in s, lengths in m unless named."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "mavnav_version": __version__,
+        "python": platform.python_version(),
+        "libraries": {name: version(name) for name in LIBRARIES},
+        "input": _input(run),
+        "config": run.config.document(),
+        "method": run.config.method,
+        "grid": str(run.config.grid),
+        "azimuth": run.config.azimuth,
+        **metrics(run),
+        "timing": _timing(run),
+        "damage": [asdict(d) for d in run.log.damage],
+        "warnings": list(run.log.warnings),
+        "outputs": outputs,
+        "exit_code": int(run.exit_code),
+    }
+
+
+def metrics(run: Run) -> Document:
+    """Return the part that depends on log, configuration and version alone: no clock, no machine."""
+    return {
+        "scans": _scans(run),
+        "cleaning": dict(run.log.cleaning),
+        "tracking": _tracking(run),
+        "search": _search(run),
+        "wall_thickness": {str(k): _thickness(t) for k, t in run.thickness.items()},
+        "map": _map(run),
+    }
+
+
+def write_metrics(run: Run, path: Path) -> None:
+    """Write metrics.json."""
+    path.write_text(to_json({"schema_version": SCHEMA_VERSION, **metrics(run)}), encoding="utf-8")
+
+
+def to_json(document: Document) -> str:
+    """Write as JSON; numbers that JSON has no word for (NaN, infinities) become null."""
+    return json.dumps(plain(document), indent=2, allow_nan=False) + "\n"
+
+
+def plain(value: Any) -> Any:  # noqa: ANN401  any JSON value
+    """Bring numpy's numbers and numbers that JSON lacks to plain ones."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def _input(run: Run) -> Document:
+    log = run.log
+    odometry = log.odometry
+    mounting = log.base_T_laser
+    return {
+        "path": str(log.path),
+        "sha256": log.sha256,
+        "size_bytes": log.size_bytes,
+        "format": log.format,
+        "topic": log.topic,
+        "frame_id": log.frame_id,
+        "stamp_source": log.stamp_source,
+        "first_stamp_s": log.first_ns * NS,
+        "duration_s": (log.last_ns - log.first_ns) * NS,
+        "base_frame": log.base_frame,
+        "base_T_laser": None if mounting is None else asdict(mounting),
+        "mounting_source": log.mounting_source,
+        "odometry": None if odometry is None else {"topic": odometry.topic, "source": odometry.source},
+    }
+
+
+def _scans(run: Run) -> Document:
+    steps, counts = run.slam.steps, run.log.counts
+    accepted = sum(s.accepted for s in steps)
+    return {
+        "total": counts.total,
+        "usable": counts.usable,
+        "processed": len(steps),
+        "tracked": sum(s.tracked for s in steps),
+        "accepted": accepted,
+        "rejected": len(steps) - accepted,
+        "skipped": dict(counts.skipped),
+    }
+
+
+def _tracking(run: Run) -> Document:
+    """Say where the track was lost: seconds from the first scan's stamp; ``lost`` means it never came back."""
+    slam, first_ns = run.slam, run.log.first_ns
+    return {
+        "lost": slam.lost_for_good,
+        "intervals": [
+            {
+                "start_s": (i.start_ns - first_ns) * NS,
+                "end_s": (i.end_ns - first_ns) * NS,
+                "scans": i.scans,
+                "recovered": i.recovered,
+            }
+            for i in slam.lost
+        ],
+        "tracked_share": sum(s.tracked for s in slam.steps) / max(len(slam.steps), 1),
+        "path_length_m": slam.trajectory.length_m,
+        "frames": {"trajectory.tum": ["map", run.log.frame_id]}
+        | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),
+    }
+
+
+def base_frame(run: Run) -> str:
+    """Name the base's frame; an ``--extrinsic`` does not tell it."""
+    return run.log.base_frame or "base_link"
+
+
+def _search(run: Run) -> Document:
+    matches = [s.match for s in run.slam.steps]
+    return {
+        "evaluations_per_scan": _spread([m.evaluations for m in matches]),
+        "iterations_per_scan": _spread([m.iterations for m in matches]),
+        "converged_share": sum(m.converged for m in matches) / max(len(matches), 1),
+        "cost_m2": _spread([m.cost_m2 for m in matches if isfinite(m.cost_m2)]),
+        "beams_used": _spread([m.beams_used for m in matches]),
+        "inliers": _spread([m.inliers for m in matches]),
+    }
+
+
+def _spread(values: list[float] | list[int]) -> Document:
+    if not values:
+        return {"mean": None, "median": None, "min": None, "max": None}
+    return {"mean": np.mean(values), "median": np.median(values), "min": min(values), "max": max(values)}
+
+
+def _thickness(thickness: WallThickness) -> Document:
+    return {k: v for k, v in asdict(thickness).items() if k != "hits"}
+
+
+def _map(run: Run) -> Document:
+    grid = known_part(run.slam.grid)
+    rows, cols = grid.hits.shape
+    return {
+        "cell_mm": grid.cell_m / MM,
+        "rows": rows,
+        "cols": cols,
+        "cells": int(np.count_nonzero(grid.hits)),
+        "hits": int(grid.hits.sum(dtype=np.int64)),
+        "size_m": [cols * grid.cell_m, rows * grid.cell_m],
+        "origin_xy_m": list(grid.origin_xy_m),
+        "accepted_share": sum(s.accepted for s in run.slam.steps) / max(len(run.slam.steps), 1),
+    }
+
+
+def _timing(run: Run) -> Document:
+    """Say what the run took; the rates leave out the compilation, which a second run does not pay."""
+    t, scans = run.timing, len(run.slam.steps)
+    duration_s = (run.log.last_ns - run.log.first_ns) * NS
+    work_s = max(t.wall_s, 1e-9)
+    return {**asdict(t), "scans_per_s": scans / work_s, "realtime_factor": duration_s / work_s}

@@ -1,0 +1,94 @@
+"""Map files: the picture and YAML of map_server, and the raw counts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mavnav.grid import Grid
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mavnav.outputs.run import Run
+
+OCCUPIED_SHARE: Final = 0.2
+"""A cell is occupied where at least this share of the beams that reached it ended in it."""
+
+FREE, OCCUPIED, UNKNOWN = 0, 100, -1
+_PIXELS: Final = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
+_MARGIN_CELLS: Final = 2
+
+_YAML = """\
+image: map.pgm
+mode: trinary
+resolution: {cell_m!r}
+origin: [{x_m!r}, {y_m!r}, 0.0]
+negate: 0
+occupied_thresh: 0.65
+free_thresh: 0.196
+"""
+
+
+def occupancy(grid: Grid) -> NDArray[np.int8]:
+    """Tell free (0), occupied (100) and unknown (-1) cells apart, as nav_msgs/OccupancyGrid does; (rows, cols).
+
+    Occupied: hit, by at least `OCCUPIED_SHARE` of the beams that ended in the cell or crossed it. Free: any other
+    cell that a beam reached.
+    """
+    seen = grid.hits.astype(np.int64) + grid.passes
+    out = np.where(seen > 0, FREE, UNKNOWN).astype(np.int8)
+    out[(grid.hits > 0) & (grid.hits >= OCCUPIED_SHARE * seen)] = OCCUPIED
+    return out
+
+
+def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:
+    """Cut the grid to the cells that a beam reached (or ended in) and a small margin; one cell if there is none."""
+    known = grid.hits > 0
+    if not hits_only:
+        known |= grid.passes > 0
+    if not np.any(known):
+        return Grid(grid.cell_m, grid.origin_xy_m, np.zeros((1, 1), np.int32), np.zeros((1, 1), np.int32))
+    rows, cols = (_extent(np.flatnonzero(np.any(known, axis=axis))) for axis in (1, 0))
+    origin = (grid.origin_xy_m[0] + cols.start * grid.cell_m, grid.origin_xy_m[1] + rows.start * grid.cell_m)
+    return Grid(grid.cell_m, origin, grid.hits[rows, cols].copy(), grid.passes[rows, cols].copy())
+
+
+def _extent(known: NDArray[np.intp]) -> slice:
+    return slice(max(int(known[0]) - _MARGIN_CELLS, 0), int(known[-1]) + 1 + _MARGIN_CELLS)
+
+
+def write_pgm(run: Run, path: Path) -> None:
+    """Write the known part of the map as a binary PGM: 0 occupied, 254 free, 205 unknown, largest y on top."""
+    cells = occupancy(known_part(run.slam.grid))[::-1]
+    pixels = np.full(cells.shape, _PIXELS[UNKNOWN], np.uint8)
+    pixels[cells == FREE] = _PIXELS[FREE]
+    pixels[cells == OCCUPIED] = _PIXELS[OCCUPIED]
+    rows, cols = cells.shape
+    path.write_bytes(f"P5\n{cols} {rows}\n255\n".encode() + pixels.tobytes())
+
+
+def write_yaml(run: Run, path: Path) -> None:
+    """Write map_server's description of ``map.pgm``; origin is the lower left corner, with all its digits."""
+    grid = known_part(run.slam.grid)
+    x_m, y_m = (float(v) for v in grid.origin_xy_m)
+    path.write_text(_YAML.format(cell_m=float(grid.cell_m), x_m=x_m, y_m=y_m), encoding="ascii")
+
+
+def write_npz(run: Run, path: Path) -> None:
+    """Write the counts of the known part: ``counts`` and ``passes`` (rows, cols), ``cell_m``, ``origin_xy_m`` (2,).
+
+    Row and column grow with y and x; cell [0, 0] is the lower left pixel of ``map.pgm``.
+    """
+    grid = known_part(run.slam.grid)
+    with path.open("wb") as file:
+        np.savez_compressed(
+            file,
+            counts=grid.hits,
+            passes=grid.passes,
+            cell_m=np.float64(grid.cell_m),
+            origin_xy_m=np.array(grid.origin_xy_m, np.float64),
+        )

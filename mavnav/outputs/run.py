@@ -1,0 +1,48 @@
+"""The record of a run: everything that the writers need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mavnav.errors import ExitCode
+
+if TYPE_CHECKING:
+    from mavnav.config import Config
+    from mavnav.logs import Log
+    from mavnav.metrics.wall_thickness import WallThickness
+    from mavnav.pose import Trajectory
+    from mavnav.slam import Slam
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """What the run took, in seconds: by the clock, of the processor, and of it to load or compile the kernels."""
+
+    wall_s: float
+    cpu_s: float
+    compile_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A log, how it was run, what came out, and how thick the walls are (hit threshold -> summary)."""
+
+    log: Log
+    config: Config
+    slam: Slam
+    thickness: dict[int, WallThickness]
+    timing: Timing
+
+    @property
+    def map_T_base(self) -> Trajectory | None:
+        """The trajectory of the robot's base in the map frame, None where the mounting is not known."""
+        mounting = self.log.base_T_laser
+        return None if mounting is None else self.slam.trajectory.compose(mounting.inverse())
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """How the run ended: lost for good outweighs a damaged input."""
+        if self.slam.lost_for_good:
+            return ExitCode.TRACKING_LOST
+        return ExitCode.DAMAGED_INPUT if self.log.damage else ExitCode.DONE

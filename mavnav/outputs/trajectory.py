@@ -1,0 +1,73 @@
+"""Trajectory files: TUM for the tools of the field, CSV for everything known about each scan."""
+
+from __future__ import annotations
+
+import csv
+from math import cos, isfinite, sin
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from mavnav.outputs.run import Run
+    from mavnav.pose import Trajectory
+    from mavnav.slam import Step
+
+COLUMNS = (
+    "index", "stamp", "x_m", "y_m", "yaw_rad", "cost_m2", "beams_used", "inliers", "evaluations", "iterations",
+    "converged", "tracked", "accepted",
+)  # fmt: skip
+
+
+def write_tum(run: Run, path: Path) -> None:
+    """Write map_T_laser of every tracked scan as ``t x y z qx qy qz qw`` (seconds, metres, unit quaternion)."""
+    path.write_text("".join(_tum_lines(run.slam.trajectory)), encoding="ascii")
+
+
+def write_base_tum(run: Run, path: Path) -> None:
+    """Write map_T_base in the same way; the run must know the mounting."""
+    trajectory = run.map_T_base
+    if trajectory is None:
+        msg = "the laser's mounting is not known"
+        raise ValueError(msg)
+    path.write_text("".join(_tum_lines(trajectory)), encoding="ascii")
+
+
+def _tum_lines(trajectory: Trajectory) -> Iterator[str]:
+    for stamp_ns, (x, y, yaw) in zip(trajectory.stamps_ns.tolist(), trajectory.xyyaw.tolist(), strict=True):
+        z, w = sin(yaw / 2.0), cos(yaw / 2.0)
+        yield f"{seconds(stamp_ns)} {x:.9f} {y:.9f} 0 0 0 {z:.12f} {w:.12f}\n"
+
+
+def seconds(stamp_ns: int) -> str:
+    """Write a stamp in seconds with all its nanoseconds: a float would lose the last three digits."""
+    sign = "-" if stamp_ns < 0 else ""
+    whole, rest = divmod(abs(stamp_ns), 1_000_000_000)
+    return f"{sign}{whole}.{rest:09d}"
+
+
+def write_csv(run: Run, path: Path) -> None:
+    """Write a row for every scan that was matched; one that was not tracked has no pose."""
+    poses = dict(zip(run.slam.trajectory.stamps_ns.tolist(), run.slam.trajectory.xyyaw.tolist(), strict=True))
+    with path.open("w", encoding="ascii", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(COLUMNS)
+        rows.writerows(_csv_row(step, poses.get(step.stamp_ns)) for step in run.slam.steps)
+
+
+def _csv_row(step: Step, xyyaw: list[float] | None) -> tuple[object, ...]:
+    match = step.match
+    return (
+        step.index,
+        seconds(step.stamp_ns),
+        *(("", "", "") if xyyaw is None else (f"{v:.9f}" for v in xyyaw)),
+        f"{match.cost_m2:.9g}" if isfinite(match.cost_m2) else "",
+        match.beams_used,
+        f"{match.inliers:.6f}",
+        match.evaluations,
+        match.iterations,
+        int(match.converged),
+        int(step.tracked),
+        int(step.accepted),
+    )
