@@ -1,0 +1,66 @@
+"""From ranges to the points that are matched and mapped: cleaning, de-skewing, voxel averages (docs/method.md)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import float64, types, uint64
+
+from mavnav.kernels._jit import kernel
+
+_F1 = types.Array(float64, 1, "C", readonly=True)
+_F2 = types.Array(float64, 2, "C", readonly=True)
+
+
+@kernel(float64[:, ::1](_F1, _F2, _F1, float64, float64, float64))
+def scan_points(ranges_m, directions, twist, time_increment_s, near_m, far_m):
+    """Return the end points (n, 2), in m, of the good beams in the laser's frame at mid-sweep.
+
+    Left out are beams without a return, nearer or farther than the limits, and mixed pixels: beams that differ from
+    both neighbours by more than 0.1 m and 5 % of their range. ``directions`` (beams, 2) are cosines and sines,
+    ``twist`` (3,) the laser's motion in its own frame, m/s, m/s, rad/s.
+    """
+    n = len(ranges_m)
+    out = np.empty((n, 2))
+    used = 0
+    for i in range(n):
+        r = ranges_m[i]
+        if not near_m < r < far_m:
+            continue
+        jump = max(0.1, 0.05 * r)
+        if 0 < i < n - 1 and abs(r - ranges_m[i - 1]) > jump and abs(r - ranges_m[i + 1]) > jump:
+            continue
+        late_s = time_increment_s * (i - 0.5 * (n - 1))
+        x, y, turn = r * directions[i, 0], r * directions[i, 1], twist[2] * late_s
+        c, s = np.cos(turn), np.sin(turn)
+        out[used, 0] = c * x - s * y + twist[0] * late_s
+        out[used, 1] = s * x + c * y + twist[1] * late_s
+        used += 1
+    return out[:used].copy()
+
+
+@kernel(float64[:, ::1](_F2, float64))
+def voxel_means(points, voxel_m):
+    """Average points (n, 2) in square voxels; returns (m, 2) in a scrambled order, the same for the same points.
+
+    Any prefix of the result is a fair sample of the whole, which lets a search judge on few points first.
+    """
+    n = len(points)
+    key = np.empty(n, np.uint64)
+    for k in range(n):
+        col = uint64(int(np.floor(points[k, 0] / voxel_m)) + (1 << 31))
+        row = uint64(int(np.floor(points[k, 1] / voxel_m)) + (1 << 31))
+        # An odd factor permutes the 64-bit numbers: voxels stay distinct, and sorting scrambles and groups at once.
+        key[k] = ((row << uint64(32)) | col) * uint64(0x9E3779B97F4A7C15)
+    order = np.argsort(key, kind="mergesort")
+    out = np.empty((n, 2))
+    m, k = 0, 0
+    while k < n:
+        first = k
+        x, y = 0.0, 0.0
+        while k < n and key[order[k]] == key[order[first]]:
+            x += points[order[k], 0]
+            y += points[order[k], 1]
+            k += 1
+        out[m, 0], out[m, 1] = x / (k - first), y / (k - first)
+        m += 1
+    return out[:m].copy()
