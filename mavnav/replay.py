@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
 
 from mavnav import slam
-from mavnav.errors import OutputError
 from mavnav.logs import open_log
 from mavnav.metrics.wall_thickness import wall_thickness
-from mavnav.outputs import Run, Timing, write_run
+from mavnav.outputs import Run, Timing, check_directory, write_run
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -52,17 +50,6 @@ def default_directory(log: Path, config: Config) -> Path:
     for suffix in (".mcap", ".bag.active", ".bag", ".db3"):
         stem = stem.removesuffix(suffix) or stem
     return Path("runs") / f"{stem}-{config.method}-{config.grid}"
-
-
-def check_directory(directory: Path, *, force: bool) -> None:
-    """Fail now rather than after the work: raise OutputError where the run directory could not be written."""
-    if directory.exists() and not force:
-        raise OutputError(f"{directory} exists; choose another with -o, or replace it with --force")
-    ancestor = next(p for p in (directory.absolute(), *directory.absolute().parents)[1:] if p.exists())
-    if not ancestor.is_dir():
-        raise OutputError(f"{directory} cannot be made, {ancestor} is not a folder; choose another place with -o")
-    if not os.access(ancestor, os.W_OK | os.X_OK):
-        raise OutputError(f"{directory} cannot be made, {ancestor} is not writable; choose another place with -o")
 
 
 def replay(request: Request, progress: Progress, compile_s: float) -> tuple[Run, dict[str, Any]]:

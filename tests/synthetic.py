@@ -1,0 +1,162 @@
+"""Seeded scenes of line segments, seen by a perfect or a noisy laser: scans whose true poses are known.
+
+Ray casting is exact (ray against segment, in numpy). Everything follows from the seed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan2, hypot, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavnav.pose import Pose, Trajectory, wrap_angle
+from mavnav.scan import LaserSpec, Scan
+
+Segments = NDArray[np.float64]
+"""Walls, (n, 4): x1, y1, x2, y2 in metres, map frame."""
+
+DEG = pi / 180.0
+
+URG_04LX = LaserSpec(-340 * 360 / 1024 * DEG, 360 / 1024 * DEG, 681, 0.02, 5.6, 0.1 / 1024, 0.1)
+"""240 degrees in 681 beams, 5.6 m, 10 Hz."""
+
+LDS_01 = LaserSpec(0.0, DEG, 360, 0.12, 3.5, 0.0, 0.2)
+"""A full turn in 360 beams, 3.5 m, 5 Hz."""
+
+
+def polyline(*xy_m: tuple[float, float], closed: bool = False) -> Segments:
+    """Join points by walls."""
+    points = np.array([*xy_m, xy_m[0]] if closed else xy_m, dtype=np.float64)
+    return np.column_stack((points[:-1], points[1:]))
+
+
+def box(x_m: float, y_m: float, width_m: float, depth_m: float, yaw_rad: float = 0.0) -> Segments:
+    """Return the four sides of a box about its centre."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (width_m / 2, depth_m / 2)
+    xy = corners @ np.array([(c, s), (-s, c)]) + (x_m, y_m)
+    return polyline(*map(tuple, xy), closed=True)
+
+
+def room(width_m: float = 6.0, depth_m: float = 4.0) -> Segments:
+    """Return an empty room with its lower left corner at the origin."""
+    return polyline((0, 0), (width_m, 0), (width_m, depth_m), (0, depth_m), closed=True)
+
+
+def furnished_rooms() -> Segments:
+    """Return a room of 6 x 4 m with three boxes, and a smaller one behind a doorway of 0.9 m."""
+    walls = [
+        polyline((4.2, 4.0), (0, 4.0), (0, 0), (6, 0), (6, 4.0), (5.1, 4.0)),  # doorway from x = 4.2 to 5.1
+        polyline((4.2, 4.0), (3.0, 4.0), (3.0, 6.5), (6.5, 6.5), (6.5, 4.0), (5.1, 4.0)),
+        box(1.9, 2.0, 0.7, 0.5, 0.3),
+        box(4.2, 1.9, 0.4, 0.6, -0.2),
+        box(0.25, 3.75, 0.5, 0.5),
+        box(3.4, 6.2, 0.6, 0.4, 0.1),
+    ]
+    return np.vstack(walls)
+
+
+def cast(segments: Segments, xy_m: tuple[float, float], bearings_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the exact distance to the nearest wall along each bearing, (n,) in metres; inf where there is none."""
+    dx, dy = np.cos(bearings_rad)[:, None], np.sin(bearings_rad)[:, None]
+    ax, ay = segments[:, 0] - xy_m[0], segments[:, 1] - xy_m[1]
+    ex, ey = segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1]
+    # Solve r d = a + u e for the range r along the ray and the share u along the wall.
+    denominator = dx * ey - dy * ex
+    with np.errstate(divide="ignore", invalid="ignore"):
+        r = (ax * ey - ay * ex) / denominator
+        u = (ax * dy - ay * dx) / denominator
+    hit = (denominator != 0) & (r > 0) & (u >= 0) & (u <= 1)
+    return np.where(hit, r, np.inf).min(axis=1)
+
+
+def scan_at(
+    segments: Segments,
+    map_T_laser: Pose,
+    spec: LaserSpec = URG_04LX,
+    *,
+    stamp_ns: int = 0,
+    noise: float = 0.0,
+    rng: np.random.Generator | None = None,
+) -> Scan:
+    """Take one scan at rest; ``noise`` is the standard deviation as a share of the range. No return gives NaN."""
+    bearings = spec.angles_rad + map_T_laser.yaw_rad
+    ranges = cast(segments, (map_T_laser.x_m, map_T_laser.y_m), bearings)
+    if noise:
+        ranges = ranges * (1.0 + noise * (rng or np.random.default_rng(0)).standard_normal(len(ranges)))
+    ranges[(ranges < spec.range_min_m) | (ranges > spec.range_max_m)] = np.nan
+    return Scan(stamp_ns, ranges, spec)
+
+
+def along(
+    waypoints_m: list[tuple[float, float]],
+    period_s: float = 0.1,
+    speed_m_s: float = 0.5,
+    turn_rad_s: float = 1.0,
+    start_ns: int = 1_700_000_000_000_000_000,
+) -> Trajectory:
+    """Walk way-points at a constant speed, turning towards the next one at a bounded rate while walking."""
+    stamps, poses = [start_ns], [Pose(*waypoints_m[0], _bearing(waypoints_m[0], waypoints_m[1]))]
+    for goal in waypoints_m[1:]:
+        while True:
+            at = poses[-1]
+            left = hypot(goal[0] - at.x_m, goal[1] - at.y_m)
+            if left < 1.5 * speed_m_s * period_s:
+                break
+            error = wrap_angle(_bearing((at.x_m, at.y_m), goal) - at.yaw_rad)
+            turn = float(np.clip(error, -turn_rad_s * period_s, turn_rad_s * period_s))
+            step = speed_m_s * period_s * max(0.0, np.cos(error - turn)) ** 4  # nearly on the spot in sharp turns
+            poses.append(at @ Pose(0.0, 0.0, turn) @ Pose(float(step), 0.0, 0.0))
+            stamps.append(stamps[-1] + round(period_s * 1e9))
+    return Trajectory.of(stamps, poses)
+
+
+def _bearing(a: tuple[float, float], b: tuple[float, float]) -> float:
+    return atan2(b[1] - a[1], b[0] - a[0])
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Scans, and the true pose of the laser at each of them: ``world_T_laser``."""
+
+    scans: list[Scan]
+    world_T_laser: Trajectory
+
+    @property
+    def map_T_laser(self) -> Trajectory:
+        """Return the truth in the map frame, that is seen from the first laser pose."""
+        first = self.world_T_laser[0]
+        poses = [first.between(self.world_T_laser[k]) for k in range(len(self.world_T_laser))]
+        return Trajectory.of(self.world_T_laser.stamps_ns.tolist(), poses)
+
+
+def record(
+    segments: Segments, world_T_laser: Trajectory, spec: LaserSpec = URG_04LX, noise: float = 0.01, seed: int = 0
+) -> Recording:
+    """Scan along a trajectory."""
+    rng = np.random.default_rng(seed)
+    scans = [
+        scan_at(segments, world_T_laser[k], spec, stamp_ns=int(stamp), noise=noise, rng=rng)
+        for k, stamp in enumerate(world_T_laser.stamps_ns)
+    ]
+    return Recording(scans, world_T_laser)
+
+
+def drifting_odometry(
+    world_T_base: Trajectory, seed: int = 0, length_share: float = 0.03, turn_share: float = 0.04
+) -> Trajectory:
+    """Return wheel odometry: every step too long and turned too far by a constant share plus a random one."""
+    rng = np.random.default_rng(seed)
+    poses = [Pose()]
+    for k in range(1, len(world_T_base)):
+        step = world_T_base[k - 1].between(world_T_base[k])
+        stretch, turn = 1.0 + length_share * (1 + rng.standard_normal()), 1.0 + turn_share * (1 + rng.standard_normal())
+        poses.append(poses[-1] @ Pose(step.x_m * stretch, step.y_m * stretch, step.yaw_rad * turn))
+    return Trajectory.of(world_T_base.stamps_ns.tolist(), poses)
+
+
+TOUR = [(0.8, 0.7), (4.9, 0.7), (5.2, 2.2), (4.65, 3.4), (4.65, 5.2), (5.9, 5.2), (4.65, 4.9), (4.65, 3.4), (3.0, 3.2),
+        (1.1, 3.2), (0.8, 0.9)]  # fmt: skip
+"""A loop through ``furnished_rooms``: round the boxes, into the small room and back."""
