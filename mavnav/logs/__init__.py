@@ -1,0 +1,10 @@
+"""Logs: from a file of any of the usual formats to clean scans, and to an account of everything odd about it.
+
+``survey`` reads a log once and tells what is there; ``open_log`` also chooses what to use; ``Log.scans`` streams it.
+"""
+
+from mavnav.logs.log import Log, choose, open_log
+from mavnav.logs.records import Damage, Gap, Odometry, ScanCounts, Topic
+from mavnav.logs.survey import Survey, survey
+
+__all__ = ["Damage", "Gap", "Log", "Odometry", "ScanCounts", "Survey", "Topic", "choose", "open_log", "survey"]

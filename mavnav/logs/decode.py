@@ -1,0 +1,146 @@
+"""Decoding messages by encoding and type: a dict from both to a function from bytes to a record.
+
+ROS messages are decoded by the standard definitions, whatever schema text the log holds: ros2msg and ros2idl mean the same.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from mavnav.logs.messages import DecodeError, LaserMessage, TransformMessage
+from mavnav.logs.unpack import UnpackError, unpack_message
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mavnav.logs.records import Channel
+
+LASER_TYPES = frozenset({"sensor_msgs/msg/LaserScan", "foxglove.LaserScan"})
+ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
+TF_TYPE = "tf2_msgs/msg/TFMessage"
+_TF_TYPES = (TF_TYPE, "tf/msg/tfMessage")
+
+
+def decoder(channel: Channel) -> Callable[[bytes], Any] | None:
+    """Return the function that decodes a channel's messages; None for kinds that mavnav has no use for.
+
+    It returns a LaserMessage, or a list of TransformMessage for odometry and transforms, and raises DecodeError.
+    """
+    make = DECODERS.get((channel.encoding, channel.type))
+    if make is None:
+        return None
+    decode = make(channel)
+
+    def checked(data: bytes) -> Any:  # noqa: ANN401
+        try:
+            return decode(unpack_message(data))
+        except UnpackError as error:
+            raise DecodeError(str(error)) from error
+
+    return checked
+
+
+def is_laser(channel: Channel) -> bool:
+    """Tell whether a channel holds scans that can be decoded."""
+    return channel.type in LASER_TYPES and (channel.encoding, channel.type) in DECODERS
+
+
+@cache
+def _deserializer(encoding: str) -> Callable[[bytes, str], Any]:
+    """Return the ROS deserializer of an encoding; the type store costs some 0.1 s to load."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415
+
+    if encoding == "cdr":
+        of_cdr: Callable[[bytes, str], Any] = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr
+        return of_cdr
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF_TYPE))
+    of_ros1: Callable[[bytes, str], Any] = store.deserialize_ros1
+    return of_ros1
+
+
+def _ros(convert: Callable[[Any], Any], type_name: str) -> Callable[[Channel], Callable[[bytes], Any]]:
+    def make(channel: Channel) -> Callable[[bytes], Any]:
+        from rosbags.serde import SerdeError  # noqa: PLC0415
+
+        deserialize = _deserializer(channel.encoding)
+
+        def decode(data: bytes) -> Any:  # noqa: ANN401
+            try:
+                return convert(deserialize(data, type_name))
+            except (SerdeError, ValueError, IndexError) as error:
+                raise DecodeError(str(error)) from error
+
+        return decode
+
+    return make
+
+
+def _stamp_ns(stamp: Any) -> int:  # noqa: ANN401  (rosbags generates its classes)
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def _laser(message: Any) -> LaserMessage:  # noqa: ANN401
+    return LaserMessage(
+        _stamp_ns(message.header.stamp),
+        message.header.frame_id,
+        message.angle_min,
+        message.angle_increment,
+        message.angle_max,
+        message.range_min,
+        message.range_max,
+        message.time_increment,
+        message.scan_time,
+        message.ranges,
+    )
+
+
+def _odometry(message: Any) -> list[TransformMessage]:  # noqa: ANN401
+    p, q = message.pose.pose.position, message.pose.pose.orientation
+    header = message.header
+    stamp_ns = _stamp_ns(header.stamp)
+    return [TransformMessage(stamp_ns, header.frame_id, message.child_frame_id, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))]
+
+
+def _transforms(message: Any) -> list[TransformMessage]:  # noqa: ANN401
+    return [_transform(stamped) for stamped in message.transforms]
+
+
+def _transform(stamped: Any) -> TransformMessage:  # noqa: ANN401
+    t, q = stamped.transform.translation, stamped.transform.rotation
+    return TransformMessage(
+        _stamp_ns(stamped.header.stamp),
+        stamped.header.frame_id,
+        stamped.child_frame_id,
+        (t.x, t.y, t.z),
+        (q.x, q.y, q.z, q.w),
+    )
+
+
+def _foxglove_json(channel: Channel) -> Callable[[bytes], LaserMessage]:
+    from mavnav.logs.foxglove import json_decoder  # noqa: PLC0415
+
+    return json_decoder(channel)
+
+
+def _foxglove_protobuf(channel: Channel) -> Callable[[bytes], LaserMessage]:
+    from mavnav.logs.foxglove import protobuf_decoder  # noqa: PLC0415
+
+    return protobuf_decoder(channel)
+
+
+_ROS_KINDS: dict[str, tuple[str, Callable[[Any], Any]]] = {
+    "sensor_msgs/msg/LaserScan": ("sensor_msgs/msg/LaserScan", _laser),
+    ODOMETRY_TYPE: (ODOMETRY_TYPE, _odometry),
+    **{name: (TF_TYPE, _transforms) for name in _TF_TYPES},
+}
+DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
+    ("json", "foxglove.LaserScan"): _foxglove_json,
+    ("protobuf", "foxglove.LaserScan"): _foxglove_protobuf,
+    **{
+        (encoding, name): _ros(convert, decoded_as)
+        for name, (decoded_as, convert) in _ROS_KINDS.items()
+        for encoding in ("cdr", "ros1")
+    },
+}

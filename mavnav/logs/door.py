@@ -1,0 +1,161 @@
+"""The door: where every odd convention of sensors and drivers ends.
+
+A range is told apart in the order of REP-117: within the limits it is valid, else -inf is too close, +inf is nothing
+in range, NaN is erroneous. Drivers older than the REP put 0, negative values and values beyond the limits. Whatever is
+not valid becomes NaN, and is counted by kind.
+"""
+
+from __future__ import annotations
+
+from math import isfinite, isnan, tau
+from sys import float_info
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mavnav.scan import LaserSpec
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from mavnav.logs.messages import LaserMessage
+
+KINDS: Final = ("valid", "zero", "below_min", "above_max", "nan", "plus_inf", "minus_inf", "negative")
+_VALID, _ZERO, _BELOW, _ABOVE, _NAN, _PLUS, _MINUS, _NEGATIVE = range(len(KINDS))
+
+_SMALLEST_M: Final = 5e-324
+_MOST_TURNS: Final = 1.1
+"""A scan may overlap itself a little; one of several turns has a wrong increment."""
+
+
+def clean(
+    ranges_m: NDArray[np.floating], range_min_m: float, range_max_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Turn every range that is no return into NaN.
+
+    Parameters
+    ----------
+    ranges_m
+        Shape (beams,), as the driver wrote them.
+    range_min_m, range_max_m
+        Limits, both inclusive. 0 and infinity are never valid, whatever the limits.
+
+    Returns
+    -------
+    cleaned, counts
+        (beams,) float64 with NaN for no return, and (8,) the number of beams of each of ``KINDS``.
+    """
+    cleaned = ranges_m.astype(np.float64)
+    lowest, highest = max(range_min_m, _SMALLEST_M), min(range_max_m, float_info.max)
+    odd = ~((cleaned >= lowest) & (cleaned <= highest))
+    counts = _count(cleaned[odd], lowest, len(cleaned))
+    cleaned[odd] = np.nan
+    return cleaned, counts
+
+
+def _count(odd_m: NDArray[np.float64], lowest_m: float, beams: int) -> NDArray[np.int64]:
+    """Count the kinds of ranges that are not valid; only these are looked at one by one."""
+    counts = np.zeros(len(KINDS), dtype=np.int64)
+    counts[_VALID] = beams - len(odd_m)
+    finite = odd_m[np.isfinite(odd_m)]
+    counts[_ZERO] = np.count_nonzero(finite == 0.0)
+    counts[_NEGATIVE] = np.count_nonzero(finite < 0.0)
+    counts[_BELOW] = np.count_nonzero(finite < lowest_m) - counts[_ZERO] - counts[_NEGATIVE]
+    counts[_ABOVE] = len(finite) - counts[_ZERO] - counts[_NEGATIVE] - counts[_BELOW]
+    if len(finite) < len(odd_m):
+        counts[_NAN] = np.count_nonzero(np.isnan(odd_m))
+        counts[_PLUS] = np.count_nonzero(odd_m == np.inf)
+        counts[_MINUS] = np.count_nonzero(odd_m == -np.inf)
+    return counts
+
+
+class Door:
+    """The cleaning of one topic's scans; remembers the last geometry, so that equal scans share one LaserSpec.
+
+    ``warn`` takes a line about something odd that was put right.
+    """
+
+    def __init__(self, topic: str, warn: Callable[[str], None]) -> None:
+        self._topic = topic
+        self._warn = warn
+        self._key: tuple[float, ...] = ()
+        self._spec: LaserSpec | None = None
+
+    def admit(self, message: LaserMessage) -> tuple[LaserSpec, NDArray[np.float64], NDArray[np.int64]] | str:
+        """Return geometry, cleaned ranges and counts; or, in a word, the reason why the scan is unusable."""
+        if reason := _refusal(message):
+            return reason
+        spec = self._spec_of(message)
+        cleaned, counts = clean(message.ranges_m, spec.range_min_m, spec.range_max_m)
+        if not counts[_VALID]:
+            return "no_valid_beam"
+        return spec, cleaned, counts
+
+    def _spec_of(self, message: LaserMessage) -> LaserSpec:
+        # angle_min .. scan_time and the number of beams; frame and stamp are not geometry
+        key = (*message[2:9], len(message.ranges_m))
+        if self._spec is None or key != self._key:
+            spec = self._make_spec(message)
+            if self._spec is not None and _geometry(spec) != _geometry(self._spec):
+                self._warn(f"{self._topic}: the geometry of the scans changes on the way; each scan keeps its own")
+            self._key, self._spec = key, spec
+        return self._spec
+
+    def _make_spec(self, message: LaserMessage) -> LaserSpec:
+        self._check(message)
+        low, high = _limits(message)
+        return LaserSpec(
+            message.angle_min_rad,
+            message.angle_step_rad,
+            len(message.ranges_m),
+            low,
+            high,
+            _finite_or_zero(message.time_increment_s),
+            _finite_or_zero(message.scan_time_s),
+        )
+
+    def _check(self, message: LaserMessage) -> None:
+        """Warn about fields that contradict the rest and are not believed."""
+        if message.has_limits and _limits(message) == (0.0, np.inf):
+            told = f"{message.range_min_m:g} to {message.range_max_m:g} m"
+            self._warn(f"{self._topic}: the range limits ({told}) are unusable; every positive range is taken")
+        if message.has_pose:
+            self._warn(f"{self._topic}: the scans carry a pose of their own, which is not used")
+        last = message.angle_min_rad + message.angle_step_rad * (len(message.ranges_m) - 1)
+        told_last = message.last_angle_rad
+        # Many drivers are one beam out here; that is no news.
+        if told_last is not None and not abs(told_last - last) <= 1.5 * abs(message.angle_step_rad):
+            self._warn(
+                f"{self._topic}: angle_max is {told_last:.4f} rad, but {len(message.ranges_m)} beams end at {last:.4f}; "
+                "number of beams and increment are believed"
+            )
+
+
+def _refusal(message: LaserMessage) -> str | None:
+    beams = len(message.ranges_m)
+    if not beams:
+        return "empty"
+    if not (isfinite(message.angle_min_rad) and isfinite(message.angle_step_rad)):
+        return "non_finite_angle"
+    if message.angle_step_rad == 0.0:
+        return "zero_angle_increment"
+    too_wide = abs(message.angle_step_rad) * (beams - 1) > _MOST_TURNS * tau
+    return "impossible_geometry" if too_wide or abs(message.angle_min_rad) > 2 * tau else None
+
+
+def _limits(message: LaserMessage) -> tuple[float, float]:
+    """Return the range limits, (0, inf) where they are unusable. A maximum of +inf is a sensor without one."""
+    low, high = message.range_min_m, message.range_max_m
+    if not isfinite(low) or isnan(high) or high <= low:
+        return 0.0, np.inf
+    return max(low, 0.0), high
+
+
+def _geometry(spec: LaserSpec) -> tuple[float, float, int]:
+    return spec.angle_min_rad, spec.angle_step_rad, spec.beams
+
+
+def _finite_or_zero(seconds: float) -> float:
+    return seconds if isfinite(seconds) else 0.0

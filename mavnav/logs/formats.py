@@ -1,0 +1,108 @@
+"""Which format a path is, by its first bytes, and the reader of each."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from mavnav.logs import mcap_file, rosbag1, sqlite_file
+from mavnav.logs.rosbag2 import METADATA, storage_files
+from mavnav.logs.unpack import ZSTD_MAGIC, first_bytes, unpacked_file
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from mavnav.logs.ledger import Ledger
+    from mavnav.logs.records import RawMessage
+
+UNKNOWN = "unknown"
+_HEAD_BYTES = 16
+_STORAGES = {"rosbag2-sqlite3": "rosbag2-sqlite3", "mcap": "rosbag2-mcap"}
+
+
+def sniff(path: Path) -> str:
+    """Name the format of a file or folder by its content; ``UNKNOWN`` where it is no log that is read here.
+
+    ``-zstd`` is appended where the whole file is compressed with zstd.
+    """
+    if path.is_dir():
+        return _sniff_folder(path)
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    if head.startswith(ZSTD_MAGIC):
+        inner = _sniff_head(first_bytes(path, _HEAD_BYTES))
+        return UNKNOWN if inner == UNKNOWN else f"{inner}-zstd"
+    return _sniff_head(head)
+
+
+def _sniff_head(head: bytes) -> str:
+    return next((name for magic, name in MAGICS.items() if head.startswith(magic)), UNKNOWN)
+
+
+def _sniff_folder(folder: Path) -> str:
+    files = [file for file in sorted(folder.iterdir()) if file.is_file()]
+    inner = next((name for name in map(sniff, files) if name != UNKNOWN), UNKNOWN)
+    storage, _, packed = inner.partition("-zstd")
+    if storage in _STORAGES:
+        return _STORAGES[storage] + ("-zstd" if inner.endswith("-zstd") else packed)
+    return "rosbag2" if (folder / METADATA).is_file() else UNKNOWN
+
+
+def parts(path: Path, ledger: Ledger) -> list[Path]:
+    """Return the files of a log in their order: those of a ROS 2 bag's folder, or the file itself."""
+    return storage_files(path, ledger, _is_storage) if path.is_dir() else [path]
+
+
+def _is_storage(path: Path) -> bool:
+    return sniff(path) != UNKNOWN
+
+
+def read(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
+    """Yield the messages of a log, file after file, each by the reader of its format."""
+    files = parts(path, ledger)
+    ledger.total_bytes = sum(file.stat().st_size for file in files)
+    for file in files:
+        yield from _read_file(file, ledger)
+        ledger.next_file(file.stat().st_size)
+
+
+def _read_file(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
+    reader = READERS.get(sniff(path))
+    if reader is None:
+        ledger.damage(refusal(path), path.name)
+        return
+    yield from reader(path, ledger)
+
+
+def _read_zstd(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
+    with unpacked_file(path, ledger) as inner:
+        yield from _read_file(inner, ledger)
+
+
+def refusal(path: Path) -> str:
+    """Say why a path is not read, and what to do."""
+    if path.is_dir():
+        return "the folder holds no ROS 2 bag (no metadata.yaml, no .db3 or .mcap)"
+    with path.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    if not head:
+        return "the file is empty"
+    if old := re.match(rb"#ROS(?:BAG|RECORD) V([0-9.]+)", head):
+        return f"a ROS 1 bag of format {old[1].decode()}; only 2.0 is read, convert it with `rosbag fix`"
+    return "not an MCAP file, ROS 1 bag or ROS 2 bag"
+
+
+MAGICS: dict[bytes, str] = {
+    mcap_file.MAGIC: "mcap",
+    rosbag1.MAGIC: "rosbag1",
+    sqlite_file.MAGIC: "rosbag2-sqlite3",
+}
+READERS: dict[str, Callable[[Path, Ledger], Iterator[RawMessage]]] = {
+    "mcap": mcap_file.read_mcap,
+    "rosbag1": rosbag1.read_rosbag1,
+    "rosbag2-sqlite3": sqlite_file.read_sqlite,
+    "mcap-zstd": _read_zstd,
+    "rosbag1-zstd": _read_zstd,
+    "rosbag2-sqlite3-zstd": _read_zstd,
+}

@@ -1,0 +1,238 @@
+"""A log that can be used: one scan topic, its time, its mounting and odometry, and its scans as often as needed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+from mavnav.errors import NoScansError, TopicError
+from mavnav.logs import formats
+from mavnav.logs.decode import decoder, is_laser
+from mavnav.logs.door import KINDS, Door
+from mavnav.logs.frames import BASE_FRAMES, mounting
+from mavnav.logs.ledger import Ledger
+from mavnav.logs.messages import DecodeError
+from mavnav.logs.records import Damage, Gap, Odometry, ScanCounts, Topic
+from mavnav.logs.stamps import StampGate, StampSource, period_and_gaps
+from mavnav.logs.survey import Survey, survey
+from mavnav.pose import Pose
+from mavnav.scan import LaserSpec, Scan
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from mavnav.logs.messages import LaserMessage
+    from mavnav.logs.stamps import TopicScans
+
+
+@dataclass(frozen=True)
+class Log:
+    """One scan topic of a log.
+
+    ``sensor`` and ``frame_id`` are those of the first usable scan. ``cleaning`` counts the beams of the usable scans
+    by the kinds of ``door.KINDS``. ``period_s`` is the median. ``stamp_source`` is ``log`` where the scans' own stamps
+    are unusable. ``base_T_laser`` is projected to the plane.
+    """
+
+    path: Path
+    format: str
+    size_bytes: int
+    sha256: str
+    topics: tuple[Topic, ...]
+    topic: str
+    frame_id: str
+    sensor: LaserSpec
+    counts: ScanCounts
+    cleaning: dict[str, int]
+    first_ns: int
+    last_ns: int
+    period_s: float
+    gaps: tuple[Gap, ...]
+    stamp_source: StampSource
+    window_s: tuple[float | None, float | None]
+    base_T_laser: Pose | None
+    mounting_source: Literal["tf_static", "option"] | None
+    base_frame: str | None
+    odometry: Odometry | None
+    damage: tuple[Damage, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first usable scan to the last."""
+        return (self.last_ns - self.first_ns) * 1e-9
+
+    def scans(self) -> Iterator[Scan]:
+        """Read the usable scans again from the file: cleaned, stamps strictly ascending, in constant memory."""
+        ledger = Ledger()  # the survey told everything already
+        door = Door(self.topic, ledger.warn)
+        gate = StampGate(*self.window_s)
+        for message, log_ns in _laser_messages(self.path, self.topic, ledger):
+            admitted = door.admit(message)
+            if isinstance(admitted, str):
+                continue
+            stamp_ns = message.stamp_ns if self.stamp_source == "header" else log_ns
+            if gate.refusal(stamp_ns) is None:
+                spec, ranges_m, _ = admitted
+                yield Scan(stamp_ns, ranges_m, spec)
+
+
+def _laser_messages(path: Path, topic: str, ledger: Ledger) -> Iterator[tuple[LaserMessage, int]]:
+    decoders: dict[object, Callable[[bytes], LaserMessage] | None] = {}
+    for channel, log_ns, data in formats.read(path, ledger):
+        if channel.topic != topic or not is_laser(channel):
+            continue
+        try:
+            if channel not in decoders:
+                decoders[channel] = None
+                decoders[channel] = decoder(channel)
+            decode = decoders[channel]
+            if decode is not None:
+                yield decode(data), log_ns
+        except DecodeError:
+            continue
+
+
+def open_log(
+    path: Path,
+    *,
+    topic: str | None = None,
+    odom: str = "auto",
+    start_s: float | None = None,
+    end_s: float | None = None,
+    extrinsic: Pose | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Log:
+    """Survey a log and choose what to use of it.
+
+    Parameters
+    ----------
+    path
+        A file, or the folder of a ROS 2 bag; the content tells the format, not the name.
+    topic
+        The scan topic; by itself where there is only one.
+    odom
+        ``auto``, ``off``, or a topic.
+    start_s, end_s
+        Window of the scans to use, in seconds from the first usable scan.
+    extrinsic
+        ``base_T_laser``, in place of what the log tells.
+    progress
+        Called now and then with the bytes done and in all.
+
+    Raises
+    ------
+    UsageError
+        No such file, or an empty window.
+    TopicError
+        Several scan topics to choose from, or no such topic.
+    NoScansError
+        No log, or no usable scan in it.
+    """
+    found = survey(path, topic=topic, start_s=start_s, end_s=end_s, progress=progress)
+    return choose(found, topic=topic, odom=odom, extrinsic=extrinsic)
+
+
+def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extrinsic: Pose | None = None) -> Log:
+    """Choose topic, odometry and mounting of a surveyed log; raises TopicError and NoScansError."""
+    name = _choose_topic(found, topic)
+    scans = found.scans[name]
+    timeline = scans.timeline()
+    if timeline.first is None:
+        raise NoScansError(_no_usable(found, name, scans))
+    sensor, frame_id = timeline.first
+    period_s, gaps = period_and_gaps(timeline.stamps_ns)
+    skipped = dict(sorted((scans.refused + timeline.skipped).items()))
+    log = Log(
+        path=found.path,
+        format=found.format,
+        size_bytes=found.size_bytes,
+        sha256=found.sha256,
+        topics=found.topics,
+        topic=name,
+        frame_id=frame_id,
+        sensor=sensor,
+        counts=ScanCounts(scans.total, len(timeline.stamps_ns), skipped),
+        cleaning=dict(zip(KINDS, timeline.cleaning.tolist(), strict=True)),
+        first_ns=timeline.stamps_ns[0],
+        last_ns=timeline.stamps_ns[-1],
+        period_s=period_s,
+        gaps=gaps,
+        stamp_source=scans.source(),
+        window_s=found.window_s,
+        base_T_laser=None,
+        mounting_source=None,
+        base_frame=None,
+        odometry=None,
+        damage=found.damage,
+        warnings=found.warnings,
+    )
+    return _with_motion(log, found, odom, extrinsic)
+
+
+def _choose_topic(found: Survey, topic: str | None) -> str:
+    """Return the scan topic to use; several to choose from are listed."""
+    if topic is not None and topic not in found.scans:
+        laser = [t for t in found.topics if t.name == topic]
+        if not laser or found.scans:
+            raise TopicError(f"{found.path}: no scans on topic {topic!r}; {_listed(found)}")
+    if topic is None and len(found.scans) > 1:
+        raise TopicError(f"{found.path}: several scan topics; choose one with --topic NAME: {_counted(found)}")
+    if not found.scans:
+        raise NoScansError(_no_scans(found))
+    return topic if topic is not None else next(iter(found.scans))
+
+
+def _counted(found: Survey) -> str:
+    return ", ".join(f"{name} ({scans.total} scans)" for name, scans in sorted(found.scans.items()))
+
+
+def _listed(found: Survey) -> str:
+    lasers = [f"{t.name} ({t.count} scans)" for t in found.topics if t.type.endswith("LaserScan")]
+    return f"scan topics here: {', '.join(lasers) or 'none'}"
+
+
+def _no_scans(found: Survey) -> str:
+    if not found.topics and found.damage:
+        first = found.damage[0]
+        return f"{found.path}: no usable scans; {first.what} ({first.where})"
+    kinds = ", ".join(f"{t.name} ({t.type or 'no type'}, {t.count})" for t in found.topics[:8]) or "none"
+    return f"{found.path}: no LaserScan messages; topics here: {kinds}"
+
+
+def _no_usable(found: Survey, name: str, scans: TopicScans) -> str:
+    reasons = ", ".join(f"{count} {reason}" for reason, count in (scans.refused + scans.timeline().skipped).items())
+    hint = "; check --start and --end" if any(end is not None for end in found.window_s) else ""
+    return f"{found.path}: none of the {scans.total} scans on {name} is usable ({reasons}){hint}"
+
+
+def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> Log:
+    """Add mounting and odometry, and what there is to warn about time."""
+    warnings = list(log.warnings)
+    if log.stamp_source == "log":
+        warnings.append(f"{log.topic}: the scans' own stamps are unusable; the times of recording are used")
+    for reason, count in log.counts.skipped.items():
+        if reason != "outside_window":
+            warnings.append(f"{log.topic}: {count} of {log.counts.total} scans skipped: {reason.replace('_', ' ')}")
+    track = found.odometry.choose(odom, warnings.append)
+    bases = [track.base_frame] if track and track.base_frame else list(BASE_FRAMES)
+    mounted = mounting(found.frames, log.frame_id, bases, warnings.append)
+    base_frame, base_T_laser = mounted or (bases[0] if track else None, None)
+    base_T_laser = extrinsic or base_T_laser
+    source: Literal["tf_static", "option"] | None = "tf_static" if mounted else None
+    odometry = None
+    if track is not None:
+        if base_T_laser is None:
+            text = f"no transform from {base_frame!r} to {log.frame_id!r}; the odometry is taken as the laser's own"
+            warnings.append(f"{text} (--extrinsic x,y,yaw tells the mounting)")
+        odom_T_base = track.trajectory(log.stamp_source)
+        odometry = Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()))
+    return replace(
+        log,
+        base_T_laser=base_T_laser,
+        mounting_source="option" if extrinsic else source,
+        base_frame=base_frame,
+        odometry=odometry,
+        warnings=tuple(warnings),
+    )

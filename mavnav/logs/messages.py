@@ -1,0 +1,42 @@
+"""What the messages of interest tell, whatever encoding they came in."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+class DecodeError(Exception):
+    """A message is not what its channel says."""
+
+
+class LaserMessage(NamedTuple):
+    """A scan message, uncleaned: lengths in m, angles in rad, ``ranges_m`` of any float type, shape (beams,).
+
+    ``last_angle_rad`` is None where the message does not tell it. Limits are NaN where there are none.
+    """
+
+    stamp_ns: int
+    frame_id: str
+    angle_min_rad: float
+    angle_step_rad: float
+    last_angle_rad: float | None
+    range_min_m: float
+    range_max_m: float
+    time_increment_s: float
+    scan_time_s: float
+    ranges_m: NDArray[Any]
+    has_limits: bool = True
+    has_pose: bool = False
+
+
+class TransformMessage(NamedTuple):
+    """The pose of frame ``child`` in frame ``parent``: ``xyz`` in m, quaternion ``xyzw``."""
+
+    stamp_ns: int
+    parent: str
+    child: str
+    xyz: tuple[float, float, float]
+    xyzw: tuple[float, float, float, float]

@@ -1,0 +1,113 @@
+"""Odometry in a log: collected in one pass, chosen afterwards."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from mavnav.errors import TopicError
+from mavnav.logs.frames import frame_name, planar_pose
+from mavnav.pose import Trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mavnav.logs.messages import TransformMessage
+
+TF_TOPIC = "/tf"
+_ODOM_FRAME = "odom"
+
+
+@dataclass
+class OdometryTrack:
+    """Poses of the base in the odometry frame, as they came: 40 bytes each, with both stamps."""
+
+    topic: str
+    source: Literal["odom", "tf"]
+    base_frame: str
+    header_ns: array[int] = field(default_factory=lambda: array("q"))
+    log_ns: array[int] = field(default_factory=lambda: array("q"))
+    xyyaw: array[float] = field(default_factory=lambda: array("d"))
+
+    def add(self, message: TransformMessage, log_ns: int) -> None:
+        """Take in one pose; one that is not finite is dropped."""
+        pose = planar_pose(message)
+        if pose is not None:
+            self.header_ns.append(message.stamp_ns)
+            self.log_ns.append(min(log_ns, (1 << 63) - 1))
+            self.xyyaw.extend((pose.x_m, pose.y_m, pose.yaw_rad))
+
+    def trajectory(self, stamp_source: str) -> Trajectory:
+        """Return ``odom_T_base`` with the stamps of a source; duplicate and backward stamps are dropped."""
+        stamps = np.array(self.header_ns if stamp_source == "header" else self.log_ns, dtype=np.int64)
+        poses = np.array(self.xyyaw, dtype=np.float64).reshape(-1, 3)
+        latest = np.maximum.accumulate(stamps) if len(stamps) else stamps
+        keep = np.ones(len(stamps), dtype=bool)
+        keep[1:] = stamps[1:] > latest[:-1]
+        return Trajectory(stamps[keep], poses[keep])
+
+
+class OdometryTracks:
+    """All odometry of a log: nav_msgs/Odometry by topic, and the edges of /tf that start at an ``odom`` frame."""
+
+    def __init__(self) -> None:
+        self.topics: dict[str, OdometryTrack] = {}
+        self.transforms: dict[str, OdometryTrack] = {}
+
+    def add_odometry(self, topic: str, message: TransformMessage, log_ns: int) -> None:
+        """Take in a nav_msgs/Odometry message."""
+        track = self.topics.get(topic)
+        if track is None:
+            track = self.topics[topic] = OdometryTrack(topic, "odom", frame_name(message.child))
+        track.add(message, log_ns)
+
+    def add_transforms(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
+        """Take in the transforms of a /tf message."""
+        for message in messages:
+            if frame_name(message.parent).rsplit("/", 1)[-1] == _ODOM_FRAME:
+                child = frame_name(message.child)
+                track = self.transforms.get(child)
+                if track is None:
+                    track = self.transforms[child] = OdometryTrack(topic, "tf", child)
+                track.add(message, log_ns)
+
+    def choose(self, wanted: str, warn: Callable[[str], None]) -> OdometryTrack | None:
+        """Return the track to use.
+
+        Parameters
+        ----------
+        wanted
+            ``auto`` (the only nav_msgs/Odometry topic, or ``/odom``, or the odometry of /tf), ``off``, or a topic.
+        warn
+            Takes a line where ``auto`` cannot choose.
+
+        Raises
+        ------
+        TopicError
+            The topic asked for holds no odometry.
+        """
+        if wanted == "off":
+            return None
+        if wanted == "auto":
+            return self._choose_auto(warn)
+        track = self.topics.get(wanted) or (self._of_tf() if wanted.lstrip("/") == TF_TOPIC[1:] else None)
+        if track is None:
+            known = ", ".join([*self.topics, *([TF_TOPIC] if self.transforms else [])]) or "none"
+            raise TopicError(f"no odometry on topic {wanted!r}; the log holds: {known}; or write --odom off")
+        return track
+
+    def _choose_auto(self, warn: Callable[[str], None]) -> OdometryTrack | None:
+        if len(self.topics) == 1:
+            return next(iter(self.topics.values()))
+        if "/odom" in self.topics:
+            return self.topics["/odom"]
+        if self.topics:
+            warn(f"several odometry topics, none is used: {', '.join(self.topics)}; choose with --odom TOPIC")
+            return None
+        return self._of_tf()
+
+    def _of_tf(self) -> OdometryTrack | None:
+        return max(self.transforms.values(), key=lambda track: len(track.header_ns), default=None)

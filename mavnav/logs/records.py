@@ -1,0 +1,85 @@
+"""The records of a log: what containers hold, and what a survey finds in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+if TYPE_CHECKING:
+    from mavnav.pose import Trajectory
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A stream of messages of one type on one topic.
+
+    ``type`` is spelt as in ROS 2 (``sensor_msgs/msg/LaserScan``), also where the log is of ROS 1.
+    ``schema`` is the schema text or descriptor as stored, for encodings that need it to decode.
+    """
+
+    topic: str
+    type: str
+    encoding: str
+    schema: bytes = b""
+
+
+class RawMessage(NamedTuple):
+    """One message as stored. ``log_ns`` is the time at which it was recorded."""
+
+    channel: Channel
+    log_ns: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """A topic as a log lists it, with the number of messages read."""
+
+    name: str
+    type: str
+    encoding: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """Something of the input that could not be read, or is suspect, and where."""
+
+    what: str
+    where: str
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A pause between two usable scans, much longer than the usual period."""
+
+    start_ns: int
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ScanCounts:
+    """What became of the scan messages: ``total`` is ``usable`` and all the skipped."""
+
+    total: int
+    usable: int
+    skipped: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry:
+    """Odometry of a log: the base's and the laser's poses in the odometry frame, at the same stamps.
+
+    Without a known mounting the laser is taken to sit on the base's origin.
+    """
+
+    topic: str
+    source: Literal["odom", "tf"]
+    odom_T_base: Trajectory
+    odom_T_laser: Trajectory
+
+
+def ros_type(name: str) -> str:
+    """Spell a ROS 1 type name (``sensor_msgs/LaserScan``) as ROS 2 does; others are left alone."""
+    package, slash, kind = name.partition("/")
+    return f"{package}/msg/{kind}" if slash and "/" not in kind else name

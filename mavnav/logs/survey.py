@@ -1,0 +1,218 @@
+"""The survey: one pass over a log that tells all there is to know about it before it is used."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from mavnav.errors import UsageError
+from mavnav.logs import formats
+from mavnav.logs.decode import ODOMETRY_TYPE, decoder, is_laser
+from mavnav.logs.door import Door
+from mavnav.logs.frames import FrameTree
+from mavnav.logs.ledger import Ledger
+from mavnav.logs.messages import DecodeError
+from mavnav.logs.odometry import OdometryTracks
+from mavnav.logs.records import Channel, Damage, RawMessage, Topic
+from mavnav.logs.rosbag2 import METADATA
+from mavnav.logs.stamps import StampGate, Timeline, TopicScans
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from mavnav.logs.messages import LaserMessage
+
+_PROGRESS_STEPS = 200
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What one pass over a log found, whether or not it can be used.
+
+    ``scans`` holds the scan topics that have messages; a topic that was asked for alone.
+    """
+
+    path: Path
+    format: str
+    size_bytes: int
+    sha256: str
+    topics: tuple[Topic, ...]
+    scans: dict[str, TopicScans]
+    odometry: OdometryTracks
+    frames: FrameTree
+    damage: tuple[Damage, ...]
+    warnings: tuple[str, ...]
+    window_s: tuple[float | None, float | None] = (None, None)
+
+
+@dataclass
+class _Pass:
+    """The state of the pass."""
+
+    topic: str | None
+    window_s: tuple[float | None, float | None]
+    ledger: Ledger
+    counts: Counter[Channel] = field(default_factory=Counter)
+    decoders: dict[Channel, Callable[[bytes], Any] | None] = field(default_factory=dict)
+    doors: dict[str, Door] = field(default_factory=dict)
+    scans: dict[str, TopicScans] = field(default_factory=dict)
+    odometry: OdometryTracks = field(default_factory=OdometryTracks)
+    frames: FrameTree = field(default_factory=FrameTree)
+
+    def take(self, message: RawMessage) -> None:
+        """Take in one message; one that does not decode is noted and counted."""
+        channel = message.channel
+        self.counts[channel] += 1
+        if channel not in self.decoders:
+            self.decoders[channel] = self._decoder(channel)
+        decode = self.decoders[channel]
+        if decode is None:
+            return
+        try:
+            decoded = decode(message.data)
+        except DecodeError as error:
+            self.ledger.damage(f"a message does not decode ({error})", f"{channel.topic}, {message.log_ns} ns")
+            self._take_undecodable(channel)
+            return
+        self._take_decoded(channel, decoded, message.log_ns)
+
+    def _decoder(self, channel: Channel) -> Callable[[bytes], Any] | None:
+        if is_laser(channel) and self.topic not in (None, channel.topic):
+            return None
+        try:
+            return decoder(channel)
+        except DecodeError as error:
+            self.ledger.damage(str(error), channel.topic)
+            return None
+
+    def _take_decoded(self, channel: Channel, decoded: Any, log_ns: int) -> None:  # noqa: ANN401
+        if is_laser(channel):
+            self._take_scan(channel.topic, decoded, log_ns)
+        elif channel.type == ODOMETRY_TYPE:
+            self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
+        else:
+            static = channel.topic.endswith("tf_static")
+            self.frames.add(decoded, static=static)
+            if not static:
+                self.odometry.add_transforms(channel.topic, decoded, log_ns)
+
+    def _take_scan(self, topic: str, message: LaserMessage, log_ns: int) -> None:
+        scans = self._scans(topic)
+        scans.total += 1
+        admitted = self.doors[topic].admit(message)
+        if isinstance(admitted, str):
+            scans.refused[admitted] += 1
+            return
+        spec, _, counts = admitted
+        scans.header.add(message.stamp_ns, spec, message.frame_id, counts)
+        scans.log.add(log_ns, spec, message.frame_id, counts)
+
+    def _take_undecodable(self, channel: Channel) -> None:
+        if is_laser(channel):
+            scans = self._scans(channel.topic)
+            scans.total += 1
+            scans.refused["undecodable"] += 1
+
+    def _scans(self, topic: str) -> TopicScans:
+        if topic not in self.scans:
+            self.doors[topic] = Door(topic, self.ledger.warn)
+            self.scans[topic] = TopicScans(Timeline(StampGate(*self.window_s)), Timeline(StampGate(*self.window_s)))
+        return self.scans[topic]
+
+
+def survey(
+    path: Path,
+    *,
+    topic: str | None = None,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Survey:
+    """Read a log once, from front to back.
+
+    Parameters
+    ----------
+    path
+        A file, or the folder of a ROS 2 bag.
+    topic
+        Decode the scans of this topic alone.
+    start_s, end_s
+        Window of the scans to use, in seconds from the first usable scan.
+    progress
+        Called now and then with the bytes done and in all.
+
+    Raises
+    ------
+    UsageError
+        No such file, not a regular file or folder, not readable, or an empty window. What is wrong with the content
+        never raises: it stands in the survey.
+    """
+    _check(path, start_s, end_s)
+    ledger = Ledger()
+    state = _Pass(topic, (start_s, end_s), ledger)
+    try:
+        name = formats.sniff(path)
+        if name == formats.UNKNOWN:
+            ledger.damage(formats.refusal(path), path.name)
+        else:
+            _run(path, state, progress)
+        size_bytes, sha256 = _identity(path)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from error
+    return Survey(
+        path,
+        name,
+        size_bytes,
+        sha256,
+        _topics(ledger, state.counts),
+        state.scans,
+        state.odometry,
+        state.frames,
+        ledger.damages(),
+        tuple(ledger.warnings),
+        (start_s, end_s),
+    )
+
+
+def _check(path: Path, start_s: float | None, end_s: float | None) -> None:
+    if not path.exists():
+        raise UsageError(f"{path}: no such file or folder; give the path of a log")
+    if not (path.is_file() or path.is_dir()):
+        raise UsageError(f"{path}: neither a regular file nor a folder; give the path of a log")
+    if start_s is not None and end_s is not None and end_s <= start_s:
+        raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
+
+
+def _run(path: Path, state: _Pass, progress: Callable[[int, int], None] | None) -> None:
+    told = -1
+    for message in formats.read(path, state.ledger):
+        state.take(message)
+        if progress is None:
+            continue
+        total = state.ledger.total_bytes
+        done = min(state.ledger.done_bytes, total)
+        if (step := done * _PROGRESS_STEPS // max(total, 1)) > told:
+            told = step
+            progress(done, total)
+
+
+def _topics(ledger: Ledger, counts: Counter[Channel]) -> tuple[Topic, ...]:
+    channels = sorted(ledger.channels.values(), key=lambda c: (c.topic, c.type))
+    return tuple(Topic(c.topic, c.type, c.encoding, counts[c]) for c in channels)
+
+
+def _identity(path: Path) -> tuple[int, str]:
+    """Return size and SHA-256: of a file; of a folder, over the lines ``<sha256>  <name>`` of its bag's files."""
+    if path.is_file():
+        return path.stat().st_size, _sha256(path)
+    files = sorted({*formats.parts(path, Ledger()), *[f for f in [path / METADATA] if f.is_file()]})
+    lines = "".join(f"{_sha256(file)}  {file.relative_to(path)}\n" for file in files)
+    return sum(file.stat().st_size for file in files), hashlib.sha256(lines.encode()).hexdigest()
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
