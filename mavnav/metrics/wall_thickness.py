@@ -16,7 +16,6 @@ from mavnav.units import MM
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-THRESHOLDS: Final = (1, 2, 5)
 RADIUS_M: Final = 0.3
 MIN_CELLS: Final = 6
 MIN_LENGTH_M: Final = 0.25
@@ -67,16 +66,31 @@ def wall_thickness(hits: NDArray[np.int32], cell_m: float, min_hits: int) -> Wal
     """
     sections = wall_sections(hits, cell_m, min_hits)
     thickness, weight = sections.thickness_cells, sections.length_m
-    if not len(thickness):
-        return WallThickness(min_hits, *[np.nan] * 6, sections=0, length_m=0.0, share=0.0)
-    median, p95 = np.quantile(thickness, (0.5, 0.95), weights=weight, method="inverted_cdf")
-    cells = (float(thickness.max()), float(p95), float(median))
-    mm = (t * cell_m / MM for t in cells)
-    return WallThickness(min_hits, *cells, *mm, len(thickness), float(weight.sum()), sections.share)
+    maximum, p95, median = _quantiles(thickness, weight)
+    return WallThickness(
+        hits=min_hits,
+        max_cells=maximum,
+        p95_cells=p95,
+        median_cells=median,
+        max_mm=maximum * cell_m / MM,
+        p95_mm=p95 * cell_m / MM,
+        median_mm=median * cell_m / MM,
+        sections=len(thickness),
+        length_m=float(weight.sum()),
+        share=sections.share,
+    )
+
+
+def _quantiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Return maximum, 95 % quantile and median; NaN without values."""
+    if not len(values):
+        return np.nan, np.nan, np.nan
+    median, p95 = np.quantile(values, (0.5, 0.95), weights=weights, method="inverted_cdf")
+    return float(values.max()), float(p95), float(median)
 
 
 def wall_sections(hits: NDArray[np.int32], cell_m: float, min_hits: int) -> Sections:
-    """Cut the straight walls of a map across; see `wall_thickness` for the arguments and docs/metrics.md for the rule."""
+    """Cut the straight walls of a map across; arguments as of `wall_thickness`, the rule is docs/metrics.md's."""
     if min_hits < 1:
         msg = f"a cell is occupied from 1 hit on, not {min_hits}"
         raise ValueError(msg)
@@ -89,7 +103,7 @@ def wall_sections(hits: NDArray[np.int32], cell_m: float, min_hits: int) -> Sect
         thickness_cells=np.concatenate((down[2], across[2])),
         length_m=np.concatenate((down[3], across[3])),
         vertical=np.repeat((True, False), (len(down[0]), len(across[0]))),
-        share=0.0 if not occupied else (down[4].sum() + across[4].sum()) / occupied,
+        share=float(down[4].sum() + across[4].sum()) / max(occupied, 1),
     )
 
 
