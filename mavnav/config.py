@@ -43,6 +43,10 @@ class GridSize(_Strict):
         """Write as ``NxM``."""
         return f"{self.nx}x{self.ny}"
 
+    def refined(self, factor: int) -> GridSize:
+        """Return the grid with ``factor`` times the points on each axis."""
+        return self.model_copy(update={"nx": self.nx * factor, "ny": self.ny * factor})
+
     @property
     def points(self) -> int:
         """Number of points in the plane."""
@@ -88,6 +92,13 @@ class RobustConfig(_Strict):
     stop_mm: float = Field(1.0, gt=0, description="search ends at this spacing in the plane")
     stop_deg: float = Field(0.02, gt=0, description="search ends at this spacing in azimuth")
     max_extensions: int = Field(3, ge=0, description="border extensions a level at most")
+    first_level_points: int = Field(120, ge=10, description="points of the first, widest level")
+    min_points: int = Field(30, ge=3, description="scans with fewer points are not matched")
+    retry_below: float = Field(0.8, ge=0, le=1, description="search wider under this share of inliers")
+    track_above: float = Field(0.4, ge=0, le=1, description="a match is believed at this share of inliers")
+    insert_above: float = Field(0.6, ge=0, le=1, description="a scan enters the map at this share of inliers")
+    max_speed_m_s: float = Field(3.0, gt=0, description="faster motion is not believed")
+    max_turn_deg_s: float = Field(300.0, gt=0, description="faster turning is not believed")
 
 
 class Config(_Strict):

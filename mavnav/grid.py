@@ -7,13 +7,37 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.kernels import hits as hits_kernel
+from mavnav.kernels import raycast
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from mavnav.pose import Pose
+
+_BLOCK_CELLS = 64
+
+
+def covering(
+    low: NDArray[np.int64], high: NDArray[np.int64], shape: tuple[int, int], origin: NDArray[np.int64], block: int
+) -> tuple[NDArray[np.int64], tuple[int, int]] | None:
+    """Find the lattice that covers cells ``low`` to ``high`` (col, row; inclusive) and the present one, in whole blocks.
+
+    Returns the new origin (col, row) and shape (rows, cols), or None where the present lattice covers all.
+    """
+    end = origin + shape[::-1]
+    if shape[0] and (low >= origin).all() and (high < end).all():
+        return None
+    if shape[0]:
+        low, high = np.minimum(low, origin), np.maximum(high, end - 1)
+    low = np.floor_divide(low, block) * block
+    high = (np.floor_divide(high, block) + 1) * block
+    return low, (int(high[1] - low[1]), int(high[0] - low[0]))
 
 
 @dataclass(slots=True)
 class Grid:
-    """Hit counts on a square lattice; the one mutable thing of a run, grown as scans come in.
+    """Hit counts on a square lattice; grows as scans come in.
 
     ``hits[row, col]`` counts laser end points, ``passes[row, col]`` beams that crossed the cell on their way;
     both (rows, cols) int32, row grows with +y. ``origin_xy_m`` is the corner of cell [0, 0] in the map frame,
@@ -24,3 +48,44 @@ class Grid:
     origin_xy_m: tuple[float, float] = (0.0, 0.0)
     hits: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
     passes: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
+
+    @property
+    def lattice(self) -> NDArray[np.float64]:
+        """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
+        return np.array([*self.origin_xy_m, self.cell_m])
+
+    def insert(self, laser: Pose, xy_map_m: NDArray[np.float64]) -> None:
+        """Count the end points (n, 2) of one scan, in m, and the cells that its beams crossed."""
+        if len(xy_map_m) == 0:
+            return
+        corners = np.vstack((xy_map_m, [laser.x_m, laser.y_m])) / self.cell_m
+        self._cover(
+            np.floor(corners.min(axis=0)).astype(np.int64) - 1, np.floor(corners.max(axis=0)).astype(np.int64) + 1
+        )
+        hits_kernel.add_scan(xy_map_m, laser.as_array()[:2], self.lattice, self.hits, self.passes)
+
+    def virtual_scan(
+        self, laser: Pose, directions: NDArray[np.float64], far_m: float, gap_cells: int
+    ) -> NDArray[np.float64]:
+        """Cast the laser's beams over the map (paper, "Virtual Scan").
+
+        ``directions`` (beams, 2) are the beams' cosines and sines in the laser's frame. Returns ranges (beams,) in m
+        to the centres of the cells seen, NaN where none lies within ``far_m``; a wall of several cells counts as its
+        cell of most hits, and may contain ``gap_cells`` empty ones.
+        """
+        return raycast.virtual_scan(self.hits, self.lattice, laser.as_array(), directions, far_m, gap_cells)
+
+    def _cover(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
+        """Grow until cells ``low`` to ``high`` (col, row) lie inside."""
+        origin = np.round(np.array(self.origin_xy_m) / self.cell_m).astype(np.int64)
+        grown = covering(low, high, self.hits.shape, origin, _BLOCK_CELLS)
+        if grown is None:
+            return
+        new_origin, shape = grown
+        (dc, dr), (rows, cols) = origin - new_origin, self.hits.shape
+        for name in ("hits", "passes"):
+            array = np.zeros(shape, np.int32)
+            if rows:
+                array[dr : dr + rows, dc : dc + cols] = getattr(self, name)
+            setattr(self, name, array)
+        self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.grid import covering
 from mavnav.kernels.linemap import REACH_CELLS, insert_points
 
 if TYPE_CHECKING:
@@ -58,25 +59,21 @@ class LineMap:
         )
 
     def _cover(self, xy_map_m: NDArray[np.float64]) -> None:
-        """Grow the lattice in whole blocks until the points and the reach around them lie inside."""
-        low = np.floor(xy_map_m.min(axis=0) / self.cell_m).astype(int) - REACH_CELLS - 1
-        high = np.floor(xy_map_m.max(axis=0) / self.cell_m).astype(int) + REACH_CELLS + 2
-        rows, cols = self.nearest.shape
-        old_low = np.array(self.origin_cells)
-        old_high = old_low + (cols, rows)
-        if self.nearest.size and (low >= old_low).all() and (high <= old_high).all():
+        """Grow the lattice until the points and the reach around them lie inside."""
+        low = np.floor(xy_map_m.min(axis=0) / self.cell_m).astype(np.int64) - REACH_CELLS - 1
+        high = np.floor(xy_map_m.max(axis=0) / self.cell_m).astype(np.int64) + REACH_CELLS + 1
+        origin = np.array(self.origin_cells, np.int64)
+        grown = covering(low, high, self.nearest.shape, origin, _BLOCK_CELLS)
+        if grown is None:
             return
-        if self.nearest.size:
-            low, high = np.minimum(low, old_low), np.maximum(high, old_high)
-        low = np.floor_divide(low, _BLOCK_CELLS) * _BLOCK_CELLS
-        high = -np.floor_divide(-high, _BLOCK_CELLS) * _BLOCK_CELLS
-        grown = np.full((high[1] - low[1], high[0] - low[0]), -1, np.int32)
-        if self.nearest.size:
-            dc, dr = old_low - low
-            grown[dr : dr + rows, dc : dc + cols] = self.nearest
+        new_origin, shape = grown
+        (dc, dr), (rows, cols) = origin - new_origin, self.nearest.shape
+        nearest = np.full(shape, -1, np.int32)
+        if rows:
+            nearest[dr : dr + rows, dc : dc + cols] = self.nearest
             self.cells[: self.count] += np.array([dr, dc], np.int32)
-        self.nearest = grown
-        self.origin_cells = (int(low[0]), int(low[1]))
+        self.nearest = nearest
+        self.origin_cells = (int(new_origin[0]), int(new_origin[1]))
 
     def _reserve(self, needed: int) -> None:
         """Make room for ``needed`` cells, doubling so that the cost a cell stays constant."""

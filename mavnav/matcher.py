@@ -1,12 +1,22 @@
-"""Scan matching: where in the map is this scan?"""
+"""Scan matching: where in the map is this scan? Both methods search grids by brute force, coarse to fine."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from mavnav.kernels import linesearch, polarsearch
+from mavnav.pose import Pose, wrap_angle
+from mavnav.units import DEG, MM
+
 if TYPE_CHECKING:
-    from mavnav.pose import Pose
+    from numpy.typing import NDArray
+
+    from mavnav.config import Config, GridSize
+    from mavnav.linemap import LineMap
+    from mavnav.scan import LaserSpec
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,3 +35,143 @@ class Match:
     evaluations: int
     iterations: int
     converged: bool
+
+
+def no_match(map_T_laser: Pose, beams: int = 0) -> Match:
+    """Return the match of a scan that cannot be matched."""
+    return Match(map_T_laser, np.inf, beams, 0.0, 0, 0, converged=False)
+
+
+def first_match(beams: int) -> Match:
+    """Return the match of the scan that begins the map: it lies where it lies."""
+    return Match(Pose(), 0.0, beams, 1.0, 0, 0, converged=True)
+
+
+# ---- the paper's method: radius differences against a virtual scan -------------------------------------------------
+
+
+def match_polar(
+    virtual_m: NDArray[np.float64], points: NDArray[np.float64], spec: LaserSpec, predicted: Pose, config: Config
+) -> Match:
+    """Match a scan against the virtual scan from the predicted pose (paper, "Scan Matching", minimisation i-v).
+
+    ``virtual_m`` (beams,) are the virtual scan's ranges; ``points`` (n, 4) the real scan's, from ``polar_points``.
+    The grid is refined only where the cost on the coarse one stays too high.
+    """
+    paper = config.paper
+    match = _search_polar(virtual_m, points, spec, predicted, config, config.grid, config.azimuth)
+    if match.cost_m2 <= paper.refine_above_mm2 * MM * MM or paper.refine_factor == 1:
+        return match
+    k = paper.refine_factor
+    grid = config.grid.refined(k)
+    fine = _search_polar(virtual_m, points, spec, predicted, config, grid, config.azimuth * k)
+    best = fine if fine.cost_m2 < match.cost_m2 else match
+    return _with_effort(best, match, fine)
+
+
+def _search_polar(
+    virtual_m: NDArray[np.float64],
+    points: NDArray[np.float64],
+    spec: LaserSpec,
+    predicted: Pose,
+    config: Config,
+    grid: GridSize,
+    azimuth: int,
+) -> Match:
+    paper = config.paper
+    x, y, yaw, cost, used, evaluations, iterations, converged = polarsearch.search(
+        virtual_m,
+        points,
+        np.array([azimuth, grid.nx, grid.ny, paper.max_extensions if paper.extend_border else 0], float),
+        np.array([paper.window_mm * MM, paper.window_deg * DEG, paper.shrink, paper.stop_mm * MM, paper.stop_deg * DEG]),
+        np.array([
+            spec.angle_min_rad,
+            spec.angle_step_rad,
+            paper.near_mm * MM,
+            paper.far_mm * MM,
+            paper.occlusion_mm * MM,
+            max(3.0, paper.min_beams_share * spec.beams),
+        ]),
+    )
+    pose = predicted @ Pose(float(x), float(y), wrap_angle(float(yaw)))
+    share = float(used) / max(len(points), 1)
+    return Match(pose, float(cost), int(used), share, int(evaluations), int(iterations), bool(converged))
+
+
+def polar_points(ranges_m: NDArray[np.float64], spec: LaserSpec, mixed_pixel_m: float) -> NDArray[np.float64]:
+    """Return the valid beams as rows x, y, beam number, range, (n, 4); mixed pixels left out (cost step vii).
+
+    A mixed pixel differs from both neighbouring beams by more than ``mixed_pixel_m``.
+    """
+    jump = np.abs(np.diff(ranges_m))
+    mixed = np.zeros(len(ranges_m), bool)
+    mixed[1:-1] = (jump[:-1] > mixed_pixel_m) & (jump[1:] > mixed_pixel_m)
+    beam = np.flatnonzero(np.isfinite(ranges_m) & ~mixed)
+    r, angle = ranges_m[beam], spec.angles_rad[beam]
+    return np.column_stack((r * np.cos(angle), r * np.sin(angle), beam, r))
+
+
+# ---- the robust method: distance to the map's local lines ----------------------------------------------------------
+
+
+def match_lines(
+    points: NDArray[np.float64], line_map: LineMap, predicted: Pose, alternatives: tuple[Pose, ...], config: Config
+) -> Match:
+    """Match points (n, 2) of the laser's frame, as ``voxel_means`` gives them, against the whole map.
+
+    Where too few points agree with the map, a wider and finer search follows around the prediction and around the
+    ``alternatives``; the pose with most inliers wins.
+    """
+    robust = config.robust
+    window = (robust.window_mm * MM, robust.window_deg * DEG)
+    best = search_lines(points, line_map, predicted, window, config)
+    if best.inliers >= robust.retry_below:
+        return best
+    wide = (1.5 * window[0], 1.5 * window[1])
+    for start in (predicted, *alternatives):
+        other = search_lines(points, line_map, start, wide, config, refine=3)
+        best = _with_effort(other if other.inliers > best.inliers else best, best, other)
+    return best
+
+
+def search_lines(
+    points: NDArray[np.float64],
+    line_map: LineMap,
+    start: Pose,
+    window: tuple[float, float],
+    config: Config,
+    refine: int = 1,
+) -> Match:
+    """Search once, within ``window`` (half-widths in m and rad) of ``start``; ``refine`` multiplies the grid's points."""
+    robust, grid = config.robust, config.grid.refined(refine)
+    x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
+        points,
+        start.as_array(),
+        np.array([config.azimuth * refine, grid.nx, grid.ny, robust.max_extensions], float),
+        np.array([
+            *window,
+            robust.stop_mm * MM,
+            robust.stop_deg * DEG,
+            robust.truncate_mm * MM,
+            robust.first_level_points,
+            2,
+        ]),
+        line_map.nearest,
+        line_map.lines,
+        line_map.geometry,
+    )
+    pose = Pose(float(x), float(y), wrap_angle(float(yaw)))
+    return Match(pose, float(cost), len(points), float(inliers), int(evaluations), int(grids), bool(converged))
+
+
+def _with_effort(best: Match, *tried: Match) -> Match:
+    """Charge a match with the effort of all that were tried for it."""
+    return Match(
+        best.map_T_laser,
+        best.cost_m2,
+        best.beams_used,
+        best.inliers,
+        sum(m.evaluations for m in tried),
+        sum(m.iterations for m in tried),
+        best.converged,
+    )

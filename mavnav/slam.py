@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from mavnav.methods import METHODS
+from mavnav.motion import Motion
+from mavnav.pose import Pose, Trajectory
+
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from mavnav.config import Config
     from mavnav.grid import Grid
     from mavnav.matcher import Match
-    from mavnav.pose import Pose, Trajectory
+    from mavnav.methods import Method
+    from mavnav.scan import Scan
+
+LOST_SCANS = 5
+"""So many scans in a row without a believed pose are called lost; fewer are rejected scans."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +40,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class LostInterval:
-    """Scans without a believed pose: the first one's and the last one's stamp, their number, and whether the track
-    was found again after them."""
+    """A stretch of scans without a believed pose, and whether the track was found again after it."""
 
     start_ns: int
     end_ns: int
@@ -51,3 +61,81 @@ class Slam:
     def lost_for_good(self) -> bool:
         """Whether the track ended before the log did."""
         return bool(self.lost) and not self.lost[-1].recovered
+
+
+def track(scans: Iterable[Scan], method: Method, motion: Motion) -> Iterator[Step]:
+    """Follow the laser through the scans while the method's map grows (paper, Figure 1).
+
+    The first scan that the method can use becomes the map, and its pose the map frame. Afterwards a scan that does
+    not match well enough moves neither map nor pose (paper, "Map Update").
+    """
+    started = False
+    for index, scan in enumerate(scans):
+        if not started:
+            match = method.first(scan)
+            predicted, tracked = match.map_T_laser, match.converged
+            accepted = started = tracked
+            motion = motion.started_at(predicted, scan.stamp_ns)
+        else:
+            predicted = motion.predict(scan.stamp_ns)
+            match = method.match(scan, predicted, motion)
+            tracked, accepted = method.gate(match, scan, motion)
+        if accepted:
+            method.insert(scan, match.map_T_laser, motion)
+        if tracked:
+            motion = motion.moved_to(match.map_T_laser, scan.stamp_ns)
+        yield Step(index, scan.stamp_ns, predicted, match, tracked, accepted)
+
+
+def place(scans: Iterable[Scan], steps: Iterable[Step], method: Method) -> Iterator[Step]:
+    """Match every tracked scan once more, against the finished map, close to where it was."""
+    for scan, step in zip(scans, steps, strict=True):
+        yield replace(step, match=method.place(scan, step.match)) if step.tracked else step
+
+
+def replay(
+    log_scans: Callable[[], Iterable[Scan]],
+    config: Config,
+    period_s: float,
+    odom_T_laser: Trajectory | None = None,
+    on_step: Callable[[str, int], None] | None = None,
+) -> Slam:
+    """Run the configured method over a recorded log.
+
+    Parameters
+    ----------
+    log_scans : gives the scans, from the first one again at every call
+    config : the method, its grids and its numbers
+    period_s : the sensor's time between scans
+    odom_T_laser : odometry of the laser, used as the prediction
+    on_step : called with the name of the pass ("track", "final pass") and the number of scans done
+    """
+    method = METHODS[config.method](config)
+    motion = Motion(period_s, odom_T_laser)
+    steps = list(_told(track(log_scans(), method, motion), "track", on_step))
+    if config.final_pass and method.places:
+        steps = list(_told(place(log_scans(), steps, method), "final pass", on_step))
+    tracked = [s for s in steps if s.tracked]
+    trajectory = Trajectory.of([s.stamp_ns for s in tracked], [s.match.map_T_laser for s in tracked])
+    return Slam(tuple(steps), trajectory, method.grid, tuple(lost_intervals(steps)))
+
+
+def _told(steps: Iterable[Step], name: str, on_step: Callable[[str, int], None] | None) -> Iterator[Step]:
+    for done, step in enumerate(steps, start=1):
+        if on_step:
+            on_step(name, done)
+        yield step
+
+
+def lost_intervals(steps: list[Step]) -> Iterator[LostInterval]:
+    """Find the runs of ``LOST_SCANS`` or more scans without a believed pose."""
+    run: list[Step] = []
+    for step in steps:
+        if not step.tracked:
+            run.append(step)
+            continue
+        if len(run) >= LOST_SCANS:
+            yield LostInterval(run[0].stamp_ns, run[-1].stamp_ns, len(run), recovered=True)
+        run = []
+    if len(run) >= min(LOST_SCANS, len(steps)):
+        yield LostInterval(run[0].stamp_ns, run[-1].stamp_ns, len(run), recovered=False)

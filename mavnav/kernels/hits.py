@@ -1,0 +1,43 @@
+"""Counting laser hits in cells, and the beams that passed through them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import float64, int32, types, void
+
+from mavnav.kernels._jit import kernel
+
+_F1 = types.Array(float64, 1, "C", readonly=True)
+_F2 = types.Array(float64, 2, "C", readonly=True)
+
+
+@kernel(void(_F2, _F1, _F1, int32[:, ::1], int32[:, ::1]))
+def add_scan(xy_map_m, laser_xy_m, lattice, hits, passes):
+    """Count every end point (n, 2) in ``hits`` and the cells between the laser and it in ``passes``.
+
+    ``lattice`` is (3,): x and y of the corner of cell [0, 0], and the cell edge, in m. A beam walks from cell to cell
+    across their edges (Amanatides and Woo 1987). The caller sees to it that all lies inside.
+    """
+    ox, oy, cell = lattice
+    u0, v0 = (laser_xy_m[0] - ox) / cell, (laser_xy_m[1] - oy) / cell
+    for k in range(len(xy_map_m)):
+        u1, v1 = (xy_map_m[k, 0] - ox) / cell, (xy_map_m[k, 1] - oy) / cell
+        col, row = int(np.floor(u0)), int(np.floor(v0))
+        end_col, end_row = int(np.floor(u1)), int(np.floor(v1))
+        du, dv = u1 - u0, v1 - v0
+        step_col, step_row = (1 if du > 0 else -1), (1 if dv > 0 else -1)
+        # Share of the beam at which the next column and the next row begin.
+        next_u = ((col + (du > 0)) - u0) / du if du != 0.0 else np.inf
+        next_v = ((row + (dv > 0)) - v0) / dv if dv != 0.0 else np.inf
+        each_u = abs(1.0 / du) if du != 0.0 else np.inf
+        each_v = abs(1.0 / dv) if dv != 0.0 else np.inf
+        # The number of steps is known beforehand: rounding can then neither overshoot the end nor miss it.
+        for _ in range(abs(end_col - col) + abs(end_row - row)):
+            passes[row, col] += 1
+            if (next_u < next_v and col != end_col) or row == end_row:
+                col += step_col
+                next_u += each_u
+            else:
+                row += step_row
+                next_v += each_v
+        hits[end_row, end_col] += 1

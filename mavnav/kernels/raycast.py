@@ -1,0 +1,61 @@
+"""The virtual scan: what the laser would see of the map from a given pose (paper, "Virtual Scan")."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import float64, int32, int64, types
+
+from mavnav.kernels._jit import kernel
+
+_F1 = types.Array(float64, 1, "C", readonly=True)
+_F2 = types.Array(float64, 2, "C", readonly=True)
+_I2 = types.Array(int32, 2, "C", readonly=True)
+
+
+@kernel(float64[::1](_I2, _F1, _F1, _F2, float64, int64))
+def virtual_scan(hits, lattice, pose, directions, far_m, gap_cells):
+    """Return the range (beams,) in m at each direction, NaN where no occupied cell lies within ``far_m``.
+
+    A ray walks the cells until the first occupied one, follows the cluster of occupied cells behind it, over empty
+    stretches of up to ``gap_cells``, and takes the cell of the cluster with most hits (the nearest of equals) as the
+    wall; the range is that to the cell's centre.
+
+    ``lattice`` is (3,): x and y of the corner of cell [0, 0] and the cell edge in m; ``pose`` (3,) x, y, yaw of the
+    laser in the map; ``directions`` (beams, 2) cosines and sines in the laser's frame.
+    """
+    rows, cols = hits.shape
+    ox, oy, cell = lattice
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    u0, v0 = (pose[0] - ox) / cell, (pose[1] - oy) / cell
+    far = far_m / cell
+    out = np.full(len(directions), np.nan)
+    for k in range(len(directions)):
+        du = c * directions[k, 0] - s * directions[k, 1]
+        dv = s * directions[k, 0] + c * directions[k, 1]
+        col, row = int(np.floor(u0)), int(np.floor(v0))
+        step_col, step_row = (1 if du > 0 else -1), (1 if dv > 0 else -1)
+        next_u = ((col + (du > 0)) - u0) / du if du != 0.0 else np.inf
+        next_v = ((row + (dv > 0)) - v0) / dv if dv != 0.0 else np.inf
+        each_u = abs(1.0 / du) if du != 0.0 else np.inf
+        each_v = abs(1.0 / dv) if dv != 0.0 else np.inf
+        most, empty, at = 0, 0, 0.0
+        while at <= far:
+            n = hits[row, col] if 0 <= row < rows and 0 <= col < cols else 0
+            if n > 0:
+                empty = 0
+                if n > most:
+                    most = n
+                    out[k] = cell * np.hypot(col + 0.5 - u0, row + 0.5 - v0)
+            elif most > 0:
+                empty += 1
+                if empty > gap_cells:
+                    break
+            if next_u < next_v:
+                at = next_u
+                col += step_col
+                next_u += each_u
+            else:
+                at = next_v
+                row += step_row
+                next_v += each_v
+    return out

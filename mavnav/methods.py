@@ -1,0 +1,154 @@
+"""The two methods: what they take from a scan, how they match it, when they believe it, what they keep of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from mavnav.grid import Grid
+from mavnav.kernels.points import scan_points, voxel_means
+from mavnav.linemap import LineMap
+from mavnav.matcher import Match, first_match, match_lines, match_polar, no_match, polar_points, search_lines
+from mavnav.pose import Pose, transform_points
+from mavnav.units import DEG, MM, MM2
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from mavnav.config import Config
+    from mavnav.motion import Motion
+    from mavnav.scan import LaserSpec, Scan
+
+
+class Method(Protocol):
+    """What ``slam.track`` asks of a method; ``grid`` is the map that it builds."""
+
+    grid: Grid
+    places: bool
+
+    def first(self, scan: Scan) -> Match:
+        """Judge whether a scan can begin the map (``converged``)."""
+
+    def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
+        """Find the scan in the map."""
+
+    def gate(self, match: Match, scan: Scan, motion: Motion) -> tuple[bool, bool]:
+        """Decide whether the match is believed, and whether the scan may enter the map."""
+
+    def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
+        """Add the scan to the map."""
+
+    def place(self, scan: Scan, match: Match) -> Match:
+        """Match the scan as recorded against the finished map, close to an earlier match."""
+
+
+def _directions(spec: LaserSpec) -> NDArray[np.float64]:
+    angles = spec.angles_rad
+    return np.column_stack((np.cos(angles), np.sin(angles)))
+
+
+class Paper:
+    """The paper's method, every step of it; its map is the plain grid of hit counts."""
+
+    places = False
+
+    def __init__(self, config: Config) -> None:
+        """Start with an empty map."""
+        self.config = config
+        self.grid = Grid(config.paper.cell_mm * MM)
+
+    def first(self, scan: Scan) -> Match:
+        """Begin the map with any scan that has enough beams to be matched later."""
+        beams = int(np.isfinite(scan.ranges_m).sum())
+        enough = beams >= max(3.0, self.config.paper.min_beams_share * scan.spec.beams)
+        return first_match(beams) if enough else no_match(Pose(), beams)
+
+    def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
+        """Match against a virtual scan from where the last command should have led (cost steps i, ii).
+
+        A recorded log has no commands: the laser is expected where it was.
+        """
+        paper, here = self.config.paper, motion.map_T_laser
+        virtual_m = self.grid.virtual_scan(here, _directions(scan.spec), paper.far_mm * MM, paper.cluster_gap_cells)
+        points = polar_points(scan.ranges_m, scan.spec, paper.mixed_pixel_mm * MM)
+        return match_polar(virtual_m, points, scan.spec, here, self.config)
+
+    def gate(self, match: Match, scan: Scan, motion: Motion) -> tuple[bool, bool]:
+        """Believe and insert only a well-minimised cost (paper, "Map Update")."""
+        good = match.cost_m2 <= self.config.paper.gate_mm2 * MM2
+        return good, good
+
+    def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
+        """Count the hits of every valid beam."""
+        self.grid.insert(map_T_laser, transform_points(map_T_laser, scan.points()))
+
+    def place(self, scan: Scan, match: Match) -> Match:
+        """Leave the match: the paper works on line."""
+        return match
+
+
+class Robust:
+    """Point to local line over the whole map; the grid of hit counts is kept beside it for the outputs."""
+
+    places = True
+
+    def __init__(self, config: Config) -> None:
+        """Start with an empty map."""
+        robust = config.robust
+        self.config = config
+        self.grid = Grid(robust.cell_mm * MM)
+        self.lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+
+    def first(self, scan: Scan) -> Match:
+        """Begin the map with any scan of enough points."""
+        n = len(self._points(scan))
+        return first_match(n) if n >= self.config.robust.min_points else no_match(Pose(), n)
+
+    def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
+        """Match the de-skewed scan around the prediction; try others where that fails."""
+        points = voxel_means(self._points(scan, motion), self.config.robust.voxel_mm * MM)
+        if len(points) < self.config.robust.min_points:
+            return no_match(predicted, len(points))
+        alternatives = dict.fromkeys((motion.by_velocity(scan.stamp_ns), motion.map_T_laser))
+        alternatives.pop(predicted, None)
+        return match_lines(points, self.lines, predicted, tuple(alternatives), self.config)
+
+    def gate(self, match: Match, scan: Scan, motion: Motion) -> tuple[bool, bool]:
+        """Believe a match that enough of the scan agrees with, at a speed that a vehicle can have."""
+        robust, elapsed_s = self.config.robust, motion.elapsed_s(scan.stamp_ns)
+        moved = motion.map_T_laser.between(match.map_T_laser)
+        possible = (
+            moved.distance_m <= robust.max_speed_m_s * elapsed_s
+            and abs(moved.yaw_rad) <= robust.max_turn_deg_s * DEG * elapsed_s
+        )
+        tracked = possible and match.inliers >= robust.track_above
+        return tracked, tracked and match.inliers >= robust.insert_above
+
+    def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
+        """Add every point of the de-skewed scan."""
+        xy_map_m = transform_points(map_T_laser, self._points(scan, motion))
+        self.lines.insert(xy_map_m)
+        self.grid.insert(map_T_laser, xy_map_m)
+
+    def place(self, scan: Scan, match: Match) -> Match:
+        """Place the scan as it was recorded, not de-skewed, so that pose and raw ranges fit together."""
+        robust = self.config.robust
+        points = voxel_means(self._points(scan), robust.voxel_mm * MM)
+        window = (robust.final_window_mm * MM, robust.final_window_deg * DEG)
+        return search_lines(points, self.lines, match.map_T_laser, window, self.config)
+
+    def _points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
+        """Good points (n, 2) in the laser's frame, m; at mid-sweep if the motion is given."""
+        robust, spec = self.config.robust, scan.spec
+        twist, increment_s = np.zeros(3), 0.0
+        if motion is not None and spec.time_increment_s * spec.beams <= 1.2 * motion.period_s:
+            twist, increment_s = motion.twist_at(scan.stamp_ns), spec.time_increment_s
+        return scan_points(
+            scan.ranges_m, _directions(spec), twist, increment_s, robust.near_mm * MM, robust.far_mm * MM
+        )
+
+
+METHODS: dict[str, Callable[[Config], Method]] = {"robust": Robust, "paper": Paper}

@@ -1,0 +1,75 @@
+"""Where the laser should be by now: odometry where the log has it, else constant velocity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.pose import Pose
+from mavnav.units import NS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.pose import Trajectory
+
+LONGEST_S = 1.2  # a velocity is trusted no further
+NEW_SHARE = 0.7  # of a new velocity in the running one
+ODOMETRY_GAP_NS = 500_000_000  # odometry is interpolated over gaps up to this
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """The last believed pose and how the laser moved there.
+
+    ``twist`` (3,) is the velocity in the laser's own frame, m/s, m/s, rad/s. ``period_s`` is the sensor's: steps of
+    time are rounded to whole periods, because many drivers stamp a scan when it arrives, tens of ms early or late.
+    """
+
+    period_s: float
+    odom_T_laser: Trajectory | None = None
+    map_T_laser: Pose = Pose()
+    stamp_ns: int = 0
+    twist: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+
+    def elapsed_s(self, stamp_ns: int) -> float:
+        """Time since the last believed pose, in whole periods, one at least."""
+        return max(1, round((stamp_ns - self.stamp_ns) * NS / self.period_s)) * self.period_s
+
+    def predict(self, stamp_ns: int) -> Pose:
+        """Return the pose to expect: odometry's, else constant velocity's."""
+        return self.by_odometry(stamp_ns) or self.by_velocity(stamp_ns)
+
+    def by_velocity(self, stamp_ns: int) -> Pose:
+        """Extrapolate the last pose with its twist, ``LONGEST_S`` at most."""
+        x, y, yaw = self.twist * min(self.elapsed_s(stamp_ns), LONGEST_S)
+        return self.map_T_laser @ Pose(float(x), float(y), float(yaw))
+
+    def by_odometry(self, stamp_ns: int) -> Pose | None:
+        """Move the last pose as odometry did; None where odometry does not cover both times."""
+        if self.odom_T_laser is None:
+            return None
+        then = self.odom_T_laser.at(self.stamp_ns, ODOMETRY_GAP_NS)
+        now = self.odom_T_laser.at(stamp_ns, ODOMETRY_GAP_NS)
+        return None if then is None or now is None else self.map_T_laser @ then.between(now)
+
+    def twist_at(self, stamp_ns: int) -> NDArray[np.float64]:
+        """Return the twist to de-skew a scan with: odometry's, else the running one."""
+        ahead = self.by_odometry(stamp_ns)
+        if ahead is None or self.stamp_ns == 0:
+            return self.twist
+        return self.map_T_laser.between(ahead).as_array() / self.elapsed_s(stamp_ns)
+
+    def moved_to(self, map_T_laser: Pose, stamp_ns: int) -> Motion:
+        """Return the motion after a new believed pose."""
+        elapsed = self.elapsed_s(stamp_ns)
+        twist = self.map_T_laser.between(map_T_laser).as_array() / elapsed
+        if elapsed <= 0.5 + self.period_s:
+            twist = NEW_SHARE * twist + (1.0 - NEW_SHARE) * self.twist
+        return replace(self, map_T_laser=map_T_laser, stamp_ns=stamp_ns, twist=twist)
+
+    def started_at(self, map_T_laser: Pose, stamp_ns: int) -> Motion:
+        """Return a motion at rest."""
+        return replace(self, map_T_laser=map_T_laser, stamp_ns=stamp_ns, twist=np.zeros(3))
