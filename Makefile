@@ -1,0 +1,53 @@
+# Two commands on a fresh machine with Python 3.11 or newer: `make demo` and `make test`. VENV=DIR puts the virtual
+# environment elsewhere.
+
+VENV ?= .venv
+PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do command -v $$p && break; done)
+BIN := $(VENV)/bin
+DEMO := runs/demo
+
+.PHONY: help demo test check format-check lint types bench golden clean
+
+help:
+	@echo "make demo | test | check | bench | golden | clean"
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=..."; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
+
+$(VENV)/.run: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --editable .
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --editable . --group dev
+	@touch $@ $(VENV)/.run
+
+demo: $(VENV)/.run
+	$(BIN)/mavnav replay sample_logs/room.mcap --output $(DEMO) --force
+	@echo "Pictures: $(DEMO)/map.png and $(DEMO)/wall_thickness.png; $(DEMO)/result.mcap opens in Foxglove."
+
+test: $(VENV)/.dev
+	$(BIN)/python -m pytest
+
+check: format-check lint types test
+
+format-check: $(VENV)/.dev
+	$(BIN)/ruff format --check
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check
+
+types: $(VENV)/.dev
+	$(BIN)/mypy
+
+bench: $(VENV)/.dev
+	$(BIN)/python -m pytest benchmarks --benchmark-only
+
+golden: $(VENV)/.dev
+	MAVNAV_UPDATE_GOLDEN=1 $(BIN)/python -m pytest tests/test_golden.py
+
+clean:
+	rm -rf $(VENV) runs build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
+	find mavnav tests sample_logs benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
