@@ -1,6 +1,7 @@
 """Decoding messages by encoding and type: a dict from both to a function from bytes to a record.
 
-ROS messages are decoded by the standard definitions, whatever schema text the log holds: ros2msg and ros2idl mean the same.
+ROS messages are decoded by the standard definitions, whatever schema text the log holds: ros2msg and ros2idl mean
+the same.
 """
 
 from __future__ import annotations
@@ -133,7 +134,7 @@ def _foxglove_protobuf(channel: Channel) -> Callable[[bytes], LaserMessage]:
 _ROS_KINDS: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "sensor_msgs/msg/LaserScan": ("sensor_msgs/msg/LaserScan", _laser),
     ODOMETRY_TYPE: (ODOMETRY_TYPE, _odometry),
-    **{name: (TF_TYPE, _transforms) for name in _TF_TYPES},
+    **dict.fromkeys(_TF_TYPES, (TF_TYPE, _transforms)),
 }
 DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     ("json", "foxglove.LaserScan"): _foxglove_json,

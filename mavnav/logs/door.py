@@ -80,7 +80,7 @@ class Door:
     def __init__(self, topic: str, warn: Callable[[str], None]) -> None:
         self._topic = topic
         self._warn = warn
-        self._key: tuple[float, ...] = ()
+        self._key: tuple[float | None, ...] = ()
         self._spec: LaserSpec | None = None
 
     def admit(self, message: LaserMessage) -> tuple[LaserSpec, NDArray[np.float64], NDArray[np.int64]] | str:
@@ -127,10 +127,8 @@ class Door:
         told_last = message.last_angle_rad
         # Many drivers are one beam out here; that is no news.
         if told_last is not None and not abs(told_last - last) <= 1.5 * abs(message.angle_step_rad):
-            self._warn(
-                f"{self._topic}: angle_max is {told_last:.4f} rad, but {len(message.ranges_m)} beams end at {last:.4f}; "
-                "number of beams and increment are believed"
-            )
+            told = f"angle_max is {told_last:.4f} rad, but {len(message.ranges_m)} beams end at {last:.4f}"
+            self._warn(f"{self._topic}: {told}; number of beams and increment are believed")
 
 
 def _refusal(message: LaserMessage) -> str | None:

@@ -82,7 +82,7 @@ def _message_class(channel: Channel) -> Any:  # noqa: ANN401  (generated at run 
     pool = descriptor_pool.DescriptorPool()
     try:
         for file in descriptor_pb2.FileDescriptorSet.FromString(channel.schema).file:
-            pool.Add(file)  # type: ignore[no-untyped-call]
+            pool.Add(file)
         return message_factory.GetMessageClass(pool.FindMessageTypeByName(channel.type))
     except (ProtobufError, KeyError, TypeError, ValueError) as error:
         raise DecodeError(f"the protobuf schema of {channel.topic} cannot be used ({error})") from error
@@ -93,4 +93,4 @@ def _laser(
 ) -> LaserMessage:
     start, end = ends_rad
     step = (end - start) / (len(ranges_m) - 1) if len(ranges_m) > 1 else 0.0
-    return LaserMessage(stamp_ns, frame_id, start, step, end, _NAN, _NAN, 0.0, 0.0, ranges_m, False, has_pose)  # noqa: FBT003
+    return LaserMessage(stamp_ns, frame_id, start, step, end, _NAN, _NAN, 0.0, 0.0, ranges_m, False, has_pose)

@@ -55,7 +55,7 @@ def planar_pose(message: TransformMessage) -> Pose | None:
 
 @dataclass
 class FrameTree:
-    """Transforms met in a log: ``static`` ones (the last word counts), and those of /tf with whether they ever changed."""
+    """Transforms met in a log: ``static`` ones (the last word counts), and those of /tf, noted if they ``changed``."""
 
     static: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
     moving: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
@@ -75,20 +75,20 @@ class FrameTree:
             elif not np.allclose(self.moving.setdefault(edge, matrix), matrix, atol=_SAME, rtol=0.0):
                 self.changed.add(edge)
 
-    def find(self, base: str, laser: str) -> NDArray[np.float64] | None:
+    def find(self, base: str, laser: str) -> NDArray[np.floating] | None:
         """Return ``base_T_laser`` (4, 4) by the static transforms, and the constant ones of /tf if need be."""
         constant = {edge: matrix for edge, matrix in self.moving.items() if edge not in self.changed}
         direct = _chain(self.static, base, laser)
         return direct if direct is not None else _chain({**constant, **self.static}, base, laser)
 
 
-def _chain(edges: dict[tuple[str, str], NDArray[np.float64]], base: str, laser: str) -> NDArray[np.float64] | None:
+def _chain(edges: dict[tuple[str, str], NDArray[np.float64]], base: str, laser: str) -> NDArray[np.floating] | None:
     """Walk from frame to frame, breadth first, up and down."""
-    steps: dict[str, list[tuple[str, NDArray[np.float64]]]] = {}
+    steps: dict[str, list[tuple[str, NDArray[np.floating]]]] = {}
     for (parent, child), matrix in edges.items():
         steps.setdefault(parent, []).append((child, matrix))
         steps.setdefault(child, []).append((parent, np.linalg.inv(matrix)))
-    found = {base: np.eye(4)}
+    found: dict[str, NDArray[np.floating]] = {base: np.eye(4)}
     queue = deque([base])
     while queue and laser not in found:
         frame = queue.popleft()
@@ -112,7 +112,7 @@ def mounting(
     return None
 
 
-def _warn_of_tilt(matrix: NDArray[np.float64], laser: str, warn: Callable[[str], None]) -> None:
+def _warn_of_tilt(matrix: NDArray[np.floating], laser: str, warn: Callable[[str], None]) -> None:
     if matrix[2, 2] <= -_UPRIGHT:
         warn(
             f"the transforms say that the laser ({laser}) is mounted upside down; its scans are used as recorded, "

@@ -87,7 +87,7 @@ def _file_records(file: IO[bytes], size: int, state: _State) -> Iterator[tuple[i
         state.ledger.damage("the magic at the end is missing", f"byte {offset}")
 
 
-def _content(file: IO[bytes], head: bytes, length: int, wanted: bool, crc: int) -> tuple[bytes, int]:  # noqa: FBT001
+def _content(file: IO[bytes], head: bytes, length: int, wanted: bool, crc: int) -> tuple[bytes, int]:
     """Read a record's content, or only pass over it block by block; return it and the running CRC."""
     crc = zlib.crc32(head, crc)
     if wanted:

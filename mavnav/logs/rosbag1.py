@@ -76,6 +76,8 @@ def read_rosbag1(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
     state = _State(ledger)
     with path.open("rb") as file:
         source = _Source(file, path.stat().st_size, "")
+        if source.size == len(MAGIC):
+            ledger.damage("the bag ends behind its magic line", source.where(source.size))
         for record in _records(source, len(MAGIC), state):
             ledger.at(record.start)
             if record.opcode == _CHUNK and not _is_flat(record):

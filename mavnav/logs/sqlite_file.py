@@ -37,10 +37,11 @@ def read_sqlite(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
     try:
         with _whole(path, ledger) as whole, closing(_connect(whole)) as connection:
             channels = _channels(connection, ledger)
-            for rows, (topic_id, log_ns, data) in enumerate(connection.execute(_MESSAGES), 1):
+            for topic_id, log_ns, data in connection.execute(_MESSAGES):
+                rows += 1
                 channel = channels.get(topic_id)
                 if channel is None or not isinstance(log_ns, int) or not isinstance(data, bytes):
-                    ledger.damage("a message row is broken, or of an undeclared topic, and left out", f"{path.name}")
+                    ledger.damage("a message row is broken, or of an undeclared topic, and left out", path.name)
                     continue
                 ledger.at(ledger.here_bytes + len(data))
                 yield RawMessage(channel, log_ns, data)
