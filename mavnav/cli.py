@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from mavnav.commands.config import app as config_app
-from mavnav.commands.info import info
-from mavnav.commands.replay import replay
+from mavnav.commands import config, info, replay
 from mavnav.commands.terminal import emit, note
 from mavnav.errors import ExitCode, MavnavError
 
@@ -30,8 +28,8 @@ mavnav replay drive.mcap -o runs/drive
 
 mavnav replay drive.bag --method paper --grid 20x20 --azimuth 40
 
-[bold]Exit codes[/bold]  0 done, 1 a quality gate failed, 2 usage or configuration, 3 done but the input was damaged,
-4 no usable scans, 5 tracking was lost for good, 6 the output cannot be written, 70 a bug, 130 interrupted,
+[bold]Exit codes[/bold]  0 done, 1 a quality gate failed, 2 usage or configuration, 3 done but the input was damaged, \
+4 no usable scans, 5 tracking was lost for good, 6 the output cannot be written, 70 a bug, 130 interrupted, \
 143 terminated.
 """
 
@@ -48,9 +46,9 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command()(info)
-app.command()(replay)
-app.add_typer(config_app, name="config")
+app.command(epilog=replay.EPILOG)(replay.replay)
+app.command(epilog=info.EPILOG)(info.info)
+app.add_typer(config.app, name="config")
 
 
 def _print_version(wanted: bool) -> None:

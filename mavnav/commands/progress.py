@@ -59,7 +59,11 @@ def reporting(*, quiet: bool) -> Iterator[Report]:
         with _bars() as bars:
             yield _bar_report(bars)
     else:
-        yield _line_report()
+        announcement = _Announcement()
+        try:
+            yield _line_report(announcement)
+        finally:
+            announcement.cancel()
 
 
 def _bars() -> Bars:
@@ -91,25 +95,34 @@ def _bar_report(bars: Bars) -> Report:
     return report
 
 
-def _line_report() -> Report:
-    pace = _Pace(LINE_PERIOD_S, spoke_s=monotonic())
+def _line_report(announcement: _Announcement) -> Report:
+    pace = _Pace(LINE_PERIOD_S)
 
     def report(phase: str, done: int, total: int | None) -> None:
         fresh = phase != pace.phase
-        if pace.due(phase) and not fresh and total:
+        if not pace.due(phase):
+            return
+        if fresh:
+            announcement.cancel()
+            if total is None:
+                announcement.after(SPEAK_AFTER_S, f"mavnav: {phase}")
+        elif total:
             note(f"mavnav: {phase} {100 * done // total} %, {pace.seconds_left(done, total):.0f} s left")
 
     return report
 
 
-@contextmanager
-def speaking_up(text: str, *, quiet: bool) -> Iterator[None]:
-    """Say what is going on if it takes longer than a second."""
-    timer = threading.Timer(SPEAK_AFTER_S, note, [text])
-    timer.daemon = True
-    if not quiet:
-        timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
+@dataclass(slots=True)
+class _Announcement:
+    """Names a phase of unknown length if it lasts."""
+
+    timer: threading.Timer | None = None
+
+    def after(self, seconds: float, text: str) -> None:
+        self.timer = threading.Timer(seconds, note, [text])
+        self.timer.daemon = True
+        self.timer.start()
+
+    def cancel(self) -> None:
+        if self.timer is not None:
+            self.timer.cancel()

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands.progress import reporting, speaking_up
+from mavnav.commands.progress import reporting
 from mavnav.commands.terminal import console, emit, note, printable
 from mavnav.errors import ExitCode, UsageError
 
@@ -30,7 +29,9 @@ mavnav replay drive.mcap --set robust.cell_mm=25 --json | jq .wall_thickness
 
 
 def replay(
-    log: Annotated[Path, typer.Argument(help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False)],
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False)
+    ],
     *,
     directory: Annotated[
         Path | None,
@@ -70,15 +71,12 @@ def replay(
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
     chosen = _config(config, sets or [], method=method, grid=grid, azimuth=azimuth, odom=odom, online=online)
     mounting = None if extrinsic is None else _pose(extrinsic)
-    started_s = perf_counter()
-    with speaking_up("mavnav: compiling kernels, once after installation; some ten seconds", quiet=quiet):
-        from mavnav import replay as pipeline
-    compile_s = perf_counter() - started_s
+    from mavnav import replay as pipeline
 
     target = directory or pipeline.default_directory(log, chosen)
     request = pipeline.Request(log, target, chosen, topic, start, end, mounting, force)
     with reporting(quiet=quiet) as report:
-        _, document = pipeline.replay(request, report, compile_s)
+        _, document = pipeline.replay(request, report)
     _tell(document, target, json=json)
     raise typer.Exit(document["exit_code"])
 

@@ -1,0 +1,6 @@
+"""``python -m mavnav``."""
+
+from mavnav.cli import main
+
+if __name__ == "__main__":
+    main()
