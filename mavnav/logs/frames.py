@@ -92,9 +92,9 @@ def _chain(edges: dict[tuple[str, str], NDArray[np.float64]], base: str, laser: 
     queue = deque([base])
     while queue and laser not in found:
         frame = queue.popleft()
-        for other, matrix in steps.get(frame, []):
+        for other, step in steps.get(frame, []):
             if other not in found:
-                found[other] = found[frame] @ matrix
+                found[other] = found[frame] @ step
                 queue.append(other)
     return found.get(laser)
 

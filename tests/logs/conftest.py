@@ -1,0 +1,6 @@
+"""`from log_files import ...` works in this folder."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
