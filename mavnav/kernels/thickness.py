@@ -24,11 +24,11 @@ def column_runs(hits: NDArray[np.int32], min_hits: int, max_gap: int) -> NDArray
 
     Returns
     -------
-    (runs, 4): column, first row, last row, occupied cells; in order of column, then row.
+    (runs, 5): column, first row, last row, occupied cells, sum of their hits; ordered by first row, then column.
     """
     rows, cols = hits.shape
     open_run = np.full(cols, -1, np.int64)
-    runs = np.empty((np.count_nonzero(hits >= min_hits), 4), np.int64)
+    runs = np.empty((np.count_nonzero(hits >= min_hits), 5), np.int64)
     n = 0
     for r in range(rows):
         for c in range(cols):
@@ -37,10 +37,11 @@ def column_runs(hits: NDArray[np.int32], min_hits: int, max_gap: int) -> NDArray
             k = open_run[c]
             if k < 0 or r - runs[k, 2] > max_gap + 1:
                 k = open_run[c] = n
-                runs[n, 0], runs[n, 1], runs[n, 3] = c, r, 0
+                runs[n, 0], runs[n, 1], runs[n, 3], runs[n, 4] = c, r, 0, 0
                 n += 1
             runs[k, 2] = r
             runs[k, 3] += 1
+            runs[k, 4] += hits[r, c]
     return runs[:n].copy()
 
 
@@ -55,12 +56,12 @@ def run_moments(
 
     Returns
     -------
-    (runs, 3): variance along the row, covariance, variance along the column, in cells squared;
+    (runs, 4): variance along the row, covariance, variance along the column, in cells squared, and sum of hits;
     NaN where fewer than ``min_cells`` cells of the neighbourhood are occupied.
     """
     rows, cols = hits.shape
     reach = np.int64(radius)
-    out = np.full((len(runs), 3), np.nan)
+    out = np.full((len(runs), 4), np.nan)
     for k in range(len(runs)):
         col, mid2 = runs[k, 0], runs[k, 1] + runs[k, 2]
         cells = weight = s_x = s_y = s_xx = s_xy = s_yy = 0
@@ -77,7 +78,7 @@ def run_moments(
                 s_xy += h * x2 * y2
                 s_yy += h * y2 * y2
         if cells >= min_cells:
-            w = np.float64(weight)
+            w = out[k, 3] = np.float64(weight)
             out[k, 0] = (w * s_xx - np.float64(s_x) * s_x) / (4.0 * w * w)
             out[k, 1] = (w * s_xy - np.float64(s_x) * s_y) / (4.0 * w * w)
             out[k, 2] = (w * s_yy - np.float64(s_y) * s_y) / (4.0 * w * w)

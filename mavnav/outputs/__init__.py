@@ -1,12 +1,13 @@
 """Outputs: the files of a run, each by one writer, and the directory that holds them.
 
-A new file is one function ``(Run, Path) -> None`` and one line in `WRITERS`. The writers import their heavy libraries
-when they are called.
+A new file is one function ``(Run, Path) -> None`` and one line in `WRITERS`.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from hashlib import sha256
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.outputs.directory import RUN_FILE, check_directory, staged, sync
@@ -21,6 +22,12 @@ if TYPE_CHECKING:
 
 __all__ = ["WRITERS", "Run", "Timing", "check_directory", "write_run"]
 
+
+def _late(module: str, run: Run, path: Path) -> None:
+    """Call the ``write`` of a module that imports a heavy library, so that nobody waits for it before."""
+    import_module(f"{__name__}.{module}").write(run, path)
+
+
 WRITERS: Final[dict[str, Callable[[Run, Path], None]]] = {
     "trajectory.tum": write_tum,
     "trajectory_base.tum": write_base_tum,
@@ -28,6 +35,9 @@ WRITERS: Final[dict[str, Callable[[Run, Path], None]]] = {
     "map.pgm": write_pgm,
     "map.yaml": write_yaml,
     "hits.npz": write_npz,
+    "map.png": partial(_late, "map_picture"),
+    "wall_thickness.png": partial(_late, "wall_picture"),
+    "result.mcap": partial(_late, "replay_log"),
     "metrics.json": write_metrics,
 }
 _NEEDS_MOUNTING: Final = {"trajectory_base.tum"}
@@ -39,10 +49,10 @@ def write_run(run: Run, directory: Path, *, force: bool = False) -> dict[str, An
     The directory appears complete or not at all. Raises OutputError where it exists (and ``force`` does not say to
     replace it), holds something else than a run, or cannot be written.
     """
-    with staged(directory, force=force) as partial:
-        digests = {name: _write(run, partial / name) for name in _names(run)}
+    with staged(directory, force=force) as folder:
+        digests = {name: _write(run, folder / name) for name in _names(run)}
         document: dict[str, Any] = plain(run_document(run, digests))
-        path = partial / RUN_FILE
+        path = folder / RUN_FILE
         path.write_text(to_json(document), encoding="utf-8")
         sync(path)
     return document

@@ -13,6 +13,7 @@ import numpy as np
 
 from mavnav import __version__
 from mavnav.outputs.gridmap import known_part
+from mavnav.outputs.run import base_frame
 from mavnav.units import MM, NS
 
 if TYPE_CHECKING:
@@ -135,11 +136,6 @@ def _tracking(run: Run) -> Document:
         "frames": {"trajectory.tum": ["map", run.log.frame_id]}
         | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),
     }
-
-
-def base_frame(run: Run) -> str:
-    """Name the base's frame; an ``--extrinsic`` does not tell it."""
-    return run.log.base_frame or "base_link"
 
 
 def _search(run: Run) -> Document:

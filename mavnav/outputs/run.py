@@ -46,3 +46,8 @@ class Run:
         if self.slam.lost_for_good:
             return ExitCode.TRACKING_LOST
         return ExitCode.DAMAGED_INPUT if self.log.damage else ExitCode.DONE
+
+
+def base_frame(run: Run) -> str:
+    """Name the base's frame; an ``--extrinsic`` alone does not tell it."""
+    return (run.log.base_frame or "base_link").lstrip("/")

@@ -1,0 +1,115 @@
+"""What the pictures share: a figure without global state, the map as an image in metres, bytes that repeat."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+
+from mavnav.outputs.gridmap import FREE, occupancy
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mavnav.grid import Grid
+
+DPI: Final = 150
+MAX_PIXELS: Final = 1600
+STRAY_SHARE: Final = 5e-4
+
+INK, MUTED, FREE_GREY, WALL_GREY = "#222222", "#666666", "#eef1f4", "#b9bec4"
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A rectangle of the map in metres: what a picture shows."""
+
+    x0_m: float
+    x1_m: float
+    y0_m: float
+    y1_m: float
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Width and height."""
+        return self.x1_m - self.x0_m, self.y1_m - self.y0_m
+
+    def figure_size(self, longest_in: float, least_in: float) -> tuple[float, float]:
+        """Return the width and height in inches that show the rectangle undistorted; no side under ``least_in``."""
+        width, height = self.size_m
+        scale = longest_in / max(width, height)
+        return max(width * scale, least_in), max(height * scale, least_in)
+
+
+def window_of(grid: Grid, xy_m: NDArray[np.float64]) -> Window:
+    """Frame the hit cells and the points ``xy_m`` (n, 2), with a margin.
+
+    On each side the outermost `STRAY_SHARE` of the cells may fall outside: single far returns through a window
+    would otherwise shrink the room to a spot.
+    """
+    hit = np.argwhere(grid.hits > 0)[:, ::-1]
+    corners = [xy_m] if len(xy_m) else [np.array([grid.origin_xy_m])]
+    if len(hit):
+        ends = np.quantile(hit, (STRAY_SHARE, 1.0 - STRAY_SHARE), axis=0, method="nearest")
+        ends[1] += 1
+        corners.append(grid.origin_xy_m + ends * grid.cell_m)
+    points = np.vstack(corners)
+    (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
+    margin = max(0.04 * max(x1 - x0, y1 - y0), 5 * grid.cell_m)
+    return Window(float(x0 - margin), float(x1 + margin), float(y0 - margin), float(y1 + margin))
+
+
+def figure(width_in: float, height_in: float) -> Any:  # noqa: ANN401  matplotlib has no types for us
+    """Return an empty figure that draws without a window system."""
+    fig = Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained", facecolor="white")
+    FigureCanvasAgg(fig)
+    return fig
+
+
+def save(fig: Any, path: Path) -> None:  # noqa: ANN401
+    """Write a PNG whose bytes follow from the picture alone."""
+    fig.savefig(path, format="png", metadata={"Software": None})
+
+
+def pooled(cells: NDArray[Any], factor: int) -> NDArray[Any]:
+    """Shrink by taking the largest of each ``factor`` x ``factor`` block, so that a wall of one cell stays visible."""
+    rows, cols = (-(-n // factor) for n in cells.shape)
+    padded = np.zeros((rows * factor, cols * factor), cells.dtype)
+    padded[: cells.shape[0], : cells.shape[1]] = cells
+    blocks: NDArray[Any] = padded.reshape(rows, factor, cols, factor).max(axis=(1, 3))
+    return blocks
+
+
+def draw_cells(axes: Any, grid: Grid, cells: NDArray[Any], **style: Any) -> Any:  # noqa: ANN401
+    """Draw an array of the grid's shape in metres; zeros are transparent. Returns the image."""
+    factor = max(1, max(cells.shape) // MAX_PIXELS)
+    shown = pooled(cells, factor)
+    rows, cols = shown.shape
+    x0, y0 = grid.origin_xy_m
+    extent = (x0, x0 + cols * factor * grid.cell_m, y0, y0 + rows * factor * grid.cell_m)
+    masked = np.ma.masked_equal(shown, 0)
+    return axes.imshow(masked, origin="lower", extent=extent, interpolation="nearest", **style)
+
+
+def draw_free(axes: Any, grid: Grid) -> None:  # noqa: ANN401
+    """Shade the cells that are known to be free."""
+    free = (occupancy(grid) == FREE).astype(np.uint8)
+    draw_cells(axes, grid, free, cmap=ListedColormap([FREE_GREY]), vmin=0, vmax=1, zorder=0)
+
+
+def dress(axes: Any, window: Window) -> None:  # noqa: ANN401
+    """Set limits, equal aspect, labels and quiet spines."""
+    axes.set_xlim(window.x0_m, window.x1_m)
+    axes.set_ylim(window.y0_m, window.y1_m)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.tick_params(colors=MUTED, labelsize=8)
+    for spine in axes.spines.values():
+        spine.set_color("#cccccc")

@@ -1,0 +1,96 @@
+"""map.png: hits in colour, the estimated poses, start and end (after the paper's Figure 3)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import LinearSegmentedColormap, LogNorm
+
+from mavnav.outputs import drawing
+from mavnav.outputs.gridmap import known_part
+from mavnav.units import MM
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mavnav.grid import Grid
+    from mavnav.metrics.wall_thickness import WallThickness
+    from mavnav.outputs.run import Run
+
+MAX_CIRCLES: Final = 120
+POSE_COLOUR: Final = "#d6009a"
+
+
+def write(run: Run, path: Path) -> None:
+    """Draw the map of a run."""
+    grid, xy_m = known_part(run.slam.grid), run.slam.trajectory.xyyaw[:, :2]
+    window = drawing.window_of(grid, xy_m)
+    width, height = window.figure_size(longest_in=7.5, least_in=3.0)
+    fig = drawing.figure(max(width + 1.7, 6.4), height + 1.6)
+    axes = fig.add_subplot()
+    drawing.draw_free(axes, grid)
+    _draw_hits(fig, axes, grid)
+    _draw_poses(axes, xy_m)
+    drawing.dress(axes, window)
+    fig.suptitle(run.log.path.name, fontsize=12, fontweight="bold", color=drawing.INK)
+    axes.set_title(_subtitle(run), fontsize=8.5, color=drawing.MUTED)
+    if len(xy_m):
+        fig.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=8.5)
+    drawing.save(fig, path)
+
+
+def _draw_hits(fig: Any, axes: Any, grid: Grid) -> None:  # noqa: ANN401
+    """Colour the hit cells on a logarithmic scale that a few crowded cells cannot spoil."""
+    counts = grid.hits[grid.hits > 0]
+    top = max(float(np.quantile(counts, 0.995)) if counts.size else 1.0, 10.0)
+    colours = LinearSegmentedColormap.from_list("hits", colormaps["viridis"](np.linspace(0.97, 0.0, 256)))
+    image = drawing.draw_cells(axes, grid, grid.hits, cmap=colours, norm=LogNorm(1.0, top), zorder=1)
+    bar = fig.colorbar(image, ax=axes, extend="max", fraction=0.04, pad=0.02, aspect=28)
+    ticks = [t for t in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000) if t <= top]
+    bar.set_ticks(ticks, labels=[str(t) for t in ticks])
+    bar.ax.minorticks_off()
+    bar.set_label("laser hits per cell", fontsize=9)
+    bar.outline.set_visible(False)
+
+
+def _draw_poses(axes: Any, xy_m: NDArray[np.float64]) -> None:  # noqa: ANN401
+    """Mark estimated poses by magenta circles, the start by a blue x, the end by a red circle with an x."""
+    if not len(xy_m):
+        return
+    some = xy_m[thinned(xy_m, MAX_CIRCLES)]
+    axes.plot(*xy_m.T, color=POSE_COLOUR, lw=0.6, alpha=0.6, zorder=3)
+    axes.plot(*some.T, "o", ms=4, mfc="none", mec=POSE_COLOUR, mew=0.8, label="estimated pose", zorder=3)
+    axes.plot(*xy_m[0], "x", ms=10, color="#0033ff", mew=2.4, label="start", zorder=4)
+    axes.plot(*xy_m[-1], marker="$\\bigotimes$", ls="none", ms=13, color="#e00000", mew=0.3, label="end", zorder=4)
+
+
+def thinned(xy_m: NDArray[np.float64], at_most: int) -> NDArray[np.intp]:
+    """Choose up to ``at_most`` points of a path (n, 2), evenly spread along its length."""
+    along = np.concatenate(([0.0], np.hypot(*np.diff(xy_m, axis=0).T).cumsum()))
+    if len(xy_m) <= at_most:
+        return np.arange(len(xy_m))
+    return np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], at_most)))
+
+
+def _subtitle(run: Run) -> str:
+    config, steps = run.config, run.slam.steps
+    accepted = sum(s.accepted for s in steps)
+    scans = f"{accepted} of {len(steps)} scans mapped ({accepted / max(len(steps), 1):.0%})"
+    lost = "   LOST before the end" if run.slam.lost_for_good else ""
+    cell_mm = run.slam.grid.cell_m / MM
+    how = f"method {config.method}, search grid {config.azimuth} / {config.grid}, cell {cell_mm:g} mm"
+    return f"{how}\n{scans}{lost}, {thickness_text(run.thickness)}"
+
+
+def thickness_text(thickness: dict[int, WallThickness]) -> str:
+    """Say how thick the walls are, at the middle one of the thresholds."""
+    if not thickness:
+        return ""
+    t = thickness[sorted(thickness)[len(thickness) // 2]]
+    if not t.sections:
+        return "no straight wall to measure"
+    return f"wall thickness p95 {t.p95_cells:.1f}, max {t.max_cells:.1f} cells at ≥ {t.hits} hits"

@@ -1,0 +1,175 @@
+"""result.mcap: the run as a ROS 2 log that viewers open by itself, in the order in which it happened.
+
+``/tf_static`` comes first, ``/tf`` before the ``/scan`` of the same stamp, then ``/pose``; ``/map`` shows the walls as
+they were first seen, about once a second of the log, and at the end the whole map with its free space, with ``/path``.
+Scans without a believed pose are left out: they have no place in the map.
+"""
+
+from __future__ import annotations
+
+from contextlib import closing
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from mavnav import __version__
+from mavnav.outputs import ros
+from mavnav.outputs.gridmap import OCCUPIED, UNKNOWN, known_part, occupancy
+from mavnav.outputs.run import base_frame
+from mavnav.pose import Pose, transform_points
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mavnav.grid import Grid
+    from mavnav.outputs.run import Run
+    from mavnav.scan import Scan
+
+MAP_FRAME: Final = "map"
+MAX_MAPS: Final = 60
+MAX_MAP_BYTES: Final = 64_000_000
+MAP_PERIOD_NS: Final = 1_000_000_000
+
+_FOREVER = "{sec: 9223372036, nsec: 854775807}"
+_QOS: Final = f"""\
+- history: keep_last
+  depth: {{depth}}
+  reliability: reliable
+  durability: {{durability}}
+  deadline: {_FOREVER}
+  lifespan: {_FOREVER}
+  liveliness: automatic
+  liveliness_lease_duration: {_FOREVER}
+  avoid_ros_namespace_conventions: false
+""".replace("{sec", "{{sec").replace("807}", "807}}")
+
+CHANNELS: Final = {
+    "/tf_static": (ros.TF, "transient_local"),
+    "/tf": (ros.TF, "volatile"),
+    "/scan": (ros.SCAN, "volatile"),
+    "/pose": (ros.POSE, "volatile"),
+    "/path": (ros.PATH, "transient_local"),
+    "/map": (ros.MAP, "transient_local"),
+}
+
+
+class _Recorder:
+    """An MCAP file with the channels above, written to with ``put``; ``close`` completes it."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("wb")
+        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
+        self._writer.start(profile="ros2", library=f"mavnav {__version__}")
+        schemas = {
+            name: self._writer.register_schema(name, "ros2msg", ros.definition(name).encode())
+            for name in dict.fromkeys(msgtype for msgtype, _ in CHANNELS.values())
+        }
+        self._channels = {
+            topic: self._writer.register_channel(
+                topic, "cdr", schemas[msgtype], {"offered_qos_profiles": _qos(durability)}
+            )
+            for topic, (msgtype, durability) in CHANNELS.items()
+        }
+
+    def put(self, topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
+        """Append a message at a time of the log."""
+        self._writer.add_message(self._channels[topic], stamp_ns, ros.cdr(message), stamp_ns)
+
+    def close(self) -> None:
+        """Write the index and close the file."""
+        with self._file:
+            self._writer.finish()
+
+
+def _qos(durability: str) -> str:
+    return _QOS.format(depth=1 if durability == "transient_local" else 10, durability=durability)
+
+
+def write(run: Run, path: Path) -> None:
+    """Write the run as a ROS 2 log. The scans are read from the log once more."""
+    with closing(_Recorder(path)) as out:
+        laser, last_ns = laser_frame(run), run.log.last_ns
+        mounting = run.log.base_T_laser
+        if mounting is not None:
+            out.put("/tf_static", run.log.first_ns, ros.transform(run.log.first_ns, base_frame(run), laser, mounting))
+        walls = _GrowingMap(run)
+        for scan, map_T_laser, mapped in placed_scans(run):
+            out.put("/tf", scan.stamp_ns, _placement(run, scan.stamp_ns, map_T_laser))
+            out.put("/scan", scan.stamp_ns, ros.laser_scan(scan, laser))
+            out.put("/pose", scan.stamp_ns, ros.pose_stamped(scan.stamp_ns, MAP_FRAME, map_T_laser))
+            if walls.add(scan, map_T_laser, mapped=mapped):
+                out.put("/map", scan.stamp_ns, _map(walls.grid, walls.cells, scan.stamp_ns))
+        out.put("/path", last_ns, _path(run))
+        out.put("/map", last_ns, _map(walls.grid, occupancy(walls.grid), last_ns))
+
+
+def laser_frame(run: Run) -> str:
+    """Name the laser's frame as tf2 takes it; a name that cannot stand beside ``map`` is replaced."""
+    name = run.log.frame_id.lstrip("/")
+    return name if name not in ("", MAP_FRAME) else "laser"
+
+
+def placed_scans(run: Run) -> Iterator[tuple[Scan, Pose, bool]]:
+    """Read the tracked scans once more: the scan, map_T_laser, and whether it went into the map."""
+    trajectory = run.slam.trajectory
+    row = {stamp: k for k, stamp in enumerate(trajectory.stamps_ns.tolist())}
+    mapped = {step.stamp_ns for step in run.slam.steps if step.accepted}
+    for scan in run.log.scans():
+        if scan.stamp_ns in row:
+            yield scan, trajectory[row[scan.stamp_ns]], scan.stamp_ns in mapped
+
+
+def _placement(run: Run, stamp_ns: int, map_T_laser: Pose) -> Any:  # noqa: ANN401
+    """Return the transform from the map to the base, where its place is known, or else to the laser."""
+    mounting = run.log.base_T_laser
+    if mounting is None:
+        return ros.transform(stamp_ns, MAP_FRAME, laser_frame(run), map_T_laser)
+    return ros.transform(stamp_ns, MAP_FRAME, base_frame(run), map_T_laser @ mounting.inverse())
+
+
+def _path(run: Run) -> Any:  # noqa: ANN401
+    trajectory = run.slam.trajectory
+    stamps = trajectory.stamps_ns.tolist()
+    poses = [ros.pose_stamped(stamp, MAP_FRAME, trajectory[k]) for k, stamp in enumerate(stamps)]
+    return ros.path(run.log.last_ns, MAP_FRAME, poses)
+
+
+def _map(grid: Grid, cells: NDArray[np.int8], stamp_ns: int) -> Any:  # noqa: ANN401
+    return ros.occupancy_grid(stamp_ns, MAP_FRAME, cells, grid.cell_m, grid.origin_xy_m)
+
+
+class _GrowingMap:
+    """The walls of the finished map as they come into sight; free space is told by the finished map alone.
+
+    Shown at most `MAX_MAPS` times, and less often where the map is so large that the file would swell.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self.grid = known_part(run.slam.grid)
+        self.cells: NDArray[np.int8] = np.full(self.grid.hits.shape, UNKNOWN, np.int8)
+        self._walls = occupancy(self.grid) == OCCUPIED
+        maps = min(MAX_MAPS, MAX_MAP_BYTES // self.cells.size)
+        span_ns = run.log.last_ns - run.log.first_ns
+        self._period_ns = max(MAP_PERIOD_NS, span_ns // maps) if maps else None
+        self._next_ns = run.log.first_ns
+
+    def add(self, scan: Scan, map_T_laser: Pose, *, mapped: bool) -> bool:
+        """Show what a mapped scan saw; tell whether it is time to publish."""
+        if mapped:
+            self._show(transform_points(map_T_laser, scan.points()))
+        if self._period_ns is None or scan.stamp_ns < self._next_ns:
+            return False
+        self._next_ns = scan.stamp_ns + self._period_ns
+        return True
+
+    def _show(self, xy_map_m: NDArray[np.float64]) -> None:
+        cell = np.floor((xy_map_m - self.grid.origin_xy_m) / self.grid.cell_m).astype(np.int64)
+        rows, cols = self.cells.shape
+        inside = cell[((cell >= 0) & (cell < (cols, rows))).all(axis=1)]
+        col, row = inside[:, 0], inside[:, 1]
+        seen = self._walls[row, col]
+        self.cells[row[seen], col[seen]] = OCCUPIED

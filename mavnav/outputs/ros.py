@@ -1,0 +1,106 @@
+"""ROS 2 messages as they stand in result.mcap: CDR, built from plain values."""
+
+from __future__ import annotations
+
+from functools import cache
+from math import cos, sin
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+
+from mavnav.pose import Pose
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.scan import Scan
+
+TF: Final = "tf2_msgs/msg/TFMessage"
+SCAN: Final = "sensor_msgs/msg/LaserScan"
+POSE: Final = "geometry_msgs/msg/PoseStamped"
+PATH: Final = "nav_msgs/msg/Path"
+MAP: Final = "nav_msgs/msg/OccupancyGrid"
+
+
+@cache
+def _store() -> Any:  # noqa: ANN401  rosbags' types are made at run time
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def definition(msgtype: str) -> str:
+    """Return the message definition with all that it contains (MCAP's ``ros2msg``)."""
+    text, _ = _store().generate_msgdef(msgtype, ros_version=2)
+    return str(text)
+
+
+def cdr(message: Any) -> bytes:  # noqa: ANN401
+    """Serialise a message."""
+    return bytes(_store().serialize_cdr(message, message.__msgtype__))
+
+
+def _new(msgtype: str, *fields: object) -> Any:  # noqa: ANN401
+    return _store().types[msgtype](*fields)
+
+
+def time_of(stamp_ns: int) -> Any:  # noqa: ANN401
+    """Split a stamp into seconds and nanoseconds."""
+    return _new("builtin_interfaces/msg/Time", *divmod(stamp_ns, 1_000_000_000))
+
+
+def _header(stamp_ns: int, frame: str) -> Any:  # noqa: ANN401
+    return _new("std_msgs/msg/Header", time_of(stamp_ns), frame)
+
+
+def _turn(yaw_rad: float) -> Any:  # noqa: ANN401
+    return _new("geometry_msgs/msg/Quaternion", 0.0, 0.0, sin(yaw_rad / 2.0), cos(yaw_rad / 2.0))
+
+
+def _pose(pose: Pose) -> Any:  # noqa: ANN401
+    point = _new("geometry_msgs/msg/Point", pose.x_m, pose.y_m, 0.0)
+    return _new("geometry_msgs/msg/Pose", point, _turn(pose.yaw_rad))
+
+
+def transform(stamp_ns: int, parent: str, child: str, parent_T_child: Pose) -> Any:  # noqa: ANN401
+    """Return a TFMessage of one transform."""
+    shift = _new("geometry_msgs/msg/Vector3", parent_T_child.x_m, parent_T_child.y_m, 0.0)
+    body = _new("geometry_msgs/msg/Transform", shift, _turn(parent_T_child.yaw_rad))
+    return _new(TF, [_new("geometry_msgs/msg/TransformStamped", _header(stamp_ns, parent), child, body)])
+
+
+def pose_stamped(stamp_ns: int, frame: str, pose: Pose) -> Any:  # noqa: ANN401
+    """Return a PoseStamped."""
+    return _new(POSE, _header(stamp_ns, frame), _pose(pose))
+
+
+def path(stamp_ns: int, frame: str, poses: list[Any]) -> Any:  # noqa: ANN401
+    """Return a Path of PoseStamped."""
+    return _new(PATH, _header(stamp_ns, frame), poses)
+
+
+def laser_scan(scan: Scan, frame: str) -> Any:  # noqa: ANN401
+    """Return a LaserScan as it was cleaned: NaN where there is no valid return, no intensities."""
+    spec = scan.spec
+    last = spec.angle_min_rad + spec.angle_step_rad * max(spec.beams - 1, 0)
+    return _new(
+        SCAN,
+        _header(scan.stamp_ns, frame),
+        spec.angle_min_rad,
+        last,
+        spec.angle_step_rad,
+        spec.time_increment_s,
+        spec.scan_time_s,
+        spec.range_min_m,
+        spec.range_max_m,
+        scan.ranges_m.astype(np.float32),
+        np.empty(0, np.float32),
+    )
+
+
+def occupancy_grid(
+    stamp_ns: int, frame: str, cells: NDArray[np.int8], cell_m: float, origin_xy_m: tuple[float, float]
+) -> Any:  # noqa: ANN401
+    """Return an OccupancyGrid of ``cells`` (rows, cols), whose cell [0, 0] has its corner at ``origin_xy_m``."""
+    rows, cols = cells.shape
+    info = _new("nav_msgs/msg/MapMetaData", time_of(stamp_ns), cell_m, cols, rows, _pose(Pose(*origin_xy_m)))
+    return _new(MAP, _header(stamp_ns, frame), info, cells.reshape(-1))

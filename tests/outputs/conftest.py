@@ -1,0 +1,104 @@
+"""A run made up from a synthetic room: known poses, real map, no search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import along, furnished_rooms, scan_at
+
+from mavnav.config import Config
+from mavnav.grid import Grid
+from mavnav.logs import Damage, Odometry, ScanCounts, Topic
+from mavnav.matcher import Match
+from mavnav.metrics.wall_thickness import wall_thickness
+from mavnav.outputs import Run, Timing
+from mavnav.pose import Pose, Trajectory, transform_points
+from mavnav.slam import LostInterval, Slam, Step
+
+LOST = (10, 11)
+"""Scans without a pose."""
+REJECTED = 5
+"""A scan that is tracked, but not mapped."""
+
+
+@dataclass(frozen=True)
+class FabricatedLog:
+    """The interface of ``mavnav.logs.Log`` over scans in memory."""
+
+    recorded: tuple
+    path: Path = Path("room [1].mcap")
+    format: str = "mcap"
+    size_bytes: int = 1234
+    sha256: str = "0" * 64
+    topics: tuple = (Topic("/scan", "sensor_msgs/msg/LaserScan", "cdr", 20),)
+    topic: str = "/scan"
+    frame_id: str = "/laser"
+    counts: ScanCounts = ScanCounts(22, 20, {"stamp repeats": 2})
+    cleaning: dict = None
+    period_s: float = 0.1
+    gaps: tuple = ()
+    stamp_source: str = "header"
+    base_T_laser: Pose | None = Pose(0.1, -0.02, 0.3)
+    mounting_source: str | None = "tf_static"
+    base_frame: str | None = "base_footprint"
+    odometry: Odometry | None = None
+    damage: tuple[Damage, ...] = ()
+    warnings: tuple[str, ...] = ("a warning",)
+
+    @property
+    def first_ns(self) -> int:
+        return self.recorded[0].stamp_ns
+
+    @property
+    def last_ns(self) -> int:
+        return self.recorded[-1].stamp_ns
+
+    @property
+    def sensor(self):
+        return self.recorded[0].spec
+
+    def scans(self):
+        return iter(self.recorded)
+
+
+def fabricate(scans: int = 20, noise: float = 0.005) -> Run:
+    walls, rng = furnished_rooms(), np.random.default_rng(7)
+    truth = along([(1.0, 1.0), (3.0, 1.0), (4.6, 3.0), (4.6, 5.5)], period_s=0.5)
+    pick = np.linspace(0, len(truth) - 1, scans).round().astype(int)
+    stamps = [int(truth.stamps_ns[0]) + 500_000_007 * k for k in range(scans)]
+    recorded = tuple(
+        scan_at(walls, truth[int(i)], stamp_ns=t, noise=noise, rng=rng) for i, t in zip(pick, stamps, strict=True)
+    )
+    poses = [truth[0].between(truth[int(i)]) for i in pick]  # map: the first laser pose
+    return run_of(recorded, poses)
+
+
+def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
+    grid, steps = Grid(cell_m), []
+    for k, (scan, pose) in enumerate(zip(recorded, poses, strict=True)):
+        tracked = k not in LOST
+        accepted = tracked and k != REJECTED
+        if accepted:
+            grid.insert(pose, transform_points(pose, scan.points()))
+        match = Match(pose, 1e-4 if tracked else np.inf, 600, 0.9 if tracked else 0.1, 960 + k, 8, tracked)
+        steps.append(Step(k, scan.stamp_ns, pose, match, tracked, accepted))
+    kept = [s for s in steps if s.tracked]
+    trajectory = Trajectory.of([s.stamp_ns for s in kept], [s.match.map_T_laser for s in kept])
+    lost = (LostInterval(recorded[LOST[0]].stamp_ns, recorded[LOST[-1]].stamp_ns, len(LOST), recovered=True),)
+    thickness = {k: wall_thickness(grid.hits, grid.cell_m, k) for k in (1, 2, 5)}
+    log = FabricatedLog(recorded, cleaning={"valid": 600, "zero": 7})
+    return Run(log, Config(), Slam(tuple(steps), trajectory, grid, lost), thickness, Timing(2.0, 1.5, 0.5))
+
+
+@pytest.fixture(scope="session")
+def run() -> Run:
+    return fabricate()
+
+
+@pytest.fixture(scope="session")
+def change():
+    """Return a function that makes a run with another log: ``change(run, damage=...)``."""
+    return lambda run, **log: replace(run, log=replace(run.log, **log))
