@@ -87,6 +87,8 @@ def run(args: Sequence[str], *, debug: bool = False) -> int:
 
             traceback.print_exception(error)
         return _explain(error)
+    if code == ExitCode.INTERRUPTED:  # typer turns a KeyboardInterrupt into this code
+        note("mavnav: interrupted")
     return int(code or 0)
 
 
@@ -101,9 +103,6 @@ def _explain(error: BaseException) -> int:
         case MavnavError():
             note(f"mavnav: error: {error}")
             return error.exit_code
-        case KeyboardInterrupt():
-            note("mavnav: interrupted")
-            return ExitCode.INTERRUPTED
         case Terminated():
             note("mavnav: terminated")
             return ExitCode.TERMINATED

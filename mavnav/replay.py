@@ -7,7 +7,9 @@ from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
 
+from mavnav import slam
 from mavnav.logs import open_log
+from mavnav.metrics.wall_thickness import wall_thickness
 from mavnav.outputs import Run, Timing, check_directory, write_run
 
 if TYPE_CHECKING:
@@ -15,15 +17,15 @@ if TYPE_CHECKING:
 
     from mavnav.config import Config
     from mavnav.logs import Log
-    from mavnav.metrics.wall_thickness import WallThickness
     from mavnav.pose import Pose
-    from mavnav.slam import Slam
 
     # (what is being done, how much of it is done, how much there is or None)
     Progress = Callable[[str, int, int | None], None]
 
 THRESHOLDS = (1, 2, 5)
 """Wall thickness is reported for cells of at least so many hits (findings: the threshold decides the answer)."""
+
+LOG_SUFFIXES = (".zst", ".zstd", ".active", ".mcap", ".bag", ".db3")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,44 +46,30 @@ class Request:
 
 
 def default_directory(log: Path, config: Config) -> Path:
-    """Return ``runs/<log>-<method>-<grid>``."""
-    name = log.resolve()
-    stem = name.name if name.is_dir() else name.name.removesuffix(".zst").removesuffix(".zstd")
-    for suffix in (".mcap", ".bag.active", ".bag", ".db3"):
-        stem = stem.removesuffix(suffix) or stem
-    return Path("runs") / f"{stem}-{config.method}-{config.grid}"
+    """Return ``runs/<log>-<method>-<grid>``; a folder gives its own name, a file its name without suffixes."""
+    name = log.resolve().name
+    if not log.is_dir():
+        for suffix in LOG_SUFFIXES:
+            name = name.removesuffix(suffix) or name
+    return Path("runs") / f"{name}-{config.method}-{config.grid}"
 
 
-def replay(request: Request, progress: Progress) -> tuple[Run, dict[str, Any]]:
+def replay(request: Request, progress: Progress, compile_s: float) -> tuple[Run, dict[str, Any]]:
     """Run the whole job and return the run with its document (run.json).
 
-    What can be refused is refused before the long work. Raises what the rooms raise: TopicError, NoScansError,
-    UsageError, OutputError.
+    ``compile_s`` is what it took to import this module: kernels compile on import. Whether the run directory can be
+    written is asked before the work. Raises what the rooms raise: TopicError, NoScansError, UsageError, OutputError.
     """
     check_directory(request.directory, force=request.force)
     wall_s, cpu_s = perf_counter(), process_time()
     log = _open(request, progress)
-    compile_s, compile_cpu_s = _load_kernels(progress)
     outcome = _track(log, request.config, progress)
-    thickness = _thickness(outcome)
-    timing = Timing(
-        wall_s=perf_counter() - wall_s - compile_s,
-        cpu_s=process_time() - cpu_s - compile_cpu_s,
-        compile_s=compile_s,
-    )
+    grid = outcome.grid
+    thickness = {hits: wall_thickness(grid.hits, grid.cell_m, hits) for hits in THRESHOLDS}
+    timing = Timing(wall_s=perf_counter() - wall_s, cpu_s=process_time() - cpu_s, compile_s=compile_s)
     run = Run(log=log, config=request.config, slam=outcome, thickness=thickness, timing=timing)
     progress("writing", 0, None)
     return run, write_run(run, request.directory, force=request.force)
-
-
-def _load_kernels(progress: Progress) -> tuple[float, float]:
-    """Import the rooms whose kernels compile on import; return what it took by the clock and of the processor."""
-    progress("compiling kernels, once after installation", 0, None)
-    wall_s, cpu_s = perf_counter(), process_time()
-    import mavnav.metrics.wall_thickness
-    import mavnav.slam  # noqa: F401
-
-    return perf_counter() - wall_s, process_time() - cpu_s
 
 
 def _open(request: Request, progress: Progress) -> Log:
@@ -97,9 +85,7 @@ def _open(request: Request, progress: Progress) -> Log:
     )
 
 
-def _track(log: Log, config: Config, progress: Progress) -> Slam:
-    from mavnav import slam
-
+def _track(log: Log, config: Config, progress: Progress) -> slam.Slam:
     total = log.counts.usable
     return slam.replay(
         log.scans,
@@ -108,9 +94,3 @@ def _track(log: Log, config: Config, progress: Progress) -> Slam:
         log.odometry.odom_T_laser if log.odometry else None,
         on_step=lambda phase, done: progress(phase, done, total),
     )
-
-
-def _thickness(outcome: Slam) -> dict[int, WallThickness]:
-    from mavnav.metrics.wall_thickness import wall_thickness
-
-    return {k: wall_thickness(outcome.grid.hits, outcome.grid.cell_m, k) for k in THRESHOLDS}

@@ -1,0 +1,197 @@
+"""The roof: versions, help, streams, bugs, and the helpers that keep terminals safe."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from mavnav import __version__, cli
+from mavnav.commands import progress
+from mavnav.commands.terminal import printable
+from mavnav.errors import ExitCode, MavnavError, NoScansError, OutputError, TopicError
+
+
+def test_version_names_the_libraries(mavnav: Callable) -> None:
+    code, out, _ = mavnav("--version")
+    assert code == 0
+    assert out.startswith(f"mavnav {__version__} (Python ")
+    assert out.count("\n") == 1
+    assert all(f"{name} " in out for name in cli.LIBRARIES)
+
+
+def test_without_arguments_it_shows_its_help(spawn: Callable) -> None:
+    process = spawn()
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (0, "")
+    assert "replay" in out
+    assert "Exit codes" in out
+
+
+def test_help_has_examples(mavnav: Callable) -> None:
+    for command in ("replay", "info"):
+        code, out, _ = mavnav(command, "--help")
+        assert code == 0
+        assert "Examples" in out
+        assert f"mavnav {command} drive.mcap" in out
+
+
+def test_unknown_commands_are_one_line(mavnav: Callable) -> None:
+    code, out, err = mavnav("repay")
+    assert (code, out) == (ExitCode.USAGE, "")
+    assert err.startswith("mavnav: error: No such command 'repay'")
+    assert err.count("\n") == 1
+    assert mavnav("config")[0] == ExitCode.USAGE
+
+
+def test_completion_answers(spawn: Callable) -> None:
+    process = spawn(_MAVNAV_COMPLETE="complete_bash", COMP_WORDS="mavnav re", COMP_CWORD="1")
+    out, _ = process.communicate(timeout=30)
+    assert out.split() == ["replay"]
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (NoScansError("x"), ExitCode.NO_SCANS),
+        (TopicError("x"), ExitCode.USAGE),
+        (OutputError("x"), ExitCode.OUTPUT),
+        (MavnavError("x"), ExitCode.BUG),
+        (KeyboardInterrupt(), ExitCode.INTERRUPTED),
+        (cli.Terminated(), ExitCode.TERMINATED),
+        (ZeroDivisionError("x"), ExitCode.BUG),
+        (BrokenPipeError(), ExitCode.OUTPUT),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_every_end_has_its_code(
+    mavnav: Callable, monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int
+) -> None:
+    def fail(*args: object, **kwargs: object) -> None:
+        raise error
+
+    monkeypatch.setattr("mavnav.config_file.load_config", fail)
+    got, out, err = mavnav("config", "show")
+    assert (got, out) == (code, "")
+    assert err.count("\n") == (0 if isinstance(error, BrokenPipeError) else 1)
+    assert "Traceback" not in err
+    if isinstance(error, ZeroDivisionError):
+        assert "a bug: ZeroDivisionError: x; run again with --debug" in err
+
+
+def test_debug_shows_the_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("mavnav.config_file.load_config", lambda *_: 1 / 0)
+    for args, env in (
+        (["config", "show", "--debug"], ""),
+        (["--debug", "config", "show"], ""),
+        (["config", "show"], "1"),
+    ):
+        monkeypatch.setenv("MAVNAV_DEBUG", env)
+        with pytest.raises(SystemExit) as caught:
+            cli.main(args)
+        assert caught.value.code == ExitCode.BUG
+        assert "ZeroDivisionError: division by zero" in capsys.readouterr().err.splitlines()[-2]
+
+
+def test_config_show_can_be_read_back(mavnav: Callable, tmp_path: Path) -> None:
+    _, out, _ = mavnav("config", "show", "paper", "--set", "paper.cell_mm=13")
+    file = tmp_path / "c.yaml"
+    file.write_text(out)
+    assert mavnav("config", "show", file)[1] == out
+    assert "cell_mm: 13.0  # " in out
+
+
+def test_config_schema_is_json(mavnav: Callable) -> None:
+    import json
+
+    schema = json.loads(mavnav("config", "schema")[1])
+    assert schema["additionalProperties"] is False
+
+
+def test_a_reader_that_leaves_is_no_traceback(tmp_path: Path) -> None:
+    command = f"{sys.executable} -m mavnav config schema | head -c 5; echo ${{PIPESTATUS[0]}} >&2"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("{")
+    assert "Traceback" not in done.stderr
+    assert "Exception" not in done.stderr
+
+
+def on_terminal(*args: str, **env: str) -> str:
+    """Run with a terminal as stdout and stderr, and return all that came out."""
+    master, slave = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "mavnav", *args],
+        stdout=slave,
+        stderr=slave,
+        env=os.environ | {"TERM": "xterm-256color"} | env,
+    )
+    os.close(slave)
+    chunks = []
+    try:
+        while chunk := os.read(master, 65536):
+            chunks.append(chunk)
+    except OSError:  # Linux's word for the end
+        pass
+    os.close(master)
+    assert process.wait(timeout=60) == 0
+    return b"".join(chunks).decode()
+
+
+def test_no_color_is_respected(sample: Path) -> None:
+    coloured = on_terminal("info", str(sample))
+    assert "\x1b[1m" in coloured
+    plain = on_terminal("info", str(sample), NO_COLOR="1")
+    assert "\x1b[3" not in plain
+
+
+@pytest.mark.parametrize(
+    ("text", "safe"),
+    [
+        ("/scan [bold]", "/scan [bold]"),
+        ("a\x1b[31mb", "a\\x1b[31mb"),
+        ("a\nb\rc\x07", "a\\nb\\rc\\x07"),
+        ("x\u202ey\u200bz\x9b", "x\\u202ey\\u200bz\\x9b"),
+        ("\udcff", "\\udcff"),
+        ("Büro 3", "Büro 3"),
+    ],
+)
+def test_printable(text: str, safe: str) -> None:
+    assert printable(text) == safe
+
+
+def test_plain_lines_come_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    clock = iter(range(1000))
+    monkeypatch.setattr(progress, "monotonic", lambda: next(clock))
+    with progress.reporting(quiet=False) as report:
+        for done in range(40):
+            report("track", done, 40)
+    lines = capsys.readouterr().err.splitlines()
+    assert 3 < len(lines) < 20
+    assert lines[0].startswith("mavnav: track ")
+    assert lines[0].endswith(" s left")
+
+
+def test_quiet_is_silent(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(progress, "LINE_PERIOD_S", 0.0)
+    with progress.reporting(quiet=True) as report:
+        report("track", 1, 2)
+        report("track", 2, 2)
+    assert capsys.readouterr().err == ""
+
+
+def test_a_phase_of_unknown_length_is_named_if_it_lasts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "SPEAK_AFTER_S", 0.05)
+    import time
+
+    with progress.reporting(quiet=False) as report:
+        report("loading", 0, None)
+        time.sleep(0.3)
+        report("writing", 0, None)
+    assert capsys.readouterr().err == "mavnav: loading\n"

@@ -1,0 +1,252 @@
+"""mavnav replay: what it writes and prints, and one line with a code for everything that goes wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from mavnav.errors import ExitCode
+
+FEW = ("--end", 2.0, "--quiet")
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory, sample: Path) -> Path:
+    """Return the directory of a short run."""
+    from mavnav.cli import run
+
+    directory = tmp_path_factory.mktemp("runs") / "first"
+    assert run(["replay", str(sample), "-o", str(directory), *map(str, FEW)]) == 0
+    return directory
+
+
+def digest(directory: Path) -> dict[str, str]:
+    outputs: dict[str, str] = json.loads((directory / "run.json").read_text())["outputs"]
+    return outputs
+
+
+def test_writes_what_it_promises(finished: Path) -> None:
+    promised = {"trajectory.tum", "trajectory_base.tum", "trajectory.csv", "map.pgm", "map.yaml", "hits.npz"}
+    promised |= {"map.png", "wall_thickness.png", "result.mcap", "metrics.json"}
+    assert promised == set(digest(finished))
+    assert {path.name for path in finished.iterdir()} == promised | {"run.json"}
+
+
+def test_again_gives_the_same_bytes(mavnav: Callable, sample: Path, finished: Path, tmp_path: Path) -> None:
+    code, _, _ = mavnav("replay", sample, "-o", tmp_path / "again", *FEW)
+    assert code == 0
+    assert digest(tmp_path / "again") == digest(finished)
+
+
+def test_summary_on_stdout(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    code, out, err = mavnav("replay", sample, "-o", tmp_path / "r", *FEW)
+    assert code == 0
+    assert err == ""
+    for word in ("scans", "21 of 276", "accepted", "lost", "never", "path", "wall thickness", "scans/s", "map.png"):
+        assert word in out
+
+
+def test_json_is_run_json_and_nothing_else(spawn: Callable, sample: Path, tmp_path: Path) -> None:
+    process = spawn("replay", sample, "-o", tmp_path / "r", "--end", 2.0, "--json")
+    out, _ = process.communicate(timeout=120)
+    assert process.returncode == 0
+    document = json.loads(out)
+    assert document == json.loads((tmp_path / "r" / "run.json").read_text())
+    assert document["schema_version"] == 1
+    assert document["exit_code"] == 0
+    assert document["scans"]["processed"] == 21
+
+
+def test_options_reach_the_run(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    options = ["--grid", "6x7", "--azimuth", "15", "--online", "--odom", "off", "--set", "robust.cell_mm=25"]
+    code, out, _ = mavnav("replay", sample, "-o", tmp_path / "r", *FEW, "--json", *options, "--extrinsic", "0.1,0,0.5")
+    document = json.loads(out)
+    assert code == 0
+    assert (document["grid"], document["azimuth"], document["method"]) == ("6x7", 15, "robust")
+    assert document["config"]["final_pass"] is False
+    assert document["config"]["robust"]["cell_mm"] == 25
+    assert document["input"]["base_T_laser"] == {"x_m": 0.1, "y_m": 0.0, "yaw_rad": 0.5}
+    assert document["input"]["odometry"] is None
+
+
+def test_the_window_counts_from_the_first_scan(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    _, out, _ = mavnav("replay", sample, "-o", tmp_path / "r", "-q", "--json", "--start", 1, "--end", 2)
+    document = json.loads(out)
+    assert document["scans"]["processed"] == 11
+    rows = (tmp_path / "r" / "trajectory.tum").read_text().splitlines()
+    assert rows[0].split()[0].startswith("1700000001.0")
+
+
+def test_paper_ignores_odometry(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    _, out, _ = mavnav("replay", sample, "-o", tmp_path / "r", *FEW, "--method", "paper", "--json")
+    document = json.loads(out)
+    assert document["method"] == "paper"
+    assert document["input"]["odometry"] is None
+
+
+def test_the_default_directory_names_log_method_and_grid(
+    mavnav: Callable, sample: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert mavnav("replay", sample, *FEW, "--grid", "5x6")[0] == 0
+    assert (tmp_path / "runs" / "room-robust-5x6" / "run.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("name", "stem"),
+    [
+        ("a.mcap", "a"),
+        ("a.b.bag", "a.b"),
+        ("a.bag.active", "a"),
+        ("a.mcap.zst", "a"),
+        ("a_0.db3.zstd", "a_0"),
+        ("noend", "noend"),
+        (".mcap", ".mcap"),
+    ],
+)
+def test_log_names(tmp_path: Path, name: str, stem: str) -> None:
+    from mavnav.config import Config
+    from mavnav.replay import default_directory
+
+    assert default_directory(tmp_path / name, Config()) == Path("runs") / f"{stem}-robust-10x10"
+
+
+def test_a_folder_is_named_as_it_is(tmp_path: Path) -> None:
+    from mavnav.config import Config
+    from mavnav.replay import default_directory
+
+    (tmp_path / "drive.mcap").mkdir()
+    assert default_directory(tmp_path / "drive.mcap", Config()).name == "drive.mcap-robust-10x10"
+
+
+# --- errors: one line, one code -----------------------------------------------------------------------------------
+
+
+def expect(result: tuple[int, str, str], code: int, *words: str) -> None:
+    got, out, err = result
+    assert got == code, err
+    assert out == ""
+    assert err.startswith("mavnav: error: ")
+    assert err.count("\n") == 1, err
+    for word in words:
+        assert word in err
+
+
+def test_no_such_file(mavnav: Callable, tmp_path: Path) -> None:
+    expect(mavnav("replay", tmp_path / "none.mcap", "-q"), ExitCode.USAGE, "none.mcap", "no such file")
+
+
+def test_not_a_log(mavnav: Callable, tmp_path: Path) -> None:
+    text = tmp_path / "notes.txt"
+    text.write_text("no log at all, just words\n" * 20)
+    expect(mavnav("replay", text, "-o", tmp_path / "r", "-q"), ExitCode.NO_SCANS, "notes.txt")
+    assert not (tmp_path / "r").exists()
+
+
+def test_no_scan_topic(mavnav: Callable, make_log: Callable, tmp_path: Path) -> None:
+    log = make_log("odometry.mcap", scan=[])
+    expect(mavnav("replay", log, "-o", tmp_path / "r", "-q"), ExitCode.NO_SCANS, "no LaserScan", "/odom")
+
+
+def test_two_scan_topics(mavnav: Callable, make_log: Callable, tmp_path: Path) -> None:
+    log = make_log("two.mcap", scan=["/front", "/rear"])
+    expect(mavnav("replay", log, "-o", tmp_path / "r", "-q"), ExitCode.USAGE, "/front (276", "/rear", "--topic")
+    assert mavnav("replay", log, "-o", tmp_path / "r", *FEW, "--topic", "/rear")[0] == 0
+
+
+def test_no_such_topic(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    expect(mavnav("replay", sample, "-o", tmp_path, "-q", "--force", "--topic", "/no"), ExitCode.USAGE, "/no", "/scan")
+    expect(mavnav("replay", sample, "-o", tmp_path, "-q", "--force", "--odom", "/no"), ExitCode.USAGE, "/no", "/odom")
+
+
+def test_an_existing_output_stays_without_force(mavnav: Callable, sample: Path, finished: Path) -> None:
+    before = (finished / "run.json").read_bytes()
+    expect(mavnav("replay", sample, "-o", finished, *FEW), ExitCode.OUTPUT, "exists", "--force")
+    assert (finished / "run.json").read_bytes() == before
+
+
+def test_an_unwritable_output_is_told_before_the_work(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    expect(mavnav("replay", sample, "-o", file / "run", "-q"), ExitCode.OUTPUT, str(file), "-o")
+    expect(mavnav("replay", sample, "-o", "/proc/run", "-q"), ExitCode.OUTPUT, "/proc/run")
+
+
+def test_unknown_configuration_key(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    config = tmp_path / "my.yaml"
+    config.write_text("azimuth: 20\nrobust:\n  cel_mm: 25\n")
+    result = mavnav("replay", sample, "-o", tmp_path / "r", "-q", "--config", config)
+    expect(result, ExitCode.USAGE, f"{config}:3", "robust.cel_mm", "did you mean robust.cell_mm?")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--grid", "0x5"], ["--grid", "'0x5'", "10x10"]),
+        (["--azimuth", "1"], ["--azimuth", "greater than or equal to 2"]),
+        (["--azimuth", "many"], ["--azimuth", "see 'mavnav replay --help'"]),
+        (["--method", "magic"], ["--method", "'robust' or 'paper'"]),
+        (["--set", "robust.cel_mm=3"], ["robust.cell_mm"]),
+        (["--extrinsic", "1,2"], ["--extrinsic", "X,Y,YAW"]),
+        (["--extrinsic", "1,2,nan"], ["--extrinsic", "X,Y,YAW"]),
+        (["--no-such-option"], ["--no-such-option", "see 'mavnav replay --help'"]),
+        (["--start", "100"], ["--start"]),
+        (["--config", "none.yaml"], ["none.yaml", "paper, robust"]),
+    ],
+    ids=" ".join,
+)
+def test_options_that_cannot_be(
+    mavnav: Callable, sample: Path, tmp_path: Path, options: list[str], words: list[str]
+) -> None:
+    code = ExitCode.NO_SCANS if "--start" in options else ExitCode.USAGE
+    expect(mavnav("replay", sample, "-o", tmp_path / "r", "-q", *options), code, *words)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_name_cannot_steer_the_terminal(mavnav: Callable, tmp_path: Path) -> None:
+    _, _, err = mavnav("replay", tmp_path / "a\x1b[2J\nb\u202e.mcap")
+    assert "\x1b" not in err
+    assert "\u202e" not in err
+    assert "\\x1b[2J\\nb\\u202e" in err
+
+
+def test_a_damaged_log_is_used_and_told(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(sample.read_bytes()[: sample.stat().st_size * 6 // 10])
+    code, out, err = mavnav("replay", cut, "-o", tmp_path / "r", "-q", "--json", "--end", 2.0)
+    document = json.loads(out)
+    assert code == document["exit_code"] == ExitCode.DAMAGED_INPUT
+    assert document["damage"]
+    assert "the input is damaged" in err
+
+
+# --- signals ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "word"),
+    [
+        (signal.SIGINT, ExitCode.INTERRUPTED, "interrupted"),
+        (signal.SIGTERM, ExitCode.TERMINATED, "terminated"),
+    ],
+)
+def test_a_signal_leaves_nothing_half_written(
+    spawn: Callable, sample: Path, tmp_path: Path, number: int, code: int, word: str
+) -> None:
+    directory = tmp_path / "out" / "run"
+    process = spawn("replay", sample, "-o", directory, "--grid", "100x100", "--azimuth", "1000")
+    # Long enough a run that the signal falls into the tracking.
+    time.sleep(2.0)
+    assert process.poll() is None
+    os.kill(process.pid, number)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == code
+    assert out == ""
+    assert err.splitlines()[-1] == f"mavnav: {word}"
+    assert not directory.parent.exists() or list(directory.parent.iterdir()) == []

@@ -1,0 +1,188 @@
+"""The picture of docs/architecture.md, executed: arrows between rooms, who may print, what --help may import."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mavnav.errors import ExitCode
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "mavnav"
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+GROUND = {"errors", "units", "pose", "scan", "config"}
+CORE = {"grid", "linemap", "matcher", "motion", "methods", "slam"}
+ALLOWED: dict[str, set[str]] = {
+    "": set(),
+    "errors": set(),
+    "units": set(),
+    "pose": set(),
+    "scan": set(),
+    "config": {"errors", "units"},
+    "layers": {"errors"},
+    "config_file": {"errors", "config", "layers"},
+    "kernels": set(),
+    "logs": GROUND,
+    "grid": GROUND | {"kernels"},
+    "linemap": GROUND | {"kernels", "grid"},
+    "matcher": GROUND | {"kernels", "grid", "linemap"},
+    "motion": GROUND,
+    "methods": GROUND | {"kernels", "grid", "linemap", "matcher", "motion"},
+    "slam": GROUND | {"grid", "matcher", "motion", "methods"},
+    "metrics": GROUND | {"kernels", "grid"},
+    "outputs": GROUND | {"", "logs", "metrics"} | CORE,
+    "replay": GROUND | {"logs", "metrics", "outputs"} | CORE,
+    "commands": GROUND | {"", "config_file", "logs", "metrics", "outputs", "replay"} | CORE,
+    "cli": {"", "commands", "errors"},
+}
+"""Room -> rooms that it may import; "" is the package itself (its version)."""
+
+ABOVE_THE_ROOMS = {"commands", "cli"}
+
+
+def room(path: Path) -> str:
+    first = path.relative_to(PACKAGE).parts[0]
+    return {"__init__.py": "", "__main__.py": "cli"}.get(first) if first.startswith("__") else first.removesuffix(".py")
+
+
+def imports(path: Path) -> set[str]:
+    """Return the full dotted names that a file imports, anywhere in it."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def rooms_imported(path: Path) -> set[str]:
+    ours = [name.split(".")[1:] for name in imports(path) if name.split(".")[0] == "mavnav"]
+    known = {room(file) for file in FILES}
+    return {parts[0] if parts and parts[0] in known else "" for parts in ours}
+
+
+def test_every_room_has_a_line_in_the_table() -> None:
+    assert {room(path) for path in FILES} <= set(ALLOWED)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_arrows(path: Path) -> None:
+    here = room(path)
+    assert rooms_imported(path) - {here} <= ALLOWED[here]
+
+
+def test_the_table_has_no_cycle() -> None:
+    left, order = dict(ALLOWED), []
+    while free := [name for name, needs in left.items() if not needs & set(left) - {name}]:
+        order += free
+        for name in free:
+            del left[name]
+    assert left == {}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_only_kernels_import_numba(path: Path) -> None:
+    if room(path) != "kernels":
+        assert not {name for name in imports(path) if name.split(".")[0] in {"numba", "llvmlite"}}
+
+
+def test_kernels_call_no_kernel_of_another_file() -> None:
+    for path in PACKAGE.glob("kernels/*.py"):
+        others = {n for n in imports(path) if n.startswith("mavnav.") and not n.startswith("mavnav.kernels._jit")}
+        assert not others, f"{path.name}: numba's cache would miss an edit in {others}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_rooms_neither_print_nor_exit(path: Path) -> None:
+    if room(path) in ABOVE_THE_ROOMS:
+        return
+    called = {ast.unparse(node.func) for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)}
+    assert not called & {"print", "exit", "quit", "sys.exit", "os._exit", "sys.stdout.write", "sys.stderr.write"}
+    assert not {name for name in imports(path) if name.split(".")[0] in {"rich", "typer"}}
+
+
+@pytest.mark.parametrize(
+    "args", [["--help"], ["replay", "--help"], ["info", "--help"], ["config", "--help"]], ids=" ".join
+)
+def test_help_imports_no_heavy_library(args: list[str]) -> None:
+    code = (
+        "import sys\nfrom mavnav.cli import run\nassert run(sys.argv[1:]) == 0\n"
+        "print(*(m.partition('.')[0] for m in sys.modules), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, *args], capture_output=True, text=True, check=True)
+    heavy = {"numpy", "numba", "scipy", "matplotlib", "yaml", "rosbags", "mcap", "google", "zstandard", "lz4"}
+    if args == ["--help"]:  # for a command with parameters typer imports pydantic itself
+        heavy |= {"pydantic"}
+    assert not heavy & set(done.stderr.split())
+    assert "Usage" in done.stdout
+
+
+def test_every_exit_code_is_documented_and_exists() -> None:
+    for document in ("README.md", "docs/cli.md"):
+        text = (ROOT / document).read_text().partition("## Exit codes")[2].partition("\n## ")[0]
+        assert {int(code) for code in re.findall(r"^\| (\d+) \|", text, re.MULTILINE)} == {
+            int(code) for code in ExitCode
+        }
+
+
+def documented_commands() -> list[str]:
+    """Return the subcommands that README and docs/cli.md show in code, by their words before any option."""
+    text = (ROOT / "README.md").read_text() + (ROOT / "docs/cli.md").read_text()
+    calls = re.findall(r"(?:^ {4}|`)(?:\$ )?mavnav ([a-z]+(?: (?:show|schema))?)", text, re.MULTILINE)
+    return sorted(set(calls))
+
+
+def test_documented_commands_answer_help() -> None:
+    found = documented_commands()
+    assert {"replay", "info", "config show"} <= set(found)
+    for command in found:
+        subprocess.run(
+            [sys.executable, "-m", "mavnav", *command.split(), "--help"], check=True, capture_output=True, timeout=30
+        )
+
+
+def documented_options() -> set[str]:
+    text = (ROOT / "README.md").read_text() + (ROOT / "docs/cli.md").read_text()
+    return set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text))
+
+
+def test_documented_options_exist() -> None:
+    helps = "".join(
+        subprocess.run(
+            [sys.executable, "-m", "mavnav", *command, "--help"],
+            check=True,
+            capture_output=True,
+            text=True,
+            env={"COLUMNS": "200", "PATH": ""},
+        ).stdout
+        for command in ([], ["replay"], ["info"], ["config", "show"])
+    )
+    assert {option for option in documented_options() if option not in helps} == set()
+
+
+def kernel_names() -> set[str]:
+    """Return the functions that carry the kernel decorator and are called from outside of their file."""
+    names: set[str] = set()
+    for path in PACKAGE.glob("kernels/*.py"):
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.FunctionDef) and node.decorator_list and not node.name.startswith("_"):
+                names.add(node.name)
+    return names
+
+
+def test_every_kernel_has_a_twin() -> None:
+    """A twin is a function of the tests named after the kernel, with or without a ``naive_`` before it."""
+    twins: set[str] = set()
+    for path in (ROOT / "tests").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef):
+                twins |= {node.name, node.name.removeprefix("naive_"), node.name.removesuffix("_twin")}
+    assert kernel_names() - twins == set()
