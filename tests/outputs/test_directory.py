@@ -1,0 +1,166 @@
+"""The run directory appears complete or not at all."""
+
+import errno
+import hashlib
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from mavnav import outputs
+from mavnav.errors import ExitCode, OutputError
+from mavnav.outputs import check_directory, write_run
+
+ALWAYS = {
+    "trajectory.tum", "trajectory.csv", "map.pgm", "map.yaml", "hits.npz", "map.png", "wall_thickness.png",
+    "result.mcap", "metrics.json", "run.json",
+}  # fmt: skip
+
+
+@pytest.fixture
+def light(monkeypatch):
+    """Leave the pictures out: failures are about the directory."""
+    few = {name: outputs.WRITERS[name] for name in ("trajectory.tum", "map.yaml")}
+    monkeypatch.setattr(outputs, "WRITERS", few)
+
+
+def break_writer(monkeypatch, error):
+    def fail(run, path):
+        path.write_text("half")
+        raise error
+
+    monkeypatch.setitem(outputs.WRITERS, "map.yaml", fail)
+
+
+@pytest.fixture(scope="module")
+def twice(run, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("twice")
+    return [(folder / name, write_run(run, folder / name)) for name in ("a", "b")]
+
+
+def test_all_files_are_written(twice, run, change, tmp_path, light):
+    assert {p.name for p in twice[0][0].iterdir()} == ALWAYS | {"trajectory_base.tum"}
+
+
+def test_without_a_mounting_there_is_no_base(run, change, tmp_path):
+    document = write_run(change(run, base_T_laser=None, mounting_source=None, base_frame=None), tmp_path / "x")
+    assert {p.name for p in (tmp_path / "x").iterdir()} == ALWAYS
+    assert set(document["outputs"]) == ALWAYS - {"run.json"}
+
+
+def test_twice_the_same_bytes(twice):
+    (a, _), (b, _) = twice
+    for path in a.iterdir():
+        assert path.read_bytes() == (b / path.name).read_bytes(), path.name
+
+
+def test_the_document_is_run_json_and_tells_the_digest_of_every_file(twice):
+    folder, document = twice[0]
+    assert json.loads((folder / "run.json").read_text()) == document
+    for name, digest in document["outputs"].items():
+        assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
+    assert set(document["outputs"]) == {p.name for p in folder.iterdir()} - {"run.json"}
+
+
+def test_what_exists_stays_without_force(run, tmp_path, light):
+    write_run(run, tmp_path / "x")
+    before = (tmp_path / "x" / "run.json").stat().st_mtime_ns
+    with pytest.raises(OutputError, match="--force") as caught:
+        write_run(run, tmp_path / "x")
+    assert caught.value.exit_code == ExitCode.OUTPUT
+    assert (tmp_path / "x" / "run.json").stat().st_mtime_ns == before
+
+
+def test_force_replaces_a_run_with_all_that_is_in_it(run, tmp_path, light):
+    write_run(run, tmp_path / "x")
+    (tmp_path / "x" / "left.over").touch()
+    write_run(run, tmp_path / "x", force=True)
+    assert {p.name for p in (tmp_path / "x").iterdir()} == {"run.json", "trajectory.tum", "map.yaml"}
+    assert [p.name for p in tmp_path.iterdir()] == ["x"]
+
+
+def test_force_fills_an_empty_directory(run, tmp_path, light):
+    (tmp_path / "x").mkdir()
+    write_run(run, tmp_path / "x", force=True)
+    assert (tmp_path / "x" / "run.json").is_file()
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_directory_that_is_no_run_is_never_replaced(run, tmp_path, light, force):
+    (tmp_path / "x").mkdir()
+    (tmp_path / "x" / "thesis.tex").write_text("precious")
+    with pytest.raises(OutputError, match="other files"):
+        write_run(run, tmp_path / "x", force=force)
+    assert (tmp_path / "x" / "thesis.tex").read_text() == "precious"
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_file_in_the_way_stays(run, tmp_path, light, force):
+    (tmp_path / "x").write_text("precious")
+    with pytest.raises(OutputError, match="is a file"):
+        write_run(run, tmp_path / "x", force=force)
+    with pytest.raises(OutputError, match="no directory"):
+        write_run(run, tmp_path / "x" / "y", force=force)
+    assert (tmp_path / "x").read_text() == "precious"
+
+
+def test_parents_are_made(run, tmp_path, light):
+    write_run(run, tmp_path / "a" / "b" / "x")
+    assert (tmp_path / "a" / "b" / "x" / "run.json").is_file()
+
+
+def test_a_link_to_a_run_is_followed(run, tmp_path, light):
+    write_run(run, tmp_path / "x")
+    (tmp_path / "link").symlink_to("x")
+    write_run(run, tmp_path / "link", force=True)
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "x" / "run.json").is_file()
+
+
+def test_an_unwritable_parent_is_an_output_error(run, light):
+    with pytest.raises(OutputError, match="cannot be"):
+        write_run(run, Path("/proc/mavnav/x"))
+
+
+def test_a_parent_without_permission_is_told_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda path, mode: False)  # permissions do not bind root
+    with pytest.raises(OutputError, match="not writable"):
+        check_directory(tmp_path / "x", force=False)
+
+
+@pytest.mark.parametrize(
+    ("error", "raised", "text"),
+    [
+        (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), OutputError, "No space left"),
+        (RuntimeError("bug"), RuntimeError, "bug"),
+        (KeyboardInterrupt("ctrl-c"), KeyboardInterrupt, "ctrl-c"),
+    ],
+)
+@pytest.mark.parametrize("existing", [False, True])
+def test_a_failing_writer_leaves_what_was_there(  # noqa: PLR0917
+    run, tmp_path, monkeypatch, light, existing, error, raised, text
+):
+    if existing:
+        write_run(run, tmp_path / "x")
+    before = sorted(p.name for p in tmp_path.rglob("*"))
+    break_writer(monkeypatch, error)
+    with pytest.raises(raised, match=text):
+        write_run(run, tmp_path / "x", force=True)
+    assert sorted(p.name for p in tmp_path.rglob("*")) == before
+
+
+def test_the_old_run_comes_back_where_the_new_cannot_take_its_place(run, tmp_path, monkeypatch, light):
+    write_run(run, tmp_path / "x")
+    rename = type(tmp_path).rename
+
+    def refuse(self, target):
+        if ".partial-" in self.name:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        return rename(self, target)
+
+    monkeypatch.setattr(type(tmp_path), "rename", refuse)
+    with pytest.raises(OutputError, match="Permission denied"):
+        write_run(run, tmp_path / "x", force=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["x"]
+    assert (tmp_path / "x" / "run.json").is_file()

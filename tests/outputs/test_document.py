@@ -1,0 +1,90 @@
+"""run.json: everything promised, nothing that JSON lacks."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mavnav.logs import Damage
+from mavnav.metrics.wall_thickness import wall_thickness
+from mavnav.outputs.document import plain, run_document, to_json
+from mavnav.slam import LostInterval
+
+KEYS = {
+    "schema_version", "mavnav_version", "input", "config", "method", "grid", "azimuth", "scans", "cleaning", "tracking",
+    "timing", "search", "wall_thickness", "map", "damage", "warnings", "outputs", "exit_code", "python", "libraries",
+}  # fmt: skip
+
+
+def strict(document):
+    """Write and read back, refusing NaN and infinities."""
+
+    def refuse(word):
+        raise AssertionError(word)
+
+    return json.loads(to_json(document), parse_constant=refuse)
+
+
+def test_the_promised_names_are_there(run):
+    document = strict(run_document(run, {"map.pgm": "abc"}))
+    assert set(document) == KEYS
+    assert {"path", "sha256", "format", "topic"} <= set(document["input"])
+    assert set(document["wall_thickness"]) == {"1", "2", "5"}
+    assert {"max_cells", "p95_cells", "median_cells", "sections", "length_m"} <= set(document["wall_thickness"]["2"])
+    assert {"wall_s", "cpu_s", "compile_s", "scans_per_s", "realtime_factor"} == set(document["timing"])
+    assert document["outputs"] == {"map.pgm": "abc"}
+    assert (document["grid"], document["config"]["grid"]) == ("10x10", "10x10")
+
+
+def test_scans_are_accounted_for(run):
+    scans = run_document(run, {})["scans"]
+    assert (scans["total"], scans["usable"], scans["skipped"]) == (22, 20, {"stamp repeats": 2})
+    assert (scans["processed"], scans["tracked"], scans["accepted"], scans["rejected"]) == (20, 18, 17, 3)
+
+
+def test_a_lost_stretch_is_told_in_seconds_from_the_first_scan(run):
+    tracking = run_document(run, {})["tracking"]
+    assert tracking["lost"] is False
+    (interval,) = tracking["intervals"]
+    assert interval["start_s"] == pytest.approx(5.0, abs=1e-6)
+    assert interval["end_s"] == pytest.approx(5.5, abs=1e-6)
+    assert (interval["scans"], interval["recovered"]) == (2, True)
+    assert tracking["tracked_share"] == 0.9
+    assert tracking["frames"] == {
+        "trajectory.tum": ["map", "/laser"], "trajectory_base.tum": ["map", "base_footprint"]
+    }  # fmt: skip
+
+
+def lost_for_good(run):
+    last = LostInterval(run.log.last_ns, run.log.last_ns, 1, recovered=False)
+    return replace(run, slam=replace(run.slam, lost=(*run.slam.lost, last)))
+
+
+def test_exit_codes(run, change):
+    damaged = change(run, damage=(Damage("chunk cut short", "byte 7"),))
+    assert run_document(run, {})["exit_code"] == 0
+    assert run_document(damaged, {})["exit_code"] == 3
+    assert run_document(damaged, {})["damage"] == [{"what": "chunk cut short", "where": "byte 7"}]
+    assert run_document(lost_for_good(run), {})["exit_code"] == 5
+    assert run_document(lost_for_good(damaged), {})["exit_code"] == 5
+    assert run_document(lost_for_good(run), {})["tracking"]["lost"] is True
+
+
+def test_no_wall_is_null(run):
+    empty = wall_thickness(np.zeros((3, 3), np.int32), 0.02, 5)
+    document = strict(run_document(replace(run, thickness={5: empty}), {}))
+    assert document["wall_thickness"]["5"]["max_cells"] is None
+    assert document["wall_thickness"]["5"]["sections"] == 0
+
+
+def test_a_run_of_no_steps_has_a_document(run):
+    nothing = replace(run, slam=replace(run.slam, steps=()))
+    document = strict(run_document(nothing, {}))
+    assert document["search"]["evaluations_per_scan"] == {"mean": None, "median": None, "min": None, "max": None}
+    assert document["map"]["accepted_share"] == 0
+
+
+def test_plain_values():
+    value = {"a": np.float32(1.5), "b": [np.int64(2), float("inf"), np.nan], 3: (True, np.bool_(False), None)}
+    assert plain(value) == {"a": 1.5, "b": [2, None, None], "3": [True, False, None]}

@@ -1,0 +1,91 @@
+"""Pictures: there, of a sane size, and drawn from any map."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mavnav.grid import Grid
+from mavnav.metrics.wall_thickness import wall_sections, wall_thickness
+from mavnav.outputs import drawing, map_picture, wall_picture
+from mavnav.pose import Trajectory
+
+WRITERS = pytest.mark.parametrize("write", [map_picture.write, wall_picture.write], ids=["map", "walls"])
+
+
+def with_map(run, hits, trajectory=None, cell_m=0.02):
+    grid = Grid(cell_m, (0.0, 0.0), hits.astype(np.int32), np.zeros(hits.shape, np.int32))
+    slam = replace(run.slam, grid=grid, trajectory=trajectory or run.slam.trajectory)
+    return replace(run, slam=slam, thickness={k: wall_thickness(grid.hits, cell_m, k) for k in (1, 2, 5)})
+
+
+def size_of(path):
+    with Image.open(path) as image:
+        image.verify()
+        return image.size
+
+
+@WRITERS
+@pytest.mark.parametrize("shape", [(80, 80), (40, 3000), (3000, 40), (4000, 5000)])
+def test_any_shape_of_map_gives_a_picture_that_fits_a_screen(run, write, shape, tmp_path):
+    hits = np.zeros(shape)
+    hits[5:-5, 5] = hits[5:-5, -5] = hits[5, 5:-5] = hits[-5, 5:-5] = 7
+    write(with_map(run, hits), tmp_path / "p.png")
+    width, height = size_of(tmp_path / "p.png")
+    assert 600 < width < 2400
+    assert 400 < height < 2000
+
+
+@WRITERS
+def test_an_empty_map_without_a_pose_is_drawn(run, write, tmp_path):
+    write(with_map(run, np.zeros((0, 0)), Trajectory.of([], [])), tmp_path / "p.png")
+    assert size_of(tmp_path / "p.png")[0] > 400
+
+
+def test_the_colours_of_the_legend_are_in_the_map(run, tmp_path):
+    map_picture.write(run, tmp_path / "map.png")
+    with Image.open(tmp_path / "map.png") as image:
+        pixels = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
+
+    def near(colour):
+        return (np.abs(pixels - colour).sum(axis=1) < 60).sum()
+
+    assert near((0xD6, 0x00, 0x9A)) > 200  # poses
+    assert near((0x00, 0x33, 0xFF)) > 50  # start
+    assert near((0xE0, 0x00, 0x00)) > 50  # end
+
+
+def test_a_wall_of_one_cell_survives_the_shrinking():
+    hits = np.zeros((1000, 1003), np.int32)
+    hits[500] = 3
+    small = drawing.pooled(hits, 7)
+    assert small.shape == (143, 144)
+    assert (small.max(axis=0) == 3).all()
+
+
+def test_a_single_far_return_does_not_shrink_the_room(run):
+    hits = np.zeros((4000, 4000), np.int32)
+    hits[100, 100:2000] = hits[100:2000, 100] = 5
+    hits[3990, 3990] = 1
+    grid = Grid(0.02, (0.0, 0.0), hits, np.zeros_like(hits))
+    window = drawing.window_of(grid, np.zeros((1, 2)))
+    assert window.x1_m < 45
+    assert window.x0_m < 0
+
+
+def test_long_paths_are_thinned_evenly_along_their_length():
+    xy = np.column_stack((np.concatenate((np.zeros(500), np.linspace(0, 10, 500))), np.zeros(1000)))
+    some = map_picture.thinned(xy, 50)
+    assert len(some) <= 50
+    assert (some[0], some[-1]) == (0, 999)
+    assert np.diff(xy[some, 0]).max() < 0.3
+
+
+def test_section_lines_run_from_the_first_cell_to_the_last():
+    hits = np.zeros((60, 60), np.int32)
+    hits[20:24, 5:55] = 4
+    grid = Grid(0.02, (1.0, 2.0), hits, np.zeros_like(hits))
+    lines = wall_picture.section_lines(grid, wall_sections(hits, 0.02, 1), 0.0)
+    middle = lines[np.argmin(np.abs(lines[:, 0, 0] - 1.6))]
+    assert middle[:, 1] == pytest.approx([2.0 + 20 * 0.02, 2.0 + 24 * 0.02])
