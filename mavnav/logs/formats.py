@@ -90,6 +90,8 @@ def refusal(path: Path) -> str:
         return "the file is empty"
     if old := re.match(rb"#ROS(?:BAG|RECORD) V([0-9.]+)", head):
         return f"a ROS 1 bag of format {old[1].decode()}; only 2.0 is read, convert it with `rosbag fix`"
+    if head.startswith(ZSTD_MAGIC):
+        return "compressed with zstd, but the start of what is inside is no log, or does not decompress"
     return "not an MCAP file, ROS 1 bag or ROS 2 bag"
 
 

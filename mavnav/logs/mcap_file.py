@@ -12,14 +12,13 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from typing import IO, TYPE_CHECKING
 
+from mavnav.logs.ledger import Ledger
 from mavnav.logs.records import Channel, RawMessage, ros_type
-from mavnav.logs.unpack import UnpackError, unpack
+from mavnav.logs.unpack import MAX_CHUNK_BYTES, UnpackError, unpack
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
-
-    from mavnav.logs.ledger import Ledger
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -27,6 +26,8 @@ _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END = 
 _WANTED = frozenset({_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END})
 _RECORD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
+_FOOTER_HEAD = struct.Struct("<BQQ")
+_FOOTER_BYTES = 20
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _BLOCK_BYTES = 1 << 20
 _ENCODING_OF_SCHEMA = {"ros2msg": "cdr", "ros2idl": "cdr", "ros1msg": "ros1"}
@@ -39,6 +40,7 @@ class _State:
     ledger: Ledger
     schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
+    spare: dict[int, Channel] = field(default_factory=dict)
     strangers: set[int] = field(default_factory=set)
     messages: int = 0
     ended: bool = False
@@ -53,12 +55,30 @@ def read_mcap(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
     state = _State(ledger)
     with path.open("rb") as file:
         size = path.stat().st_size
+        state.spare = _summary_channels(file, size)
         file.seek(len(MAGIC))
         for opcode, content, offset in _file_records(file, size, state):
             if opcode == _CHUNK:
                 yield from _chunk_messages(content, f"chunk at byte {offset}", state)
             else:
                 yield from _take(opcode, content, f"byte {offset}", state)
+
+
+def _summary_channels(file: IO[bytes], size: int) -> dict[int, Channel]:
+    """Return the channels that the summary repeats: needed only where the chunk that declares them is damaged."""
+    spare = _State(Ledger())
+    footer_at = size - len(MAGIC) - _RECORD.size - _FOOTER_BYTES
+    file.seek(max(footer_at, 0))
+    opcode, length, start = _FOOTER_HEAD.unpack(file.read(_FOOTER_HEAD.size).ljust(_FOOTER_HEAD.size, b"\0"))
+    if opcode != _FOOTER or length != _FOOTER_BYTES or not 0 < start < footer_at:
+        return {}
+    file.seek(start)
+    summary = file.read(min(footer_at - start, MAX_CHUNK_BYTES))
+    for record, content in _split(summary, "summary", spare):
+        if record in (_SCHEMA, _CHANNEL):
+            for _ in _take(record, content, "summary", spare):
+                pass
+    return spare.channels
 
 
 def _file_records(file: IO[bytes], size: int, state: _State) -> Iterator[tuple[int, bytes, int]]:
@@ -111,15 +131,21 @@ def _chunk_messages(content: bytes, where: str, state: _State) -> Iterator[RawMe
     except (UnpackError, struct.error, UnicodeDecodeError) as error:
         state.ledger.damage(f"chunk left out: {error}", where)
         return
+    for opcode, record in _split(records, where, state):
+        if opcode in (_MESSAGE, _CHANNEL, _SCHEMA):
+            yield from _take(opcode, record, where, state)
+
+
+def _split(records: bytes, where: str, state: _State) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of records that lie one behind the other in memory."""
     offset = 0
     while offset < len(records):
         opcode, length = _RECORD.unpack_from(records, offset) if len(records) - offset >= _RECORD.size else (0, 1 << 64)
         start = offset + _RECORD.size
         if length > len(records) - start:
-            state.ledger.damage("a record inside the chunk is longer than the chunk; the rest is left out", where)
+            state.ledger.damage("a record inside is longer than what it lies in; the rest is left out", where)
             return
-        if opcode in (_MESSAGE, _CHANNEL, _SCHEMA):
-            yield from _take(opcode, records[start : start + length], where, state)
+        yield opcode, records[start : start + length]
         offset = start + length
 
 
@@ -166,12 +192,19 @@ def _take(opcode: int, content: bytes, where: str, state: _State) -> Iterator[Ra
 def _message(content: bytes, where: str, state: _State) -> Iterator[RawMessage]:
     number, _, log_ns, _ = _MESSAGE_HEAD.unpack_from(content)
     state.messages += 1
-    channel = state.channels.get(number)
+    channel = state.channels.get(number) or _spare_channel(number, state)
     if channel is not None:
         yield RawMessage(channel, log_ns, content[_MESSAGE_HEAD.size :])
     elif number not in state.strangers:
         state.strangers.add(number)
         state.ledger.damage(f"messages of channel {number}, which is declared nowhere before, are left out", where)
+
+
+def _spare_channel(number: int, state: _State) -> Channel | None:
+    channel = state.spare.get(number)
+    if channel is not None:
+        state.channels[number] = state.ledger.declare(channel)
+    return channel
 
 
 def _declare(opcode: int, content: bytes, state: _State) -> None:

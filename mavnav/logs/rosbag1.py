@@ -13,14 +13,13 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from typing import IO, TYPE_CHECKING, NamedTuple
 
+from mavnav.logs.ledger import Ledger
 from mavnav.logs.records import Channel, RawMessage, ros_type
 from mavnav.logs.unpack import UnpackError, unpack
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
-
-    from mavnav.logs.ledger import Ledger
 
 MAGIC = b"#ROSBAG V2.0\n"
 
@@ -64,6 +63,7 @@ class _Source:
 class _State:
     ledger: Ledger
     channels: dict[int, Channel] = field(default_factory=dict)
+    spare: dict[int, Channel] = field(default_factory=dict)
     strangers: set[int] = field(default_factory=set)
 
 
@@ -78,12 +78,26 @@ def read_rosbag1(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
         source = _Source(file, path.stat().st_size, "")
         if source.size == len(MAGIC):
             ledger.damage("the bag ends behind its magic line", source.where(source.size))
+        state.spare = _index_connections(source)
         for record in _records(source, len(MAGIC), state):
             ledger.at(record.start)
             if record.opcode == _CHUNK and not _is_flat(record):
                 yield from _chunk_messages(source, record, state)
             else:
                 yield from _take(source, record, state)
+
+
+def _index_connections(source: _Source) -> dict[int, Channel]:
+    """Return the connections that the index repeats: needed only where the chunk that declares them is damaged."""
+    spare = _State(Ledger())
+    bag = _parse_header(source, len(MAGIC))
+    index_at = _index_pos(bag) if bag else 0
+    record = _parse_header(source, index_at) if len(MAGIC) < index_at < source.size else None
+    while record is not None and record.opcode == _CONNECTION and record.end <= source.size:
+        for _ in _take(source, record, spare):
+            pass
+        record = _parse_header(source, record.end)
+    return spare.channels
 
 
 def _is_flat(record: _Record) -> bool:
@@ -186,16 +200,28 @@ def _take(source: _Source, record: _Record, state: _State) -> Iterator[RawMessag
             yield from _message(source, record, state)
         elif record.opcode == _CONNECTION:
             _declare(source, record, state)
-        elif record.opcode == _BAG and not any(record.fields.get(b"index_pos", b"")):
-            state.ledger.warn("the bag has no index, as after a crash of the recorder; it was read from front to back")
+        elif record.opcode == _BAG:
+            _check_index(source, record, state)
     except (struct.error, KeyError) as error:
         state.ledger.damage(f"a record lacks a field ({error})", source.where(record.start))
+
+
+def _check_index(source: _Source, record: _Record, state: _State) -> None:
+    index_at = _index_pos(record)
+    if not index_at:
+        state.ledger.warn("the bag has no index, as after a crash of the recorder; it was read from front to back")
+    elif index_at >= source.size:
+        state.ledger.damage("the bag is cut: it ends before its index", source.where(source.size))
+
+
+def _index_pos(bag: _Record) -> int:
+    return int.from_bytes(bag.fields.get(b"index_pos", b"")[:8], "little")
 
 
 def _message(source: _Source, record: _Record, state: _State) -> Iterator[RawMessage]:
     (number,) = _U32.unpack(record.fields[b"conn"])
     seconds, nanoseconds = _TIME.unpack(record.fields[b"time"])
-    channel = state.channels.get(number)
+    channel = state.channels.get(number) or _spare_channel(number, state)
     if channel is not None:
         data = source.read(record.start, record.end - record.start)
         yield RawMessage(channel, seconds * 1_000_000_000 + nanoseconds, data)
@@ -203,6 +229,13 @@ def _message(source: _Source, record: _Record, state: _State) -> Iterator[RawMes
         state.strangers.add(number)
         text = f"messages of connection {number}, which is declared nowhere before, are left out"
         state.ledger.damage(text, source.where(record.start))
+
+
+def _spare_channel(number: int, state: _State) -> Channel | None:
+    channel = state.spare.get(number)
+    if channel is not None:
+        state.channels[number] = state.ledger.declare(channel)
+    return channel
 
 
 def _declare(source: _Source, record: _Record, state: _State) -> None:

@@ -24,7 +24,7 @@ MAGIC = b"SQLite format 3\x00"
 
 _TOPICS = "SELECT id, name, type, serialization_format FROM topics"
 _MESSAGES = "SELECT topic_id, timestamp, data FROM messages NOT INDEXED ORDER BY rowid"
-_MAX_GROWTH = 1000
+_COUNT_AT = 28
 
 
 def read_sqlite(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
@@ -64,11 +64,13 @@ def _channels(connection: sqlite3.Connection, ledger: Ledger) -> dict[int, Chann
 def _whole(path: Path, ledger: Ledger) -> Iterator[Path]:
     """Yield a path that sqlite agrees to open.
 
-    It refuses a cut file as a whole, because the header tells more pages than there are: a copy, filled up with
-    zeros, lets the pages that exist be read. Rows still in a write-ahead log are read from a copy as well.
+    It refuses a cut file as a whole, because the header tells more pages than there are: a copy whose header tells
+    the truth lets the whole pages be read, and a row that reaches into the lost ones is an error, not zeros.
+    Rows still in a write-ahead log are read from a copy as well.
     """
-    declared, size = _declared_bytes(path), path.stat().st_size
-    cut = size < declared <= _MAX_GROWTH * size
+    page_bytes, pages = _page_size_and_count(path)
+    size = path.stat().st_size
+    cut = size < page_bytes * pages
     journal = path.with_name(path.name + "-wal")
     if not cut and not (journal.is_file() and journal.stat().st_size):
         yield path
@@ -77,21 +79,28 @@ def _whole(path: Path, ledger: Ledger) -> Iterator[Path]:
         copy = Path(folder) / path.name
         shutil.copyfile(path, copy)
         if cut:
-            ledger.damage(f"the file is cut: {size} of {declared} bytes are there", path.name)
-            with copy.open("r+b") as file:
-                file.truncate(declared)
+            ledger.damage(f"the file is cut: {size} of {page_bytes * pages} bytes are there", path.name)
+            _keep_whole_pages(copy, page_bytes, size // page_bytes)
         else:
             _merge_journal(copy, journal)
             ledger.warn(f"{path.name}: rows in its write-ahead log were read too (the recorder did not close the file)")
         yield copy
 
 
-def _declared_bytes(path: Path) -> int:
-    """Return the page size times the page count of the header (https://sqlite.org/fileformat.html, 1.3)."""
+def _page_size_and_count(path: Path) -> tuple[int, int]:
+    """Return what the header tells (https://sqlite.org/fileformat.html, 1.3): bytes 16 to 17 and 28 to 31."""
     with path.open("rb") as file:
         head = file.read(100)
     page = int.from_bytes(head[16:18], "big")
-    return (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big")
+    return (65536 if page == 1 else page), int.from_bytes(head[_COUNT_AT : _COUNT_AT + 4], "big")
+
+
+def _keep_whole_pages(copy: Path, page_bytes: int, pages: int) -> None:
+    with copy.open("r+b") as file:
+        file.truncate(page_bytes * pages)
+        if pages:
+            file.seek(_COUNT_AT)
+            file.write(pages.to_bytes(4, "big"))
 
 
 def _merge_journal(copy: Path, journal: Path) -> None:

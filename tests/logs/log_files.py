@@ -163,7 +163,13 @@ def write_bag2(path: Path, messages: Sequence[Message], storage: str = "SQLITE3"
 
 
 def write_zstd(path: Path, source: Path) -> Path:
-    path.write_bytes(zstandard.compress(source.read_bytes()))
+    """Compress a whole file, in blocks of 1000 bytes, so that small files have several."""
+    data, packer = source.read_bytes(), zstandard.ZstdCompressor().compressobj()
+    with path.open("wb") as file:
+        for at in range(0, len(data), 1000):
+            file.write(packer.compress(data[at : at + 1000]))
+            file.write(packer.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK))
+        file.write(packer.flush())
     return path
 
 

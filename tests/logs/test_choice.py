@@ -1,0 +1,169 @@
+"""Which topic, which odometry, which mounting; and inputs that are no logs."""
+
+from __future__ import annotations
+
+import os
+from math import pi
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from log_files import LASER, ODOM, PERIOD_NS, START_NS, TF, Message, drive, laser, write_mcap
+
+from mavnav.errors import NoScansError, TopicError, UsageError
+from mavnav.logs import open_log
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def tf(parent: str, child: str, topic: str = "/tf_static", k: int = 0, **fields: Any) -> Message:
+    told = {"x": 0.0, "y": 0.0, "yaw": 0.0} | fields
+    return Message(topic, TF, START_NS + k * PERIOD_NS, {"parent": parent, "child": child, **told})
+
+
+def odom(topic: str, k: int, **fields: Any) -> Message:
+    return Message(topic, ODOM, START_NS + k * PERIOD_NS, {"x": 1.0 * k, "y": 0.0, "yaw": 0.0} | fields)
+
+
+def test_several_scan_topics_are_listed_and_one_can_be_chosen(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", [laser(0, topic="/front"), laser(1, topic="/front"), laser(2, topic="/rear")])
+    with pytest.raises(TopicError, match=r"--topic NAME: /front \(2 scans\), /rear \(1 scans\)"):
+        open_log(path)
+    log = open_log(path, topic="/front")
+    assert (log.topic, log.counts.total, sum(1 for _ in log.scans())) == ("/front", 2, 2)
+    with pytest.raises(TopicError, match=r"no scans on topic '/left'; scan topics here: /front \(2 scans\)"):
+        open_log(path, topic="/left")
+
+
+def test_log_without_scans_names_its_topics(tmp_path: Path) -> None:
+    with pytest.raises(NoScansError, match="no LaserScan messages; topics here: /odom"):
+        open_log(write_mcap(tmp_path / "a", [odom("/odom", 0)]))
+
+
+def test_log_whose_scans_are_all_unusable_says_why(tmp_path: Path) -> None:
+    with pytest.raises(NoScansError, match=r"none of the 2 scans on /scan is usable \(2 empty\)"):
+        open_log(write_mcap(tmp_path / "a", [laser(k, ranges=[]) for k in range(2)]))
+
+
+@pytest.mark.parametrize(
+    ("content", "what"),
+    [
+        (b"", "the file is empty"),
+        (b"hello world", "not an MCAP file"),
+        (b"#ROSRECORD V1.2\nxyz", "format 1.2"),
+        (b"\x28\xb5\x2f\xfdrubbish", "compressed with zstd, but"),
+    ],
+)
+def test_files_that_are_no_logs_are_refused(content: bytes, what: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(NoScansError, match=what):
+        open_log(path)
+
+
+def test_paths_that_cannot_be_read_are_refused_at_once(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no such file"):
+        open_log(tmp_path / "absent")
+    os.mkfifo(tmp_path / "fifo")
+    with pytest.raises(UsageError, match="neither a regular file nor a folder"):
+        open_log(tmp_path / "fifo")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(NoScansError, match="holds no ROS 2 bag"):
+        open_log(tmp_path / "folder")
+
+
+def test_fifo_in_a_folder_does_not_hang(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.db3")
+    write_mcap(tmp_path / "b.mcap", [laser(0)])
+    assert open_log(tmp_path).counts.usable == 1
+
+
+def test_odometry_by_itself_is_the_only_topic_or_odom_or_tf(tmp_path: Path) -> None:
+    scans = [laser(k) for k in range(4)]
+    moving = [tf("odom", "base_link", "/tf", k, x=2.0 * k) for k in range(4)]
+    cases = {
+        "one": ([odom("/wheels", k) for k in range(4)], "/wheels"),
+        "named": ([odom(t, k) for k in range(4) for t in ("/odom", "/icp")], "/odom"),
+        "several": ([odom(t, k) for k in range(4) for t in ("/a", "/b")], None),
+        "tf": (moving, "/tf"),
+        "none": ([], None),
+    }
+    for name, (messages, topic) in cases.items():
+        log = open_log(write_mcap(tmp_path / name, scans + messages))
+        assert (log.odometry.topic if log.odometry else None) == topic, name
+        assert any("choose with --odom" in w for w in log.warnings) == (name == "several")
+    log = open_log(tmp_path / "tf")
+    assert log.odometry is not None
+    assert log.odometry.source == "tf"
+    np.testing.assert_allclose(log.odometry.odom_T_base.xyyaw[:, 0], [0.0, 2.0, 4.0, 6.0])
+
+
+def test_odometry_can_be_named_or_left_out(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", [laser(0), laser(1), *(odom(t, k) for k in range(2) for t in ("/odom", "/icp"))])
+    named = open_log(path, odom="/icp").odometry
+    assert named is not None
+    assert named.topic == "/icp"
+    assert open_log(path, odom="off").odometry is None
+    with pytest.raises(TopicError, match=r"no odometry on topic '/x'; the log holds: /odom, /icp"):
+        open_log(path, odom="/x")
+
+
+def test_odometry_stamps_that_do_not_ascend_are_dropped(tmp_path: Path) -> None:
+    log = open_log(write_mcap(tmp_path / "a", [laser(0), *(odom("/odom", k) for k in (0, 2, 1, 2, 3))]))
+    assert log.odometry is not None
+    np.testing.assert_allclose(log.odometry.odom_T_base.xyyaw[:, 0], [0.0, 2.0, 3.0])
+
+
+def test_odometry_without_a_mounting_is_the_lasers_own_and_told(tmp_path: Path) -> None:
+    log = open_log(write_mcap(tmp_path / "a", [laser(0), odom("/odom", 0, x=3.0)]))
+    assert log.odometry is not None
+    assert log.odometry.odom_T_laser[0].x_m == 3.0
+    assert log.base_T_laser is None
+    assert any("taken as the laser's own" in w for w in log.warnings)
+
+
+def test_mounting_is_composed_along_the_chain_of_frames(tmp_path: Path) -> None:
+    chain = [
+        tf("/base_footprint", "/base_link", x=1.0, yaw=pi / 2),
+        tf("base_link", "laser", "/tf", x=1.0, z=0.3),  # constant, though on /tf
+        tf("odom", "base_footprint", "/tf", 0),
+        tf("odom", "base_footprint", "/tf", 1, x=1.0),
+    ]
+    log = open_log(write_mcap(tmp_path / "a", [*chain, laser(0, frame_id="/laser"), laser(1)]))
+    assert (log.base_frame, log.mounting_source) == ("base_footprint", "tf_static")
+    assert log.base_T_laser is not None
+    np.testing.assert_allclose(log.base_T_laser.as_array(), (1.0, 1.0, pi / 2), atol=1e-12)
+
+
+def test_transforms_that_move_are_no_mounting(tmp_path: Path) -> None:
+    turning = [tf("base_link", "laser", "/tf", k, yaw=0.1 * k) for k in range(3)]
+    assert open_log(write_mcap(tmp_path / "a", [laser(0), *turning])).base_T_laser is None
+
+
+@pytest.mark.parametrize(
+    ("q", "word"),
+    [({"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}, "upside down"), ({"x": 0.3, "y": 0.0, "z": 0.0, "w": 0.95}, "tilted")],
+)
+def test_laser_that_is_not_level_is_told(q: dict[str, float], word: str, tmp_path: Path) -> None:
+    log = open_log(write_mcap(tmp_path / "a", [laser(0), tf("base_link", "laser", q=q)]))
+    assert any(word in w for w in log.warnings)
+
+
+def test_progress_ascends_to_the_size_of_the_file(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", drive(200))
+    told: list[tuple[int, int]] = []
+    open_log(path, progress=lambda done, total: told.append((done, total)))
+    done = [d for d, _ in told]
+    assert done == sorted(done)
+    assert {total for _, total in told} == {path.stat().st_size}
+    assert 0.8 * path.stat().st_size < done[-1] <= path.stat().st_size
+
+
+def test_topics_are_listed_with_type_encoding_and_count(tmp_path: Path) -> None:
+    log = open_log(write_mcap(tmp_path / "a", drive(5), ros=1))
+    assert [(t.name, t.type, t.encoding, t.count) for t in log.topics] == [
+        ("/odom", ODOM, "ros1", 5),
+        ("/scan", LASER, "ros1", 5),
+        ("/tf_static", TF, "ros1", 1),
+    ]

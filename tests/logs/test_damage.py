@@ -1,0 +1,223 @@
+"""Damaged logs, made byte by byte: what is intact comes out, what is lost is told, and nothing ever crashes."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from log_files import WRITERS, drive, laser, write_bag1, write_bag2, write_mcap
+
+from mavnav.errors import NoScansError
+from mavnav.logs import Log, open_log
+from mavnav.logs.ledger import MAX_DAMAGE, Ledger
+from mavnav.logs.unpack import UnpackError, unpack
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FILES = [name for name in WRITERS if not name.startswith("bag2")]
+CHECKED = {"mcap-none", "mcap-lz4", "mcap-zstd", "bag1-bz2"}
+"""Formats whose chunks carry a checksum, so that no altered scan passes."""
+
+
+def opened(path: Path) -> Log | None:
+    try:
+        return open_log(path)
+    except NoScansError:
+        return None
+
+
+def ranges_by_stamp(log: Log) -> dict[int, bytes]:
+    return {s.stamp_ns: s.ranges_m.tobytes() for s in log.scans()}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_cut_anywhere_gives_the_scans_before_the_cut(name: str, tmp_path: Path) -> None:
+    whole = WRITERS[name][1](tmp_path / "whole", [laser(k) for k in range(60)])
+    data, cut = whole.read_bytes(), tmp_path / "cut"
+    sound = ranges_by_stamp(open_log(whole))
+    usable = []
+    for size in np.linspace(0, len(data) - 1, 25, dtype=int):
+        cut.write_bytes(data[:size])
+        log = opened(cut)
+        usable.append(log.counts.usable if log else 0)
+        if log is None:
+            continue
+        assert log.damage or log.counts.usable == len(sound)
+        scans = ranges_by_stamp(log)
+        assert len(scans) == log.counts.usable
+        assert scans.items() <= sound.items()
+    assert usable == sorted(usable)
+    assert usable[-1] >= 0.6 * len(sound)
+
+
+def test_bag_cut_between_two_records_is_told(tmp_path: Path) -> None:
+    path = write_bag1(tmp_path / "a", [laser(k) for k in range(40)])
+    data = path.read_bytes()
+    second_chunk = data.index(b"compression=", data.index(b"compression=") + 1) - 8
+    path.write_bytes(data[:second_chunk])
+    log = open_log(path)
+    assert 0 < log.counts.usable < 40
+    assert any("ends before its index" in d.what for d in log.damage)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_flipped_bits_never_crash_and_pass_no_checksum(name: str, tmp_path: Path) -> None:
+    whole = WRITERS[name][1](tmp_path / "whole", [laser(k) for k in range(30)])
+    data, flipped = whole.read_bytes(), tmp_path / "flipped"
+    sound = ranges_by_stamp(open_log(whole))
+    rng = np.random.default_rng(7)
+    for _ in range(60):
+        damaged = bytearray(data)
+        for at in rng.integers(0, len(data), 2):
+            damaged[at] ^= 1 << int(rng.integers(8))
+        flipped.write_bytes(damaged)
+        log = opened(flipped)
+        if log is not None:
+            scans = ranges_by_stamp(log)
+            assert len(scans) == log.counts.usable
+            if name in CHECKED and log.stamp_source == "header":
+                assert scans.items() <= sound.items()
+
+
+@pytest.mark.parametrize("name", ["mcap-zstd", "bag1", "bag1-bz2", "db3"])
+def test_rubbish_behind_the_magic_is_no_log(name: str, tmp_path: Path) -> None:
+    magic = WRITERS[name][1](tmp_path / "whole", drive(1)).read_bytes()[:16]
+    for seed in range(5):
+        path = tmp_path / "rubbish"
+        path.write_bytes(magic + np.random.default_rng(seed).bytes(5000))
+        with pytest.raises(NoScansError):
+            open_log(path)
+
+
+def test_crc_of_the_data_section_is_checked(tmp_path: Path) -> None:
+    path = write_mcap(
+        tmp_path / "a", [laser(k) for k in range(5)], use_chunking=False, enable_data_crcs=True
+    )  # no chunk, so no other checksum
+    data = bytearray(path.read_bytes())
+    at = data.rindex(laser(3).fields["ranges"].tobytes()) + 2
+    data[at] ^= 1
+    path.write_bytes(data)
+    log = open_log(path)
+    assert log.counts.usable == 5
+    assert ["CRC of the data section" in d.what for d in log.damage] == [True]
+
+
+def test_chunk_whose_crc_does_not_match_is_left_out(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", [laser(k, beams=400) for k in range(5)], compression="NONE")
+    data = bytearray(path.read_bytes())
+    data[data.index(laser(2, beams=400).fields["ranges"].tobytes()) + 2] ^= 1
+    path.write_bytes(data)
+    log = open_log(path)
+    stamps = {s.stamp_ns for s in log.scans()}
+    assert laser(2).stamp_ns not in stamps
+    assert 2 <= len(stamps) < 5
+    assert any("CRC does not match" in d.what for d in log.damage)
+
+
+def test_bag_that_lost_bytes_drops_the_message_that_spans_the_loss(tmp_path: Path) -> None:
+    """A message short of a byte would take one from the next record and decode to shifted values."""
+    path = write_bag1(tmp_path / "a", [laser(k) for k in range(40)])
+    sound = ranges_by_stamp(open_log(path))
+    data = path.read_bytes()
+    at = data.index(laser(20).fields["ranges"].tobytes()) + 9
+    path.write_bytes(data[:at] + data[at + 1 :])
+    log = open_log(path)
+    assert log.damage
+    assert ranges_by_stamp(log) == {k: v for k, v in sound.items() if k != laser(20).stamp_ns}
+
+
+def test_bag_chunk_that_decompresses_to_more_than_it_declares_is_left_out(tmp_path: Path) -> None:
+    path = write_bag1(tmp_path / "a", [laser(k) for k in range(40)], "BZ2")
+    data = path.read_bytes()
+    at = data.index(b"size=") + 5
+    (size,) = struct.unpack_from("<I", data, at)
+    path.write_bytes(data[:at] + struct.pack("<I", size - 1) + data[at + 4 :])
+    log = open_log(path)
+    assert 0 < log.counts.usable < 40
+    assert any("decompresses to more than" in d.what for d in log.damage)
+
+
+def test_message_with_a_cut_array_is_undecodable(tmp_path: Path) -> None:
+    import sqlite3
+
+    path = next(write_bag2(tmp_path / "a", [laser(k) for k in range(5)]).glob("*.db3"))
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE messages SET data = substr(data, 1, 60) WHERE rowid = 3")
+        connection.execute("UPDATE messages SET data = x'' WHERE rowid = 4")
+    connection.close()
+    log = open_log(path)
+    assert (log.counts.usable, log.counts.skipped) == (3, {"undecodable": 2})
+    assert len(log.damage) == 2
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "bz2"])
+def test_bombs_are_stopped_at_the_declared_size(compression: str) -> None:
+    import bz2
+
+    import lz4.frame
+    import zstandard
+
+    pack = {"zstd": zstandard.compress, "lz4": lz4.frame.compress, "bz2": bz2.compress}[compression]
+    packed = pack(bytes(5_000_000))
+    assert unpack(compression, packed, 5_000_000) == bytes(5_000_000)
+    for limit in (0, 1000, 4_999_999):
+        with pytest.raises(UnpackError, match="more than"):
+            unpack(compression, packed, limit)
+    for broken in (packed[:-5], b"rubbish", b""):
+        if compression == "zstd" and broken in (b"", packed[:-5]):
+            assert len(unpack(compression, broken, 5_000_000)) < 5_000_000  # told by size and CRC of the container
+            continue
+        with pytest.raises(UnpackError):
+            unpack(compression, broken, 5_000_000)
+
+
+def test_ledger_lists_a_hundred_and_counts_the_rest() -> None:
+    ledger = Ledger()
+    for k in range(MAX_DAMAGE + 50):
+        ledger.damage("broken", f"byte {k}")
+    damages = ledger.damages()
+    assert len(damages) == MAX_DAMAGE + 1
+    assert damages[-1].what == "broken (50 more)"
+
+
+def test_messages_missing_from_the_summary_count_are_told(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", [laser(k) for k in range(5)], use_chunking=False)
+    data = path.read_bytes()
+    at = data.index(b"\x05" + struct.pack("<Q", len_of_message(data)))
+    length = 9 + len_of_message(data)
+    path.write_bytes(data[:at] + data[at + length :])
+    log = open_log(path)
+    assert log.counts.usable == 4
+    assert any("1 of the 5 messages" in d.what for d in log.damage)
+
+
+def len_of_message(data: bytes) -> int:
+    """Return the length of the first Message record of an unchunked MCAP file, by walking its records."""
+    offset = 8
+    while data[offset] != 5:
+        offset += 9 + struct.unpack_from("<Q", data, offset + 1)[0]
+    return int(struct.unpack_from("<Q", data, offset + 1)[0])
+
+
+def test_unchunked_crc_covers_what_the_format_says(tmp_path: Path) -> None:
+    """The data section runs from the file's first byte to the DataEnd record (MCAP specification)."""
+    data = write_mcap(tmp_path / "a", [laser(0)], use_chunking=False, enable_data_crcs=True).read_bytes()
+    end = data.index(b"\x0f" + struct.pack("<Q", 4))
+    assert zlib.crc32(data[:end]) == struct.unpack_from("<I", data, end + 9)[0]
+
+
+@pytest.mark.parametrize("name", ["mcap-zstd", "bag1-bz2"])
+def test_loss_of_the_chunk_that_declares_the_channels_loses_no_other(name: str, tmp_path: Path) -> None:
+    """Summary and index repeat them."""
+    path = WRITERS[name][1](tmp_path / "a", [laser(k) for k in range(40)])
+    data = bytearray(path.read_bytes())
+    at = data.index(b"\x28\xb5\x2f\xfd" if name == "mcap-zstd" else b"BZh")
+    data[at : at + 100] = bytes(100)
+    path.write_bytes(data)
+    log = open_log(path)
+    assert 20 < log.counts.usable < 40
+    assert any("chunk left out" in d.what for d in log.damage)

@@ -1,0 +1,118 @@
+"""The door: every kind of odd range, and scans that cannot be used."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavnav.logs.door import KINDS, Door, clean
+from mavnav.logs.messages import LaserMessage
+
+NAN, INF = math.nan, math.inf
+
+
+def kind_of(r: float, low: float, high: float) -> str:
+    """The slow obvious twin: one range after the other, in the order of REP-117."""
+    if low <= r <= high and r != 0 and not math.isinf(r):
+        return "valid"
+    if math.isinf(r):
+        return "minus_inf" if r < 0 else "plus_inf"
+    if math.isnan(r):
+        return "nan"
+    if r == 0:
+        return "zero"
+    if r < 0:
+        return "negative"
+    return "below_min" if r < low else "above_max"
+
+
+any_range = st.one_of(
+    st.floats(width=32), st.sampled_from([0.0, -0.0, INF, -INF, NAN, 0.02, 5.6, 0.015, 81.83, -1.0]), st.floats(0, 10)
+)
+
+
+@given(
+    ranges=st.lists(any_range, max_size=40),
+    low=st.floats(0.0, 1.0),
+    high=st.one_of(st.just(INF), st.floats(1.5, 100.0)),
+)
+def test_clean_agrees_with_its_twin(ranges: list[float], low: float, high: float) -> None:
+    array = np.array(ranges, dtype=np.float64)
+    before = array.copy()
+    cleaned, counts = clean(array, low, high)
+    kinds = [kind_of(r, low, high) for r in ranges]
+    assert dict(zip(KINDS, counts, strict=True)) == {kind: kinds.count(kind) for kind in KINDS}
+    np.testing.assert_array_equal(cleaned, [r if k == "valid" else NAN for r, k in zip(ranges, kinds, strict=True)])
+    np.testing.assert_array_equal(array, before)
+
+
+def test_limits_are_inclusive_in_the_precision_of_the_message() -> None:
+    limits = np.array([0.02, 5.6], dtype=np.float32)
+    _, counts = clean(limits, float(limits[0]), float(limits[1]))
+    assert counts[KINDS.index("valid")] == 2
+
+
+def message(**changes: object) -> LaserMessage:
+    ranges = np.array([1.0, 2.0, 3.0], dtype=np.float32)
+    return LaserMessage(0, "laser", -1.0, 1.0, 1.0, 0.1, 10.0, 0.0, 0.1, ranges)._replace(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"ranges_m": np.array([])}, "empty"),
+        ({"angle_min_rad": NAN}, "non_finite_angle"),
+        ({"angle_step_rad": INF}, "non_finite_angle"),
+        ({"angle_step_rad": 0.0}, "zero_angle_increment"),
+        ({"angle_step_rad": 4.0}, "impossible_geometry"),
+        ({"angle_min_rad": 180.0}, "impossible_geometry"),
+        ({"ranges_m": np.array([0.0, NAN, 99.0])}, "no_valid_beam"),
+    ],
+)
+def test_unusable_scans_are_refused_with_the_reason(changes: dict[str, object], reason: str) -> None:
+    assert Door("/scan", [].append).admit(message(**changes)) == reason
+
+
+@pytest.mark.parametrize("limits", [(0.0, 0.0), (5.0, 1.0), (NAN, 10.0), (0.1, NAN), (-INF, INF)])
+def test_unusable_limits_let_every_positive_range_pass_with_a_warning(limits: tuple[float, float]) -> None:
+    warnings: list[str] = []
+    ranges = np.array([0.0, 1e-3, 99.0, -1.0, INF])
+    door = Door("/scan", warnings.append)
+    spec, cleaned, _ = door.admit(message(ranges_m=ranges, range_min_m=limits[0], range_max_m=limits[1]))
+    np.testing.assert_array_equal(cleaned, [NAN, 1e-3, 99.0, NAN, NAN])
+    assert (spec.range_min_m, spec.range_max_m) == (0.0, INF)
+    assert any("range limits" in w for w in warnings)
+
+
+def test_infinite_maximum_is_a_sensor_without_one() -> None:
+    warnings: list[str] = []
+    spec, _, _ = Door("/scan", warnings.append).admit(message(range_max_m=INF))
+    assert (spec.range_min_m, spec.range_max_m, warnings) == (0.1, INF, [])
+
+
+def test_number_of_beams_and_increment_are_believed_over_angle_max() -> None:
+    warnings: list[str] = []
+    spec, _, _ = Door("/scan", warnings.append).admit(message(last_angle_rad=3.0))
+    assert (spec.beams, spec.angle_step_rad) == (3, 1.0)
+    assert "angle_max" in warnings[0]
+
+
+def test_one_beam_too_many_in_angle_max_is_no_news() -> None:
+    warnings: list[str] = []
+    Door("/scan", warnings.append).admit(message(last_angle_rad=2.0))
+    assert warnings == []
+
+
+def test_geometry_may_change_and_equal_ones_are_shared() -> None:
+    warnings: list[str] = []
+    door = Door("/scan", warnings.append)
+    first, again = door.admit(message())[0], door.admit(message(stamp_ns=5))[0]
+    other = door.admit(message(angle_step_rad=-0.5, last_angle_rad=-2.0))[0]
+    assert first is again
+    assert other.angle_step_rad == -0.5
+    assert len(warnings) == 1
+    assert "geometry" in warnings[0]

@@ -1,0 +1,113 @@
+"""``mavnav info``: the table, the one JSON object, and the exit codes."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from log_files import drive, foxglove_json, laser, write_mcap
+
+from mavnav.cli import run
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+Capture = pytest.CaptureFixture[str]
+
+
+def told(capsys: Capture, *args: object) -> tuple[int, dict[str, Any], str]:
+    code = run(["info", *map(str, args), "--json"])
+    out, err = capsys.readouterr()
+    return code, json.loads(out), err
+
+
+def test_json_holds_the_fixed_fields(tmp_path: Path, capsys: Capture) -> None:
+    path = write_mcap(tmp_path / "a", drive())
+    code, document, err = told(capsys, path)
+    assert (code, document["exit_code"], err) == (0, 0, "")
+    assert document["schema_version"] == 1
+    assert document["input"].keys() == {"path", "sha256", "format", "size_bytes"}
+    assert document["input"]["size_bytes"] == path.stat().st_size
+    assert [t["name"] for t in document["topics"]] == ["/odom", "/scan", "/tf_static"]
+    assert document["topics"][1] == {
+        "name": "/scan",
+        "type": "sensor_msgs/msg/LaserScan",
+        "encoding": "cdr",
+        "count": 25,
+    }
+    assert document["scans"] == {"total": 25, "usable": 25, "skipped": {}}
+    assert document["sensor"]["beams"] == 16
+    assert document["time"]["rate_hz"] == pytest.approx(10.0)
+    assert document["odometry"]["length_m"] == pytest.approx(2.4)
+    assert document["mounting"] == {
+        "source": "tf_static",
+        "base_frame": "base_link",
+        "x_m": 0.2,
+        "y_m": 0.1,
+        "yaw_rad": pytest.approx(0.5),
+    }
+    assert (document["damage"], document["warnings"]) == ([], [])
+
+
+def test_sha256_is_that_of_the_file(tmp_path: Path, capsys: Capture) -> None:
+    import hashlib
+
+    path = write_mcap(tmp_path / "a", [laser(0)])
+    assert told(capsys, path)[1]["input"]["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_damaged_log_exits_with_3_and_lists_the_damage(tmp_path: Path, capsys: Capture) -> None:
+    path = write_mcap(tmp_path / "a", drive())
+    path.write_bytes(path.read_bytes()[:-4])
+    code, document, _ = told(capsys, path)
+    assert (code, document["exit_code"]) == (3, 3)
+    assert document["damage"][0].keys() == {"what", "where"}
+
+
+def test_no_log_exits_with_4_and_still_prints_the_object(tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "notes.mcap"
+    path.write_text("hello")
+    code, document, err = told(capsys, path)
+    assert (code, document["exit_code"]) == (4, 4)
+    assert document["input"]["format"] == "unknown"
+    assert document["scans"] == {"total": 0, "usable": 0, "skipped": {}}
+    assert err.count("\n") == 1
+    assert "not an MCAP file" in err
+
+
+def test_unusable_scans_exit_with_4_and_say_why(tmp_path: Path, capsys: Capture) -> None:
+    code, document, _ = told(capsys, write_mcap(tmp_path / "a", [laser(k, ranges=[0.0, 0.0]) for k in range(3)]))
+    assert code == 4
+    assert document["scans"] == {"total": 3, "usable": 0, "skipped": {"no_valid_beam": 3}}
+
+
+def test_two_scan_topics_exit_with_2_and_are_listed(tmp_path: Path, capsys: Capture) -> None:
+    path = write_mcap(tmp_path / "a", [laser(0, topic="/front"), laser(1, topic="/rear")])
+    code, document, err = told(capsys, path)
+    assert (code, document["exit_code"], document["topic"]) == (2, 2, None)
+    assert {t["name"] for t in document["topics"]} == {"/front", "/rear"}
+    assert "--topic NAME" in err
+    assert told(capsys, path, "--topic", "/rear")[:2][1]["topic"] == "/rear"
+
+
+def test_missing_file_exits_with_2_and_one_line(tmp_path: Path, capsys: Capture) -> None:
+    assert run(["info", str(tmp_path / "absent"), "--json"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+
+
+def test_json_is_strict_where_a_limit_is_infinite(tmp_path: Path, capsys: Capture) -> None:
+    scan = {"timestamp": {"sec": 1, "nsec": 0}, "start_angle": 0.0, "end_angle": 1.0, "ranges": [1.0, 2.0]}
+    _, document, _ = told(capsys, foxglove_json(tmp_path / "a", [scan]))
+    assert document["sensor"]["range_max_m"] is None
+
+
+def test_table_shows_names_as_they_are_and_warns_on_stderr(tmp_path: Path, capsys: Capture) -> None:
+    path = write_mcap(tmp_path / "a", [laser(k, topic="/[red]scan\x1b[2J") for k in (0, 1, 1)])
+    assert run(["info", str(path)]) == 0
+    out, err = capsys.readouterr()
+    assert "/[red]scan\\x1b[2J" in out
+    assert "\x1b" not in out + err
+    assert "2 usable of 3, 1 duplicate stamp" in out
+    assert "1 of 3 scans skipped" in err
