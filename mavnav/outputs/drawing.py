@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
     from mavnav.grid import Grid
 
 DPI: Final = 150
-MAX_PIXELS: Final = 1600
+MAX_CELLS: Final = 1100
+"""Cells along the picture's longer side: about its pixels. More are pooled, or thin walls would fall between them."""
 STRAY_SHARE: Final = 5e-4
 
 INK, MUTED, FREE_GREY, WALL_GREY = "#222222", "#666666", "#eef1f4", "#b9bec4"
@@ -39,6 +41,13 @@ class Window:
     def size_m(self) -> tuple[float, float]:
         """Width and height."""
         return self.x1_m - self.x0_m, self.y1_m - self.y0_m
+
+    def cells_of(self, grid: Grid) -> tuple[int, int, int, int]:
+        """Return the first and the end column, and the first and the end row, of the grid's cells inside."""
+        (x0, y0), (rows, cols) = grid.origin_xy_m, grid.hits.shape
+        ends = [(x - x0, cols) for x in (self.x0_m, self.x1_m)] + [(y - y0, rows) for y in (self.y0_m, self.y1_m)]
+        a, b, c, d = (min(max(int(distance / grid.cell_m), 0), count) for distance, count in ends)
+        return a, max(b, a + 1), c, max(d, c + 1)
 
     def figure_size(self, longest_in: float, least_in: float) -> tuple[float, float]:
         """Return the width and height in inches that show the rectangle undistorted; no side under ``least_in``."""
@@ -86,21 +95,22 @@ def pooled(cells: NDArray[Any], factor: int) -> NDArray[Any]:
     return blocks
 
 
-def draw_cells(axes: Any, grid: Grid, cells: NDArray[Any], **style: Any) -> Any:  # noqa: ANN401
-    """Draw an array of the grid's shape in metres; zeros are transparent. Returns the image."""
-    factor = max(1, max(cells.shape) // MAX_PIXELS)
-    shown = pooled(cells, factor)
+def draw_cells(axes: Any, grid: Grid, cells: NDArray[Any], window: Window, **style: Any) -> Any:  # noqa: ANN401
+    """Draw the part of an array of the grid's shape that the window shows; zeros are transparent. Returns the image."""
+    first_col, end_col, first_row, end_row = window.cells_of(grid)
+    factor = max(1, ceil(max(window.size_m) / grid.cell_m / MAX_CELLS))
+    shown = pooled(cells[first_row:end_row, first_col:end_col], factor)
     rows, cols = shown.shape
-    x0, y0 = grid.origin_xy_m
+    x0, y0 = grid.origin_xy_m[0] + first_col * grid.cell_m, grid.origin_xy_m[1] + first_row * grid.cell_m
     extent = (x0, x0 + cols * factor * grid.cell_m, y0, y0 + rows * factor * grid.cell_m)
     masked = np.ma.masked_equal(shown, 0)
     return axes.imshow(masked, origin="lower", extent=extent, interpolation="nearest", **style)
 
 
-def draw_free(axes: Any, grid: Grid) -> None:  # noqa: ANN401
+def draw_free(axes: Any, grid: Grid, window: Window) -> None:  # noqa: ANN401
     """Shade the cells that are known to be free."""
     free = (occupancy(grid) == FREE).astype(np.uint8)
-    draw_cells(axes, grid, free, cmap=ListedColormap([FREE_GREY]), vmin=0, vmax=1, zorder=0)
+    draw_cells(axes, grid, free, window, cmap=ListedColormap([FREE_GREY]), vmin=0, vmax=1, zorder=0)
 
 
 def dress(axes: Any, window: Window) -> None:  # noqa: ANN401

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from mavnav.metrics.wall_thickness import WallThickness
     from mavnav.outputs.run import Run
 
-MAX_CIRCLES: Final = 120
+CIRCLE_SPACING: Final = 0.018
+"""Between two circles along the path, of the picture's longer side: so that they touch at most."""
 POSE_COLOUR: Final = "#d6009a"
 
 
@@ -32,9 +33,9 @@ def write(run: Run, path: Path) -> None:
     width, height = window.figure_size(longest_in=7.5, least_in=3.0)
     fig = drawing.figure(max(width + 1.7, 6.4), height + 1.6)
     axes = fig.add_subplot()
-    drawing.draw_free(axes, grid)
-    _draw_hits(fig, axes, grid)
-    _draw_poses(axes, xy_m)
+    drawing.draw_free(axes, grid, window)
+    _draw_hits(axes, grid, window)
+    _draw_poses(axes, xy_m, spacing_m=CIRCLE_SPACING * max(window.size_m))
     drawing.dress(axes, window)
     fig.suptitle(run.log.path.name, fontsize=12, fontweight="bold", color=drawing.INK)
     axes.set_title(_subtitle(run), fontsize=8.5, color=drawing.MUTED)
@@ -43,13 +44,13 @@ def write(run: Run, path: Path) -> None:
     drawing.save(fig, path)
 
 
-def _draw_hits(fig: Any, axes: Any, grid: Grid) -> None:  # noqa: ANN401
+def _draw_hits(axes: Any, grid: Grid, window: drawing.Window) -> None:  # noqa: ANN401
     """Colour the hit cells on a logarithmic scale that a few crowded cells cannot spoil."""
     counts = grid.hits[grid.hits > 0]
     top = max(float(np.quantile(counts, 0.995)) if counts.size else 1.0, 10.0)
-    colours = LinearSegmentedColormap.from_list("hits", colormaps["viridis"](np.linspace(0.97, 0.0, 256)))
-    image = drawing.draw_cells(axes, grid, grid.hits, cmap=colours, norm=LogNorm(1.0, top), zorder=1)
-    bar = fig.colorbar(image, ax=axes, extend="max", fraction=0.04, pad=0.02, aspect=28)
+    colours = LinearSegmentedColormap.from_list("hits", colormaps["viridis"](np.linspace(0.92, 0.0, 256)))
+    image = drawing.draw_cells(axes, grid, grid.hits, window, cmap=colours, norm=LogNorm(1.0, top), zorder=1)
+    bar = axes.figure.colorbar(image, ax=axes, extend="max", fraction=0.04, pad=0.02, aspect=28)
     ticks = [t for t in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000) if t <= top]
     bar.set_ticks(ticks, labels=[str(t) for t in ticks])
     bar.ax.minorticks_off()
@@ -57,23 +58,22 @@ def _draw_hits(fig: Any, axes: Any, grid: Grid) -> None:  # noqa: ANN401
     bar.outline.set_visible(False)
 
 
-def _draw_poses(axes: Any, xy_m: NDArray[np.float64]) -> None:  # noqa: ANN401
+def _draw_poses(axes: Any, xy_m: NDArray[np.float64], spacing_m: float) -> None:  # noqa: ANN401
     """Mark estimated poses by magenta circles, the start by a blue x, the end by a red circle with an x."""
     if not len(xy_m):
         return
-    some = xy_m[thinned(xy_m, MAX_CIRCLES)]
+    some = xy_m[thinned(xy_m, spacing_m)]
     axes.plot(*xy_m.T, color=POSE_COLOUR, lw=0.6, alpha=0.6, zorder=3)
     axes.plot(*some.T, "o", ms=4, mfc="none", mec=POSE_COLOUR, mew=0.8, label="estimated pose", zorder=3)
     axes.plot(*xy_m[0], "x", ms=10, color="#0033ff", mew=2.4, label="start", zorder=4)
     axes.plot(*xy_m[-1], marker="$\\bigotimes$", ls="none", ms=13, color="#e00000", mew=0.3, label="end", zorder=4)
 
 
-def thinned(xy_m: NDArray[np.float64], at_most: int) -> NDArray[np.intp]:
-    """Choose up to ``at_most`` points of a path (n, 2), evenly spread along its length."""
+def thinned(xy_m: NDArray[np.float64], spacing_m: float) -> NDArray[np.intp]:
+    """Choose points of a path (n, 2), evenly spread along its length; the first and the last are among them."""
     along = np.concatenate(([0.0], np.hypot(*np.diff(xy_m, axis=0).T).cumsum()))
-    if len(xy_m) <= at_most:
-        return np.arange(len(xy_m))
-    return np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], at_most)))
+    circles = max(2, int(along[-1] / spacing_m) + 1)
+    return np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], circles)))
 
 
 def _subtitle(run: Run) -> str:

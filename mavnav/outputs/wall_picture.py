@@ -46,9 +46,9 @@ def _draw_map(
     window: drawing.Window,
     min_hits: int,
 ) -> None:
-    drawing.draw_free(axes, grid)
+    drawing.draw_free(axes, grid, window)
     occupied = (grid.hits >= min_hits).astype(np.uint8)
-    drawing.draw_cells(axes, grid, occupied, cmap=ListedColormap([drawing.WALL_GREY]), vmin=0, vmax=1)
+    drawing.draw_cells(axes, grid, occupied, window, cmap=ListedColormap([drawing.WALL_GREY]), vmin=0, vmax=1)
     top = max(3, int(np.ceil(np.quantile(sections.thickness_cells, 0.99))) if len(sections.row) else 3)
     bounds = np.unique(np.round(np.linspace(0.5, top + 0.5, min(top, 9) + 1) * 2) / 2)
     norm = BoundaryNorm(bounds, 256)

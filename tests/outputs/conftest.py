@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,12 +36,12 @@ class FabricatedLog:
     topics: tuple = (Topic("/scan", "sensor_msgs/msg/LaserScan", "cdr", 20),)
     topic: str = "/scan"
     frame_id: str = "/laser"
-    counts: ScanCounts = ScanCounts(22, 20, {"stamp repeats": 2})
+    counts: ScanCounts = field(default_factory=lambda: ScanCounts(22, 20, {"stamp repeats": 2}))
     cleaning: dict = None
     period_s: float = 0.1
     gaps: tuple = ()
     stamp_source: str = "header"
-    base_T_laser: Pose | None = Pose(0.1, -0.02, 0.3)
+    base_T_laser: Pose | None = field(default_factory=lambda: Pose(0.1, -0.02, 0.3))
     mounting_source: str | None = "tf_static"
     base_frame: str | None = "base_footprint"
     odometry: Odometry | None = None

@@ -138,9 +138,7 @@ def test_a_parent_without_permission_is_told_before_the_work(tmp_path, monkeypat
     ],
 )
 @pytest.mark.parametrize("existing", [False, True])
-def test_a_failing_writer_leaves_what_was_there(  # noqa: PLR0917
-    run, tmp_path, monkeypatch, light, existing, error, raised, text
-):
+def test_a_failing_writer_leaves_what_was_there(run, tmp_path, monkeypatch, light, existing, error, raised, text):
     if existing:
         write_run(run, tmp_path / "x")
     before = sorted(p.name for p in tmp_path.rglob("*"))

@@ -27,7 +27,7 @@ def size_of(path):
 
 
 @WRITERS
-@pytest.mark.parametrize("shape", [(80, 80), (40, 3000), (3000, 40), (4000, 5000)])
+@pytest.mark.parametrize("shape", [(80, 80), (40, 3000), (3000, 40), (1800, 3300)])
 def test_any_shape_of_map_gives_a_picture_that_fits_a_screen(run, write, shape, tmp_path):
     hits = np.zeros(shape)
     hits[5:-5, 5] = hits[5:-5, -5] = hits[5, 5:-5] = hits[-5, 5:-5] = 7
@@ -76,8 +76,8 @@ def test_a_single_far_return_does_not_shrink_the_room(run):
 
 def test_long_paths_are_thinned_evenly_along_their_length():
     xy = np.column_stack((np.concatenate((np.zeros(500), np.linspace(0, 10, 500))), np.zeros(1000)))
-    some = map_picture.thinned(xy, 50)
-    assert len(some) <= 50
+    some = map_picture.thinned(xy, 0.2)
+    assert 45 <= len(some) <= 51
     assert (some[0], some[-1]) == (0, 999)
     assert np.diff(xy[some, 0]).max() < 0.3
 
