@@ -27,6 +27,7 @@ _MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
 _OPCODES = frozenset({_MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION})
 _OP_FIELD = b"\x04\x00\x00\x00op="
 _MAX_HEADER_BYTES = 1 << 16
+_USUAL_HEADER_BYTES = 256
 _BLOCK_BYTES = 1 << 20
 _U32 = struct.Struct("<I")
 _TIME = struct.Struct("<II")
@@ -130,19 +131,20 @@ def _records(source: _Source, offset: int, state: _State) -> Iterator[_Record]:
 
 def _parse_header(source: _Source, offset: int) -> _Record | None:
     """Parse the record header at an offset; None where none is."""
-    head = source.read(offset, 4)
-    if len(head) < 4:
+    block = source.read(offset, _USUAL_HEADER_BYTES)
+    if len(block) < 4:
         return None
-    (length,) = _U32.unpack(head)
+    (length,) = _U32.unpack_from(block)
     if not 0 < length <= min(_MAX_HEADER_BYTES, source.size - offset - 8):
         return None
-    block = source.read(offset + 4, length + 4)
-    fields = _parse_fields(block[:length])
+    if length + 8 > len(block):
+        block = source.read(offset, length + 8)
+    fields = _parse_fields(block[4 : 4 + length])
     op = fields.get(b"op", b"") if fields is not None else b""
     if fields is None or len(op) != 1 or op[0] not in _OPCODES:
         return None
     start = offset + 8 + length
-    return _Record(op[0], fields, start, start + _U32.unpack_from(block, length)[0])
+    return _Record(op[0], fields, start, start + _U32.unpack_from(block, 4 + length)[0])
 
 
 def _parse_fields(header: bytes) -> dict[bytes, bytes] | None:

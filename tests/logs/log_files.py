@@ -119,10 +119,16 @@ def serialized(message: Message, ros: int) -> bytes:
 
 
 def write_mcap(
-    path: Path, messages: Sequence[Message], *, ros: int = 2, compression: str = "ZSTD", **options: Any
+    path: Path,
+    messages: Sequence[Message],
+    *,
+    ros: int = 2,
+    compression: str = "ZSTD",
+    chunk_size: int = 2000,
+    **options: Any,
 ) -> Path:
     with path.open("wb") as file:
-        writer = McapWriter(file, compression=CompressionType[compression], chunk_size=2000, **options)
+        writer = McapWriter(file, compression=CompressionType[compression], chunk_size=chunk_size, **options)
         writer.start(profile=f"ros{ros}")
         channels: dict[str, int] = {}
         for message in messages:
