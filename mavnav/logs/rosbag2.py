@@ -42,6 +42,8 @@ def _inside(folder: Path, name: str, ledger: Ledger) -> Path | None:
         ledger.damage(f"metadata.yaml lists {name!r}, which leads out of the folder; it is not read", METADATA)
         return None
     if not path.is_file():
+        path = folder / path.name  # before metadata version 4 names began with the folder's
+    if not path.is_file():
         ledger.damage(f"metadata.yaml lists {name!r}, which is missing", METADATA)
         return None
     return path

@@ -70,6 +70,14 @@ def test_folder_without_metadata_is_read_by_the_numbers_in_the_names(tmp_path: P
     assert any("no metadata.yaml" in w for w in log.warnings)
 
 
+def test_old_metadata_lists_names_with_the_folder_before_them(tmp_path: Path) -> None:
+    bag = write_bag2(tmp_path / "bag", [laser(k) for k in range(5)])
+    metadata = bag / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("  - bag.db3\n", "  - bag/bag.db3\n"))
+    log = open_log(bag)
+    assert (log.counts.usable, log.damage) == (5, ())
+
+
 def test_missing_listed_file_is_damage_and_unlisted_one_a_warning(tmp_path: Path) -> None:
     bag = write_bag2(tmp_path / "bag", [laser(k) for k in range(5)])
     metadata = bag / "metadata.yaml"
