@@ -31,7 +31,9 @@ mavnav info drive.bag --json | jq .scans
 
 
 def info(
-    log: Annotated[Path, typer.Argument(help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False)],
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False)
+    ],
     *,
     topic: Annotated[str | None, typer.Option(help="Scan topic, where there are several.", show_default=False)] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")] = False,

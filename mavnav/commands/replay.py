@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -71,12 +72,17 @@ def replay(
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
     chosen = _config(config, sets or [], method=method, grid=grid, azimuth=azimuth, odom=odom, online=online)
     mounting = None if extrinsic is None else _pose(extrinsic)
-    from mavnav import replay as pipeline
-
-    target = directory or pipeline.default_directory(log, chosen)
-    request = pipeline.Request(log, target, chosen, topic, start, end, mounting, force)
+    if not log.exists():
+        raise UsageError(f"{log}: no such file; name a log")
     with reporting(quiet=quiet) as report:
-        _, document = pipeline.replay(request, report)
+        report("loading kernels, compiled once after installation", 0, None)
+        started_s = perf_counter()
+        from mavnav import replay as pipeline
+
+        compile_s = perf_counter() - started_s
+        target = directory or pipeline.default_directory(log, chosen)
+        request = pipeline.Request(log, target, chosen, topic, start, end, mounting, force)
+        _, document = pipeline.replay(request, report, compile_s)
     _tell(document, target, json=json)
     raise typer.Exit(document["exit_code"])
 
