@@ -24,11 +24,11 @@ def column_runs(hits: NDArray[np.int32], min_hits: int, max_gap: int) -> NDArray
 
     Returns
     -------
-    (runs, 5): column, first row, last row, occupied cells, sum of their hits; ordered by first row, then column.
+    (runs, 4): column, first row, last row, occupied cells; ordered by first row, then column.
     """
     rows, cols = hits.shape
     open_run = np.full(cols, -1, np.int64)
-    runs = np.empty((np.count_nonzero(hits >= min_hits), 5), np.int64)
+    runs = np.empty((np.count_nonzero(hits >= min_hits), 4), np.int64)
     n = 0
     for r in range(rows):
         for c in range(cols):
@@ -37,49 +37,67 @@ def column_runs(hits: NDArray[np.int32], min_hits: int, max_gap: int) -> NDArray
             k = open_run[c]
             if k < 0 or r - runs[k, 2] > max_gap + 1:
                 k = open_run[c] = n
-                runs[n, 0], runs[n, 1], runs[n, 3], runs[n, 4] = c, r, 0, 0
+                runs[n, 0], runs[n, 1], runs[n, 3] = c, r, 0
                 n += 1
             runs[k, 2] = r
             runs[k, 3] += 1
-            runs[k, 4] += hits[r, c]
     return runs[:n].copy()
 
 
 @kernel(nb.float64[:, ::1](_HITS, _RUNS, nb.int64, nb.int64, nb.float64))
 def run_moments(
-    hits: NDArray[np.int32], runs: NDArray[np.int64], min_hits: int, min_cells: int, radius: float
+    hits: NDArray[np.int32], runs: NDArray[np.int64], min_hits: int, max_gap: int, radius: float
 ) -> NDArray[np.float64]:
-    """Tell the shape of the map around the middle of each run: the covariance of the occupied cells, weighted by hits.
+    """Tell the shape of the wall around each run: count and covariance of its cells near the run's middle.
 
-    ``radius`` of the neighbourhood is in cells. Everything is summed in whole half cells, so that neither the order
-    of summation nor a mirrored map changes a bit of the result.
+    The cells are those occupied ones within ``radius`` (in cells) that hang together with the run, with up to
+    ``max_gap`` empty cells between two of them in row and column: a parallel wall does not count. The covariance is
+    weighted by hits. Everything is summed in whole half cells, so that neither the order of summation nor a mirrored
+    map changes a bit of the result.
 
     Returns
     -------
-    (runs, 4): variance along the row, covariance, variance along the column, in cells squared, and sum of hits;
-    NaN where fewer than ``min_cells`` cells of the neighbourhood are occupied.
+    (runs, 4): cells; variance along the row, covariance and variance along the column, in cells squared.
     """
     rows, cols = hits.shape
-    reach = np.int64(radius)
-    out = np.full((len(runs), 4), np.nan)
+    reach, step, limit = np.int64(radius) + 1, max_gap + 1, 4.0 * radius * radius
+    side = 2 * reach + 1
+    seen = np.full((side, side), -1, np.int64)  # the last run that came by
+    stack = np.empty((side * side, 2), np.int64)
+    out = np.zeros((len(runs), 4))
     for k in range(len(runs)):
         col, mid2 = runs[k, 0], runs[k, 1] + runs[k, 2]
+        r0, c0 = mid2 // 2 - reach + 1, col - reach
+        depth = 0
+        for r in range(max(runs[k, 1], r0), min(runs[k, 2] + 1, r0 + side)):
+            if hits[r, col] >= min_hits and (2 * r - mid2) ** 2 <= limit:
+                seen[r - r0, reach] = k
+                stack[depth, 0], stack[depth, 1] = r, col
+                depth += 1
         cells = weight = s_x = s_y = s_xx = s_xy = s_yy = 0
-        for r in range(max(0, mid2 // 2 - reach), min(rows, (mid2 + 1) // 2 + reach + 1)):
-            for c in range(max(0, col - reach), min(cols, col + reach + 1)):
-                h, x2, y2 = int(hits[r, c]), 2 * (c - col), 2 * r - mid2
-                if h < min_hits or x2 * x2 + y2 * y2 > 4.0 * radius * radius:
-                    continue
-                cells += 1
-                weight += h
-                s_x += h * x2
-                s_y += h * y2
-                s_xx += h * x2 * x2
-                s_xy += h * x2 * y2
-                s_yy += h * y2 * y2
-        if cells >= min_cells:
-            w = out[k, 3] = np.float64(weight)
-            out[k, 0] = (w * s_xx - np.float64(s_x) * s_x) / (4.0 * w * w)
-            out[k, 1] = (w * s_xy - np.float64(s_x) * s_y) / (4.0 * w * w)
-            out[k, 2] = (w * s_yy - np.float64(s_y) * s_y) / (4.0 * w * w)
+        while depth > 0:
+            depth -= 1
+            r, c = stack[depth, 0], stack[depth, 1]
+            h, x2, y2 = int(hits[r, c]), 2 * (c - col), 2 * r - mid2
+            cells += 1
+            weight += h
+            s_x += h * x2
+            s_y += h * y2
+            s_xx += h * x2 * x2
+            s_xy += h * x2 * y2
+            s_yy += h * y2 * y2
+            for nr in range(max(r - step, r0, 0), min(r + step + 1, r0 + side, rows)):
+                for nc in range(max(c - step, c0, 0), min(c + step + 1, c0 + side, cols)):
+                    if hits[nr, nc] < min_hits or seen[nr - r0, nc - c0] == k:
+                        continue
+                    if (2 * (nc - col)) ** 2 + (2 * nr - mid2) ** 2 <= limit:
+                        seen[nr - r0, nc - c0] = k
+                        stack[depth, 0], stack[depth, 1] = nr, nc
+                        depth += 1
+        if cells:
+            w = np.float64(weight)
+            out[k, 0] = cells
+            out[k, 1] = (w * s_xx - np.float64(s_x) * s_x) / (4.0 * w * w)
+            out[k, 2] = (w * s_xy - np.float64(s_x) * s_y) / (4.0 * w * w)
+            out[k, 3] = (w * s_yy - np.float64(s_y) * s_y) / (4.0 * w * w)
     return out

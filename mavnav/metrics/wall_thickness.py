@@ -20,10 +20,8 @@ if TYPE_CHECKING:
 RADIUS_M: Final = 0.3
 MIN_CELLS: Final = 6
 MIN_LENGTH_M: Final = 0.25
-MAX_RATIO: Final = 0.1
+MAX_RATIO: Final = 0.15
 MAX_GAP_CELLS: Final = 1
-MIN_HITS_SHARE: Final = 0.2
-"""Of the hits that a cut through this wall has on average: less is a stray cell beside the wall, not a thin wall."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,13 +116,12 @@ def _axis_cuts(
     Returns column, middle row, thickness in cells, length in metres and occupied cells of each cut, (n,) each.
     """
     runs = column_runs(hits, min_hits, MAX_GAP_CELLS)
-    var_x, cov, var_y, weight = run_moments(hits, runs, min_hits, MIN_CELLS, RADIUS_M / cell_m).T
+    cells, var_x, cov, var_y = run_moments(hits, runs, min_hits, MAX_GAP_CELLS, RADIUS_M / cell_m).T
     mean, half = (var_x + var_y) / 2.0, np.hypot((var_x - var_y) / 2.0, cov)
     wide, thin = mean + half, mean - half
-    straight = (np.sqrt(12.0 * wide) * cell_m >= MIN_LENGTH_M) & (thin <= MAX_RATIO * wide)
-    own = runs[:, 4] >= MIN_HITS_SHARE * weight / (np.sqrt(12.0 * var_x) + 1.0)
-    kept = straight & own & ((var_x >= var_y) if diagonal else (var_x > var_y))
+    straight = (cells >= MIN_CELLS) & (np.sqrt(12.0 * wide) * cell_m >= MIN_LENGTH_M) & (thin <= MAX_RATIO * wide)
+    kept = straight & ((var_x >= var_y) if diagonal else (var_x > var_y))
     # the normal's share of the column's direction: cos of the wall's angle to the row
     cos = np.cos(0.5 * np.arctan2(2.0 * cov[kept], (var_x - var_y)[kept]))
-    col, first, last, occupied = runs[kept, :4].T.astype(np.float64)
+    col, first, last, occupied = runs[kept].T.astype(np.float64)
     return col, (first + last) / 2.0, (last - first) * cos + 1.0, cell_m / cos, occupied

@@ -31,7 +31,7 @@ def noisy_wall(angle_deg: float, sigma_cells: float, *, returns: int = 12_000, s
     return hits
 
 
-def naive_sections(hits, cell_m, min_hits, *, radius_m, min_cells, min_length_m, max_ratio, max_gap, min_hits_share):
+def naive_sections(hits, cell_m, min_hits, *, radius_m, min_cells, min_length_m, max_ratio, max_gap):
     """Follow docs/metrics.md to the letter: a sorted list of (row, col, thickness, length, vertical)."""
     found = []
     for vertical in (True, False):
@@ -41,6 +41,7 @@ def naive_sections(hits, cell_m, min_hits, *, radius_m, min_cells, min_length_m,
             for run in split([r for r in range(view.shape[0]) if view[r, col] >= min_hits], max_gap):
                 middle = np.array([(run[0] + run[-1]) / 2, col])
                 near = cells[np.hypot(*(cells - middle).T) * cell_m <= radius_m]
+                near = hanging_together(near, [(r, col) for r in run], max_gap)
                 if len(near) < min_cells:
                     continue
                 weights = view[tuple(near.T)]
@@ -50,14 +51,22 @@ def naive_sections(hits, cell_m, min_hits, *, radius_m, min_cells, min_length_m,
                     continue
                 if not (var_x >= var_y if vertical else var_x > var_y):
                     continue
-                own = sum(int(view[r, col]) for r in run)
-                if own < min_hits_share * weights.sum() / (np.sqrt(12 * var_x) + 1):
-                    continue
                 normal = np.linalg.eigh([(var_y, cov), (cov, var_x)])[1][:, 0]
                 share = abs(normal[0])
                 place = (*middle,) if vertical else (*middle[::-1],)
                 found.append((*place, (run[-1] - run[0]) * share + 1, cell_m / share, vertical))
     return sorted(found)
+
+
+def hanging_together(cells, seeds, max_gap):
+    """Keep the cells (n, 2) that are reached from the seeds over ``max_gap`` empty cells at a time."""
+    left = set(map(tuple, cells.tolist()))
+    reached, edge = set(), left & set(seeds)
+    steps = range(-max_gap - 1, max_gap + 2)
+    while edge:
+        reached |= edge
+        edge = {(r + a, c + b) for r, c in edge for a in steps for b in steps} & (left - reached)
+    return np.array(sorted(reached)).reshape(-1, 2)
 
 
 def split(rows, max_gap):
