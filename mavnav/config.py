@@ -62,7 +62,9 @@ class PaperConfig(_Strict):
     mixed_pixel_mm: float = Field(100.0, gt=0, description="cost step vii: least jump to both neighbours")
     occlusion_mm: float = Field(300.0, gt=0, description="cost step viii: larger radius differences are left out")
     cluster_gap_cells: int = Field(0, ge=0, description="empty cells that a thick wall may contain along a ray")
-    min_beams_share: float = Field(0.1, gt=0, le=1, description="fewer contributing points than this share make no match")
+    min_beams_share: float = Field(
+        0.1, gt=0, le=1, description="fewer contributing points than this share make no match"
+    )
     window_mm: float = Field(200.0, gt=0, description="half-width of the first search in the plane")
     window_deg: float = Field(15.0, gt=0, description="half-width of the first azimuth search")
     shrink: float = Field(0.3, gt=0, lt=1, description="narrowing of the search from iteration to iteration")
@@ -95,7 +97,8 @@ class RobustConfig(_Strict):
     first_level_points: int = Field(120, ge=10, description="points of the first, widest level")
     min_points: int = Field(30, ge=3, description="scans with fewer points are not matched")
     retry_below: float = Field(0.8, ge=0, le=1, description="search wider under this share of inliers")
-    track_above: float = Field(0.4, ge=0, le=1, description="a match is believed at this share of inliers")
+    track_above: float = Field(0.6, ge=0, le=1, description="a match is believed at this share of inliers")
+    regain_above: float = Field(0.7, ge=0, le=1, description="a match is believed after a gap at this share of inliers")
     insert_above: float = Field(0.6, ge=0, le=1, description="a scan enters the map at this share of inliers")
     max_speed_m_s: float = Field(3.0, gt=0, description="faster motion is not believed")
     max_turn_deg_s: float = Field(300.0, gt=0, description="faster turning is not believed")

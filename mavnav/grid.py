@@ -21,7 +21,7 @@ _BLOCK_CELLS = 64
 def covering(
     low: NDArray[np.int64], high: NDArray[np.int64], shape: tuple[int, int], origin: NDArray[np.int64], block: int
 ) -> tuple[NDArray[np.int64], tuple[int, int]] | None:
-    """Find the lattice that covers cells ``low`` to ``high`` (col, row; inclusive) and the present one, in whole blocks.
+    """Find the lattice of whole blocks that covers cells ``low`` to ``high`` (col, row) and the present one.
 
     Returns the new origin (col, row) and shape (rows, cols), or None where the present lattice covers all.
     """

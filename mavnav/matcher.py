@@ -66,7 +66,7 @@ def match_polar(
     grid = config.grid.refined(k)
     fine = _search_polar(virtual_m, points, spec, predicted, config, grid, config.azimuth * k)
     best = fine if fine.cost_m2 < match.cost_m2 else match
-    return _with_effort(best, match, fine)
+    return with_effort(best, match, fine)
 
 
 def _search_polar(
@@ -83,15 +83,20 @@ def _search_polar(
         virtual_m,
         points,
         np.array([azimuth, grid.nx, grid.ny, paper.max_extensions if paper.extend_border else 0], float),
-        np.array([paper.window_mm * MM, paper.window_deg * DEG, paper.shrink, paper.stop_mm * MM, paper.stop_deg * DEG]),
-        np.array([
-            spec.angle_min_rad,
-            spec.angle_step_rad,
-            paper.near_mm * MM,
-            paper.far_mm * MM,
-            paper.occlusion_mm * MM,
-            max(3.0, paper.min_beams_share * spec.beams),
-        ]),
+        np.array(
+            [paper.window_mm * MM, paper.window_deg * DEG, paper.shrink, paper.stop_mm * MM, paper.stop_deg * DEG]
+        ),
+        np.array(
+            [
+                spec.angle_min_rad,
+                spec.angle_step_rad,
+                paper.near_mm * MM,
+                paper.far_mm * MM,
+                paper.occlusion_mm * MM,
+                paper.mixed_pixel_mm * MM,
+                max(3.0, paper.min_beams_share * spec.beams),
+            ]
+        ),
     )
     pose = predicted @ Pose(float(x), float(y), wrap_angle(float(yaw)))
     share = float(used) / max(len(points), 1)
@@ -130,7 +135,7 @@ def match_lines(
     wide = (1.5 * window[0], 1.5 * window[1])
     for start in (predicted, *alternatives):
         other = search_lines(points, line_map, start, wide, config, refine=3)
-        best = _with_effort(other if other.inliers > best.inliers else best, best, other)
+        best = with_effort(other if other.inliers > best.inliers else best, best, other)
     return best
 
 
@@ -142,20 +147,22 @@ def search_lines(
     config: Config,
     refine: int = 1,
 ) -> Match:
-    """Search once, within ``window`` (half-widths in m and rad) of ``start``; ``refine`` multiplies the grid's points."""
+    """Search once, within ``window`` (half-widths, m and rad) of ``start``; ``refine`` multiplies the grid."""
     robust, grid = config.robust, config.grid.refined(refine)
     x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
         points,
         start.as_array(),
         np.array([config.azimuth * refine, grid.nx, grid.ny, robust.max_extensions], float),
-        np.array([
-            *window,
-            robust.stop_mm * MM,
-            robust.stop_deg * DEG,
-            robust.truncate_mm * MM,
-            robust.first_level_points,
-            2,
-        ]),
+        np.array(
+            [
+                *window,
+                robust.stop_mm * MM,
+                robust.stop_deg * DEG,
+                robust.truncate_mm * MM,
+                robust.first_level_points,
+                2,
+            ]
+        ),
         line_map.nearest,
         line_map.lines,
         line_map.geometry,
@@ -164,7 +171,7 @@ def search_lines(
     return Match(pose, float(cost), len(points), float(inliers), int(evaluations), int(grids), bool(converged))
 
 
-def _with_effort(best: Match, *tried: Match) -> Match:
+def with_effort(best: Match, *tried: Match) -> Match:
     """Charge a match with the effort of all that were tried for it."""
     return Match(
         best.map_T_laser,

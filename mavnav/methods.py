@@ -9,7 +9,16 @@ import numpy as np
 from mavnav.grid import Grid
 from mavnav.kernels.points import scan_points, voxel_means
 from mavnav.linemap import LineMap
-from mavnav.matcher import Match, first_match, match_lines, match_polar, no_match, polar_points, search_lines
+from mavnav.matcher import (
+    Match,
+    first_match,
+    match_lines,
+    match_polar,
+    no_match,
+    polar_points,
+    search_lines,
+    with_effort,
+)
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG, MM, MM2
 
@@ -23,10 +32,14 @@ if TYPE_CHECKING:
     from mavnav.scan import LaserSpec, Scan
 
 
+REGAIN_S = 0.5  # without a believed pose for longer, chance agreements are likely: more of the scan must agree
+
+
 class Method(Protocol):
     """What ``slam.track`` asks of a method; ``grid`` is the map that it builds."""
 
     grid: Grid
+    expects_rest: bool
     places: bool
 
     def first(self, scan: Scan) -> Match:
@@ -53,6 +66,7 @@ def _directions(spec: LaserSpec) -> NDArray[np.float64]:
 class Paper:
     """The paper's method, every step of it; its map is the plain grid of hit counts."""
 
+    expects_rest = True  # a recorded log has no commands
     places = False
 
     def __init__(self, config: Config) -> None:
@@ -67,14 +81,14 @@ class Paper:
         return first_match(beams) if enough else no_match(Pose(), beams)
 
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
-        """Match against a virtual scan from where the last command should have led (cost steps i, ii).
-
-        A recorded log has no commands: the laser is expected where it was.
-        """
-        paper, here = self.config.paper, motion.map_T_laser
-        virtual_m = self.grid.virtual_scan(here, _directions(scan.spec), paper.far_mm * MM, paper.cluster_gap_cells)
+        """Match against a virtual scan from where the last command should have led (cost steps i, ii)."""
+        paper = self.config.paper
         points = polar_points(scan.ranges_m, scan.spec, paper.mixed_pixel_mm * MM)
-        return match_polar(virtual_m, points, scan.spec, here, self.config)
+        if len(points) < paper.min_beams_share * scan.spec.beams:
+            return no_match(predicted, len(points))
+        far_m = paper.far_mm * MM
+        virtual_m = self.grid.virtual_scan(predicted, _directions(scan.spec), far_m, paper.cluster_gap_cells)
+        return match_polar(virtual_m, points, scan.spec, predicted, self.config)
 
     def gate(self, match: Match, scan: Scan, motion: Motion) -> tuple[bool, bool]:
         """Believe and insert only a well-minimised cost (paper, "Map Update")."""
@@ -93,6 +107,7 @@ class Paper:
 class Robust:
     """Point to local line over the whole map; the grid of hit counts is kept beside it for the outputs."""
 
+    expects_rest = False
     places = True
 
     def __init__(self, config: Config) -> None:
@@ -124,7 +139,8 @@ class Robust:
             moved.distance_m <= robust.max_speed_m_s * elapsed_s
             and abs(moved.yaw_rad) <= robust.max_turn_deg_s * DEG * elapsed_s
         )
-        tracked = possible and match.inliers >= robust.track_above
+        needed = robust.regain_above if elapsed_s > REGAIN_S else robust.track_above
+        tracked = possible and match.inliers >= needed
         return tracked, tracked and match.inliers >= robust.insert_above
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
@@ -138,7 +154,8 @@ class Robust:
         robust = self.config.robust
         points = voxel_means(self._points(scan), robust.voxel_mm * MM)
         window = (robust.final_window_mm * MM, robust.final_window_deg * DEG)
-        return search_lines(points, self.lines, match.map_T_laser, window, self.config)
+        placed = search_lines(points, self.lines, match.map_T_laser, window, self.config)
+        return with_effort(placed, match, placed)
 
     def _points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
         """Good points (n, 2) in the laser's frame, m; at mid-sweep if the motion is given."""

@@ -26,11 +26,13 @@ class Motion:
 
     ``twist`` (3,) is the velocity in the laser's own frame, m/s, m/s, rad/s. ``period_s`` is the sensor's: steps of
     time are rounded to whole periods, because many drivers stamp a scan when it arrives, tens of ms early or late.
+    With ``expects_rest`` the laser is expected where it was, unless odometry moves it.
     """
 
     period_s: float
     odom_T_laser: Trajectory | None = None
-    map_T_laser: Pose = Pose()
+    expects_rest: bool = False
+    map_T_laser: Pose = field(default_factory=Pose)
     stamp_ns: int = 0
     twist: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
@@ -39,8 +41,9 @@ class Motion:
         return max(1, round((stamp_ns - self.stamp_ns) * NS / self.period_s)) * self.period_s
 
     def predict(self, stamp_ns: int) -> Pose:
-        """Return the pose to expect: odometry's, else constant velocity's."""
-        return self.by_odometry(stamp_ns) or self.by_velocity(stamp_ns)
+        """Return the pose to expect: odometry's, else constant velocity's or the last one."""
+        rest = self.map_T_laser if self.expects_rest else self.by_velocity(stamp_ns)
+        return self.by_odometry(stamp_ns) or rest
 
     def by_velocity(self, stamp_ns: int) -> Pose:
         """Extrapolate the last pose with its twist, ``LONGEST_S`` at most."""

@@ -40,9 +40,7 @@ class Pose:
     def inverse(self) -> Pose:
         """Return ``b_T_a`` of ``a_T_b``."""
         c, s = cos(self.yaw_rad), sin(self.yaw_rad)
-        return Pose(
-            -c * self.x_m - s * self.y_m, s * self.x_m - c * self.y_m, wrap_angle(-self.yaw_rad)
-        )
+        return Pose(-c * self.x_m - s * self.y_m, s * self.x_m - c * self.y_m, wrap_angle(-self.yaw_rad))
 
     def between(self, other: Pose) -> Pose:
         """Return the pose of ``other`` seen from here: ``self.inverse() @ other``."""

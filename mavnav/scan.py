@@ -31,7 +31,7 @@ class LaserSpec:
     @property
     def angles_rad(self) -> NDArray[np.float64]:
         """Bearings of the beams, shape (beams,)."""
-        return self.angle_min_rad + self.angle_step_rad * np.arange(self.beams)
+        return self.angle_min_rad + self.angle_step_rad * np.arange(self.beams, dtype=np.float64)
 
     @property
     def field_of_view_rad(self) -> float:

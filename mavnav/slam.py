@@ -111,7 +111,7 @@ def replay(
     on_step : called with the name of the pass ("track", "final pass") and the number of scans done
     """
     method = METHODS[config.method](config)
-    motion = Motion(period_s, odom_T_laser)
+    motion = Motion(period_s, odom_T_laser, method.expects_rest)
     steps = list(_told(track(log_scans(), method, motion), "track", on_step))
     if config.final_pass and method.places:
         steps = list(_told(place(log_scans(), steps, method), "final pass", on_step))

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numba
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-F = TypeVar("F")
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
-def kernel(signature: Any) -> Callable[[F], F]:  # noqa: ANN401
+def kernel(signature: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:  # noqa: ANN401
     """Compile for one explicit signature, once a machine: cached on disk, C-like division, free of the GIL."""
     return numba.njit(signature, cache=True, error_model="numpy", nogil=True)  # type: ignore[no-any-return]

@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import float64, int32, types, void
 
 from mavnav.kernels._jit import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 
 
 @kernel(void(_F2, _F1, _F1, int32[:, ::1], int32[:, ::1]))
-def add_scan(xy_map_m, laser_xy_m, lattice, hits, passes):
+def add_scan(
+    xy_map_m: NDArray[np.float64],
+    laser_xy_m: NDArray[np.float64],
+    lattice: NDArray[np.float64],
+    hits: NDArray[np.int32],
+    passes: NDArray[np.int32],
+) -> None:
     """Count every end point (n, 2) in ``hits`` and the cells between the laser and it in ``passes``.
 
     ``lattice`` is (3,): x and y of the corner of cell [0, 0], and the cell edge, in m. A beam walks from cell to cell

@@ -12,10 +12,15 @@ Layout shared by this file and ``linesearch``:
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import boolean, float64, int32, int64, types, void
 
 from mavnav.kernels._jit import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 WINDOW_CELLS = 4  # half-width of the line fit's window: 9x9 cells
 REACH_CELLS = 8  # nearest occupied cells are known this far
@@ -25,7 +30,7 @@ _F2 = types.Array(float64, 2, "C", readonly=True)
 
 
 @kernel(void(int64, int64, int64, int32[:, ::1], int32[:, ::1]))
-def _stamp(slot, row, col, nearest, cells):
+def _stamp(slot: int, row: int, col: int, nearest: NDArray[np.int32], cells: NDArray[np.int32]) -> None:
     """Make ``slot`` the nearest occupied cell wherever it is nearer than the present one (ties keep the older)."""
     for r in range(row - REACH_CELLS, row + REACH_CELLS + 1):
         for c in range(col - REACH_CELLS, col + REACH_CELLS + 1):
@@ -41,13 +46,13 @@ def _stamp(slot, row, col, nearest, cells):
 
 
 @kernel(boolean(int64, int64, int64, int32[:, ::1]))
-def _is_cell(slot, row, col, cells):
+def _is_cell(slot: int, row: int, col: int, cells: NDArray[np.int32]) -> bool:
     """Tell whether an entry of ``nearest`` at (row, col) is the occupied cell (row, col) itself."""
     return slot >= 0 and cells[slot, 0] == row and cells[slot, 1] == col
 
 
-@kernel(void(int64, float64, float64, float64[:, ::1], float64[:, ::1]))
-def _fit(slot, sigma_m, noise_m, smooth, lines):
+@kernel(void(int64, float64, float64[:, ::1], float64[:, ::1]))
+def _fit(slot: int, noise_m: float, smooth: NDArray[np.float64], lines: NDArray[np.float64]) -> None:
     """Refit one line: A = ((tr C + s0^2) I - C) / (l1 + s0^2), 1 along the normal and small along the wall."""
     n = smooth[slot, 0]
     mx, my = smooth[slot, 1] / n, smooth[slot, 2] / n
@@ -65,7 +70,16 @@ def _fit(slot, sigma_m, noise_m, smooth, lines):
 
 
 @kernel(int64(_F2, _F1, int64, int32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1]))
-def insert_points(xy_map_m, geometry, count, nearest, cells, own, smooth, lines):
+def insert_points(
+    xy_map_m: NDArray[np.float64],
+    geometry: NDArray[np.float64],
+    count: int,
+    nearest: NDArray[np.int32],
+    cells: NDArray[np.int32],
+    own: NDArray[np.float64],
+    smooth: NDArray[np.float64],
+    lines: NDArray[np.float64],
+) -> int:
     """Add points (n, 2) to the map and refit the lines that they touch; returns the new number of cells.
 
     The caller sees to room: every point lies ``REACH_CELLS`` or more inside ``nearest``, and the arrays over cells
@@ -136,6 +150,6 @@ def insert_points(xy_map_m, geometry, count, nearest, cells, own, smooth, lines)
                     touched[n_touched] = other
                     n_touched += 1
     for t in range(n_touched):
-        _fit(touched[t], sigma, noise, smooth, lines)
+        _fit(touched[t], noise, smooth, lines)
         lines[touched[t], 7] = 0.0
     return count

@@ -6,10 +6,15 @@ azimuth with the position fixed, then the plane with the azimuth fixed; the scan
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import float64, int32, int64, types, void
 
 from mavnav.kernels._jit import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 MAX_LEVELS = 40
 
@@ -19,7 +24,16 @@ _I2 = types.Array(int32, 2, "C", readonly=True)
 
 
 @kernel(float64(float64[::1], float64[::1], float64[::1], float64, _I2, _F2, _F1, float64))
-def _cost_sum(x, y, offset, truncate_m2, nearest, lines, geometry, bound):
+def _cost_sum(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    offset: NDArray[np.float64],
+    truncate_m2: float,
+    nearest: NDArray[np.int32],
+    lines: NDArray[np.float64],
+    geometry: NDArray[np.float64],
+    bound: float,
+) -> float:
     """Sum of the points' squared, truncated distances to their lines; gives up once it exceeds ``bound``."""
     rows, cols = nearest.shape
     ox, oy, inverse = geometry[0], geometry[1], 1.0 / geometry[2]
@@ -43,7 +57,14 @@ def _cost_sum(x, y, offset, truncate_m2, nearest, lines, geometry, bound):
 
 
 @kernel(void(_F2, int64, float64[::1], float64, float64[::1], float64[::1]))
-def _rotate(points, n, pivot, yaw, x, y):
+def _rotate(
+    points: NDArray[np.float64],
+    n: int,
+    pivot: NDArray[np.float64],
+    yaw: float,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+) -> None:
     """Turn the first ``n`` points about the pivot."""
     c, s = np.cos(yaw), np.sin(yaw)
     for k in range(n):
@@ -53,7 +74,15 @@ def _rotate(points, n, pivot, yaw, x, y):
 
 
 @kernel(float64[::1](_F2, _F1, _F1, _F1, _I2, _F2, _F1))
-def search(points, start, grid, limits, nearest, lines, geometry):
+def search(
+    points: NDArray[np.float64],
+    start: NDArray[np.float64],
+    grid: NDArray[np.float64],
+    limits: NDArray[np.float64],
+    nearest: NDArray[np.int32],
+    lines: NDArray[np.float64],
+    geometry: NDArray[np.float64],
+) -> NDArray[np.float64]:
     """Find the pose of the scan in the map; returns [x, y, yaw, cost_m2, inliers, evaluations, grids, converged].
 
     Parameters
@@ -126,13 +155,15 @@ def search(points, start, grid, limits, nearest, lines, geometry):
         total += d2
         inliers += d2 < 0.25 * truncate_m2
     c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([
-        at[0] - c * pivot[0] + s * pivot[1],
-        at[1] - s * pivot[0] - c * pivot[1],
-        yaw,
-        total / n,
-        inliers / n,
-        evaluations,
-        grids,
-        converged,
-    ])
+    return np.array(
+        [
+            at[0] - c * pivot[0] + s * pivot[1],
+            at[1] - s * pivot[0] - c * pivot[1],
+            yaw,
+            total / n,
+            inliers / n,
+            evaluations,
+            grids,
+            converged,
+        ]
+    )

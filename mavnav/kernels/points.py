@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import float64, types, uint64
 
 from mavnav.kernels._jit import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 
 
 @kernel(float64[:, ::1](_F1, _F2, _F1, float64, float64, float64))
-def scan_points(ranges_m, directions, twist, time_increment_s, near_m, far_m):
+def scan_points(
+    ranges_m: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    twist: NDArray[np.float64],
+    time_increment_s: float,
+    near_m: float,
+    far_m: float,
+) -> NDArray[np.float64]:
     """Return the end points (n, 2), in m, of the good beams in the laser's frame at mid-sweep.
 
     Left out are beams without a return, nearer or farther than the limits, and mixed pixels: beams that differ from
@@ -39,7 +51,7 @@ def scan_points(ranges_m, directions, twist, time_increment_s, near_m, far_m):
 
 
 @kernel(float64[:, ::1](_F2, float64))
-def voxel_means(points, voxel_m):
+def voxel_means(points: NDArray[np.float64], voxel_m: float) -> NDArray[np.float64]:
     """Average points (n, 2) in square voxels; returns (m, 2) in a scrambled order, the same for the same points.
 
     Any prefix of the result is a fair sample of the whole, which lets a search judge on few points first.

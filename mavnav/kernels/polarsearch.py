@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import float64, int64, types
 
 from mavnav.kernels._jit import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 MAX_ITERATIONS = 60
 
@@ -14,7 +19,15 @@ _F2 = types.Array(float64, 2, "C", readonly=True)
 
 
 @kernel(types.UniTuple(float64, 2)(_F1, _F2, float64, float64, float64, _F1, float64[::1]))
-def polar_cost(virtual, points, x, y, yaw, limits, seen):
+def polar_cost(
+    virtual: NDArray[np.float64],
+    points: NDArray[np.float64],
+    x: float,
+    y: float,
+    yaw: float,
+    limits: NDArray[np.float64],
+    seen: NDArray[np.float64],
+) -> tuple[float, float]:
     """Mean squared radius difference (m2) between virtual and roto-translated scan, and the number of beams in it.
 
     Parameters
@@ -22,13 +35,14 @@ def polar_cost(virtual, points, x, y, yaw, limits, seen):
     virtual : (beams,) ranges of the virtual scan, m, NaN where it saw no cell
     points : (n, 4) the scan's good points in beam order: x, y (m), beam number, and its range
     x, y, yaw : proposed motion from the virtual scan's pose, m, rad
-    limits : (6,) bearing of beam 0, bearing step (rad), near, far, occlusion threshold (m), least number of beams
+    limits : (7,) bearing of beam 0 and bearing step (rad); near, far, occlusion threshold, range jump between
+        surfaces (m); least number of beams
     seen : (beams,) scratch, the roto-translated scan at the virtual bearings
 
     The cost is inf where fewer beams than the least number contribute.
     """
     beams = len(virtual)
-    first, step, near, far, occlusion, least = limits
+    first, step, near, far, occlusion, edge, least = limits
     c, s = np.cos(yaw), np.sin(yaw)
     seen[:] = np.inf
     last_angle, last_r, last_beam = 0.0, 0.0, -2.0
@@ -40,12 +54,12 @@ def polar_cost(virtual, points, x, y, yaw, limits, seen):
         r = np.sqrt(px * px + py * py)
         angle = (np.arctan2(py, px) - first) / step
         angle -= turn * np.floor(angle / turn)
-        # Step iv: between neighbouring beams, and where a surface turns its front to the virtual laser.
+        # Step iv: between neighbouring beams of one surface, where it turns its front to the virtual laser.
         if points[k, 2] == last_beam + 1.0:
             ahead = angle - last_angle
             if ahead < -0.5 * turn:
                 ahead += turn
-            if 0.0 < ahead < 0.25 * turn:
+            if 0.0 < ahead < 0.25 * turn and abs(points[k, 3] - points[k - 1, 3]) < edge:
                 start = last_angle
                 for _ in range(2):
                     j = max(int64(np.ceil(start)), 0)
@@ -74,7 +88,13 @@ def polar_cost(virtual, points, x, y, yaw, limits, seen):
 
 
 @kernel(float64[::1](_F1, _F2, _F1, _F1, _F1))
-def search(virtual, points, grid, schedule, limits):
+def search(
+    virtual: NDArray[np.float64],
+    points: NDArray[np.float64],
+    grid: NDArray[np.float64],
+    schedule: NDArray[np.float64],
+    limits: NDArray[np.float64],
+) -> NDArray[np.float64]:
     """Minimise the cost; returns [x, y, yaw, cost_m2, beams used, evaluations, iterations, converged].
 
     Parameters
@@ -89,7 +109,12 @@ def search(virtual, points, grid, schedule, limits):
     azimuths, nx, ny, extensions = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3])
     half_m, half_rad, shrink, stop_m, stop_rad = schedule
     seen = np.empty(len(virtual))
-    x, y, yaw = 0.0, 0.0, 0.0
+    # Turning about the points' centroid keeps the two searches from undoing each other.
+    pivot_x, pivot_y = points[:, 0].mean(), points[:, 1].mean()
+    turned = points.copy()
+    turned[:, 0] -= pivot_x
+    turned[:, 1] -= pivot_y
+    x, y, yaw = pivot_x, pivot_y, 0.0
     best, used, evaluations, iterations, converged = np.inf, 0.0, 0, 0, 0.0
     for _ in range(MAX_ITERATIONS):
         iterations += 1
@@ -98,7 +123,7 @@ def search(virtual, points, grid, schedule, limits):
             # Minimisation, steps i and ii
             best, best_i, centre = np.inf, azimuths // 2, yaw
             for i in range(azimuths):
-                cost, n = polar_cost(virtual, points, x, y, centre - half_rad + i * step_rad, limits, seen)
+                cost, n = polar_cost(virtual, turned, x, y, centre - half_rad + i * step_rad, limits, seen)
                 if cost < best:
                     best, used, best_i = cost, n, i
             evaluations += azimuths
@@ -114,7 +139,7 @@ def search(virtual, points, grid, schedule, limits):
                 for i in range(nx):
                     u = -1.0 + 2.0 * i / (nx - 1)
                     dx, dy = half_m * u * np.sqrt(1.0 - 0.5 * v * v), half_m * v * np.sqrt(1.0 - 0.5 * u * u)
-                    cost, n = polar_cost(virtual, points, x0 + dx, y0 + dy, yaw, limits, seen)
+                    cost, n = polar_cost(virtual, turned, x0 + dx, y0 + dy, yaw, limits, seen)
                     if cost < best:
                         best, used, best_i, best_j = cost, n, i, j
                         x, y = x0 + dx, y0 + dy
@@ -130,4 +155,6 @@ def search(virtual, points, grid, schedule, limits):
             break
         half_m *= max(shrink, min(spacing / half_m, 0.9))
         half_rad *= max(shrink, min(step_rad / half_rad, 0.9))
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y = x - c * pivot_x + s * pivot_y, y - s * pivot_x - c * pivot_y
     return np.array([x, y, yaw, best, used, evaluations, iterations, converged])

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numba import float64, int32, int64, types
 
 from mavnav.kernels._jit import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
@@ -13,7 +18,14 @@ _I2 = types.Array(int32, 2, "C", readonly=True)
 
 
 @kernel(float64[::1](_I2, _F1, _F1, _F2, float64, int64))
-def virtual_scan(hits, lattice, pose, directions, far_m, gap_cells):
+def virtual_scan(
+    hits: NDArray[np.int32],
+    lattice: NDArray[np.float64],
+    pose: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    far_m: float,
+    gap_cells: int,
+) -> NDArray[np.float64]:
     """Return the range (beams,) in m at each direction, NaN where no occupied cell lies within ``far_m``.
 
     A ray walks the cells until the first occupied one, follows the cluster of occupied cells behind it, over empty

@@ -1,0 +1,82 @@
+"""Counting hits and passes, and the virtual scan, against their twins."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mavnav.grid import Grid
+from mavnav.kernels import hits, raycast
+from mavnav.pose import Pose
+
+LATTICE = np.array([-1.0, -0.5, 0.05])
+
+
+def directions(n: int = 90) -> np.ndarray:
+    angle = np.linspace(-np.pi, np.pi, n, endpoint=False) + 0.01
+    return np.column_stack((np.cos(angle), np.sin(angle)))
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_add_scan_is_its_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points, laser = rng.uniform((-0.9, -0.4), (2.9, 1.4), (20, 2)), rng.uniform(0, 1, 2)
+    fast, slow = np.zeros((2, 40, 80), np.int32), np.zeros((2, 40, 80), np.int32)
+    hits.add_scan(points, laser, LATTICE, *fast)
+    naive.add_scan(points, laser, LATTICE, *slow)
+    np.testing.assert_array_equal(fast, slow)
+
+
+def test_beams_along_the_axes_and_through_corners_end_where_they_end() -> None:
+    fast = np.zeros((2, 40, 80), np.int32)
+    ends = np.array([(0.025, 0.525), (0.525, 0.025), (-0.475, 0.025), (0.025, -0.475), (0.525, 0.525), (0.025, 0.025)])
+    hits.add_scan(ends, np.array([0.025, 0.025]), LATTICE, *fast)
+    for x, y in ends:
+        assert fast[0][naive.cell_of((x + 1.0, y + 0.5), 0.05)] == 1
+    assert fast[0].sum() == len(ends)
+    assert fast[1].sum() == 10 * 4 + 20
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), gap=st.integers(0, 3))
+def test_virtual_scan_is_its_twin(seed: int, gap: int) -> None:
+    rng = np.random.default_rng(seed)
+    counts = np.where(rng.random((40, 80)) < 0.06, rng.integers(1, 5, (40, 80)), 0).astype(np.int32)
+    pose = rng.uniform((-0.9, -0.4, -3), (2.9, 1.4, 3))
+    fast = raycast.virtual_scan(counts, LATTICE, pose, directions(), 1.7, gap)
+    slow = naive.virtual_scan(counts, LATTICE, pose, directions(), 1.7, gap)
+    # The last cell within reach is a matter of rounding; nothing else is.
+    edge = np.isnan(fast) != np.isnan(slow)
+    assert edge.sum() <= 1
+    np.testing.assert_allclose(fast[~edge], slow[~edge], rtol=1e-12)
+
+
+def test_thick_wall_counts_as_its_cell_of_most_hits() -> None:
+    grid = Grid(0.05)
+    for x, times in ((1.025, 1), (1.075, 5), (1.125, 5), (1.225, 9)):
+        for _ in range(times):
+            grid.insert(Pose(), np.array([(x, 0.025)]))
+    ahead = np.array([(1.0, 0.0)])
+    here = Pose(0.025, 0.025)
+    assert grid.virtual_scan(here, ahead, 5.0, 0)[0] == pytest.approx(1.05)  # nearest of two equals
+    assert grid.virtual_scan(here, ahead, 5.0, 1)[0] == pytest.approx(1.2)  # over one empty cell
+    assert np.isnan(grid.virtual_scan(here, ahead, 0.9, 0)[0])
+    assert np.isnan(grid.virtual_scan(here, -ahead, 5.0, 0)[0])
+
+
+@given(st.lists(st.tuples(st.integers(-40_000, 40_000), st.integers(-40_000, 40_000)), min_size=1, max_size=8))
+@settings(max_examples=50, deadline=None)
+def test_grid_grows_without_losing_a_hit(points_mm: list[tuple[int, int]]) -> None:
+    grid = Grid(0.1)
+    points = [(x / 1000 + 0.0005, y / 1000 + 0.0005) for x, y in points_mm]
+    for x, y in points:
+        grid.insert(Pose(), np.array([(x, y)]))
+    col, row = np.round(np.array(grid.origin_xy_m) / 0.1).astype(int)
+    for x, y in points:
+        r, c = naive.cell_of((x, y), 0.1)
+        assert grid.hits[r - row, c - col] >= 1
+    assert grid.hits.sum() == len(points)

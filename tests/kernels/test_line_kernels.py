@@ -1,0 +1,200 @@
+"""Points, line map and line search against their twins."""
+
+from __future__ import annotations
+
+import math
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from synthetic import URG_04LX, furnished_rooms, scan_at
+
+from mavnav.kernels import linemap as linemap_kernel
+from mavnav.kernels import linesearch
+from mavnav.kernels.points import scan_points, voxel_means
+from mavnav.linemap import LineMap
+from mavnav.pose import Pose, transform_points
+
+ANGLES = URG_04LX.angles_rad
+DIRECTIONS = np.column_stack((np.cos(ANGLES), np.sin(ANGLES)))
+
+
+def wall_points(rng: np.random.Generator, n: int = 60) -> np.ndarray:
+    along = rng.uniform(-0.3, 0.5, n)
+    return np.column_stack((along, 0.3 * along + 0.1)) + rng.normal(0, 0.012, (n, 2))
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_scan_points_are_their_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ranges = scan_at(furnished_rooms(), Pose(3.0, 2.2, 1.0), noise=0.03, rng=rng).ranges_m.copy()
+    ranges[rng.random(len(ranges)) < 0.1] = np.nan
+    args = (ranges, DIRECTIONS, rng.uniform(-1, 1, 3), 1e-4, 0.5, 4.0)
+    np.testing.assert_allclose(scan_points(*args), naive.scan_points(*args), atol=1e-12)
+
+
+def test_deskewing_undoes_a_turn_during_the_sweep() -> None:
+    """A laser that turns at 2 rad/s sees each beam from a later heading; de-skewed, the walls are where they are."""
+    at, rate = Pose(3.0, 2.2, 1.0), 2.0
+    late = URG_04LX.time_increment_s * (np.arange(URG_04LX.beams) - (URG_04LX.beams - 1) / 2)
+    skewed = np.array(
+        [
+            scan_at(furnished_rooms(), Pose(at.x_m, at.y_m, at.yaw_rad + rate * t)).ranges_m[i]
+            for i, t in enumerate(late)
+        ]
+    )
+    points = scan_points(skewed, DIRECTIONS, np.array([0.0, 0.0, rate]), URG_04LX.time_increment_s, 0.1, 5.0)
+    still = scan_at(furnished_rooms(), at).points()
+    gap = np.linalg.norm(points[:, None] - still[None], axis=2).min(axis=1)
+    raw = scan_points(skewed, DIRECTIONS, np.zeros(3), 0.0, 0.1, 5.0)
+    assert np.median(gap) < 0.01
+    assert np.median(np.linalg.norm(raw[:, None] - still[None], axis=2).min(axis=1)) > 2 * np.median(gap)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_voxel_means_are_their_twin(seed: int) -> None:
+    points = np.random.default_rng(seed).uniform(-0.3, 0.3, (80, 2))
+    fast, slow = voxel_means(points, 0.05), naive.voxel_means(points, 0.05)
+    np.testing.assert_allclose(fast[np.lexsort(fast.T)], slow[np.lexsort(slow.T)], atol=1e-12)
+    np.testing.assert_array_equal(fast, voxel_means(points, 0.05))
+
+
+def test_any_prefix_of_the_voxel_means_is_spread_over_the_scan() -> None:
+    means = voxel_means(scan_at(furnished_rooms(), Pose(3.0, 2.2, 1.0)).points(), 0.03)
+    some = means[: len(means) // 3]
+    assert np.linalg.norm(some.mean(axis=0) - means.mean(axis=0)) < 0.2
+    assert np.allclose(some.std(axis=0), means.std(axis=0), rtol=0.15)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_lines_grown_scan_by_scan_are_those_of_all_points_at_once(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = wall_points(rng)
+    grown = LineMap(0.02, 0.06, 0.01)
+    for part in np.array_split(points, 5):
+        grown.insert(part)
+    expected = naive.insert_points(points, 0.02, 0.06, 0.01)
+    assert grown.count == len(expected)
+    col0, row0 = grown.origin_cells
+    for slot in range(grown.count):
+        row, col = grown.cells[slot] + (row0, col0)
+        mu, a = expected[row, col]
+        assert grown.nearest[tuple(grown.cells[slot])] == slot
+        np.testing.assert_allclose(grown.lines[slot, :2], mu, atol=1e-9)
+        np.testing.assert_allclose(grown.lines[slot, 2:5], (a[0, 0], a[0, 1], a[1, 1]), atol=1e-6)
+
+
+def test_nearest_is_the_nearest_occupied_cell_within_reach() -> None:
+    grown = LineMap(0.02, 0.06, 0.01)
+    grown.insert(wall_points(np.random.default_rng(5), 12))
+    occupied = grown.cells[: grown.count].astype(int)
+    rows, cols = np.indices(grown.nearest.shape)
+    d2 = (rows[..., None] - occupied[:, 0]) ** 2 + (cols[..., None] - occupied[:, 1]) ** 2
+    within = d2.min(axis=-1) <= linemap_kernel.REACH_CELLS**2
+    np.testing.assert_array_equal(grown.nearest >= 0, within)
+    chosen = np.take_along_axis(d2, np.maximum(grown.nearest, 0)[..., None].astype(int), axis=-1)[..., 0]
+    np.testing.assert_array_equal(chosen[within], d2.min(axis=-1)[within])
+
+
+@given(shift=st.tuples(st.integers(-900, 900), st.integers(-900, 900)))
+@settings(max_examples=20, deadline=None)
+def test_map_grows_any_way_and_forgets_nothing(shift: tuple[int, int]) -> None:
+    rng = np.random.default_rng(1)
+    first = wall_points(rng)
+    grown = LineMap(0.02, 0.06, 0.01)
+    grown.insert(first)
+    before = grown.lines[: grown.count, :5].copy(), grown.cells[: grown.count] + np.array(grown.origin_cells)[::-1]
+    grown.insert(first[:5] + np.array(shift) * 0.05 + 100.0)
+    n = len(before[0])
+    np.testing.assert_array_equal(grown.lines[:n, :5], before[0])
+    np.testing.assert_array_equal(grown.cells[:n] + np.array(grown.origin_cells)[::-1], before[1])
+
+
+def furnished_map() -> tuple[LineMap, np.ndarray]:
+    here = Pose(3.0, 2.2, 1.0)
+    line_map = LineMap(0.02, 0.06, 0.01)
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        scan = scan_at(furnished_rooms(), here, noise=0.01, rng=rng)
+        line_map.insert(transform_points(here, scan.points()))
+    seen = scan_at(furnished_rooms(), here, noise=0.01, rng=rng).points()
+    return line_map, voxel_means(np.ascontiguousarray(seen[::12]), 0.03)
+
+
+def test_cost_is_its_twin() -> None:
+    line_map, points = furnished_map()
+    origin = np.array(line_map.origin_cells)[::-1]
+    lines = {
+        tuple(line_map.cells[k] + origin): (
+            line_map.lines[k, :2],
+            np.array([line_map.lines[k, 2:4], line_map.lines[k, 3:5]]),
+        )
+        for k in range(line_map.count)
+    }
+    for pose in ([3.0, 2.2, 1.0], [3.04, 2.17, 1.02], [2.8, 2.4, 0.8]):
+        slow = naive.line_costs(points, pose, lines, 0.02, 0.15)
+        keep = [k for k, cost in enumerate(slow) if cost is not None]
+        placed = transform_points(Pose(*pose), points[keep])
+        fast = linesearch._cost_sum(
+            placed[:, 0].copy(), placed[:, 1].copy(), np.zeros(2), 0.15**2, line_map.nearest, line_map.lines,
+            line_map.geometry, np.inf,
+        )  # fmt: skip
+        assert fast == pytest.approx(sum(slow[k] for k in keep), rel=1e-9)
+
+
+@pytest.mark.parametrize("grid", [(7, 4, 5, 2), (6, 5, 5, 0)])
+def test_search_is_its_twin(grid: tuple[int, ...]) -> None:
+    line_map, points = furnished_map()
+    start = np.array([3.06, 2.12, 1.1])
+    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, 1e9, 2])
+    found = linesearch.search(
+        points, start, np.array(grid, float), limits, line_map.nearest, line_map.lines, line_map.geometry
+    )
+
+    def cost(x: float, y: float, yaw: float) -> float:
+        placed = transform_points(Pose(x, y, yaw), points)
+        return linesearch._cost_sum(
+            placed[:, 0].copy(), placed[:, 1].copy(), np.zeros(2), 0.15**2, line_map.nearest, line_map.lines,
+            line_map.geometry, np.inf,
+        )  # fmt: skip
+
+    slow = naive.coarse_to_fine(cost, points.mean(axis=0), start, grid, limits)
+    np.testing.assert_allclose(found[:3], slow, atol=1e-9)
+    assert found[3] == pytest.approx(cost(*found[:3]) / len(points), rel=1e-9)
+
+
+def test_search_finds_the_pose_and_counts_its_work() -> None:
+    line_map, points = furnished_map()
+    x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
+        points, np.array([3.2, 2.0, 1.2]), np.array([20.0, 10, 10, 3]),
+        np.array([0.35, 0.35, 0.001, math.radians(0.02), 0.15, 120, 2]),
+        line_map.nearest, line_map.lines, line_map.geometry,
+    )  # fmt: skip
+    assert math.hypot(x - 3.0, y - 2.2) < 0.01
+    assert abs(yaw - 1.0) < 0.005
+    assert inliers > 0.95
+    truth = transform_points(Pose(3.0, 2.2, 1.0), points)
+    at_truth = linesearch._cost_sum(
+        truth[:, 0].copy(), truth[:, 1].copy(), np.zeros(2), 0.15**2, line_map.nearest, line_map.lines,
+        line_map.geometry, np.inf,
+    )  # fmt: skip
+    assert cost <= at_truth / len(points)
+    assert converged == 1.0
+    azimuth_grids = (100 * grids - evaluations) / 80  # each grid has 20 or 100 points
+    assert azimuth_grids == int(azimuth_grids)
+    assert 0.4 * grids <= azimuth_grids <= 0.6 * grids
+
+
+def test_points_off_the_map_cost_the_truncation() -> None:
+    line_map, points = furnished_map()
+    found = linesearch.search(
+        points, np.array([-500.0, 800.0, 0.0]), np.array([4.0, 3, 3, 1]),
+        np.array([0.1, 0.1, 0.05, 0.05, 0.15, 120, 1]), line_map.nearest, line_map.lines, line_map.geometry,
+    )  # fmt: skip
+    assert found[3] == pytest.approx(0.15**2)
+    assert found[4] == 0.0

@@ -1,0 +1,201 @@
+"""Slow, obvious twins of the kernels: what each must compute, without a thought for speed."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from itertools import pairwise
+
+import numpy as np
+
+# ---- hits, raycast -------------------------------------------------------------------------------------------------
+
+
+def cells_on_the_way(u0, v0, u1, v1):
+    """Cells (row, col) from one point to another, in cell units, both ends included: sort all crossings of edges."""
+    crossings = [0.0, 1.0]
+    for a, b in ((u0, u1), (v0, v1)):
+        lines = range(math.ceil(min(a, b)), math.floor(max(a, b)) + 1)
+        crossings += [(line - a) / (b - a) for line in lines if a != b and 0 < (line - a) / (b - a) < 1]
+    crossings.sort()
+    middles = [(a + b) / 2 for a, b in pairwise(crossings) if b > a]
+    return [(math.floor(v0 + t * (v1 - v0)), math.floor(u0 + t * (u1 - u0))) for t in middles]
+
+
+def add_scan(xy_map_m, laser_xy_m, lattice, hits, passes):
+    ox, oy, cell = lattice
+    u0, v0 = (laser_xy_m[0] - ox) / cell, (laser_xy_m[1] - oy) / cell
+    for x, y in xy_map_m:
+        *way, end = cells_on_the_way(u0, v0, (x - ox) / cell, (y - oy) / cell)
+        for cell_on_way in way:
+            passes[cell_on_way] += 1
+        hits[end] += 1
+
+
+def virtual_scan(hits, lattice, pose, directions, far_m, gap_cells):
+    ox, oy, cell = lattice
+    x, y, yaw = pose
+    u, v = (x - ox) / cell, (y - oy) / cell
+    out = []
+    for cx, cy in directions:
+        angle = math.atan2(cy, cx) + yaw
+        far = far_m / cell
+        cluster, empty = [], 0
+        for row, col in cells_on_the_way(u, v, u + far * math.cos(angle), v + far * math.sin(angle)):
+            inside = 0 <= row < hits.shape[0] and 0 <= col < hits.shape[1]
+            if inside and hits[row, col] > 0:
+                cluster.append((hits[row, col], -len(cluster), row, col))
+                empty = 0
+            elif cluster:
+                empty += 1
+                if empty > gap_cells:
+                    break
+        if cluster:
+            _, _, row, col = max(cluster)
+            out.append(cell * math.hypot(col + 0.5 - u, row + 0.5 - v))
+        else:
+            out.append(math.nan)
+    return np.array(out)
+
+
+# ---- polarsearch ---------------------------------------------------------------------------------------------------
+
+
+def polar_cost(virtual, points, x, y, yaw, limits):
+    first, step, near, far, occlusion, edge, least = limits
+    turn = 2 * math.pi / abs(step)
+    placed = []
+    for px, py, beam, r in points:
+        qx, qy = x + math.cos(yaw) * px - math.sin(yaw) * py, y + math.sin(yaw) * px + math.cos(yaw) * py
+        placed.append(((math.atan2(qy, qx) - first) / step % turn, math.hypot(qx, qy), beam, r))
+    contributions = []
+    for j, expected in enumerate(virtual):
+        radii = []
+        for (a0, r0, beam0, raw0), (a1, r1, beam1, raw1) in pairwise(placed):
+            ahead = (a1 - a0 + turn / 2) % turn - turn / 2
+            if beam1 != beam0 + 1 or abs(raw1 - raw0) >= edge or not 0 < ahead < turn / 4:
+                continue
+            behind = (j - a0) % turn
+            if behind <= ahead:
+                radii.append(r0 + behind / ahead * (r1 - r0))
+        if not radii or math.isnan(expected):
+            continue
+        seen = min(radii)
+        if near < expected < far and near < seen < far and abs(seen - expected) < occlusion:
+            contributions.append((seen - expected) ** 2)
+    if len(contributions) < max(least, 1):
+        return math.inf, len(contributions)
+    return sum(contributions) / len(contributions), len(contributions)
+
+
+# ---- points --------------------------------------------------------------------------------------------------------
+
+
+def scan_points(ranges_m, directions, twist, time_increment_s, near_m, far_m):
+    out = []
+    n = len(ranges_m)
+    for i, r in enumerate(ranges_m):
+        if math.isnan(r) or not near_m < r < far_m:
+            continue
+        if 0 < i < n - 1 and all(abs(r - ranges_m[k]) > max(0.1, 0.05 * r) for k in (i - 1, i + 1)):
+            continue
+        late = time_increment_s * (i - (n - 1) / 2)
+        x, y = r * directions[i][0], r * directions[i][1]
+        a = twist[2] * late
+        out.append(
+            (math.cos(a) * x - math.sin(a) * y + twist[0] * late, math.sin(a) * x + math.cos(a) * y + twist[1] * late)
+        )
+    return np.array(out).reshape(-1, 2)
+
+
+def voxel_means(points, voxel_m):
+    """The means in any order."""
+    voxels = defaultdict(list)
+    for x, y in points:
+        voxels[math.floor(x / voxel_m), math.floor(y / voxel_m)].append((x, y))
+    return np.array([np.mean(members, axis=0) for members in voxels.values()]).reshape(-1, 2)
+
+
+# ---- linemap, linesearch -------------------------------------------------------------------------------------------
+
+
+def cell_of(point, cell_m):
+    return math.floor(point[1] / cell_m), math.floor(point[0] / cell_m)
+
+
+def insert_points(points, cell_m, sigma_m, noise_m, window=4):
+    """Lines of all occupied cells from all points at once: cell (row, col) -> centroid and metric A."""
+    cells = defaultdict(list)
+    for p in points:
+        cells[cell_of(p, cell_m)].append(p)
+    lines = {}
+    for row, col in cells:
+        weighted = [
+            (math.exp(-0.5 * (i * i + j * j) * (cell_m / sigma_m) ** 2), q)
+            for i in range(-window, window + 1)
+            for j in range(-window, window + 1)
+            for q in cells.get((row + i, col + j), [])
+        ]
+        w = np.array([a for a, _ in weighted])
+        q = np.array([b for _, b in weighted])
+        mu = (w[:, None] * q).sum(0) / w.sum()
+        cov = np.einsum("k,ki,kj->ij", w, q - mu, q - mu) / w.sum()
+        (l2, l1), vectors = np.linalg.eigh(cov)
+        normal = vectors[:, 0]
+        beta = (l2 + noise_m**2) / (l1 + noise_m**2)
+        lines[row, col] = (mu, beta * np.eye(2) + (1 - beta) * np.outer(normal, normal))
+    return lines
+
+
+def line_costs(points, pose, lines, cell_m, truncate_m, reach=8):
+    """Every point's squared, truncated distance to the line of its nearest occupied cell; None marks a tie of cells."""
+    x, y, yaw = pose
+    costs = []
+    for px, py in points:
+        p = np.array([x + math.cos(yaw) * px - math.sin(yaw) * py, y + math.sin(yaw) * px + math.cos(yaw) * py])
+        row, col = cell_of(p, cell_m)
+        distance = sorted(((r - row) ** 2 + (c - col) ** 2, (r, c)) for r, c in lines)
+        d2 = distance[0][0]
+        if d2 > reach * reach:
+            costs.append(truncate_m**2)
+        elif len(distance) > 1 and distance[1][0] == d2:
+            costs.append(None)
+        else:
+            mu, a = lines[distance[0][1]]
+            costs.append(min((p - mu) @ a @ (p - mu), truncate_m**2))
+    return costs
+
+
+def coarse_to_fine(cost, pivot, start, grid, limits):
+    """The schedule of ``linesearch.search`` over any cost(x, y, yaw) of the pose, rotating about the pivot."""
+    azimuths, nx, ny, extensions = map(int, grid)
+    half_m, half_rad, stop_m, stop_rad = limits[:4]
+
+    def pose(at, yaw):
+        c, s = math.cos(yaw), math.sin(yaw)
+        return at[0] - c * pivot[0] + s * pivot[1], at[1] - s * pivot[0] - c * pivot[1], yaw
+
+    c, s = math.cos(start[2]), math.sin(start[2])
+    at = np.array([start[0] + c * pivot[0] - s * pivot[1], start[1] + s * pivot[0] + c * pivot[1]])
+    yaw = start[2]
+    while True:
+        for _ in range(int(limits[6])):
+            for _ in range(extensions + 1):
+                offsets = np.linspace(-half_rad, half_rad, azimuths)
+                best = min(range(azimuths), key=lambda i: (cost(*pose(at, yaw + offsets[i])), i))
+                yaw += offsets[best]
+                if 0 < best < azimuths - 1:
+                    break
+            for _ in range(extensions + 1):
+                xs, ys = np.linspace(-half_m, half_m, nx), np.linspace(-half_m, half_m, ny)
+                j, i = min(
+                    ((j, i) for j in range(ny) for i in range(nx)),
+                    key=lambda ji: (cost(*pose(at + np.array([xs[ji[1]], ys[ji[0]]]), yaw)), ji),
+                )
+                at = at + np.array([xs[i], ys[j]])
+                if 0 < i < nx - 1 and 0 < j < ny - 1:
+                    break
+        step_m, step_rad = 2 * half_m / (min(nx, ny) - 1), 2 * half_rad / (azimuths - 1)
+        if step_m < stop_m and step_rad < stop_rad:
+            return pose(at, yaw)
+        half_m, half_rad = min(1.5 * step_m, 0.9 * half_m), min(1.5 * step_rad, 0.9 * half_rad)

@@ -1,0 +1,68 @@
+"""Predictions: constant velocity in whole periods, odometry where it covers the time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mavnav.motion import Motion
+from mavnav.pose import Pose, Trajectory
+
+MS = 1_000_000
+STEP = Pose(0.1, 0.02, 0.05)
+
+
+def after_two_steps(odometry: Trajectory | None = None) -> Motion:
+    motion = Motion(0.1, odometry).started_at(Pose(), 0)
+    motion = motion.moved_to(STEP, 100 * MS)
+    return motion.moved_to(STEP @ STEP, 200 * MS)
+
+
+def close(a: Pose, b: Pose, tolerance: float = 1e-9) -> bool:
+    return bool(np.allclose(a.between(b).as_array(), 0.0, atol=tolerance))
+
+
+def test_constant_velocity_goes_on() -> None:
+    motion = Motion(0.1).started_at(Pose(), 0)
+    pose = Pose()
+    for k in range(1, 9):
+        pose = pose @ STEP
+        motion = motion.moved_to(pose, k * 100 * MS)
+    assert close(motion.predict(900 * MS), pose @ STEP, 1e-4)
+
+
+def test_jitter_of_reception_times_is_not_speed() -> None:
+    assert after_two_steps().elapsed_s(205 * MS) == 0.1
+    assert after_two_steps().elapsed_s(270 * MS) == 0.1
+    assert after_two_steps().elapsed_s(420 * MS) == 0.2
+
+
+def test_velocity_is_trusted_for_a_while_only() -> None:
+    motion = after_two_steps()
+    assert close(motion.predict(10_000 * MS), motion.predict(1_400 * MS))
+
+
+def test_after_a_long_gap_the_old_velocity_is_forgotten() -> None:
+    motion = after_two_steps()
+    rested = motion.moved_to(motion.map_T_laser, 2_000 * MS)
+    assert np.allclose(rested.twist, 0.0)
+    assert not np.allclose(motion.moved_to(motion.map_T_laser, 300 * MS).twist, 0.0)
+
+
+def test_odometry_moves_the_last_pose() -> None:
+    stamps = np.arange(5) * 100 * MS
+    odometry = Trajectory.of(stamps.tolist(), [Pose(5.0 + 0.3 * k, 1.0, 0.0) for k in range(5)])
+    motion = after_two_steps(odometry)
+    assert close(motion.predict(300 * MS), motion.map_T_laser @ Pose(0.3, 0.0, 0.0))
+    assert close(motion.predict(250 * MS), motion.map_T_laser @ Pose(0.15, 0.0, 0.0))
+    assert np.allclose(motion.twist_at(300 * MS), (3.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("stamp_ms", [600, 5_000])
+def test_without_odometry_at_the_time_velocity_takes_over(stamp_ms: int) -> None:
+    odometry = Trajectory.of([0, 100 * MS, 400 * MS], [Pose()] * 3)
+    motion = after_two_steps(odometry)
+    assert motion.by_odometry(stamp_ms * MS) is None
+    assert close(motion.predict(stamp_ms * MS), motion.by_velocity(stamp_ms * MS))
+    gap = Trajectory.of([0, 100 * MS, 900 * MS], [Pose()] * 3)
+    assert after_two_steps(gap).by_odometry(300 * MS) is None
