@@ -134,11 +134,11 @@ def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
 
 def _lost_line(document: dict[str, Any]) -> str:
     last = document["tracking"]["intervals"][-1]
-    share = document["tracking"]["tracked_share"]
+    share = 100 * document["tracking"]["tracked_share"]
+    advice = "--method robust" if document["method"] == "paper" else "--odom auto or a finer --grid"
     return (
-        f"mavnav: error: tracking was lost for good {last['start_s']:.1f} s after the first scan,"
-        f" {100 * share:.0f} % of the scans have a pose; results up to there are written,"
-        " try --odom auto, a finer --grid, or look at map.png"
+        f"mavnav: error: tracking was lost for good {last['start_s']:.1f} s after the first scan, {share:.0f} % of the"
+        f" scans have a pose; what came before is written, try {advice}, and look at map.png"
     )
 
 
@@ -149,7 +149,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
     rows = [
         ("scans", f"{scans['processed']} of {scans['total']}"),
         ("accepted", f"{100 * scans['accepted'] / max(scans['processed'], 1):.1f} %"),
-        ("lost", f"{len(tracking['intervals'])} times, {lost} scans" if tracking["intervals"] else "never"),
+        ("lost", f"{lost} scans in {len(tracking['intervals'])} stretches" if lost else "never"),
         ("path", f"{tracking['path_length_m']:.2f} m"),
     ]
     rows += [(f"wall thickness, >= {hits} hits", _thickness(wall)) for hits, wall in document["wall_thickness"].items()]

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mcap.writer import Writer
 
@@ -51,22 +52,35 @@ def sample(repo_root: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def make_log(tmp_path_factory: pytest.TempPathFactory, sample: Path) -> Callable[..., Path]:
-    """Copy messages of the sample log into new ones: topics renamed, left out, or repeated."""
+    """Copy messages of the sample log into new ones: topics renamed, left out, or repeated.
+
+    After ``blind_after`` scans the ranges are random, as if the laser saw nothing it knows.
+    """
     from mcap.reader import NonSeekingReader
 
-    def make(name: str, **renamed: list[str]) -> Path:
+    def blind(data: bytes, rng: np.random.Generator) -> bytes:
+        """Replace the ranges of a LaserScan in CDR; they lie before its empty intensities."""
+        beams = 681
+        return data[: -4 * beams - 4] + rng.uniform(0.3, 5.0, beams).astype("<f4").tobytes() + data[-4:]
+
+    def make(name: str, blind_after: int | None = None, **renamed: list[str]) -> Path:
         path = tmp_path_factory.mktemp("logs") / name
         with sample.open("rb") as source, path.open("wb") as sink:
             writer = Writer(sink)
             writer.start(profile="ros2")
             channels: dict[str, int] = {}
             reader = NonSeekingReader(source)
+            rng, scans = np.random.default_rng(1), 0
             for schema, channel, message in reader.iter_messages(log_time_order=False):
+                scans += channel.topic == "/scan"
+                data = message.data
+                if blind_after is not None and channel.topic == "/scan" and scans > blind_after:
+                    data = blind(data, rng)
                 for topic in renamed.get(channel.topic.strip("/"), [channel.topic]):
                     if topic not in channels:
                         schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
                         channels[topic] = writer.register_channel(topic, channel.message_encoding, schema_id)
-                    writer.add_message(channels[topic], message.log_time, message.data, message.publish_time)
+                    writer.add_message(channels[topic], message.log_time, data, message.publish_time)
             writer.finish()
         return path
 

@@ -226,6 +226,18 @@ def test_a_damaged_log_is_used_and_told(mavnav: Callable, sample: Path, tmp_path
     assert "the input is damaged" in err
 
 
+def test_a_track_lost_for_good_is_told(mavnav: Callable, make_log: Callable, tmp_path: Path) -> None:
+    log = make_log("lost.mcap", blind_after=15)
+    code, out, err = mavnav("replay", log, "-o", tmp_path / "r", "-q", "--json", "--end", 4.0)
+    document = json.loads(out)
+    assert code == document["exit_code"] == ExitCode.TRACKING_LOST
+    assert document["tracking"]["lost"] is True
+    assert document["tracking"]["intervals"][-1] == {"start_s": 1.5, "end_s": 4.0, "scans": 26, "recovered": False}
+    assert "lost for good 1.5 s after the first scan" in err
+    assert err.count("\n") == 1
+    assert len((tmp_path / "r" / "trajectory.tum").read_text().splitlines()) == 15
+
+
 # --- signals ------------------------------------------------------------------------------------------------------
 
 
