@@ -29,7 +29,7 @@ demo: $(VENV)/.run
 	@echo "Pictures: $(DEMO)/map.png and $(DEMO)/wall_thickness.png; $(DEMO)/result.mcap opens in Foxglove."
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2
 
 check: format-check lint types test
 
