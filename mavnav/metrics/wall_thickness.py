@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 RADIUS_M: Final = 0.3
 MIN_CELLS: Final = 6
 MIN_LENGTH_M: Final = 0.25
-MAX_RATIO: Final = 0.15
+MAX_RATIO: Final = 0.1
 MAX_GAP_CELLS: Final = 1
 
 

@@ -16,6 +16,8 @@ from mavnav.outputs.gridmap import known_part
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from mavnav.grid import Grid
     from mavnav.metrics.wall_thickness import Sections, WallThickness
     from mavnav.outputs.run import Run
@@ -50,16 +52,21 @@ def _draw_map(
     occupied = (grid.hits >= min_hits).astype(np.uint8)
     drawing.draw_cells(axes, grid, occupied, window, cmap=ListedColormap([drawing.WALL_GREY]), vmin=0, vmax=1)
     top = max(3, int(np.ceil(np.quantile(sections.thickness_cells, 0.99))) if len(sections.row) else 3)
-    bounds = np.unique(np.round(np.linspace(0.5, top + 0.5, min(top, 9) + 1) * 2) / 2)
-    norm = BoundaryNorm(bounds, 256)
+    step = -(-top // 9)  # cells a colour
+    bounds = np.arange(0.5, top + step, step)
     # drawn across the wall, and at least a few pixels long wherever the map is large
     least_m = 0.012 * max(window.size_m)
     lines = LineCollection(
-        section_lines(grid, sections, least_m), cmap=colormaps["turbo"], norm=norm, linewidths=1.6, zorder=2
+        section_lines(grid, sections, least_m),
+        cmap=colormaps["turbo"],
+        norm=BoundaryNorm(bounds, 256),
+        linewidths=1.6,
+        zorder=2,
     )
     lines.set_array(sections.thickness_cells)
     axes.add_collection(lines)
-    bar = axes.figure.colorbar(lines, ax=axes, extend="max", fraction=0.04, pad=0.02, aspect=28, ticks=_centres(bounds))
+    bar = axes.figure.colorbar(lines, ax=axes, extend="max", fraction=0.04, pad=0.02, aspect=28)
+    bar.set_ticks(bounds[:-1] + step / 2, labels=_names(bounds))
     bar.ax.minorticks_off()
     bar.set_label("thickness [cells]", fontsize=9)
     bar.outline.set_visible(False)
@@ -67,8 +74,10 @@ def _draw_map(
     axes.set_title(f"cells with ≥ {min_hits} hits; grey: not part of a straight wall", fontsize=9, color=drawing.MUTED)
 
 
-def _centres(bounds: Any) -> Any:  # noqa: ANN401
-    return [float(v) for v in (bounds[:-1] + bounds[1:]) / 2]
+def _names(bounds: NDArray[np.float64]) -> list[str]:
+    """Name the whole numbers of cells between two bounds: ``4``, or ``4-5``."""
+    first, last = np.ceil(bounds[:-1]).astype(int), np.floor(bounds[1:]).astype(int)
+    return [str(a) if a == b else f"{a}-{b}" for a, b in zip(first, last, strict=True)]
 
 
 def section_lines(grid: Grid, sections: Sections, least_m: float) -> Any:  # noqa: ANN401
