@@ -52,7 +52,7 @@ def _draw_map(
     occupied = (grid.hits >= min_hits).astype(np.uint8)
     drawing.draw_cells(axes, grid, occupied, window, cmap=ListedColormap([drawing.WALL_GREY]), vmin=0, vmax=1)
     top = max(3, int(np.ceil(np.quantile(sections.thickness_cells, 0.99))) if len(sections.row) else 3)
-    step = -(-top // 9)  # cells a colour
+    step = -(-top // 12)  # cells a colour
     bounds = np.arange(0.5, top + step, step)
     # drawn across the wall, and at least a few pixels long wherever the map is large
     least_m = 0.012 * max(window.size_m)
