@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     Progress = Callable[[str, int, int | None], None]
 
 THRESHOLDS = (1, 2, 5)
-"""Wall thickness is reported for cells of at least so many hits (findings: the threshold decides the answer)."""
+"""Wall thickness is reported for cells of at least so many hits: the threshold decides the answer."""
 
 LOG_SUFFIXES = (".zst", ".zstd", ".active", ".mcap", ".bag", ".db3")
 
