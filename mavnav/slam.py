@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 LOST_SCANS = 5
 """So many scans in a row without a believed pose are called lost; fewer are rejected scans."""
 
+SHORTEST_PERIOD_S = 1e-3
+"""A log of one scan has no period."""
+
 
 @dataclass(frozen=True, slots=True)
 class Step:
@@ -106,12 +109,12 @@ def replay(
     ----------
     log_scans : gives the scans, from the first one again at every call
     config : the method, its grids and its numbers
-    period_s : the sensor's time between scans
+    period_s : the sensor's time between scans, 0 if unknown
     odom_T_laser : odometry of the laser, used as the prediction
     on_step : called with the name of the pass ("track", "final pass") and the number of scans done
     """
     method = METHODS[config.method](config)
-    motion = Motion(period_s, odom_T_laser, method.expects_rest)
+    motion = Motion(max(period_s, SHORTEST_PERIOD_S), odom_T_laser, method.expects_rest)
     steps = list(_told(track(log_scans(), method, motion), "track", on_step))
     if config.final_pass and method.places:
         steps = list(_told(place(log_scans(), steps, method), "final pass", on_step))

@@ -123,6 +123,12 @@ def test_blank_scans_are_no_poses(method: str) -> None:
     assert not outcome.lost_for_good
 
 
+def test_a_log_of_one_scan_has_no_period_and_one_pose() -> None:
+    outcome = slam.replay(lambda: [scan_at(room(), Pose(1, 1))], Config(), 0.0)
+    np.testing.assert_allclose(outcome.trajectory.xyyaw, [[0.0, 0.0, 0.0]], atol=0.005)  # the final pass may nudge it
+    assert not outcome.lost
+
+
 def test_a_log_of_blank_scans_is_lost() -> None:
     outcome = replay([blank(scan_at(room(), Pose(1, 1), stamp_ns=k)) for k in range(3)])
     assert outcome.lost_for_good

@@ -125,7 +125,7 @@ def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
     if document["exit_code"] == ExitCode.DAMAGED_INPUT:
         first = document["damage"][0]
         note(
-            f"mavnav: warning: the input is damaged, {len(document['damage'])} times, first: {first['what']},"
+            f"mavnav: warning: the input is damaged in {len(document['damage'])} place(s), the first: {first['what']},"
             f" {first['where']}; what is intact was used"
         )
     if document["exit_code"] == ExitCode.TRACKING_LOST:
