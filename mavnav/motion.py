@@ -11,13 +11,15 @@ from mavnav.pose import Pose
 from mavnav.units import NS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
-    from mavnav.pose import Trajectory
+    Odometry = Callable[[int], Pose | None]
+    """Stamp (ns) -> odom_T_laser, None where odometry does not cover it."""
 
 LONGEST_S = 1.2  # a velocity is trusted no further
 NEW_SHARE = 0.7  # of a new velocity in the running one
-ODOMETRY_GAP_NS = 500_000_000  # odometry is interpolated over gaps up to this
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +32,7 @@ class Motion:
     """
 
     period_s: float
-    odom_T_laser: Trajectory | None = None
+    odometry: Odometry | None = None
     expects_rest: bool = False
     map_T_laser: Pose = field(default_factory=Pose)
     stamp_ns: int = 0
@@ -52,10 +54,9 @@ class Motion:
 
     def by_odometry(self, stamp_ns: int) -> Pose | None:
         """Move the last pose as odometry did; None where odometry does not cover both times."""
-        if self.odom_T_laser is None:
+        if self.odometry is None:
             return None
-        then = self.odom_T_laser.at(self.stamp_ns, ODOMETRY_GAP_NS)
-        now = self.odom_T_laser.at(stamp_ns, ODOMETRY_GAP_NS)
+        then, now = self.odometry(self.stamp_ns), self.odometry(stamp_ns)
         return None if then is None or now is None else self.map_T_laser @ then.between(now)
 
     def twist_at(self, stamp_ns: int) -> NDArray[np.float64]:

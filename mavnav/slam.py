@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from mavnav.methods import METHODS
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 LOST_SCANS = 5
 """So many scans in a row without a believed pose are called lost; fewer are rejected scans."""
+
+ODOMETRY_GAP_NS = 500_000_000
+"""Odometry is interpolated over gaps up to this."""
 
 SHORTEST_PERIOD_S = 1e-3
 """A log of one scan has no period."""
@@ -114,8 +118,20 @@ def replay(
     on_step : called with the name of the pass ("track", "final pass") and the number of scans done
     """
     method = METHODS[config.method](config)
-    motion = Motion(max(period_s, SHORTEST_PERIOD_S), odom_T_laser, method.expects_rest)
+    odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
+    motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest)
     steps = list(_told(track(log_scans(), method, motion), "track", on_step))
+    return conclude(steps, log_scans, method, config, on_step)
+
+
+def conclude(
+    steps: list[Step],
+    log_scans: Callable[[], Iterable[Scan]],
+    method: Method,
+    config: Config,
+    on_step: Callable[[str, int], None] | None = None,
+) -> Slam:
+    """Make the final pass where it is wanted, and sum up."""
     if config.final_pass and method.places:
         steps = list(_told(place(log_scans(), steps, method), "final pass", on_step))
     tracked = [s for s in steps if s.tracked]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ STEP = Pose(0.1, 0.02, 0.05)
 
 
 def after_two_steps(odometry: Trajectory | None = None) -> Motion:
-    motion = Motion(0.1, odometry).started_at(Pose(), 0)
+    motion = Motion(0.1, odometry and partial(odometry.at, max_gap_ns=500 * MS)).started_at(Pose(), 0)
     motion = motion.moved_to(STEP, 100 * MS)
     return motion.moved_to(STEP @ STEP, 200 * MS)
 
