@@ -55,7 +55,7 @@ def match_polar(
 ) -> Match:
     """Match a scan against the virtual scan from the predicted pose (paper, "Scan Matching", minimisation i-v).
 
-    ``virtual_m`` (beams,) are the virtual scan's ranges; ``points`` (n, 4) the real scan's, from ``polar_points``.
+    ``virtual_m`` (beams,) are the virtual scan's ranges; ``points`` (n, 5) the real scan's, from ``polar_points``.
     The grid is refined only where the cost on the coarse one stays too high.
     """
     paper = config.paper
@@ -104,7 +104,7 @@ def _search_polar(
 
 
 def polar_points(ranges_m: NDArray[np.float64], spec: LaserSpec, mixed_pixel_m: float) -> NDArray[np.float64]:
-    """Return the valid beams as rows x, y, beam number, range, (n, 4); mixed pixels left out (cost step vii).
+    """Return the valid beams as rows x, y, beam number, range, bearing, (n, 5); mixed pixels left out (cost step vii).
 
     A mixed pixel differs from both neighbouring beams by more than ``mixed_pixel_m``.
     """
@@ -113,7 +113,7 @@ def polar_points(ranges_m: NDArray[np.float64], spec: LaserSpec, mixed_pixel_m: 
     mixed[1:-1] = (jump[:-1] > mixed_pixel_m) & (jump[1:] > mixed_pixel_m)
     beam = np.flatnonzero(np.isfinite(ranges_m) & ~mixed)
     r, angle = ranges_m[beam], spec.angles_rad[beam]
-    return np.column_stack((r * np.cos(angle), r * np.sin(angle), beam, r))
+    return np.column_stack((r * np.cos(angle), r * np.sin(angle), beam, r, angle))
 
 
 # ---- the robust method: distance to the map's local lines ----------------------------------------------------------

@@ -65,7 +65,7 @@ def polar_cost(virtual, points, x, y, yaw, limits):
     first, step, near, far, occlusion, edge, least = limits
     turn = 2 * math.pi / abs(step)
     placed = []
-    for px, py, beam, r in points:
+    for px, py, beam, r, _ in points:
         qx, qy = x + math.cos(yaw) * px - math.sin(yaw) * py, y + math.sin(yaw) * px + math.cos(yaw) * py
         placed.append(((math.atan2(qy, qx) - first) / step % turn, math.hypot(qx, qy), beam, r))
     contributions = []

@@ -18,6 +18,17 @@ _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 
 
+@kernel(float64(float64, float64, float64, float64))
+def _angle_between(px: float, py: float, qx: float, qy: float) -> float:
+    """Angle from p to q in rad: for small ones, as between neighbouring poses, a series good to 1e-11."""
+    cross, dot = px * qy - py * qx, px * qx + py * qy
+    if abs(cross) >= 0.2 * dot:
+        return np.arctan2(cross, dot)
+    t = cross / dot
+    u = t * t
+    return t * (1.0 - u * (1 / 3 - u * (1 / 5 - u * (1 / 7 - u * (1 / 9 - u * (1 / 11 - u * (1 / 13)))))))
+
+
 @kernel(types.UniTuple(float64, 2)(_F1, _F2, float64, float64, float64, _F1, float64[::1]))
 def polar_cost(
     virtual: NDArray[np.float64],
@@ -33,7 +44,7 @@ def polar_cost(
     Parameters
     ----------
     virtual : (beams,) ranges of the virtual scan, m, NaN where it saw no cell
-    points : (n, 4) the scan's good points in beam order: x, y (m), beam number, and its range
+    points : (n, 5) the scan's good points in beam order: x, y (m), beam number, its range (m) and bearing (rad)
     x, y, yaw : proposed motion from the virtual scan's pose, m, rad
     limits : (7,) bearing of beam 0 and bearing step (rad); near, far, occlusion threshold, range jump between
         surfaces (m); least number of beams
@@ -47,13 +58,15 @@ def polar_cost(
     seen[:] = np.inf
     last_angle, last_r, last_beam = 0.0, 0.0, -2.0
     turn = 2.0 * np.pi / abs(step)
+    per_step, per_turn = 1.0 / step, 1.0 / turn
     for k in range(len(points)):
         # Cost function, step iii
-        px = x + c * points[k, 0] - s * points[k, 1]
-        py = y + s * points[k, 0] + c * points[k, 1]
-        r = np.sqrt(px * px + py * py)
-        angle = (np.arctan2(py, px) - first) / step
-        angle -= turn * np.floor(angle / turn)
+        px = c * points[k, 0] - s * points[k, 1]
+        py = s * points[k, 0] + c * points[k, 1]
+        qx, qy = px + x, py + y
+        r = np.sqrt(qx * qx + qy * qy)
+        angle = (points[k, 4] + yaw + _angle_between(px, py, qx, qy) - first) * per_step
+        angle -= turn * np.floor(angle * per_turn)
         # Step iv: between neighbouring beams of one surface, where it turns its front to the virtual laser.
         if points[k, 2] == last_beam + 1.0:
             ahead = angle - last_angle
@@ -111,9 +124,6 @@ def search(
     seen = np.empty(len(virtual))
     # Turning about the points' centroid keeps the two searches from undoing each other.
     pivot_x, pivot_y = points[:, 0].mean(), points[:, 1].mean()
-    turned = points.copy()
-    turned[:, 0] -= pivot_x
-    turned[:, 1] -= pivot_y
     x, y, yaw = pivot_x, pivot_y, 0.0
     best, used, evaluations, iterations, converged = np.inf, 0.0, 0, 0, 0.0
     for _ in range(MAX_ITERATIONS):
@@ -123,7 +133,10 @@ def search(
             # Minimisation, steps i and ii
             best, best_i, centre = np.inf, azimuths // 2, yaw
             for i in range(azimuths):
-                cost, n = polar_cost(virtual, turned, x, y, centre - half_rad + i * step_rad, limits, seen)
+                a = centre - half_rad + i * step_rad
+                c, s = np.cos(a), np.sin(a)
+                to_x, to_y = x - c * pivot_x + s * pivot_y, y - s * pivot_x - c * pivot_y
+                cost, n = polar_cost(virtual, points, to_x, to_y, a, limits, seen)
                 if cost < best:
                     best, used, best_i = cost, n, i
             evaluations += azimuths
@@ -134,12 +147,14 @@ def search(
         for _ in range(extensions + 1):
             # Steps iii and iv
             best, best_i, best_j, x0, y0 = np.inf, nx // 2, ny // 2, x, y
+            c, s = np.cos(yaw), np.sin(yaw)
+            to_x, to_y = x0 - c * pivot_x + s * pivot_y, y0 - s * pivot_x - c * pivot_y
             for j in range(ny):
                 v = -1.0 + 2.0 * j / (ny - 1)
                 for i in range(nx):
                     u = -1.0 + 2.0 * i / (nx - 1)
                     dx, dy = half_m * u * np.sqrt(1.0 - 0.5 * v * v), half_m * v * np.sqrt(1.0 - 0.5 * u * u)
-                    cost, n = polar_cost(virtual, turned, x0 + dx, y0 + dy, yaw, limits, seen)
+                    cost, n = polar_cost(virtual, points, to_x + dx, to_y + dy, yaw, limits, seen)
                     if cost < best:
                         best, used, best_i, best_j = cost, n, i, j
                         x, y = x0 + dx, y0 + dy

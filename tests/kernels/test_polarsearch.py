@@ -58,6 +58,7 @@ def test_identical_shifted_scans_converge_to_the_motion(walls: np.ndarray, at: P
         motion = Pose(*rng.uniform(-0.1, 0.1, 2), math.radians(rng.uniform(-8, 8)))
         moved = points.copy()
         moved[:, :2] = transform_points(motion.inverse(), points[:, :2])
+        moved[:, 4] = np.arctan2(moved[:, 1], moved[:, 0])
         match = match_polar(scan.ranges_m, moved, scan.spec, Pose(), config)
         error = motion.between(match.map_T_laser)
         assert match.cost_m2 < 0.01e-6
