@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "mavnav"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-GROUND = {"errors", "units", "pose", "scan", "config"}
+GROUND = {"errors", "units", "pose", "scan", "config", "staging"}
 CORE = {"grid", "linemap", "matcher", "motion", "methods", "slam"}
 ALLOWED: dict[str, set[str]] = {
     "": set(),
@@ -24,11 +24,12 @@ ALLOWED: dict[str, set[str]] = {
     "units": set(),
     "pose": set(),
     "scan": set(),
+    "staging": set(),
     "config": {"errors", "units"},
     "layers": {"errors"},
     "config_file": {"errors", "config", "layers"},
     "kernels": set(),
-    "logs": GROUND,
+    "logs": GROUND | {""},
     "grid": GROUND | {"kernels"},
     "linemap": GROUND | {"kernels", "grid"},
     "matcher": GROUND | {"kernels", "grid", "linemap"},

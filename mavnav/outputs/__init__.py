@@ -10,11 +10,12 @@ from hashlib import sha256
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.outputs.directory import RUN_FILE, check_directory, staged, sync
+from mavnav.outputs.directory import RUN_FILE, check_directory, staged
 from mavnav.outputs.document import plain, run_document, to_json, write_metrics
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
 from mavnav.outputs.run import Run, Timing
 from mavnav.outputs.trajectory import write_base_tum, write_csv, write_tum
+from mavnav.staging import sync
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import shutil
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
 from mavnav.errors import OutputError
+from mavnav.staging import beside
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -50,43 +50,9 @@ def staged(directory: Path, *, force: bool) -> Iterator[Path]:
     """
     try:
         check_directory(directory, force=force)
-        final = directory.resolve()
-        final.parent.mkdir(parents=True, exist_ok=True)
-        partial = final.with_name(f".{final.name}.partial-{os.getpid()}")
-        shutil.rmtree(partial, ignore_errors=True)  # left by a killed process of the same number
-        partial.mkdir()
-        try:
+        with beside(directory) as partial:
+            partial.mkdir()
             yield partial
-            sync(partial)
-            _swap(partial, final)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"{directory} cannot be written: {reason}; make room or choose another with -o") from error
-
-
-def _swap(partial: Path, final: Path) -> None:
-    """Put the new directory in place of the old, which comes back if that fails."""
-    if not final.exists():
-        partial.rename(final)
-    else:
-        old = final.with_name(f".{final.name}.replaced-{os.getpid()}")
-        final.rename(old)
-        try:
-            partial.rename(final)
-        except BaseException:
-            with suppress(OSError):
-                old.rename(final)
-            raise
-        shutil.rmtree(old, ignore_errors=True)
-    sync(final.parent)
-
-
-def sync(path: Path) -> None:
-    """Bring a file, or the names in a directory, to the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -7,14 +7,12 @@ Scans without a believed pose are left out: they have no place in the map.
 
 from __future__ import annotations
 
-from contextlib import closing
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
 
-from mavnav import __version__
-from mavnav.outputs import ros
+from mavnav.logs import ros
+from mavnav.logs.containers import Channel, write_mcap
 from mavnav.outputs.gridmap import OCCUPIED, UNKNOWN, known_part, occupancy
 from mavnav.outputs.run import base_frame
 from mavnav.pose import Pose, transform_points
@@ -34,77 +32,32 @@ MAX_MAPS: Final = 60
 MAX_MAP_BYTES: Final = 64_000_000
 MAP_PERIOD_NS: Final = 1_000_000_000
 
-_FOREVER = "{sec: 9223372036, nsec: 854775807}"
-_QOS: Final = f"""\
-- history: keep_last
-  depth: {{depth}}
-  reliability: reliable
-  durability: {{durability}}
-  deadline: {_FOREVER}
-  lifespan: {_FOREVER}
-  liveliness: automatic
-  liveliness_lease_duration: {_FOREVER}
-  avoid_ros_namespace_conventions: false
-""".replace("{sec", "{{sec").replace("807}", "807}}")
-
 CHANNELS: Final = {
-    "/tf_static": (ros.TF, "transient_local"),
-    "/tf": (ros.TF, "volatile"),
-    "/scan": (ros.SCAN, "volatile"),
-    "/pose": (ros.POSE, "volatile"),
-    "/path": (ros.PATH, "transient_local"),
-    "/map": (ros.MAP, "transient_local"),
+    "/tf_static": Channel(ros.TF, latched=True),
+    "/tf": Channel(ros.TF),
+    "/scan": Channel(ros.SCAN),
+    "/pose": Channel(ros.POSE),
+    "/path": Channel(ros.PATH, latched=True),
+    "/map": Channel(ros.MAP, latched=True),
 }
-
-
-class _Recorder:
-    """An MCAP file with the channels above, written to with ``put``; ``close`` completes it."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("wb")
-        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
-        self._writer.start(profile="ros2", library=f"mavnav {__version__}")
-        schemas = {
-            name: self._writer.register_schema(name, "ros2msg", ros.definition(name).encode())
-            for name in dict.fromkeys(msgtype for msgtype, _ in CHANNELS.values())
-        }
-        self._channels = {
-            topic: self._writer.register_channel(
-                topic, "cdr", schemas[msgtype], {"offered_qos_profiles": _qos(durability)}
-            )
-            for topic, (msgtype, durability) in CHANNELS.items()
-        }
-
-    def put(self, topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
-        """Append a message at a time of the log."""
-        self._writer.add_message(self._channels[topic], stamp_ns, ros.cdr(message), stamp_ns)
-
-    def close(self) -> None:
-        """Write the index and close the file."""
-        with self._file:
-            self._writer.finish()
-
-
-def _qos(durability: str) -> str:
-    return _QOS.format(depth=1 if durability == "transient_local" else 10, durability=durability)
 
 
 def write(run: Run, path: Path) -> None:
     """Write the run as a ROS 2 log. The scans are read from the log once more."""
-    with closing(_Recorder(path)) as out:
+    with write_mcap(path, CHANNELS) as put:
         laser, last_ns = laser_frame(run), run.log.last_ns
         mounting = run.log.base_T_laser
         if mounting is not None:
-            out.put("/tf_static", run.log.first_ns, ros.transform(run.log.first_ns, base_frame(run), laser, mounting))
+            put("/tf_static", run.log.first_ns, ros.transform(run.log.first_ns, base_frame(run), laser, mounting))
         walls = _GrowingMap(run)
         for scan, map_T_laser, mapped in placed_scans(run):
-            out.put("/tf", scan.stamp_ns, _placement(run, scan.stamp_ns, map_T_laser))
-            out.put("/scan", scan.stamp_ns, ros.laser_scan(scan, laser))
-            out.put("/pose", scan.stamp_ns, ros.pose_stamped(scan.stamp_ns, MAP_FRAME, map_T_laser))
+            put("/tf", scan.stamp_ns, _placement(run, scan.stamp_ns, map_T_laser))
+            put("/scan", scan.stamp_ns, ros.laser_scan(scan, laser))
+            put("/pose", scan.stamp_ns, ros.pose_stamped(scan.stamp_ns, MAP_FRAME, map_T_laser))
             if walls.add(scan, map_T_laser, mapped=mapped):
-                out.put("/map", scan.stamp_ns, _map(walls.grid, walls.cells, scan.stamp_ns))
-        out.put("/path", last_ns, _path(run))
-        out.put("/map", last_ns, _map(walls.grid, occupancy(walls.grid), last_ns))
+                put("/map", scan.stamp_ns, _map(walls.grid, walls.cells, scan.stamp_ns))
+        put("/path", last_ns, _path(run))
+        put("/map", last_ns, _map(walls.grid, occupancy(walls.grid), last_ns))
 
 
 def laser_frame(run: Run) -> str:

@@ -1,4 +1,4 @@
-"""ROS 2 messages as they stand in result.mcap: CDR, built from plain values."""
+"""ROS messages to write: built from plain values, serialised as CDR (ROS 2) or for ROS 1."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from math import cos, sin
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavnav.pose import Pose
 
@@ -21,26 +21,41 @@ SCAN: Final = "sensor_msgs/msg/LaserScan"
 POSE: Final = "geometry_msgs/msg/PoseStamped"
 PATH: Final = "nav_msgs/msg/Path"
 MAP: Final = "nav_msgs/msg/OccupancyGrid"
+ODOMETRY: Final = "nav_msgs/msg/Odometry"
 
 
 @cache
-def _store() -> Any:  # noqa: ANN401  rosbags' types are made at run time
+def types_ros2() -> Any:  # noqa: ANN401  rosbags' types are made at run time
+    """Return the type store of ROS 2."""
     return get_typestore(Stores.ROS2_JAZZY)
+
+
+@cache
+def types_ros1() -> Any:  # noqa: ANN401
+    """Return the type store of ROS 1, with the transforms that it lacks."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+    return store
 
 
 def definition(msgtype: str) -> str:
     """Return the message definition with all that it contains (MCAP's ``ros2msg``)."""
-    text, _ = _store().generate_msgdef(msgtype, ros_version=2)
+    text, _ = types_ros2().generate_msgdef(msgtype, ros_version=2)
     return str(text)
 
 
 def cdr(message: Any) -> bytes:  # noqa: ANN401
-    """Serialise a message."""
-    return bytes(_store().serialize_cdr(message, message.__msgtype__))
+    """Serialise a message for ROS 2."""
+    return bytes(types_ros2().serialize_cdr(message, message.__msgtype__))
+
+
+def ros1(message: Any) -> bytes:  # noqa: ANN401
+    """Serialise a message for ROS 1; the sequence number, which ROS 2 does not have, is 0."""
+    return bytes(types_ros2().cdr_to_ros1(cdr(message), message.__msgtype__))
 
 
 def _new(msgtype: str, *fields: object) -> Any:  # noqa: ANN401
-    return _store().types[msgtype](*fields)
+    return types_ros2().types[msgtype](*fields)
 
 
 def time_of(stamp_ns: int) -> Any:  # noqa: ANN401
@@ -78,8 +93,21 @@ def path(stamp_ns: int, frame: str, poses: list[Any]) -> Any:  # noqa: ANN401
     return _new(PATH, _header(stamp_ns, frame), poses)
 
 
-def laser_scan(scan: Scan, frame: str) -> Any:  # noqa: ANN401
-    """Return a LaserScan as it was cleaned: NaN where there is no valid return, no intensities."""
+def odometry(stamp_ns: int, parent: str, child: str, parent_T_child: Pose) -> Any:  # noqa: ANN401
+    """Return an Odometry; velocities and covariances are zero, which means that they are not told."""
+    still = _new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
+    twist = _new("geometry_msgs/msg/Twist", still, still)
+    return _new(
+        ODOMETRY,
+        _header(stamp_ns, parent),
+        child,
+        _new("geometry_msgs/msg/PoseWithCovariance", _pose(parent_T_child), np.zeros(36)),
+        _new("geometry_msgs/msg/TwistWithCovariance", twist, np.zeros(36)),
+    )
+
+
+def laser_scan(scan: Scan, frame: str, no_return_m: float = np.nan) -> Any:  # noqa: ANN401
+    """Return a LaserScan with ``no_return_m`` where there is no valid return; no intensities."""
     spec = scan.spec
     last = spec.angle_min_rad + spec.angle_step_rad * max(spec.beams - 1, 0)
     return _new(
@@ -92,7 +120,7 @@ def laser_scan(scan: Scan, frame: str) -> Any:  # noqa: ANN401
         spec.scan_time_s,
         spec.range_min_m,
         spec.range_max_m,
-        scan.ranges_m.astype(np.float32),
+        np.where(np.isnan(scan.ranges_m), no_return_m, scan.ranges_m).astype(np.float32),
         np.empty(0, np.float32),
     )
 
