@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav.outputs.directory import RUN_FILE, check_directory, staged
 from mavnav.outputs.document import plain, run_document, to_json, write_metrics
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
-from mavnav.outputs.run import Run, Timing
-from mavnav.outputs.trajectory import write_base_tum, write_csv, write_tum
+from mavnav.outputs.run import Run, Timing, Truth
+from mavnav.outputs.trajectory import write_base_tum, write_csv, write_truth_tum, write_tum
 from mavnav.staging import sync
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-__all__ = ["WRITERS", "Run", "Timing", "check_directory", "write_run"]
+__all__ = ["WRITERS", "Run", "Timing", "Truth", "check_directory", "write_run"]
 
 
 def _late(module: str, run: Run, path: Path) -> None:
@@ -33,15 +33,16 @@ WRITERS: Final[dict[str, Callable[[Run, Path], None]]] = {
     "trajectory.tum": write_tum,
     "trajectory_base.tum": write_base_tum,
     "trajectory.csv": write_csv,
+    "truth.tum": write_truth_tum,
     "map.pgm": write_pgm,
     "map.yaml": write_yaml,
     "hits.npz": write_npz,
     "map.png": partial(_late, "map_picture"),
+    "true_map.png": partial(_late, "mission_picture"),
     "wall_thickness.png": partial(_late, "wall_picture"),
     "result.mcap": partial(_late, "replay_log"),
     "metrics.json": write_metrics,
 }
-_NEEDS_MOUNTING: Final = {"trajectory_base.tum"}
 
 
 def write_run(run: Run, directory: Path, *, force: bool = False) -> dict[str, Any]:
@@ -60,7 +61,9 @@ def write_run(run: Run, directory: Path, *, force: bool = False) -> dict[str, An
 
 
 def _names(run: Run) -> list[str]:
-    return [name for name in WRITERS if run.log.base_T_laser is not None or name not in _NEEDS_MOUNTING]
+    """Return the files that can be written: some need to know more than every log tells."""
+    needs = {"trajectory_base.tum": run.log.base_T_laser, "truth.tum": run.truth, "true_map.png": run.truth}
+    return [name for name in WRITERS if needs.get(name, run) is not None]
 
 
 def _write(run: Run, path: Path) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil
+from math import ceil, pi
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -19,13 +19,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.grid import Grid
+    from mavnav.outputs.run import Truth
 
 DPI: Final = 150
 MAX_CELLS: Final = 1100
 """Cells along the picture's longer side: about its pixels. More are pooled, or thin walls would fall between them."""
 STRAY_SHARE: Final = 5e-4
 
-INK, MUTED, FREE_GREY, WALL_GREY = "#222222", "#666666", "#eef1f4", "#b9bec4"
+ARC_STEP_RAD: Final = pi / 90.0
+START_BLUE, GOAL_RED, POSE_MAGENTA = "#0033ff", "#e00000", "#d6009a"
+GOAL_SIGN: Final = "$\\bigotimes$"
+INK, MUTED, FREE_GREY, WALL_GREY, PATH_GREY = "#222222", "#666666", "#eef1f4", "#b9bec4", "#8a929a"
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +72,13 @@ def window_of(grid: Grid, xy_m: NDArray[np.float64]) -> Window:
         ends = np.quantile(hit, (STRAY_SHARE, 1.0 - STRAY_SHARE), axis=0, method="nearest")
         ends[1] += 1
         corners.append(grid.origin_xy_m + ends * grid.cell_m)
-    points = np.vstack(corners)
-    (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
-    margin = max(0.04 * max(x1 - x0, y1 - y0), 5 * grid.cell_m)
+    return window_around(np.vstack(corners), least_margin_m=5 * grid.cell_m)
+
+
+def window_around(xy_m: NDArray[np.float64], least_margin_m: float) -> Window:
+    """Frame points (n, 2), with a margin."""
+    (x0, y0), (x1, y1) = xy_m.min(axis=0), xy_m.max(axis=0)
+    margin = max(0.04 * max(x1 - x0, y1 - y0), least_margin_m)
     return Window(float(x0 - margin), float(x1 + margin), float(y0 - margin), float(y1 + margin))
 
 
@@ -111,6 +119,31 @@ def draw_free(axes: Any, grid: Grid, window: Window) -> None:  # noqa: ANN401
     """Shade the cells that are known to be free."""
     free = (occupancy(grid) == FREE).astype(np.uint8)
     draw_cells(axes, grid, free, window, cmap=ListedColormap([FREE_GREY]), vmin=0, vmax=1, zorder=0)
+
+
+def wall_lines(truth: Truth) -> list[NDArray[np.float64]]:
+    """Return the true walls as lines (k, 2) in the map frame, m; arcs in steps of `ARC_STEP_RAD` at most."""
+    return [*truth.segments_map.reshape(-1, 2, 2), *map(_arc_line, truth.arcs_map)]
+
+
+def _arc_line(arc: NDArray[np.float64]) -> NDArray[np.float64]:
+    x, y, radius, start, sweep = arc.tolist()
+    angles = start + np.linspace(0.0, sweep, max(2, ceil(abs(sweep) / ARC_STEP_RAD) + 1))
+    return np.column_stack((x + radius * np.cos(angles), y + radius * np.sin(angles)))
+
+
+def draw_walls(axes: Any, truth: Truth, **style: Any) -> None:  # noqa: ANN401
+    """Draw the true walls; the first alone bears the label."""
+    label = style.pop("label", None)
+    for line in wall_lines(truth):
+        axes.plot(*line.T, label=label, **style)
+        label = None
+
+
+def draw_ends(axes: Any, start_xy_m: Any, end_xy_m: Any, end: str) -> None:  # noqa: ANN401
+    """Mark the start by a blue x, the end or goal by a red circle with an x."""
+    axes.plot(*start_xy_m, "x", ms=10, color=START_BLUE, mew=2.4, label="start", zorder=5)
+    axes.plot(*end_xy_m, marker=GOAL_SIGN, ls="none", ms=13, color=GOAL_RED, mew=0.3, label=end, zorder=5)
 
 
 def dress(axes: Any, window: Window) -> None:  # noqa: ANN401

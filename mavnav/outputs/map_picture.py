@@ -1,4 +1,7 @@
-"""map.png: hits in colour, the estimated poses, start and end (after the paper's Figure 3)."""
+"""map.png: hits in colour, the estimated poses, start and end (after the paper's Figure 3).
+
+Where the truth is known, true walls and poses lie on top (Figure 7), and the goal takes the place of the end.
+"""
 
 from __future__ import annotations
 
@@ -19,27 +22,32 @@ if TYPE_CHECKING:
 
     from mavnav.grid import Grid
     from mavnav.metrics.wall_thickness import WallThickness
-    from mavnav.outputs.run import Run
+    from mavnav.outputs.run import Run, Truth
+    from mavnav.pose import Trajectory
 
 CIRCLE_SPACING: Final = 0.018
 """Between two circles along the path, of the picture's longer side: so that they touch at most."""
-POSE_COLOUR: Final = "#d6009a"
 
 
 def write(run: Run, path: Path) -> None:
     """Draw the map of a run."""
-    grid, xy_m = known_part(run.slam.grid), run.slam.trajectory.xyyaw[:, :2]
-    window = drawing.window_of(grid, xy_m)
+    grid, trajectory = known_part(run.slam.grid), run.slam.trajectory
+    window = drawing.window_of(grid, framed(run))
     width, height = window.figure_size(longest_in=7.5, least_in=3.0)
     fig = drawing.figure(max(width + 1.7, 6.4), height + 1.6)
     axes = fig.add_subplot()
     drawing.draw_free(axes, grid, window)
     _draw_hits(axes, grid, window)
-    _draw_poses(axes, xy_m, spacing_m=CIRCLE_SPACING * max(window.size_m))
+    some = thinned(trajectory.xyyaw[:, :2], CIRCLE_SPACING * max(window.size_m))
+    _draw_poses(axes, trajectory, some)
+    if run.truth:
+        _draw_truth(axes, run.truth, trajectory.stamps_ns[some].tolist())
+    elif len(trajectory):
+        drawing.draw_ends(axes, trajectory.xyyaw[0, :2], trajectory.xyyaw[-1, :2], "end")
     drawing.dress(axes, window)
     fig.suptitle(run.log.path.name, fontsize=12, fontweight="bold", color=drawing.INK)
     axes.set_title(_subtitle(run), fontsize=8.5, color=drawing.MUTED)
-    if len(xy_m):
+    if len(trajectory) or run.truth:
         fig.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=8.5)
     drawing.save(fig, path)
 
@@ -58,19 +66,36 @@ def _draw_hits(axes: Any, grid: Grid, window: drawing.Window) -> None:  # noqa: 
     bar.outline.set_visible(False)
 
 
-def _draw_poses(axes: Any, xy_m: NDArray[np.float64], spacing_m: float) -> None:  # noqa: ANN401
-    """Mark estimated poses by magenta circles, the start by a blue x, the end by a red circle with an x."""
-    if not len(xy_m):
-        return
-    some = xy_m[thinned(xy_m, spacing_m)]
-    axes.plot(*xy_m.T, color=POSE_COLOUR, lw=0.6, alpha=0.6, zorder=3)
-    axes.plot(*some.T, "o", ms=4, mfc="none", mec=POSE_COLOUR, mew=0.8, label="estimated pose", zorder=3)
-    axes.plot(*xy_m[0], "x", ms=10, color="#0033ff", mew=2.4, label="start", zorder=4)
-    axes.plot(*xy_m[-1], marker="$\\bigotimes$", ls="none", ms=13, color="#e00000", mew=0.3, label="end", zorder=4)
+def framed(run: Run) -> NDArray[np.float64]:
+    """Return the points (n, 2) that the picture has to show besides the map."""
+    xy_m, truth = run.slam.trajectory.xyyaw[:, :2], run.truth
+    if truth is None:
+        return xy_m
+    return np.vstack((xy_m, truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *drawing.wall_lines(truth)))
+
+
+def _draw_poses(axes: Any, trajectory: Trajectory, some: NDArray[np.intp]) -> None:  # noqa: ANN401
+    """Mark some of the estimated poses by magenta circles, on the line of all."""
+    xy_m = trajectory.xyyaw[:, :2]
+    colour = drawing.POSE_MAGENTA
+    if len(xy_m):
+        axes.plot(*xy_m.T, color=colour, lw=0.6, alpha=0.6, zorder=3)
+        axes.plot(*xy_m[some].T, "o", ms=4, mfc="none", mec=colour, mew=0.8, label="estimated pose", zorder=3)
+
+
+def _draw_truth(axes: Any, truth: Truth, stamps_ns: list[int]) -> None:  # noqa: ANN401
+    """Draw the walls dashed, the true poses at the stamps of the circles as black x, start and goal."""
+    drawing.draw_walls(axes, truth, color=drawing.INK, lw=0.8, ls=(0, (4, 3)), zorder=2, label="true wall")
+    rows = np.flatnonzero(np.isin(truth.map_T_laser.stamps_ns, stamps_ns))
+    xy_m = truth.map_T_laser.xyyaw[:, :2]
+    axes.plot(*xy_m[rows].T, "x", ms=3.5, color="black", mew=0.7, label="true pose", zorder=4)
+    drawing.draw_ends(axes, xy_m[0], truth.goal_xy_map_m, "goal")
 
 
 def thinned(xy_m: NDArray[np.float64], spacing_m: float) -> NDArray[np.intp]:
     """Choose points of a path (n, 2), evenly spread along its length; the first and the last are among them."""
+    if not len(xy_m):
+        return np.empty(0, np.intp)
     along = np.concatenate(([0.0], np.hypot(*np.diff(xy_m, axis=0).T).cumsum()))
     circles = max(2, int(along[-1] / spacing_m) + 1)
     return np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], circles)))

@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 from mavnav.errors import ExitCode
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from mavnav.config import Config
     from mavnav.logs import Log
     from mavnav.metrics.wall_thickness import WallThickness
@@ -25,14 +28,32 @@ class Timing:
 
 
 @dataclass(frozen=True, slots=True)
+class Truth:
+    """What only a simulation knows, in the map frame: the true first pose of the laser.
+
+    ``map_T_laser`` are the true poses; ``segments_map`` (n, 4) the straight walls, x1, y1, x2, y2 in m;
+    ``arcs_map`` (m, 5) the curved ones: centre x, y and radius in m, start and sweep in rad, counter-clockwise.
+    """
+
+    map_T_laser: Trajectory
+    segments_map: NDArray[np.float64]
+    arcs_map: NDArray[np.float64]
+    goal_xy_map_m: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Run:
-    """A log, how it was run, what came out, and how thick the walls are (hit threshold -> summary)."""
+    """A log, how it was run, what came out, and how thick the walls are (hit threshold -> summary).
+
+    A mission of the simulator knows the truth besides.
+    """
 
     log: Log
     config: Config
     slam: Slam
     thickness: dict[int, WallThickness]
     timing: Timing
+    truth: Truth | None = None
 
     @property
     def map_T_base(self) -> Trajectory | None:

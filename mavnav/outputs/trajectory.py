@@ -34,6 +34,14 @@ def write_base_tum(run: Run, path: Path) -> None:
     path.write_text("".join(_tum_lines(trajectory)), encoding="ascii")
 
 
+def write_truth_tum(run: Run, path: Path) -> None:
+    """Write the true map_T_laser of every scan in the same way; the run must be a mission."""
+    if run.truth is None:
+        msg = "the truth is not known"
+        raise ValueError(msg)
+    path.write_text("".join(_tum_lines(run.truth.map_T_laser)), encoding="ascii")
+
+
 def _tum_lines(trajectory: Trajectory) -> Iterator[str]:
     for stamp_ns, (x, y, yaw) in zip(trajectory.stamps_ns.tolist(), trajectory.xyyaw.tolist(), strict=True):
         z, w = sin(yaw / 2.0), cos(yaw / 2.0)
