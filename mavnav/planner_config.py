@@ -19,7 +19,7 @@ class PlannerConfig(BaseModel):
 
     technique: TechniqueName = Field("wavefront", description="what is done against local minima")
     attraction_gain: float = Field(1.0, gt=0, description="force of the goal")
-    repulsion_gain: float = Field(0.15, ge=0, description="force of the occupied cells, see docs/planner.md")
+    repulsion_gain: float = Field(0.5, ge=0, description="force of the occupied cells, see docs/planner.md")
     repulsion_range_mm: float = Field(600.0, gt=0, le=5000, description="cells farther away do not repel")
     mass_kg: float = Field(1.0, gt=0, description="virtual mass; a higher one gives a path of less curvature")
     max_step_mm: float = Field(100.0, gt=0, le=1000, description="longest command in the plane")

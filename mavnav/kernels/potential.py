@@ -1,0 +1,89 @@
+"""The walls of a map as points, and their repulsion (paper, "Path Planning")."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import float64, int32, int64, types
+
+from mavnav.kernels._jit import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_F1 = types.Array(float64, 1, "C", readonly=True)
+_F2 = types.Array(float64, 2, "C", readonly=True)
+_I2 = types.Array(int32, 2, "C", readonly=True)
+
+
+@kernel(float64[:, ::1](_I2, _I2, _F1, int64, float64))
+def occupied(
+    hits: NDArray[np.int32], passes: NDArray[np.int32], lattice: NDArray[np.float64], min_hits: int, min_share: float
+) -> NDArray[np.float64]:
+    """Return the centres (n, 2) in m of the cells that are walls, in row-major order.
+
+    A cell counts if it was hit, by at least ``min_share`` of the beams that came to it, and if it and the cells around
+    it (5 x 5) that pass the same test have ``min_hits`` hits together: a stray reading is no wall.
+    ``lattice`` (3,) is the corner of cell [0, 0] and the cell edge in m.
+    """
+    rows, cols = hits.shape
+    ox, oy, cell = lattice
+    count = 0
+    for row in range(rows):
+        for col in range(cols):
+            count += hits[row, col] > 0
+    out = np.empty((count, 2))
+    kept = 0
+    for row in range(rows):
+        for col in range(cols):
+            n = hits[row, col]
+            if n == 0 or n < min_share * (float64(n) + passes[row, col]):
+                continue
+            together = 0
+            for r in range(max(0, row - 2), min(rows, row + 3)):
+                for c in range(max(0, col - 2), min(cols, col + 3)):
+                    m = hits[r, c]
+                    if m > 0 and m >= min_share * (float64(m) + passes[r, c]):
+                        together += m
+            if together >= min_hits:
+                out[kept, 0] = ox + (col + 0.5) * cell
+                out[kept, 1] = oy + (row + 0.5) * cell
+                kept += 1
+    return out[:kept].copy()
+
+
+@kernel(float64[::1](_F2, _F1, float64, float64))
+def repulsion(
+    walls_xy_map_m: NDArray[np.float64], xy_map_m: NDArray[np.float64], range_m: float, cell_m: float
+) -> NDArray[np.float64]:
+    """Return the sum (2,) of the forces of all walls (n, 2) within ``range_m`` on a vehicle at ``xy_map_m`` (2,).
+
+    A cell at distance r pushes away with ``cell / range (range / r - 1) (range / r)^2``: the gradient of the potential
+    ``(range / r - 1)^2 / 2`` but for a factor, by length of wall, so that the size of the cells does not matter. Nearer
+    than one cell a wall pushes no stronger.
+    """
+    out = np.zeros(2)
+    for k in range(len(walls_xy_map_m)):
+        dx, dy = xy_map_m[0] - walls_xy_map_m[k, 0], xy_map_m[1] - walls_xy_map_m[k, 1]
+        r2 = dx * dx + dy * dy
+        if 0.0 < r2 < range_m * range_m:
+            r = np.sqrt(r2)
+            near = range_m / max(r, cell_m)
+            push = cell_m / range_m * max(near - 1.0, 0.0) * near * near / r
+            out[0] += push * dx
+            out[1] += push * dy
+    return out
+
+
+@kernel(float64[::1](_F2, _F2))
+def clearance(walls_xy_map_m: NDArray[np.float64], xy_map_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distance (m,) in m from each point (m, 2) to the nearest wall (n, 2); inf where there is none."""
+    out = np.empty(len(xy_map_m))
+    for k in range(len(xy_map_m)):
+        best = np.inf
+        for i in range(len(walls_xy_map_m)):
+            dx, dy = xy_map_m[k, 0] - walls_xy_map_m[i, 0], xy_map_m[k, 1] - walls_xy_map_m[i, 1]
+            best = min(best, dx * dx + dy * dy)
+        out[k] = np.sqrt(best)
+    return out

@@ -1,0 +1,119 @@
+"""Distances over a coarse grid: to the nearest wall, and to the goal round all walls."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import boolean, int32, int64, types
+
+from mavnav.kernels._jit import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_B2 = types.Array(boolean, 2, "C", readonly=True)
+_I2 = types.Array(int32, 2, "C", readonly=True)
+
+STRAIGHT, DIAGONAL = 10, 14
+"""Costs of one cell straight and aslant, times the cell's weight."""
+
+UNREACHED = np.int32(2**30)
+"""Cost of a cell that the wave did not reach."""
+
+
+@kernel(int32[:, ::1](_B2, int64))
+def squared_clearance(walls: NDArray[np.bool_], reach_cells: int) -> NDArray[np.int32]:
+    """Return the squared distance (rows, cols) in cells to the nearest wall, ``reach_cells**2`` at most."""
+    rows, cols = walls.shape
+    across = np.full((rows, cols), reach_cells, np.int32)  # distance to the nearest wall of the same column
+    for row in range(rows):
+        for col in range(cols):
+            if walls[row, col]:
+                across[row, col] = 0
+            elif row > 0:
+                across[row, col] = min(int32(reach_cells), int32(across[row - 1, col] + 1))
+    for row in range(rows - 2, -1, -1):
+        for col in range(cols):
+            across[row, col] = min(across[row, col], int32(across[row + 1, col] + 1))
+    out = np.empty((rows, cols), np.int32)
+    for row in range(rows):
+        for col in range(cols):
+            best = reach_cells * reach_cells
+            for c in range(max(0, col - reach_cells), min(cols, col + reach_cells + 1)):
+                best = min(best, (c - col) * (c - col) + across[row, c] * across[row, c])
+            out[row, col] = best
+    return out
+
+
+@kernel(int32[:, ::1](_I2, _I2, int64, int64))
+def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: int) -> NDArray[np.int32]:
+    """Return the cost (rows, cols) of the cheapest way from each cell to a goal, UNREACHED where there is none.
+
+    A step costs STRAIGHT or DIAGONAL times the weight of the cell that it leaves on its way to the goal; weight 0 is
+    blocked, and an aslant step needs both cells beside it. ``goals`` (n, 2) are rows and columns. Dijkstra's algorithm
+    with one bucket a cost; it ends once cell [row, col] and all cheaper ones are final, which leaves others too high
+    or UNREACHED.
+    """
+    rows, cols = weights.shape
+    buckets = DIAGONAL * int64(weights.max()) + 1
+    head = np.full(buckets, -1, np.int64)  # of each bucket's list of entries
+    cell = np.empty(8 * rows * cols + len(goals), np.int64)
+    behind = np.empty(8 * rows * cols + len(goals), np.int64)
+    cost = np.full((rows, cols), UNREACHED, np.int32)
+    entries = 0
+    for k in range(len(goals)):
+        cost[goals[k, 0], goals[k, 1]] = 0
+        cell[entries], behind[entries], head[0] = goals[k, 0] * cols + goals[k, 1], head[0], entries
+        entries += 1
+    waiting, now = entries, 0
+    while waiting > 0 and now <= cost[row, col]:
+        entry = head[now % buckets]
+        head[now % buckets] = -1
+        while entry >= 0:
+            r, c = cell[entry] // cols, cell[entry] % cols
+            entry = behind[entry]
+            waiting -= 1
+            if cost[r, c] != now:  # a cheaper entry of the same cell came first
+                continue
+            for dr in range(-1, 2):
+                for dc in range(-1, 2):
+                    y, x = r + dr, c + dc
+                    if (dr == 0 and dc == 0) or not (0 <= y < rows and 0 <= x < cols) or weights[y, x] == 0:
+                        continue
+                    if dr != 0 and dc != 0 and (weights[r, x] == 0 or weights[y, c] == 0):
+                        continue
+                    new = now + (DIAGONAL if dr != 0 and dc != 0 else STRAIGHT) * weights[y, x]
+                    if new < cost[y, x]:
+                        cost[y, x] = new
+                        cell[entries], behind[entries] = y * cols + x, head[new % buckets]
+                        head[new % buckets] = entries
+                        entries += 1
+                        waiting += 1
+        now += 1
+    return cost
+
+
+@kernel(int64[:, ::1](_I2, _I2, int64, int64, int64))
+def downhill(cost: NDArray[np.int32], weights: NDArray[np.int32], row: int, col: int, steps: int) -> NDArray[np.int64]:
+    """Return the cells (n, 2), row and col, of the cheapest way from [row, col] towards the goal, ``steps`` at most.
+
+    The first is [row, col] itself. Of equally cheap ways the one of lowest row, then column, is taken.
+    """
+    rows, cols = cost.shape
+    out = np.empty((steps + 1, 2), np.int64)
+    out[0, 0], out[0, 1] = row, col
+    for k in range(steps):
+        r, c = out[k, 0], out[k, 1]
+        best, out[k + 1, 0], out[k + 1, 1] = int64(UNREACHED), r, c
+        for y in range(max(0, r - 1), min(rows, r + 2)):
+            for x in range(max(0, c - 1), min(cols, c + 2)):
+                aslant = y != r and x != c
+                if cost[y, x] >= cost[r, c] or (aslant and (weights[r, x] == 0 or weights[y, c] == 0)):
+                    continue
+                way = cost[y, x] + (DIAGONAL if aslant else STRAIGHT) * int64(weights[r, c])
+                if way < best:
+                    best, out[k + 1, 0], out[k + 1, 1] = way, y, x
+        if best == UNREACHED:
+            return out[: k + 1].copy()
+    return out
