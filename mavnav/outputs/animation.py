@@ -33,6 +33,7 @@ MAX_FRAMES: Final = 150
 FRAME_MS: Final = 80
 LAST_FRAME_MS: Final = 2000
 LONGEST_PIXELS: Final = 560
+LEAST_WIDTH_PIXELS: Final = 360
 CAPTION_PIXELS: Final = 22
 
 _WHITE, _WALL, _TRUE_POSE, _POSE, _START, _GOAL, _TEXT, _HITS = 0, 1, 2, 3, 4, 5, 6, 7
@@ -96,7 +97,8 @@ class _Canvas:
         """Return the hits as a picture of indices into the palette, with room for a caption below."""
         steps = np.minimum(np.log2(np.maximum(self.hits, 1)).astype(np.uint8), len(_PALETTE) - 1 - _HITS)
         indices = np.where(self.hits > 0, _HITS + steps, _WHITE).astype(np.uint8)
-        return Image.fromarray(np.pad(indices, ((0, CAPTION_PIXELS), (0, 0))))
+        right = max(0, LEAST_WIDTH_PIXELS - indices.shape[1])
+        return Image.fromarray(np.pad(indices, ((0, CAPTION_PIXELS), (0, right)), constant_values=_WHITE))
 
 
 def _frames(run: Run) -> Iterator[Image.Image]:
@@ -125,7 +127,7 @@ def _frame(run: Run, canvas: _Canvas, poses: list[tuple[int, Pose]]) -> Image.Im
         _draw_truth(draw, canvas, run.truth, poses[-1][0] if poses else 0)
     _draw_way(draw, canvas, [pose for _, pose in poses])
     since_s = (poses[-1][0] - run.log.first_ns) * NS if poses else 0.0
-    text = f"{run.log.path.name}   {since_s:.1f} s   scan {len(poses)} of {len(run.slam.trajectory)}"
+    text = f"{run.log.path.name}   {since_s:.1f} s   {len(poses)} of {len(run.slam.steps)} scans"
     draw.text((6, image.height - CAPTION_PIXELS + 4), text, fill=_TEXT, font=ImageFont.load_default(12))
     return image
 

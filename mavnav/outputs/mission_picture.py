@@ -58,4 +58,5 @@ def _draw_heading(axes: Any, start: Pose, length_m: float) -> None:  # noqa: ANN
 def _subtitle(truth: Truth) -> str:
     way, goal = truth.map_T_laser, np.array(truth.goal_xy_map_m)
     left_m = float(np.hypot(*(goal - way.xyyaw[-1, :2])))
-    return f"path {way.length_m:.2f} m in {len(way) - 1} steps, ends {left_m:.2f} m from the goal; map frame: the start"
+    ends = f"path {way.length_m:.2f} m in {len(way) - 1} steps, ends {left_m:.2f} m from the goal"
+    return f"{ends}; frame: the laser's first pose"
