@@ -10,7 +10,7 @@ import re
 from functools import cache
 from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
     from pydantic_core import ErrorDetails
 
+Model = TypeVar("Model", bound=BaseModel)
+
 
 @cache
 def presets_folder() -> Path:
@@ -33,8 +35,19 @@ def presets_folder() -> Path:
 
 
 def presets() -> list[str]:
-    """Return the names of the presets."""
-    return sorted(path.stem for path in presets_folder().glob("*.yaml"))
+    """Return the names of the presets: what has no walls in ``configs/``."""
+    return _shipped(scenarios=False)
+
+
+def scenarios() -> list[str]:
+    """Return the names of the scenarios: what has walls in ``configs/``."""
+    return _shipped(scenarios=True)
+
+
+@cache
+def _shipped(*, scenarios: bool) -> list[str]:
+    texts = {path.stem: path.read_text("utf-8") for path in sorted(presets_folder().glob("*.yaml"))}
+    return [name for name, text in texts.items() if bool(re.search(r"(?m)^walls:", text)) == scenarios]
 
 
 def _file_layer(file: str | Path | None) -> Layer:
@@ -68,14 +81,21 @@ def load_config(
     ConfigError
         One line: file and line, dotted key, what is wrong, the nearest known name.
     """
-    layers = [_file_layer(file), *map(_set_layer, sets), _option_layer(overrides or {})]
-    top = Layer()
-    for layer in layers:
-        top = layer.over(top)
-    method = top.values.get(("method",), Config.model_fields["method"].default)
-    if method in presets():
-        top = top.over(_file_layer(presets_folder() / f"{method}.yaml"))
-    return _validate(top)
+    top = overlaid(_file_layer(file), sets, overrides or {})
+    return validated(Config, top.over(method_layer(top.values.get(("method",)))))
+
+
+def overlaid(layer: Layer, sets: Iterable[str], overrides: Mapping[str, object]) -> Layer:
+    """Lay ``--set`` and then the command line's own options over a layer."""
+    for above in (*map(_set_layer, sets), _option_layer(overrides)):
+        layer = above.over(layer)
+    return layer
+
+
+def method_layer(method: object) -> Layer:
+    """Return the preset of a method (None: of the default one), nothing where there is no such preset."""
+    name = method or Config.model_fields["method"].default
+    return _file_layer(presets_folder() / f"{name}.yaml") if name in presets() else Layer()
 
 
 def _set_layer(assignment: str) -> Layer:
@@ -93,55 +113,71 @@ def _option_layer(overrides: Mapping[str, object]) -> Layer:
     keys = {name: tuple(name.split(".")) for name in overrides}
     return Layer(
         {keys[name]: value for name, value in overrides.items()},
-        {keys[name]: f"--{name.replace('_', '-')}" for name in overrides},
+        {keys[name]: f"--{keys[name][-1].replace('_', '-')}" for name in overrides},
     )
 
 
-def _validate(layer: Layer) -> Config:
+def validated(model: type[Model], layer: Layer, name: str = "configuration") -> Model:
+    """Build a model of a layer's values; ``name`` is what errors without a line call it."""
     try:
-        return Config.model_validate(layer.tree())
+        return model.model_validate(layer.tree())
     except ValidationError as error:
         details = error.errors(include_url=False)
         more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-        raise ConfigError(_complaint(details[0], layer) + more) from error
+        raise ConfigError(_complaint(model, details[0], layer, name) + more) from error
     except ConfigError as error:
-        grid = layer.origins.get(("grid",), "grid")
+        grid = next((origin for key, origin in layer.origins.items() if key[-1] == "grid"), "grid")
         raise ConfigError(f"{grid}: {error}") from error
 
 
-def _complaint(details: ErrorDetails, layer: Layer) -> str:
+def origin(layer: Layer, key: Key, name: str = "configuration") -> str:
+    """Return where a key, or else what is around it, was written."""
+    return next((layer.origins[key[:n]] for n in range(len(key), 0, -1) if key[:n] in layer.origins), name)
+
+
+def _complaint(model: type[BaseModel], details: ErrorDetails, layer: Layer, name: str) -> str:
     key = tuple(str(part) for part in details["loc"])
-    where = next((layer.origins[key[:n]] for n in range(len(key), 0, -1) if key[:n] in layer.origins), "configuration")
+    where, dotted, known = origin(layer, key, name), ".".join(key), dict(fields(model))
+    named = tuple(part for part in key if not part.isdecimal())
+    hint = known.get(named) or "see 'mavnav config show'"
     if details["type"] == "extra_forbidden":
-        return f"{where}: unknown key {'.'.join(key)}; {_nearest(key)}"
+        return f"{where}: unknown key {dotted}; {_nearest(named, list(known))}"
+    if details["type"] == "missing":
+        return f"{where}: {dotted} is missing; give the {hint}"
     problem = details["msg"].removeprefix("Input ").removeprefix("Value error, ")
-    return f"{where}: {'.'.join(key)} is {details['input']!r}, it {problem}; {_hint(key)}"
+    return f"{where}: {dotted} is {_short(details['input'])}, it {problem}; {hint}"
 
 
-def _nearest(key: Key) -> str:
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _nearest(key: Key, keys: list[Key]) -> str:
     """Propose the nearest known key, wherever in the configuration it stands."""
-    known = [".".join(path) for path, _ in fields()]
-    by_last_name = {path[-1]: ".".join(path) for path, _ in fields()}
+    known = [".".join(path) for path in keys]
+    by_last_name = {path[-1]: ".".join(path) for path in keys}
     proposal = [by_last_name[key[-1]]] if key[-1] in by_last_name else []
     proposal = proposal or difflib.get_close_matches(".".join(key), known, n=1)
     proposal = proposal or [by_last_name[name] for name in difflib.get_close_matches(key[-1], by_last_name, n=1)]
     return f"did you mean {proposal[0]}?" if proposal else "see 'mavnav config show' for the known keys"
 
 
-def _hint(key: Key) -> str:
-    descriptions = dict(fields())
-    return descriptions.get(key) or "see 'mavnav config show'"
-
-
 def fields(model: type[BaseModel] = Config, above: Key = ()) -> list[tuple[Key, str]]:
-    """Return every key of the configuration with its description, in order."""
+    """Return every key of a model with its description, in order; the items of a list share their list's key."""
     found: list[tuple[Key, str]] = []
     for name, info in model.model_fields.items():
-        kind = info.annotation
         found.append(((*above, name), info.description or ""))
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
+        for kind in _models(info.annotation):
             found += fields(kind, (*above, name))
     return found
+
+
+def _models(annotation: object) -> list[type[BaseModel]]:
+    """Return the models in an annotation such as ``A``, ``A | None`` or ``tuple[A, ...]``."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models(part)]
 
 
 def to_yaml(config: Config) -> str:

@@ -32,7 +32,15 @@ class Layer:
     def over(self, below: Layer) -> Layer:
         """Lay this layer over another one; a value hides what lay under and above its own key."""
         kept = {k: v for k, v in below.values.items() if not any(_related(k, mine) for mine in self.values)}
-        return Layer(kept | self.values, below.origins | self.origins)
+        origins = {k: o for k, o in below.origins.items() if not any(_inside(k, mine) for mine in self.values)}
+        return Layer(kept | self.values, origins | self.origins)
+
+    def within(self, section: str) -> Layer:
+        """Return the same layer as a section of a larger one."""
+        return Layer(
+            {(section, *key): value for key, value in self.values.items()},
+            {(section, *key): origin for key, origin in self.origins.items()},
+        )
 
     def tree(self) -> dict[str, Any]:
         """Return nested dictionaries."""
@@ -48,6 +56,11 @@ class Layer:
 def _related(a: Key, b: Key) -> bool:
     shorter = min(len(a), len(b))
     return a[:shorter] == b[:shorter]
+
+
+def _inside(key: Key, list_key: Key) -> bool:
+    """Tell whether a key is one of an item of a list."""
+    return len(key) > len(list_key) and key[: len(list_key)] == list_key
 
 
 class _Yaml12(yaml.SafeLoader):
@@ -136,15 +149,23 @@ def _collect(node: yaml.Node, key: Key, name: str, layer: Layer) -> None:
         if isinstance(value_node, yaml.MappingNode):
             _collect(value_node, child, name, layer)
         else:
-            layer.values[child] = _value(value_node, f"{name}:{line}: {'.'.join(child)}")
+            layer.values[child] = _value(value_node, child, name, layer)
 
 
-def _value(node: yaml.Node, where: str) -> object:
-    """Return the plain value of a scalar, or a list of scalars."""
+def _value(node: yaml.Node, key: Key, name: str, layer: Layer) -> object:
+    """Return a scalar, or a list of scalars, lists and mappings; note the lines of what is in it by its number."""
     if isinstance(node, yaml.SequenceNode):
-        return [_value(item, where) for item in node.value]
+        items = [((*key, str(number)), item) for number, item in enumerate(node.value)]
+        layer.origins.update({item_key: f"{name}:{_line(item.start_mark)}" for item_key, item in items})
+        return [_value(item, item_key, name, layer) for item_key, item in items]
+    if isinstance(node, yaml.MappingNode):
+        inner = Layer()
+        _collect(node, (), name, inner)
+        layer.origins.update({(*key, *inner_key): origin for inner_key, origin in inner.origins.items()})
+        return inner.tree()
     if not isinstance(node, yaml.ScalarNode) or node.tag not in _SCALAR_TAGS:
-        raise ConfigError(f"{where} has a tag or a nested mapping; write a plain number, word or list")
+        where = f"{name}:{_line(node.start_mark)}: {'.'.join(key)}"
+        raise ConfigError(f"{where} has a tag; write a plain number, word or list")
     loader = _Yaml12("")
     value: object = loader.construct_object(node)
     return value

@@ -30,6 +30,7 @@ ALLOWED: dict[str, set[str]] = {
     "config_file": {"errors", "config", "layers"},
     "kernels": set(),
     "logs": GROUND | {""},
+    "world": GROUND | {"config_file", "layers", "planner_config"},
     "grid": GROUND | {"kernels"},
     "linemap": GROUND | {"kernels", "grid"},
     "matcher": GROUND | {"kernels", "grid", "linemap"},

@@ -1,0 +1,130 @@
+"""Walls as exact geometry: what a ray meets, and how far the nearest wall is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    Hits = tuple[Array, Array]
+
+SEAM: Final = 1e-9
+"""Walls reach this much (share of a segment, rad of an arc) beyond their ends, so that no ray slips through a joint."""
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """Walls of no thickness in the world frame, seen from both sides.
+
+    ``segments`` (n, 4): x1, y1, x2, y2 in metres. ``arcs`` (m, 5): x and y of the centre, radius (m), start (rad) and
+    sweep (rad, its sign is the sense). Both read-only.
+    """
+
+    segments: Array
+    arcs: Array
+
+    def __post_init__(self) -> None:
+        """Check the shapes and freeze the arrays."""
+        if self.segments.ndim != 2 or self.segments.shape[1] != 4 or self.arcs.ndim != 2 or self.arcs.shape[1] != 5:
+            msg = f"shapes {self.segments.shape} and {self.arcs.shape} are no world"
+            raise ValueError(msg)
+        self.segments.flags.writeable = False
+        self.arcs.flags.writeable = False
+
+    def cast(self, xy_m: Array | tuple[float, float], bearings_rad: Array) -> Hits:
+        """Follow rays to the nearest wall.
+
+        Parameters
+        ----------
+        xy_m
+            Where the rays begin: (2,) for all of them, or (n, 2).
+        bearings_rad
+            Their directions in the world frame, (n,).
+
+        Returns
+        -------
+        ranges_m, incidence_rad
+            (n,) each: the distance, and the angle between ray and wall's normal, 0 to pi/2; inf and NaN where there is
+            no wall.
+        """
+        x, y = np.broadcast_to(np.asarray(xy_m, dtype=np.float64), (len(bearings_rad), 2)).T[:, :, None]
+        dx, dy = np.cos(bearings_rad)[:, None], np.sin(bearings_rad)[:, None]
+        hits = [_meet_segments(self.segments, x, y, dx, dy), *_meet_arcs(self.arcs, x, y, dx, dy)]
+        ranges, cosines = (np.hstack(parts) for parts in zip(*hits, strict=True))
+        nearest = ranges.argmin(axis=1)[:, None]
+        ranges, cosine = np.take_along_axis(ranges, nearest, 1)[:, 0], np.take_along_axis(cosines, nearest, 1)[:, 0]
+        return ranges, np.where(np.isfinite(ranges), np.arccos(np.clip(cosine, 0.0, 1.0)), np.nan)
+
+    def clearance_m(self, xy_m: Array) -> Array:
+        """Return the distance of points (n, 2) to the nearest wall, (n,) in metres."""
+        x, y = xy_m[:, :1], xy_m[:, 1:]
+        nearest: Array = np.hstack((_to_segments(self.segments, x, y), _to_arcs(self.arcs, x, y))).min(axis=1)
+        return nearest
+
+    @property
+    def bounds_m(self) -> tuple[float, float, float, float]:
+        """Box around the walls: least x and y, greatest x and y. Arcs count as whole circles."""
+        x, y, r = self.arcs[:, 0], self.arcs[:, 1], self.arcs[:, 2]
+        xs = np.concatenate((self.segments[:, 0], self.segments[:, 2], x - r, x + r))
+        ys = np.concatenate((self.segments[:, 1], self.segments[:, 3], y - r, y + r))
+        return float(xs.min()), float(ys.min()), float(xs.max()), float(ys.max())
+
+
+def _meet_segments(segments: Array, x: Array, y: Array, dx: Array, dy: Array) -> Hits:
+    """Return ranges (inf: missed) and cosines of incidence of n rays (columns) on m segments, (n, m) each."""
+    ax, ay = segments[:, 0] - x, segments[:, 1] - y
+    ex, ey = segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1]
+    # Solve r d = a + u e for the range r along the ray and the share u along the wall.
+    across = dx * ey - dy * ex
+    with np.errstate(divide="ignore", invalid="ignore"):
+        r = (ax * ey - ay * ex) / across
+        u = (ax * dy - ay * dx) / across
+        cosine = np.abs(across) / np.hypot(ex, ey)
+    met = (across != 0.0) & (r > 0.0) & (u >= -SEAM) & (u <= 1.0 + SEAM)
+    return np.where(met, r, np.inf), cosine
+
+
+def _meet_arcs(arcs: Array, x: Array, y: Array, dx: Array, dy: Array) -> list[Hits]:
+    """Return ranges and cosines of incidence of n rays on m arcs: the near side of the circles, then the far side."""
+    cx, cy, radius, start, sweep = arcs.T
+    along = dx * (cx - x) + dy * (cy - y)
+    beside = dx * (cy - y) - dy * (cx - x)
+    with np.errstate(invalid="ignore"):  # NaN: the ray passes the circle
+        half_chord = np.sqrt((radius - beside) * (radius + beside))
+    hits: list[Hits] = []
+    for r in (along - half_chord, along + half_chord):
+        bearing = np.arctan2(y + r * dy - cy, x + r * dx - cx)
+        met = (r > 0.0) & _on_arc(bearing, start, sweep)
+        hits.append((np.where(met, r, np.inf), half_chord / radius))
+    return hits
+
+
+def _on_arc(bearing_rad: Array, start_rad: Array, sweep_rad: Array) -> NDArray[np.bool_]:
+    """Tell which bearings from the centre lie on the arcs; NaN lies on none."""
+    onward = (bearing_rad - start_rad) * np.sign(sweep_rad)
+    on_it: NDArray[np.bool_] = np.mod(onward + SEAM, 2.0 * np.pi) <= np.abs(sweep_rad) + 2.0 * SEAM
+    return on_it
+
+
+def _to_segments(segments: Array, x: Array, y: Array) -> Array:
+    """Distances of n points (columns) to m segments, (n, m)."""
+    ax, ay = x - segments[:, 0], y - segments[:, 1]
+    ex, ey = segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1]
+    squared = np.maximum(ex * ex + ey * ey, np.finfo(np.float64).tiny)
+    u = np.clip((ax * ex + ay * ey) / squared, 0.0, 1.0)
+    distance: Array = np.hypot(ax - u * ex, ay - u * ey)
+    return distance
+
+
+def _to_arcs(arcs: Array, x: Array, y: Array) -> Array:
+    """Distances of n points (columns) to m arcs, (n, m): across the arc within its sweep, else to its nearer end."""
+    cx, cy, radius, start, sweep = arcs.T
+    ends = [np.hypot(x - cx - radius * np.cos(end), y - cy - radius * np.sin(end)) for end in (start, start + sweep)]
+    within = _on_arc(np.arctan2(y - cy, x - cx), start, sweep)
+    distance: Array = np.where(within, np.abs(np.hypot(x - cx, y - cy) - radius), np.minimum(*ends))
+    return distance
