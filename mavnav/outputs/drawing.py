@@ -27,7 +27,7 @@ MAX_CELLS: Final = 1100
 STRAY_SHARE: Final = 5e-4
 
 ARC_STEP_RAD: Final = pi / 90.0
-START_BLUE, GOAL_RED, POSE_MAGENTA = "#0033ff", "#e00000", "#d6009a"
+START_BLUE, GOAL_RED, POSE_MAGENTA, TRUE_ORANGE = "#0033ff", "#e00000", "#d6009a", "#ff6a00"
 GOAL_SIGN: Final = "$\\bigotimes$"
 INK, MUTED, FREE_GREY, WALL_GREY, PATH_GREY = "#222222", "#666666", "#eef1f4", "#b9bec4", "#8a929a"
 

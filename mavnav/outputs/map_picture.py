@@ -85,7 +85,7 @@ def _draw_poses(axes: Any, trajectory: Trajectory, some: NDArray[np.intp]) -> No
 
 def _draw_truth(axes: Any, truth: Truth, stamps_ns: list[int]) -> None:  # noqa: ANN401
     """Draw the walls dashed, the true poses at the stamps of the circles as black x, start and goal."""
-    drawing.draw_walls(axes, truth, color=drawing.INK, lw=0.8, ls=(0, (4, 3)), zorder=2, label="true wall")
+    drawing.draw_walls(axes, truth, color=drawing.TRUE_ORANGE, lw=0.9, ls=(0, (4, 3)), zorder=2, label="true wall")
     rows = np.flatnonzero(np.isin(truth.map_T_laser.stamps_ns, stamps_ns))
     xy_m = truth.map_T_laser.xyyaw[:, :2]
     axes.plot(*xy_m[rows].T, "x", ms=3.5, color="black", mew=0.7, label="true pose", zorder=4)

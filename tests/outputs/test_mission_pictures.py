@@ -79,8 +79,9 @@ def test_the_true_map_shows_walls_start_heading_and_goal(mission, tmp_path):
 def test_the_map_of_a_mission_shows_the_truth_on_top(run, mission, tmp_path):
     map_picture.write(run, tmp_path / "without.png")
     map_picture.write(mission, tmp_path / "with.png")
-    without, with_truth = (count(pixels(tmp_path / f"{n}.png"), "#000000", 20) for n in ("without", "with"))
-    assert with_truth > without + 300
+    for colour, more in ((drawing.TRUE_ORANGE, 1000), ("#000000", 50)):
+        without, with_truth = (count(pixels(tmp_path / f"{n}.png"), colour, 20) for n in ("without", "with"))
+        assert with_truth > without + more, colour
 
 
 def test_true_poses_are_those_at_the_stamps_of_the_circles(mission, monkeypatch):
