@@ -32,6 +32,7 @@ _FAN_RAD = np.array([0, 20, -20, 40, -40, 60, -60, 80, -80]) * DEG  # ways round
 _SHARES = np.array([1.0, 0.75, 0.5, 0.25])  # of the wanted step
 _LEAST_PROGRESS = 0.15  # of the wanted step
 _SAMPLE_M = 0.05  # clearance is checked along a step this often
+_BACKING_OFF = 0.25  # of a step, where nothing is seen
 _TAPER_RAD = 30 * DEG  # below ``view_deg`` steps are shortened over this range
 
 
@@ -85,7 +86,7 @@ class Planner:
             bearing_rad = wrap_angle(atan2(velocity[1], velocity[0]) - map_T_laser.yaw_rad)
             turn_rad = _turn_rad(self.config, velocity, bearing_rad)
             step = _clear_step(
-                scene, _seen_share(self.config, bearing_rad) * _limited(scene, velocity), squeezes=drive.squeezes
+                scene, _seen_share(scene, bearing_rad) * _limited(scene, velocity), squeezes=drive.squeezes
             )
         self.memory = replace(drive.memory, velocity_m=step)
         return Plan(_in_body(step, turn_rad, map_T_laser), _clearance_m(scene, step), drive.reason)
@@ -136,9 +137,14 @@ def _turn_rad(config: PlannerConfig, velocity_m: XY, bearing_rad: float) -> floa
     return float(np.clip(bearing_rad, -config.max_turn_deg * DEG, config.max_turn_deg * DEG))
 
 
-def _seen_share(config: PlannerConfig, bearing_rad: float) -> float:
-    """Return the share of a step that may be made in a direction that the laser hardly sees, or not at all."""
-    return float(np.clip((config.view_deg * DEG - abs(bearing_rad)) / _TAPER_RAD, 0.0, 1.0))
+def _seen_share(scene: Scene, bearing_rad: float) -> float:
+    """Return the share of a step that may be made in a direction that the laser hardly sees, or not at all.
+
+    A vehicle that is too near to a wall backs off at once, slowly.
+    """
+    too_near = _clearance_m(scene, np.zeros(2)) < scene.config.safety_mm * MM
+    seen = (scene.config.view_deg * DEG - abs(bearing_rad)) / _TAPER_RAD
+    return float(np.clip(seen, _BACKING_OFF if too_near else 0.0, 1.0))
 
 
 def _clear_step(scene: Scene, step_m: XY, *, squeezes: bool) -> XY:

@@ -23,11 +23,12 @@ if TYPE_CHECKING:
     XY = NDArray[np.float64]
     """A point or a vector in the map frame, (2,) in m (a force: without unit)."""
 
-_MOST_VIRTUAL = 60
+_MOST_VIRTUAL = 40
 _VIRTUAL_AHEAD_M = 0.15
 _VIRTUAL_RANGE_M = 0.9
 _VIRTUAL_FORCE = 1.5
 _NEARER_M = 0.1  # than where the field stalled: a wall is followed no longer
+_FOLLOW_SPEED = 0.6  # of the speed in the open: or the vehicle overshoots at corners
 _FOLLOW_MARGIN_M = 0.1  # a wall is followed at the safety clearance and this
 
 
@@ -80,8 +81,8 @@ class Memory:
 
     All but the velocity is forgotten when the goal changes. ``velocity_m`` (2,) is the virtual mass's, in m a step.
     The vehicle has been within ``stall_mm`` of ``anchor_xy_map_m`` for ``idle_steps``; it has looked round for
-    ``looks`` steps, seeing no way. ``virtual_map_m`` are virtual obstacles: x, y, range in m. ``side`` is the way round that walls are followed: +1 has them on the right hand,
-    -1 on the left, 0 before any was.
+    ``looks`` steps, seeing no way. ``virtual_map_m`` are the virtual obstacles: x, y, range in m. ``side`` is the way
+    round that walls are followed: +1 has them on the right hand, -1 on the left, 0 before any was.
     """
 
     goal_xy_map_m: XY
@@ -159,7 +160,7 @@ def _dropped(scene: Scene, memory: Memory) -> tuple[float, float, float]:
     ahead = unit(scene.goal_xy_map_m - scene.xy_map_m)
     x, y = scene.xy_map_m + _VIRTUAL_AHEAD_M * (ahead + 0.5 * _left(ahead))
     near = sum(np.hypot(x - a, y - b) < _VIRTUAL_RANGE_M for a, b, _ in memory.virtual_map_m)
-    return float(x), float(y), _VIRTUAL_RANGE_M * min(1.0 + 0.3 * float(near), 3.0)
+    return float(x), float(y), _VIRTUAL_RANGE_M * min(1.0 + 0.3 * float(near), 2.0)
 
 
 def _virtual_push(scene: Scene, memory: Memory) -> XY:
@@ -197,7 +198,7 @@ def _along_wall(scene: Scene, memory: Memory, reason: str) -> Drive:
     along = side * _left(normal)
     wanted_m = scene.config.safety_mm * MM + _FOLLOW_MARGIN_M
     error = float(np.clip((wanted_m - distances[nearest]) / wanted_m, -1.0, 1.0))
-    force = scene.config.attraction_gain * unit(along + 2.0 * error * normal)
+    force = _FOLLOW_SPEED * scene.config.attraction_gain * unit(along + 2.0 * error * normal)
     following = memory.following or Following(scene.goal_m, scene.xy_map_m, atan2(along[1], along[0]))
     if _came_round(following, scene, along):
         reason = "the wall leads round to where it began"
