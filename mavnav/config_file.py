@@ -122,7 +122,7 @@ def validated(model: type[Model], layer: Layer, name: str = "configuration") -> 
     try:
         return model.model_validate(layer.tree())
     except ValidationError as error:
-        details = error.errors(include_url=False)
+        details = sorted(error.errors(include_url=False), key=lambda d: d["type"] != "extra_forbidden")
         more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
         raise ConfigError(_complaint(model, details[0], layer, name) + more) from error
     except ConfigError as error:

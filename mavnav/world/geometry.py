@@ -17,7 +17,7 @@ SEAM: Final = 1e-9
 """Walls reach this much (share of a segment, rad of an arc) beyond their ends, so that no ray slips through a joint."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class World:
     """Walls of no thickness in the world frame, seen from both sides.
 

@@ -157,8 +157,12 @@ class Scenario(Strict):
         return (*self.via_m, self.goal_m)
 
     def document(self) -> dict[str, Any]:
-        """Return the scenario as plain data, the search grid as text."""
-        return {**self.model_dump(mode="json", exclude_none=True), "slam": self.slam.document()}
+        """Return the scenario as plain data, the search grid as text; it makes the same scenario again."""
+        shapes = {
+            name: [wall.model_dump(mode="json", exclude_none=True) for wall in walls]
+            for name, walls in (("walls", self.walls), ("measured", self.measured))
+        }
+        return {**self.model_dump(mode="json"), **shapes, "slam": self.slam.document()}
 
 
 def laser_model(scenario: Scenario) -> LaserModel:

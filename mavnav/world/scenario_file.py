@@ -11,6 +11,7 @@ from mavnav.config_file import method_layer, origin, overlaid, presets_folder, s
 from mavnav.errors import ConfigError
 from mavnav.layers import Key, Layer, read_yaml
 from mavnav.units import MM
+from mavnav.world.laser import LASERS
 from mavnav.world.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -65,11 +66,8 @@ def scenario_path(file: str | Path) -> Path:
 def scenario_schema() -> dict[str, Any]:
     """Return the JSON Schema of scenario files, for editors that check while one types."""
     schema = Scenario.model_json_schema()
-    properties = schema["properties"]
-    properties["laser"] = {
-        "anyOf": [{"$ref": "#/$defs/LaserConfig"}, schema["$defs"]["LaserConfig"]["properties"]["preset"]]
-    }
-    properties["slam"]["properties"] = {}
+    laser = schema["properties"]["laser"]
+    laser["anyOf"] = [{"$ref": laser.pop("$ref")}, {"enum": list(LASERS)}]
     return schema
 
 
