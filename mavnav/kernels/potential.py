@@ -40,11 +40,13 @@ def occupied(
             n = hits[row, col]
             if n == 0 or n < min_share * (float64(n) + passes[row, col]):
                 continue
-            together = 0
+            together = n
             for r in range(max(0, row - 2), min(rows, row + 3)):
+                if together >= min_hits:  # most walls are known by one cell
+                    break
                 for c in range(max(0, col - 2), min(cols, col + 3)):
                     m = hits[r, c]
-                    if m > 0 and m >= min_share * (float64(m) + passes[r, c]):
+                    if (r != row or c != col) and m > 0 and m >= min_share * (float64(m) + passes[r, c]):
                         together += m
             if together >= min_hits:
                 out[kept, 0] = ox + (col + 0.5) * cell

@@ -26,23 +26,30 @@ UNREACHED = np.int32(2**30)
 def squared_clearance(walls: NDArray[np.bool_], reach_cells: int) -> NDArray[np.int32]:
     """Return the squared distance (rows, cols) in cells to the nearest wall, ``reach_cells**2`` at most."""
     rows, cols = walls.shape
-    across = np.full((rows, cols), reach_cells, np.int32)  # distance to the nearest wall of the same column
+    reach = int32(reach_cells)
+    across = np.full((rows, cols), reach, np.int32)  # distance to the nearest wall of the same column
     for row in range(rows):
         for col in range(cols):
             if walls[row, col]:
                 across[row, col] = 0
             elif row > 0:
-                across[row, col] = min(int32(reach_cells), int32(across[row - 1, col] + 1))
+                across[row, col] = min(reach, int32(across[row - 1, col] + 1))
     for row in range(rows - 2, -1, -1):
         for col in range(cols):
             across[row, col] = min(across[row, col], int32(across[row + 1, col] + 1))
-    out = np.empty((rows, cols), np.int32)
+    out = across * across
+    squared = out.copy()
     for row in range(rows):
-        for col in range(cols):
-            best = reach_cells * reach_cells
-            for c in range(max(0, col - reach_cells), min(cols, col + reach_cells + 1)):
-                best = min(best, (c - col) * (c - col) + across[row, c] * across[row, c])
-            out[row, col] = best
+        for aside in range(
+            1, min(reach_cells, cols)
+        ):  # whole rows side by side: the compiler takes several cells at once
+            add = int32(aside * aside)
+            to, left, right = out[row, aside:], out[row, : cols - aside], squared[row, : cols - aside]
+            for col in range(cols - aside):
+                to[col] = min(to[col], int32(right[col] + add))
+            right = squared[row, aside:]
+            for col in range(cols - aside):
+                left[col] = min(left[col], int32(right[col] + add))
     return out
 
 
@@ -56,42 +63,48 @@ def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: in
     or UNREACHED.
     """
     rows, cols = weights.shape
+    framed = np.zeros((rows + 2, cols + 2), np.int64)  # a blocked frame: no step leads out
+    framed[1:-1, 1:-1] = weights
+    w, wide = framed.ravel(), cols + 2
+    cost = np.full(len(w), UNREACHED, np.int64)
+    straight = np.array([-wide, -1, 1, wide])
     buckets = DIAGONAL * int64(weights.max()) + 1
     head = np.full(buckets, -1, np.int64)  # of each bucket's list of entries
-    cell = np.empty(8 * rows * cols + len(goals), np.int64)
-    behind = np.empty(8 * rows * cols + len(goals), np.int64)
-    cost = np.full((rows, cols), UNREACHED, np.int32)
+    cell = np.empty(8 * len(w) + len(goals), np.int64)
+    behind = np.empty(8 * len(w) + len(goals), np.int64)
     entries = 0
     for k in range(len(goals)):
-        cost[goals[k, 0], goals[k, 1]] = 0
-        cell[entries], behind[entries], head[0] = goals[k, 0] * cols + goals[k, 1], head[0], entries
+        at = (goals[k, 0] + 1) * wide + goals[k, 1] + 1
+        cost[at], cell[entries], behind[entries], head[0] = 0, at, head[0], entries
         entries += 1
+    start = (row + 1) * wide + col + 1
     waiting, now = entries, 0
-    while waiting > 0 and now <= cost[row, col]:
-        entry = head[now % buckets]
-        head[now % buckets] = -1
+    while waiting > 0 and now <= cost[start]:
+        bucket = now % buckets
+        entry = head[bucket]
+        head[bucket] = -1
         while entry >= 0:
-            r, c = cell[entry] // cols, cell[entry] % cols
+            at = cell[entry]
             entry = behind[entry]
             waiting -= 1
-            if cost[r, c] != now:  # a cheaper entry of the same cell came first
+            if cost[at] != now:  # a cheaper entry of the same cell came first
                 continue
-            for dr in range(-1, 2):
-                for dc in range(-1, 2):
-                    y, x = r + dr, c + dc
-                    if (dr == 0 and dc == 0) or not (0 <= y < rows and 0 <= x < cols) or weights[y, x] == 0:
+            for k in range(8):
+                if k < 4:
+                    to, length = at + straight[k], STRAIGHT
+                else:
+                    up, aside = (-wide if k < 6 else wide), 1 - 2 * (k % 2)
+                    to, length = at + up + aside, DIAGONAL
+                    if w[at + up] == 0 or w[at + aside] == 0:
                         continue
-                    if dr != 0 and dc != 0 and (weights[r, x] == 0 or weights[y, c] == 0):
-                        continue
-                    new = now + (DIAGONAL if dr != 0 and dc != 0 else STRAIGHT) * weights[y, x]
-                    if new < cost[y, x]:
-                        cost[y, x] = new
-                        cell[entries], behind[entries] = y * cols + x, head[new % buckets]
-                        head[new % buckets] = entries
-                        entries += 1
-                        waiting += 1
+                new = now + length * w[to]
+                if w[to] > 0 and new < cost[to]:
+                    cost[to], cell[entries], behind[entries] = new, to, head[new % buckets]
+                    head[new % buckets] = entries
+                    entries += 1
+                    waiting += 1
         now += 1
-    return cost
+    return cost.reshape(rows + 2, cols + 2)[1:-1, 1:-1].astype(np.int32)
 
 
 @kernel(int64[:, ::1](_I2, _I2, int64, int64, int64))
