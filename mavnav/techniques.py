@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     XY = NDArray[np.float64]
     """A point or a vector in the map frame, (2,) in m (a force: without unit)."""
 
-_MOST_VIRTUAL = 40
+_SAME_PLACE_M, _MOST_AT_A_PLACE = 0.1, 3  # virtual obstacles, then they help no more
 _VIRTUAL_AHEAD_M = 0.15
 _VIRTUAL_RANGE_M = 0.9
 _VIRTUAL_FORCE = 1.5
@@ -149,9 +149,10 @@ def _look_round(scene: Scene, memory: Memory) -> Drive:
 def _virtual_obstacles(scene: Scene, memory: Memory) -> Drive:
     """Drive by the field, and by an obstacle at every place where it stalled: they fill a trap up."""
     if memory.idle_steps >= scene.config.stall_steps // 2:
-        if len(memory.virtual_map_m) >= _MOST_VIRTUAL:
-            return Drive(scene.attraction, memory, f"{_MOST_VIRTUAL} virtual obstacles lead nowhere")
-        memory = replace(memory, virtual_map_m=(*memory.virtual_map_m, _dropped(scene, memory)), idle_steps=0)
+        dropped = _dropped(scene, memory)
+        if _near(dropped, memory, _SAME_PLACE_M) >= _MOST_AT_A_PLACE:
+            return Drive(None, memory, "virtual obstacles fill every way")
+        memory = replace(memory, virtual_map_m=(*memory.virtual_map_m, dropped), idle_steps=0)
     return Drive(scene.attraction + scene.repulsion + _virtual_push(scene, memory), memory)
 
 
@@ -159,8 +160,13 @@ def _dropped(scene: Scene, memory: Memory) -> tuple[float, float, float]:
     """Return x, y and range of a new virtual obstacle: ahead and a little aside, the larger the more are near by."""
     ahead = unit(scene.goal_xy_map_m - scene.xy_map_m)
     x, y = scene.xy_map_m + _VIRTUAL_AHEAD_M * (ahead + 0.5 * _left(ahead))
-    near = sum(np.hypot(x - a, y - b) < _VIRTUAL_RANGE_M for a, b, _ in memory.virtual_map_m)
-    return float(x), float(y), _VIRTUAL_RANGE_M * min(1.0 + 0.3 * float(near), 2.0)
+    near = _near((float(x), float(y), 0.0), memory, _VIRTUAL_RANGE_M)
+    return float(x), float(y), _VIRTUAL_RANGE_M * min(1.0 + 0.3 * near, 2.0)
+
+
+def _near(virtual: tuple[float, float, float], memory: Memory, within_m: float) -> int:
+    """Count the virtual obstacles near another one."""
+    return sum(bool(np.hypot(virtual[0] - x, virtual[1] - y) < within_m) for x, y, _ in memory.virtual_map_m)
 
 
 def _virtual_push(scene: Scene, memory: Memory) -> XY:

@@ -58,7 +58,7 @@ def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: in
     """Return the cost (rows, cols) of the cheapest way from each cell to a goal, UNREACHED where there is none.
 
     A step costs STRAIGHT or DIAGONAL times the weight of the cell that it leaves on its way to the goal; weight 0 is
-    blocked, and an aslant step needs both cells beside it. ``goals`` (n, 2) are rows and columns. Dijkstra's algorithm
+    blocked, and an aslant step needs both cells beside it. ``goals`` (n, 2) are rows and columns of open cells. Dijkstra's algorithm
     with one bucket a cost; it ends once cell [row, col] and all cheaper ones are final, which leaves others too high
     or UNREACHED.
     """
