@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mavnav.config_file import presets, scenarios
+from mavnav.config_file import fields, presets, scenarios
 from mavnav.errors import ConfigError, ExitCode
 from mavnav.units import DEG, MM
 from mavnav.world import LASERS, Scenario, laser_model, load_scenario, scenario_schema, take_scan
@@ -114,6 +114,15 @@ def test_the_corridor_brings_its_hand_measured_map() -> None:
     left, _, right, _ = scenario.world.bounds_m
     assert right - left == pytest.approx(15)
     assert load_scenario("corner").overlay is not None
+
+
+def test_the_documented_example_loads_and_names_what_ships(repo_root: Path, tmp_path: Path) -> None:
+    page = (repo_root / "docs" / "scenarios.md").read_text()
+    scenario = load_scenario(written(tmp_path, page.partition("```yaml\n")[2].partition("```")[0]))
+    assert (scenario.config.method, scenario.seed, len(scenario.walls)) == ("paper", 3, 4)
+    assert [name for name in scenarios() if f"| `{name}` |" not in page] == []
+    keys = [key[-1] for key, _ in fields(Scenario) if key[0] not in {"slam", "planner"}]
+    assert [key for key in keys if key not in page] == []
 
 
 # ---- values ----------------------------------------------------------------------------------------------------------
@@ -252,11 +261,9 @@ def test_errors_of_options_name_the_option(tmp_path: Path) -> None:
         load_scenario("korner.yaml")
 
 
-def test_a_place_outside_a_round_world() -> None:
-    inside = load_scenario("curved")
-    with pytest.raises(ConfigError, match="lies outside the world"):
-        load_scenario("curved", ["goal_m=[5.1, 9]"])
-    assert inside.goal_m == (5.1, 6.1)
+def test_a_world_without_a_closed_outline_ends_at_its_bounds() -> None:
+    with pytest.raises(ConfigError, match=r"goal_m \[3, 5.5\] lies outside the world; move it into x 0 to 7, y 0 to 5"):
+        load_scenario("curved", ["goal_m=[3, 5.5]"])
 
 
 def test_an_l_shaped_outline_has_an_outside_within_its_bounds() -> None:
