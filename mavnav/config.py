@@ -95,6 +95,7 @@ class RobustConfig(_Strict):
     stop_mm: float = Field(1.0, gt=0, description="search ends at this spacing in the plane")
     stop_deg: float = Field(0.02, gt=0, description="search ends at this spacing in azimuth")
     max_extensions: int = Field(3, ge=0, description="border extensions a level at most")
+    prior: float = Field(0.01, ge=0, description="cost of a squared metre away from what odometry predicts")
     first_level_points: int = Field(120, ge=10, description="points of the first, widest level")
     min_points: int = Field(30, ge=3, description="scans with fewer points are not matched")
     retry_below: float = Field(0.8, ge=0, le=1, description="search wider under this share of inliers")

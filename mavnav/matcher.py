@@ -116,11 +116,19 @@ def polar_points(ranges_m: NDArray[np.float64], spec: LaserSpec, mixed_pixel_m: 
     return np.column_stack((r * np.cos(angle), r * np.sin(angle), beam, r, angle))
 
 
+ALTERNATIONS = 2
+"""Turns of azimuth and plane on a level of the robust search."""
+
 # ---- the robust method: distance to the map's local lines ----------------------------------------------------------
 
 
 def match_lines(
-    points: NDArray[np.float64], line_map: LineMap, predicted: Pose, alternatives: tuple[Pose, ...], config: Config
+    points: NDArray[np.float64],
+    line_map: LineMap,
+    predicted: Pose,
+    alternatives: tuple[Pose, ...],
+    config: Config,
+    prior: float = 0.0,
 ) -> Match:
     """Match points (n, 2) of the laser's frame, as ``voxel_means`` gives them, against the whole map.
 
@@ -129,7 +137,7 @@ def match_lines(
     """
     robust = config.robust
     window = (robust.window_mm * MM, robust.window_deg * DEG)
-    best = search_lines(points, line_map, predicted, window, config)
+    best = search_lines(points, line_map, predicted, window, config, prior=prior)
     if best.inliers >= robust.retry_below:
         return best
     wide = (1.5 * window[0], 1.5 * window[1])
@@ -146,8 +154,12 @@ def search_lines(
     window: tuple[float, float],
     config: Config,
     refine: int = 1,
+    prior: float = 0.0,
 ) -> Match:
-    """Search once, within ``window`` (half-widths, m and rad) of ``start``; ``refine`` multiplies the grid."""
+    """Search once, within ``window`` (half-widths, m and rad) of ``start``; ``refine`` multiplies the grid.
+
+    ``prior`` is what a squared metre away from the start adds to the cost; it decides where the walls do not.
+    """
     robust, grid = config.robust, config.grid.refined(refine)
     x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
         points,
@@ -160,7 +172,8 @@ def search_lines(
                 robust.stop_deg * DEG,
                 robust.truncate_mm * MM,
                 robust.first_level_points,
-                2,
+                ALTERNATIONS,
+                prior,
             ]
         ),
         line_map.nearest,

@@ -129,7 +129,8 @@ class Robust:
             return no_match(predicted, len(points))
         alternatives = dict.fromkeys((motion.by_velocity(scan.stamp_ns), motion.map_T_laser))
         alternatives.pop(predicted, None)
-        return match_lines(points, self.lines, predicted, tuple(alternatives), self.config)
+        prior = 0.0 if motion.odometry is None else self.config.robust.prior
+        return match_lines(points, self.lines, predicted, tuple(alternatives), self.config, prior)
 
     def gate(self, match: Match, scan: Scan, motion: Motion) -> tuple[bool, bool]:
         """Believe a match that enough of the scan agrees with, at a speed that a vehicle can have."""

@@ -166,8 +166,11 @@ def line_costs(points, pose, lines, cell_m, truncate_m, reach=8):
     return costs
 
 
-def coarse_to_fine(cost, pivot, start, grid, limits):
-    """The schedule of ``linesearch.search`` over any cost(x, y, yaw) of the pose, rotating about the pivot."""
+def coarse_to_fine(cost, pivot, start, grid, limits, prior=0.0):
+    """The schedule of ``linesearch.search`` over any cost(x, y, yaw) of the pose, rotating about the pivot.
+
+    ``prior`` is added for a squared metre between the pivot and where it was expected.
+    """
     azimuths, nx, ny, extensions = map(int, grid)
     half_m, half_rad, stop_m, stop_rad = limits[:4]
 
@@ -177,7 +180,7 @@ def coarse_to_fine(cost, pivot, start, grid, limits):
 
     c, s = math.cos(start[2]), math.sin(start[2])
     at = np.array([start[0] + c * pivot[0] - s * pivot[1], start[1] + s * pivot[0] + c * pivot[1]])
-    yaw = start[2]
+    expected, yaw = at, start[2]
     while True:
         for _ in range(int(limits[6])):
             for _ in range(extensions + 1):
@@ -188,10 +191,12 @@ def coarse_to_fine(cost, pivot, start, grid, limits):
                     break
             for _ in range(extensions + 1):
                 xs, ys = np.linspace(-half_m, half_m, nx), np.linspace(-half_m, half_m, ny)
-                j, i = min(
-                    ((j, i) for j in range(ny) for i in range(nx)),
-                    key=lambda ji: (cost(*pose(at + np.array([xs[ji[1]], ys[ji[0]]]), yaw)), ji),
-                )
+
+                def costs(ji, at=at, xs=xs, ys=ys, yaw=yaw):
+                    there = at + np.array([xs[ji[1]], ys[ji[0]]])
+                    return cost(*pose(there, yaw)) + prior * ((there - expected) ** 2).sum(), ji
+
+                j, i = min(((j, i) for j in range(ny) for i in range(nx)), key=costs)
                 at = at + np.array([xs[i], ys[j]])
                 if 0 < i < nx - 1 and 0 < j < ny - 1:
                     break

@@ -90,8 +90,8 @@ def search(
     points : (n, 2) points in the laser's frame, m, in an order that makes any prefix a fair sample
     start : (3,) predicted pose: x, y (m), yaw (rad)
     grid : (4,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most
-    limits : (7,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
-        points of the first level, alternations a level
+    limits : (8,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
+        points of the first level, alternations a level, and what a squared metre away from the start costs a point
     nearest, lines, geometry : the map, see ``linemap``
     """
     n = len(points)
@@ -107,6 +107,8 @@ def search(
     yaw = start[2]
     c, s = np.cos(yaw), np.sin(yaw)
     at = np.array([start[0] + c * pivot[0] - s * pivot[1], start[1] + s * pivot[0] + c * pivot[1]])
+
+    expected_x, expected_y = at[0], at[1]
 
     x, y, offset = np.empty(n), np.empty(n), np.empty(2)
     evaluations, grids, converged = 0, 0, 0.0
@@ -133,7 +135,11 @@ def search(
                     offset[1] = at[1] - half_m + j * step_y
                     for i in range(nx):
                         offset[0] = at[0] - half_m + i * step_x
-                        cost = _cost_sum(x[:used], y[:used], offset, truncate_m2, nearest, lines, geometry, best)
+                        dx, dy = offset[0] - expected_x, offset[1] - expected_y
+                        cost = used * limits[7] * (dx * dx + dy * dy)
+                        cost += _cost_sum(
+                            x[:used], y[:used], offset, truncate_m2, nearest, lines, geometry, best - cost
+                        )
                         if cost < best:
                             best, best_i, best_j = cost, i, j
                 evaluations += nx * ny

@@ -147,11 +147,11 @@ def test_cost_is_its_twin() -> None:
         assert fast == pytest.approx(sum(slow[k] for k in keep), rel=1e-9)
 
 
-@pytest.mark.parametrize("grid", [(7, 4, 5, 2), (6, 5, 5, 0)])
-def test_search_is_its_twin(grid: tuple[int, ...]) -> None:
+@pytest.mark.parametrize(("grid", "prior"), [((7, 4, 5, 2), 0.0), ((6, 5, 5, 0), 0.0), ((6, 5, 5, 0), 0.5)])
+def test_search_is_its_twin(grid: tuple[int, ...], prior: float) -> None:
     line_map, points = furnished_map()
     start = np.array([3.06, 2.12, 1.1])
-    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, 1e9, 2])
+    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, 1e9, 2, prior])
     found = linesearch.search(
         points, start, np.array(grid, float), limits, line_map.nearest, line_map.lines, line_map.geometry
     )
@@ -163,7 +163,7 @@ def test_search_is_its_twin(grid: tuple[int, ...]) -> None:
             line_map.geometry, np.inf,
         )  # fmt: skip
 
-    slow = naive.coarse_to_fine(cost, points.mean(axis=0), start, grid, limits)
+    slow = naive.coarse_to_fine(cost, points.mean(axis=0), start, grid, limits, prior * len(points))
     np.testing.assert_allclose(found[:3], slow, atol=1e-9)
     assert found[3] == pytest.approx(cost(*found[:3]) / len(points), rel=1e-9)
 
@@ -172,7 +172,7 @@ def test_search_finds_the_pose_and_counts_its_work() -> None:
     line_map, points = furnished_map()
     x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
         points, np.array([3.2, 2.0, 1.2]), np.array([20.0, 10, 10, 3]),
-        np.array([0.35, 0.35, 0.001, math.radians(0.02), 0.15, 120, 2]),
+        np.array([0.35, 0.35, 0.001, math.radians(0.02), 0.15, 120, 2, 0]),
         line_map.nearest, line_map.lines, line_map.geometry,
     )  # fmt: skip
     assert math.hypot(x - 3.0, y - 2.2) < 0.01
@@ -194,7 +194,7 @@ def test_points_off_the_map_cost_the_truncation() -> None:
     line_map, points = furnished_map()
     found = linesearch.search(
         points, np.array([-500.0, 800.0, 0.0]), np.array([4.0, 3, 3, 1]),
-        np.array([0.1, 0.1, 0.05, 0.05, 0.15, 120, 1]), line_map.nearest, line_map.lines, line_map.geometry,
+        np.array([0.1, 0.1, 0.05, 0.05, 0.15, 120, 1, 0]), line_map.nearest, line_map.lines, line_map.geometry,
     )  # fmt: skip
     assert found[3] == pytest.approx(0.15**2)
     assert found[4] == 0.0
