@@ -68,11 +68,18 @@ class World:
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:
-        """Box around the walls: least x and y, greatest x and y. Arcs count as whole circles."""
-        x, y, r = self.arcs[:, 0], self.arcs[:, 1], self.arcs[:, 2]
-        xs = np.concatenate((self.segments[:, 0], self.segments[:, 2], x - r, x + r))
-        ys = np.concatenate((self.segments[:, 1], self.segments[:, 3], y - r, y + r))
-        return float(xs.min()), float(ys.min()), float(xs.max()), float(ys.max())
+        """Box around the walls: least x and y, greatest x and y."""
+        xy = np.vstack((self.segments[:, :2], self.segments[:, 2:], *map(_extremes, self.arcs)))
+        left, low, right, top = (float(v) for v in (*xy.min(axis=0), *xy.max(axis=0)))
+        return left, low, right, top
+
+
+def _extremes(arc: Array) -> Array:
+    """Return the ends of an arc (5,), and those of its points that lie farthest along an axis, (n, 2) in metres."""
+    cx, cy, radius, start, sweep = arc
+    quarters = np.arange(4) * np.pi / 2
+    bearings = np.concatenate(((start, start + sweep), quarters[_on_arc(quarters, start, sweep)]))
+    return np.column_stack((cx + radius * np.cos(bearings), cy + radius * np.sin(bearings)))
 
 
 def _meet_segments(segments: Array, x: Array, y: Array, dx: Array, dy: Array) -> Hits:
@@ -81,7 +88,7 @@ def _meet_segments(segments: Array, x: Array, y: Array, dx: Array, dy: Array) ->
     ex, ey = segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1]
     # Solve r d = a + u e for the range r along the ray and the share u along the wall.
     across = dx * ey - dy * ex
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         r = (ax * ey - ay * ex) / across
         u = (ax * dy - ay * dx) / across
         cosine = np.abs(across) / np.hypot(ex, ey)

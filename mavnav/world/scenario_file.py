@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
     from mavnav.world.shapes import XY, Wall
 
-FLUSH_M = 1e-9
+STANDS_OUT_M = 0.5
+"""How far other walls may stand out of the world's outline: a column in a wall, a porch."""
 
 
 def load_scenario(
@@ -103,11 +104,11 @@ def _misplaced(scenario: Scenario, xy_m: XY) -> str:
 
 
 def _outline(scenario: Scenario) -> Wall | None:
-    """Return the closed polyline around all walls."""
+    """Return the closed polyline around all walls; columns and the like may stand out of it a little."""
     whole = scenario.world.bounds_m
     for wall in scenario.walls:
         if wall.polyline and wall.polyline.closed:
             xy = np.array(wall.polyline.points_m)
-            if np.allclose((*xy.min(axis=0), *xy.max(axis=0)), whole, atol=FLUSH_M):
+            if np.allclose((*xy.min(axis=0), *xy.max(axis=0)), whole, rtol=0.0, atol=STANDS_OUT_M):
                 return wall
     return None

@@ -177,6 +177,13 @@ def test_known_hits() -> None:
     np.testing.assert_allclose(wall.clearance_m(np.array([(0.0, 0.0), (-3.0, 0.0), (2.0, 6.0)])), [2.0, 1.0, 1.0])
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_bounds_hold_every_wall_and_no_more(seed: int) -> None:
+    world = scattered(seed, segments=1, arcs=2)
+    ends = straightened(world, 4000).segments.reshape(-1, 2)
+    np.testing.assert_allclose(world.bounds_m, (*ends.min(axis=0), *ends.max(axis=0)), atol=1e-5)
+
+
 def test_only_closed_shapes_hold_something() -> None:
     box = Box(center_m=(1, 1), size_m=(2, 0.2), yaw_deg=90)
     assert box.contains((1, 1.9))

@@ -266,6 +266,13 @@ def test_a_world_without_a_closed_outline_ends_at_its_bounds() -> None:
         load_scenario("curved", ["goal_m=[3, 5.5]"])
 
 
+def test_a_column_may_stand_out_of_the_outline(tmp_path: Path) -> None:
+    path = written(tmp_path, GOOD.replace("center_m: [5, 1]", "center_m: [6, 1]"))
+    assert load_scenario(path).world.bounds_m == pytest.approx((0, 0, 6.3, 4))
+    with pytest.raises(ConfigError, match="outside"):
+        load_scenario(path, ["goal_m=[6.1, 3]"])
+
+
 def test_an_l_shaped_outline_has_an_outside_within_its_bounds() -> None:
     with pytest.raises(ConfigError, match=r"start .* lies outside the world"):
         load_scenario("corner", ["start.x_m=3", "start.y_m=3"])
