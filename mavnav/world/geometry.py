@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
-    Hits = tuple[Array, Array]
 
 SEAM: Final = 1e-9
 """Walls reach this much (share of a segment, rad of an arc) beyond their ends, so that no ray slips through a joint."""
@@ -36,7 +35,7 @@ class World:
         self.segments.flags.writeable = False
         self.arcs.flags.writeable = False
 
-    def cast(self, xy_m: Array | tuple[float, float], bearings_rad: Array) -> Hits:
+    def cast(self, xy_m: Array | tuple[float, float], bearings_rad: Array) -> tuple[Array, Array]:
         """Follow rays to the nearest wall.
 
         Parameters
@@ -54,11 +53,28 @@ class World:
         """
         x, y = np.broadcast_to(np.asarray(xy_m, dtype=np.float64), (len(bearings_rad), 2)).T[:, :, None]
         dx, dy = np.cos(bearings_rad)[:, None], np.sin(bearings_rad)[:, None]
-        hits = [_meet_segments(self.segments, x, y, dx, dy), *_meet_arcs(self.arcs, x, y, dx, dy)]
-        ranges, cosines = (np.hstack(parts) for parts in zip(*hits, strict=True))
-        nearest = ranges.argmin(axis=1)[:, None]
-        ranges, cosine = np.take_along_axis(ranges, nearest, 1)[:, 0], np.take_along_axis(cosines, nearest, 1)[:, 0]
-        return ranges, np.where(np.isfinite(ranges), np.arccos(np.clip(cosine, 0.0, 1.0)), np.nan)
+        ranges = np.hstack((_meet_segments(self.segments, x, y, dx, dy), *_meet_arcs(self.arcs, x, y, dx, dy)))
+        nearest = ranges.argmin(axis=1)
+        ranges = np.take_along_axis(ranges, nearest[:, None], 1)
+        with np.errstate(invalid="ignore"):  # inf * 0: a ray along an axis that meets nothing
+            normals = self._normals_at(nearest, x + ranges * dx, y + ranges * dy)
+        cosine = np.abs(normals[:, 0] * dx[:, 0] + normals[:, 1] * dy[:, 0])
+        return ranges[:, 0], np.arccos(np.minimum(cosine, 1.0))
+
+    def _normals_at(self, wall: NDArray[np.int64], x: Array, y: Array) -> Array:
+        """Return unit normals (n, 2) of walls at points (n, 1) of them; NaN where a point is not finite.
+
+        ``wall`` counts the segments, then the near sides of the arcs, then their far sides.
+        """
+        n, m = len(self.segments), len(self.arcs)
+        normals = np.full((len(wall), 2), np.nan)
+        straight, met = wall < n, np.isfinite(x[:, 0])
+        x1, y1, x2, y2 = self.segments[wall[straight & met]].T
+        normals[straight & met] = np.column_stack((y1 - y2, x2 - x1)) / np.hypot(x2 - x1, y2 - y1)[:, None]
+        round_ = ~straight & met
+        cx, cy, radius = self.arcs[(wall[round_] - n) % max(m, 1), :3].T
+        normals[round_] = np.column_stack((x[round_, 0] - cx, y[round_, 0] - cy)) / radius[:, None]
+        return normals
 
     def clearance_m(self, xy_m: Array) -> Array:
         """Return the distance of points (n, 2) to the nearest wall, (n,) in metres."""
@@ -82,8 +98,8 @@ def _extremes(arc: Array) -> Array:
     return np.column_stack((cx + radius * np.cos(bearings), cy + radius * np.sin(bearings)))
 
 
-def _meet_segments(segments: Array, x: Array, y: Array, dx: Array, dy: Array) -> Hits:
-    """Return ranges (inf: missed) and cosines of incidence of n rays (columns) on m segments, (n, m) each."""
+def _meet_segments(segments: Array, x: Array, y: Array, dx: Array, dy: Array) -> Array:
+    """Return the ranges of n rays (columns) to m segments, (n, m); inf where they miss."""
     ax, ay = segments[:, 0] - x, segments[:, 1] - y
     ex, ey = segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1]
     # Solve r d = a + u e for the range r along the ray and the share u along the wall.
@@ -91,28 +107,29 @@ def _meet_segments(segments: Array, x: Array, y: Array, dx: Array, dy: Array) ->
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         r = (ax * ey - ay * ex) / across
         u = (ax * dy - ay * dx) / across
-        cosine = np.abs(across) / np.hypot(ex, ey)
     met = (across != 0.0) & (r > 0.0) & (u >= -SEAM) & (u <= 1.0 + SEAM)
-    return np.where(met, r, np.inf), cosine
+    return np.where(met, r, np.inf)
 
 
-def _meet_arcs(arcs: Array, x: Array, y: Array, dx: Array, dy: Array) -> list[Hits]:
-    """Return ranges and cosines of incidence of n rays on m arcs: the near side of the circles, then the far side."""
+def _meet_arcs(arcs: Array, x: Array, y: Array, dx: Array, dy: Array) -> list[Array]:
+    """Return the ranges of n rays to m arcs, (n, m) to the near side of their circles and again to the far side."""
     cx, cy, radius, start, sweep = arcs.T
     along = dx * (cx - x) + dy * (cy - y)
     beside = dx * (cy - y) - dy * (cx - x)
-    with np.errstate(invalid="ignore"):  # NaN: the ray passes the circle
-        half_chord = np.sqrt((radius - beside) * (radius + beside))
-    hits: list[Hits] = []
-    for r in (along - half_chord, along + half_chord):
-        bearing = np.arctan2(y + r * dy - cy, x + r * dx - cx)
-        met = (r > 0.0) & _on_arc(bearing, start, sweep)
-        hits.append((np.where(met, r, np.inf), half_chord / radius))
-    return hits
+    near, far = np.full((2, *along.shape), np.inf)
+    ray, arc = np.nonzero(np.abs(beside) <= radius)
+    half_chord = np.sqrt((radius[arc] - beside[ray, arc]) * (radius[arc] + beside[ray, arc]))
+    for side, sign in ((near, -1.0), (far, 1.0)):
+        r = along[ray, arc] + sign * half_chord
+        from_y = y[ray, 0] + r * dy[ray, 0] - cy[arc]
+        from_x = x[ray, 0] + r * dx[ray, 0] - cx[arc]
+        met = (r > 0.0) & _on_arc(np.arctan2(from_y, from_x), start[arc], sweep[arc])
+        side[ray, arc] = np.where(met, r, np.inf)
+    return [near, far]
 
 
 def _on_arc(bearing_rad: Array, start_rad: Array, sweep_rad: Array) -> NDArray[np.bool_]:
-    """Tell which bearings from the centre lie on the arcs; NaN lies on none."""
+    """Tell which bearings from the centre lie on the arcs."""
     onward = (bearing_rad - start_rad) * np.sign(sweep_rad)
     on_it: NDArray[np.bool_] = np.mod(onward + SEAM, 2.0 * np.pi) <= np.abs(sweep_rad) + 2.0 * SEAM
     return on_it
