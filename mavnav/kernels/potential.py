@@ -29,11 +29,7 @@ def occupied(
     """
     rows, cols = hits.shape
     ox, oy, cell = lattice
-    count = 0
-    for row in range(rows):
-        for col in range(cols):
-            count += hits[row, col] > 0
-    out = np.empty((count, 2))
+    out = np.empty((hits.size, 2))  # most of it is never touched
     kept = 0
     for row in range(rows):
         for col in range(cols):

@@ -58,20 +58,20 @@ def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: in
     """Return the cost (rows, cols) of the cheapest way from each cell to a goal, UNREACHED where there is none.
 
     A step costs STRAIGHT or DIAGONAL times the weight of the cell that it leaves on its way to the goal; weight 0 is
-    blocked, and an aslant step needs both cells beside it. ``goals`` (n, 2) are rows and columns of open cells. Dijkstra's algorithm
-    with one bucket a cost; it ends once cell [row, col] and all cheaper ones are final, which leaves others too high
-    or UNREACHED.
+    blocked, and an aslant step needs both cells beside it. ``goals`` (n, 2) are rows and columns of open cells.
+    Dijkstra's algorithm with one bucket a cost; it ends once cell [row, col] and all cheaper ones are final, which
+    leaves others too high or UNREACHED.
     """
     rows, cols = weights.shape
-    framed = np.zeros((rows + 2, cols + 2), np.int64)  # a blocked frame: no step leads out
+    framed = np.zeros((rows + 2, cols + 2), np.int32)  # a blocked frame: no step leads out
     framed[1:-1, 1:-1] = weights
     w, wide = framed.ravel(), cols + 2
-    cost = np.full(len(w), UNREACHED, np.int64)
+    cost = np.full(len(w), UNREACHED, np.int32)
     straight = np.array([-wide, -1, 1, wide])
     buckets = DIAGONAL * int64(weights.max()) + 1
-    head = np.full(buckets, -1, np.int64)  # of each bucket's list of entries
-    cell = np.empty(8 * len(w) + len(goals), np.int64)
-    behind = np.empty(8 * len(w) + len(goals), np.int64)
+    head = np.full(buckets, -1, np.int32)  # of each bucket's list of entries
+    cell = np.empty(8 * len(w) + len(goals), np.int32)
+    behind = np.empty(8 * len(w) + len(goals), np.int32)
     entries = 0
     for k in range(len(goals)):
         at = (goals[k, 0] + 1) * wide + goals[k, 1] + 1
@@ -104,7 +104,7 @@ def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: in
                     entries += 1
                     waiting += 1
         now += 1
-    return cost.reshape(rows + 2, cols + 2)[1:-1, 1:-1].astype(np.int32)
+    return cost.reshape(rows + 2, cols + 2)[1:-1, 1:-1].copy()
 
 
 @kernel(int64[:, ::1](_I2, _I2, int64, int64, int64))
