@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from mavnav.commands import config, info, replay
+from mavnav.commands import config, info, replay, simulate
 from mavnav.commands.terminal import emit, note
 from mavnav.errors import ExitCode, MavnavError
 
@@ -27,6 +27,8 @@ mavnav info drive.mcap
 mavnav replay drive.mcap -o runs/drive
 
 mavnav replay drive.bag --method paper --grid 20x20 --azimuth 40
+
+mavnav simulate corner.yaml
 
 [bold]Exit codes[/bold]  0 done, 1 a quality gate failed, 2 usage or configuration, 3 done but the input was damaged, \
 4 no usable scans, 5 tracking was lost for good, 6 the output cannot be written, 70 a bug, 130 interrupted, \
@@ -47,6 +49,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command(epilog=replay.EPILOG)(replay.replay)
+app.command(epilog=simulate.EPILOG)(simulate.simulate)
 app.command(epilog=info.EPILOG)(info.info)
 app.add_typer(config.app, name="config")
 

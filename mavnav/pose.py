@@ -130,6 +130,10 @@ class Trajectory:
             ),
         )
 
+    def seen_from(self, c_T_a: Pose) -> Trajectory:
+        """Express in another fixed frame: ``a_T_b`` over time gives ``c_T_b``."""
+        return Trajectory.of(self.stamps_ns.tolist(), [c_T_a @ self[k] for k in range(len(self))])
+
     @property
     def length_m(self) -> float:
         """Length of the path."""

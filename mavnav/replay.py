@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter, process_time
@@ -13,14 +14,15 @@ from mavnav.metrics.wall_thickness import wall_thickness
 from mavnav.outputs import Run, Timing, check_directory, write_run
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mavnav.config import Config
+    from mavnav.grid import Grid
     from mavnav.logs import Log
+    from mavnav.metrics.wall_thickness import WallThickness
     from mavnav.pose import Pose
 
-    # (what is being done, how much of it is done, how much there is or None)
-    Progress = Callable[[str, int, int | None], None]
+
+Progress = Callable[[str, int, int | None], None]
+"""What is being done, how much of it is done, how much there is or None."""
 
 THRESHOLDS = (1, 2, 5)
 """Wall thickness is reported for cells of at least so many hits: the threshold decides the answer."""
@@ -64,12 +66,16 @@ def replay(request: Request, progress: Progress, compile_s: float) -> tuple[Run,
     wall_s, cpu_s = perf_counter(), process_time()
     log = _open(request, progress)
     outcome = _track(log, request.config, progress)
-    grid = outcome.grid
-    thickness = {hits: wall_thickness(grid.hits, grid.cell_m, hits) for hits in THRESHOLDS}
+    thickness = measured_thickness(outcome.grid)
     timing = Timing(wall_s=perf_counter() - wall_s, cpu_s=process_time() - cpu_s, compile_s=compile_s)
     run = Run(log=log, config=request.config, slam=outcome, thickness=thickness, timing=timing)
     progress("writing", 0, None)
     return run, write_run(run, request.directory, force=request.force)
+
+
+def measured_thickness(grid: Grid) -> dict[int, WallThickness]:
+    """Measure the walls at each of the thresholds."""
+    return {hits: wall_thickness(grid.hits, grid.cell_m, hits) for hits in THRESHOLDS}
 
 
 def _open(request: Request, progress: Progress) -> Log:

@@ -42,9 +42,11 @@ ALLOWED: dict[str, set[str]] = {
     "routes": GROUND | {"kernels", "planner_config"},
     "techniques": GROUND | {"kernels", "planner_config", "routes"},
     "planner": GROUND | {"kernels", "grid", "planner_config", "techniques"},
+    "flight": GROUND | {"planner", "world"} | CORE,
     "outputs": GROUND | {"", "logs", "metrics"} | CORE,
     "replay": GROUND | {"logs", "metrics", "outputs"} | CORE,
-    "commands": GROUND | {"", "config_file", "logs", "metrics", "outputs", "replay"} | CORE,
+    "simulate": GROUND | {"flight", "logs", "metrics", "outputs", "replay", "world"} | CORE,
+    "commands": GROUND | {"", "config_file", "logs", "metrics", "outputs", "replay", "simulate", "world"} | CORE,
     "cli": {"", "commands", "errors"},
 }
 """Room -> rooms that it may import; "" is the package itself (its version)."""

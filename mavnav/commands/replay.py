@@ -119,7 +119,7 @@ def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
 
         emit(dumps(document, indent=2))
     else:
-        _print_table(_summary(document, directory))
+        print_table(_summary(document, directory))
     for warning in document["warnings"]:
         note(f"mavnav: warning: {warning}")
     if document["exit_code"] == ExitCode.DAMAGED_INPUT:
@@ -152,12 +152,17 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         ("lost", f"{lost} scans in {len(tracking['intervals'])} stretches" if lost else "never"),
         ("path", f"{tracking['path_length_m']:.2f} m"),
     ]
-    rows += [(f"wall thickness, >= {hits} hits", _thickness(wall)) for hits, wall in document["wall_thickness"].items()]
+    rows += wall_rows(document)
     rows += [
         ("speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"),
         ("pictures", f"{directory / 'map.png'}, {directory / 'wall_thickness.png'}"),
     ]
     return rows
+
+
+def wall_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the rows on wall thickness of a summary table."""
+    return [(f"wall thickness, >= {hits} hits", _thickness(wall)) for hits, wall in document["wall_thickness"].items()]
 
 
 def _thickness(wall: dict[str, Any]) -> str:
@@ -166,7 +171,8 @@ def _thickness(wall: dict[str, Any]) -> str:
     return f"p95 {wall['p95_mm']:.0f} mm, max {wall['max_mm']:.0f} mm ({wall['max_cells']:.1f} cells)"
 
 
-def _print_table(rows: list[tuple[str, str]]) -> None:
+def print_table(rows: list[tuple[str, str]]) -> None:
+    """Print names and values on stdout."""
     from rich.table import Table
     from rich.text import Text
 

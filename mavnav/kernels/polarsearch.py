@@ -23,7 +23,7 @@ def _angle_between(px: float, py: float, qx: float, qy: float) -> float:
     """Angle from p to q in rad: for small ones, as between neighbouring poses, a series good to 1e-11."""
     cross, dot = px * qy - py * qx, px * qx + py * qy
     if abs(cross) >= 0.2 * dot:
-        return np.arctan2(cross, dot)
+        return float(np.arctan2(cross, dot))
     t = cross / dot
     u = t * t
     return t * (1.0 - u * (1 / 3 - u * (1 / 5 - u * (1 / 7 - u * (1 / 9 - u * (1 / 11 - u * (1 / 13)))))))

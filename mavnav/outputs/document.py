@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 from dataclasses import asdict
+from hashlib import sha256
 from importlib.metadata import version
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
@@ -40,6 +41,7 @@ def run_document(run: Run, outputs: dict[str, str]) -> Document:
         "method": run.config.method,
         "grid": str(run.config.grid),
         "azimuth": run.config.azimuth,
+        **({} if run.mission is None else {"scenario": run.mission.scenario}),
         **metrics(run),
         "timing": _timing(run),
         "damage": [asdict(d) for d in run.log.damage],
@@ -58,6 +60,7 @@ def metrics(run: Run) -> Document:
         "search": _search(run),
         "wall_thickness": {str(k): _thickness(t) for k, t in run.thickness.items()},
         "map": _map(run),
+        **({} if run.mission is None else {"mission": run.mission.mission, "truth": run.mission.truth}),
     }
 
 
@@ -87,10 +90,7 @@ def _input(run: Run) -> Document:
     odometry = log.odometry
     mounting = log.base_T_laser
     return {
-        "path": str(log.path),
-        "sha256": log.sha256,
-        "size_bytes": log.size_bytes,
-        "format": log.format,
+        **_file(run),
         "topic": log.topic,
         "frame_id": log.frame_id,
         "stamp_source": log.stamp_source,
@@ -100,6 +100,20 @@ def _input(run: Run) -> Document:
         "base_T_laser": None if mounting is None else asdict(mounting),
         "mounting_source": log.mounting_source,
         "odometry": None if odometry is None else {"topic": odometry.topic, "source": odometry.source},
+    }
+
+
+def _file(run: Run) -> Document:
+    """Name what the user named: a log, or the scenario that the recorded mission follows from."""
+    if run.mission is None:
+        log = run.log
+        return {"path": str(log.path), "sha256": log.sha256, "size_bytes": log.size_bytes, "format": log.format}
+    content = run.mission.path.read_bytes()
+    return {
+        "path": str(run.mission.path),
+        "sha256": sha256(content).hexdigest(),
+        "size_bytes": len(content),
+        "format": "scenario",
     }
 
 

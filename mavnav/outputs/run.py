@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mavnav.errors import ExitCode
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -42,6 +44,20 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True)
+class Mission:
+    """What a simulated run tells besides: plain data for run.json, and whether the mission succeeded.
+
+    ``path`` is the scenario's file, ``scenario`` the effective one; ``mission`` and ``truth`` are sections of run.json.
+    """
+
+    path: Path
+    scenario: dict[str, Any]
+    mission: dict[str, Any]
+    truth: dict[str, Any]
+    reached: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Run:
     """A log, how it was run, what came out, and how thick the walls are (hit threshold -> summary).
 
@@ -54,6 +70,7 @@ class Run:
     thickness: dict[int, WallThickness]
     timing: Timing
     truth: Truth | None = None
+    mission: Mission | None = None
 
     @property
     def map_T_base(self) -> Trajectory | None:
@@ -63,9 +80,11 @@ class Run:
 
     @property
     def exit_code(self) -> ExitCode:
-        """How the run ended: lost for good outweighs a damaged input."""
+        """How the run ended: lost for good outweighs a failed mission or a damaged input."""
         if self.slam.lost_for_good:
             return ExitCode.TRACKING_LOST
+        if self.mission and not self.mission.reached:
+            return ExitCode.GATE_FAILED
         return ExitCode.DAMAGED_INPUT if self.log.damage else ExitCode.DONE
 
 

@@ -1,0 +1,144 @@
+"""``mavnav simulate SCENARIO``: fly a mission in closed loop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mavnav.commands.progress import reporting
+from mavnav.commands.replay import print_table, wall_rows
+from mavnav.commands.terminal import emit, note
+from mavnav.errors import ExitCode, UsageError
+
+if TYPE_CHECKING:
+    from mavnav.world import Scenario
+
+EPILOG = """
+[bold]Examples[/bold]
+
+mavnav simulate corner.yaml
+
+mavnav simulate complex --seed 7 --grid 20x20 --animate complex.gif
+
+mavnav simulate u_trap --planner field
+
+mavnav simulate corridor --record corridor.mcap && mavnav replay corridor.mcap
+
+mavnav simulate --list
+"""
+
+
+def simulate(
+    scenario: Annotated[
+        str | None, typer.Argument(metavar="SCENARIO", help="YAML file, or a shipped scenario.", show_default=False)
+    ] = None,
+    *,
+    directory: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Run directory; runs/SCENARIO-METHOD-GRID by itself.", show_default=False),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of all random numbers.", show_default=False)] = None,
+    method: Annotated[str | None, typer.Option(help="robust or paper.", show_default=False)] = None,
+    grid: Annotated[
+        str | None, typer.Option(metavar="NxM", help="Points of the search grid in the plane.", show_default=False)
+    ] = None,
+    azimuth: Annotated[int | None, typer.Option(help="Points of the azimuth grid.", show_default=False)] = None,
+    planner: Annotated[
+        str | None,
+        typer.Option(help="wavefront, field, wall_following or virtual_obstacles.", show_default=False),
+    ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Record the mission: .mcap, .bag, or a ROS 2 folder.", show_default=False),
+    ] = None,
+    animate: Annotated[
+        Path | None, typer.Option(metavar="FILE.gif", help="Leave an animation too.", show_default=False)
+    ] = None,
+    sets: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of it.", show_default=False)
+    ] = None,
+    list_: Annotated[bool, typer.Option("--list", help="Show the shipped scenarios.")] = False,
+    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON Schema of scenario files.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace what exists.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print run.json on stdout and nothing else.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+) -> None:
+    """Fly a mission in closed loop: laser, scan matching, map, planner, noisy vehicle."""
+    if list_ or schema:
+        _show(schema=schema)
+        return
+    if scenario is None:
+        raise UsageError("no scenario; name a YAML file or one of 'mavnav simulate --list'")
+    chosen = _load(
+        scenario,
+        sets or [],
+        {"seed": seed, "slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth, "planner.technique": planner},
+    )
+    with reporting(quiet=quiet) as report:
+        report("loading kernels, compiled once after installation", 0, None)
+        started_s = perf_counter()
+        from mavnav import simulate as pipeline
+        from mavnav.world.scenario_file import scenario_path
+
+        compile_s = perf_counter() - started_s
+        target = directory or pipeline.default_directory(chosen)
+        request = pipeline.Request(chosen, scenario_path(scenario), target, record, animate, force)
+        _, document = pipeline.simulate(request, report, compile_s)
+    _tell(document, target, json=json)
+    raise typer.Exit(document["exit_code"])
+
+
+def _show(*, schema: bool) -> None:
+    from mavnav.config_file import scenarios
+    from mavnav.world import load_scenario, scenario_schema
+
+    if schema:
+        from json import dumps
+
+        emit(dumps(scenario_schema(), indent=2))
+    else:
+        print_table([(name, load_scenario(name).about) for name in scenarios()])
+
+
+def _load(scenario: str, sets: list[str], options: dict[str, object]) -> Scenario:
+    """Load the scenario; options that were not given leave it alone."""
+    from mavnav.world import load_scenario
+
+    return load_scenario(scenario, sets, {key: value for key, value in options.items() if value is not None})
+
+
+def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
+    if json:
+        from json import dumps
+
+        emit(dumps(document, indent=2))
+    else:
+        print_table(_summary(document, directory))
+    if document["exit_code"] in (ExitCode.GATE_FAILED, ExitCode.TRACKING_LOST):
+        note(f"mavnav: error: the mission failed: {document['mission']['reason']}; look at {directory / 'map.png'}")
+
+
+def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]:
+    mission, truth, timing = document["mission"], document["truth"], document["timing"]
+    rows = [
+        ("mission", "goal reached" if mission["reached"] else mission["reason"]),
+        (
+            "steps",
+            f"{mission['steps']}, {100 * document['scans']['accepted'] / mission['steps']:.0f} % of the scans mapped",
+        ),
+        ("path", f"{mission['path_length_m']:.2f} m, clearance {mission['min_clearance_m']:.2f} m at least"),
+    ]
+    if truth.get("final_error_m") is not None:
+        rows += [
+            ("error", f"ATE {1e3 * truth['ate_rmse_m']:.0f} mm, final {1e3 * truth['final_error_m']:.0f} mm"),
+            ("wall distance", f"{truth['wall_distance_m']:.3f} m, true {truth['true_wall_distance_m']:.3f} m"),
+        ]
+    return [
+        *rows,
+        *wall_rows(document),
+        ("speed", f"{mission['steps'] / timing['wall_s']:.0f} steps/s"),
+        ("pictures", f"{directory / 'map.png'}, {directory / 'true_map.png'}"),
+    ]

@@ -1,0 +1,210 @@
+"""The paper's Figure 1, closed: scan, virtual scan, match, map update, potential field, noisy command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav import slam
+from mavnav.methods import METHODS
+from mavnav.motion import Motion
+from mavnav.planner import Command, make_planner
+from mavnav.pose import Pose, Trajectory
+from mavnav.units import DEG, MM, NS
+from mavnav.world import LaserModel, Scenario, World, laser_model, take_scan
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from mavnav.scan import Scan
+
+START_NS = 1_700_000_000_000_000_000
+"""Stamp of the first scan, the same for every mission."""
+
+LOST_STEPS = 20
+"""A vehicle that hovers for so many scans without a believed pose gives up."""
+
+
+class End(StrEnum):
+    """Why a mission ended."""
+
+    GOAL = "goal"
+    WRONG_PLACE = "believed to be at the goal, but is elsewhere"
+    COLLISION = "collision"
+    STUCK = "stuck"
+    STEP_LIMIT = "step limit"
+    LOST = "tracking lost"
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """How a mission went; lengths of the true path, m. ``goal_distance_m`` is the true one at the end."""
+
+    end: End
+    steps: int
+    path_length_m: float
+    min_clearance_m: float
+    goal_distance_m: float
+
+    @property
+    def reached(self) -> bool:
+        """Whether the vehicle came to the goal and knows it."""
+        return self.end is End.GOAL
+
+
+@dataclass(slots=True)
+class Vehicle:
+    """The true state, which only the world sees: poses of the base, and what the commands should have made of them.
+
+    ``world_T_base`` and ``odom_T_base`` hold a pose for every scan, at ``stamps_ns``.
+    """
+
+    base_T_laser: Pose
+    period_ns: int
+    world_T_base: list[Pose]
+    odom_T_base: list[Pose] = field(default_factory=lambda: [Pose()])
+
+    @property
+    def stamps_ns(self) -> list[int]:
+        """Stamps of the scans so far."""
+        return [START_NS + k * self.period_ns for k in range(len(self.world_T_base))]
+
+    def odometry(self, stamp_ns: int) -> Pose | None:
+        """Return odom_T_laser at the stamp of a scan: the commands so far, as if they had been executed exactly."""
+        k = (stamp_ns - START_NS) // self.period_ns
+        return self.odom_T_base[k] @ self.base_T_laser if 0 <= k < len(self.odom_T_base) else None
+
+    def execute(self, command: Command, noise: Pose) -> None:
+        """Move by a command of the laser's frame, and by what goes wrong with it (paper, "Maneuver Performance")."""
+        wanted = Pose(command.dx_m, command.dy_m, command.dyaw_rad)
+        done = Pose(wanted.x_m + noise.x_m, wanted.y_m + noise.y_m, wanted.yaw_rad + noise.yaw_rad)
+        base_T_laser, laser_T_base = self.base_T_laser, self.base_T_laser.inverse()
+        self.odom_T_base.append(self.odom_T_base[-1] @ base_T_laser @ wanted @ laser_T_base)
+        self.world_T_base.append(self.world_T_base[-1] @ base_T_laser @ done @ laser_T_base)
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """A finished mission: what SLAM made of it, the scans, and the truth.
+
+    ``map_T_laser`` and ``odom_T_base`` hold the true pose and the commanded one for every scan; ``world_T_map`` is the
+    true first laser pose, where the map frame begins.
+    """
+
+    scenario: Scenario
+    slam: slam.Slam
+    mission: Mission
+    scans: tuple[Scan, ...]
+    map_T_laser: Trajectory
+    odom_T_base: Trajectory
+    world_T_map: Pose
+
+
+def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -> Flight:
+    """Fly a mission until its goal is reached or lost; every number of it follows from the scenario and its seed.
+
+    The planner sees the estimated pose and the map built so far, never the truth. Where the last scan has no believed
+    pose the vehicle hovers and looks again.
+    """
+    config, world, laser = scenario.config, scenario.world, _laser(scenario)
+    noise = np.random.default_rng([scenario.seed, 1])
+    vehicle = Vehicle(scenario.base_T_laser, round(laser.spec.scan_time_s / NS), [scenario.world_T_base])
+    world_T_map = scenario.world_T_base @ scenario.base_T_laser
+    goals = [world_T_map.inverse() @ Pose(x, y) for x, y in scenario.goals_xy_m]
+    method = METHODS[config.method](config)
+    motion = Motion(laser.spec.scan_time_s, vehicle.odometry, method.expects_rest)
+    planner = make_planner(scenario.planner)
+    scans: list[Scan] = []
+    steps: list[slam.Step] = []
+    end, hovering = End.STEP_LIMIT, 0
+    for step in slam.track(_scans(scenario, vehicle, world, scans), method, motion):
+        steps.append(step)
+        if on_step:
+            on_step("fly", len(steps))
+        here = step.match.map_T_laser
+        hovering = 0 if step.tracked else hovering + 1
+        while step.tracked and goals and here.between(goals[0]).distance_m <= scenario.goal_radius_mm * MM:
+            goals.pop(0)
+        if not goals or hovering == LOST_STEPS or len(steps) == scenario.max_steps:
+            end = End.LOST if hovering == LOST_STEPS else End.STEP_LIMIT if goals else End.GOAL
+            break
+        command = Command(0.0, 0.0, 0.0)
+        if step.tracked:
+            plan = planner.plan(method.grid, here, (goals[0].x_m, goals[0].y_m))
+            if plan.stuck:
+                end = End.STUCK
+                break
+            command = plan.command
+        vehicle.execute(command, _disturbance(scenario, noise))
+        if _closest_m(world, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
+            end = End.COLLISION
+            break
+    return _landed(
+        scenario, vehicle, world_T_map, scans, end, slam.conclude(steps, lambda: scans, method, config, on_step)
+    )
+
+
+def _scans(scenario: Scenario, vehicle: Vehicle, world: World, scans: list[Scan]) -> Iterator[Scan]:
+    """Take a scan wherever the vehicle is by then, and keep it."""
+    laser, rng = _laser(scenario), np.random.default_rng([scenario.seed, 0])
+    while True:
+        here = vehicle.world_T_base[-1] @ vehicle.base_T_laser
+        pose = _sweeping(vehicle, here) if scenario.laser.moving else here
+        scans.append(take_scan(world, pose, laser, rng, vehicle.stamps_ns[-1]))
+        yield scans[-1]
+
+
+def _laser(scenario: Scenario) -> LaserModel:
+    """Return the sensor; where the vehicle rests during a sweep all beams are of one time."""
+    laser = laser_model(scenario)
+    return laser if scenario.laser.moving else replace(laser, spec=replace(laser.spec, time_increment_s=0.0))
+
+
+def _sweeping(vehicle: Vehicle, here: Pose) -> Callable[[float], Pose]:
+    """Return the laser's pose over a sweep, as the last step goes on: ``here`` is the pose at mid-sweep."""
+    period_s = vehicle.period_ns * NS
+    before = vehicle.world_T_base[-2:][0] @ vehicle.base_T_laser
+    step = before.between(here)
+
+    def at(seconds: float) -> Pose:
+        share = seconds / period_s - 0.5
+        return here @ Pose(share * step.x_m, share * step.y_m, share * step.yaw_rad)
+
+    return at
+
+
+def _disturbance(scenario: Scenario, rng: np.random.Generator) -> Pose:
+    vehicle = scenario.vehicle
+    x, y, yaw = rng.standard_normal(3)
+    return Pose(x * vehicle.noise_xy_mm * MM, y * vehicle.noise_xy_mm * MM, yaw * vehicle.noise_yaw_deg * DEG)
+
+
+def _closest_m(world: World, poses: list[Pose]) -> float:
+    """Least clearance along the straight way through the poses, looked at every few centimetres."""
+    xy = np.array([(p.x_m, p.y_m) for p in poses])
+    share = np.linspace(0.0, 1.0, 6)[:, None]
+    way = [a + share * (b - a) for a, b in pairwise(xy)] or [xy]
+    return float(world.clearance_m(np.vstack(way)).min())
+
+
+def _landed(
+    scenario: Scenario, vehicle: Vehicle, world_T_map: Pose, scans: list[Scan], end: End, outcome: slam.Slam
+) -> Flight:
+    """Sum up a flight: only here does anybody look at the truth."""
+    n = len(scans)
+    stamps, world_T_base = vehicle.stamps_ns[:n], vehicle.world_T_base
+    map_T_world = world_T_map.inverse()
+    truth = Trajectory.of(stamps, [map_T_world @ p @ vehicle.base_T_laser for p in world_T_base[:n]])
+    goal = scenario.goals_xy_m[-1]
+    last = world_T_base[-1] @ vehicle.base_T_laser
+    goal_distance_m = float(np.hypot(last.x_m - goal[0], last.y_m - goal[1]))
+    if end is End.GOAL and goal_distance_m > 2.0 * scenario.goal_radius_mm * MM:
+        end = End.WRONG_PLACE
+    base = Trajectory.of(list(range(len(world_T_base))), world_T_base)
+    mission = Mission(end, n, base.length_m, _closest_m(scenario.world, world_T_base), goal_distance_m)
+    odom = Trajectory.of(stamps, vehicle.odom_T_base[:n])
+    return Flight(scenario, outcome, mission, tuple(scans), truth, odom, world_T_map)

@@ -1,0 +1,181 @@
+"""The pipeline of ``mavnav simulate``: scenario -> flight -> recording -> metrics -> outputs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter, process_time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mavnav.flight import Flight, fly
+from mavnav.logs import open_log
+from mavnav.logs.recorder import Recording, check_recording, record
+from mavnav.metrics.trajectory_error import absolute_error, align
+from mavnav.outputs import Run, Timing, check_directory, write_run
+from mavnav.outputs.animation import animate, check_animation
+from mavnav.outputs.run import Mission, Truth
+from mavnav.pose import Pose, transform_points
+from mavnav.replay import Progress, measured_thickness
+from mavnav.world import World
+
+if TYPE_CHECKING:
+    from mavnav.world import Scenario
+
+
+WALL_BEAMS = 15
+"""The distance to a wall is read off the map over so many beams to either side."""
+
+WALL_GAP_CELLS = 8
+"""Empty cells that a noisy wall may hold along a beam: its densest cell then is the wall, not a stray in front."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is asked for: the scenario and its file, the run directory, and what else to leave where."""
+
+    scenario: Scenario
+    path: Path
+    directory: Path
+    recording: Path | None = None
+    animation: Path | None = None
+    force: bool = False
+
+
+def default_directory(scenario: Scenario) -> Path:
+    """Return ``runs/<scenario>-<method>-<grid>``."""
+    return Path("runs") / f"{scenario.name}-{scenario.config.method}-{scenario.config.grid}"
+
+
+def simulate(request: Request, progress: Progress, compile_s: float) -> tuple[Run, dict[str, Any]]:
+    """Fly a mission and return the run with its document (run.json).
+
+    Raises what the rooms raise: UsageError, OutputError; whether the outputs can be written is asked before the work.
+    """
+    check_outputs(request)
+    wall_s, cpu_s = perf_counter(), process_time()
+    flight = fly(request.scenario, lambda phase, done: progress(phase, done, None))
+    timing = Timing(wall_s=perf_counter() - wall_s, cpu_s=process_time() - cpu_s, compile_s=compile_s)
+    recording = recorded(flight)
+    progress("writing", 0, None)
+    with TemporaryDirectory(prefix="mavnav-") as folder:
+        kept = Path(folder) / f"{request.scenario.name}.mcap"
+        record(recording, kept)
+        run = Run(
+            log=open_log(kept),
+            config=request.scenario.config,
+            slam=flight.slam,
+            thickness=measured_thickness(flight.slam.grid),
+            timing=timing,
+            truth=_truth(flight),
+            mission=_mission(request, flight),
+        )
+        document = write_run(run, request.directory, force=request.force)
+        if request.recording:
+            record(recording, request.recording, force=request.force)
+        if request.animation:
+            animate(run, request.animation, force=request.force)
+    return run, document
+
+
+def check_outputs(request: Request) -> None:
+    """Raise OutputError or UsageError for what could not be written at the end."""
+    check_directory(request.directory, force=request.force)
+    if request.recording:
+        check_recording(request.recording, force=request.force)
+    if request.animation:
+        check_animation(request.animation, force=request.force)
+
+
+def recorded(flight: Flight) -> Recording:
+    """Return the flight as a recorder on the vehicle would have kept it, the truth beside it."""
+    base_T_laser = flight.scenario.base_T_laser
+    laser_T_base = base_T_laser.inverse()
+    world_T_base = flight.map_T_laser.seen_from(flight.world_T_map).compose(laser_T_base)
+    return Recording(flight.scans, flight.odom_T_base, world_T_base, base_T_laser)
+
+
+def _truth(flight: Flight) -> Truth:
+    """Bring walls and goal to the map frame."""
+    map_T_world = flight.world_T_map.inverse()
+    overlay = moved(flight.scenario.overlay, map_T_world)
+    x, y = flight.scenario.goals_xy_m[-1]
+    goal = map_T_world @ Pose(x, y)
+    return Truth(flight.map_T_laser, overlay.segments, overlay.arcs, (goal.x_m, goal.y_m))
+
+
+def moved(world: World, a_T_world: Pose) -> World:
+    """Return the walls in another frame."""
+    ends = transform_points(a_T_world, world.segments.reshape(-1, 2)).reshape(-1, 4)
+    centres = transform_points(a_T_world, world.arcs[:, :2])
+    arcs = np.column_stack((centres, world.arcs[:, 2], world.arcs[:, 3] + a_T_world.yaw_rad, world.arcs[:, 4]))
+    return World(ends, arcs)
+
+
+def _mission(request: Request, flight: Flight) -> Mission:
+    mission = flight.mission
+    return Mission(
+        path=request.path,
+        scenario=flight.scenario.document(),
+        mission={"reached": mission.reached, "reason": mission.end.value, **_numbers(mission)},
+        truth=truth_errors(flight),
+        reached=mission.reached,
+    )
+
+
+def _numbers(mission: object) -> dict[str, Any]:
+    return {k: v for k, v in asdict(mission).items() if k != "end"}  # type: ignore[call-overload]
+
+
+def truth_errors(flight: Flight) -> dict[str, Any]:
+    """Compare the tracked poses with the truth; lengths in m.
+
+    ``ate_*`` after the best rigid motion, ``unaligned_*`` as they are, from the first laser pose on; ``final_*`` of the
+    last tracked pose, as it is and after that motion, whose turn ``map_yaw_error_rad`` is what the first headings leave
+    in the whole map. ``wall_*`` compares the distance to the nearest wall ahead of a beam, read off the map, with the
+    true one (paper, "Corner Scenario": about 1 %).
+    """
+    estimate = flight.slam.trajectory
+    rows = np.searchsorted(flight.map_T_laser.stamps_ns, estimate.stamps_ns)
+    truth = flight.map_T_laser.xyyaw[rows]
+    aligned = absolute_error(estimate.xyyaw[:, :2], truth[:, :2])
+    plain = absolute_error(estimate.xyyaw[:, :2], truth[:, :2], aligned=False)
+    if not len(estimate):
+        return {"ate_poses": 0}
+    motion = align(estimate.xyyaw[:, :2], truth[:, :2])
+    errors: dict[str, Any] = {f"ate_{k}": v for k, v in asdict(aligned).items()}
+    errors |= {f"unaligned_{k}": v for k, v in asdict(plain).items() if k != "poses"}
+    last, true = estimate[len(estimate) - 1], Pose(*map(float, truth[-1]))
+    error = true.between(last)
+    wall, true_wall = wall_distances_m(flight, last, true)
+    return errors | {
+        "final_error_m": error.distance_m,
+        "final_yaw_error_rad": error.yaw_rad,
+        "final_aligned_error_m": true.between(motion @ last).distance_m,
+        "map_yaw_error_rad": -motion.yaw_rad,
+        "wall_distance_m": wall,
+        "true_wall_distance_m": true_wall,
+        "wall_distance_error_share": abs(wall - true_wall) / true_wall,
+    }
+
+
+def wall_distances_m(flight: Flight, estimate: Pose, truth: Pose) -> tuple[float, float]:
+    """Distance to the nearest wall as the map has it from the estimated pose, and the true one, m.
+
+    The map is read like the laser reads the world: by the virtual scan, median over the beams next to the one that
+    points to the nearest wall; NaN where the map has no wall there.
+    """
+    world, spec = flight.scenario.world, flight.scenario.laser.spec
+    there = flight.world_T_map @ truth
+    ranges, _ = world.cast((there.x_m, there.y_m), spec.angles_rad + there.yaw_rad)
+    nearest = int(np.argmin(ranges))
+    beams = spec.angles_rad[max(nearest - WALL_BEAMS, 0) : nearest + WALL_BEAMS + 1]
+    true_ranges, _ = world.cast((there.x_m, there.y_m), beams + there.yaw_rad)
+    directions = np.column_stack((np.cos(beams), np.sin(beams)))
+    seen = flight.slam.grid.virtual_scan(estimate, directions, spec.range_max_m, WALL_GAP_CELLS)
+    both = np.isfinite(seen) & np.isfinite(true_ranges)
+    if not both.any():
+        return np.nan, float(np.median(true_ranges))
+    return float(np.median(seen[both])), float(np.median(true_ranges[both]))
