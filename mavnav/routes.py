@@ -46,9 +46,10 @@ def aim_on_shortest_way(
     if cost[row, col] == wavefront.UNREACHED:
         return None
     way = wavefront.downhill(cost, weights, row, col, ceil(_AHEAD_M / cell_m))
-    if cost[tuple(way[-1])] == 0 and len(way) <= 2:
+    seen = _farthest_in_sight(weights, way, (xy_map_m / cell_m) - origin)
+    if (way[seen] == goals[0]).all():
         return goal_xy_map_m
-    return _farthest_in_sight(weights, way, (xy_map_m / cell_m) - origin) * cell_m + origin * cell_m
+    return np.asarray((way[seen, ::-1] + 0.5 + origin) * cell_m, np.float64)
 
 
 def _covering(xy_map_m: NDArray[np.float64], cell_m: float) -> tuple[NDArray[np.int64], tuple[int, int]]:
@@ -96,12 +97,11 @@ def _open_cells(weights: NDArray[np.int32], at: NDArray[np.int64]) -> NDArray[np
     return np.ascontiguousarray(around[weights[around[:, 0], around[:, 1]] > 0], np.int32)
 
 
-def _farthest_in_sight(
-    weights: NDArray[np.int32], way: NDArray[np.int64], at_cells: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the farthest point (x, y) of the way (n, 2) that a straight line reaches through cells no worse.
+def _farthest_in_sight(weights: NDArray[np.int32], way: NDArray[np.int64], at_cells: NDArray[np.float64]) -> int:
+    """Return the index of the farthest cell of the way (n, 2) that a straight line reaches through cells no worse.
 
-    All in cells from the lattice's corner; the line's cells must not weigh more than the worst of the way so far.
+    ``at_cells`` (x, y) is where the line begins, in cells from the lattice's corner; the line's cells must not weigh
+    more than the worst of the way so far.
     """
     centres = way[:, ::-1] + 0.5
     shares = np.linspace(0.0, 1.0, 2 * len(way))[:, None, None]
@@ -110,4 +110,4 @@ def _farthest_in_sight(
     worst = np.maximum.accumulate(weights[way[:, 0], way[:, 1]])
     seen = (crossed > 0).all(axis=0) & (crossed.max(axis=0) <= worst)
     seen[: min(3, len(way))] = True  # at least to the next cells
-    return np.asarray(centres[np.flatnonzero(seen)[-1]])
+    return int(np.flatnonzero(seen)[-1])

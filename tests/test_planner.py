@@ -100,6 +100,17 @@ def test_a_narrow_doorway_is_passed_though_it_leaves_less_than_the_safety_cleara
     assert 0.15 < flight.clearance_m < 0.2
 
 
+def test_a_wide_doorway_aside_is_taken_rather_than_a_narrow_one_ahead() -> None:
+    wall = [polyline((3, 0), (3, 0.65)), polyline((3, 0.95), (3, 2.4)), polyline((3, 3.3), (3, 4))]
+    flight = fly(World(np.vstack((DOORWAY.walls[:4], *wall)), DOORWAY.start, DOORWAY.goal_m), known=True)
+    assert flight.reached
+    assert flight.clearance_m > 0.35
+
+
+def test_walls_that_repel_far_too_much_do_not_hold_the_wavefront_back() -> None:
+    assert fly(DOORWAY, known=True, repulsion_gain=20).reached
+
+
 @pytest.mark.parametrize(
     ("technique", "reason"),
     [
@@ -227,6 +238,16 @@ def test_a_new_goal_begins_a_new_memory() -> None:
     plan = planner.plan(grid, pose, (3.0, 1.5))
     assert not plan.stuck
     assert plan.command.dx_m > 0
+
+
+@pytest.mark.parametrize("technique", TECHNIQUES)
+def test_the_last_step_does_not_pass_the_goal(technique: str) -> None:
+    grid, planner, pose = grid_of(OPEN.walls), make_planner(PlannerConfig(technique=technique)), Pose()
+    for _ in range(30):
+        c = planner.command(grid, pose, (1.0, 0.0))
+        pose = pose @ Pose(c.dx_m, c.dy_m, c.dyaw_rad)
+        assert pose.x_m < 1.0 + 1e-9
+    assert pose.x_m > 0.99
 
 
 def test_a_goal_near_a_wall_is_approached() -> None:
