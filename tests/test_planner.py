@@ -108,7 +108,10 @@ def test_a_wide_doorway_aside_is_taken_rather_than_a_narrow_one_ahead() -> None:
 
 
 def test_walls_that_repel_far_too_much_do_not_hold_the_wavefront_back() -> None:
-    assert fly(DOORWAY, known=True, repulsion_gain=20).reached
+    walls = np.vstack((DOORWAY.walls[:4], polyline((3, 0), (3, 1.8)), polyline((3, 2.2), (3, 4))))
+    world = World(walls, Pose(1.0, 2.0, 0.0), (5.0, 2.0))
+    assert fly(world, known=True, repulsion_gain=20).reached
+    assert not fly(world, "field", known=True, repulsion_gain=20).reached
 
 
 @pytest.mark.parametrize(
