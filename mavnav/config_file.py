@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 Model = TypeVar("Model", bound=BaseModel)
 
+OPTIONS = {"planner.technique": "--planner"}
+"""Options that are not named like the last part of their key."""
+
 
 @cache
 def presets_folder() -> Path:
@@ -113,7 +116,7 @@ def _option_layer(overrides: Mapping[str, object]) -> Layer:
     keys = {name: tuple(name.split(".")) for name in overrides}
     return Layer(
         {keys[name]: value for name, value in overrides.items()},
-        {keys[name]: f"--{keys[name][-1].replace('_', '-')}" for name in overrides},
+        {keys[name]: OPTIONS.get(name, f"--{keys[name][-1].replace('_', '-')}") for name in overrides},
     )
 
 
@@ -138,10 +141,12 @@ def origin(layer: Layer, key: Key, name: str = "configuration") -> str:
 def _complaint(model: type[BaseModel], details: ErrorDetails, layer: Layer, name: str) -> str:
     key = tuple(str(part) for part in details["loc"])
     where, dotted, known = origin(layer, key, name), ".".join(key), dict(fields(model))
+    help_ = "mavnav config show" if model is Config else "mavnav simulate --schema"
     named = tuple(part for part in key if not part.isdecimal())
-    hint = known.get(named) or "see 'mavnav config show'"
+    hint = known.get(named) or f"see '{help_}'"
     if details["type"] == "extra_forbidden":
-        return f"{where}: unknown key {dotted}; {_nearest(named, list(known))}"
+        advice = _nearest(named, list(known)) or f"see '{help_}' for the known keys"
+        return f"{where}: unknown key {dotted}; {advice}"
     if details["type"] == "missing":
         return f"{where}: {dotted} is missing; give the {hint}"
     problem = details["msg"].removeprefix("Input ").removeprefix("Value error, ")
@@ -154,13 +159,13 @@ def _short(value: object) -> str:
 
 
 def _nearest(key: Key, keys: list[Key]) -> str:
-    """Propose the nearest known key, wherever in the configuration it stands."""
+    """Propose the nearest known key, wherever in the configuration it stands; nothing where none is near."""
     known = [".".join(path) for path in keys]
     by_last_name = {path[-1]: ".".join(path) for path in keys}
     proposal = [by_last_name[key[-1]]] if key[-1] in by_last_name else []
     proposal = proposal or difflib.get_close_matches(".".join(key), known, n=1)
     proposal = proposal or [by_last_name[name] for name in difflib.get_close_matches(key[-1], by_last_name, n=1)]
-    return f"did you mean {proposal[0]}?" if proposal else "see 'mavnav config show' for the known keys"
+    return f"did you mean {proposal[0]}?" if proposal else ""
 
 
 def fields(model: type[BaseModel] = Config, above: Key = ()) -> list[tuple[Key, str]]:

@@ -20,7 +20,7 @@ from mavnav.world import LaserModel, Scenario, World, laser_model, take_scan
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from mavnav.scan import Scan
+    from mavnav.scan import LaserSpec, Scan
 
 START_NS = 1_700_000_000_000_000_000
 """Stamp of the first scan, the same for every mission."""
@@ -153,7 +153,7 @@ def _scans(scenario: Scenario, vehicle: Vehicle, world: World, scans: list[Scan]
     laser, rng = _laser(scenario), np.random.default_rng([scenario.seed, 0])
     while True:
         here = vehicle.world_T_base[-1] @ vehicle.base_T_laser
-        pose = _sweeping(vehicle, here) if scenario.laser.moving else here
+        pose = _sweeping(vehicle, here, laser.spec) if scenario.laser.moving else here
         scans.append(take_scan(world, pose, laser, rng, vehicle.stamps_ns[-1]))
         yield scans[-1]
 
@@ -164,14 +164,14 @@ def _laser(scenario: Scenario) -> LaserModel:
     return laser if scenario.laser.moving else replace(laser, spec=replace(laser.spec, time_increment_s=0.0))
 
 
-def _sweeping(vehicle: Vehicle, here: Pose) -> Callable[[float], Pose]:
+def _sweeping(vehicle: Vehicle, here: Pose, spec: LaserSpec) -> Callable[[float], Pose]:
     """Return the laser's pose over a sweep, as the last step goes on: ``here`` is the pose at mid-sweep."""
-    period_s = vehicle.period_ns * NS
+    period_s, mid_s = vehicle.period_ns * NS, 0.5 * (spec.beams - 1) * spec.time_increment_s
     before = vehicle.world_T_base[-2:][0] @ vehicle.base_T_laser
     step = before.between(here)
 
     def at(seconds: float) -> Pose:
-        share = seconds / period_s - 0.5
+        share = (seconds - mid_s) / period_s
         return here @ Pose(share * step.x_m, share * step.y_m, share * step.yaw_rad)
 
     return at

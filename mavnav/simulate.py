@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mavnav.errors import NoScansError, UsageError
 from mavnav.flight import Flight, fly
 from mavnav.logs import open_log
 from mavnav.logs.recorder import Recording, check_recording, record
@@ -53,11 +54,17 @@ def simulate(request: Request, progress: Progress, compile_s: float) -> tuple[Ru
     """Fly a mission and return the run with its document (run.json).
 
     Raises what the rooms raise: UsageError, OutputError; whether the outputs can be written is asked before the work.
+    NoScansError where no scan could even begin a map.
     """
     check_outputs(request)
     wall_s, cpu_s = perf_counter(), process_time()
     flight = fly(request.scenario, lambda phase, done: progress(phase, done, None))
     timing = Timing(wall_s=perf_counter() - wall_s, cpu_s=process_time() - cpu_s, compile_s=compile_s)
+    if not len(flight.slam.trajectory):
+        raise NoScansError(
+            f"{request.path}: in {flight.mission.steps} scans the laser saw too little to begin a map; "
+            "change its section, or move the start"
+        )
     recording = recorded(flight)
     progress("writing", 0, None)
     with TemporaryDirectory(prefix="mavnav-") as folder:
@@ -82,6 +89,10 @@ def simulate(request: Request, progress: Progress, compile_s: float) -> tuple[Ru
 
 def check_outputs(request: Request) -> None:
     """Raise OutputError or UsageError for what could not be written at the end."""
+    places = [p.resolve() for p in (request.directory, request.recording, request.animation) if p]
+    twice = [str(p) for p in places if places.count(p) > 1]
+    if twice:
+        raise UsageError(f"{twice[0]} is to be two things; give run directory, recording and animation a name each")
     check_directory(request.directory, force=request.force)
     if request.recording:
         check_recording(request.recording, force=request.force)

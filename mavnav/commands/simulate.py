@@ -131,14 +131,16 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         ),
         ("path", f"{mission['path_length_m']:.2f} m, clearance {mission['min_clearance_m']:.2f} m at least"),
     ]
-    if truth.get("final_error_m") is not None:
-        rows += [
-            ("error", f"ATE {1e3 * truth['ate_rmse_m']:.0f} mm, final {1e3 * truth['final_error_m']:.0f} mm"),
-            ("wall distance", f"{truth['wall_distance_m']:.3f} m, true {truth['true_wall_distance_m']:.3f} m"),
-        ]
     return [
         *rows,
+        ("error", f"ATE {1e3 * truth['ate_rmse_m']:.0f} mm, final {1e3 * truth['final_error_m']:.0f} mm"),
+        ("wall distance", _wall_distance(truth)),
         *wall_rows(document),
         ("speed", f"{mission['steps'] / timing['wall_s']:.0f} steps/s"),
         ("pictures", f"{directory / 'map.png'}, {directory / 'true_map.png'}"),
     ]
+
+
+def _wall_distance(truth: dict[str, Any]) -> str:
+    found, true = truth["wall_distance_m"], truth["true_wall_distance_m"]
+    return "not on the map" if found is None or true is None else f"{found:.3f} m, true {true:.3f} m"
