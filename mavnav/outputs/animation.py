@@ -127,7 +127,7 @@ def _frame(run: Run, canvas: _Canvas, poses: list[tuple[int, Pose]]) -> Image.Im
         _draw_truth(draw, canvas, run.truth, poses[-1][0] if poses else 0)
     _draw_way(draw, canvas, [pose for _, pose in poses])
     since_s = (poses[-1][0] - run.log.first_ns) * NS if poses else 0.0
-    text = f"{run.log.path.name}   {since_s:.1f} s   {len(poses)} of {len(run.slam.steps)} scans"
+    text = f"{run.name}   {since_s:.1f} s   {len(poses)} of {len(run.slam.steps)} scans"
     draw.text((6, image.height - CAPTION_PIXELS + 4), text, fill=_TEXT, font=ImageFont.load_default(12))
     return image
 

@@ -45,7 +45,7 @@ def write(run: Run, path: Path) -> None:
     elif len(trajectory):
         drawing.draw_ends(axes, trajectory.xyyaw[0, :2], trajectory.xyyaw[-1, :2], "end")
     drawing.dress(axes, window)
-    fig.suptitle(run.log.path.name, fontsize=12, fontweight="bold", color=drawing.INK)
+    fig.suptitle(run.name, fontsize=12, fontweight="bold", color=drawing.INK)
     axes.set_title(_subtitle(run), fontsize=8.5, color=drawing.MUTED)
     if len(trajectory) or run.truth:
         fig.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=8.5)

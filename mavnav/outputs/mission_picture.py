@@ -29,7 +29,7 @@ def write(run: Run, path: Path) -> None:
     axes = fig.add_subplot()
     _draw(axes, run.truth, arrow_m=ARROW_SHARE * max(window.size_m))
     drawing.dress(axes, window)
-    fig.suptitle(f"{run.log.path.name}: the true map", fontsize=12, fontweight="bold", color=drawing.INK)
+    fig.suptitle(f"{run.name}: the true map", fontsize=12, fontweight="bold", color=drawing.INK)
     axes.set_title(_subtitle(run.truth), fontsize=8.5, color=drawing.MUTED)
     fig.legend(loc="outside lower center", ncols=5, frameon=False, fontsize=8.5)
     drawing.save(fig, path)

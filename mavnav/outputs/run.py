@@ -73,6 +73,11 @@ class Run:
     mission: Mission | None = None
 
     @property
+    def name(self) -> str:
+        """What the pictures call the run: its log, or its scenario."""
+        return self.mission.path.stem if self.mission else self.log.path.name
+
+    @property
     def map_T_base(self) -> Trajectory | None:
         """The trajectory of the robot's base in the map frame, None where the mounting is not known."""
         mounting = self.log.base_T_laser

@@ -37,7 +37,7 @@ def write(run: Run, path: Path) -> None:
     cells = fig.add_gridspec(len(thresholds), 2, width_ratios=(width + 1.4, 4.6))
     _draw_map(fig.add_subplot(cells[:, 0]), grid, sections[shown], window, shown)
     _draw_histograms([fig.add_subplot(cells[k, 1]) for k in range(len(thresholds))], run, sections)
-    fig.suptitle(f"{run.log.path.name}: wall thickness", fontsize=12, fontweight="bold", color=drawing.INK)
+    fig.suptitle(f"{run.name}: wall thickness", fontsize=12, fontweight="bold", color=drawing.INK)
     drawing.save(fig, path)
 
 
