@@ -6,10 +6,10 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do command 
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test check format-check lint types bench golden clean
+.PHONY: help demo test check format-check lint types bench samples golden clean
 
 help:
-	@echo "make demo | test | check | bench | golden | clean"
+	@echo "make demo | test | check | bench | samples | golden | clean"
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=..."; exit 1; }
@@ -25,7 +25,7 @@ $(VENV)/.dev: pyproject.toml | $(BIN)/python
 	@touch $@ $(VENV)/.run
 
 demo: $(VENV)/.run
-	$(BIN)/mavnav replay sample_logs/room.mcap --output $(DEMO) --force
+	$(BIN)/mavnav replay sample_logs/complex.bag --output $(DEMO) --force
 	@echo "Pictures: $(DEMO)/map.png and $(DEMO)/wall_thickness.png; $(DEMO)/result.mcap opens in Foxglove."
 
 test: $(VENV)/.dev
@@ -45,9 +45,12 @@ types: $(VENV)/.dev
 bench: $(VENV)/.dev
 	$(BIN)/python -m pytest benchmarks --benchmark-only
 
+samples: $(VENV)/.dev
+	MAVNAV_UPDATE_SAMPLES=1 $(BIN)/python -m pytest tests/test_sample_logs.py -k makes_it_again
+
 golden: $(VENV)/.dev
 	MAVNAV_UPDATE_GOLDEN=1 $(BIN)/python -m pytest tests/test_golden.py
 
 clean:
 	rm -rf $(VENV) runs build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
-	find mavnav tests sample_logs benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+	find mavnav tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -12,7 +12,7 @@ from mavnav.config_file import load_config
 from mavnav.logs import open_log
 from mavnav.slam import replay
 
-SAMPLE = Path(__file__).parent.parent / "sample_logs" / "room.mcap"
+SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
 
 
 def test_read(benchmark: Any) -> None:

@@ -15,12 +15,14 @@ from mavnav.logs import open_log
 from mavnav.slam import replay
 
 GOLDEN = Path(__file__).parent / "golden"
-RUNS: dict[str, dict[str, Any]] = {
-    "room-robust": {},
-    "room-robust-odom-off-online": {"odom": "off", "final_pass": False},
-    "room-paper": {"method": "paper"},
+RUNS: dict[str, tuple[str, dict[str, Any]]] = {
+    "corridor-robust": ("corridor.mcap", {}),
+    "complex-robust-odom-off-online": ("complex.bag", {"odom": "off", "final_pass": False}),
+    "corner-paper": ("corner", {"method": "paper", "paper.gate_mm2": 4000.0}),  # its own gate leaves 8 %
 }
-SECONDS = 5.0
+"""Name of a run -> sample log and settings."""
+
+SECONDS = 3.0
 
 
 def figures(log_path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
@@ -42,7 +44,8 @@ def figures(log_path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", RUNS)
 def test_golden(name: str, repo_root: Path) -> None:
-    found = figures(repo_root / "sample_logs" / "room.mcap", RUNS[name])
+    log, overrides = RUNS[name]
+    found = figures(repo_root / "sample_logs" / log, overrides)
     file = GOLDEN / f"{name}.json"
     if os.environ.get("MAVNAV_UPDATE_GOLDEN") == "1":
         GOLDEN.mkdir(exist_ok=True)

@@ -47,12 +47,12 @@ def spawn() -> Callable[..., subprocess.Popen[str]]:
 
 @pytest.fixture(scope="session")
 def sample(repo_root: Path) -> Path:
-    return repo_root / "sample_logs" / "room.mcap"
+    return repo_root / "sample_logs" / "corridor.mcap"
 
 
 @pytest.fixture(scope="session")
 def make_log(tmp_path_factory: pytest.TempPathFactory, sample: Path) -> Callable[..., Path]:
-    """Copy messages of the sample log into new ones: topics renamed, left out, or repeated.
+    """Copy messages of the sample log into new ones: topics renamed, left out, or repeated; in many chunks.
 
     After ``blind_after`` scans the ranges are random, as if the laser saw nothing it knows.
     """
@@ -66,7 +66,7 @@ def make_log(tmp_path_factory: pytest.TempPathFactory, sample: Path) -> Callable
     def make(name: str, blind_after: int | None = None, **renamed: list[str]) -> Path:
         path = tmp_path_factory.mktemp("logs") / name
         with sample.open("rb") as source, path.open("wb") as sink:
-            writer = Writer(sink)
+            writer = Writer(sink, chunk_size=64 * 1024)
             writer.start(profile="ros2")
             channels: dict[str, int] = {}
             reader = NonSeekingReader(source)

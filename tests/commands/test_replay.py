@@ -48,7 +48,7 @@ def test_summary_on_stdout(mavnav: Callable, sample: Path, tmp_path: Path) -> No
     code, out, err = mavnav("replay", sample, "-o", tmp_path / "r", *FEW)
     assert code == 0
     assert err == ""
-    for word in ("scans", "21 of 276", "accepted", "lost", "never", "path", "wall thickness", "scans/s", "map.png"):
+    for word in ("scans", "21 of 137", "accepted", "lost", "never", "path", "wall thickness", "scans/s", "map.png"):
         assert word in out
 
 
@@ -95,7 +95,7 @@ def test_the_default_directory_names_log_method_and_grid(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert mavnav("replay", sample, *FEW, "--grid", "5x6")[0] == 0
-    assert (tmp_path / "runs" / "room-robust-5x6" / "run.json").is_file()
+    assert (tmp_path / "runs" / "corridor-robust-5x6" / "run.json").is_file()
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,7 @@ def test_no_scan_topic(mavnav: Callable, make_log: Callable, tmp_path: Path) -> 
 
 def test_two_scan_topics(mavnav: Callable, make_log: Callable, tmp_path: Path) -> None:
     log = make_log("two.mcap", scan=["/front", "/rear"])
-    expect(mavnav("replay", log, "-o", tmp_path / "r", "-q"), ExitCode.USAGE, "/front (276", "/rear", "--topic")
+    expect(mavnav("replay", log, "-o", tmp_path / "r", "-q"), ExitCode.USAGE, "/front (137", "/rear", "--topic")
     assert mavnav("replay", log, "-o", tmp_path / "r", *FEW, "--topic", "/rear")[0] == 0
 
 
@@ -216,9 +216,9 @@ def test_a_file_name_cannot_steer_the_terminal(mavnav: Callable, tmp_path: Path)
     assert "\\x1b[2J\\nb\\u202e" in err
 
 
-def test_a_damaged_log_is_used_and_told(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(sample.read_bytes()[: sample.stat().st_size * 6 // 10])
+def test_a_damaged_log_is_used_and_told(mavnav: Callable, make_log: Callable, tmp_path: Path) -> None:
+    whole, cut = make_log("whole.mcap"), tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size * 6 // 10])
     code, out, err = mavnav("replay", cut, "-o", tmp_path / "r", "-q", "--json", "--end", 2.0)
     document = json.loads(out)
     assert code == document["exit_code"] == ExitCode.DAMAGED_INPUT
