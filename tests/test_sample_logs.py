@@ -1,7 +1,8 @@
 """The sample logs are what the commands in their README record, and are as small as it says.
 
-Remade logs are compared message by message, numbers to 1e-6 and everything else exactly: bytes would depend on the version of
-zstd and sqlite, and on the last bit of the processor's sines. ``make samples`` records them anew after a wanted change.
+Remade logs are compared message by message, numbers to 1e-6 and everything else exactly: bytes would depend on the
+versions of zstd and sqlite, and on the last bit of the processor's sines. ``make samples`` records them anew after a
+wanted change.
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ from mavnav.cli import run
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
 README = SAMPLES / "README.md"
-LOGS = {"corridor.mcap": 2, "complex.bag": 1, "corner": 2}
-"""Sample log -> version of ROS."""
+LOGS = ("corridor.mcap", "complex.bag", "corner")
+TYPED = [line.split() for line in re.findall(r"^ {4}mavnav (.*)$", README.read_text(), re.MULTILINE)]
+COMMANDS = {words[-1]: words for words in TYPED}
+"""Sample log -> the command that records it, word by word."""
 
-COMMANDS = {line.split()[-1]: line.split()[1:] for line in re.findall(r"^ {4}(mavnav .*)$", README.read_text(), re.M)}
-DIGEST_LINE = re.compile(r"^([0-9a-f]{64})  (\S+)$", re.M)
+DIGEST_LINE = re.compile(r"^([0-9a-f]{64})  (\S+)$", re.MULTILINE)
 UPDATE = os.environ.get("MAVNAV_UPDATE_SAMPLES") == "1"
 
 
