@@ -118,7 +118,9 @@ def test_rooms_neither_print_nor_exit(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "args", [["--help"], ["replay", "--help"], ["info", "--help"], ["config", "--help"]], ids=" ".join
+    "args",
+    [["--help"], ["replay", "--help"], ["simulate", "--help"], ["info", "--help"], ["config", "--help"]],
+    ids=" ".join,
 )
 def test_help_imports_no_heavy_library(args: list[str]) -> None:
     code = (
@@ -150,7 +152,7 @@ def documented_commands() -> list[str]:
 
 def test_documented_commands_answer_help() -> None:
     found = documented_commands()
-    assert {"replay", "info", "config show"} <= set(found)
+    assert {"replay", "simulate", "info", "config show"} <= set(found)
     for command in found:
         subprocess.run(
             [sys.executable, "-m", "mavnav", *command.split(), "--help"], check=True, capture_output=True, timeout=30
@@ -171,7 +173,7 @@ def test_documented_options_exist() -> None:
             text=True,
             env={"COLUMNS": "200", "PATH": ""},
         ).stdout
-        for command in ([], ["replay"], ["info"], ["config", "show"])
+        for command in ([], ["replay"], ["simulate"], ["info"], ["config", "show"])
     )
     assert {option for option in documented_options() if option not in helps} == set()
 
