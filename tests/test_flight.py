@@ -126,16 +126,27 @@ def test_a_vehicle_that_goes_blind_on_the_way_commands_nothing(monkeypatch: pyte
     np.testing.assert_allclose(still, np.repeat(still[:1], len(still), axis=0), atol=1e-12)
 
 
-@pytest.mark.parametrize(("xy_m", "end"), [((3.0, 0.7), End.WRONG_PLACE), ((0.9, 3.2), End.GOAL)])
-def test_a_goal_that_only_the_estimate_reached_is_none(xy_m: tuple[float, float], end: End) -> None:
-    flight = flown("corner")
-    vehicle = Vehicle(Pose(), 100_000_000, [Pose(*xy_m)] * len(flight.scans), [Pose()] * len(flight.scans))
-    landed = flying._landed(
-        flight.scenario, vehicle, flight.world_T_map, list(flight.scans), End.GOAL, flight.slam
-    ).mission
-    assert landed.end is end
-    assert landed.reached == (end is End.GOAL)
-    assert landed.goal_distance_m == pytest.approx(np.hypot(xy_m[0] - 0.7, xy_m[1] - 3.4))
+def test_a_goal_that_only_the_estimate_reached_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The wheels slip: the vehicle stays, and a forged laser shows it the way it thinks it goes."""
+    scenario = load_scenario("corner")
+    believed = [scenario.world_T_base]
+    execute, take = Vehicle.execute, flying.take_scan
+
+    def slipping(self: Vehicle, command: Command, _: Pose) -> None:
+        wanted = Pose(command.dx_m, command.dy_m, command.dyaw_rad)
+        believed.append(believed[-1] @ wanted)
+        execute(self, command, Pose(-wanted.x_m, -wanted.y_m, -wanted.yaw_rad))
+
+    def forged(world: Any, _: Any, laser: Any, rng: Any, stamp_ns: int) -> Scan:
+        return take(world, believed[-1], laser, rng, stamp_ns)
+
+    monkeypatch.setattr(Vehicle, "execute", slipping)
+    monkeypatch.setattr(flying, "take_scan", forged)
+    mission = fly(scenario).mission
+    assert mission.end is End.WRONG_PLACE
+    assert not mission.reached
+    assert mission.path_length_m == pytest.approx(0.0, abs=1e-9)
+    assert mission.goal_distance_m == pytest.approx(np.hypot(3.4 - 0.7, 0.7 - 3.4))
 
 
 # ---- the seed decides ------------------------------------------------------------------------------------------------
