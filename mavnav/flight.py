@@ -20,6 +20,7 @@ from mavnav.world import LaserModel, Scenario, World, laser_model, take_scan
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from mavnav.grid import Grid
     from mavnav.scan import LaserSpec, Scan
 
 START_NS = 1_700_000_000_000_000_000
@@ -107,54 +108,69 @@ class Flight:
 def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -> Flight:
     """Fly a mission until its goal is reached or lost; every number of it follows from the scenario and its seed.
 
-    The planner sees the estimated pose and the map built so far, never the truth. Where the last scan has no believed
-    pose the vehicle hovers and looks again.
+    The pilot sees the estimated pose and the map built so far, never the truth.
     """
-    config, world, laser = scenario.config, scenario.world, _laser(scenario)
+    config, laser = scenario.config, _laser(scenario)
     noise = np.random.default_rng([scenario.seed, 1])
     vehicle = Vehicle(scenario.base_T_laser, round(laser.spec.scan_time_s / NS), [scenario.world_T_base])
-    world_T_map = scenario.world_T_base @ scenario.base_T_laser
-    goals = [world_T_map.inverse() @ Pose(x, y) for x, y in scenario.goals_xy_m]
+    pilot = Pilot(scenario)
     method = METHODS[config.method](config)
     motion = Motion(laser.spec.scan_time_s, vehicle.odometry, method.expects_rest)
-    planner = make_planner(scenario.planner)
     scans: list[Scan] = []
     steps: list[slam.Step] = []
-    end, hovering = End.STEP_LIMIT, 0
-    for step in slam.track(_scans(scenario, vehicle, world, scans), method, motion):
+    end = End.STEP_LIMIT
+    for step in slam.track(_scans(scenario, vehicle, scans), method, motion):
         steps.append(step)
         if on_step:
             on_step("fly", len(steps))
-        here = step.match.map_T_laser
-        hovering = 0 if step.tracked else hovering + 1
-        while step.tracked and goals and here.between(goals[0]).distance_m <= scenario.goal_radius_mm * MM:
-            goals.pop(0)
-        if not goals or hovering == LOST_STEPS or len(steps) == scenario.max_steps:
-            end = End.LOST if hovering == LOST_STEPS else End.STEP_LIMIT if goals else End.GOAL
+        decision = pilot.decide(step, method.grid)
+        if isinstance(decision, End):
+            end = decision
             break
-        command = Command(0.0, 0.0, 0.0)
-        if step.tracked:
-            plan = planner.plan(method.grid, here, (goals[0].x_m, goals[0].y_m))
-            if plan.stuck:
-                end = End.STUCK
-                break
-            command = plan.command
-        vehicle.execute(command, _disturbance(scenario, noise))
-        if _closest_m(world, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
+        vehicle.execute(decision, _disturbance(scenario, noise))
+        if _closest_m(scenario.world, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
             end = End.COLLISION
             break
-    return _landed(
-        scenario, vehicle, world_T_map, scans, end, slam.conclude(steps, lambda: scans, method, config, on_step)
-    )
+    return _landed(scenario, vehicle, scans, end, slam.conclude(steps, lambda: scans, method, config, on_step))
 
 
-def _scans(scenario: Scenario, vehicle: Vehicle, world: World, scans: list[Scan]) -> Iterator[Scan]:
+class Pilot:
+    """Decides on estimates alone: the next command, or that the mission has ended."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Bring the goals to the map frame."""
+        map_T_world = (scenario.world_T_base @ scenario.base_T_laser).inverse()
+        self.goals = [map_T_world @ Pose(x, y) for x, y in scenario.goals_xy_m]
+        self.radius_m = scenario.goal_radius_mm * MM
+        self.max_steps = scenario.max_steps
+        self.planner = make_planner(scenario.planner)
+        self.hovering = 0
+
+    def decide(self, step: slam.Step, grid: Grid) -> Command | End:
+        """Judge where the vehicle is and plan its next step; without a believed pose it hovers and looks again."""
+        here = step.match.map_T_laser
+        self.hovering = 0 if step.tracked else self.hovering + 1
+        while step.tracked and self.goals and here.between(self.goals[0]).distance_m <= self.radius_m:
+            self.goals.pop(0)
+        if not self.goals:
+            return End.GOAL
+        if self.hovering == LOST_STEPS:
+            return End.LOST
+        if step.index + 1 == self.max_steps:
+            return End.STEP_LIMIT
+        if not step.tracked:
+            return Command()
+        plan = self.planner.plan(grid, here, (self.goals[0].x_m, self.goals[0].y_m))
+        return End.STUCK if plan.stuck else plan.command
+
+
+def _scans(scenario: Scenario, vehicle: Vehicle, scans: list[Scan]) -> Iterator[Scan]:
     """Take a scan wherever the vehicle is by then, and keep it."""
     laser, rng = _laser(scenario), np.random.default_rng([scenario.seed, 0])
     while True:
         here = vehicle.world_T_base[-1] @ vehicle.base_T_laser
         pose = _sweeping(vehicle, here, laser.spec) if scenario.laser.moving else here
-        scans.append(take_scan(world, pose, laser, rng, vehicle.stamps_ns[-1]))
+        scans.append(take_scan(scenario.world, pose, laser, rng, vehicle.stamps_ns[-1]))
         yield scans[-1]
 
 
@@ -191,12 +207,11 @@ def _closest_m(world: World, poses: list[Pose]) -> float:
     return float(world.clearance_m(np.vstack(way)).min())
 
 
-def _landed(
-    scenario: Scenario, vehicle: Vehicle, world_T_map: Pose, scans: list[Scan], end: End, outcome: slam.Slam
-) -> Flight:
+def _landed(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, outcome: slam.Slam) -> Flight:
     """Sum up a flight: only here does anybody look at the truth."""
     n = len(scans)
     stamps, world_T_base = vehicle.stamps_ns[:n], vehicle.world_T_base
+    world_T_map = scenario.world_T_base @ scenario.base_T_laser
     map_T_world = world_T_map.inverse()
     truth = Trajectory.of(stamps, [map_T_world @ p @ vehicle.base_T_laser for p in world_T_base[:n]])
     goal = scenario.goals_xy_m[-1]

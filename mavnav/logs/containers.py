@@ -37,6 +37,9 @@ class Channel:
     latched: bool = False
 
 
+CHUNK_BYTES: Final = 128 * 1024
+"""Of an MCAP file: a file that is cut keeps all chunks before the cut, some four seconds of scans each."""
+
 _FOREVER = QosTime(9223372036, 854775807)
 _QOS: Final = """\
 - history: keep_last
@@ -75,7 +78,7 @@ def _qos(channel: Channel) -> Qos:
 def write_mcap(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
     """Write an MCAP file of ROS 2 messages with their definitions, chunks compressed with zstd."""
     with path.open("wb") as file:
-        writer = McapWriter(file, compression=CompressionType.ZSTD)
+        writer = McapWriter(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library=f"mavnav {__version__}")
         schemas = {
             name: writer.register_schema(name, "ros2msg", ros.definition(name).encode())
