@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from mavnav.commands import config, info, replay, simulate
+from mavnav.commands import config, info, replay, signals, simulate
 from mavnav.commands.terminal import emit, note
 from mavnav.errors import ExitCode, MavnavError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from types import FrameType
 
 LIBRARIES = ("numpy", "numba", "scipy", "mcap", "rosbags", "pydantic", "matplotlib", "typer")
 
@@ -34,10 +32,6 @@ mavnav simulate corner.yaml
 4 no usable scans, 5 tracking was lost for good, 6 the output cannot be written, 70 a bug, 130 interrupted, \
 143 terminated.
 """
-
-
-class Terminated(BaseException):
-    """SIGTERM arrived; unwinds the stack as KeyboardInterrupt does, so that unfinished files are removed."""
 
 
 app = typer.Typer(
@@ -106,7 +100,7 @@ def _explain(error: BaseException) -> int:
         case MavnavError():
             note(f"mavnav: error: {error}")
             return error.exit_code
-        case Terminated():
+        case signals.Terminated():
             note("mavnav: terminated")
             return ExitCode.TERMINATED
         case BrokenPipeError():
@@ -124,10 +118,6 @@ def _explain_bug(error: BaseException) -> int:
     return ExitCode.BUG
 
 
-def _terminate(_signum: int, _frame: FrameType | None) -> NoReturn:
-    raise Terminated
-
-
 def _split_debug(args: Sequence[str]) -> tuple[list[str], bool]:
     """Take ``--debug`` out of the arguments before any ``--``, so that it may stand after the command too."""
     end = args.index("--") if "--" in args else len(args)
@@ -137,7 +127,7 @@ def _split_debug(args: Sequence[str]) -> tuple[list[str], bool]:
 
 def main(args: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code (design: docs/cli.md, "Exit codes")."""
-    signal.signal(signal.SIGTERM, _terminate)
+    signals.listen()
     rest, debug = _split_debug(sys.argv[1:] if args is None else args)
     code = run(rest or ["--help"], debug=debug)
     try:

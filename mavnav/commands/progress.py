@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from time import monotonic
 from typing import TYPE_CHECKING
 
+from mavnav.commands import signals
 from mavnav.commands.terminal import console, note
 
 if TYPE_CHECKING:
@@ -52,7 +53,21 @@ class _Pace:
 
 @contextmanager
 def reporting(*, quiet: bool) -> Iterator[Report]:
-    """Give the function that a long job reports to: (what is being done, how much of it is done, of how much)."""
+    """Give the function that a long job reports to: (what is being done, how much of it is done, of how much).
+
+    It also raises the signal that arrived since, where Python has lost it.
+    """
+    with _reporting(quiet=quiet) as report:
+
+        def attentive(phase: str, done: int, total: int | None) -> None:
+            signals.check()
+            report(phase, done, total)
+
+        yield attentive
+
+
+@contextmanager
+def _reporting(*, quiet: bool) -> Iterator[Report]:
     if quiet:
         yield silent
     elif sys.stderr.isatty():

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from mavnav import __version__, cli
-from mavnav.commands import progress
+from mavnav.commands import progress, signals
 from mavnav.commands.terminal import printable
 from mavnav.errors import ExitCode, MavnavError, NoScansError, OutputError, TopicError
 
@@ -63,7 +63,7 @@ def test_completion_answers(spawn: Callable) -> None:
         (OutputError("x"), ExitCode.OUTPUT),
         (MavnavError("x"), ExitCode.BUG),
         (KeyboardInterrupt(), ExitCode.INTERRUPTED),
-        (cli.Terminated(), ExitCode.TERMINATED),
+        (signals.Terminated(), ExitCode.TERMINATED),
         (ZeroDivisionError("x"), ExitCode.BUG),
         (BrokenPipeError(), ExitCode.OUTPUT),
     ],
@@ -195,3 +195,28 @@ def test_a_phase_of_unknown_length_is_named_if_it_lasts(
         time.sleep(0.3)
         report("writing", 0, None)
     assert capsys.readouterr().err == "mavnav: loading\n"
+
+
+def test_a_signal_that_python_drops_in_a_finalizer_is_not_lost() -> None:
+    """As happens to a Ctrl-C while kernels compile."""
+    code = """
+import os, signal, time
+from mavnav.commands import progress, signals
+
+class Dropping:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.1)
+
+signals.listen()
+with progress.reporting(quiet=True) as report:
+    report("before", 0, None)
+    Dropping()
+    try:
+        report("after", 0, None)
+    except KeyboardInterrupt:
+        print("obeyed")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "Exception ignored" in done.stderr
+    assert done.stdout == "obeyed\n"
