@@ -56,7 +56,7 @@ class GridSize(_Strict):
 class PaperConfig(_Strict):
     """The paper's method. Where the paper gives a number it stands here; else the choice is docs/paper.md's."""
 
-    cell_mm: float = Field(14.0, gt=0, description="cell edge; 7 cells are then just under the paper's 100 mm")
+    cell_mm: float = Field(14.0, ge=1, description="cell edge; 7 cells are then just under the paper's 100 mm")
     near_mm: float = Field(100.0, ge=0, description="cost step vi: nearer points are left out")
     far_mm: float = Field(5000.0, gt=0, description="cost step vi: farther points are left out")
     mixed_pixel_mm: float = Field(100.0, gt=0, description="cost step vii: least jump to both neighbours")
@@ -80,7 +80,7 @@ class PaperConfig(_Strict):
 class RobustConfig(_Strict):
     """The robust method: point to local line over the whole map, see docs/method.md."""
 
-    cell_mm: float = Field(20.0, gt=0, description="cell edge of the map")
+    cell_mm: float = Field(20.0, ge=1, description="cell edge of the map")
     near_mm: float = Field(100.0, ge=0, description="nearer returns are not used")
     far_mm: float = Field(30000.0, gt=0, description="farther returns are not used")
     deskew: bool = Field(True, description="undo the laser's motion during a sweep")

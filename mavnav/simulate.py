@@ -33,6 +33,10 @@ WALL_GAP_CELLS = 8
 """Empty cells that a noisy wall may hold along a beam: its densest cell then is the wall, not a stray in front."""
 
 
+LEAST_POSES = 3
+"""Fewer tracked poses lie on any truth after the best rigid motion, or nearly so: they measure nothing."""
+
+
 @dataclass(frozen=True, slots=True)
 class Request:
     """What is asked for: the scenario and its file, the run directory, and what else to leave where."""
@@ -153,8 +157,8 @@ def truth_errors(flight: Flight) -> dict[str, Any]:
     truth = flight.map_T_laser.xyyaw[rows]
     aligned = absolute_error(estimate.xyyaw[:, :2], truth[:, :2])
     plain = absolute_error(estimate.xyyaw[:, :2], truth[:, :2], aligned=False)
-    if not len(estimate):
-        return {"ate_poses": 0}
+    if len(estimate) < LEAST_POSES:
+        return {"ate_poses": len(estimate)}
     motion = align(estimate.xyyaw[:, :2], truth[:, :2])
     errors: dict[str, Any] = {f"ate_{k}": v for k, v in asdict(aligned).items()}
     errors |= {f"unaligned_{k}": v for k, v in asdict(plain).items() if k != "poses"}

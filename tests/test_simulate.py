@@ -165,3 +165,9 @@ def test_a_laser_that_sees_nothing_is_said_and_leaves_nothing(tmp_path: Path) ->
     with pytest.raises(NoScansError, match=r"^corner.yaml: in 20 scans the laser saw too little"):
         simulate(request(tmp_path, settings={"laser.range_max_mm": 100}), lambda *_: None, 0.0)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_two_poses_measure_nothing() -> None:
+    flight = flown()
+    few = Trajectory(flight.map_T_laser.stamps_ns[:2].copy(), flight.map_T_laser.xyyaw[:2].copy())
+    assert truth_errors(estimated(flight, few)) == {"ate_poses": 2}

@@ -149,7 +149,8 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
     rows = [
         ("scans", f"{scans['processed']} of {scans['total']}"),
         ("accepted", f"{100 * scans['accepted'] / max(scans['processed'], 1):.1f} %"),
-        ("lost", f"{lost} scans in {len(tracking['intervals'])} stretches" if lost else "never"),
+        ("rejected", f"{scans['rejected'] - lost} scans"),
+        ("lost", f"{lost} scans in {len(tracking['intervals'])} stretch(es)" if lost else "never"),
         ("path", f"{tracking['path_length_m']:.2f} m"),
     ]
     rows += wall_rows(document)

@@ -133,12 +133,27 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
     ]
     return [
         *rows,
-        ("error", f"ATE {1e3 * truth['ate_rmse_m']:.0f} mm, final {1e3 * truth['final_error_m']:.0f} mm"),
-        ("wall distance", _wall_distance(truth)),
+        *_truth_rows(truth),
         *wall_rows(document),
         ("speed", f"{mission['steps'] / timing['wall_s']:.0f} steps/s"),
         ("pictures", f"{directory / 'map.png'}, {directory / 'true_map.png'}"),
     ]
+
+
+def _truth_rows(truth: dict[str, Any]) -> list[tuple[str, str]]:
+    if "ate_rmse_m" not in truth:
+        return [("error", f"not measurable, {truth['ate_poses']} poses")]
+    return [
+        ("ATE, aligned", f"{1e3 * truth['ate_rmse_m']:.0f} mm, final {1e3 * truth['final_aligned_error_m']:.0f} mm"),
+        ("from the start", f"final {1e3 * truth['final_error_m']:.0f} mm, map turned by {_deg(truth)} deg"),
+        ("wall distance", _wall_distance(truth)),
+    ]
+
+
+def _deg(truth: dict[str, Any]) -> str:
+    from math import degrees
+
+    return f"{degrees(truth['map_yaw_error_rad']):.1f}"
 
 
 def _wall_distance(truth: dict[str, Any]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from mavnav.errors import UsageError
@@ -182,6 +183,9 @@ def _check(path: Path, start_s: float | None, end_s: float | None) -> None:
         raise UsageError(f"{path}: no such file or folder; give the path of a log")
     if not (path.is_file() or path.is_dir()):
         raise UsageError(f"{path}: neither a regular file nor a folder; give the path of a log")
+    for name, value in (("--start", start_s), ("--end", end_s)):
+        if value is not None and not (isfinite(value) and value >= 0.0):
+            raise UsageError(f"{name} {value:g} is no time; it counts in seconds from the first usable scan, 0 or more")
     if start_s is not None and end_s is not None and end_s <= start_s:
         raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from mavnav.errors import OutputError
+from mavnav.errors import OutputError, UsageError
 from mavnav.outputs import drawing
 from mavnav.outputs.gridmap import known_part
 from mavnav.outputs.map_picture import framed
@@ -44,9 +44,9 @@ _PALETTE: Final = ("#ffffff", "#9aa1a8", "#000000", drawing.POSE_MAGENTA, drawin
 
 
 def check_animation(path: Path, *, force: bool) -> None:
-    """Raise OutputError where the animation cannot be put; cheap enough to ask before the work begins."""
+    """Raise OutputError where the animation cannot be put, UsageError for another suffix; asked before the work."""
     if path.suffix != ".gif":
-        raise OutputError(f"{path}: an animation is a GIF; end its name in .gif")
+        raise UsageError(f"{path}: an animation is a GIF; end its name in .gif")
     if path.exists() and not (force and path.is_file()):
         raise OutputError(f"{path} exists; choose another name for the animation, or --force to replace the file")
 

@@ -167,3 +167,10 @@ def test_topics_are_listed_with_type_encoding_and_count(tmp_path: Path) -> None:
         ("/scan", LASER, "ros1", 5),
         ("/tf_static", TF, "ros1", 1),
     ]
+
+
+@pytest.mark.parametrize("start_s", [float("nan"), float("inf"), -5.0])
+def test_a_start_that_is_no_time_is_refused(start_s: float, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a.mcap", drive(3))
+    with pytest.raises(UsageError, match=r"--start .* is no time"):
+        open_log(tmp_path / "a.mcap", start_s=start_s)

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 from synthetic import furnished_rooms
 
-from mavnav.errors import OutputError
+from mavnav.errors import OutputError, UsageError
 from mavnav.outputs import Truth, animation, drawing, map_picture, mission_picture, write_run
 from mavnav.outputs.animation import animate
 from mavnav.outputs.trajectory import write_truth_tum
@@ -141,7 +141,7 @@ def test_what_exists_stays_without_force(run, tmp_path):
     assert (tmp_path / "a.gif").read_text() == "precious"
     animate(run, tmp_path / "a.gif", force=True)
     assert (tmp_path / "a.gif").read_bytes().startswith(b"GIF89a")
-    with pytest.raises(OutputError, match=r"\.gif"):
+    with pytest.raises(UsageError, match=r"\.gif"):
         animate(run, tmp_path / "a.mp4")
     (tmp_path / "f.gif").mkdir()
     with pytest.raises(OutputError, match="another name"):
