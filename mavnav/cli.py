@@ -84,8 +84,6 @@ def run(args: Sequence[str], *, debug: bool = False) -> int:
 
             traceback.print_exception(error)
         return _explain(error)
-    if code == ExitCode.INTERRUPTED:  # typer turns a KeyboardInterrupt into this code
-        note("mavnav: interrupted")
     return int(code or 0)
 
 
@@ -100,9 +98,9 @@ def _explain(error: BaseException) -> int:
         case MavnavError():
             note(f"mavnav: error: {error}")
             return error.exit_code
-        case signals.Terminated():
-            note("mavnav: terminated")
-            return ExitCode.TERMINATED
+        case signals.Stopped():
+            note(f"mavnav: {error.word}")
+            return error.exit_code
         case BrokenPipeError():
             return ExitCode.OUTPUT
         case SystemExit(__context__=BrokenPipeError()):  # typer's way with a reader that has gone, as in `| head`
@@ -130,6 +128,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     signals.listen()
     rest, debug = _split_debug(sys.argv[1:] if args is None else args)
     code = run(rest or ["--help"], debug=debug)
+    signals.ignore()
     try:
         sys.stdout.flush()
     except BrokenPipeError:

@@ -67,6 +67,14 @@ def reporting(*, quiet: bool) -> Iterator[Report]:
 
 
 @contextmanager
+def loading_kernels(report: Report) -> Iterator[None]:
+    """Import within it what compiles kernels: the first time that takes a while, and no exception may interrupt it."""
+    report("loading kernels, compiled once after installation", 0, None)
+    with signals.at_once():
+        yield
+
+
+@contextmanager
 def _reporting(*, quiet: bool) -> Iterator[Report]:
     if quiet:
         yield silent

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands.progress import reporting
+from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.terminal import console, emit, note, printable
 from mavnav.errors import ExitCode, UsageError
 
@@ -75,10 +75,9 @@ def replay(
     if not log.exists():
         raise UsageError(f"{log}: no such file; name a log")
     with reporting(quiet=quiet) as report:
-        report("loading kernels, compiled once after installation", 0, None)
         started_s = perf_counter()
-        from mavnav import replay as pipeline
-
+        with loading_kernels(report):
+            from mavnav import replay as pipeline
         compile_s = perf_counter() - started_s
         target = directory or pipeline.default_directory(log, chosen)
         request = pipeline.Request(log, target, chosen, topic, start, end, mounting, force)

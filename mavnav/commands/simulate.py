@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands.progress import reporting
+from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.replay import print_table, wall_rows
 from mavnav.commands.terminal import emit, note
 from mavnav.errors import ExitCode, UsageError
@@ -78,11 +78,10 @@ def simulate(
         {"seed": seed, "slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth, "planner.technique": planner},
     )
     with reporting(quiet=quiet) as report:
-        report("loading kernels, compiled once after installation", 0, None)
         started_s = perf_counter()
-        from mavnav import simulate as pipeline
-        from mavnav.world.scenario_file import scenario_path
-
+        with loading_kernels(report):
+            from mavnav import simulate as pipeline
+            from mavnav.world.scenario_file import scenario_path
         compile_s = perf_counter() - started_s
         target = directory or pipeline.default_directory(chosen)
         request = pipeline.Request(chosen, scenario_path(scenario), target, record, animate, force)

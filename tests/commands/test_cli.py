@@ -62,7 +62,7 @@ def test_completion_answers(spawn: Callable) -> None:
         (TopicError("x"), ExitCode.USAGE),
         (OutputError("x"), ExitCode.OUTPUT),
         (MavnavError("x"), ExitCode.BUG),
-        (KeyboardInterrupt(), ExitCode.INTERRUPTED),
+        (signals.Interrupted(), ExitCode.INTERRUPTED),
         (signals.Terminated(), ExitCode.TERMINATED),
         (ZeroDivisionError("x"), ExitCode.BUG),
         (BrokenPipeError(), ExitCode.OUTPUT),
@@ -197,6 +197,37 @@ def test_a_phase_of_unknown_length_is_named_if_it_lasts(
     assert capsys.readouterr().err == "mavnav: loading\n"
 
 
+def test_a_signal_within_exec_leaves_the_exit_code_alone(tmp_path: Path) -> None:
+    """A KeyboardInterrupt there would make Python end by SIGINT, whatever code it was told."""
+    (tmp_path / "interrupted.py").write_text("""
+import sys
+from mavnav.commands import signals
+
+signals.listen()
+try:
+    exec("import os, signal; os.kill(os.getpid(), signal.SIGINT)")
+except signals.Interrupted as error:
+    sys.exit(error.exit_code)
+""")
+    done = subprocess.run([sys.executable, "-m", "interrupted"], cwd=tmp_path, check=False, timeout=60)
+    assert done.returncode == ExitCode.INTERRUPTED
+
+
+def test_kernels_that_compile_are_interrupted_at_once() -> None:
+    code = """
+import os, signal
+from mavnav.commands import progress
+
+with progress.loading_kernels(progress.silent):
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+    finally:
+        print("unwound")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (ExitCode.TERMINATED, "", "mavnav: terminated\n")
+
+
 def test_a_signal_that_python_drops_in_a_finalizer_is_not_lost() -> None:
     """As happens to a Ctrl-C while kernels compile."""
     code = """
@@ -214,7 +245,7 @@ with progress.reporting(quiet=True) as report:
     Dropping()
     try:
         report("after", 0, None)
-    except KeyboardInterrupt:
+    except signals.Interrupted:
         print("obeyed")
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
