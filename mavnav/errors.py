@@ -12,7 +12,13 @@
 Each says in one line what is wrong, where, and what to do next. Nobody but ``cli.main`` prints it.
 """
 
+from __future__ import annotations
+
 from enum import IntEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 
 class ExitCode(IntEnum):
@@ -28,6 +34,26 @@ class ExitCode(IntEnum):
     BUG = 70
     INTERRUPTED = 130
     TERMINATED = 143
+
+
+SEVERITY = (
+    ExitCode.DONE,
+    ExitCode.DAMAGED_INPUT,
+    ExitCode.GATE_FAILED,
+    ExitCode.TRACKING_LOST,
+    ExitCode.NO_SCANS,
+    ExitCode.USAGE,
+    ExitCode.OUTPUT,
+    ExitCode.BUG,
+    ExitCode.INTERRUPTED,
+    ExitCode.TERMINATED,
+)
+"""Exit codes from good to bad: several runs, or a run and its gates, end with the worst."""
+
+
+def worst(codes: Iterable[int]) -> ExitCode:
+    """Return the worst of some exit codes, DONE where there are none."""
+    return max(map(ExitCode, codes), key=SEVERITY.index, default=ExitCode.DONE)
 
 
 class MavnavError(Exception):

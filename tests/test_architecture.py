@@ -26,6 +26,8 @@ ALLOWED: dict[str, set[str]] = {
     "scan": set(),
     "staging": set(),
     "config": {"errors", "units"},
+    "gates": {"errors"},
+    "jobs": {"errors"},
     "layers": {"errors"},
     "config_file": {"errors", "config", "layers"},
     "kernels": set(),

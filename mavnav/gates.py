@@ -1,0 +1,169 @@
+"""Gates: bounds on the numbers of a run, such as ``wall_thickness.p95_cells<=7``.
+
+A gate names a number or a truth value of a document (run.json) by its keys, joined by dots. What the document does not
+name is a UsageError with the nearest name that it does. A value that is null fails every gate, and so does a figure of
+the map where the map is not meaningful: a map of nothing has thin walls.
+"""
+
+from __future__ import annotations
+
+import difflib
+import operator
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav.errors import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+
+OPERATORS: Final[dict[str, Callable[[Any, Any], bool]]] = {
+    "<=": operator.le,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+    "<": operator.lt,
+    ">": operator.gt,
+}
+
+DEFAULT_HITS: Final = "2"
+"""``wall_thickness.p95_cells`` without a threshold is that of cells of at least so many hits."""
+
+MAP_SECTIONS: Final = ("wall_thickness", "map_quality", "map")
+"""Figures that say nothing where the map is not meaningful."""
+
+_GATE: Final = re.compile(r"\s*([\w./-]+?)\s*(<=|>=|==|!=|<|>)\s*(\S+)\s*")
+_EXAMPLE: Final = "write for example --gate 'wall_thickness.p95_cells<=7'"
+
+Number = bool | int | float
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """A bound: ``name`` compared with ``bound`` must hold; ``text`` is how it was typed."""
+
+    text: str
+    name: str
+    comparison: str
+    bound: Number
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What became of a gate: the value found (None: null) and why it failed, empty where it passed."""
+
+    gate: Gate
+    value: Number | None
+    why: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the gate holds."""
+        return not self.why
+
+
+def parse_gate(text: str) -> Gate:
+    """Read ``name OP bound``; raises UsageError."""
+    match = _GATE.fullmatch(text)
+    bound = None if match is None else _bound(match[3])
+    if match is None or bound is None:
+        raise UsageError(f"--gate {text!r} is not NAME, one of {' '.join(OPERATORS)}, and a number; {_EXAMPLE}")
+    return Gate(text.strip(), match[1], match[2], bound)
+
+
+def _bound(text: str) -> Number | None:
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return None if value != value else value  # noqa: PLR0124  NaN compares with nothing
+
+
+def judge(gates: Iterable[Gate], document: Mapping[str, Any]) -> list[Verdict]:
+    """Hold gates against a document; raises UsageError for a name that it does not have."""
+    return [_judge(gate, document) for gate in gates]
+
+
+def _judge(gate: Gate, document: Mapping[str, Any]) -> Verdict:
+    value = find(document, gate.name)
+    if value is None:
+        return Verdict(gate, None, "it is not known for this run")
+    if _about_a_meaningless_map(gate.name, document):
+        reasons = "; ".join(document["map_quality"].get("why") or ["too little of it"])
+        return Verdict(gate, value, f"it is {_shown(value)}, but the map is not meaningful: {reasons}")
+    if OPERATORS[gate.comparison](value, gate.bound):
+        return Verdict(gate, value)
+    return Verdict(gate, value, f"it is {_shown(value)}")
+
+
+def _about_a_meaningless_map(name: str, document: Mapping[str, Any]) -> bool:
+    if name.partition(".")[0] not in MAP_SECTIONS or name == "map_quality.meaningful":
+        return False
+    return (document.get("map_quality") or {}).get("meaningful", True) is False
+
+
+def _shown(value: Number) -> str:
+    return str(value).lower() if isinstance(value, bool) else f"{value:.6g}"
+
+
+def find(document: Mapping[str, Any], name: str) -> Number | None:
+    """Return the number of that name, None where it or what is around it is null.
+
+    Raises UsageError for a name that the document does not have, or that is no number.
+    """
+    value: Any = document
+    for part in _parts(name):
+        if value is None:
+            return None
+        if isinstance(value, list) and part.isdecimal() and int(part) < len(value):
+            value = value[int(part)]
+        elif isinstance(value, dict) and part in value:
+            value = value[part]
+        else:
+            raise UsageError(_unknown(name, document))
+    if value is None or isinstance(value, Number):
+        return value
+    raise UsageError(_unknown(name, document))
+
+
+def _parts(name: str) -> list[str]:
+    """Split a name, and put in the threshold of wall thickness where it is left out."""
+    first, *rest = name.split(".")
+    if first == "wall_thickness" and rest and not rest[0].isdecimal():
+        rest.insert(0, DEFAULT_HITS)
+    return [first, *rest]
+
+
+def names(document: Mapping[str, Any]) -> list[str]:
+    """Return the names of all numbers of a document, nulls included, as a gate would write them."""
+    return [".".join(parts) for parts in _leaves(document)]
+
+
+def _leaves(value: object) -> Iterator[tuple[str, ...]]:
+    if value is None or isinstance(value, Number):
+        yield ()
+    children: Iterable[tuple[Any, Any]] = ()
+    if isinstance(value, dict):
+        children = value.items()
+    elif isinstance(value, list):
+        children = enumerate(value)
+    for key, child in children:
+        for rest in _leaves(child):
+            yield (str(key), *rest)
+
+
+def _unknown(name: str, document: Mapping[str, Any]) -> str:
+    """Say that a name is unknown, and which the nearest is: within it, as a whole, or by its last part."""
+    known, full = names(document), ".".join(_parts(name))
+    near = [k for k in known if k.startswith(f"{full}.")] or difflib.get_close_matches(full, known, n=1, cutoff=0.75)
+    if not near:
+        last = difflib.get_close_matches(name.rpartition(".")[2], {k.rpartition(".")[2] for k in known}, n=1)
+        near = [k for k in known if last and k.rpartition(".")[2] == last[0]]
+    if near:
+        return f"--gate: no number {name} in run.json; did you mean {near[0]}?"
+    if name.startswith("reference"):
+        return f"--gate: no number {name} in run.json; it needs --truth, --truth-map or --relations"
+    return f"--gate: no number {name} in run.json; the numbers of any run.json can be named, {_EXAMPLE}"

@@ -1,0 +1,22 @@
+"""Functions run in processes of their own: one that crashes, hangs or eats the memory takes no other along.
+
+A job is a function by name with its arguments; a worker process runs one after another. A worker that ends in
+mid-job, whatever ended it, costs that job alone: another worker takes its place. Workers are spawned, not forked, so
+that they share no state with their parent, and they follow it when it dies. What they print goes nowhere.
+"""
+
+from mavnav.jobs.crew import run_jobs, usable_cores
+from mavnav.jobs.records import Ended, Event, Fate, Job, Outcome, Progressed, Report, Started
+
+__all__ = [
+    "Ended",
+    "Event",
+    "Fate",
+    "Job",
+    "Outcome",
+    "Progressed",
+    "Report",
+    "Started",
+    "run_jobs",
+    "usable_cores",
+]

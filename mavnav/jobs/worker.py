@@ -1,0 +1,92 @@
+"""The worker's side: it takes jobs from a channel, runs them, and says nothing but through that channel."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+from multiprocessing import parent_process
+from threading import Thread
+from time import monotonic
+from traceback import format_exception
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from mavnav.errors import ExitCode, MavnavError
+from mavnav.jobs.records import Ended, Fate, Job, Outcome, Progressed, Report
+
+if TYPE_CHECKING:
+    from multiprocessing import connection
+
+REPORT_PERIOD_S = 0.2
+"""A worker reports its progress so often at most."""
+
+
+def serve(channel: connection.Connection[Any, Any], memory_mb: int | None) -> None:
+    """Be a worker: take jobs until the channel closes."""
+    _settle(memory_mb)
+    while True:
+        try:
+            index, packed = channel.recv()
+        except EOFError:
+            return
+        channel.send(Ended(index, _attempt(index, packed, channel)))
+
+
+def _settle(memory_mb: int | None) -> None:
+    """Say nothing, leave when asked to or when the parent is gone, and keep to the memory."""
+    signal.signal(signal.SIGTERM, _leave)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+    Thread(target=_follow_parent, daemon=True).start()
+    if memory_mb is not None:
+        import resource  # noqa: PLC0415  not everywhere
+
+        resource.setrlimit(resource.RLIMIT_DATA, (memory_mb * 2**20, memory_mb * 2**20))
+
+
+def _leave(_number: int, _frame: object) -> NoReturn:
+    raise SystemExit(ExitCode.TERMINATED)  # unwinds, so that unfinished files are put away
+
+
+def _follow_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def _attempt(index: int, packed: bytes, channel: connection.Connection[Any, Any]) -> Outcome:
+    """Run one job; an exception becomes an outcome."""
+    began_s = monotonic()
+    try:
+        job: Job = pickle.loads(packed)  # noqa: S301  our own parent packed it
+        value = job.work(*job.args, _reporter(index, channel))
+        return Outcome(Fate.DONE, os.getpid(), monotonic() - began_s, value)
+    except Exception as error:
+        code = error.exit_code if isinstance(error, MavnavError) else ExitCode.BUG
+        trace = "".join(format_exception(error))
+        return Outcome(Fate.FAILED, os.getpid(), monotonic() - began_s, None, _said(error), trace, code)
+
+
+def _said(error: Exception) -> str:
+    """Put an exception into one line."""
+    if isinstance(error, MavnavError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "it needs more memory than it may use"
+    return f"a bug: {type(error).__name__}: {error}"
+
+
+def _reporter(index: int, channel: connection.Connection[Any, Any]) -> Report:
+    """Make the function by which a job reports its progress; it lets through a report now and then."""
+    spoke_s, spoke_of = 0.0, ""
+
+    def report(phase: str, done: int, total: int | None) -> None:
+        nonlocal spoke_s, spoke_of
+        now_s = monotonic()
+        if phase != spoke_of or now_s - spoke_s >= REPORT_PERIOD_S:
+            spoke_s, spoke_of = now_s, phase
+            channel.send(Progressed(index, phase, done, total))
+
+    return report
