@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from mavnav.commands import config, info, replay, signals, simulate
+from mavnav.commands import compare, config, info, replay, signals, simulate
 from mavnav.commands.terminal import emit, note
 from mavnav.errors import ExitCode, MavnavError
 
@@ -25,6 +25,8 @@ mavnav info drive.mcap
 mavnav replay drive.mcap -o runs/drive
 
 mavnav replay drive.bag --method paper --grid 20x20 --azimuth 40
+
+mavnav compare drive.mcap --grid 5x5 --grid 10x10 --grid 20x20
 
 mavnav simulate corner.yaml
 
@@ -43,6 +45,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command(epilog=replay.EPILOG)(replay.replay)
+app.command(epilog=compare.EPILOG)(compare.compare)
 app.command(epilog=simulate.EPILOG)(simulate.simulate)
 app.command(epilog=info.EPILOG)(info.info)
 app.add_typer(config.app, name="config")

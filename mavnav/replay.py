@@ -48,12 +48,17 @@ class Request:
 
 
 def default_directory(log: Path, config: Config) -> Path:
-    """Return ``runs/<log>-<method>-<grid>``; a folder gives its own name, a file its name without suffixes."""
+    """Return ``runs/<log>-<method>-<grid>``."""
+    return Path("runs") / f"{log_name(log)}-{config.method}-{config.grid}"
+
+
+def log_name(log: Path) -> str:
+    """Return what a log is called in the names of directories: a folder as it is, a file without its suffixes."""
     name = log.resolve().name
     if not log.is_dir():
         for suffix in LOG_SUFFIXES:
             name = name.removesuffix(suffix) or name
-    return Path("runs") / f"{name}-{config.method}-{config.grid}"
+    return name
 
 
 def replay(request: Request, progress: Progress, compile_s: float) -> tuple[Run, dict[str, Any]]:

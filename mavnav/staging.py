@@ -21,7 +21,7 @@ def beside(target: Path) -> Iterator[Path]:
     """
     final = target.resolve()
     final.parent.mkdir(parents=True, exist_ok=True)
-    folder = final.with_name(f".{final.name}.partial-{os.getpid()}")
+    folder = _folder(final, os.getpid())
     shutil.rmtree(folder, ignore_errors=True)  # left by a killed process of the same number
     folder.mkdir()
     try:
@@ -31,6 +31,15 @@ def beside(target: Path) -> Iterator[Path]:
         _swap(partial, final)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def discard(target: Path, pid: int) -> None:
+    """Remove what a process that was killed has left unfinished beside ``target``."""
+    shutil.rmtree(_folder(target.resolve(), pid), ignore_errors=True)
+
+
+def _folder(final: Path, pid: int) -> Path:
+    return final.with_name(f".{final.name}.partial-{pid}")
 
 
 def _swap(partial: Path, final: Path) -> None:

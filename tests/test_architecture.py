@@ -48,7 +48,11 @@ ALLOWED: dict[str, set[str]] = {
     "outputs": GROUND | {"", "logs", "metrics"} | CORE,
     "replay": GROUND | {"logs", "metrics", "outputs"} | CORE,
     "simulate": GROUND | {"flight", "logs", "metrics", "outputs", "replay", "world"} | CORE,
-    "commands": GROUND | {"", "config_file", "logs", "metrics", "outputs", "replay", "simulate", "world"} | CORE,
+    "compare": GROUND
+    | {"", "config_file", "flight", "gates", "jobs", "logs", "outputs", "replay", "simulate", "world"},
+    "commands": GROUND
+    | {"", "compare", "config_file", "gates", "jobs", "logs", "metrics", "outputs", "replay", "simulate", "world"}
+    | CORE,
     "cli": {"", "commands", "errors"},
 }
 """Room -> rooms that it may import; "" is the package itself (its version)."""
@@ -121,7 +125,7 @@ def test_rooms_neither_print_nor_exit(path: Path) -> None:
 
 @pytest.mark.parametrize(
     "args",
-    [["--help"], ["replay", "--help"], ["simulate", "--help"], ["info", "--help"], ["config", "--help"]],
+    [["--help"], ["replay", "--help"], ["simulate", "--help"], ["compare", "--help"], ["info", "--help"], ["config", "--help"]],
     ids=" ".join,
 )
 def test_help_imports_no_heavy_library(args: list[str]) -> None:
@@ -154,7 +158,7 @@ def documented_commands() -> list[str]:
 
 def test_documented_commands_answer_help() -> None:
     found = documented_commands()
-    assert {"replay", "simulate", "info", "config show"} <= set(found)
+    assert {"replay", "compare", "simulate", "info", "config show"} <= set(found)
     for command in found:
         subprocess.run(
             [sys.executable, "-m", "mavnav", *command.split(), "--help"], check=True, capture_output=True, timeout=30
@@ -175,7 +179,7 @@ def test_documented_options_exist() -> None:
             text=True,
             env={"COLUMNS": "200", "PATH": ""},
         ).stdout
-        for command in ([], ["replay"], ["simulate"], ["info"], ["config", "show"])
+        for command in ([], ["replay"], ["compare"], ["simulate"], ["info"], ["config", "show"])
     )
     assert {option for option in documented_options() if option not in helps} == set()
 

@@ -79,8 +79,8 @@ def _reporting(*, quiet: bool) -> Iterator[Report]:
     if quiet:
         yield silent
     elif sys.stderr.isatty():
-        with _bars() as bars:
-            yield _bar_report(bars)
+        with bars() as shown:
+            yield _bar_report(shown)
     else:
         announcement = _Announcement()
         try:
@@ -89,7 +89,8 @@ def _reporting(*, quiet: bool) -> Iterator[Report]:
             announcement.cancel()
 
 
-def _bars() -> Bars:
+def bars() -> Bars:
+    """Return bars on stderr that vanish at the end: a description, the bar, the share, the time left."""
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     return Progress(
@@ -102,7 +103,7 @@ def _bars() -> Bars:
     )
 
 
-def _bar_report(bars: Bars) -> Report:
+def _bar_report(shown: Bars) -> Report:
     pace = _Pace(BAR_PERIOD_S)
 
     def report(phase: str, done: int, total: int | None) -> None:
@@ -110,10 +111,10 @@ def _bar_report(bars: Bars) -> Report:
         if not pace.due(phase) and done != total:
             return
         if fresh:
-            for task in bars.task_ids:
-                bars.remove_task(task)
-            bars.add_task(phase, total=total)
-        bars.update(bars.task_ids[-1], completed=done)
+            for task in shown.task_ids:
+                shown.remove_task(task)
+            shown.add_task(phase, total=total)
+        shown.update(shown.task_ids[-1], completed=done)
 
     return report
 

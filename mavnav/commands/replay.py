@@ -71,7 +71,7 @@ def replay(
 ) -> None:
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
     chosen = _config(config, sets or [], method=method, grid=grid, azimuth=azimuth, odom=odom, online=online)
-    mounting = None if extrinsic is None else _pose(extrinsic)
+    mounting = None if extrinsic is None else pose(extrinsic)
     if not log.exists():
         raise UsageError(f"{log}: no such file; name a log")
     with reporting(quiet=quiet) as report:
@@ -94,7 +94,7 @@ def _config(file: str | None, sets: list[str], *, online: bool, **options: objec
     return load_config(file, sets, overrides | ({"final_pass": False} if online else {}))
 
 
-def _pose(text: str) -> Pose:
+def pose(text: str) -> Pose:
     """Read ``x,y,yaw`` in m, m, rad; raises UsageError."""
     from math import isfinite
 

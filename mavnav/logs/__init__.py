@@ -5,6 +5,18 @@
 
 from mavnav.logs.log import Log, choose, open_log
 from mavnav.logs.records import Damage, Gap, Odometry, ScanCounts, Topic
-from mavnav.logs.survey import Survey, survey
+from mavnav.logs.survey import Survey, content_sha256, survey
 
-__all__ = ["Damage", "Gap", "Log", "Odometry", "ScanCounts", "Survey", "Topic", "choose", "open_log", "survey"]
+__all__ = [
+    "Damage",
+    "Gap",
+    "Log",
+    "Odometry",
+    "ScanCounts",
+    "Survey",
+    "Topic",
+    "choose",
+    "content_sha256",
+    "open_log",
+    "survey",
+]

@@ -178,6 +178,15 @@ def survey(
     )
 
 
+def content_sha256(path: Path) -> str:
+    """Return the SHA-256 by which a survey knows a log's content, without reading its messages; raises UsageError."""
+    _check(path, None, None)
+    try:
+        return _identity(path)[1]
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from error
+
+
 def _check(path: Path, start_s: float | None, end_s: float | None) -> None:
     if not path.exists():
         raise UsageError(f"{path}: no such file or folder; give the path of a log")

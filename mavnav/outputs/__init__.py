@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-__all__ = ["WRITERS", "Run", "Timing", "Truth", "check_directory", "write_run"]
+__all__ = ["WRITERS", "Run", "Timing", "Truth", "check_directory", "to_json", "write_run"]
 
 
 def _late(module: str, run: Run, path: Path) -> None:

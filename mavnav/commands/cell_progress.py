@@ -1,0 +1,94 @@
+"""How far a comparison is, on stderr: bars on a terminal, elsewhere a plain line for every cell that ends."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from mavnav.commands import signals
+from mavnav.commands.progress import bars
+from mavnav.commands.terminal import note, printable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from mavnav.jobs import Event
+
+    Listener = Callable[[Event], None]
+
+
+@contextmanager
+def watching(names: Sequence[str], *, quiet: bool) -> Iterator[Listener]:
+    """Give the function that hears of jobs; ``names`` are theirs. It also raises a signal that Python has lost."""
+    with _listener(names, quiet=quiet) as listen:
+
+        def attentive(event: Event) -> None:
+            signals.check()
+            listen(event)
+
+        yield attentive
+
+
+@contextmanager
+def _listener(names: Sequence[str], *, quiet: bool) -> Iterator[Listener]:
+    if quiet or not names:
+        yield _silent
+    elif sys.stderr.isatty():
+        with _bars(names) as listen:
+            yield listen
+    else:
+        yield _lines(names)
+
+
+def _silent(event: Event) -> None:
+    """Report nothing."""
+
+
+def _lines(names: Sequence[str]) -> Listener:
+    from mavnav.jobs import Ended
+
+    ended = 0
+
+    def listen(event: Event) -> None:
+        nonlocal ended
+        if isinstance(event, Ended):
+            ended += 1
+            note(f"mavnav: {ended} of {len(names)}: {names[event.index]} {_fate(event)}")
+
+    return listen
+
+
+def _fate(event: Event) -> str:
+    """Say how a job ended."""
+    from mavnav.jobs import Ended, Fate
+
+    if not isinstance(event, Ended):
+        return ""
+    outcome = event.outcome
+    return f"done in {outcome.seconds:.1f} s" if outcome.fate is Fate.DONE else f"failed: {outcome.error}"
+
+
+@contextmanager
+def _bars(names: Sequence[str]) -> Iterator[Listener]:
+    """Show a bar for the whole, one for every cell that is being run, and a line that stays for one that failed."""
+    from mavnav.jobs import Ended, Fate, Progressed, Started
+
+    with bars() as shown:
+        whole = shown.add_task(f"{len(names)} cells", total=len(names))
+        tasks: dict[int, object] = {}
+
+        def listen(event: Event) -> None:
+            match event:
+                case Started(index):
+                    tasks[index] = shown.add_task(printable(names[index]), total=None)
+                case Progressed(index, phase, done, total):
+                    text = printable(f"{names[index]}: {phase}")
+                    shown.update(tasks[index], description=text, completed=done, total=total)  # type: ignore[arg-type]
+                case Ended(index, outcome):
+                    shown.remove_task(tasks.pop(index))  # type: ignore[arg-type]
+                    shown.advance(whole)
+                    if outcome.fate is not Fate.DONE:
+                        note(f"mavnav: {names[index]} {_fate(event)}")
+
+        yield listen

@@ -1,0 +1,140 @@
+"""``mavnav compare [LOG ...]``: whether a finer search grid gives a better map, by how much, and at what price."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from mavnav.commands.cell_progress import watching
+from mavnav.commands.comparison_table import print_comparison
+from mavnav.commands.progress import loading_kernels, reporting
+from mavnav.commands.replay import pose
+from mavnav.commands.terminal import emit, note
+from mavnav.errors import UsageError
+
+EPILOG = """
+[bold]Examples[/bold]
+
+mavnav compare drive.mcap --grid 5x5 --grid 10x10 --grid 20x20
+
+mavnav compare --grid 20x20
+
+mavnav compare a.bag b.mcap --method robust --method paper -j 4 -o grids
+
+mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.p95_cells<=7'
+"""
+
+
+def compare(
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[LOG ...]", help="Logs; the sample corridor if none.", show_default=False),
+    ] = None,
+    *,
+    grids: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--grid",
+            metavar="NxM",
+            help="A search grid; repeat it. One is compared with the default; 5x5, 10x10, 20x20 if none.",
+            show_default=False,
+        ),
+    ] = None,
+    azimuths: Annotated[
+        list[int] | None,
+        typer.Option(
+            "--azimuth",
+            help="Points of the azimuth grid: one for all grids, or one for each; by itself twice N, 40 at most.",
+            show_default=False,
+        ),
+    ] = None,
+    methods: Annotated[
+        list[str] | None, typer.Option("--method", help="robust (default) or paper; repeat it.", show_default=False)
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", "-j", min=1, help="Replays at a time; by itself one a processor.", show_default=False),
+    ] = None,
+    directory: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Directory; runs/compare-LOG if not given.", show_default=False),
+    ] = None,
+    gates: Annotated[
+        list[str] | None,
+        typer.Option("--gate", metavar="NAME<=X", help="What must hold of every cell; repeat it.", show_default=False),
+    ] = None,
+    online: Annotated[bool, typer.Option("--online", help="Leave out the final pass over the finished map.")] = False,
+    odom: Annotated[
+        str | None,
+        typer.Option(metavar="auto|TOPIC|off", help="Odometry as prediction (never with paper).", show_default=False),
+    ] = None,
+    topic: Annotated[str | None, typer.Option(help="Scan topic, where there are several.", show_default=False)] = None,
+    start: Annotated[
+        float | None, typer.Option(help="Begin so many seconds after the first scan.", show_default=False)
+    ] = None,
+    end: Annotated[
+        float | None, typer.Option(help="End so many seconds after the first scan.", show_default=False)
+    ] = None,
+    extrinsic: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,YAW", help="Laser on its base, m, m, rad; overrides tf.", show_default=False),
+    ] = None,
+    config: Annotated[
+        str | None, typer.Option(metavar="FILE", help="YAML file, or the name of a preset.", show_default=False)
+    ] = None,
+    sets: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of it.", show_default=False)
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Run again what was run before.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print comparison.json on stdout and nothing else.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+) -> None:
+    """Replay logs with several search grids and methods, and set the maps side by side, with their price.
+
+    A replay that was made before is not made again; one that fails takes no other along.
+    """
+    from mavnav.gates import parse_gate
+    from mavnav.jobs import usable_cores
+
+    shared = {
+        key: value for key, value in (("odom", odom), ("final_pass", False if online else None)) if value is not None
+    }
+    options = {"topic": topic, "start_s": start, "end_s": end, "extrinsic": pose(extrinsic) if extrinsic else None}
+    for log in logs or []:
+        if not log.exists():
+            raise UsageError(f"{log}: no such file; name a log")
+    bounds = tuple(map(parse_gate, gates or []))
+    with reporting(quiet=quiet) as report:
+        with loading_kernels(report):
+            from mavnav import compare as pipeline
+        request = pipeline.Request(
+            logs=tuple(logs or ()),
+            configs=tuple(pipeline.settings(config, sets or (), methods or (), grids or (), azimuths or (), shared)),
+            directory=directory or pipeline.default_directory(logs or ()),
+            workers=jobs or usable_cores(),
+            gates=bounds,
+            options=options,
+            force=force,
+        )
+        plan = pipeline.plan(request, report)
+    with watching([cell.name for cell in plan.missing], quiet=quiet) as listen:
+        document = pipeline.compare(plan, listen)
+    _tell(document, request.directory, json=json)
+    raise typer.Exit(document["exit_code"])
+
+
+def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
+    """Print the result on stdout, and on stderr what the user must not miss."""
+    from mavnav.compare.files import problems
+
+    if json:
+        from json import dumps
+
+        emit(dumps(document, indent=2))
+    else:
+        print_comparison(document)
+        emit(f"\n{directory / 'comparison.md'}")
+    for problem in problems(document):
+        note(f"mavnav: error: {problem}")

@@ -1,0 +1,115 @@
+"""A comparison on a terminal: a line for every cell, winners marked, bars behind the figures that matter most."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+from mavnav.commands.terminal import console, printable
+
+if TYPE_CHECKING:
+    from rich.table import Table
+    from rich.text import Text
+
+    from mavnav.compare.figures import Figure
+
+BARRED = {"wall_thickness.2.p95_mm", "timing.cpu_s"}
+"""Figures that are shown with a bar."""
+
+BAR_WIDTH = 6
+EIGHTHS = " ▏▎▍▌▋▊▉█"
+
+WIDE = 200
+"""Columns where the output goes to no terminal, so that no line is folded."""
+
+
+def print_comparison(document: dict[str, Any]) -> None:
+    """Print the table of comparison.json on stdout."""
+    out = console()
+    if not out.is_terminal:
+        out.width = WIDE
+    out.print(_table(document))
+
+
+def _table(document: dict[str, Any]) -> Table:
+    from rich.table import Table
+
+    from mavnav.compare.figures import FIGURES
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    known = [figure for figure in FIGURES if any(_value(cell, figure) is not None for cell in document["cells"])]
+    several = len(document["logs"]) > 1
+    for title in (*(["log"] if several else []), "method", "grid"):
+        table.add_column(title, overflow="fold")
+    for title in (*(figure.title for figure in known), "evaluations", "cpu"):
+        table.add_column(title, justify="right", no_wrap=True)
+    table.columns[-2].header, table.columns[-1].header = "evals x", "cpu x"
+    table.add_column("", overflow="fold")
+    for k, cell in enumerate(document["cells"]):
+        log = [_text(cell["log"])] if several else []
+        figures = [_figure(document, k, figure) for figure in known]
+        prices = [_text(_price(document, name, k)) for name in ("evaluations", "cpu")]
+        grid = _text(f"{cell['azimuth']}/{cell['grid']}")
+        table.add_row(*log, _text(cell["method"]), grid, *figures, *prices, _text(_state(cell)))
+    return table
+
+
+def _text(text: str, style: str = "") -> Text:
+    from rich.text import Text
+
+    return Text(printable(text), style=style)
+
+
+def _value(cell: dict[str, Any], figure: Figure) -> float | None:
+    from mavnav.compare.figures import value
+
+    return value(cell["run"], figure.name)
+
+
+def _figure(document: dict[str, Any], k: int, figure: Figure) -> Text:
+    """Write a figure, its bar before it, an asterisk behind the winner's."""
+    from mavnav.compare.files import shown, winning
+
+    number = _value(document["cells"][k], figure)
+    won = k in winning(document, figure.name)
+    text = shown(number, figure.form) + ("*" if won else " ")
+    if figure.name in BARRED and number is not None:
+        largest = max(_value(cell, figure) or 0.0 for cell in document["cells"])
+        text = f"{bar(number, largest)} {text}"
+    return _text(text, "bold green" if won else "")
+
+
+def bar(number: float, largest: float) -> str:
+    """Draw a number as a bar of ``BAR_WIDTH`` columns, the largest as a full one; hashes where blocks cannot be."""
+    share = number / largest if largest > 0 else 0.0
+    if not _can_print(EIGHTHS):
+        return ("#" * round(BAR_WIDTH * share)).ljust(BAR_WIDTH)
+    whole, rest = divmod(round(8 * BAR_WIDTH * share), 8)
+    return ("█" * whole + EIGHTHS[rest].strip()).ljust(BAR_WIDTH)
+
+
+def _can_print(text: str) -> bool:
+    try:
+        text.encode(sys.stdout.encoding or "ascii")
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _price(document: dict[str, Any], name: str, k: int) -> str:
+    from mavnav.compare.files import shown
+
+    return shown(document["price"][name][k], "{:.1f}")
+
+
+def _state(cell: dict[str, Any]) -> str:
+    """Say what is not in the figures: that it failed, that it was there, that its map is none."""
+    if cell["status"] == "failed":
+        return f"failed: {cell['error']}"
+    remarks = ["from before"] if cell["status"] == "cached" else []
+    quality = cell["run"].get("map_quality") or {}
+    if quality.get("meaningful", True) is False:
+        remarks.append("map not meaningful")
+    if cell["run"]["tracking"]["lost"]:
+        remarks.append("track lost")
+    return ", ".join(remarks)

@@ -1,0 +1,129 @@
+"""The pipeline of ``mavnav compare``: logs x settings -> replays in processes of their own -> one comparison.
+
+A comparison lives in a directory: ``cells/`` holds a run directory for every cell, and a cell that is there is not run
+again; ``comparison.json``, ``comparison.csv`` and ``comparison.md`` set them side by side.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav.compare.cells import Cell, earlier, make_cells, replay_cell
+from mavnav.compare.document import NO_PRICE, comparison
+from mavnav.compare.files import COMPARISON_FILE, write_comparison
+from mavnav.compare.grids import settings
+from mavnav.compare.sample import sample_log
+from mavnav.errors import OutputError
+from mavnav.gates import judge
+from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs
+from mavnav.outputs.document import plain
+from mavnav.replay import log_name
+from mavnav.staging import discard
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from mavnav.config import Config
+    from mavnav.gates import Gate
+    from mavnav.replay import Progress
+
+__all__ = ["COMPARISON_FILE", "Plan", "Request", "compare", "default_directory", "plan", "settings"]
+
+_OURS: Final = {"cells", "logs", COMPARISON_FILE}
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is asked for: logs (none: the sample), settings, where to, how many at a time, and what must hold.
+
+    ``options`` are further values of the `mavnav.replay.Request` of every cell; ``force`` runs again what is there.
+    """
+
+    logs: tuple[Path, ...]
+    configs: tuple[Config, ...]
+    directory: Path
+    workers: int = 1
+    gates: tuple[Gate, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+    force: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The cells of a comparison, and by key the documents of those that were run before."""
+
+    request: Request
+    cells: tuple[Cell, ...]
+    kept: Mapping[str, dict[str, Any]]
+
+    @property
+    def missing(self) -> list[Cell]:
+        """The cells that are to be run."""
+        return [cell for cell in self.cells if cell.key not in self.kept]
+
+
+def default_directory(logs: Sequence[Path]) -> Path:
+    """Return ``runs/compare-<log>``, or ``runs/compare`` for several logs and for the sample."""
+    return Path("runs") / (f"compare-{log_name(logs[0])}" if len(logs) == 1 else "compare")
+
+
+def plan(request: Request, progress: Progress) -> Plan:
+    """Find out what is to be run and what is there.
+
+    Raises UsageError for logs and files that cannot be read and for gates on unknown names, OutputError where the
+    directory cannot be used: before the work.
+    """
+    _check_directory(request.directory)
+    logs = request.logs or (sample_log(request.directory, progress),)
+    progress("reading", 0, None)
+    found = make_cells(logs, request.configs, request.options, request.directory, force=True)
+    documents = {} if request.force else {cell.key: document for cell in found if (document := earlier(cell))}
+    for document in documents.values():
+        judge(request.gates, document | NO_PRICE)
+    return Plan(request, tuple(found), documents)
+
+
+def _check_directory(directory: Path) -> None:
+    """Raise OutputError where a comparison cannot be put; what is there must be an earlier one."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        strange = bool(names := {path.name for path in directory.iterdir()}) and not names & _OURS
+    except OSError as error:
+        raise OutputError(f"{directory} cannot be used: {error.strerror}; choose another with -o") from error
+    if strange:
+        raise OutputError(f"{directory} holds other files (no {COMPARISON_FILE}); choose another directory with -o")
+    if not os.access(directory, os.W_OK | os.X_OK):
+        raise OutputError(f"{directory} is not writable; choose another with -o")
+
+
+def compare(plan: Plan, on_event: Callable[[Event], None]) -> dict[str, Any]:
+    """Run the missing cells, each in a process of its own, set all side by side, and return comparison.json.
+
+    ``on_event`` hears of the jobs, which are ``plan.missing`` in its order. A cell that fails is named there and takes
+    no other along. Raises UsageError as soon as a result does not have a number that a gate names, OutputError where
+    the comparison cannot be written.
+    """
+    missing = plan.missing
+
+    def watch(event: Event) -> None:
+        if isinstance(event, Ended):
+            _settle(missing[event.index], event.outcome, plan.request.gates)
+        on_event(event)
+
+    jobs = [Job(cell.name, replay_cell, (cell.request,)) for cell in missing]
+    outcomes = run_jobs(jobs, plan.request.workers, watch)
+    ran = dict(zip((cell.key for cell in missing), outcomes, strict=True))
+    document: dict[str, Any] = plain(comparison(plan.cells, plan.kept, ran, plan.request.directory, plan.request.gates))
+    write_comparison(document, plan.request.directory)
+    return document
+
+
+def _settle(cell: Cell, outcome: Outcome, gates: tuple[Gate, ...]) -> None:
+    """Look at the names of the gates as soon as a result has them, and clear away what a dead worker left."""
+    if outcome.fate is Fate.DONE:
+        judge(gates, outcome.value | NO_PRICE)
+    elif outcome.fate is not Fate.FAILED:
+        discard(cell.request.directory, outcome.pid)

@@ -1,0 +1,117 @@
+"""comparison.json: the cells, who is best by each figure, what it costs, and which gates hold."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav import __version__
+from mavnav.compare.figures import PRICES, prices, winners
+from mavnav.errors import ExitCode, worst
+from mavnav.gates import judge
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from mavnav.compare.cells import Cell
+    from mavnav.gates import Gate
+    from mavnav.jobs import Outcome
+
+SCHEMA_VERSION: Final = 1
+
+SECTIONS: Final = (
+    "scans",
+    "tracking",
+    "search",
+    "map",
+    "wall_thickness",
+    "map_quality",
+    "reference",
+    "timing",
+    "exit_code",
+)
+"""What a comparison repeats of every run.json."""
+
+NO_PRICE: Final[dict[str, Any]] = {"price": dict.fromkeys(PRICES)}
+"""What a gate finds under ``price`` before all cells are done."""
+
+
+def comparison(
+    cells: Sequence[Cell],
+    kept: Mapping[str, dict[str, Any]],
+    outcomes: Mapping[str, Outcome],
+    directory: Path,
+    gates: Sequence[Gate],
+) -> dict[str, Any]:
+    """Set cells side by side.
+
+    ``kept`` holds the documents (run.json) of earlier runs by key, ``outcomes`` what became of the others;
+    directories are told from ``directory`` on.
+    """
+    runs = [kept.get(cell.key) or outcomes[cell.key].value for cell in cells]
+    price = prices([_group(cell) for cell in cells], runs)
+    verdicts = [verdict for k, run in enumerate(runs) if run for verdict in _judge(gates, run, price, k)]
+    rows = [_cell(cell, outcomes.get(cell.key), run, directory) for cell, run in zip(cells, runs, strict=True)]
+    logs = _logs(cells, runs)
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "mavnav_version": __version__,
+        "profile": next((run["map_quality"]["profile"] for run in runs if run and run.get("map_quality")), None),
+        "cells": rows,
+        "winners": logs[0]["winners"] if len(logs) == 1 else dict.fromkeys(logs[0]["winners"]),
+        "logs": logs,
+        "price": price,
+        "gates": verdicts,
+        "exit_code": worst([*(row["exit_code"] for row in rows), *(_code(verdict) for verdict in verdicts)]),
+    }
+
+
+def _group(cell: Cell) -> tuple[object, int]:
+    return (cell.request.log, cell.config.method), cell.config.grid.points + cell.config.azimuth
+
+
+def _cell(cell: Cell, outcome: Outcome | None, run: dict[str, Any] | None, directory: Path) -> dict[str, Any]:
+    status = "cached" if outcome is None else "failed" if run is None else "done"
+    return {
+        "name": cell.name,
+        "log": str(cell.request.log),
+        "method": cell.config.method,
+        "grid": str(cell.config.grid),
+        "azimuth": cell.config.azimuth,
+        "key": cell.key,
+        "status": status,
+        "exit_code": int(run["exit_code"] if run else outcome.exit_code if outcome else ExitCode.BUG),
+        "error": outcome.error if outcome and outcome.error else None,
+        "directory": cell.request.directory.relative_to(directory).as_posix() if run else None,
+        "run": {name: run[name] for name in SECTIONS if name in run} if run else None,
+    }
+
+
+def _logs(cells: Sequence[Cell], runs: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]]:
+    """Return for every log its cells and its winners."""
+    groups: dict[Path, list[int]] = {}
+    for k, cell in enumerate(cells):
+        groups.setdefault(cell.request.log, []).append(k)
+    return [
+        {
+            "log": str(log),
+            "cells": group,
+            "winners": {
+                name: None if place is None else group[place]
+                for name, place in winners([runs[k] for k in group]).items()
+            },
+        }
+        for log, group in groups.items()
+    ]
+
+
+def _judge(gates: Sequence[Gate], run: dict[str, Any], price: dict[str, list[Any]], k: int) -> list[dict[str, Any]]:
+    document = run | {"price": {name: price[name][k] for name in PRICES}}
+    return [
+        {"gate": verdict.gate.text, "cell": k, "value": verdict.value, "passed": verdict.passed, "why": verdict.why}
+        for verdict in judge(gates, document)
+    ]
+
+
+def _code(verdict: dict[str, Any]) -> ExitCode:
+    return ExitCode.DONE if verdict["passed"] else ExitCode.GATE_FAILED

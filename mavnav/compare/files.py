@@ -1,0 +1,96 @@
+"""The files of a comparison: comparison.json, and the same as tables for spreadsheets and for merge requests."""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav.compare.figures import FIGURES, PRICES, value
+from mavnav.errors import OutputError
+from mavnav.outputs import to_json
+from mavnav.staging import beside
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+COMPARISON_FILE: Final = "comparison.json"
+
+
+def write_comparison(document: dict[str, Any], directory: Path) -> None:
+    """Write the files of a comparison, each complete or not at all; raises OutputError."""
+    for name, text in TEXTS.items():
+        try:
+            with beside(directory / name) as path:
+                path.write_text(text(document), encoding="utf-8")
+        except OSError as error:
+            raise OutputError(f"{directory / name} cannot be written: {error.strerror or error}; make room") from error
+
+
+def to_csv(document: dict[str, Any]) -> str:
+    """Write a line a cell: what it is, its figures under their names in run.json, and its price."""
+    rows = io.StringIO()
+    table = csv.writer(rows, lineterminator="\n")
+    head = ("log", "method", "grid", "azimuth", "status", "exit_code", "error", "directory")
+    table.writerow([*head, *(figure.name for figure in FIGURES), *(f"price.{name}" for name in PRICES)])
+    for k, cell in enumerate(document["cells"]):
+        figures = [value(cell["run"], figure.name) for figure in FIGURES]
+        table.writerow([*(cell[key] for key in head), *figures, *(document["price"][name][k] for name in PRICES)])
+    return rows.getvalue()
+
+
+def to_markdown(document: dict[str, Any]) -> str:
+    """Write a table of GitHub's kind, the winners bold, and below it what failed."""
+    titles = ["log", "method", "azimuth/grid", *(f.title for f in FIGURES), "evaluations ratio", "cpu ratio"]
+    lines = [f"# mavnav {document['mavnav_version']} compare", "", _row(titles), _row(["---"] * len(titles))]
+    lines += [_row(_cells(document, k)) for k in range(len(document["cells"]))]
+    failed = [f"- {_escaped(problem)}" for problem in problems(document)]
+    return "\n".join([*lines, *(["", *failed] if failed else [])]) + "\n"
+
+
+def _row(texts: list[str]) -> str:
+    return f"| {' | '.join(texts)} |"
+
+
+def _cells(document: dict[str, Any], k: int) -> list[str]:
+    cell = document["cells"][k]
+    texts = [_escaped(cell["log"]), cell["method"], f"{cell['azimuth']}/{cell['grid']}"]
+    for figure in FIGURES:
+        text = shown(value(cell["run"], figure.name), figure.form)
+        texts.append(f"**{text}**" if k in winning(document, figure.name) else text)
+    return texts + [shown(document["price"][name][k], "{:.1f}") for name in ("evaluations", "cpu")]
+
+
+def winning(document: dict[str, Any], figure: str) -> set[int]:
+    """Return the cells that are the best of their log by a figure."""
+    return {log["winners"][figure] for log in document["logs"]} - {None}
+
+
+def shown(number: float | None, form: str) -> str:
+    """Write a number, or a dash where there is none."""
+    return "-" if number is None else form.format(number)
+
+
+def problems(document: dict[str, Any]) -> list[str]:
+    """Return a line for every cell that failed and every gate that did not hold."""
+    failed = [f"{cell['name']}: {cell['error']}" for cell in document["cells"] if cell["status"] == "failed"]
+    gates = [
+        f"{document['cells'][gate['cell']]['name']}: gate {gate['gate']} failed: {gate['why']}"
+        for gate in document["gates"]
+        if not gate["passed"]
+    ]
+    return failed + gates
+
+
+def _escaped(text: str) -> str:
+    """Keep Markdown from taking a log's name for its own marks, or a line's end in it for its own."""
+    plain = "".join(c if c.isprintable() else "?" for c in text)
+    return "".join(f"\\{c}" if c in r"\`*_{}[]<>|#" else c for c in plain)
+
+
+TEXTS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
+    COMPARISON_FILE: to_json,
+    "comparison.csv": to_csv,
+    "comparison.md": to_markdown,
+}

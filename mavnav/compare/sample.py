@@ -1,0 +1,37 @@
+"""The log to compare where none is given: the sample corridor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from mavnav import __version__
+from mavnav.errors import OutputError
+from mavnav.flight import fly
+from mavnav.logs.recorder import record
+from mavnav.simulate import recorded
+from mavnav.world import load_scenario
+
+if TYPE_CHECKING:
+    from mavnav.replay import Progress
+
+SCENARIO: Final = "corridor"
+SETS: Final = ("seed=1", "vehicle.laser_x_mm=60")
+"""How the sample log of a checkout was flown."""
+
+
+def sample_log(directory: Path, progress: Progress) -> Path:
+    """Return the sample log of a checkout; elsewhere fly the same mission, once, and keep it in ``directory``."""
+    shipped = Path(__file__).parents[2] / "sample_logs" / f"{SCENARIO}.mcap"
+    if shipped.is_file():
+        return shipped
+    kept = directory / "logs" / f"{SCENARIO}-{__version__}.mcap"
+    if not kept.is_file():
+        progress(f"recording {kept.name}", 0, None)
+        flight = fly(load_scenario(SCENARIO, SETS), lambda phase, done: progress(phase, done, None))
+        try:
+            kept.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"{kept.parent} cannot be made: {error.strerror}; choose another with -o") from error
+        record(recorded(flight), kept)
+    return kept

@@ -1,0 +1,188 @@
+"""Comparisons: files, cells that are not run again, and cells that fail alone."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from mavnav.compare import Request, compare, plan, settings
+from mavnav.compare.cells import cell_key
+from mavnav.errors import ExitCode, OutputError, UsageError
+from mavnav.gates import parse_gate
+from mavnav.jobs import Ended, Event, Started
+
+SAMPLE = Path(__file__).parents[2] / "sample_logs" / "corridor.mcap"
+GRIDS = ("5x5", "12x12")
+
+
+def silent(phase: str, done: int, total: int | None) -> None:
+    pass
+
+
+def request(directory: Path, *logs: Path, grids: tuple[str, ...] = GRIDS, **more: object) -> Request:
+    configs = settings(None, ["azimuth=6"], (), grids, (), {"final_pass": False})
+    return Request(logs or (SAMPLE,), tuple(configs), directory, options={"end_s": 0.5}, **more)  # type: ignore[arg-type]
+
+
+def run(wanted: Request, on_event: Callable[[Event], None] = lambda event: None) -> dict:
+    return compare(plan(wanted, silent), on_event)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
+    directory = tmp_path_factory.mktemp("comparisons") / "first"
+    return directory, run(request(directory))
+
+
+@pytest.fixture
+def copied(finished: tuple[Path, dict], tmp_path: Path) -> Path:
+    return Path(shutil.copytree(finished[0], tmp_path / "copy"))
+
+
+def test_every_cell_is_a_run(finished: tuple[Path, dict]) -> None:
+    directory, document = finished
+    assert document["exit_code"] == 0
+    assert [(c["grid"], c["azimuth"], c["status"]) for c in document["cells"]] == [(g, 6, "done") for g in GRIDS]
+    for cell in document["cells"]:
+        assert cell["directory"] == f"cells/corridor-robust-{cell['grid']}-{cell['key'][:8]}"
+        ran = json.loads((directory / cell["directory"] / "run.json").read_text())
+        assert ran["grid"] == cell["grid"]
+        assert all(ran[name] == section for name, section in cell["run"].items())
+        assert {"scans", "tracking", "search", "timing", "wall_thickness"} <= set(cell["run"])
+
+
+def test_the_files_say_the_same(finished: tuple[Path, dict]) -> None:
+    directory, document = finished
+    assert {path.name for path in directory.iterdir()} == {
+        "cells",
+        "comparison.json",
+        "comparison.csv",
+        "comparison.md",
+    }
+    assert json.loads((directory / "comparison.json").read_text()) == document
+    rows = list(csv.DictReader((directory / "comparison.csv").read_text().splitlines()))
+    assert [row["grid"] for row in rows] == list(GRIDS)
+    assert float(rows[1]["timing.cpu_s"]) == document["cells"][1]["run"]["timing"]["cpu_s"]
+    assert float(rows[1]["price.evaluations"]) == document["price"]["evaluations"][1] > 1
+    markdown = (directory / "comparison.md").read_text().splitlines()
+    assert {line.count(" | ") for line in markdown[2:]} == {markdown[2].count(" | ")}
+    assert len(markdown) == 2 + 2 + len(GRIDS)
+
+
+def test_what_was_run_is_not_run_again(copied: Path, finished: tuple[Path, dict]) -> None:
+    again = plan(request(copied), silent)
+    assert again.missing == []
+    document = compare(again, lambda event: pytest.fail("nothing is to be run"))
+    assert [cell["status"] for cell in document["cells"]] == ["cached", "cached"]
+    assert document["winners"] == finished[1]["winners"]
+    assert document["price"] == finished[1]["price"]
+
+
+def test_force_runs_again(copied: Path) -> None:
+    assert len(plan(request(copied, force=True), silent).missing) == 2
+
+
+def test_only_what_is_missing_is_run(copied: Path) -> None:
+    wanted = plan(request(copied, grids=("5x5", "6x6")), silent)
+    assert [str(cell.config.grid) for cell in wanted.missing] == ["6x6"]
+
+
+def test_a_torn_run_is_run_again(copied: Path, finished: tuple[Path, dict]) -> None:
+    first, second = (copied / cell["directory"] / "run.json" for cell in finished[1]["cells"])
+    first.write_text("{")
+    second.unlink()
+    assert len(plan(request(copied), silent).missing) == 2
+
+
+def test_the_key_holds_all_that_decides_the_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = Path(shutil.copy(SAMPLE, tmp_path / "a.mcap"))
+
+    def keys(**more: object) -> list[str]:
+        return [cell.key for cell in plan(request(tmp_path / "out", log, **more), silent).cells]  # type: ignore[arg-type]
+
+    first = keys()
+    assert keys() == first
+    moved = Path(shutil.copy(log, tmp_path / "b.mcap"))
+    assert [cell.key for cell in plan(request(tmp_path / "out", moved), silent).cells] == first
+    assert not set(keys(grids=("4x5", "5x4"))) & set(first)
+    wanted = plan(request(tmp_path / "out", log), silent).cells[0].request
+    assert cell_key(wanted, "other log") not in first
+    monkeypatch.setattr("mavnav.compare.cells.__version__", "0.2.0")
+    assert not set(keys()) & set(first)
+    monkeypatch.undo()
+    monkeypatch.setattr("mavnav.compare.cells.source_sha256", lambda: "other code")
+    assert not set(keys()) & set(first)
+
+
+def test_the_same_log_twice_is_one_cell(tmp_path: Path) -> None:
+    assert len(plan(request(tmp_path / "out", SAMPLE, SAMPLE), silent).cells) == 2
+
+
+def test_a_killed_worker_costs_its_cell_alone(tmp_path: Path) -> None:
+    directory = tmp_path / "out"
+
+    def kill_the_first(event: Event) -> None:
+        if isinstance(event, Started) and event.index == 0:
+            os.kill(event.pid, signal.SIGKILL)
+
+    document = run(request(directory), kill_the_first)
+    first, second = document["cells"]
+    assert (first["status"], second["status"]) == ("failed", "done")
+    assert first["error"].startswith("its process was killed by SIGKILL")
+    assert first["run"] is first["directory"] is None
+    assert (first["exit_code"], document["exit_code"]) == (ExitCode.BUG, ExitCode.BUG)
+    assert "corridor.mcap robust 6/5x5: its process was killed" in (directory / "comparison.md").read_text()
+    assert [path.name for path in (directory / "cells").iterdir()] == [second["directory"].removeprefix("cells/")]
+
+    ran: list[int] = []
+    document = run(request(directory), lambda event: ran.append(event.index))
+    assert set(ran) == {0}
+    assert [cell["status"] for cell in document["cells"]] == ["done", "cached"]
+    assert document["exit_code"] == 0
+
+
+def test_a_log_without_scans_fails_alone(tmp_path: Path, copied: Path) -> None:
+    empty = tmp_path / "empty.mcap"
+    empty.write_bytes(b"no log")
+    document = run(request(copied, empty, SAMPLE))
+    assert [cell["status"] for cell in document["cells"]] == ["failed", "failed", "cached", "cached"]
+    assert document["exit_code"] == ExitCode.NO_SCANS
+    assert document["cells"][0]["error"].startswith(str(empty))
+    assert [log["cells"] for log in document["logs"]] == [[0, 1], [2, 3]]
+    assert set(document["logs"][0]["winners"].values()) == {None}
+    assert document["logs"][1]["winners"]["search.evaluations_per_scan.mean"] == 2
+    assert document["price"]["coarsest"] == [None, None, 2, 2]
+
+
+def test_gates_hold_for_every_cell(copied: Path) -> None:
+    gates = (parse_gate("scans.processed>=3"), parse_gate("price.evaluations<=1"))
+    document = run(request(copied, gates=gates))
+    assert [(g["cell"], g["passed"]) for g in document["gates"]] == [(0, True), (0, True), (1, True), (1, False)]
+    assert document["gates"][3]["why"].startswith("it is ")
+    assert document["exit_code"] == ExitCode.GATE_FAILED
+
+
+def test_unknown_gates_stop_before_the_work_or_after_the_first_result(copied: Path, tmp_path: Path) -> None:
+    gates = (parse_gate("scans.procesed>=3"),)
+    with pytest.raises(UsageError, match=r"did you mean scans.processed\?"):
+        plan(request(copied, gates=gates), silent)
+    ended: list[Event] = []
+    with pytest.raises(UsageError, match="did you mean"):
+        run(request(tmp_path / "out", gates=gates), ended.append)
+    assert not [event for event in ended if isinstance(event, Ended)]
+    assert len(list((tmp_path / "out" / "cells").iterdir())) == 1
+
+
+def test_a_directory_of_something_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("")
+    with pytest.raises(OutputError, match="holds other files"):
+        plan(request(tmp_path), silent)
+    with pytest.raises(OutputError, match="cannot be used"):
+        plan(request(tmp_path / "thesis.tex"), silent)

@@ -1,0 +1,73 @@
+"""Who wins, and what it costs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mavnav.compare.figures import FIGURES, prices, winners
+
+
+def run(p95: float | None = 100.0, *, cpu_s: float = 1.0, code: int = 0, cell_mm: float = 20.0, **more: Any) -> dict:
+    return {
+        "exit_code": code,
+        "map": {"accepted_share": 1.0, "cell_mm": cell_mm},
+        "wall_thickness": {"2": {"p95_mm": p95, "max_mm": 200.0}},
+        "search": {"evaluations_per_scan": {"mean": 1000.0 * cpu_s}},
+        "timing": {"cpu_s": cpu_s, "wall_s": 2 * cpu_s},
+        **more,
+    }
+
+
+def quality(*, meaningful: bool = True, cells_per_m: float | None = None) -> dict[str, Any]:
+    return {"meaningful": meaningful, "crispness": {"occupied_cells_per_m": cells_per_m}}
+
+
+P95, CPU, MAPPED, CELLS = (
+    "wall_thickness.2.p95_mm",
+    "timing.cpu_s",
+    "map.accepted_share",
+    "map_quality.crispness.occupied_cells_per_m",
+)
+
+
+def test_the_least_or_the_most_wins() -> None:
+    found = winners([run(100, cpu_s=1), run(80, cpu_s=2), run(90, cpu_s=3)])
+    assert (found[P95], found[CPU], found[MAPPED]) == (1, 0, None)
+    assert set(found) == {figure.name for figure in FIGURES}
+    mapped = [run(map={"accepted_share": share, "cell_mm": 20}) for share in (0.2, 0.9)]
+    assert winners(mapped)[MAPPED] == 1
+
+
+def test_of_two_best_the_coarser_wins_and_of_all_equal_nobody() -> None:
+    assert winners([run(100), run(80), run(80)])[P95] == 1
+    assert winners([run(80), run(80)])[P95] is None
+
+
+def test_failed_lost_and_meaningless_maps_never_win() -> None:
+    empty = run(1, map_quality=quality(meaningful=False))
+    found = winners([None, run(2, code=5), empty, run(None), run(90), run(95)])
+    assert found[P95] == 4
+    assert set(winners([None, empty]).values()) == {None}
+
+
+def test_damaged_input_may_win() -> None:
+    assert winners([run(100), run(80, code=3)])[P95] == 1
+
+
+def test_cells_of_another_size_are_not_counted_against_each_other() -> None:
+    runs = [run(map_quality=quality(cells_per_m=60)), run(map_quality=quality(cells_per_m=50))]
+    assert winners(runs)[CELLS] == 1
+    runs[1]["map"]["cell_mm"] = 14
+    assert winners(runs)[CELLS] is None
+
+
+def test_prices_are_ratios_to_the_coarsest_of_the_group() -> None:
+    groups = [("a", 440), ("a", 35), ("b", 35), ("b", 120), ("c", 35)]
+    found = prices(groups, [run(cpu_s=6), run(cpu_s=2), None, run(cpu_s=5), None])
+    assert found["coarsest"] == [1, 1, 3, 3, None]
+    assert found["cpu"] == [3.0, 1.0, None, 1.0, None]
+    assert found["evaluations"] == found["seconds"] == found["cpu"]
+
+
+def test_nothing_is_divided_by_zero() -> None:
+    assert prices([("a", 1), ("a", 2)], [run(cpu_s=0), run(cpu_s=1)])["cpu"] == [None, None]

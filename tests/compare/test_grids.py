@@ -1,0 +1,63 @@
+"""Grids, azimuth grids and methods of a comparison."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mavnav.compare.grids import paired_azimuth, settings
+from mavnav.config import Config, GridSize
+from mavnav.errors import ConfigError, UsageError
+
+
+def chosen(*grids: str, azimuths: tuple[int, ...] = (), methods: tuple[str, ...] = (), sets: tuple[str, ...] = ()):
+    return [(c.method, c.azimuth, str(c.grid)) for c in settings(None, sets, methods, grids, azimuths, {})]
+
+
+def test_the_papers_pairs() -> None:
+    pairs = {n: paired_azimuth(GridSize(nx=n, ny=n)) for n in (5, 10, 20, 40, 80)}
+    assert pairs == {5: 10, 10: 20, 20: 40, 40: 40, 80: 40}
+    assert paired_azimuth(GridSize(nx=4, ny=9)) == 18
+    assert paired_azimuth(Config().grid) == Config().azimuth
+
+
+def test_no_grid_means_the_papers_three() -> None:
+    assert chosen() == [("robust", 10, "5x5"), ("robust", 20, "10x10"), ("robust", 40, "20x20")]
+
+
+def test_one_grid_is_compared_with_the_default() -> None:
+    assert chosen("20x20") == [("robust", 20, "10x10"), ("robust", 40, "20x20")]
+    assert chosen("5x5") == [("robust", 10, "5x5"), ("robust", 20, "10x10")]
+    assert chosen("10x10") == [("robust", 20, "10x10")]
+    assert chosen("20x20", sets=("grid=8x8",)) == [("robust", 16, "8x8"), ("robust", 40, "20x20")]
+
+
+def test_azimuth_for_all_for_each_and_for_the_one() -> None:
+    assert chosen("20x20", "5x5", azimuths=(30,)) == [("robust", 30, "5x5"), ("robust", 30, "20x20")]
+    assert chosen("20x20", "5x5", azimuths=(40, 9)) == [("robust", 9, "5x5"), ("robust", 40, "20x20")]
+    assert chosen("20x20", azimuths=(50,)) == [("robust", 20, "10x10"), ("robust", 50, "20x20")]
+    assert chosen("20x20", "20x20", azimuths=(40, 20)) == [("robust", 20, "20x20"), ("robust", 40, "20x20")]
+    with pytest.raises(UsageError, match="3 values of --azimuth for 2 grids"):
+        chosen("20x20", "5x5", azimuths=(1, 2, 3))
+
+
+def test_a_configured_azimuth_goes_with_every_grid(tmp_path: Path) -> None:
+    assert chosen("20x20", "5x5", sets=("azimuth=25",)) == [("robust", 25, "5x5"), ("robust", 25, "20x20")]
+
+
+def test_methods_bring_their_presets() -> None:
+    found = settings(None, (), ("paper", "robust"), ("5x5", "6x6"), (), {"odom": "auto"})
+    assert [(c.method, str(c.grid), c.final_pass) for c in found] == [
+        ("paper", "5x5", False),
+        ("paper", "6x6", False),
+        ("robust", "5x5", True),
+        ("robust", "6x6", True),
+    ]
+    assert len(chosen("5x5", "6x6", methods=("paper", "paper"))) == 2
+
+
+def test_values_that_no_configuration_takes() -> None:
+    for grids, azimuths, methods in ((("5",), (), ()), (("5x5", "6x6"), (1,), ()), (("5x5",), (), ("best",))):
+        with pytest.raises(ConfigError):
+            chosen(*grids, azimuths=azimuths, methods=methods)
