@@ -125,7 +125,7 @@ def test_rooms_neither_print_nor_exit(path: Path) -> None:
 
 @pytest.mark.parametrize(
     "args",
-    [["--help"], ["replay", "--help"], ["simulate", "--help"], ["compare", "--help"], ["info", "--help"], ["config", "--help"]],
+    [["--help"], *([command, "--help"] for command in ("replay", "simulate", "compare", "info", "config"))],
     ids=" ".join,
 )
 def test_help_imports_no_heavy_library(args: list[str]) -> None:
