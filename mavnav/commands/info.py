@@ -88,8 +88,8 @@ def _unused_counts(found: Survey) -> dict[str, Any]:
     skipped: dict[str, int] = {}
     if len(found.scans) == 1:
         scans = next(iter(found.scans.values()))
-        skipped = dict(sorted((scans.refused + scans.timeline().skipped).items()))
-    return {"total": total, "usable": 0, "skipped": skipped}
+        skipped = dict(sorted((scans.refused + scans.timeline(found.window_s).skipped).items()))
+    return {"total": total, "usable": 0, "skipped": skipped, "suspect": 0}
 
 
 def _sensor(log: Log) -> dict[str, Any]:

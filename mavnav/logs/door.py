@@ -8,7 +8,6 @@ not valid becomes NaN, and is counted by kind.
 from __future__ import annotations
 
 from math import isfinite, isnan, tau
-from sys import float_info
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -26,6 +25,12 @@ KINDS: Final = ("valid", "zero", "below_min", "above_max", "nan", "plus_inf", "m
 _VALID, _ZERO, _BELOW, _ABOVE, _NAN, _PLUS, _MINUS, _NEGATIVE = range(len(KINDS))
 
 _SMALLEST_M: Final = 5e-324
+FARTHEST_M: Final = 250.0
+"""No planar laser sees farther; a reading beyond is no return, whatever the limits say."""
+
+_LOOKED_AT: Final = 20
+"""So many scans decide on the unit of the ranges."""
+
 _MOST_TURNS: Final = 1.1
 """A scan may overlap itself a little; one of several turns has a wrong increment."""
 
@@ -48,7 +53,7 @@ def clean(
         (beams,) float64 with NaN for no return, and (8,) the number of beams of each of ``KINDS``.
     """
     cleaned = ranges_m.astype(np.float64)
-    lowest, highest = max(range_min_m, _SMALLEST_M), min(range_max_m, float_info.max)
+    lowest, highest = max(range_min_m, _SMALLEST_M), min(range_max_m, FARTHEST_M)
     odd = ~((cleaned >= lowest) & (cleaned <= highest))
     counts = _count(cleaned[odd], lowest, len(cleaned))
     cleaned[odd] = np.nan
@@ -74,7 +79,8 @@ def _count(odd_m: NDArray[np.float64], lowest_m: float, beams: int) -> NDArray[n
 class Door:
     """The cleaning of one topic's scans; remembers the last geometry, so that equal scans share one LaserSpec.
 
-    ``warn`` takes a line about something odd that was put right.
+    ``warn`` takes a line about something odd that was put right. ``doubt`` says, in the end, why the topic as a whole
+    cannot be what it claims: its ranges or angles are of another unit.
     """
 
     def __init__(self, topic: str, warn: Callable[[str], None]) -> None:
@@ -82,10 +88,36 @@ class Door:
         self._warn = warn
         self._key: tuple[float | None, ...] = ()
         self._spec: LaserSpec | None = None
+        self._looked_at = 0
+        self._far, self._positive = 0, 0
+        self._turns = ""
+
+    @property
+    def doubt(self) -> str:
+        """The reason to refuse the whole topic, empty where there is none."""
+        if self._far * 2 > self._positive:
+            text = "more than half of the ranges lie beyond 250 m: they look like millimetres, not metres"
+            return f"{text}; divide them by 1000, range_min and range_max too"
+        return self._turns if self._spec is None else ""
+
+    def _look_at_units(self, ranges_m: NDArray[np.floating]) -> None:
+        """Count what is too far; the farthest value of a scan may be a driver's word for no return."""
+        self._looked_at += 1
+        finite = ranges_m[np.isfinite(ranges_m) & (ranges_m > 0)]
+        far = finite[finite > FARTHEST_M]
+        self._positive += len(finite)
+        self._far += int(np.count_nonzero(far < far.max())) if len(far) else 0
 
     def admit(self, message: LaserMessage) -> tuple[LaserSpec, NDArray[np.float64], NDArray[np.int64]] | str:
         """Return geometry, cleaned ranges and counts; or, in a word, the reason why the scan is unusable."""
+        if self._looked_at < _LOOKED_AT:
+            self._look_at_units(message.ranges_m)
         if reason := _refusal(message):
+            if reason == "impossible_geometry" and _in_degrees(message):
+                self._turns = (
+                    f"{len(message.ranges_m)} beams of angle_increment {message.angle_step_rad:g} are more than a turn:"
+                    " the angles look like degrees, and LaserScan is in radians"
+                )
             return reason
         spec = self._spec_of(message)
         cleaned, counts = clean(message.ranges_m, spec.range_min_m, spec.range_max_m)
@@ -141,6 +173,11 @@ def _refusal(message: LaserMessage) -> str | None:
         return "zero_angle_increment"
     too_wide = abs(message.angle_step_rad) * (beams - 1) > _MOST_TURNS * tau
     return "impossible_geometry" if too_wide or abs(message.angle_min_rad) > 2 * tau else None
+
+
+def _in_degrees(message: LaserMessage) -> bool:
+    turn = abs(message.angle_step_rad) * (len(message.ranges_m) - 1)
+    return 20.0 < turn <= 400.0
 
 
 def _limits(message: LaserMessage) -> tuple[float, float]:

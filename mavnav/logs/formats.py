@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from mavnav.logs import mcap_file, rosbag1, sqlite_file
+from mavnav.logs import mcap_file, mcap_records, rosbag1, sqlite_file
 from mavnav.logs.rosbag2 import METADATA, storage_files
 from mavnav.logs.unpack import ZSTD_MAGIC, first_bytes, unpacked_file
 
@@ -18,16 +18,25 @@ if TYPE_CHECKING:
 
 UNKNOWN = "unknown"
 _HEAD_BYTES = 16
+_OLD_BAG = re.compile(rb"#ROS(?:BAG|RECORD|LOG) V(1\.[01])")
+_SEARCH_BYTES = 1 << 16
+_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _STORAGES = {"rosbag2-sqlite3": "rosbag2-sqlite3", "mcap": "rosbag2-mcap"}
 
 
 def sniff(path: Path) -> str:
     """Name the format of a file or folder by its content; ``UNKNOWN`` where it is no log that is read here.
 
-    ``-zstd`` is appended where the whole file is compressed with zstd.
+    ``-zstd`` is appended where the whole file is compressed with zstd. A magic of which a quarter is wrong, or that
+    stands a little further on, or at the end (MCAP), will do.
     """
     if path.is_dir():
         return _sniff_folder(path)
+    name = _sniff_strictly(path)
+    return _sniff_damaged(path) if name == UNKNOWN else name
+
+
+def _sniff_strictly(path: Path) -> str:
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
     if head.startswith(ZSTD_MAGIC):
@@ -40,9 +49,23 @@ def _sniff_head(head: bytes) -> str:
     return next((name for magic, name in MAGICS.items() if head.startswith(magic)), UNKNOWN)
 
 
+def _sniff_damaged(path: Path) -> str:
+    with path.open("rb") as file:
+        head = file.read(_SEARCH_BYTES)
+        file.seek(max(path.stat().st_size - _HEAD_BYTES, 0))
+        tail = file.read()
+    if _OLD_BAG.match(head):
+        return UNKNOWN
+    for magic, name in MAGICS.items():
+        wrong = sum(a != b for a, b in zip(magic, head, strict=False)) + max(len(magic) - len(head), 0)
+        further = name != "rosbag2-sqlite3" and magic in head
+        if wrong <= len(magic) // 4 or further or (name == "mcap" and tail.endswith(magic)):
+            return name
+    return UNKNOWN
+
+
 def _sniff_folder(folder: Path) -> str:
-    files = [file for file in sorted(folder.iterdir()) if file.is_file()]
-    inner = next((name for name in map(sniff, files) if name != UNKNOWN), UNKNOWN)
+    inner = next((sniff(file) for file in sorted(folder.iterdir()) if _is_storage(file)), UNKNOWN)
     storage, _, packed = inner.partition("-zstd")
     if storage in _STORAGES:
         return _STORAGES[storage] + ("-zstd" if inner.endswith("-zstd") else packed)
@@ -55,7 +78,11 @@ def parts(path: Path, ledger: Ledger) -> list[Path]:
 
 
 def _is_storage(path: Path) -> bool:
-    return sniff(path) != UNKNOWN
+    """Tell whether a file of a folder is a log: by its content, or by its name where its beginning is broken."""
+    if not path.is_file():
+        return False
+    named = any(path.name.endswith(suffix) for suffix in _SUFFIXES)
+    return _sniff_strictly(path) != UNKNOWN or (named and sniff(path) != UNKNOWN)
 
 
 def read(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
@@ -88,16 +115,17 @@ def refusal(path: Path) -> str:
         head = file.read(_HEAD_BYTES)
     if not head:
         return "the file is empty"
-    if old := re.match(rb"#ROS(?:BAG|RECORD) V([0-9.]+)", head):
-        return f"a ROS 1 bag of format {old[1].decode()}; only 2.0 is read, convert it with `rosbag fix`"
+    if old := _OLD_BAG.match(head):
+        return f"a ROS 1 bag of format {old[1].decode()}; only 1.2 and 2.0 are read, convert it with `rosbag fix`"
     if head.startswith(ZSTD_MAGIC):
         return "compressed with zstd, but the start of what is inside is no log, or does not decompress"
     return "not an MCAP file, ROS 1 bag or ROS 2 bag"
 
 
 MAGICS: dict[bytes, str] = {
-    mcap_file.MAGIC: "mcap",
+    mcap_records.MAGIC: "mcap",
     rosbag1.MAGIC: "rosbag1",
+    rosbag1.OLD_MAGIC: "rosbag1",
     sqlite_file.MAGIC: "rosbag2-sqlite3",
 }
 READERS: dict[str, Callable[[Path, Ledger], Iterator[RawMessage]]] = {

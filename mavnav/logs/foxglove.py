@@ -81,7 +81,7 @@ def _message_class(channel: Channel) -> Any:  # noqa: ANN401  (generated at run 
 
     pool = descriptor_pool.DescriptorPool()
     try:
-        for file in descriptor_pb2.FileDescriptorSet.FromString(channel.schema).file:
+        for file in descriptor_pb2.FileDescriptorSet.FromString(channel.schema.data).file:
             pool.Add(file)
         return message_factory.GetMessageClass(pool.FindMessageTypeByName(channel.type))
     except (ProtobufError, KeyError, TypeError, ValueError) as error:

@@ -33,6 +33,11 @@ class Ledger:
         """Note a channel, with or without messages; return the one to use for it."""
         return self.channels.setdefault((channel.topic, channel.type, channel.encoding), channel)
 
+    def only(self, message_type: str) -> Channel | None:
+        """Return the channel of this type, if there is just one."""
+        found = [channel for channel in self.channels.values() if channel.type == message_type]
+        return found[0] if len(found) == 1 else None
+
     def damage(self, what: str, where: str) -> None:
         """Note something that could not be read, or is suspect."""
         if len(self._damage) < MAX_DAMAGE:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final, Literal
 
 from mavnav.errors import NoScansError, TopicError
 from mavnav.logs import formats
@@ -13,7 +13,7 @@ from mavnav.logs.frames import BASE_FRAMES, mounting
 from mavnav.logs.ledger import Ledger
 from mavnav.logs.messages import DecodeError
 from mavnav.logs.records import Damage, Gap, Odometry, ScanCounts, Topic
-from mavnav.logs.stamps import StampGate, StampSource, period_and_gaps
+from mavnav.logs.stamps import StampSource, Timeline, period_and_gaps
 from mavnav.logs.survey import Survey, survey
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
@@ -22,8 +22,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from mavnav.logs.messages import LaserMessage
     from mavnav.logs.stamps import TopicScans
+
+_MOST_WAITING: Final = 64
+_WAITING_BYTES: Final = 64 << 20
 
 
 @dataclass(frozen=True)
@@ -57,6 +63,9 @@ class Log:
     odometry: Odometry | None
     damage: tuple[Damage, ...]
     warnings: tuple[str, ...]
+    strict: bool
+    _order: NDArray[np.int64] = field(repr=False, compare=False)
+    _stamps_ns: NDArray[np.int64] = field(repr=False, compare=False)
 
     @property
     def duration_s(self) -> float:
@@ -64,24 +73,40 @@ class Log:
         return (self.last_ns - self.first_ns) * 1e-9
 
     def scans(self) -> Iterator[Scan]:
-        """Read the usable scans again from the file: cleaned, stamps strictly ascending, in constant memory."""
+        """Read the usable scans again from the file: cleaned, stamps strictly ascending, in constant memory.
+
+        Scans that come early in the file wait for their turn. Only so many may wait; where more would have to, the file
+        is read again.
+        """
+        ranks = dict(zip(self._order.tolist(), range(len(self._order)), strict=True))
+        most = max(_MOST_WAITING, _WAITING_BYTES // (8 * self.sensor.beams))
+        due, before = 0, -1
+        while before < due < len(ranks):
+            before = due
+            waiting: dict[int, Scan] = {}
+            for number, (spec, ranges_m) in enumerate(self._admitted()):
+                rank = ranks.get(number, -1)
+                if due <= rank < due + most:
+                    waiting[rank] = Scan(int(self._stamps_ns[rank]), ranges_m, spec)
+                while due in waiting:
+                    yield waiting.pop(due)
+                    due += 1
+
+    def _admitted(self) -> Iterator[tuple[LaserSpec, NDArray[np.float64]]]:
+        """Yield the scans that the door admits, in the order of the file."""
         ledger = Ledger()  # the survey told everything already
         door = Door(self.topic, ledger.warn)
-        gate = StampGate(*self.window_s)
-        for message, log_ns in _laser_messages(self.path, self.topic, ledger):
+        for message in _laser_messages(self.path, self.topic, ledger, strict=self.strict):
             admitted = door.admit(message)
-            if isinstance(admitted, str):
-                continue
-            stamp_ns = message.stamp_ns if self.stamp_source == "header" else log_ns
-            if gate.refusal(stamp_ns) is None:
+            if not isinstance(admitted, str):
                 spec, ranges_m, _ = admitted
-                yield Scan(stamp_ns, ranges_m, spec)
+                yield spec, ranges_m
 
 
-def _laser_messages(path: Path, topic: str, ledger: Ledger) -> Iterator[tuple[LaserMessage, int]]:
+def _laser_messages(path: Path, topic: str, ledger: Ledger, *, strict: bool) -> Iterator[LaserMessage]:
     decoders: dict[object, Callable[[bytes], LaserMessage] | None] = {}
-    for channel, log_ns, data in formats.read(path, ledger):
-        if channel.topic != topic or not is_laser(channel):
+    for channel, _, data, suspect in formats.read(path, ledger):
+        if channel.topic != topic or not is_laser(channel) or (strict and suspect):
             continue
         try:
             if channel not in decoders:
@@ -89,7 +114,7 @@ def _laser_messages(path: Path, topic: str, ledger: Ledger) -> Iterator[tuple[La
                 decoders[channel] = decoder(channel)
             decode = decoders[channel]
             if decode is not None:
-                yield decode(data), log_ns
+                yield decode(data)
         except DecodeError:
             continue
 
@@ -103,6 +128,7 @@ def open_log(
     end_s: float | None = None,
     extrinsic: Pose | None = None,
     progress: Callable[[int, int], None] | None = None,
+    strict: bool = False,
 ) -> Log:
     """Survey a log and choose what to use of it.
 
@@ -120,6 +146,8 @@ def open_log(
         ``base_T_laser``, in place of what the log tells.
     progress
         Called now and then with the bytes done and in all.
+    strict
+        Leave out scans from where a checksum does not match.
 
     Raises
     ------
@@ -130,7 +158,7 @@ def open_log(
     NoScansError
         No log, or no usable scan in it.
     """
-    found = survey(path, topic=topic, start_s=start_s, end_s=end_s, progress=progress)
+    found = survey(path, topic=topic, start_s=start_s, end_s=end_s, progress=progress, strict=strict)
     return choose(found, topic=topic, odom=odom, extrinsic=extrinsic)
 
 
@@ -138,9 +166,11 @@ def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extri
     """Choose topic, odometry and mounting of a surveyed log; raises TopicError and NoScansError."""
     name = _choose_topic(found, topic)
     scans = found.scans[name]
-    timeline = scans.timeline()
+    if scans.doubt:
+        raise NoScansError(f"{found.path}: {name}: {scans.doubt}")
+    timeline = scans.timeline(found.window_s)
     if timeline.first is None:
-        raise NoScansError(_no_usable(found, name, scans))
+        raise NoScansError(_no_usable(found, name, scans, timeline))
     sensor, frame_id = timeline.first
     period_s, gaps = period_and_gaps(timeline.stamps_ns)
     skipped = dict(sorted((scans.refused + timeline.skipped).items()))
@@ -153,13 +183,13 @@ def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extri
         topic=name,
         frame_id=frame_id,
         sensor=sensor,
-        counts=ScanCounts(scans.total, len(timeline.stamps_ns), skipped),
+        counts=ScanCounts(scans.total, len(timeline.order), skipped, timeline.suspect),
         cleaning=dict(zip(KINDS, timeline.cleaning.tolist(), strict=True)),
-        first_ns=timeline.stamps_ns[0],
-        last_ns=timeline.stamps_ns[-1],
+        first_ns=int(timeline.stamps_ns[0]),
+        last_ns=int(timeline.stamps_ns[-1]),
         period_s=period_s,
         gaps=gaps,
-        stamp_source=scans.source(),
+        stamp_source=timeline.source,
         window_s=found.window_s,
         base_T_laser=None,
         mounting_source=None,
@@ -167,6 +197,9 @@ def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extri
         odometry=None,
         damage=found.damage,
         warnings=found.warnings,
+        strict=found.strict,
+        _order=timeline.order,
+        _stamps_ns=timeline.stamps_ns,
     )
     return _with_motion(log, found, odom, extrinsic)
 
@@ -201,8 +234,8 @@ def _no_scans(found: Survey) -> str:
     return f"{found.path}: no LaserScan messages; topics here: {kinds}"
 
 
-def _no_usable(found: Survey, name: str, scans: TopicScans) -> str:
-    reasons = ", ".join(f"{count} {reason}" for reason, count in (scans.refused + scans.timeline().skipped).items())
+def _no_usable(found: Survey, name: str, scans: TopicScans, timeline: Timeline) -> str:
+    reasons = ", ".join(f"{count} {reason}" for reason, count in (scans.refused + timeline.skipped).items())
     hint = "; check --start and --end" if any(end is not None for end in found.window_s) else ""
     return f"{found.path}: none of the {scans.total} scans on {name} is usable ({reasons}){hint}"
 

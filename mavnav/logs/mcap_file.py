@@ -1,7 +1,7 @@
 """MCAP: the records in the order of the file, so that neither index nor summary is needed.
 
-Format: https://mcap.dev/spec. A file is magic, records of ``opcode u8, length u64, content``, magic.
-Everything is little-endian; a chunk's content is records again, compressed as a whole, guarded by a CRC-32.
+Whatever a record, chunk or summary claims is compared with what is there; where bytes are no record, reading goes on at
+the next that is.
 """
 
 from __future__ import annotations
@@ -10,194 +10,276 @@ import struct
 import zlib
 from dataclasses import dataclass, field
 from io import BytesIO
-from typing import IO, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
+from mavnav.logs.guess import LASER, channel_of, laser_encoding
 from mavnav.logs.ledger import Ledger
-from mavnav.logs.records import Channel, RawMessage, ros_type
+from mavnav.logs.mcap_records import (
+    HEAD,
+    MAGIC,
+    MESSAGE_HEAD,
+    PRIVATE,
+    Fields,
+    Op,
+    Record,
+    chunk_head,
+    find_record,
+    is_boundary,
+    record_at,
+)
+from mavnav.logs.records import Channel, RawMessage, Schema, ros_type
+from mavnav.logs.source import Source
 from mavnav.logs.unpack import MAX_CHUNK_BYTES, UnpackError, unpack
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-MAGIC = b"\x89MCAP0\r\n"
-
-_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END = 1, 2, 3, 4, 5, 6, 0x0B, 0x0F
-_WANTED = frozenset({_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END})
-_RECORD = struct.Struct("<BQ")
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
-_FOOTER_HEAD = struct.Struct("<BQQ")
-_FOOTER_BYTES = 20
-_CHUNK_HEAD = struct.Struct("<QQQI")
+_READ = frozenset({Op.HEADER, Op.FOOTER, Op.SCHEMA, Op.CHANNEL, Op.MESSAGE, Op.CHUNK, Op.STATISTICS, Op.DATA_END})
+_IN_CHUNKS = frozenset({Op.SCHEMA, Op.CHANNEL, Op.MESSAGE})
 _BLOCK_BYTES = 1 << 20
+_SEARCH_BYTES = 1 << 16
+_FOOTER_BYTES = 20
 _ENCODING_OF_SCHEMA = {"ros2msg": "cdr", "ros2idl": "cdr", "ros1msg": "ros1"}
+_NO_SCHEMA = Schema()
 
 
 @dataclass
 class _State:
-    """What the records read so far have told."""
+    """What the records read so far have told.
+
+    ``crc`` is the data section's, None once bytes were lost. In a ``suspect`` chunk the summary's channels are believed
+    over the chunk's own.
+    """
 
     ledger: Ledger
-    schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
+    schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     spare: dict[int, Channel] = field(default_factory=dict)
     strangers: set[int] = field(default_factory=set)
     messages: int = 0
-    ended: bool = False
+    crc: int | None = 0
+    closed: bool = False
+    suspect: bool = False
+
+    def begin(self) -> None:
+        """Forget what belongs to the file before, where several lie one behind the other."""
+        self.schemas, self.channels, self.strangers = {}, {}, set()
+        self.messages, self.crc, self.closed = 0, None, False
 
 
 def read_mcap(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
     """Yield the messages of an MCAP file, in the order of the file, in constant memory.
 
-    What cannot be read (a cut record, a chunk that does not decompress or whose CRC does not match, a message of
-    an undeclared channel) is left out and noted.
+    What cannot be read is left out and noted. What is read from a chunk whose CRC does not match, or that does not
+    decompress to its end, is suspect, and noted as well.
     """
     state = _State(ledger)
     with path.open("rb") as file:
-        size = path.stat().st_size
-        state.spare = _summary_channels(file, size)
-        file.seek(len(MAGIC))
-        for opcode, content, offset in _file_records(file, size, state):
-            if opcode == _CHUNK:
-                yield from _chunk_messages(content, f"chunk at byte {offset}", state)
-            else:
-                yield from _take(opcode, content, f"byte {offset}", state)
+        source = Source(file, path.stat().st_size)
+        state.spare = _summary_channels(source, ledger)
+        start = max(source.read(0, _SEARCH_BYTES).find(MAGIC), 0)
+        if start or source.read(0, len(MAGIC)) != MAGIC:
+            ledger.damage("the file does not begin with the magic of MCAP", source.where(0))
+        for record in _records(source, start, state):
+            ledger.at(record.start)
+            if record.opcode == Op.CHUNK:
+                yield from _chunk_messages(source, record, state)
+            elif record.opcode in _READ:
+                content = source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES))
+                yield from _take(record.opcode, content, source.where(record.start), state)
+        if not state.closed:
+            ledger.damage("the file ends without a footer; it was cut or not closed", source.where(source.size))
 
 
-def _summary_channels(file: IO[bytes], size: int) -> dict[int, Channel]:
+def _summary_channels(source: Source, ledger: Ledger) -> dict[int, Channel]:
     """Return the channels that the summary repeats: needed only where the chunk that declares them is damaged."""
-    spare = _State(Ledger())
-    footer_at = size - len(MAGIC) - _RECORD.size - _FOOTER_BYTES
-    file.seek(max(footer_at, 0))
-    opcode, length, start = _FOOTER_HEAD.unpack(file.read(_FOOTER_HEAD.size).ljust(_FOOTER_HEAD.size, b"\0"))
-    if opcode != _FOOTER or length != _FOOTER_BYTES or not 0 < start < footer_at:
+    footer_at = source.size - len(MAGIC) - HEAD.size - _FOOTER_BYTES
+    record = record_at(source, footer_at) if footer_at > 0 else None
+    if record is None or record.opcode != Op.FOOTER:
         return {}
-    file.seek(start)
-    summary = file.read(min(footer_at - start, MAX_CHUNK_BYTES))
-    for record, content in _split(summary, "summary", spare):
-        if record in (_SCHEMA, _CHANNEL):
-            for _ in _take(record, content, "summary", spare):
+    footer = source.read(record.start, _FOOTER_BYTES)
+    start, _, crc = struct.unpack("<QQI", footer)
+    if not 0 < start < footer_at or footer_at - start > MAX_CHUNK_BYTES:
+        return {}
+    summary = source.read(start, footer_at - start)
+    guarded = summary + source.read(footer_at, HEAD.size + _FOOTER_BYTES - 4)
+    if crc and zlib.crc32(guarded) != crc:
+        ledger.damage("the CRC of the summary does not match; it is not needed", f"byte {start}")
+    spare = _State(Ledger())
+    for opcode, content in _plain_records(summary):
+        if opcode in (Op.SCHEMA, Op.CHANNEL):
+            for _ in _take(opcode, content, "summary", spare):
                 pass
     return spare.channels
 
 
-def _file_records(file: IO[bytes], size: int, state: _State) -> Iterator[tuple[int, bytes, int]]:
-    """Yield opcode, content and offset of the wanted records, checking the data section's CRC on the way."""
-    crc = zlib.crc32(MAGIC)
-    offset = len(MAGIC)
-    while not state.ended:
-        head = file.read(_RECORD.size)
-        if len(head) < _RECORD.size:
-            state.ledger.damage("the file ends without a footer; it was cut or not closed", f"byte {offset}")
-            return
-        opcode, length = _RECORD.unpack(head)
-        if length > size - offset - _RECORD.size:
-            state.ledger.damage(f"a record of {length} bytes is cut by the end of the file", f"byte {offset}")
-            return
-        wanted = opcode in _WANTED
-        before = crc
-        content, crc = _content(file, head, length, wanted, crc)
-        if opcode == _DATA_END:
-            _check_data_crc(content, before, offset, state)
-        state.ledger.at(offset)
-        if wanted:
-            yield opcode, content, offset
-        offset += _RECORD.size + length
-    if file.read(len(MAGIC)) != MAGIC:
-        state.ledger.damage("the magic at the end is missing", f"byte {offset}")
-
-
-def _content(file: IO[bytes], head: bytes, length: int, wanted: bool, crc: int) -> tuple[bytes, int]:
-    """Read a record's content, or only pass over it block by block; return it and the running CRC."""
-    crc = zlib.crc32(head, crc)
-    if wanted:
-        content = file.read(length)
-        return content, zlib.crc32(content, crc)
-    while length > 0 and (block := file.read(min(length, _BLOCK_BYTES))):
-        crc = zlib.crc32(block, crc)
-        length -= len(block)
-    return b"", crc
-
-
-def _check_data_crc(content: bytes, crc: int, offset: int, state: _State) -> None:
-    declared = int.from_bytes(content[:4], "little")
-    if declared not in (0, crc):
-        state.ledger.damage("the CRC of the data section does not match", f"byte {offset}")
-
-
-def _chunk_messages(content: bytes, where: str, state: _State) -> Iterator[RawMessage]:
-    try:
-        records = _chunk_records(content, where, state)
-    except (UnpackError, struct.error, UnicodeDecodeError) as error:
-        state.ledger.damage(f"chunk left out: {error}", where)
-        return
-    for opcode, record in _split(records, where, state):
-        if opcode in (_MESSAGE, _CHANNEL, _SCHEMA):
-            yield from _take(opcode, record, where, state)
-
-
-def _split(records: bytes, where: str, state: _State) -> Iterator[tuple[int, bytes]]:
-    """Yield opcode and content of records that lie one behind the other in memory."""
+def _plain_records(records: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of records in memory, up to the first that is cut."""
     offset = 0
-    while offset < len(records):
-        opcode, length = _RECORD.unpack_from(records, offset) if len(records) - offset >= _RECORD.size else (0, 1 << 64)
-        start = offset + _RECORD.size
+    while len(records) - offset >= HEAD.size:
+        opcode, length = HEAD.unpack_from(records, offset)
+        start = offset + HEAD.size
         if length > len(records) - start:
-            state.ledger.damage("a record inside is longer than what it lies in; the rest is left out", where)
             return
         yield opcode, records[start : start + length]
         offset = start + length
 
 
-def _chunk_records(content: bytes, where: str, state: _State) -> bytes:
-    """Decompress a chunk; a wrong size is told, a wrong CRC drops the chunk."""
-    _, _, declared, crc = _CHUNK_HEAD.unpack_from(content)
-    compression, offset = _string(content, _CHUNK_HEAD.size)
-    (stored,) = struct.unpack_from("<Q", content, offset)
-    data = content[offset + 8 :]
-    if stored != len(data):
-        raise UnpackError(f"declares {stored} bytes of data and holds {len(data)}")
-    records = unpack(compression, data, declared)
-    if crc and zlib.crc32(records) != crc:
-        raise UnpackError("the CRC does not match")
-    if len(records) != declared:
-        state.ledger.damage(f"the chunk declares {declared} bytes and holds {len(records)}", where)
-    return records
+def _records(source: Source, offset: int, state: _State) -> Iterator[Record]:
+    """Yield the sound records; behind a loss, go on at the next one.
+
+    A record that is not followed by another is yielded all the same, unless it is a chunk, and what it claims to hold
+    is searched for records: its length may lie.
+    """
+    while offset < source.size:
+        if source.read(offset, len(MAGIC)) == MAGIC:
+            offset = _pass_magic(offset, state)
+            continue
+        record = record_at(source, offset)
+        if record is None:
+            offset = _lose(source, offset, offset + 1, state)
+            continue
+        if Op.DATA_END < record.opcode < PRIVATE:
+            state.ledger.warn(f"a record of an unknown kind ({record.opcode}) was passed over")
+        if record.odd:
+            state.ledger.damage(record.odd, source.where(offset))
+            state.crc = None
+        _check_crc(source, offset, record, state)
+        followed = record.opcode == Op.CHUNK or is_boundary(source, record.end)
+        yield record
+        if state.closed:
+            offset = _pass_end(source, record.end, state)
+        elif followed:
+            offset = record.end
+        else:
+            offset = _lose(source, offset, record.start, state)
 
 
-def _string(content: bytes, offset: int) -> tuple[str, int]:
-    """Read a string with its length before it; return it and the offset behind it. Raises struct.error if cut."""
-    (length,) = struct.unpack_from("<I", content, offset)
-    end = offset + 4 + length
-    if end > len(content):
-        raise struct.error("a string is longer than its record")
-    return content[offset + 4 : end].decode(), end
+def _lose(source: Source, offset: int, search_from: int, state: _State) -> int:
+    """Return the offset of the next record, having told of the bytes before it."""
+    found = find_record(source, search_from)
+    state.crc = None
+    empty = not any(source.read(offset, min(found - offset, _BLOCK_BYTES)))
+    kind = "zeros" if empty else "bytes that are no record"
+    state.ledger.damage(f"{found - offset} {kind}; what they held is lost", source.where(offset))
+    return found
+
+
+def _pass_magic(offset: int, state: _State) -> int:
+    """Pass the magic at the beginning; one further on begins another file."""
+    if state.closed or state.messages:
+        state.ledger.warn("several MCAP files lie one behind the other in this one; all were read")
+        state.begin()
+    else:
+        state.crc = zlib.crc32(MAGIC)
+    return offset + len(MAGIC)
+
+
+def _pass_end(source: Source, offset: int, state: _State) -> int:
+    """Pass the magic behind the footer."""
+    if source.read(offset, len(MAGIC)) == MAGIC:
+        return offset + len(MAGIC)
+    state.ledger.damage("the magic at the end is missing", source.where(offset))
+    return offset if offset == source.size else _lose(source, offset, offset, state)
+
+
+def _check_crc(source: Source, offset: int, record: Record, state: _State) -> None:
+    """Carry the data section's CRC on, and compare it where the section ends."""
+    if record.opcode == Op.DATA_END and state.crc is not None:
+        declared = int.from_bytes(source.read(record.start, 4), "little")
+        if declared not in (0, state.crc):
+            text = "the CRC of the data section does not match; which record is wrong cannot be known"
+            state.ledger.damage(text, source.where(offset))
+        state.crc = None
+    while state.crc is not None and offset < record.end:
+        block = source.read(offset, min(record.end - offset, _BLOCK_BYTES))
+        if not block:
+            return
+        state.crc = zlib.crc32(block, state.crc)
+        offset += len(block)
+
+
+def _chunk_messages(source: Source, record: Record, state: _State) -> Iterator[RawMessage]:
+    where = f"chunk at byte {record.start}"
+    try:
+        records, suspect = _chunk_records(source, record, where, state)
+    except (UnpackError, struct.error) as error:
+        state.ledger.damage(f"chunk left out: {error}", where)
+        return
+    inner = Source(BytesIO(records), len(records), f"{where}, ")
+    if not suspect:
+        yield from _sound_messages(records, inner, state)
+        return
+    state.suspect = True
+    for message in _walk(inner, 0, state):
+        yield message._replace(suspect=True)
+    state.suspect = False
+
+
+def _chunk_records(source: Source, record: Record, where: str, state: _State) -> tuple[bytes, bool]:
+    """Decompress a chunk as far as that goes; tell what is wrong, and return whether it is suspect."""
+    if record.end - record.start > MAX_CHUNK_BYTES:
+        raise UnpackError(f"of {record.end - record.start} bytes; no more than {MAX_CHUNK_BYTES} are taken into memory")
+    content = source.read(record.start, record.end - record.start)
+    head = chunk_head(content)
+    records, problem = unpack(head.compression, content[head.start :])
+    if problem is None and len(records) != head.declared_bytes:
+        problem = f"the chunk declares {head.declared_bytes} bytes and holds {len(records)}"
+    verified = head.crc != 0 and zlib.crc32(records) == head.crc
+    if head.crc and not verified:
+        problem = f"{problem}, and the CRC does not match" if problem else "the CRC does not match"
+    if problem:
+        text = "" if verified else "; what can be read of the chunk is suspect"
+        state.ledger.damage(problem + text, where)
+    return records, problem is not None and not verified
+
+
+def _sound_messages(records: bytes, inner: Source, state: _State) -> Iterator[RawMessage]:
+    """Yield the messages of a chunk that is as it was written; walk on with care where its records still lie."""
+    offset = 0
+    for opcode, content in _plain_records(records):
+        if opcode in _IN_CHUNKS:
+            yield from _take(opcode, content, inner.where(offset), state)
+        offset += HEAD.size + len(content)
+    yield from _walk(inner, offset, state)
+
+
+def _walk(inner: Source, offset: int, state: _State) -> Iterator[RawMessage]:
+    for record in _records(inner, offset, state):
+        if record.opcode in _IN_CHUNKS:
+            content = inner.read(record.start, record.end - record.start)
+            yield from _take(record.opcode, content, inner.where(record.start), state)
 
 
 def _take(opcode: int, content: bytes, where: str, state: _State) -> Iterator[RawMessage]:
     """Yield the message, or take in what the record tells about others."""
     try:
-        if opcode == _MESSAGE:
+        if opcode == Op.MESSAGE:
             yield from _message(content, where, state)
-        elif opcode in (_SCHEMA, _CHANNEL):
-            _declare(opcode, content, state)
-        elif opcode == _STATISTICS:
+        elif opcode == Op.SCHEMA:
+            _declare_schema(Fields(content), where, state)
+        elif opcode == Op.CHANNEL:
+            _declare_channel(Fields(content), where, state)
+        elif opcode == Op.STATISTICS:
             _check_count(content, where, state)
-        elif opcode == _FOOTER:
-            state.ended = True
-    except (struct.error, UnicodeDecodeError) as error:
+        elif opcode == Op.FOOTER:
+            state.closed = True
+    except struct.error as error:
         state.ledger.damage(f"a record cannot be read ({error})", where)
 
 
 def _message(content: bytes, where: str, state: _State) -> Iterator[RawMessage]:
-    number, _, log_ns, _ = _MESSAGE_HEAD.unpack_from(content)
+    number, _, log_ns, _ = MESSAGE_HEAD.unpack_from(content)
     state.messages += 1
+    data = content[MESSAGE_HEAD.size :]
     channel = state.channels.get(number) or _spare_channel(number, state)
+    if channel is not None and not channel.type and (encoding := laser_encoding(data)):
+        channel = _typed_channel(number, channel, encoding, where, state)
     if channel is not None:
-        yield RawMessage(channel, log_ns, content[_MESSAGE_HEAD.size :])
-    elif number not in state.strangers:
-        state.strangers.add(number)
-        state.ledger.damage(f"messages of channel {number}, which is declared nowhere before, are left out", where)
+        yield RawMessage(channel, log_ns, data)
+    else:
+        yield from _stranger(number, log_ns, data, where, state)
 
 
 def _spare_channel(number: int, state: _State) -> Channel | None:
@@ -207,26 +289,46 @@ def _spare_channel(number: int, state: _State) -> Channel | None:
     return channel
 
 
-def _declare(opcode: int, content: bytes, state: _State) -> None:
-    """Take in a Schema or Channel record; equal repetitions are usual."""
-    from mcap.data_stream import ReadDataStream  # noqa: PLC0415
-    from mcap.exceptions import EndOfFile  # noqa: PLC0415
-    from mcap.records import Channel as ChannelRecord  # noqa: PLC0415
-    from mcap.records import Schema  # noqa: PLC0415
+def _stranger(number: int, log_ns: int, data: bytes, where: str, state: _State) -> Iterator[RawMessage]:
+    """Yield a message of an undeclared channel as suspect, if it is a scan by its bytes."""
+    channel = channel_of(data, f"/channel_{number}", state.ledger)
+    if number not in state.strangers:
+        state.strangers.add(number)
+        fate = f"scans by their bytes, and taken for {channel.topic}" if channel else "left out"
+        state.ledger.damage(f"messages of channel {number}, which is declared nowhere before, are {fate}", where)
+    if channel is not None:
+        yield RawMessage(channel, log_ns, data, suspect=True)
 
-    stream = ReadDataStream(BytesIO(content))
-    try:
-        if opcode == _SCHEMA:
-            schema = Schema.read(stream)
-            state.schemas[schema.id] = (schema.name, schema.encoding, schema.data)
-            return
-        channel = ChannelRecord.read(stream)
-    except EndOfFile as error:
-        raise struct.error("it is shorter than its fields") from error
-    name, schema_encoding, data = state.schemas.get(channel.schema_id, ("", "", b""))
-    encoding = channel.message_encoding or _ENCODING_OF_SCHEMA.get(schema_encoding, "")
-    declared = Channel(channel.topic, ros_type(name), encoding, data if encoding == "protobuf" else b"")
-    state.channels[channel.id] = state.ledger.declare(declared)
+
+def _typed_channel(number: int, channel: Channel, encoding: str, where: str, state: _State) -> Channel:
+    """Give a channel the type that its messages turn out to have."""
+    typed = Channel(channel.topic, LASER, encoding)
+    state.channels[number] = state.ledger.declare(typed)
+    state.ledger.damage(f"the type of {channel.topic} is told nowhere; its messages are scans by their bytes", where)
+    return typed
+
+
+def _declare_schema(fields: Fields, where: str, state: _State) -> None:
+    number, name, encoding = fields.number("H"), fields.text(), fields.text()
+    schema = Schema(name, encoding, fields.block())
+    if number in state.schemas and state.schemas[number] != schema:
+        state.ledger.damage(f"schema {number} is declared twice, and differently; the later counts", where)
+    state.schemas[number] = schema
+
+
+def _declare_channel(fields: Fields, where: str, state: _State) -> None:
+    """Take in a channel; equal repetitions are usual. One without its schema is made up for by the summary."""
+    number, schema_number, topic, encoding = fields.number("H"), fields.number("H"), fields.text(), fields.text()
+    schema = state.schemas.get(schema_number, _NO_SCHEMA)
+    encoding = encoding or _ENCODING_OF_SCHEMA.get(schema.encoding, "")
+    channel = Channel(topic, ros_type(schema.name), encoding, schema)
+    if state.suspect or (schema_number and not schema.name):
+        channel = state.spare.get(number, channel)
+    before = state.channels.get(number)
+    if before is not None and before != channel and before.topic != topic:
+        text = f"channel {number} is declared twice, as {before.topic!r} and {topic!r}; the later counts"
+        state.ledger.damage(text, where)
+    state.channels[number] = state.ledger.declare(channel)
 
 
 def _check_count(content: bytes, where: str, state: _State) -> None:
@@ -234,3 +336,5 @@ def _check_count(content: bytes, where: str, state: _State) -> None:
     if declared > state.messages:
         missing = declared - state.messages
         state.ledger.damage(f"{missing} of the {declared} messages that the summary counts are not there", where)
+    elif declared < state.messages:
+        state.ledger.warn(f"the summary counts {declared} messages, {state.messages} are there")

@@ -10,25 +10,38 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
+class Schema:
+    """The definition of a message type as stored: a text or a descriptor, by the name that the log gives it."""
+
+    name: str = ""
+    encoding: str = ""
+    data: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
 class Channel:
     """A stream of messages of one type on one topic.
 
-    ``type`` is spelt as in ROS 2 (``sensor_msgs/msg/LaserScan``), also where the log is of ROS 1.
-    ``schema`` is the schema text or descriptor as stored, for encodings that need it to decode.
+    ``type`` is spelt as in ROS 2 (``sensor_msgs/msg/LaserScan``), also where the log is of ROS 1; empty where it is
+    told nowhere.
     """
 
     topic: str
     type: str
     encoding: str
-    schema: bytes = b""
+    schema: Schema = Schema()
 
 
 class RawMessage(NamedTuple):
-    """One message as stored. ``log_ns`` is the time at which it was recorded."""
+    """One message as stored. ``log_ns`` is the time at which it was recorded.
+
+    A ``suspect`` one comes from where a checksum does not match, or could not be checked.
+    """
 
     channel: Channel
     log_ns: int
     data: bytes
+    suspect: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +72,15 @@ class Gap:
 
 @dataclass(frozen=True, slots=True)
 class ScanCounts:
-    """What became of the scan messages: ``total`` is ``usable`` and all the skipped."""
+    """What became of the scan messages: ``total`` is ``usable`` and all the skipped.
+
+    ``suspect`` of the usable ones come from where a checksum does not match, or could not be checked.
+    """
 
     total: int
     usable: int
     skipped: dict[str, int]
+    suspect: int = 0
 
 
 @dataclass(frozen=True, slots=True)

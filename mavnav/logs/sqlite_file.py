@@ -1,6 +1,7 @@
 """ROS 2 sqlite3 storage (``.db3``): tables ``topics`` and ``messages``, read in the order of the rows.
 
-Layout: rosbag2_storage_sqlite3. The file is opened read-only and immutable, so that nothing is written beside it.
+Layout: rosbag2_storage_sqlite3. The file is opened read-only and immutable, so that nothing is written beside it. What
+sqlite cannot reach is read from the pages themselves.
 """
 
 from __future__ import annotations
@@ -8,12 +9,17 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import tempfile
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
+from mavnav.logs.guess import channel_of
 from mavnav.logs.records import Channel, RawMessage, ros_type
+from mavnav.logs.source import Source
+from mavnav.logs.sqlite_pages import page_size, rows
+from mavnav.logs.unpack import MAX_CHUNK_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,42 +28,110 @@ if TYPE_CHECKING:
 
 MAGIC = b"SQLite format 3\x00"
 
+_TABLES = """SELECT count(*) FROM sqlite_master
+WHERE type = 'table' AND name IN ('topics', 'messages') AND sql NOT LIKE '%VIRTUAL%'"""
 _TOPICS = "SELECT id, name, type, serialization_format FROM topics"
-_MESSAGES = "SELECT topic_id, timestamp, data FROM messages NOT INDEXED ORDER BY rowid"
+_MESSAGES = "SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED ORDER BY rowid"
 _COUNT_AT = 28
+_JOURNALS = ("-wal", "-journal")
+_NO_END = 1 << 63
+
+
+@dataclass
+class _State:
+    """What has been read: channels, and in ``missing`` the row numbers that sqlite did not give."""
+
+    path: Path
+    ledger: Ledger
+    channels: dict[int, Channel] = field(default_factory=dict)
+    missing: list[range] = field(default_factory=list)
+    messages: int = 0
+    last: int = 0
+
+    def passed(self, number: int) -> None:
+        """Note the next row's number, and what is missing before it."""
+        if number > self.last + 1:
+            self.missing.append(range(self.last + 1, number))
+        self.last = number
+        self.messages += 1
 
 
 def read_sqlite(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
     """Yield the messages of a .db3 file, in the order in which they were written, in constant memory.
 
-    Rows are read without the index on their times. Where the file is cut or broken, the rows before are read and
-    the rest is noted.
+    Rows are read without the index on their times. Where sqlite gives up, or row numbers are missing, the remaining
+    rows are looked for in the pages; what is lost is noted.
     """
-    rows = 0
-    try:
-        with _whole(path, ledger) as whole, closing(_connect(whole)) as connection:
-            channels = _channels(connection, ledger)
-            for topic_id, log_ns, data in connection.execute(_MESSAGES):
-                rows += 1
-                channel = channels.get(topic_id)
-                if channel is None or not isinstance(log_ns, int) or not isinstance(data, bytes):
-                    ledger.damage("a message row is broken, or of an undeclared topic, and left out", path.name)
-                    continue
-                ledger.at(ledger.here_bytes + len(data))
-                yield RawMessage(channel, log_ns, data)
-    except sqlite3.Error as error:
-        ledger.damage(f"sqlite cannot read on: {error}", f"{path.name}, after {rows} messages")
+    with _whole(path, ledger) as whole:
+        state = _State(path, ledger)
+        try:
+            yield from _rows(whole, state)
+        except (sqlite3.Error, UnicodeError) as error:
+            ledger.damage(f"sqlite cannot read on: {error}", f"{path.name}, after {state.messages} messages")
+            state.missing.append(range(state.last + 1, _NO_END))
+        if state.missing:
+            yield from _rescued(whole, state)
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    return sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro&immutable=1", uri=True)
+    connection = sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro&immutable=1", uri=True)
+    connection.text_factory = lambda content: content.decode(errors="replace")
+    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CHUNK_BYTES)
+    return connection
 
 
-def _channels(connection: sqlite3.Connection, ledger: Ledger) -> dict[int, Channel]:
-    return {
-        number: ledger.declare(Channel(str(name), ros_type(str(kind)), str(encoding)))
-        for number, name, kind, encoding in connection.execute(_TOPICS)
-    }
+def _rows(path: Path, state: _State) -> Iterator[RawMessage]:
+    with closing(_connect(path)) as connection:
+        (tables,) = connection.execute(_TABLES).fetchone()
+        if tables != 2:
+            raise sqlite3.DatabaseError("there are no tables of messages and topics")
+        for number, name, kind, encoding in connection.execute(_TOPICS):
+            state.channels[number] = state.ledger.declare(Channel(str(name), ros_type(str(kind)), str(encoding)))
+        for number, topic_id, log_ns, data in connection.execute(_MESSAGES):
+            state.passed(number)
+            yield from _message(topic_id, log_ns, data, state)
+
+
+def _message(topic_id: object, log_ns: object, data: object, state: _State) -> Iterator[RawMessage]:
+    channel = state.channels.get(topic_id) if isinstance(topic_id, int) else None
+    suspect = channel is None
+    if isinstance(data, bytes) and channel is None:
+        channel = channel_of(data, f"/topic_{topic_id}", state.ledger)
+    if suspect or not isinstance(log_ns, int) or not isinstance(data, bytes):
+        state.ledger.damage("a message row is broken, or of an undeclared topic", state.path.name)
+    if channel is not None and isinstance(log_ns, int) and isinstance(data, bytes):
+        state.ledger.at(state.ledger.here_bytes + len(data))
+        yield RawMessage(channel, log_ns, data, suspect)
+
+
+def _rescued(path: Path, state: _State) -> Iterator[RawMessage]:
+    """Yield the missing rows that the pages still hold."""
+    with path.open("rb") as file:
+        source = Source(file, path.stat().st_size)
+        if not state.channels:
+            _rescue_channels(source, state)
+        found, seen = 0, set()
+        for number, values in rows(source):
+            if isinstance(values[3], bytes) and number not in seen and _is_missing(number, state):
+                seen.add(number)
+                for message in _message(values[1], values[2], values[3], state):
+                    found += 1
+                    yield message._replace(suspect=True)
+    lost = sum(len(gap) for gap in state.missing if gap.stop != _NO_END) - found
+    if found:
+        state.ledger.damage(f"{found} messages were read from the pages themselves, and are suspect", state.path.name)
+    elif lost > 0:
+        state.ledger.warn(f"{state.path.name}: {lost} row numbers are not in use, as after rows were deleted")
+
+
+def _is_missing(number: int, state: _State) -> bool:
+    return any(number in gap for gap in state.missing)
+
+
+def _rescue_channels(source: Source, state: _State) -> None:
+    for number, (_, name, kind, encoding, *_) in rows(source):
+        if isinstance(encoding, str) and "/" in str(kind):
+            state.channels[number] = state.ledger.declare(Channel(str(name), ros_type(str(kind)), encoding))
 
 
 @contextmanager
@@ -66,44 +140,70 @@ def _whole(path: Path, ledger: Ledger) -> Iterator[Path]:
 
     It refuses a cut file as a whole, because the header tells more pages than there are: a copy whose header tells
     the truth lets the whole pages be read, and a row that reaches into the lost ones is an error, not zeros.
-    Rows still in a write-ahead log are read from a copy as well.
+    Rows still in a write-ahead log are read from a copy as well, and a transaction that was begun is rolled back.
     """
-    page_bytes, pages = _page_size_and_count(path)
-    size = path.stat().st_size
-    cut = size < page_bytes * pages
-    journal = path.with_name(path.name + "-wal")
-    if not cut and not (journal.is_file() and journal.stat().st_size):
+    journals = [journal for suffix in _JOURNALS if _has_content(journal := path.with_name(path.name + suffix))]
+    sound = not journals and _needs_no_copy(path)
+    if sound:
         yield path
         return
     with tempfile.TemporaryDirectory(prefix="mavnav-") as folder:
         copy = Path(folder) / path.name
         shutil.copyfile(path, copy)
-        if cut:
-            ledger.damage(f"the file is cut: {size} of {page_bytes * pages} bytes are there", path.name)
-            _keep_whole_pages(copy, page_bytes, size // page_bytes)
-        else:
-            _merge_journal(copy, journal)
-            ledger.warn(f"{path.name}: rows in its write-ahead log were read too (the recorder did not close the file)")
+        _mend_magic(copy, ledger)
+        for journal in journals:
+            _take_in(copy, journal, ledger)
+        _keep_whole_pages(copy, ledger)
         yield copy
 
 
-def _page_size_and_count(path: Path) -> tuple[int, int]:
-    """Return what the header tells (https://sqlite.org/fileformat.html, 1.3): bytes 16 to 17 and 28 to 31."""
+def _has_content(path: Path) -> bool:
+    return path.is_file() and path.stat().st_size > 0
+
+
+def _needs_no_copy(path: Path) -> bool:
     with path.open("rb") as file:
-        head = file.read(100)
-    page = int.from_bytes(head[16:18], "big")
-    return (65536 if page == 1 else page), int.from_bytes(head[_COUNT_AT : _COUNT_AT + 4], "big")
+        head = file.read(_COUNT_AT + 4)
+    return head.startswith(MAGIC) and path.stat().st_size >= page_size(head) * _pages(head)
 
 
-def _keep_whole_pages(copy: Path, page_bytes: int, pages: int) -> None:
+def _pages(head: bytes) -> int:
+    """Return the number of pages that the header tells (https://sqlite.org/fileformat.html, 1.3.8)."""
+    return int.from_bytes(head[_COUNT_AT : _COUNT_AT + 4], "big")
+
+
+def _mend_magic(copy: Path, ledger: Ledger) -> None:
     with copy.open("r+b") as file:
-        file.truncate(page_bytes * pages)
-        if pages:
+        if file.read(len(MAGIC)) != MAGIC:
+            ledger.damage("the file does not begin with the magic of sqlite", copy.name)
+            file.seek(0)
+            file.write(MAGIC)
+
+
+def _take_in(copy: Path, journal: Path, ledger: Ledger) -> None:
+    """Let sqlite take in what a recorder that did not close the file left beside it."""
+    shutil.copyfile(journal, copy.parent / journal.name)
+    try:
+        with closing(sqlite3.connect(copy)) as connection:
+            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        ledger.warn(f"{copy.name}: {journal.name} beside it was read too (the recorder did not close the file)")
+    except sqlite3.Error as error:
+        ledger.damage(f"{journal.name} beside it cannot be read: {error}", copy.name)
+        with suppress(OSError):
+            (copy.parent / journal.name).unlink()
+
+
+def _keep_whole_pages(copy: Path, ledger: Ledger) -> None:
+    size = copy.stat().st_size
+    with copy.open("r+b") as file:
+        head = file.read(_COUNT_AT + 4)
+        page_bytes, pages = page_size(head), _pages(head)
+        if size >= page_bytes * pages:
+            return
+        ledger.damage(f"the file is cut: {size} of {page_bytes * pages} bytes are there", copy.name)
+        whole = size // page_bytes
+        file.truncate(page_bytes * whole)
+        if whole:
             file.seek(_COUNT_AT)
-            file.write(pages.to_bytes(4, "big"))
-
-
-def _merge_journal(copy: Path, journal: Path) -> None:
-    shutil.copyfile(journal, copy.with_name(copy.name + "-wal"))
-    with closing(sqlite3.connect(copy)) as connection:
-        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            file.write(whole.to_bytes(4, "big"))

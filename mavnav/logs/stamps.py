@@ -1,8 +1,9 @@
-"""Time in a log: which scans come in order, and whether to believe the scans' own stamps or the recorder's."""
+"""Time in a log: in which order its scans are used, which do not fit in, and whose stamps to believe."""
 
 from __future__ import annotations
 
 from array import array
+from bisect import bisect_left
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal
@@ -19,91 +20,195 @@ if TYPE_CHECKING:
     from mavnav.scan import LaserSpec
 
 StampSource = Literal["header", "log"]
+Window = tuple[float | None, float | None]
 
 _LATEST_NS: Final = 1 << 62
 _GAP_PERIODS: Final = 3.0
+_SUSPECT_OFFSET_NS: Final = 10_000_000_000
+"""A suspect scan whose stamp is farther from its time of recording than usual, by this, is not plausible."""
 
 
-@dataclass
-class StampGate:
-    """Lets stamps pass that are later than all before, and in the window.
+def ascending(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Choose the most elements that ascend strictly.
 
-    The window's ends are in seconds from the first usable scan, both inclusive; None is open.
+    Where passing over what is not later than all before keeps as many, that is the choice: so of two equal stamps the
+    first counts, and a step back costs the scans after it, not those before.
+
+    Parameters
+    ----------
+    stamps_ns
+        (n,), in the order of use.
+
+    Returns
+    -------
+    indices
+        (m,), ascending, with ``m <= n``.
+    """
+    if len(stamps_ns) < 2 or (np.diff(stamps_ns) > 0).all():
+        return np.arange(len(stamps_ns))
+    before = np.maximum.accumulate(stamps_ns)[:-1]
+    greedy = np.concatenate(([0], 1 + np.flatnonzero(stamps_ns[1:] > before)))
+    longest = _longest_ascending(stamps_ns.tolist())
+    return greedy if len(greedy) >= len(longest) else np.array(longest)
+
+
+def _longest_ascending(values: list[int]) -> list[int]:
+    """Return the indices of the longest strictly ascending subsequence (patience sorting)."""
+    tops: list[int] = []
+    indices: list[int] = []
+    previous: list[int] = []
+    for index, value in enumerate(values):
+        pile = bisect_left(tops, value)
+        previous.append(indices[pile - 1] if pile else -1)
+        tops[pile : pile + 1] = [value]
+        indices[pile : pile + 1] = [index]
+    chain, index = [], indices[-1] if indices else -1
+    while index >= 0:
+        chain.append(index)
+        index = previous[index]
+    return chain[::-1]
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """The usable scans of a topic, in the order of use, by one source of stamps.
+
+    ``order`` (m,) holds their numbers in the file, ``stamps_ns`` (m,) ascends strictly, ``cleaning`` (8,) counts their
+    beams by ``door.KINDS``; ``first`` is geometry and frame of the first.
     """
 
-    start_s: float | None = None
-    end_s: float | None = None
-    first_ns: int | None = None
-    last_ns: int = -1
-
-    def refusal(self, stamp_ns: int) -> str | None:
-        """Return the reason why a scan of this time is skipped; None where it is used."""
-        if not 0 <= stamp_ns < _LATEST_NS:
-            return "impossible_stamp"
-        if stamp_ns <= self.last_ns:
-            return "duplicate_stamp" if stamp_ns == self.last_ns else "backward_stamp"
-        self.last_ns = stamp_ns
-        if self.first_ns is None:
-            self.first_ns = stamp_ns
-        since_s = (stamp_ns - self.first_ns) * NS
-        early = self.start_s is not None and since_s < self.start_s
-        late = self.end_s is not None and since_s > self.end_s
-        return "outside_window" if early or late else None
-
-
-@dataclass
-class Timeline:
-    """The usable scans of a topic by one source of stamps, 8 bytes a scan."""
-
-    gate: StampGate
-    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
-    skipped: Counter[str] = field(default_factory=Counter)
-    cleaning: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(KINDS), dtype=np.int64))
-    first: tuple[LaserSpec, str] | None = None
-
-    def add(self, stamp_ns: int, spec: LaserSpec, frame_id: str, counts: NDArray[np.int64]) -> None:
-        """Take in a sound scan."""
-        if reason := self.gate.refusal(stamp_ns):
-            self.skipped[reason] += 1
-            return
-        self.stamps_ns.append(stamp_ns)
-        self.cleaning += counts
-        if self.first is None:
-            self.first = spec, frame_id
+    source: StampSource
+    order: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]
+    skipped: Counter[str]
+    cleaning: NDArray[np.int64]
+    suspect: int
+    first: tuple[LaserSpec, str] | None
 
 
 @dataclass
 class TopicScans:
-    """The scans of one topic, by both sources of stamps, because which one is right shows at the end only."""
+    """The scans of one topic: those that the door admitted in the order of the file, and the number of all others.
 
-    header: Timeline
-    log: Timeline
+    Some 50 bytes a scan. ``doubt`` says why the whole topic cannot be what it claims, as where its unit is wrong.
+    """
+
     total: int = 0
     refused: Counter[str] = field(default_factory=Counter)
+    doubt: str = ""
+    _header_ns: array[int] = field(default_factory=lambda: array("q"))
+    _log_ns: array[int] = field(default_factory=lambda: array("q"))
+    _kind: array[int] = field(default_factory=lambda: array("I"))
+    _suspect: bytearray = field(default_factory=bytearray)
+    _cleaning: array[int] = field(default_factory=lambda: array("I"))
+    _kinds: list[tuple[LaserSpec, str]] = field(default_factory=list)
 
-    def source(self) -> StampSource:
+    def add(
+        self, stamps_ns: tuple[int, int], spec: LaserSpec, frame_id: str, counts: NDArray[np.int64], *, suspect: bool
+    ) -> None:
+        """Take in an admitted scan; ``stamps_ns`` are its own and that of its recording."""
+        kind = (spec, frame_id)
+        if not self._kinds or self._kinds[-1] != kind:
+            self._kinds.append(kind)
+        header_ns, log_ns = (min(max(stamp, -1), _LATEST_NS) for stamp in stamps_ns)
+        self._header_ns.append(header_ns)
+        self._log_ns.append(log_ns)
+        self._kind.append(len(self._kinds) - 1)
+        self._suspect.append(suspect)
+        self._cleaning.extend(counts.tolist())
+
+    @property
+    def frames(self) -> set[str]:
+        """The frames of the scans."""
+        return {frame for _, frame in self._kinds}
+
+    def timeline(self, window_s: Window = (None, None)) -> Timeline:
         """Choose the scans' own stamps, unless they keep less than half of the scans that the recorder's keep.
 
-        So stamps that are all zero, constant, or led by one far in the future are not believed. A constant stamp
-        above zero keeps one scan, which is half of two: two scans count as constant as well.
+        So stamps that are all zero or constant are not believed. A constant stamp above zero keeps one scan, which is
+        half of two: two scans count as constant as well. The window's ends are in seconds from the first usable scan,
+        both inclusive.
         """
-        header, log = len(self.header.stamps_ns), len(self.log.stamps_ns)
-        zero = header > 0 and self.header.stamps_ns[-1] == 0
-        constant = header == 1 and log > 1
-        return "log" if log and (zero or constant or 2 * header < log) else "header"
+        header, log = (self._chosen(stamps) for stamps in (self._header_ns, self._log_ns))
+        zero = len(header) > 0 and self._header_ns[header[-1]] == 0
+        constant = len(header) == 1 and len(log) > 1
+        if len(log) and (zero or constant or 2 * len(header) < len(log)):
+            return self._timeline("log", self._log_ns, log, window_s)
+        return self._timeline("header", self._header_ns, header, window_s)
 
-    def timeline(self) -> Timeline:
-        """Return the one that is believed."""
-        return self.header if self.source() == "header" else self.log
+    def _chosen(self, stamps: array[int]) -> NDArray[np.int64]:
+        """Return the numbers of the scans to use, in the order of the file, or of recording where that keeps more."""
+        stamps_ns, log_ns = _frozen(stamps), _frozen(self._log_ns)
+        sound = np.flatnonzero((stamps_ns >= 0) & (stamps_ns < _LATEST_NS) & self._plausible())
+        chosen = sound[ascending(stamps_ns[sound])]
+        if len(chosen) == len(sound):
+            return chosen
+        recorded = sound[np.argsort(log_ns[sound], kind="stable")]
+        other = recorded[ascending(stamps_ns[recorded])]
+        return other if len(other) > len(chosen) else chosen
+
+    def _plausible(self) -> NDArray[np.bool_]:
+        """Tell which scans are sound, or suspect but like the sound ones in geometry and time."""
+        suspect = np.frombuffer(self._suspect, np.bool_)
+        if not suspect.any() or suspect.all():
+            return np.ones(len(suspect), np.bool_)
+        kinds = np.array(self._kind)
+        offsets = _frozen(self._header_ns) - _frozen(self._log_ns)
+        usual = np.median(offsets[~suspect])
+        known = [self._kinds[kind] for kind in np.unique(kinds[~suspect])]
+        like = np.array([kind in known for kind in self._kinds])
+        plausible: NDArray[np.bool_] = like[kinds] & (np.abs(offsets - usual) < _SUSPECT_OFFSET_NS)
+        return plausible | ~suspect
+
+    def _timeline(
+        self, source: StampSource, stamps: array[int], chosen: NDArray[np.int64], window_s: Window
+    ) -> Timeline:
+        stamps_ns = _frozen(stamps)[chosen]
+        inside = _inside(stamps_ns, window_s)
+        order = chosen[inside]
+        skipped = self._skipped(_frozen(stamps), chosen)
+        skipped["outside_window"] = len(chosen) - len(order)
+        return Timeline(
+            source=source,
+            order=order,
+            stamps_ns=stamps_ns[inside],
+            skipped=+skipped,
+            cleaning=np.array(self._cleaning, np.int64).reshape(-1, len(KINDS))[order].sum(axis=0),
+            suspect=sum(self._suspect[k] for k in order.tolist()),
+            first=self._kinds[self._kind[order[0]]] if len(order) else None,
+        )
+
+    def _skipped(self, stamps_ns: NDArray[np.int64], chosen: NDArray[np.int64]) -> Counter[str]:
+        """Count the scans that are not chosen by reason."""
+        left = np.ones(len(stamps_ns), np.bool_)
+        left[chosen] = False
+        impossible = left & ((stamps_ns < 0) | (stamps_ns >= _LATEST_NS))
+        implausible = left & ~impossible & ~self._plausible()
+        rest = stamps_ns[left & ~impossible & ~implausible]
+        twice = int(np.isin(rest, stamps_ns[chosen]).sum())
+        counts = (impossible.sum(), implausible.sum(), twice, len(rest) - twice)
+        reasons = ("impossible_stamp", "implausible", "duplicate_stamp", "backward_stamp")
+        return Counter(dict(zip(reasons, map(int, counts), strict=True)))
 
 
-def period_and_gaps(stamps_ns: array[int]) -> tuple[float, tuple[Gap, ...]]:
+def _frozen(stamps: array[int]) -> NDArray[np.int64]:
+    return np.array(stamps, dtype=np.int64)
+
+
+def _inside(stamps_ns: NDArray[np.int64], window_s: Window) -> NDArray[np.bool_]:
+    """Tell which stamps lie in the window."""
+    start_s, end_s = window_s
+    since_s = (stamps_ns - stamps_ns[:1]) * NS
+    late_enough = np.ones(len(stamps_ns), np.bool_) if start_s is None else since_s >= start_s
+    return late_enough if end_s is None else late_enough & (since_s <= end_s)
+
+
+def period_and_gaps(stamps_ns: NDArray[np.int64]) -> tuple[float, tuple[Gap, ...]]:
     """Return the median period (s, 0 for a single scan) and the pauses longer than three of it."""
     if len(stamps_ns) < 2:
         return 0.0, ()
-    stamps = np.array(stamps_ns, dtype=np.int64)
-    steps = np.diff(stamps)
+    steps = np.diff(stamps_ns)
     period_ns = float(np.median(steps))
     return period_ns * NS, tuple(
-        Gap(int(stamps[k]), float(steps[k]) * NS) for k in np.flatnonzero(steps > _GAP_PERIODS * period_ns)
+        Gap(int(stamps_ns[k]), float(steps[k]) * NS) for k in np.flatnonzero(steps > _GAP_PERIODS * period_ns)
     )

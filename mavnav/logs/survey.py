@@ -18,7 +18,7 @@ from mavnav.logs.messages import DecodeError
 from mavnav.logs.odometry import OdometryTracks
 from mavnav.logs.records import Channel, Damage, RawMessage, Topic
 from mavnav.logs.rosbag2 import METADATA
-from mavnav.logs.stamps import StampGate, Timeline, TopicScans
+from mavnav.logs.stamps import TopicScans
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,6 +47,7 @@ class Survey:
     damage: tuple[Damage, ...]
     warnings: tuple[str, ...]
     window_s: tuple[float | None, float | None] = (None, None)
+    strict: bool = False
 
 
 @dataclass
@@ -54,7 +55,7 @@ class _Pass:
     """The state of the pass."""
 
     topic: str | None
-    window_s: tuple[float | None, float | None]
+    strict: bool
     ledger: Ledger
     counts: Counter[Channel] = field(default_factory=Counter)
     decoders: dict[Channel, Callable[[bytes], Any] | None] = field(default_factory=dict)
@@ -72,13 +73,16 @@ class _Pass:
         decode = self.decoders[channel]
         if decode is None:
             return
+        if self.strict and message.suspect:
+            self._refuse(channel, "suspect")
+            return
         try:
             decoded = decode(message.data)
         except DecodeError as error:
             self.ledger.damage(f"a message does not decode ({error})", f"{channel.topic}, {message.log_ns} ns")
-            self._take_undecodable(channel)
+            self._refuse(channel, "undecodable")
             return
-        self._take_decoded(channel, decoded, message.log_ns)
+        self._take_decoded(message, decoded)
 
     def _decoder(self, channel: Channel) -> Callable[[bytes], Any] | None:
         if is_laser(channel) and self.topic not in (None, channel.topic):
@@ -89,9 +93,10 @@ class _Pass:
             self.ledger.damage(str(error), channel.topic)
             return None
 
-    def _take_decoded(self, channel: Channel, decoded: Any, log_ns: int) -> None:  # noqa: ANN401
+    def _take_decoded(self, message: RawMessage, decoded: Any) -> None:  # noqa: ANN401
+        channel, log_ns = message.channel, message.log_ns
         if is_laser(channel):
-            self._take_scan(channel.topic, decoded, log_ns)
+            self._take_scan(message, decoded)
         elif channel.type == ODOMETRY_TYPE:
             self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
         else:
@@ -100,28 +105,36 @@ class _Pass:
             if not static:
                 self.odometry.add_transforms(channel.topic, decoded, log_ns)
 
-    def _take_scan(self, topic: str, message: LaserMessage, log_ns: int) -> None:
+    def _take_scan(self, message: RawMessage, laser: LaserMessage) -> None:
+        topic = message.channel.topic
         scans = self._scans(topic)
         scans.total += 1
-        admitted = self.doors[topic].admit(message)
+        admitted = self.doors[topic].admit(laser)
         if isinstance(admitted, str):
             scans.refused[admitted] += 1
             return
         spec, _, counts = admitted
-        scans.header.add(message.stamp_ns, spec, message.frame_id, counts)
-        scans.log.add(log_ns, spec, message.frame_id, counts)
+        scans.add((laser.stamp_ns, message.log_ns), spec, laser.frame_id, counts, suspect=message.suspect)
 
-    def _take_undecodable(self, channel: Channel) -> None:
+    def _refuse(self, channel: Channel, reason: str) -> None:
         if is_laser(channel):
             scans = self._scans(channel.topic)
             scans.total += 1
-            scans.refused["undecodable"] += 1
+            scans.refused[reason] += 1
 
     def _scans(self, topic: str) -> TopicScans:
         if topic not in self.scans:
             self.doors[topic] = Door(topic, self.ledger.warn)
-            self.scans[topic] = TopicScans(Timeline(StampGate(*self.window_s)), Timeline(StampGate(*self.window_s)))
+            self.scans[topic] = TopicScans()
         return self.scans[topic]
+
+    def conclude(self) -> None:
+        """Note what shows at the end only."""
+        for topic, scans in self.scans.items():
+            scans.doubt = self.doors[topic].doubt
+            if len(scans.frames) > 1:
+                names = ", ".join(sorted(scans.frames)[:4])
+                self.ledger.warn(f"{topic}: the frame of the scans changes on the way ({names}); the first is used")
 
 
 def survey(
@@ -131,6 +144,7 @@ def survey(
     start_s: float | None = None,
     end_s: float | None = None,
     progress: Callable[[int, int], None] | None = None,
+    strict: bool = False,
 ) -> Survey:
     """Read a log once, from front to back.
 
@@ -144,6 +158,8 @@ def survey(
         Window of the scans to use, in seconds from the first usable scan.
     progress
         Called now and then with the bytes done and in all.
+    strict
+        Leave out scans from where a checksum does not match.
 
     Raises
     ------
@@ -153,13 +169,14 @@ def survey(
     """
     _check(path, start_s, end_s)
     ledger = Ledger()
-    state = _Pass(topic, (start_s, end_s), ledger)
+    state = _Pass(topic, strict, ledger)
     try:
         name = formats.sniff(path)
         if name == formats.UNKNOWN:
             ledger.damage(formats.refusal(path), path.name)
         else:
             _run(path, state, progress)
+            state.conclude()
         size_bytes, sha256 = _identity(path)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from error
@@ -175,6 +192,7 @@ def survey(
         ledger.damages(),
         tuple(ledger.warnings),
         (start_s, end_s),
+        strict,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bz2
 import tempfile
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Protocol
 
@@ -14,16 +15,19 @@ if TYPE_CHECKING:
     from mavnav.logs.ledger import Ledger
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-MAX_CHUNK_BYTES = 256 << 20
+MAX_CHUNK_BYTES = 128 << 20
 """Largest chunk or message taken into memory; writers make chunks of 1 to 8 MiB."""
 
+_MAX_RATIO = 1000
+_FREE_BYTES = 1 << 20
 _BLOCK_BYTES = 1 << 20
+_CAREFUL_BYTES = 1 << 12
 _MAX_WINDOW_BYTES = 1 << 27
 _MAX_FILE_RATIO = 200
 
 
 class UnpackError(Exception):
-    """Data cannot be decompressed, or are more than they declare."""
+    """Data cannot be decompressed, or to far more than any log would."""
 
 
 class _Incremental(Protocol):
@@ -34,8 +38,8 @@ class _Incremental(Protocol):
     def decompress(self, data: bytes, max_length: int) -> bytes: ...
 
 
-def unpack(compression: str, data: bytes, limit_bytes: int) -> bytes:
-    """Decompress a chunk.
+def unpack(compression: str, data: bytes) -> tuple[bytes, str | None]:
+    """Decompress as much as there is.
 
     Parameters
     ----------
@@ -43,89 +47,91 @@ def unpack(compression: str, data: bytes, limit_bytes: int) -> bytes:
         A key of ``CODECS``.
     data
         The compressed bytes, a whole number of frames.
-    limit_bytes
-        The size that the container declares; the result may be shorter, never longer.
+
+    Returns
+    -------
+    unpacked, problem
+        What came before the data end or break, and in words why they do; None where they end well. A zstd frame that
+        is cut between two blocks ends well.
 
     Raises
     ------
     UnpackError
-        Unknown compression, broken data, or more data than ``min(limit_bytes, MAX_CHUNK_BYTES)``.
+        Unknown compression, or a bomb: more than a thousand times the data (and a MiB), or ``MAX_CHUNK_BYTES``.
     """
-    codec = CODECS.get(compression)
-    if codec is None:
+    if compression not in CODECS:
         raise UnpackError(f"unknown compression {compression!r}")
-    limit = min(limit_bytes, MAX_CHUNK_BYTES)
-    unpacked = codec(data, limit)
-    if len(unpacked) > limit:
-        raise UnpackError(f"decompresses to more than {limit} bytes")
-    return unpacked
+    unpacked, problem = _gather(compression, data, _BLOCK_BYTES)
+    # What a broken block held before its break is got only by asking for less at a time.
+    return (unpacked, None) if problem is None else _gather(compression, data, _CAREFUL_BYTES)
 
 
-def _plain(data: bytes, _limit: int) -> bytes:
-    return data
+def _gather(compression: str, data: bytes, block_bytes: int) -> tuple[bytes, str | None]:
+    limit = min(MAX_CHUNK_BYTES, _FREE_BYTES + _MAX_RATIO * len(data))
+    blocks: list[bytes] = []
+    size, problem = 0, None
+    try:
+        for block in CODECS[compression](data, block_bytes):
+            blocks.append(block)
+            size += len(block)
+            if size > limit:
+                raise UnpackError(f"{len(data)} bytes of {compression} decompress to more than {limit}")
+    except (OSError, EOFError, RuntimeError, MemoryError, _zstd_error()) as error:
+        problem = f"{compression} data cannot be decompressed to their end ({error})"
+    return (blocks[0] if len(blocks) == 1 else b"".join(blocks)), problem
 
 
-def _zstd(data: bytes, limit: int) -> bytes:
+def _zstd_error() -> type[Exception]:
     import zstandard  # noqa: PLC0415
 
-    try:
-        with zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES).stream_reader(
-            data, read_across_frames=True
-        ) as stream:
-            return _gather(stream.read, limit)
-    except (zstandard.ZstdError, MemoryError) as error:
-        raise UnpackError(f"zstd data cannot be decompressed ({error})") from error
+    error: type[Exception] = zstandard.ZstdError
+    return error
 
 
-def _gather(read: Callable[[int], bytes], limit: int) -> bytes:
-    """Read blocks until the end, or until more than ``limit`` is there."""
-    blocks, size = [], 0
-    while size <= limit and (block := read(min(_BLOCK_BYTES, limit + 1 - size))):
-        blocks.append(block)
-        size += len(block)
-    return blocks[0] if len(blocks) == 1 else b"".join(blocks)
+def _plain(data: bytes, _block_bytes: int) -> Iterator[bytes]:
+    yield data
 
 
-def _lz4(data: bytes, limit: int) -> bytes:
+def _zstd(data: bytes, block_bytes: int) -> Iterator[bytes]:
+    import zstandard  # noqa: PLC0415
+
+    decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
+    with decompressor.stream_reader(BytesIO(data), read_size=block_bytes, read_across_frames=True) as stream:
+        while block := stream.read(block_bytes):
+            yield block
+
+
+def _lz4(data: bytes, block_bytes: int) -> Iterator[bytes]:
     import lz4.frame  # noqa: PLC0415
 
-    try:
-        return _incremental(lz4.frame.LZ4FrameDecompressor(), data, limit)
-    except (RuntimeError, EOFError, MemoryError) as error:
-        raise UnpackError(f"lz4 data cannot be decompressed ({error})") from error
+    return _incremental(lz4.frame.LZ4FrameDecompressor(), data, block_bytes)
 
 
-def _bz2(data: bytes, limit: int) -> bytes:
-    try:
-        return _incremental(bz2.BZ2Decompressor(), data, limit)
-    except (OSError, EOFError) as error:
-        raise UnpackError(f"bz2 data cannot be decompressed ({error})") from error
+def _bz2(data: bytes, block_bytes: int) -> Iterator[bytes]:
+    return _incremental(bz2.BZ2Decompressor(), data, block_bytes)
 
 
-def _incremental(decompressor: _Incremental, data: bytes, limit: int) -> bytes:
-    source = data
-
-    def read(size: int) -> bytes:
-        nonlocal source
-        while not decompressor.eof:
-            if decompressor.needs_input and not source:
+def _incremental(decompressor: _Incremental, data: bytes, block_bytes: int) -> Iterator[bytes]:
+    offset = 0
+    while not decompressor.eof:
+        piece = b""
+        if decompressor.needs_input:
+            piece = data[offset : offset + block_bytes]
+            offset += len(piece)
+            if not piece:
                 raise EOFError("the data end before the stream does")
-            block = decompressor.decompress(source, max_length=size)
-            source = b""
-            if block:
-                return block
-        return b""
-
-    return _gather(read, limit)
+        if block := decompressor.decompress(piece, max_length=block_bytes):
+            yield block
 
 
-CODECS: dict[str, Callable[[bytes, int], bytes]] = {
+CODECS: dict[str, Callable[[bytes, int], Iterator[bytes]]] = {
     "": _plain,
     "none": _plain,
     "zstd": _zstd,
     "lz4": _lz4,
     "bz2": _bz2,
 }
+"""Name of a compression -> the function from the data, and a number of bytes to ask for at a time, to blocks."""
 
 
 def unpack_message(data: bytes) -> bytes:
@@ -133,7 +139,12 @@ def unpack_message(data: bytes) -> bytes:
 
     No CDR message begins like a zstd frame: its first byte is 0. Raises UnpackError.
     """
-    return unpack("zstd", data, MAX_CHUNK_BYTES) if data[:4] == ZSTD_MAGIC else data
+    if data[:4] != ZSTD_MAGIC:
+        return data
+    unpacked, problem = unpack("zstd", data)
+    if problem:
+        raise UnpackError(problem)
+    return unpacked
 
 
 def first_bytes(path: Path, count: int) -> bytes:
@@ -159,7 +170,7 @@ def unpacked_file(path: Path, ledger: Ledger) -> Iterator[Path]:
         size = 0
         with target.open("wb") as file, _file_stream(packed) as stream:
             try:
-                while size <= limit and (block := stream.read(_BLOCK_BYTES)):
+                while size <= limit and (block := stream.read(_CAREFUL_BYTES)):
                     size += file.write(block)
             except (zstandard.ZstdError, MemoryError) as error:
                 ledger.damage(f"zstd data cannot be decompressed ({error})", f"{path.name}, after {size} bytes")

@@ -128,6 +128,7 @@ def _scans(run: Run) -> Document:
         "accepted": accepted,
         "rejected": len(steps) - accepted,
         "skipped": dict(counts.skipped),
+        "suspect": counts.suspect,
     }
 
 

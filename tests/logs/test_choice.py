@@ -51,7 +51,7 @@ def test_log_whose_scans_are_all_unusable_says_why(tmp_path: Path) -> None:
     [
         (b"", "the file is empty"),
         (b"hello world", "not an MCAP file"),
-        (b"#ROSRECORD V1.2\nxyz", "format 1.2"),
+        (b"#ROSRECORD V1.1\nxyz", "format 1.1"),
         (b"\x28\xb5\x2f\xfdrubbish", "compressed with zstd, but"),
     ],
 )

@@ -79,8 +79,10 @@ def test_flipped_bits_never_crash_and_pass_no_checksum(name: str, tmp_path: Path
         if log is not None:
             scans = ranges_by_stamp(log)
             assert len(scans) == log.counts.usable
+            altered = len(scans.items() - sound.items())
             if name in CHECKED and log.stamp_source == "header":
-                assert scans.items() <= sound.items()
+                assert altered <= log.counts.suspect
+                assert log.damage or not altered
 
 
 @pytest.mark.parametrize("name", ["mcap-zstd", "bag1", "bag1-bz2", "db3"])
@@ -106,16 +108,19 @@ def test_crc_of_the_data_section_is_checked(tmp_path: Path) -> None:
     assert ["CRC of the data section" in d.what for d in log.damage] == [True]
 
 
-def test_chunk_whose_crc_does_not_match_is_left_out(tmp_path: Path) -> None:
+def test_chunk_whose_crc_does_not_match_is_suspect_and_left_out_if_strict(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a", [laser(k, beams=400) for k in range(5)], compression="NONE")
+    sound = ranges_by_stamp(open_log(path))
     data = bytearray(path.read_bytes())
     data[data.index(laser(2, beams=400).fields["ranges"].tobytes()) + 2] ^= 1
     path.write_bytes(data)
-    log = open_log(path)
-    stamps = {s.stamp_ns for s in log.scans()}
-    assert laser(2).stamp_ns not in stamps
-    assert 2 <= len(stamps) < 5
+    log, strict = open_log(path), open_log(path, strict=True)
     assert any("CRC does not match" in d.what for d in log.damage)
+    assert log.counts.usable == 5
+    assert 1 <= log.counts.suspect < 5
+    assert [k for k, v in ranges_by_stamp(log).items() if sound[k] != v] == [laser(2).stamp_ns]
+    assert strict.counts.skipped == {"suspect": log.counts.suspect}
+    assert ranges_by_stamp(strict).items() < sound.items()
 
 
 def test_bag_that_lost_bytes_drops_the_message_that_spans_the_loss(tmp_path: Path) -> None:
@@ -130,15 +135,16 @@ def test_bag_that_lost_bytes_drops_the_message_that_spans_the_loss(tmp_path: Pat
     assert ranges_by_stamp(log) == {k: v for k, v in sound.items() if k != laser(20).stamp_ns}
 
 
-def test_bag_chunk_that_decompresses_to_more_than_it_declares_is_left_out(tmp_path: Path) -> None:
+def test_bag_chunk_that_holds_more_than_it_declares_is_suspect(tmp_path: Path) -> None:
     path = write_bag1(tmp_path / "a", [laser(k) for k in range(40)], "BZ2")
     data = path.read_bytes()
     at = data.index(b"size=") + 5
     (size,) = struct.unpack_from("<I", data, at)
     path.write_bytes(data[:at] + struct.pack("<I", size - 1) + data[at + 4 :])
     log = open_log(path)
-    assert 0 < log.counts.usable < 40
-    assert any("decompresses to more than" in d.what for d in log.damage)
+    assert log.counts.usable == 40
+    assert 0 < log.counts.suspect < 40
+    assert any("declares" in d.what for d in log.damage)
 
 
 def test_message_with_a_cut_array_is_undecodable(tmp_path: Path) -> None:
@@ -155,24 +161,24 @@ def test_message_with_a_cut_array_is_undecodable(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "bz2"])
-def test_bombs_are_stopped_at_the_declared_size(compression: str) -> None:
+def test_what_comes_before_a_break_is_unpacked_and_bombs_are_refused(compression: str) -> None:
     import bz2
 
     import lz4.frame
     import zstandard
 
     pack = {"zstd": zstandard.compress, "lz4": lz4.frame.compress, "bz2": bz2.compress}[compression]
-    packed = pack(bytes(5_000_000))
-    assert unpack(compression, packed, 5_000_000) == bytes(5_000_000)
-    for limit in (0, 1000, 4_999_999):
-        with pytest.raises(UnpackError, match="more than"):
-            unpack(compression, packed, limit)
-    for broken in (packed[:-5], b"rubbish", b""):
-        if compression == "zstd" and broken in (b"", packed[:-5]):
-            assert len(unpack(compression, broken, 5_000_000)) < 5_000_000  # told by size and CRC of the container
-            continue
-        with pytest.raises(UnpackError):
-            unpack(compression, broken, 5_000_000)
+    content = np.random.default_rng(1).bytes(2_000_000)
+    packed = pack(content)
+    assert unpack(compression, packed) == (content, None)
+    part, problem = unpack(compression, packed[: len(packed) // 2])
+    assert content.startswith(part)
+    assert len(part) > 0.4 * len(content) or compression == "bz2"
+    assert problem is not None or compression == "zstd"  # told by the size and the CRC of the container
+    assert unpack(compression, b"rubbish" * 20)[1] is not None
+    if compression != "lz4":  # whose ratio is never above 255
+        with pytest.raises(UnpackError, match="decompress to more than"):
+            unpack(compression, pack(bytes(20_000_000)))
 
 
 def test_ledger_lists_a_hundred_and_counts_the_rest() -> None:
@@ -220,4 +226,4 @@ def test_loss_of_the_chunk_that_declares_the_channels_loses_no_other(name: str, 
     path.write_bytes(data)
     log = open_log(path)
     assert 20 < log.counts.usable < 40
-    assert any("chunk left out" in d.what for d in log.damage)
+    assert any("suspect" in d.what for d in log.damage)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavnav.logs.door import KINDS, Door, clean
+from mavnav.logs.door import FARTHEST_M, KINDS, Door, clean
 from mavnav.logs.messages import LaserMessage
 
 NAN, INF = math.nan, math.inf
@@ -17,7 +17,7 @@ NAN, INF = math.nan, math.inf
 
 def kind_of(r: float, low: float, high: float) -> str:
     """The slow obvious twin: one range after the other, in the order of REP-117."""
-    if low <= r <= high and r != 0 and not math.isinf(r):
+    if low <= r <= min(high, FARTHEST_M) and r != 0:
         return "valid"
     if math.isinf(r):
         return "minus_inf" if r < 0 else "plus_inf"

@@ -105,7 +105,7 @@ def test_rows_in_a_write_ahead_log_are_read_and_the_input_is_left_alone(tmp_path
     finally:
         live.close()
     assert log.counts.total == 7
-    assert log.counts.skipped == {"backward_stamp": 1}
+    assert log.counts.skipped == {"duplicate_stamp": 1}
 
 
 SCANS = [

@@ -36,7 +36,7 @@ def test_json_holds_the_fixed_fields(tmp_path: Path, capsys: Capture) -> None:
         "encoding": "cdr",
         "count": 25,
     }
-    assert document["scans"] == {"total": 25, "usable": 25, "skipped": {}}
+    assert document["scans"] == {"total": 25, "usable": 25, "skipped": {}, "suspect": 0}
     assert document["sensor"]["beams"] == 16
     assert document["time"]["rate_hz"] == pytest.approx(10.0)
     assert document["odometry"]["length_m"] == pytest.approx(2.4)
@@ -71,7 +71,7 @@ def test_no_log_exits_with_4_and_still_prints_the_object(tmp_path: Path, capsys:
     code, document, err = told(capsys, path)
     assert (code, document["exit_code"]) == (4, 4)
     assert document["input"]["format"] == "unknown"
-    assert document["scans"] == {"total": 0, "usable": 0, "skipped": {}}
+    assert document["scans"] == {"total": 0, "usable": 0, "skipped": {}, "suspect": 0}
     assert err.count("\n") == 1
     assert "not an MCAP file" in err
 
@@ -79,7 +79,7 @@ def test_no_log_exits_with_4_and_still_prints_the_object(tmp_path: Path, capsys:
 def test_unusable_scans_exit_with_4_and_say_why(tmp_path: Path, capsys: Capture) -> None:
     code, document, _ = told(capsys, write_mcap(tmp_path / "a", [laser(k, ranges=[0.0, 0.0]) for k in range(3)]))
     assert code == 4
-    assert document["scans"] == {"total": 3, "usable": 0, "skipped": {"no_valid_beam": 3}}
+    assert document["scans"] == {"total": 3, "usable": 0, "skipped": {"no_valid_beam": 3}, "suspect": 0}
 
 
 def test_two_scan_topics_exit_with_2_and_are_listed(tmp_path: Path, capsys: Capture) -> None:
