@@ -9,6 +9,8 @@ import typer
 
 from mavnav.commands.cell_progress import watching
 from mavnav.commands.comparison_table import print_comparison
+from mavnav.commands.gating import Gates, gates_of
+from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.replay import pose
 from mavnav.commands.terminal import emit, note
@@ -61,10 +63,7 @@ def compare(
         Path | None,
         typer.Option("--output", "-o", help="Directory; runs/compare-LOG if not given.", show_default=False),
     ] = None,
-    gates: Annotated[
-        list[str] | None,
-        typer.Option("--gate", metavar="NAME<=X", help="What must hold of every cell; repeat it.", show_default=False),
-    ] = None,
+    gates: Gates = None,
     online: Annotated[bool, typer.Option("--online", help="Leave out the final pass over the finished map.")] = False,
     odom: Annotated[
         str | None,
@@ -87,6 +86,7 @@ def compare(
     sets: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of it.", show_default=False)
     ] = None,
+    preview: Preview = False,
     force: Annotated[bool, typer.Option("--force", help="Run again what was run before.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print comparison.json on stdout and nothing else.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
@@ -95,7 +95,6 @@ def compare(
 
     A replay that was made before is not made again; one that fails takes no other along.
     """
-    from mavnav.gates import parse_gate
     from mavnav.jobs import usable_cores
 
     shared = {
@@ -105,7 +104,7 @@ def compare(
     for log in logs or []:
         if not log.exists():
             raise UsageError(f"{log}: no such file; name a log")
-    bounds = tuple(map(parse_gate, gates or []))
+    bounds = tuple(gates_of(gates))
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
             from mavnav import compare as pipeline
@@ -122,6 +121,8 @@ def compare(
     with watching([cell.name for cell in plan.missing], quiet=quiet) as listen:
         document = pipeline.compare(plan, listen)
     _tell(document, request.directory, json=json)
+    if preview:
+        _show_maps(document, request.directory, stderr=json)
     raise typer.Exit(document["exit_code"])
 
 
@@ -138,3 +139,9 @@ def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
         emit(f"\n{directory / 'comparison.md'}")
     for problem in problems(document):
         note(f"mavnav: error: {problem}")
+
+
+def _show_maps(document: dict[str, Any], directory: Path, *, stderr: bool) -> None:
+    for cell in document["cells"]:
+        if cell["directory"]:
+            show_preview(directory / cell["directory"], cell["name"], stderr=stderr)

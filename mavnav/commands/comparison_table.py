@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
-from mavnav.commands.terminal import console, printable
+from mavnav.commands.terminal import can_print, console, printable
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -82,18 +82,10 @@ def _figure(document: dict[str, Any], k: int, figure: Figure) -> Text:
 def bar(number: float, largest: float) -> str:
     """Draw a number as a bar of ``BAR_WIDTH`` columns, the largest as a full one; hashes where blocks cannot be."""
     share = number / largest if largest > 0 else 0.0
-    if not _can_print(EIGHTHS):
+    if not can_print(EIGHTHS, sys.stdout):
         return ("#" * round(BAR_WIDTH * share)).ljust(BAR_WIDTH)
     whole, rest = divmod(round(8 * BAR_WIDTH * share), 8)
     return ("█" * whole + EIGHTHS[rest].strip()).ljust(BAR_WIDTH)
-
-
-def _can_print(text: str) -> bool:
-    try:
-        text.encode(sys.stdout.encoding or "ascii")
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 def _price(document: dict[str, Any], name: str, k: int) -> str:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mavnav.commands.gating import Gates, gated_code, gates_of
+from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.terminal import console, emit, note, printable
 from mavnav.errors import ExitCode, UsageError
@@ -65,12 +67,15 @@ def replay(
     sets: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of it.", show_default=False)
     ] = None,
+    gates: Gates = None,
+    preview: Preview = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the run directory if it exists.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print run.json on stdout and nothing else.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
 ) -> None:
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
     chosen = _config(config, sets or [], method=method, grid=grid, azimuth=azimuth, odom=odom, online=online)
+    bounds = gates_of(gates)
     mounting = None if extrinsic is None else pose(extrinsic)
     if not log.exists():
         raise UsageError(f"{log}: no such file; name a log")
@@ -83,7 +88,9 @@ def replay(
         request = pipeline.Request(log, target, chosen, topic, start, end, mounting, force)
         _, document = pipeline.replay(request, report, compile_s)
     _tell(document, target, json=json)
-    raise typer.Exit(document["exit_code"])
+    if preview:
+        show_preview(target, stderr=json)
+    raise typer.Exit(gated_code(document, bounds))
 
 
 def _config(file: str | None, sets: list[str], *, online: bool, **options: object) -> Config:

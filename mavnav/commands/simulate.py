@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mavnav.commands.gating import Gates, gated_code, gates_of
+from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.replay import print_table, wall_rows
 from mavnav.commands.terminal import emit, note
@@ -60,6 +62,8 @@ def simulate(
     sets: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of it.", show_default=False)
     ] = None,
+    gates: Gates = None,
+    preview: Preview = False,
     list_: Annotated[bool, typer.Option("--list", help="Show the shipped scenarios.")] = False,
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON Schema of scenario files.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace what exists.")] = False,
@@ -72,6 +76,7 @@ def simulate(
         return
     if scenario is None:
         raise UsageError("no scenario; name a YAML file or one of 'mavnav simulate --list'")
+    bounds = gates_of(gates)
     chosen = _load(
         scenario,
         sets or [],
@@ -87,7 +92,9 @@ def simulate(
         request = pipeline.Request(chosen, scenario_path(scenario), target, record, animate, force)
         _, document = pipeline.simulate(request, report, compile_s)
     _tell(document, target, json=json)
-    raise typer.Exit(document["exit_code"])
+    if preview:
+        show_preview(target, stderr=json)
+    raise typer.Exit(gated_code(document, bounds))
 
 
 def _show(*, schema: bool) -> None:

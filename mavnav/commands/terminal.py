@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -12,6 +12,15 @@ if TYPE_CHECKING:
 def printable(text: object) -> str:
     """Return text with control, format and bidirectional characters spelt out, so that data cannot steer a terminal."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+
+
+def can_print(text: str, stream: TextIO) -> bool:
+    """Return whether a stream's encoding has all characters of a text."""
+    try:
+        text.encode(stream.encoding or "ascii")
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def console(*, stderr: bool = False) -> Console:

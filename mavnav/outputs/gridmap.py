@@ -78,6 +78,13 @@ def write_yaml(run: Run, path: Path) -> None:
     path.write_text(_YAML.format(cell_m=float(grid.cell_m), x_m=x_m, y_m=y_m), encoding="ascii")
 
 
+def read_npz(path: Path) -> Grid:
+    """Read the counts that `write_npz` wrote."""
+    with np.load(path) as counts:
+        x_m, y_m = counts["origin_xy_m"].tolist()
+        return Grid(float(counts["cell_m"]), (x_m, y_m), counts["counts"], counts["passes"])
+
+
 def write_npz(run: Run, path: Path) -> None:
     """Write the counts of the known part: ``counts`` and ``passes`` (rows, cols), ``cell_m``, ``origin_xy_m`` (2,).
 

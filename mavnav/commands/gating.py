@@ -1,0 +1,38 @@
+"""``--gate`` of the commands that make one run: bounds on its numbers, and what they do to the exit code."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mavnav.commands.terminal import note
+from mavnav.errors import ExitCode, worst
+
+if TYPE_CHECKING:
+    from mavnav.gates import Gate
+
+Gates = Annotated[
+    list[str] | None,
+    typer.Option("--gate", metavar="NAME<=X", help="What must hold of run.json; repeat it.", show_default=False),
+]
+
+
+def gates_of(texts: list[str] | None) -> list[Gate]:
+    """Read the gates; raises UsageError, before the work."""
+    from mavnav.gates import parse_gate
+
+    return [parse_gate(text) for text in texts or []]
+
+
+def gated_code(document: dict[str, Any], gates: list[Gate]) -> ExitCode:
+    """Return the exit code of a run and its gates, and say on stderr which of them do not hold.
+
+    Raises UsageError for a name that run.json does not have: the run is written by then.
+    """
+    from mavnav.gates import judge
+
+    failed = [verdict for verdict in judge(gates, document) if not verdict.passed]
+    for verdict in failed:
+        note(f"mavnav: error: gate {verdict.gate.text} failed: {verdict.why}")
+    return worst([document["exit_code"], *(ExitCode.GATE_FAILED for _ in failed)])

@@ -1,0 +1,54 @@
+"""A map as a few lines of text: eight dots in every character of Braille, or a hash where there is no Braille."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mavnav.outputs.gridmap import OCCUPIED, occupancy
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.grid import Grid
+
+DOTS: Final = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], np.uint32)
+"""Bit of each dot in a character of Unicode's block U+2800: four rows of two."""
+
+
+def preview(grid: Grid, columns: int = 76, lines: int = 24, *, braille: bool = True) -> list[str]:
+    """Return the occupied cells as text of at most so many columns and lines, largest y on top, +x to the right.
+
+    A dot stands for a square of cells and is set where one of them is occupied. Without ``braille``, every character
+    that has a dot is a hash.
+    """
+    walls = _cropped(occupancy(grid) == OCCUPIED)[::-1]
+    rows, cols = walls.shape
+    step = max(-(-cols // (2 * columns)), -(-rows // (4 * lines)), 1)
+    dots = _pooled(walls, step)
+    height, width = -(-dots.shape[0] // 4), -(-dots.shape[1] // 2)
+    padded = np.zeros((4 * height, 2 * width), np.uint32)
+    padded[: dots.shape[0], : dots.shape[1]] = dots
+    codes = np.einsum("iajb,ab->ij", padded.reshape(height, 4, width, 2), DOTS)
+    return ["".join(_character(code, braille=braille) for code in line).rstrip() for line in codes.tolist()]
+
+
+def _cropped(walls: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Leave out empty rows and columns around the walls."""
+    if not walls.any():
+        return np.zeros((1, 1), np.bool_)
+    rows, cols = (np.flatnonzero(walls.any(axis=axis)) for axis in (1, 0))
+    return walls[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+
+
+def _pooled(walls: NDArray[np.bool_], step: int) -> NDArray[np.bool_]:
+    """Return whether any cell of each block is occupied; blocks at the end may be smaller."""
+    by_rows = np.logical_or.reduceat(walls, np.arange(0, walls.shape[0], step), axis=0)
+    return np.logical_or.reduceat(by_rows, np.arange(0, walls.shape[1], step), axis=1)
+
+
+def _character(code: int, *, braille: bool) -> str:
+    if not code:
+        return " "
+    return chr(0x2800 + code) if braille else "#"

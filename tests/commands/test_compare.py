@@ -1,0 +1,149 @@
+"""mavnav compare: its table, its streams, its exit codes, and what is left when it is stopped."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from mavnav.cli import run
+from mavnav.commands.cell_progress import watching
+from mavnav.commands.comparison_table import bar
+from mavnav.errors import ExitCode
+from mavnav.jobs import Ended, Fate, Outcome, Started
+
+SHORT = ("--end", "0.5", "--online", "--set", "azimuth=6", "--grid", "5x5", "--grid", "12x12")
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory: pytest.TempPathFactory, sample: Path) -> Path:
+    """Return the directory of a finished comparison: what follows only reads its cells again."""
+    target = tmp_path_factory.mktemp("comparisons") / "first"
+    assert run(["compare", str(sample), "-o", str(target), "-q", *SHORT]) == 0
+    return target
+
+
+@pytest.fixture
+def again(mavnav: Callable, sample: Path, directory: Path) -> Callable[..., tuple[int, str, str]]:
+    return lambda *args: mavnav("compare", sample, "-o", directory, *SHORT, *args)
+
+
+def test_a_line_for_every_cell(again: Callable, directory: Path) -> None:
+    code, out, err = again()
+    lines = out.splitlines()
+    assert (code, err) == (0, "")
+    assert lines[0].split()[:3] == ["method", "grid", "mapped"]
+    assert [line.split()[:2] for line in lines[1:3]] == [["robust", "6/5x5"], ["robust", "6/12x12"]]
+    assert all(line.rstrip().endswith("from before") for line in lines[1:3])
+    assert lines[-1] == str(directory / "comparison.md")
+    assert max(map(len, lines)) <= 200
+
+
+def test_json_is_comparison_json_and_nothing_else(again: Callable, directory: Path) -> None:
+    code, out, err = again("--json")
+    assert (code, err) == (0, "")
+    assert json.loads(out) == json.loads((directory / "comparison.json").read_text())
+
+
+def test_a_gate_that_does_not_hold(again: Callable) -> None:
+    code, out, err = again("--gate", "search.evaluations_per_scan.mean<1", "--gate", "scans.processed>=1")
+    assert code == ExitCode.GATE_FAILED
+    assert "robust" in out
+    lines = err.splitlines()
+    assert len(lines) == 2
+    assert lines[0].startswith(
+        "mavnav: error: corridor.mcap robust 6/5x5: gate search.evaluations_per_scan.mean<1 failed:"
+    )
+
+
+def test_previews(again: Callable) -> None:
+    _, out, _ = again("--preview")
+    assert out.count("corridor.mcap robust") == 2
+    assert any(0x2800 < ord(c) < 0x2900 for c in out)
+    _, out, err = again("--preview", "--json")
+    json.loads(out)
+    assert any(0x2800 < ord(c) < 0x2900 for c in err)
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["nowhere.mcap"], "no such file"),
+        (["--grid", "5"], "write for example --grid 10x10"),
+        (
+            ["--grid", "5x5", "--grid", "6x6", "--azimuth", "5", "--azimuth", "6", "--azimuth", "7"],
+            "3 values of --azimuth",
+        ),
+        (["--method", "best"], "--method"),
+        (["--gate", "thickness"], "write for example --gate"),
+        (["-j", "0"], "--jobs"),
+        (["--extrinsic", "1"], "--extrinsic"),
+        (["--config", "nowhere.yaml"], "nowhere.yaml"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_one_line_for_what_cannot_be_done(mavnav: Callable, tmp_path: Path, args: list[str], words: str) -> None:
+    code, out, err = mavnav("compare", "-o", tmp_path / "out", *args)
+    assert (code, out) == (ExitCode.USAGE, "")
+    assert words in err.splitlines()[-1]
+    assert not (tmp_path / "out" / "cells").exists()
+
+
+def test_a_log_without_scans(mavnav: Callable, tmp_path: Path) -> None:
+    (tmp_path / "empty.mcap").write_bytes(b"no log")
+    code, out, err = mavnav("compare", tmp_path / "empty.mcap", "--grid", "10x10", "-o", tmp_path / "out")
+    assert code == ExitCode.NO_SCANS
+    assert "failed" in out
+    assert err.splitlines()[-1].startswith("mavnav: error: empty.mcap robust 20/10x10: ")
+
+
+def lines_of(process) -> Iterator[str]:
+    yield from iter(process.stderr.readline, "")
+
+
+def test_ctrl_c_keeps_the_finished_cells(spawn: Callable, sample: Path, tmp_path: Path) -> None:
+    """The signal reaches the parent alone here; on a terminal the workers, which get it too, do not hear it."""
+    few = ("-o", tmp_path / "out", "-j", 1, "--end", 0.5, "--online", "--grid", "5x5", "--grid", "60x60")
+    process = spawn("compare", sample, *few)
+    for line in lines_of(process):
+        if "1 of 2" in line:
+            break
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (ExitCode.INTERRUPTED, "", "mavnav: interrupted\n")
+    (kept,) = (tmp_path / "out" / "cells").iterdir()
+    assert kept.name.startswith("corridor-robust-5x5-")
+
+
+def test_a_plain_line_for_every_cell_that_ends(capsys: pytest.CaptureFixture[str]) -> None:
+    with watching(["a.bag robust 6/5x5", "b\x1b.bag"], quiet=False) as listen:
+        listen(Started(1, 7))
+        listen(Ended(1, Outcome(Fate.DIED, 7, 1.0, error="its process was killed by SIGKILL")))
+        listen(Ended(0, Outcome(Fate.DONE, 8, 2.04, value={})))
+    assert capsys.readouterr().err.splitlines() == [
+        "mavnav: 1 of 2: b\\x1b.bag failed: its process was killed by SIGKILL",
+        "mavnav: 2 of 2: a.bag robust 6/5x5 done in 2.0 s",
+    ]
+
+
+def test_bars() -> None:
+    assert bar(1, 1) == "██████"
+    assert bar(0.5, 1) == "███   "
+    assert bar(0, 1) == bar(0, 0) == "      "
+    assert bar(1, 48) == "▏     "
+
+
+def test_gates_of_a_single_run(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    few = ("--end", 0.5, "--online", "-q", "--json")
+    code, out, err = mavnav("replay", sample, "-o", tmp_path / "r", *few, "--gate", "scans.tracked>100", "--preview")
+    assert code == ExitCode.GATE_FAILED
+    assert json.loads(out)["exit_code"] == 0
+    assert "mavnav: error: gate scans.tracked>100 failed: it is " in err
+    code, _, err = mavnav("replay", sample, "-o", tmp_path / "s", *few, "--gate", "scans.traked>100")
+    assert (code, (tmp_path / "s" / "run.json").exists()) == (ExitCode.USAGE, True)
+    assert err.endswith("did you mean scans.tracked?\n")
+    code, _, err = mavnav("replay", sample, "-o", tmp_path / "t", *few, "--gate", "scans.tracked")
+    assert (code, (tmp_path / "t").exists()) == (ExitCode.USAGE, False)
