@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     from mavnav.pose import Pose
 
 _BLOCK_CELLS = 64
+
+OCCUPIED_SHARE: Final = 0.2
+"""A cell is occupied where at least this share of the beams that reached it ended in it."""
+
+FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 
 
 def covering(
@@ -89,3 +94,15 @@ class Grid:
                 array[dr : dr + rows, dc : dc + cols] = getattr(self, name)
             setattr(self, name, array)
         self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))
+
+
+def occupancy(grid: Grid) -> NDArray[np.int8]:
+    """Tell free (0), occupied (100) and unknown (-1) cells apart, as nav_msgs/OccupancyGrid does; (rows, cols).
+
+    Occupied: hit, by at least `OCCUPIED_SHARE` of the beams that ended in the cell or crossed it. Free: any other
+    cell that a beam reached.
+    """
+    seen = grid.hits.astype(np.int64) + grid.passes
+    out = np.where(seen > 0, FREE, UNKNOWN).astype(np.int8)
+    out[(grid.hits > 0) & (grid.hits >= OCCUPIED_SHARE * seen)] = OCCUPIED
+    return out

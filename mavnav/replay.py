@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from mavnav import slam
 from mavnav.logs import open_log
+from mavnav.metrics.journey import Journey
+from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import wall_thickness
 from mavnav.outputs import Run, Timing, check_directory, write_run
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from mavnav.config import Config
     from mavnav.grid import Grid
     from mavnav.logs import Log
+    from mavnav.metrics.map_quality import MapQuality
     from mavnav.metrics.wall_thickness import WallThickness
     from mavnav.pose import Pose
 
@@ -73,7 +76,9 @@ def replay(request: Request, progress: Progress, compile_s: float) -> tuple[Run,
     outcome = _track(log, request.config, progress)
     thickness = measured_thickness(outcome.grid)
     timing = Timing(wall_s=perf_counter() - wall_s, cpu_s=process_time() - cpu_s, compile_s=compile_s)
-    run = Run(log=log, config=request.config, slam=outcome, thickness=thickness, timing=timing)
+    progress("measuring", 0, None)
+    quality = measured_quality(outcome, log)
+    run = Run(log=log, config=request.config, slam=outcome, thickness=thickness, timing=timing, quality=quality)
     progress("writing", 0, None)
     return run, write_run(run, request.directory, force=request.force)
 
@@ -81,6 +86,12 @@ def replay(request: Request, progress: Progress, compile_s: float) -> tuple[Run,
 def measured_thickness(grid: Grid) -> dict[int, WallThickness]:
     """Measure the walls at each of the thresholds."""
     return {hits: wall_thickness(grid.hits, grid.cell_m, hits) for hits in THRESHOLDS}
+
+
+def measured_quality(outcome: slam.Slam, log: Log) -> MapQuality:
+    """Measure the map of a run, with the scans behind it."""
+    mapped = sum(step.accepted for step in outcome.steps) / max(len(outcome.steps), 1)
+    return map_quality(outcome.grid, Journey(outcome.trajectory, log.scans, mapped, outcome.lost_for_good))
 
 
 def _open(request: Request, progress: Progress) -> Log:

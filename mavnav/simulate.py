@@ -19,7 +19,7 @@ from mavnav.outputs import Run, Timing, check_directory, write_run
 from mavnav.outputs.animation import animate, check_animation
 from mavnav.outputs.run import Mission, Truth
 from mavnav.pose import Pose, transform_points
-from mavnav.replay import Progress, measured_thickness
+from mavnav.replay import Progress, measured_quality, measured_thickness
 from mavnav.world import World
 
 if TYPE_CHECKING:
@@ -74,14 +74,16 @@ def simulate(request: Request, progress: Progress, compile_s: float) -> tuple[Ru
     with TemporaryDirectory(prefix="mavnav-") as folder:
         kept = Path(folder) / f"{request.scenario.name}.mcap"
         record(recording, kept)
+        log = open_log(kept)
         run = Run(
-            log=open_log(kept),
+            log=log,
             config=request.scenario.config,
             slam=flight.slam,
             thickness=measured_thickness(flight.slam.grid),
             timing=timing,
             truth=_truth(flight),
             mission=_mission(request, flight),
+            quality=measured_quality(flight.slam, log),
         )
         document = write_run(run, request.directory, force=request.force)
         if request.recording:

@@ -30,6 +30,7 @@ class Sections:
 
     ``row`` and ``col`` (n,) are the middle of the cut in cells (halves occur), ``thickness_cells`` (n,) its depth along
     the normal, ``length_m`` (n,) the length of wall that it stands for; ``vertical`` (n,) cuts run along a column.
+    ``direction_rad`` (n,) is the wall's direction from the row's, modulo pi.
     ``share`` is the part of the map's occupied cells that lies in a section.
     """
 
@@ -38,6 +39,7 @@ class Sections:
     thickness_cells: NDArray[np.float64]
     length_m: NDArray[np.float64]
     vertical: NDArray[np.bool_]
+    direction_rad: NDArray[np.float64]
     share: float
 
 
@@ -67,7 +69,7 @@ def wall_thickness(hits: NDArray[np.int32], cell_m: float, min_hits: int) -> Wal
     """
     sections = wall_sections(hits, cell_m, min_hits)
     thickness, weight = sections.thickness_cells, sections.length_m
-    maximum, p95, median = _quantiles(thickness, weight)
+    maximum, p95, median = quantiles(thickness, weight)
     return WallThickness(
         hits=min_hits,
         max_cells=maximum,
@@ -82,7 +84,7 @@ def wall_thickness(hits: NDArray[np.int32], cell_m: float, min_hits: int) -> Wal
     )
 
 
-def _quantiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[float, float, float]:
+def quantiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[float, float, float]:
     """Return maximum, 95 % quantile and median; NaN without values."""
     if not len(values):
         return np.nan, np.nan, np.nan
@@ -104,7 +106,8 @@ def wall_sections(hits: NDArray[np.int32], cell_m: float, min_hits: int) -> Sect
         thickness_cells=np.concatenate((down[2], across[2])),
         length_m=np.concatenate((down[3], across[3])),
         vertical=np.repeat((True, False), (len(down[0]), len(across[0]))),
-        share=float(down[4].sum() + across[4].sum()) / max(occupied, 1),
+        direction_rad=np.concatenate((down[4], np.pi / 2.0 - across[4])),
+        share=float(down[5].sum() + across[5].sum()) / max(occupied, 1),
     )
 
 
@@ -113,7 +116,8 @@ def _axis_cuts(
 ) -> tuple[NDArray[np.float64], ...]:
     """Cut along the columns where the wall runs nearer to the rows; ``diagonal`` walls are cut this way if told.
 
-    Returns column, middle row, thickness in cells, length in metres and occupied cells of each cut, (n,) each.
+    Returns column, middle row, thickness in cells, length in metres, wall's angle to the row in rad and occupied cells
+    of each cut, (n,) each.
     """
     runs = column_runs(hits, min_hits, MAX_GAP_CELLS)
     cells, var_x, cov, var_y = run_moments(hits, runs, min_hits, MAX_GAP_CELLS, RADIUS_M / cell_m).T
@@ -121,7 +125,7 @@ def _axis_cuts(
     wide, thin = mean + half, mean - half
     straight = (cells >= MIN_CELLS) & (np.sqrt(12.0 * wide) * cell_m >= MIN_LENGTH_M) & (thin <= MAX_RATIO * wide)
     kept = straight & ((var_x >= var_y) if diagonal else (var_x > var_y))
-    # the normal's share of the column's direction: cos of the wall's angle to the row
-    cos = np.cos(0.5 * np.arctan2(2.0 * cov[kept], (var_x - var_y)[kept]))
+    angle = 0.5 * np.arctan2(2.0 * cov[kept], (var_x - var_y)[kept])
+    cos = np.cos(angle)  # the normal's share of the column's direction
     col, first, last, occupied = runs[kept].T.astype(np.float64)
-    return col, (first + last) / 2.0, (last - first) * cos + 1.0, cell_m / cos, occupied
+    return col, (first + last) / 2.0, (last - first) * cos + 1.0, cell_m / cos, angle, occupied

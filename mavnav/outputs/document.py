@@ -59,6 +59,8 @@ def metrics(run: Run) -> Document:
         "tracking": _tracking(run),
         "search": _search(run),
         "wall_thickness": {str(k): _thickness(t) for k, t in run.thickness.items()},
+        "map_quality": None if run.quality is None else asdict(run.quality),
+        **({} if run.reference is None else {"reference": run.reference}),
         "map": _map(run),
         **({} if run.mission is None else {"mission": run.mission.mission, "truth": run.mission.truth}),
     }

@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-from mavnav.outputs.gridmap import FREE, occupancy
+from mavnav.grid import FREE, occupancy
 
 if TYPE_CHECKING:
     from pathlib import Path

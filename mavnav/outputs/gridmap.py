@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.grid import Grid
+from mavnav.grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -15,10 +15,6 @@ if TYPE_CHECKING:
 
     from mavnav.outputs.run import Run
 
-OCCUPIED_SHARE: Final = 0.2
-"""A cell is occupied where at least this share of the beams that reached it ended in it."""
-
-FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 _PIXELS: Final = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
 _MARGIN_CELLS: Final = 2
 
@@ -31,18 +27,6 @@ negate: 0
 occupied_thresh: 0.65
 free_thresh: 0.196
 """
-
-
-def occupancy(grid: Grid) -> NDArray[np.int8]:
-    """Tell free (0), occupied (100) and unknown (-1) cells apart, as nav_msgs/OccupancyGrid does; (rows, cols).
-
-    Occupied: hit, by at least `OCCUPIED_SHARE` of the beams that ended in the cell or crossed it. Free: any other
-    cell that a beam reached.
-    """
-    seen = grid.hits.astype(np.int64) + grid.passes
-    out = np.where(seen > 0, FREE, UNKNOWN).astype(np.int8)
-    out[(grid.hits > 0) & (grid.hits >= OCCUPIED_SHARE * seen)] = OCCUPIED
-    return out
 
 
 def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:

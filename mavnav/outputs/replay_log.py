@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from mavnav.grid import OCCUPIED, UNKNOWN, occupancy
 from mavnav.logs import ros
 from mavnav.logs.containers import Channel, write_mcap
-from mavnav.outputs.gridmap import OCCUPIED, UNKNOWN, known_part, occupancy
+from mavnav.outputs.gridmap import known_part
 from mavnav.outputs.run import base_frame
 from mavnav.pose import Pose, transform_points
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from mavnav.config import Config
     from mavnav.logs import Log
+    from mavnav.metrics.map_quality import MapQuality
     from mavnav.metrics.wall_thickness import WallThickness
     from mavnav.pose import Trajectory
     from mavnav.slam import Slam
@@ -61,7 +62,8 @@ class Mission:
 class Run:
     """A log, how it was run, what came out, and how thick the walls are (hit threshold -> summary).
 
-    A mission of the simulator knows the truth besides.
+    A mission of the simulator knows the truth besides. ``reference`` is what a comparison with references told, plain
+    data for run.json.
     """
 
     log: Log
@@ -71,6 +73,8 @@ class Run:
     timing: Timing
     truth: Truth | None = None
     mission: Mission | None = None
+    quality: MapQuality | None = None
+    reference: dict[str, Any] | None = None
 
     @property
     def name(self) -> str:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import yaml
 
-from mavnav.grid import Grid
-from mavnav.outputs.gridmap import FREE, OCCUPIED, UNKNOWN, known_part, occupancy, write_npz, write_pgm, write_yaml
+from mavnav.grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy
+from mavnav.outputs.gridmap import known_part, write_npz, write_pgm, write_yaml
 
 
 def load_map(folder):

@@ -1,0 +1,47 @@
+"""Crispness: how many cells a metre of wall takes, and how undecided they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.grid import OCCUPIED
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.grid import Grid
+
+
+@dataclass(frozen=True, slots=True)
+class Crispness:
+    """Occupied cells a metre of straight wall, and entropy in bits a cell that was ever hit; NaN where not known."""
+
+    occupied_cells_per_m: float
+    entropy_bits: float
+
+
+def crispness(grid: Grid, cells: NDArray[np.int8], wall_m: float, *, counted: bool) -> Crispness:
+    """Measure a map; ``cells`` is its occupancy, ``counted`` says whether hits and crossings are true counts."""
+    occupied = np.count_nonzero(cells == OCCUPIED)
+    return Crispness(
+        occupied_cells_per_m=occupied / wall_m if wall_m else np.nan,
+        entropy_bits=entropy_bits(grid) if counted else np.nan,
+    )
+
+
+def entropy_bits(grid: Grid) -> float:
+    """Return the mean entropy of the cells that were hit, taking the share of beams that ended there as probability.
+
+    0 where every cell stops every beam that reaches it; 1 at worst. Free space, where nothing was ever hit, is left
+    out: a large room would hide blurred walls. NaN without any hit.
+    """
+    hit = grid.hits > 0
+    p = grid.hits[hit] / (grid.hits[hit].astype(np.float64) + grid.passes[hit])
+    if not len(p):
+        return np.nan
+    q = 1.0 - p
+    log_q = np.log2(q, out=np.zeros_like(q), where=q > 0.0)
+    return float(-(p * np.log2(p) + q * log_q).mean()) + 0.0

@@ -1,0 +1,191 @@
+"""Ghost walls: one wall mapped twice (paper, "Corridor Mapping", Figure 8).
+
+Two parallel ridges, free space between them, and the free space that each was seen from on the same side: a beam that
+ended on the rear one went through the front one. The two faces of a real wall are seen from opposite sides, with
+nothing known between them; the walls of a corridor face one another. Definition and validation: docs/metrics.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mavnav.kernels.profiles import wall_profiles
+from mavnav.metrics.lines import fit_line, linked
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from mavnav.grid import Grid
+    from mavnav.metrics.wall_thickness import Sections
+
+LEAST_OFFSET_CELLS: Final = 1.5
+MAX_OFFSET_CELLS: Final = 13
+MAX_OFFSET_M: Final = 0.3
+"""The rear ridge is looked for up to the larger of the two."""
+
+STRETCH_M: Final = 0.15
+"""A ridge must stand out on this much of the wall to either side of a station."""
+
+SPACING_CELLS: Final = 3
+LEAST_LENGTH_M: Final = 0.3
+DIP: Final = 0.5
+"""Between the ridges there are at most so many of the hits of the lower one."""
+
+LEAST_HITS: Final = 0.25
+LEAST_SHARE: Final = 0.08
+"""A ridge has so many hits a cell at least, and such a part of the other's."""
+
+FREE_SHARE: Final = 0.5
+"""Beams that crossed a cell of free space, compared with the hits a cell of the ridge that they ended on."""
+
+OUTSIDE_CELLS: Final = (2.0, 5.0)
+REACH_M, ACROSS_CELLS, TURN_RAD = 0.15, 3.0, 12.0 * DEG
+
+
+@dataclass(frozen=True, slots=True)
+class GhostWall:
+    """A stretch of wall that is there twice: middle and direction of the front ridge, its length, distance of the rear.
+
+    Map frame; ``direction_deg`` is 0 to 180 from x.
+    """
+
+    x_m: float
+    y_m: float
+    direction_deg: float
+    length_m: float
+    offset_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class GhostWalls:
+    """All ghost walls of a map, the longest first; the worst offset is NaN where there is none."""
+
+    count: int
+    length_m: float
+    worst_offset_mm: float
+    worst_offset_cells: float
+    places: tuple[GhostWall, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Twins:
+    """Stations at which a ridge has a twin: the front ridge's (col, row) (n, 2), direction, and offset in cells."""
+
+    xy_cells: NDArray[np.float64]
+    direction_rad: NDArray[np.float64]
+    offset_cells: NDArray[np.float64]
+
+
+def ghost_walls(grid: Grid, all_sections: Iterable[Sections]) -> GhostWalls:
+    """Find the ghost walls of a map.
+
+    ``all_sections`` are the cuts through its straight walls, at one hit threshold or several: where the direction of
+    a wall is known, a twin is looked for on either side.
+    """
+    stations = _stations(all_sections)
+    reach = int(np.ceil(max(MAX_OFFSET_CELLS, MAX_OFFSET_M / grid.cell_m) + OUTSIDE_CELLS[1]))
+    half_length = max(round(STRETCH_M / grid.cell_m), 3)
+    hits = wall_profiles(np.ascontiguousarray(grid.hits), stations, half_length, reach)
+    passes = wall_profiles(np.ascontiguousarray(grid.passes), stations, half_length, reach)
+    twins = [_twins(stations, hits, passes), _twins(_turned(stations), hits[:, ::-1, ::-1], passes[:, ::-1, ::-1])]
+    places = _places(_joined(twins), grid)
+    worst_mm = max((p.offset_mm for p in places), default=np.nan)
+    return GhostWalls(
+        count=len(places),
+        length_m=float(sum(p.length_m for p in places)),
+        worst_offset_mm=worst_mm,
+        worst_offset_cells=worst_mm * MM / grid.cell_m,
+        places=places,
+    )
+
+
+def _stations(all_sections: Iterable[Sections]) -> NDArray[np.float64]:
+    """Return column, row and direction of sections, (n, 3), thinned to one in a few cells."""
+    found = [np.column_stack((s.col, s.row, s.direction_rad)) for s in all_sections]
+    every = np.concatenate(found) if found else np.zeros((0, 3))
+    _, first = np.unique(np.floor(every[:, :2] / SPACING_CELLS), axis=0, return_index=True)
+    return np.ascontiguousarray(every[np.sort(first)])
+
+
+def _turned(stations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Look along the walls the other way: what lay to the left lies to the right."""
+    turned: NDArray[np.float64] = stations + np.array([0.0, 0.0, np.pi])
+    return turned
+
+
+def _twins(stations: NDArray[np.float64], hits: NDArray[np.float64], passes: NDArray[np.float64]) -> _Twins:
+    """Find the stations whose ridge has a twin to the left; profiles (n, 2, bins) as of `wall_profiles`."""
+    ridge, twin, valley = _ridges(hits)
+    row, centre = np.arange(len(stations)), hits.shape[2] // 2
+    lower = hits.min(axis=1)
+    h_ridge, h_twin = lower[row, ridge], lower[row, twin]
+    crossed = passes.min(axis=1)[row, valley]
+    right, left = _outside(passes, ridge, -1), _outside(passes, twin, 1)
+    faces_right = (right >= FREE_SHARE * h_ridge) & (crossed >= FREE_SHARE * h_twin)
+    faces_left = (left >= FREE_SHARE * h_twin) & (crossed >= FREE_SHARE * h_ridge)
+    kept = (twin > ridge) & (faces_right | faces_left)
+    front = np.where(faces_right & ~(faces_left & (left > right)), ridge, twin)[kept]
+    side = 0.5 * (front - centre)
+    angle = stations[kept, 2]
+    normal = np.column_stack((-np.sin(angle), np.cos(angle)))
+    return _Twins(stations[kept, :2] + side[:, None] * normal, angle, 0.5 * (twin - ridge)[kept])
+
+
+def _ridges(hits: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Find the ridge at each station, the next one to its left, and the valley between; bins, (n,) each.
+
+    Both halves of the stretch must show both ridges: a step in a wall is no twin. Without a twin, its bin is 0.
+    """
+    both, lower = hits.sum(axis=1) / 2.0, hits.min(axis=1)
+    n, bins = both.shape
+    row, centre = np.arange(n), bins // 2
+    ridge = centre - 3 + both[:, centre - 3 : centre + 4].argmax(axis=1) if n else np.zeros(0, np.intp)
+    height = lower[row, ridge][:, None]
+    beyond = np.arange(bins) > ridge[:, None]
+    lowest = np.minimum.accumulate(np.where(beyond, both, np.inf), axis=1)
+    padded = np.pad(both, ((0, 0), (2, 2)))
+    peak = (both >= padded[:, 1:-3]) & (both >= padded[:, 3:-1]) & (both >= padded[:, :-4]) & (both >= padded[:, 4:])
+    strong = (lower >= LEAST_HITS) & (lower >= LEAST_SHARE * height) & (height >= LEAST_SHARE * lower)
+    apart = lowest <= DIP * np.minimum(lower, height)
+    offset = np.arange(bins) - ridge[:, None]
+    reach = bins - 1 - centre - 2 * int(OUTSIDE_CELLS[1])
+    fits = (offset >= 2 * LEAST_OFFSET_CELLS) & (offset <= reach) & (height >= LEAST_HITS)
+    found = beyond & peak & strong & apart & fits
+    twin = np.where(found.any(axis=1), found.argmax(axis=1), 0)
+    between = beyond & (np.arange(bins) < twin[:, None])
+    valley = np.where(between, both, np.inf).argmin(axis=1)
+    return ridge, twin, valley
+
+
+def _outside(passes: NDArray[np.float64], ridge: NDArray[np.intp], side: int) -> NDArray[np.float64]:
+    """Return the crossings a cell (n,) in the free space next to a ridge, the mean over a few cells."""
+    near, far = (round(2 * d) for d in OUTSIDE_CELLS)
+    both = passes.mean(axis=1)
+    bins = np.clip(ridge[:, None] + side * np.arange(near, far + 1), 0, both.shape[1] - 1)
+    mean: NDArray[np.float64] = np.take_along_axis(both, bins, axis=1).mean(axis=1)
+    return mean
+
+
+def _joined(twins: list[_Twins]) -> _Twins:
+    parts = ([getattr(t, name) for t in twins] for name in ("xy_cells", "direction_rad", "offset_cells"))
+    return _Twins(*(np.concatenate(part) for part in parts))
+
+
+def _places(twins: _Twins, grid: Grid) -> tuple[GhostWall, ...]:
+    """Join twins that follow one another; what is shorter than the least length is chance."""
+    xy_m = (twins.xy_cells + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
+    groups = linked(xy_m, twins.direction_rad, reach_m=REACH_M, across_m=ACROSS_CELLS * grid.cell_m, turn_rad=TURN_RAD)
+    places = []
+    for group in range(groups.max() + 1 if len(groups) else 0):
+        here = groups == group
+        line = fit_line(xy_m[here], np.ones(here.sum()), SPACING_CELLS * grid.cell_m)
+        offset_mm = float(np.median(twins.offset_cells[here])) * grid.cell_m / MM
+        if line.length_m >= LEAST_LENGTH_M:
+            places.append(GhostWall(line.x_m, line.y_m, line.direction_rad / DEG, line.length_m, offset_mm))
+    return tuple(sorted(places, key=lambda p: (-p.length_m, p.x_m, p.y_m)))

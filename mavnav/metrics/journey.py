@@ -1,0 +1,73 @@
+"""What the laser saw on its way: the scans of a run with their poses, as the metrics need them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from numpy.typing import NDArray
+
+    from mavnav.pose import Trajectory
+    from mavnav.scan import LaserSpec, Scan
+
+MAX_SCANS: Final = 4000
+"""No more scans than this are kept, evenly spread over those wanted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Journey:
+    """How a map came about.
+
+    ``map_T_laser`` are the poses of the tracked scans, ``scans`` reads all of them again, ``mapped_share`` is the part
+    of the usable scans that went into the map, ``lost_for_good`` says that the track ended before the log.
+    """
+
+    map_T_laser: Trajectory
+    scans: Callable[[], Iterable[Scan]]
+    mapped_share: float
+    lost_for_good: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedScans:
+    """Scans of one geometry: stamps (n,), poses (n, 3) in the map frame (m, m, rad), ranges (n, beams) in m or NaN."""
+
+    spec: LaserSpec
+    stamps_ns: NDArray[np.int64]
+    poses: NDArray[np.float64]
+    ranges_m: NDArray[np.float64]
+
+
+def placed_scans(journey: Journey, wanted: NDArray[np.intp]) -> PlacedScans | None:
+    """Read the scans of some rows of the trajectory; None without any.
+
+    Scans of another geometry than the first one's are left out: beams are compared by number.
+    """
+    trajectory = journey.map_T_laser
+    row_of = {int(trajectory.stamps_ns[row]): row for row in wanted.tolist()}
+    rows: list[int] = []
+    ranges: list[NDArray[np.float64]] = []
+    spec = None
+    for scan in journey.scans():
+        row = row_of.pop(scan.stamp_ns, None)
+        if row is None:
+            continue
+        spec = spec or scan.spec
+        if _same_beams(scan.spec, spec):
+            rows.append(row)
+            ranges.append(scan.ranges_m)
+    if spec is None:
+        return None
+    return PlacedScans(spec, trajectory.stamps_ns[rows], trajectory.xyyaw[rows], np.array(ranges))
+
+
+def _same_beams(a: LaserSpec, b: LaserSpec) -> bool:
+    same = a.beams == b.beams and a.range_max_m == b.range_max_m
+    return same and bool(
+        np.allclose((a.angle_min_rad, a.angle_step_rad), (b.angle_min_rad, b.angle_step_rad), atol=1e-6)
+    )

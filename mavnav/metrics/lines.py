@@ -1,0 +1,64 @@
+"""Pieces of wall that belong together: points with a direction, linked along it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A straight line through points: its middle in m, direction in rad (0 to pi), length and spread across in m."""
+
+    x_m: float
+    y_m: float
+    direction_rad: float
+    length_m: float
+    spread_m: float
+
+
+def linked(
+    xy_m: NDArray[np.float64],
+    direction_rad: NDArray[np.float64],
+    *,
+    reach_m: float,
+    across_m: float,
+    turn_rad: float,
+) -> NDArray[np.int32]:
+    """Tell which points (n, 2) follow one another along their direction: the number of each one's group, (n,).
+
+    Two points are linked within ``reach_m`` where their directions differ by no more than ``turn_rad`` (modulo pi) and
+    neither lies more than ``across_m`` beside the line through the other.
+    """
+    n = len(xy_m)
+    if n == 0:
+        return np.zeros(0, np.int32)
+    a, b = cKDTree(xy_m).query_pairs(reach_m, output_type="ndarray").T
+    c, s = np.cos(direction_rad), np.sin(direction_rad)
+    dx, dy = (xy_m[b] - xy_m[a]).T
+    beside = np.maximum(np.abs(c[a] * dy - s[a] * dx), np.abs(c[b] * dy - s[b] * dx))
+    together = (np.abs(c[a] * s[b] - s[a] * c[b]) <= np.sin(turn_rad)) & (beside <= across_m)
+    links = coo_matrix((np.ones(together.sum(), np.int8), (a[together], b[together])), (n, n))
+    labels: NDArray[np.int32] = connected_components(links, directed=False)[1]
+    return labels
+
+
+def fit_line(xy_m: NDArray[np.float64], weight: NDArray[np.float64], along_m: float) -> Line:
+    """Fit a line to points (n, 2) by weighted total least squares; ``along_m`` is the length that one point covers."""
+    middle = np.average(xy_m, axis=0, weights=weight)
+    dx, dy = (xy_m - middle).T
+    xx, xy, yy = (float(np.average(v, weights=weight)) for v in (dx * dx, dx * dy, dy * dy))
+    angle = float(0.5 * np.arctan2(2.0 * xy, xx - yy))
+    u, v = np.cos(angle) * dx + np.sin(angle) * dy, np.cos(angle) * dy - np.sin(angle) * dx
+    low, high = float(u.min()), float(u.max())
+    centre = middle + 0.5 * (low + high) * np.array([np.cos(angle), np.sin(angle)])
+    spread = float(np.sqrt(np.average(v * v, weights=weight)))
+    return Line(float(centre[0]), float(centre[1]), angle % np.pi, high - low + along_m, spread)

@@ -1,0 +1,88 @@
+"""The profile of map quality: one frozen set of numbers, and whether they mean anything.
+
+A profile never changes: another definition or threshold is another profile. Definitions: docs/metrics.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from mavnav.grid import occupancy
+from mavnav.metrics.crispness import Crispness, crispness
+from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
+from mavnav.metrics.revisits import Revisits, revisits
+from mavnav.metrics.shape import EnclosedAreas, corners, enclosed_areas, occupied_share
+from mavnav.metrics.support import Support, map_support, reasons
+from mavnav.metrics.wall_thickness import wall_sections
+from mavnav.metrics.walls import Wall, straight_walls
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from mavnav.grid import Grid
+    from mavnav.metrics.journey import Journey
+
+PROFILE: Final = "map-quality/1"
+
+GHOST_THRESHOLDS: Final = (1, 2, 5)
+"""Ghost walls are looked for along the walls at each of these hit thresholds: noise may hide one at the lower ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapQuality:
+    """How good a map is; NaN or None where a number cannot be known.
+
+    Numbers of a map that is not ``meaningful`` must not be compared; ``why`` says in a few words each what is missing.
+    """
+
+    profile: str
+    meaningful: bool
+    why: tuple[str, ...]
+    ghost_walls: GhostWalls
+    crispness: Crispness
+    revisits: Revisits | None
+    support: Support
+    occupied_share: float
+    corners: int
+    enclosed_areas: EnclosedAreas
+    walls: tuple[Wall, ...]
+
+
+def map_quality(grid: Grid, journey: Journey | None = None, *, counted: bool = True) -> MapQuality:
+    """Measure a map.
+
+    Parameters
+    ----------
+    grid
+        The map. What a map file shows as well (walls, corners, areas) is measured on its `occupancy`, so that a run and
+        its map file agree; hits and crossings tell ghost walls and entropy.
+    journey
+        The scans behind it with their poses, where they are known.
+    counted
+        Whether hits and crossings are counts; otherwise they are 0 and 1, as a map file tells them.
+    """
+    cells = occupancy(grid)
+    walls = wall_sections(_occupied(cells), grid.cell_m, 1)
+    thresholds = GHOST_THRESHOLDS if counted else (1,)
+    support = map_support(grid, cells, walls, journey)
+    why = reasons(support, lost_for_good=journey is not None and journey.lost_for_good)
+    return MapQuality(
+        profile=PROFILE,
+        meaningful=not why,
+        why=why,
+        ghost_walls=ghost_walls(grid, [wall_sections(grid.hits, grid.cell_m, hits) for hits in thresholds]),
+        crispness=crispness(grid, cells, support.wall_m, counted=counted),
+        revisits=None if journey is None else revisits(journey),
+        support=support,
+        occupied_share=occupied_share(cells),
+        corners=corners(cells, grid.cell_m),
+        enclosed_areas=enclosed_areas(cells, grid.cell_m),
+        walls=straight_walls(walls, grid.cell_m, grid.origin_xy_m),
+    )
+
+
+def _occupied(cells: NDArray[np.int8]) -> NDArray[np.int32]:
+    """Return a map of one hit where a cell is occupied."""
+    return (cells > 0).astype("int32")

@@ -1,0 +1,133 @@
+"""Self-consistency: how well scans of the same place lie on one another, by the poses that they were given.
+
+No truth is needed. Neighbours in time show how well scans are matched, returns to a place how far the map has drifted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mavnav.kernels.overlap import scan_distances
+from mavnav.metrics.journey import placed_scans
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.metrics.journey import Journey, PlacedScans
+    from mavnav.pose import Trajectory
+
+CAP_M: Final = 0.15
+NEAR_M: Final = 0.1
+FAR_SHORT_M, FAR_LONG_M, SHORT_SENSOR_M = 4.0, 8.0, 6.0
+"""Points up to the first distance are used of sensors that reach no farther than the third, else up to the second."""
+
+SHORT_GAP_NS: Final = (300_000_000, 3_000_000_000)
+LONG_GAP_NS: Final = 10_000_000_000
+LONG_DISTANCE_M: Final = 1.0
+LONG_TURN_RAD: Final = 60.0 * DEG
+PAIRS: Final = 1000
+PARTNERS: Final = 4
+"""A scan is paired with so many of its revisits at most."""
+
+EVERY: Final = 5
+LEAST_POINTS, LEAST_TARGETS = 5, 20
+_GOLDEN: Final = 0.6180339887498949
+
+
+@dataclass(frozen=True, slots=True)
+class Revisits:
+    """How far scans lie apart that see the same walls; NaN without a pair.
+
+    ``nn_s_mm``: scans 0.3 to 3 s apart, mean distance of a point to the nearest one of the other scan, where one lies
+    within 150 mm. ``nn_l_mm``: scans more than 10 s, within 1 m and 60 degrees of one another, mean over the points
+    that the other scan could see, 150 mm at most. ``pairs`` counts these, ``visible_share`` is the part of their points
+    that could be seen.
+    """
+
+    nn_s_mm: float
+    nn_l_mm: float
+    pairs: int
+    visible_share: float
+
+
+def revisits(journey: Journey) -> Revisits:
+    """Measure the self-consistency of a run."""
+    trajectory = journey.map_T_laser
+    short, long = short_pairs(trajectory.stamps_ns), long_pairs(trajectory)
+    scans = placed_scans(journey, np.unique(np.concatenate((short, long))))
+    if scans is None:
+        return Revisits(np.nan, np.nan, 0, np.nan)
+    near = _distances(scans, trajectory, short)
+    far = _distances(scans, trajectory, long)
+    return Revisits(
+        nn_s_mm=_mean_mm(near[:, 0], near[:, 1]),
+        nn_l_mm=_mean_mm(far[:, 2], far[:, 3]),
+        pairs=len(far),
+        visible_share=float(far[:, 2].sum() / far[:, 4].sum()) if len(far) else np.nan,
+    )
+
+
+def short_pairs(stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Pair scans with one that is 0.3 to 3 s older or younger, evenly over the run, (n, 2)."""
+    pairs = []
+    for k, i in enumerate(_spread(len(stamps_ns), PAIRS)):
+        lows = np.searchsorted(stamps_ns, stamps_ns[i] + np.array([-SHORT_GAP_NS[1], SHORT_GAP_NS[0]]), side="right")
+        highs = np.searchsorted(stamps_ns, stamps_ns[i] + np.array([-SHORT_GAP_NS[0], SHORT_GAP_NS[1]]))
+        partners = np.concatenate([np.arange(low, high) for low, high in zip(lows, highs, strict=True)])
+        if len(partners):
+            pairs.append((i, partners[int(_fraction(k) * len(partners))]))
+    return np.array(pairs, np.intp).reshape(-1, 2)
+
+
+def long_pairs(trajectory: Trajectory) -> NDArray[np.intp]:
+    """Pair scans with others of the same place and heading, 10 s or more apart, evenly over the run, (n, 2)."""
+    t, (x, y, yaw) = trajectory.stamps_ns, trajectory.xyyaw.T
+    pairs = []
+    for k, i in enumerate(_spread(len(t), PAIRS)):
+        near = np.hypot(x - x[i], y - y[i]) < LONG_DISTANCE_M
+        alike = np.cos(yaw - yaw[i]) > np.cos(LONG_TURN_RAD)
+        partners = np.flatnonzero(near & alike & (np.abs(t - t[i]) > LONG_GAP_NS))
+        chosen = {int((_fraction(k) + part / PARTNERS) % 1.0 * len(partners)) for part in range(PARTNERS)}
+        pairs += [(i, partners[j]) for j in sorted(chosen) if len(partners)]
+    found = np.array(pairs, np.intp).reshape(-1, 2)
+    return found[_spread(len(found), PAIRS)]
+
+
+def _spread(n: int, most: int) -> NDArray[np.intp]:
+    """Choose ``most`` of n places, evenly."""
+    return np.arange(n) if n <= most else np.linspace(0, n - 1, most).round().astype(np.intp)
+
+
+def _fraction(k: int) -> float:
+    """Return the k-th of a sequence that fills 0 to 1 evenly: choices without a random number."""
+    return (k * _GOLDEN) % 1.0
+
+
+def _distances(scans: PlacedScans, trajectory: Trajectory, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return the sums of `scan_distances` for the pairs of rows that have points enough."""
+    spec = scans.spec
+    far_m = min(FAR_SHORT_M if spec.range_max_m <= SHORT_SENSOR_M else FAR_LONG_M, spec.range_max_m)
+    points = np.count_nonzero((scans.ranges_m >= NEAR_M) & (scans.ranges_m <= far_m), axis=1)
+    order = np.argsort(scans.stamps_ns)
+    there = np.searchsorted(scans.stamps_ns, trajectory.stamps_ns[pairs], sorter=order)
+    numbers = order[np.minimum(there, len(order) - 1)]
+    found = (scans.stamps_ns[numbers] == trajectory.stamps_ns[pairs]).all(axis=1)
+    enough = (points[numbers[:, 0]] > EVERY * (LEAST_POINTS - 1)) & (points[numbers[:, 1]] >= LEAST_TARGETS)
+    angles = spec.angles_rad
+    return scan_distances(
+        scans.ranges_m,
+        scans.poses,
+        np.ascontiguousarray(numbers[found & enough], np.int64),
+        np.column_stack((np.cos(angles), np.sin(angles))),
+        np.array([spec.angle_min_rad, spec.angle_step_rad, NEAR_M, far_m]),
+        CAP_M,
+        EVERY,
+    )
+
+
+def _mean_mm(counts: NDArray[np.float64], sums_m: NDArray[np.float64]) -> float:
+    return float(sums_m.sum() / counts.sum()) / MM if counts.sum() else np.nan

@@ -1,0 +1,79 @@
+"""Straight walls: sections that follow one another, told apart, each with a thickness of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mavnav.metrics.lines import Line, fit_line, linked
+from mavnav.metrics.wall_thickness import Sections, quantiles
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+REACH_M: Final = 0.15
+ACROSS_CELLS: Final = 3.0
+TURN_RAD: Final = 10.0 * DEG
+LEAST_LENGTH_M: Final = 0.3
+STRAIGHT_CELLS: Final = 2.0
+"""Sections of a straight wall scatter by no more than this about its line; what scatters more is halved."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wall:
+    """A straight wall: its middle (map frame), direction (0 to 180 degrees from x), length, and thickness.
+
+    95 % of it, by length, is not thicker than ``p95_cells``, ``p95_mm``.
+    """
+
+    x_m: float
+    y_m: float
+    direction_deg: float
+    length_m: float
+    p95_cells: float
+    p95_mm: float
+
+
+def straight_walls(sections: Sections, cell_m: float, origin_xy_m: tuple[float, float]) -> tuple[Wall, ...]:
+    """Group sections into straight walls of at least ``LEAST_LENGTH_M``, the longest first."""
+    xy_m = section_places(sections, cell_m, origin_xy_m)
+    groups = linked(xy_m, sections.direction_rad, reach_m=REACH_M, across_m=ACROSS_CELLS * cell_m, turn_rad=TURN_RAD)
+    order = np.argsort(groups, kind="stable")
+    members = np.split(order, np.flatnonzero(np.diff(groups[order])) + 1) if len(order) else []
+    pieces = [piece for group in members for piece in _straight_pieces(xy_m, sections.length_m, group, cell_m)]
+    walls = [_wall(line, sections, group, cell_m) for line, group in pieces]
+    return tuple(sorted(walls, key=lambda w: (-w.length_m, w.x_m, w.y_m)))
+
+
+def section_places(sections: Sections, cell_m: float, origin_xy_m: tuple[float, float]) -> NDArray[np.float64]:
+    """Return the middles of sections in the map frame, (n, 2) in m."""
+    xy_m: NDArray[np.float64] = (np.column_stack((sections.col, sections.row)) + 0.5) * cell_m + np.array(origin_xy_m)
+    return xy_m
+
+
+def _straight_pieces(
+    xy_m: NDArray[np.float64], weight: NDArray[np.float64], group: NDArray[np.intp], cell_m: float
+) -> Iterator[tuple[Line, NDArray[np.intp]]]:
+    """Halve a group until what is left of it is straight; pieces too short are dropped."""
+    if len(group) < 2:
+        return
+    line = fit_line(xy_m[group], weight[group], cell_m)
+    if line.length_m < LEAST_LENGTH_M:
+        return
+    if line.spread_m <= STRAIGHT_CELLS * cell_m:
+        yield line, group
+        return
+    along = xy_m[group] @ np.array([np.cos(line.direction_rad), np.sin(line.direction_rad)])
+    behind = along < 0.5 * (along.min() + along.max())
+    for half in (group[behind], group[~behind]):
+        yield from _straight_pieces(xy_m, weight, half, cell_m)
+
+
+def _wall(line: Line, sections: Sections, group: NDArray[np.intp], cell_m: float) -> Wall:
+    _, p95, _ = quantiles(sections.thickness_cells[group], sections.length_m[group])
+    return Wall(line.x_m, line.y_m, line.direction_rad / DEG, line.length_m, p95, p95 * cell_m / MM)

@@ -1,0 +1,51 @@
+"""Slow, obvious twins of the kernels that the metrics use."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+
+def wall_profiles(counts, stations, half_length, reach):
+    rows, cols = counts.shape
+    out = np.zeros((len(stations), 2, 4 * reach + 1))
+    for k, (col, row, angle) in enumerate(stations):
+        along, left = (math.cos(angle), math.sin(angle)), (-math.sin(angle), math.cos(angle))
+        for half, side in enumerate((-1, 1)):
+            for b in range(4 * reach + 1):
+                found = []
+                for i in range(2 * half_length):
+                    u, v = side * (0.25 + i / 2), b / 2 - reach
+                    c = math.floor(col + u * along[0] + v * left[0] + 0.5)
+                    r = math.floor(row + u * along[1] + v * left[1] + 0.5)
+                    found.append(counts[r, c] if 0 <= r < rows and 0 <= c < cols else 0)
+                out[k, half, b] = np.mean(found)
+    return out
+
+
+def scan_distances(ranges_m, poses, pairs, directions, beams, cap_m, every):
+    """Compare every point with every point; the field of view is the span of the beams."""
+    first, step, near_m, far_m = beams
+    count = ranges_m.shape[1]
+    used = (ranges_m >= near_m) & (ranges_m <= far_m)
+    out = np.zeros((len(pairs), 5))
+    for k, (a, b) in enumerate(pairs):
+        targets = placed(poses[b], ranges_m[b, used[b], None] * directions[used[b]])
+        for point in placed(poses[a], ranges_m[a, used[a], None] * directions[used[a]])[::every]:
+            distance = min(np.hypot(*(targets - point).T).min(initial=np.inf), cap_m)
+            out[k, 4] += 1
+            if distance < cap_m:
+                out[k, :2] += 1, distance
+            x, y = point - poses[b, :2]
+            off = math.remainder(math.atan2(y, x) - poses[b, 2] - first - (count - 1) * step / 2, 2 * math.pi)
+            beam = round(off / step + (count - 1) / 2)
+            r = math.hypot(x, y)
+            if 0 <= beam < count and r <= far_m and ranges_m[b, beam] > r - cap_m:
+                out[k, 2:4] += 1, distance
+    return out
+
+
+def placed(pose, xy_m):
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return np.column_stack((c * xy_m[:, 0] - s * xy_m[:, 1], s * xy_m[:, 0] + c * xy_m[:, 1])) + pose[:2]
