@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.outputs.gridmap import OCCUPIED, occupancy
+from mavnav.grid import OCCUPIED, occupancy
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
