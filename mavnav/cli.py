@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
+from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from mavnav.commands import compare, config, info, replay, signals, simulate
+from mavnav.commands import compare, config, convert, info, replay, signals, simulate
 from mavnav.commands.terminal import emit, note
 from mavnav.errors import ExitCode, MavnavError
 
@@ -16,6 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 LIBRARIES = ("numpy", "numba", "scipy", "mcap", "rosbags", "pydantic", "matplotlib", "typer")
+
+_STREAM_ERRORS = (errno.ENOSPC, errno.EBADF, errno.EIO, errno.EFBIG, errno.EDQUOT)
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -48,6 +53,7 @@ app.command(epilog=replay.EPILOG)(replay.replay)
 app.command(epilog=compare.EPILOG)(compare.compare)
 app.command(epilog=simulate.EPILOG)(simulate.simulate)
 app.command(epilog=info.EPILOG)(info.info)
+app.command(epilog=convert.EPILOG)(convert.convert)
 app.add_typer(config.app, name="config")
 
 
@@ -108,10 +114,18 @@ def _explain(error: BaseException) -> int:
             return ExitCode.OUTPUT
         case SystemExit(__context__=BrokenPipeError()):  # typer's way with a reader that has gone, as in `| head`
             return ExitCode.OUTPUT
+        case OSError() if _is_stdout(error):
+            note(f"mavnav: error: the result cannot be written to stdout: {error.strerror}; make room, or redirect it")
+            return ExitCode.OUTPUT
         case SystemExit():  # shell completion
             return int(error.code or 0)
         case _:
             return _explain_bug(error)
+
+
+def _is_stdout(error: OSError) -> bool:
+    """Tell whether an error is one of a stream that is full or closed: files have a name."""
+    return error.filename is None and error.errno in _STREAM_ERRORS
 
 
 def _explain_bug(error: BaseException) -> int:
@@ -126,16 +140,25 @@ def _split_debug(args: Sequence[str]) -> tuple[list[str], bool]:
     return rest, len(rest) < len(args) or os.environ.get("MAVNAV_DEBUG", "") not in ("", "0")
 
 
+def _open_streams() -> None:
+    """Put the null device where a stream was closed before the start, as by ``>&-``."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115  it stays open
+
+
 def main(args: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code (design: docs/cli.md, "Exit codes")."""
     signals.listen()
+    _open_streams()
     rest, debug = _split_debug(sys.argv[1:] if args is None else args)
     code = run(rest or ["--help"], debug=debug)
     signals.ignore()
     try:
         sys.stdout.flush()
-    except BrokenPipeError:
+    except (OSError, ValueError):
         # Or the interpreter would complain at shutdown that it cannot flush.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = code or ExitCode.OUTPUT
     sys.exit(code)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -35,30 +36,48 @@ def info(
         Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False)
     ],
     *,
-    topic: Annotated[str | None, typer.Option(help="Scan topic, where there are several.", show_default=False)] = None,
+    topic: Annotated[str | None, typer.Option(help="This scan topic alone.", show_default=False)] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Leave out scans from where a checksum does not match.")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
 ) -> None:
-    """Show what a log holds: topics, sensor, scans, rate, validity of ranges, odometry, damage."""
-    from mavnav.logs import choose, survey
+    """Examine a log: topics, sensor, scans, rate, validity of ranges, odometry, and everything that is damaged."""
+    from mavnav.logs import survey
 
     with reporting(quiet=quiet) as report:
-        found = survey(log, topic=topic, progress=lambda done, total: report("reading", done, total))
-    try:
-        chosen = choose(found, topic=topic)
-    except MavnavError as error:
-        _tell(document(found, None, error.exit_code), json=json)
-        raise
-    code = ExitCode.DAMAGED_INPUT if chosen.damage else ExitCode.DONE
-    _tell(document(found, chosen, code), json=json)
+        found = survey(log, topic=topic, strict=strict, progress=lambda done, total: report("reading", done, total))
+    logs, error = _choices(found, topic)
+    if error is not None:
+        _tell(document(found, logs, error.exit_code), json=json)
+        raise error
+    code = ExitCode.DAMAGED_INPUT if found.damage else ExitCode.DONE
+    _tell(document(found, logs, code), json=json)
     raise typer.Exit(code)
 
 
-def document(found: Survey, log: Log | None, code: ExitCode) -> dict[str, Any]:
+def _choices(found: Survey, topic: str | None) -> tuple[list[Log], MavnavError | None]:
+    """Return a log for every scan topic that is usable; where none is, the reason."""
+    from mavnav.logs import choose
+
+    logs, errors = [], []
+    names: list[str | None] = [topic] if topic else [*sorted(found.scans)] or [None]
+    for name in names:
+        try:
+            logs.append(choose(found, topic=name))
+        except MavnavError as error:
+            errors.append(error)
+    return logs, None if logs else errors[0]
+
+
+def document(found: Survey, logs: list[Log], code: ExitCode) -> dict[str, Any]:
     """Return what ``--json`` prints.
 
-    ``log`` is None where no scans can be used: the fields about the scans are then empty.
+    ``logs`` holds the usable scan topics. The fields about one topic are empty where there are several, or none;
+    ``scan_topics`` has them for each.
     """
+    log = logs[0] if len(logs) == 1 else None
     return {
         "schema_version": SCHEMA_VERSION,
         "input": {
@@ -68,28 +87,47 @@ def document(found: Survey, log: Log | None, code: ExitCode) -> dict[str, Any]:
             "size_bytes": found.size_bytes,
         },
         "topics": [asdict(topic) for topic in found.topics],
+        "scans": _counts(found, logs),
+        **_topic(log),
+        "scan_topics": [{"scans": asdict(each.counts), **_topic(each)} for each in logs],
+        "damage": [asdict(damage) for damage in found.damage],
+        "warnings": _warnings(found, logs),
+        "exit_code": int(code),
+    }
+
+
+def _topic(log: Log | None) -> dict[str, Any]:
+    """Return what there is to tell of one scan topic."""
+    return {
         "topic": log.topic if log else None,
         "frame_id": log.frame_id if log else None,
-        "scans": asdict(log.counts) if log else _unused_counts(found),
         "sensor": _sensor(log) if log else None,
         "time": _time(log) if log else None,
         "cleaning": log.cleaning if log else {},
         "odometry": _odometry(log) if log else None,
         "mounting": _mounting(log) if log else None,
-        "damage": [asdict(damage) for damage in found.damage],
-        "warnings": list(log.warnings if log else found.warnings),
-        "exit_code": int(code),
     }
 
 
-def _unused_counts(found: Survey) -> dict[str, Any]:
-    """Count the scans of a log of which none is used: those of every scan topic, with the reasons of the only one."""
-    total = sum(scans.total for scans in found.scans.values())
-    skipped: dict[str, int] = {}
-    if len(found.scans) == 1:
-        scans = next(iter(found.scans.values()))
-        skipped = dict(sorted((scans.refused + scans.timeline(found.window_s).skipped).items()))
-    return {"total": total, "usable": 0, "skipped": skipped, "suspect": 0}
+def _warnings(found: Survey, logs: list[Log]) -> list[str]:
+    texts = dict.fromkeys(text for log in logs for text in log.warnings) or dict.fromkeys(found.warnings)
+    if len(logs) > 1:
+        names = ", ".join(log.topic for log in logs)
+        texts[f"several scan topics ({names}); a replay needs --topic"] = None
+    return list(texts)
+
+
+def _counts(found: Survey, logs: list[Log]) -> dict[str, Any]:
+    """Add up the scans of all scan topics."""
+    skipped: Counter[str] = Counter()
+    for scans in found.scans.values():
+        skipped += scans.refused + scans.timeline(found.window_s).skipped
+    return {
+        "total": sum(scans.total for scans in found.scans.values()),
+        "usable": sum(log.counts.usable for log in logs),
+        "skipped": dict(sorted(skipped.items())),
+        "suspect": sum(log.counts.suspect for log in logs),
+    }
 
 
 def _sensor(log: Log) -> dict[str, Any]:
@@ -159,17 +197,29 @@ def _rows(document: dict[str, Any]) -> list[tuple[str, str]]:
         *_topic_rows(document["topics"]),
     ]
     skipped = "".join(f", {count} {reason.replace('_', ' ')}" for reason, count in scans["skipped"].items())
-    rows.append(("scans", f"{scans['usable']} usable of {scans['total']}{skipped}"))
-    if document["topic"] is not None:
+    suspect = f", {scans['suspect']} of the usable are suspect" if scans["suspect"] else ""
+    rows.append(("scans", f"{scans['usable']} usable of {scans['total']}{skipped}{suspect}"))
+    for topic in document["scan_topics"]:
         rows += [
-            ("scan topic", f"{document['topic']}, frame {document['frame_id']}"),
-            *_sensor_rows(document["sensor"]),
-            *_time_rows(document["time"]),
-            ("ranges", _shares(document["cleaning"])),
-            ("odometry", _odometry_text(document["odometry"])),
-            ("mounting", _mounting_text(document["mounting"])),
+            ("scan topic", f"{topic['topic']}, frame {topic['frame_id']}, {topic['scans']['usable']} scans"),
+            *_sensor_rows(topic["sensor"]),
+            *_time_rows(topic["time"]),
+            ("ranges", _shares(topic["cleaning"])),
+            ("odometry", _odometry_text(topic["odometry"])),
+            ("mounting", _mounting_text(topic["mounting"])),
         ]
-    return rows
+    return [*rows, ("verdict", _verdict(document))]
+
+
+def _verdict(document: dict[str, Any]) -> str:
+    """Say in a line what to make of the log."""
+    match document["exit_code"]:
+        case ExitCode.DONE:
+            return "sound"
+        case ExitCode.DAMAGED_INPUT:
+            return f"damaged in {len(document['damage'])} place(s); what is intact can be used"
+        case _:
+            return "no scan can be used"
 
 
 def _topic_rows(topics: list[dict[str, Any]]) -> list[tuple[str, str]]:

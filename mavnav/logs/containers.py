@@ -54,7 +54,8 @@ _QOS: Final = """\
 """
 
 
-def _qos_text(channel: Channel) -> str:
+def qos_text(channel: Channel) -> str:
+    """Return the quality of service of a channel as rosbag2 writes it into the metadata."""
     return _QOS.format(
         depth=1 if channel.latched else 10, durability="transient_local" if channel.latched else "volatile"
     )
@@ -86,7 +87,7 @@ def write_mcap(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
         }
         numbers = {
             topic: writer.register_channel(
-                topic, "cdr", schemas[channel.type], {"offered_qos_profiles": _qos_text(channel)}
+                topic, "cdr", schemas[channel.type], {"offered_qos_profiles": qos_text(channel)}
             )
             for topic, channel in channels.items()
         }

@@ -52,7 +52,8 @@ def clean(
     cleaned, counts
         (beams,) float64 with NaN for no return, and (8,) the number of beams of each of ``KINDS``.
     """
-    cleaned = ranges_m.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN, as damage may leave it
+        cleaned = ranges_m.astype(np.float64)
     lowest, highest = max(range_min_m, _SMALLEST_M), min(range_max_m, FARTHEST_M)
     odd = ~((cleaned >= lowest) & (cleaned <= highest))
     counts = _count(cleaned[odd], lowest, len(cleaned))

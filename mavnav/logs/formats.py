@@ -6,7 +6,7 @@ import re
 from typing import TYPE_CHECKING
 
 from mavnav.logs import mcap_file, mcap_records, rosbag1, sqlite_file
-from mavnav.logs.rosbag2 import METADATA, storage_files
+from mavnav.logs.rosbag2 import METADATA, compare_count, read_metadata, storage_files
 from mavnav.logs.unpack import ZSTD_MAGIC, first_bytes, unpacked_file
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def _sniff_folder(folder: Path) -> str:
 
 def parts(path: Path, ledger: Ledger) -> list[Path]:
     """Return the files of a log in their order: those of a ROS 2 bag's folder, or the file itself."""
-    return storage_files(path, ledger, _is_storage) if path.is_dir() else [path]
+    return storage_files(path, ledger, _is_storage, read_metadata(path, ledger)) if path.is_dir() else [path]
 
 
 def _is_storage(path: Path) -> bool:
@@ -86,12 +86,18 @@ def _is_storage(path: Path) -> bool:
 
 
 def read(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
-    """Yield the messages of a log, file after file, each by the reader of its format."""
-    files = parts(path, ledger)
+    """Yield the messages of a log, file after file, each by the reader of its format. Raises UsageError."""
+    metadata = read_metadata(path, ledger) if path.is_dir() else None
+    files = storage_files(path, ledger, _is_storage, metadata) if path.is_dir() else [path]
     ledger.total_bytes = sum(file.stat().st_size for file in files)
+    messages = 0
     for file in files:
-        yield from _read_file(file, ledger)
+        for message in _read_file(file, ledger):
+            messages += 1
+            yield message
         ledger.next_file(file.stat().st_size)
+    if metadata is not None:
+        compare_count(metadata, messages, ledger)
 
 
 def _read_file(path: Path, ledger: Ledger) -> Iterator[RawMessage]:

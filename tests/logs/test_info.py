@@ -82,13 +82,17 @@ def test_unusable_scans_exit_with_4_and_say_why(tmp_path: Path, capsys: Capture)
     assert document["scans"] == {"total": 3, "usable": 0, "skipped": {"no_valid_beam": 3}, "suspect": 0}
 
 
-def test_two_scan_topics_exit_with_2_and_are_listed(tmp_path: Path, capsys: Capture) -> None:
-    path = write_mcap(tmp_path / "a", [laser(0, topic="/front"), laser(1, topic="/rear")])
-    code, document, err = told(capsys, path)
-    assert (code, document["exit_code"], document["topic"]) == (2, 2, None)
-    assert {t["name"] for t in document["topics"]} == {"/front", "/rear"}
-    assert "--topic NAME" in err
-    assert told(capsys, path, "--topic", "/rear")[:2][1]["topic"] == "/rear"
+def test_several_scan_topics_are_each_examined(tmp_path: Path, capsys: Capture) -> None:
+    front = [laser(k, topic="/front") for k in range(3)]
+    path = write_mcap(tmp_path / "a", [*front, laser(1, topic="/rear", ranges=[]), laser(2, topic="/rear")])
+    code, document, _ = told(capsys, path)
+    assert (code, document["exit_code"], document["topic"]) == (0, 0, None)
+    assert document["scans"] == {"total": 5, "usable": 4, "skipped": {"empty": 1}, "suspect": 0}
+    assert [(t["topic"], t["scans"]["usable"]) for t in document["scan_topics"]] == [("/front", 3), ("/rear", 1)]
+    assert any("a replay needs --topic" in w for w in document["warnings"])
+    rear = told(capsys, path, "--topic", "/rear")[1]
+    assert (rear["topic"], rear["scans"]["total"]) == ("/rear", 2)
+    assert rear["scan_topics"][0]["sensor"] == rear["sensor"]
 
 
 def test_missing_file_exits_with_2_and_one_line(tmp_path: Path, capsys: Capture) -> None:

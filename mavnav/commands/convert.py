@@ -1,0 +1,84 @@
+"""``mavnav convert LOG OUT.mcap``: what can be read of a log, as a sound and indexed MCAP."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mavnav.commands.progress import reporting
+from mavnav.commands.replay import print_table
+from mavnav.commands.terminal import emit, note
+from mavnav.errors import ExitCode
+
+if TYPE_CHECKING:
+    from mavnav.logs.convert import Conversion
+
+SCHEMA_VERSION = 1
+_LISTED = 10
+
+EPILOG = """
+[bold]Examples[/bold]
+
+mavnav convert crashed.bag.active drive.mcap
+
+mavnav convert rosbag2_folder drive.mcap --strict --json | jq .left_out
+"""
+
+
+def convert(
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False)
+    ],
+    target: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The file to write.", show_default=False)],
+    *,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Leave out messages from where a checksum does not match.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+) -> None:
+    """Write what can be read of a log as a sound, indexed MCAP with ROS 2 messages."""
+    from mavnav.logs.convert import convert as write
+
+    with reporting(quiet=quiet) as report:
+        done = write(log, target, strict=strict, force=force, progress=lambda n, total: report("converting", n, total))
+    code = ExitCode.DAMAGED_INPUT if done.damage else ExitCode.DONE
+    if json:
+        from json import dumps
+
+        emit(dumps(document(log, target, done, code), indent=2))
+    else:
+        _tell(target, done)
+    raise typer.Exit(code)
+
+
+def document(log: Path, target: Path, done: Conversion, code: ExitCode) -> dict[str, Any]:
+    """Return what ``--json`` prints."""
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "input": {"path": str(log)},
+        "output": {"path": str(target), "size_bytes": target.stat().st_size},
+        "topics": [asdict(topic) for topic in done.topics],
+        "messages": done.messages,
+        "left_out": done.left_out,
+        "damage": [asdict(damage) for damage in done.damage],
+        "warnings": list(done.warnings),
+        "exit_code": int(code),
+    }
+
+
+def _tell(target: Path, done: Conversion) -> None:
+    rows = [("written", f"{target}, {target.stat().st_size / 1e6:.1f} MB, {done.messages} messages")]
+    rows += [("", f"{t.name}  {t.type}  {t.encoding}  {t.count}") for t in done.topics]
+    rows += [("left out", f"{count} {reason}") for reason, count in done.left_out.items()]
+    print_table(rows)
+    for warning in done.warnings:
+        note(f"mavnav: warning: {warning}")
+    for damage in done.damage[:_LISTED]:
+        note(f"mavnav: damage: {damage.what}, {damage.where}")
+    if len(done.damage) > _LISTED:
+        note(f"mavnav: damage: {len(done.damage) - _LISTED} more; --json lists them")
