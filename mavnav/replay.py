@@ -37,7 +37,8 @@ LOG_SUFFIXES = (".zst", ".zstd", ".active", ".mcap", ".bag", ".db3")
 class Request:
     """What is asked for: the log, which part of it, how, and where to.
 
-    ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base.
+    ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base;
+    ``report`` asks for the page as well.
     """
 
     log: Path
@@ -48,6 +49,7 @@ class Request:
     end_s: float | None = None
     extrinsic: Pose | None = None
     force: bool = False
+    report: bool = False
 
 
 def default_directory(log: Path, config: Config) -> Path:
@@ -80,7 +82,7 @@ def replay(request: Request, progress: Progress, compile_s: float) -> tuple[Run,
     quality = measured_quality(outcome, log)
     run = Run(log=log, config=request.config, slam=outcome, thickness=thickness, timing=timing, quality=quality)
     progress("writing", 0, None)
-    return run, write_run(run, request.directory, force=request.force)
+    return run, write_run(run, request.directory, force=request.force, report=request.report)
 
 
 def measured_thickness(grid: Grid) -> dict[int, WallThickness]:

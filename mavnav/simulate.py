@@ -47,6 +47,7 @@ class Request:
     recording: Path | None = None
     animation: Path | None = None
     force: bool = False
+    report: bool = False
 
 
 def default_directory(scenario: Scenario) -> Path:
@@ -85,7 +86,7 @@ def simulate(request: Request, progress: Progress, compile_s: float) -> tuple[Ru
             mission=_mission(request, flight),
             quality=measured_quality(flight.slam, log),
         )
-        document = write_run(run, request.directory, force=request.force)
+        document = write_run(run, request.directory, force=request.force, report=request.report)
         if request.recording:
             record(recording, request.recording, force=request.force)
         if request.animation:

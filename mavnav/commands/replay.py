@@ -69,6 +69,7 @@ def replay(
     ] = None,
     gates: Gates = None,
     preview: Preview = False,
+    report: Annotated[bool, typer.Option("--report", help="Leave the run as one page too, report.html.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the run directory if it exists.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print run.json on stdout and nothing else.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
@@ -79,14 +80,14 @@ def replay(
     mounting = None if extrinsic is None else pose(extrinsic)
     if not log.exists():
         raise UsageError(f"{log}: no such file; name a log")
-    with reporting(quiet=quiet) as report:
+    with reporting(quiet=quiet) as progress:
         started_s = perf_counter()
-        with loading_kernels(report):
+        with loading_kernels(progress):
             from mavnav import replay as pipeline
         compile_s = perf_counter() - started_s
         target = directory or pipeline.default_directory(log, chosen)
-        request = pipeline.Request(log, target, chosen, topic, start, end, mounting, force)
-        _, document = pipeline.replay(request, report, compile_s)
+        request = pipeline.Request(log, target, chosen, topic, start, end, mounting, force, report)
+        _, document = pipeline.replay(request, progress, compile_s)
     _tell(document, target, json=json)
     if preview:
         show_preview(target, stderr=json)
@@ -164,7 +165,13 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         ("speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"),
         ("pictures", f"{directory / 'map.png'}, {directory / 'wall_thickness.png'}"),
     ]
-    return rows
+    return rows + page_row(directory)
+
+
+def page_row(directory: Path) -> list[tuple[str, str]]:
+    """Return the row that names the run's page, where there is one."""
+    page = directory / "report.html"
+    return [("report", str(page))] if page.exists() else []
 
 
 def wall_rows(document: dict[str, Any]) -> list[tuple[str, str]]:

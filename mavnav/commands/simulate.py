@@ -11,7 +11,7 @@ import typer
 from mavnav.commands.gating import Gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.progress import loading_kernels, reporting
-from mavnav.commands.replay import print_table, wall_rows
+from mavnav.commands.replay import page_row, print_table, wall_rows
 from mavnav.commands.terminal import emit, note
 from mavnav.errors import ExitCode, UsageError
 
@@ -66,6 +66,7 @@ def simulate(
     preview: Preview = False,
     list_: Annotated[bool, typer.Option("--list", help="Show the shipped scenarios.")] = False,
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON Schema of scenario files.")] = False,
+    report: Annotated[bool, typer.Option("--report", help="Leave the run as one page too, report.html.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace what exists.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print run.json on stdout and nothing else.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
@@ -82,15 +83,15 @@ def simulate(
         sets or [],
         {"seed": seed, "slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth, "planner.technique": planner},
     )
-    with reporting(quiet=quiet) as report:
+    with reporting(quiet=quiet) as progress:
         started_s = perf_counter()
-        with loading_kernels(report):
+        with loading_kernels(progress):
             from mavnav import simulate as pipeline
             from mavnav.world.scenario_file import scenario_path
         compile_s = perf_counter() - started_s
         target = directory or pipeline.default_directory(chosen)
-        request = pipeline.Request(chosen, scenario_path(scenario), target, record, animate, force)
-        _, document = pipeline.simulate(request, report, compile_s)
+        request = pipeline.Request(chosen, scenario_path(scenario), target, record, animate, force, report)
+        _, document = pipeline.simulate(request, progress, compile_s)
     _tell(document, target, json=json)
     if preview:
         show_preview(target, stderr=json)
@@ -143,6 +144,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         *wall_rows(document),
         ("speed", f"{mission['steps'] / timing['wall_s']:.0f} steps/s"),
         ("pictures", f"{directory / 'map.png'}, {directory / 'true_map.png'}"),
+        *page_row(directory),
     ]
 
 

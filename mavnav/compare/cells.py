@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mavnav.config import Config
     from mavnav.jobs import Report
 
-_NO_INFLUENCE = {"log", "directory", "config", "force"}
+_NO_INFLUENCE = {"log", "directory", "config", "force", "report"}
 """Of a request: where things are, and what enters the key by itself."""
 
 

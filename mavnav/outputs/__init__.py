@@ -14,7 +14,14 @@ from mavnav.outputs.directory import RUN_FILE, check_directory, staged
 from mavnav.outputs.document import plain, run_document, to_json, write_metrics
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
 from mavnav.outputs.run import Run, Timing, Truth
-from mavnav.outputs.trajectory import write_base_tum, write_csv, write_truth_tum, write_tum
+from mavnav.outputs.trajectory import (
+    TRUE_WALLS_FILE,
+    write_base_tum,
+    write_csv,
+    write_true_walls,
+    write_truth_tum,
+    write_tum,
+)
 from mavnav.staging import sync
 
 if TYPE_CHECKING:
@@ -22,6 +29,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 __all__ = ["WRITERS", "Run", "Timing", "Truth", "check_directory", "to_json", "write_run"]
+
+
+REPORT_FILE: Final = "report.html"
 
 
 def _late(module: str, run: Run, path: Path) -> None:
@@ -34,6 +44,7 @@ WRITERS: Final[dict[str, Callable[[Run, Path], None]]] = {
     "trajectory_base.tum": write_base_tum,
     "trajectory.csv": write_csv,
     "truth.tum": write_truth_tum,
+    TRUE_WALLS_FILE: write_true_walls,
     "map.pgm": write_pgm,
     "map.yaml": write_yaml,
     "hits.npz": write_npz,
@@ -45,8 +56,8 @@ WRITERS: Final[dict[str, Callable[[Run, Path], None]]] = {
 }
 
 
-def write_run(run: Run, directory: Path, *, force: bool = False) -> dict[str, Any]:
-    """Write all files of a run and return its document, which is run.json.
+def write_run(run: Run, directory: Path, *, force: bool = False, report: bool = False) -> dict[str, Any]:
+    """Write all files of a run and return its document, which is run.json; with ``report`` its page as well.
 
     The directory appears complete or not at all. Raises OutputError where it exists (and ``force`` does not say to
     replace it), holds something else than a run, or cannot be written.
@@ -57,13 +68,22 @@ def write_run(run: Run, directory: Path, *, force: bool = False) -> dict[str, An
         path = folder / RUN_FILE
         path.write_text(to_json(document), encoding="utf-8")
         sync(path)
+        if report:
+            _write_page(document, folder)
     return document
+
+
+def _write_page(document: dict[str, Any], folder: Path) -> None:
+    """Write report.html and its pictures; it shows what run.json says, so it comes after."""
+    page = import_module(f"{__name__}.report")
+    page.write_report(page.single(document), folder, folder / REPORT_FILE)
 
 
 def _names(run: Run) -> list[str]:
     """Return the files that can be written: some need to know more than every log tells."""
-    needs = {"trajectory_base.tum": run.log.base_T_laser, "truth.tum": run.truth, "true_map.png": run.truth}
-    return [name for name in WRITERS if needs.get(name, run) is not None]
+    known = {"trajectory_base.tum": run.log.base_T_laser is not None}
+    known |= dict.fromkeys(("truth.tum", TRUE_WALLS_FILE, "true_map.png"), run.truth is not None)
+    return [name for name in WRITERS if known.get(name, True)]
 
 
 def _write(run: Run, path: Path) -> str:

@@ -48,10 +48,14 @@ class Window:
         return self.x1_m - self.x0_m, self.y1_m - self.y0_m
 
     def cells_of(self, grid: Grid) -> tuple[int, int, int, int]:
-        """Return the first and the end column, and the first and the end row, of the grid's cells inside."""
+        """Return the first and the end column, and the first and the end row, of the grid's cells inside.
+
+        At least one of each: of a grid beside the window, the nearest.
+        """
         (x0, y0), (rows, cols) = grid.origin_xy_m, grid.hits.shape
         ends = [(x - x0, cols) for x in (self.x0_m, self.x1_m)] + [(y - y0, rows) for y in (self.y0_m, self.y1_m)]
         a, b, c, d = (min(max(int(distance / grid.cell_m), 0), count) for distance, count in ends)
+        a, c = min(a, cols - 1), min(c, rows - 1)
         return a, max(b, a + 1), c, max(d, c + 1)
 
     def figure_size(self, longest_in: float, least_in: float) -> tuple[float, float]:

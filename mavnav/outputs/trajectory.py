@@ -1,10 +1,11 @@
-"""Trajectory files: TUM for the tools of the field, CSV for everything known about each scan."""
+"""Trajectory files: TUM for the tools of the field, CSV for everything known about each scan; the truth beside them."""
 
 from __future__ import annotations
 
 import csv
+import json
 from math import cos, isfinite, sin
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,6 +19,8 @@ COLUMNS = (
     "index", "stamp", "x_m", "y_m", "yaw_rad", "cost_m2", "beams_used", "inliers", "evaluations", "iterations",
     "converged", "tracked", "accepted",
 )  # fmt: skip
+
+TRUE_WALLS_FILE: Final = "true_walls.json"
 
 
 def write_tum(run: Run, path: Path) -> None:
@@ -40,6 +43,21 @@ def write_truth_tum(run: Run, path: Path) -> None:
         msg = "the truth is not known"
         raise ValueError(msg)
     path.write_text("".join(_tum_lines(run.truth.map_T_laser)), encoding="ascii")
+
+
+def write_true_walls(run: Run, path: Path) -> None:
+    """Write the true walls in the map frame, m and rad, as `Truth` holds them; the run must be a mission."""
+    if run.truth is None:
+        msg = "the truth is not known"
+        raise ValueError(msg)
+    truth = run.truth
+    walls = {
+        "frame": "map",
+        "segments": truth.segments_map.tolist(),
+        "arcs": truth.arcs_map.tolist(),
+        "goal": list(truth.goal_xy_map_m),
+    }
+    path.write_text(json.dumps(walls) + "\n", encoding="ascii")
 
 
 def _tum_lines(trajectory: Trajectory) -> Iterator[str]:

@@ -45,9 +45,11 @@ def test_again_gives_the_same_bytes(mavnav: Callable, sample: Path, finished: Pa
 
 
 def test_summary_on_stdout(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
-    code, out, err = mavnav("replay", sample, "-o", tmp_path / "r", *FEW)
+    code, out, err = mavnav("replay", sample, "-o", tmp_path / "r", *FEW, "--report")
     assert code == 0
     assert err == ""
+    assert "report.html" in out
+    assert "21 of 21 scans" in (tmp_path / "r" / "report.html").read_text(encoding="utf-8")
     for word in ("scans", "21 of 137", "accepted", "lost", "never", "path", "wall thickness", "scans/s", "map.png"):
         assert word in out
 

@@ -38,6 +38,7 @@ def corner(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.C
     """Fly the corner by name from an empty folder, in a process of its own."""
     folder = tmp_path_factory.mktemp("empty")
     command = ["simulate", "corner.yaml", "-o", "out", "--record", "corner.mcap", "--animate", "corner.gif", "--json"]
+    command += ["--report"]
     done = subprocess.run(
         [sys.executable, "-m", "mavnav", *command], cwd=folder, capture_output=True, text=True, check=False, timeout=120
     )
@@ -64,8 +65,9 @@ def test_leaves_what_it_promises(corner: tuple[Path, subprocess.CompletedProcess
     folder, done = corner
     assert done.returncode == 0, done.stderr
     promised = {"trajectory.tum", "trajectory_base.tum", "trajectory.csv", "map.pgm", "map.yaml", "hits.npz", "map.png"}
-    promised |= {"wall_thickness.png", "result.mcap", "metrics.json", "truth.tum", "true_map.png"}
-    assert {path.name for path in (folder / "out").iterdir()} == promised | {"run.json"}
+    promised |= {"wall_thickness.png", "result.mcap", "metrics.json", "truth.tum", "true_map.png", "true_walls.json"}
+    page = {"report.html", "maps.png", "thickness.png", "cost.png"}
+    assert {path.name for path in (folder / "out").iterdir()} == promised | page | {"run.json"}
     assert set(json.loads(done.stdout)["outputs"]) == promised
     assert {path.name for path in folder.iterdir()} == {"out", "corner.mcap", "corner.gif"}
     assert (folder / "corner.gif").read_bytes()[:4] == b"GIF8"

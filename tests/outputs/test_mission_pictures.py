@@ -11,7 +11,7 @@ from synthetic import furnished_rooms
 from mavnav.errors import OutputError, UsageError
 from mavnav.outputs import Truth, animation, drawing, map_picture, mission_picture, write_run
 from mavnav.outputs.animation import animate
-from mavnav.outputs.trajectory import write_truth_tum
+from mavnav.outputs.trajectory import write_true_walls, write_truth_tum
 from mavnav.pose import Pose, Trajectory, transform_points
 
 START = Pose(1.0, 1.0, 0.0)
@@ -42,7 +42,7 @@ def count(picture, colour, tolerance=60):
 
 def test_a_run_with_a_truth_writes_it_and_one_without_does_not(run, mission, tmp_path):
     written = set(write_run(mission, tmp_path / "a")["outputs"])
-    assert written - set(write_run(run, tmp_path / "b")["outputs"]) == {"truth.tum", "true_map.png"}
+    assert written - set(write_run(run, tmp_path / "b")["outputs"]) == {"truth.tum", "true_walls.json", "true_map.png"}
 
 
 def test_the_truth_is_written_for_every_scan_tracked_or_not(mission, tmp_path):
@@ -52,7 +52,7 @@ def test_the_truth_is_written_for_every_scan_tracked_or_not(mission, tmp_path):
     np.testing.assert_allclose(rows[:, 1:3], mission.truth.map_T_laser.xyyaw[:, :2], atol=1e-9)
 
 
-@pytest.mark.parametrize("write", [write_truth_tum, mission_picture.write])
+@pytest.mark.parametrize("write", [write_truth_tum, write_true_walls, mission_picture.write])
 def test_without_a_truth_there_is_nothing_to_write(run, write, tmp_path):
     with pytest.raises(ValueError, match="truth"):
         write(run, tmp_path / "x")

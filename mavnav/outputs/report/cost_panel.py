@@ -1,0 +1,70 @@
+"""What the matches of a run cost over time, which scans were rejected, and where the track was lost."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from mavnav.outputs import drawing
+from mavnav.outputs.report.panels import CHART_FRAME, FONT_PT, Canvas
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from PIL.Image import Image
+
+    from mavnav.outputs.report.entry import Entry
+
+COST_BLUE: Final = "#2f6690"
+LOST_ROSE: Final = "#f2c4c0"
+FLOOR_MM2: Final = 1.0
+"""Costs below are drawn at it: the first scan of a map costs nothing, and a logarithmic scale has no nothing."""
+
+
+def cost_panels(entries: Sequence[Entry]) -> list[Image]:
+    """Draw the cost over time for each run, all on the same scale."""
+    costs = np.concatenate([e.scans.cost_mm2 for e in entries])
+    top = float(np.nanmax(costs, initial=100.0))
+    gates = [gate for e in entries if (gate := gate_mm2(e))]
+    limits = (FLOOR_MM2, 2.0 * max([top, *gates]))
+    end_s = max(float(e.scans.time_s.max(initial=0.1)) for e in entries)
+    return [_panel(e, limits, end_s) for e in entries]
+
+
+def gate_mm2(entry: Entry) -> float | None:
+    """Return the cost above which the paper's method rejects a scan; the robust method looks at inliers instead."""
+    config = entry.document.get("config") or {}
+    return (config.get("paper") or {}).get("gate_mm2") if config.get("method") == "paper" else None
+
+
+def _panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
+    scans = entry.scans
+    cost = np.maximum(scans.cost_mm2, FLOOR_MM2)
+    canvas = Canvas(4.0, 1.7, entry.name, CHART_FRAME)
+    axes = canvas.axes
+    _draw_lost(axes, entry)
+    axes.plot(scans.time_s, cost, color=COST_BLUE, lw=0.8, label="cost")
+    rejected = scans.tracked & ~scans.accepted & np.isfinite(cost)
+    if rejected.any():
+        axes.plot(scans.time_s[rejected], cost[rejected], "x", ms=4, color=drawing.GOAL_RED, label="rejected scan")
+    gate = gate_mm2(entry)
+    if gate:
+        axes.axhline(gate, color=drawing.MUTED, lw=1.0, ls="--", label="gate")
+    axes.set_yscale("log")
+    axes.set_ylim(*limits)
+    axes.set_xlim(0.0, end_s)
+    axes.set_xlabel("time [s]", fontsize=FONT_PT)
+    axes.set_ylabel("cost [mm²]", fontsize=FONT_PT)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(loc="lower right", ncols=4, fontsize=FONT_PT - 1, frameon=True, framealpha=0.8, edgecolor="none")
+    return canvas.image()
+
+
+def _draw_lost(axes: Any, entry: Entry) -> None:  # noqa: ANN401
+    """Shade where no scan has a pose; one scan wide at least."""
+    intervals = (entry.document.get("tracking") or {}).get("intervals") or []
+    period_s = float(np.median(np.diff(entry.scans.time_s))) if len(entry.scans.time_s) > 1 else 0.1
+    for k, interval in enumerate(intervals):
+        label = None if k else "track lost"
+        axes.axvspan(interval["start_s"], interval["end_s"] + period_s, color=LOST_ROSE, lw=0, label=label)

@@ -1,0 +1,91 @@
+"""What stands below the pictures: settings, versions, inputs, warnings, damage, ghost walls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav.outputs.report.columns import NOTHING, text
+from mavnav.outputs.report.map_panel import ghosts
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from mavnav.outputs.report.entry import Entry
+
+MOST_GHOSTS: Final = 20
+METHODS: Final = ("paper", "robust")
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Effective settings by their dotted keys: those that all runs share, and those that differ, one value a run."""
+
+    common: list[tuple[str, str]]
+    differing: list[tuple[str, list[str]]]
+
+
+def settings(entries: Sequence[Entry]) -> Settings:
+    """Compare the configurations of runs; sections of methods that none of them used are left out."""
+    used = {e.document.get("method") for e in entries}
+    flat = [dict(_flat(e.document.get("config") or {})) for e in entries]
+    keys = [
+        key for key in dict.fromkeys(k for f in flat for k in f) if key.partition(".")[0] not in set(METHODS) - used
+    ]
+    rows = [(key, [f.get(key, NOTHING) for f in flat]) for key in keys]
+    return Settings(
+        common=[(key, values[0]) for key, values in rows if len(set(values)) == 1],
+        differing=[(key, values) for key, values in rows if len(set(values)) > 1],
+    )
+
+
+def _flat(section: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    for key, value in section.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", str(value)
+
+
+def inputs(entries: Sequence[Entry]) -> list[tuple[str, str]]:
+    """Describe the log that the runs have in common, by the first of them."""
+    found = entries[0].document.get("input") or {}
+    wanted = ("path", "format", "topic", "frame_id", "duration_s", "size_bytes", "sha256")
+    return [(key, str(found[key])) for key in wanted if found.get(key) is not None]
+
+
+def versions(entries: Sequence[Entry]) -> list[tuple[str, str]]:
+    """Return what made the runs; several versions of one thing are all named."""
+    made = [_made_by(e.document) for e in entries]
+    names = dict.fromkeys(name for one in made for name in one)
+    return [(name, ", ".join(dict.fromkeys(str(one.get(name)) for one in made))) for name in names]
+
+
+def _made_by(document: dict[str, Any]) -> dict[str, Any]:
+    libraries = document.get("libraries") or {}
+    return {"mavnav": document.get("mavnav_version"), "python": document.get("python"), **libraries}
+
+
+def notes(entries: Sequence[Entry]) -> list[tuple[str, str]]:
+    """Return (run, text) of each warning and each damage; what all runs say is said once."""
+    said: dict[str, list[str]] = {}
+    for entry in entries:
+        for line in _lines(entry.document):
+            said.setdefault(line, []).append(entry.name)
+    return [("all runs" if 1 < len(who) == len(entries) else ", ".join(who), line) for line, who in said.items()]
+
+
+def _lines(document: dict[str, Any]) -> Iterator[str]:
+    yield from dict.fromkeys(map(str, document.get("warnings") or []))
+    for damage in document.get("damage") or []:
+        yield f"damage: {damage.get('what')}, {damage.get('where')}"
+
+
+def ghost_rows(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
+    """Return run, x, y, direction, length and offset of each ghost wall, as text; the longest of each run first."""
+    keys = (("x_m", 2), ("y_m", 2), ("direction_deg", 0), ("length_m", 2), ("offset_mm", 0))
+    return [
+        (entry.name, *(text(place.get(key), digits) for key, digits in keys))
+        for entry in entries
+        for place in sorted(ghosts(entry), key=lambda p: -p["length_m"])[:MOST_GHOSTS]
+    ]

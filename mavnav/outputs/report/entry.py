@@ -1,0 +1,114 @@
+"""What the page knows of a run: its document, its map, its scans, and the true walls where they are known."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from csv import DictReader
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from mavnav.grid import Grid
+from mavnav.outputs import drawing
+from mavnav.outputs.directory import RUN_FILE
+from mavnav.outputs.run import Truth
+from mavnav.outputs.trajectory import TRUE_WALLS_FILE
+from mavnav.pose import Trajectory
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+FAILED: Final = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Scans:
+    """The scans of a run in their order, one an entry.
+
+    ``time_s`` from the first scan on, ``cost_mm2`` of the match (NaN without one), ``xy_m`` (n, 2) in the map frame
+    (NaN where the scan has no pose), ``tracked`` and ``accepted``.
+    """
+
+    time_s: NDArray[np.float64]
+    cost_mm2: NDArray[np.float64]
+    xy_m: NDArray[np.float64]
+    tracked: NDArray[np.bool_]
+    accepted: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A finished run on the page; ``true_walls`` are lines (k, 2) in the map frame, m, empty where not known."""
+
+    log: str
+    name: str
+    document: dict[str, Any]
+    grid: Grid
+    scans: Scans
+    true_walls: list[NDArray[np.float64]]
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """A run that gave nothing to show, and why."""
+
+    log: str
+    name: str
+    why: str
+
+
+def name_of(cell: dict[str, Any]) -> str:
+    """Name a run within its log: the method and the search grid, the azimuths first as the paper does."""
+    return f"{cell.get('method')} {cell.get('azimuth')}/{cell.get('grid')}"
+
+
+def load(cell: dict[str, Any], base: Path) -> Entry | Failure:
+    """Read the run of a comparison's cell; a directory that cannot be read is a failure of that run alone."""
+    log, name = str(cell.get("log")), name_of(cell)
+    if cell.get("status") == FAILED or not cell.get("directory"):
+        return Failure(log, name, str(cell.get("error") or f"exit code {cell.get('exit_code')}"))
+    folder = base / str(cell["directory"])
+    try:
+        document = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
+        return Entry(
+            log, name, document, _grid(folder / "hits.npz"), _scans(folder / "trajectory.csv"), _true_walls(folder)
+        )
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        return Failure(log, name, f"its run directory {cell['directory']} cannot be read ({type(error).__name__})")
+
+
+def _grid(path: Path) -> Grid:
+    with np.load(path) as counts:
+        x_m, y_m = counts["origin_xy_m"].tolist()
+        return Grid(float(counts["cell_m"]), (x_m, y_m), counts["counts"], counts["passes"])
+
+
+def _scans(path: Path) -> Scans:
+    with path.open(encoding="ascii", newline="") as file:
+        rows = list(DictReader(file))
+    stamps_s = _column(rows, "stamp")
+    return Scans(
+        time_s=stamps_s - stamps_s[:1],
+        cost_mm2=_column(rows, "cost_m2") * 1e6,
+        xy_m=np.column_stack((_column(rows, "x_m"), _column(rows, "y_m"))),
+        tracked=_column(rows, "tracked") > 0,
+        accepted=_column(rows, "accepted") > 0,
+    )
+
+
+def _column(rows: list[dict[str, str]], name: str) -> NDArray[np.float64]:
+    """Return a column of the table; an empty field is NaN."""
+    return np.array([float(row[name] or "nan") for row in rows], np.float64)
+
+
+def _true_walls(folder: Path) -> list[NDArray[np.float64]]:
+    path = folder / TRUE_WALLS_FILE
+    if not path.is_file():
+        return []
+    walls = json.loads(path.read_text(encoding="utf-8"))
+    segments, arcs = (np.array(walls[key], np.float64).reshape(-1, n) for key, n in (("segments", 4), ("arcs", 5)))
+    return drawing.wall_lines(Truth(Trajectory.of([], []), segments, arcs, (0.0, 0.0)))

@@ -1,0 +1,109 @@
+"""The sentence on top: which grid is best, by how much, and what it costs; no more than the numbers bear."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from mavnav.outputs.report import columns
+from mavnav.outputs.report.columns import COLUMNS, lookup, value_of, why_not_meaningful
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mavnav.outputs.report.entry import Entry
+
+QUALITY: Final = tuple(c for c in COLUMNS if not c.price)
+P95: Final = next(c for c in COLUMNS if c.title == "wall p95")
+TIME: Final = next(c for c in COLUMNS if c.title == "time")
+
+
+def headline(entries: Sequence[Entry]) -> str:
+    """Say in a sentence or two what came out for the runs of one log."""
+    if not entries:
+        return "No run gave a map: each failed, for the reason below."
+    if len(entries) == 1:
+        return _of_one(entries[0])
+    sound = [e for e in entries if not why_not_meaningful(e)]
+    if not sound:
+        return f"None of the {len(entries)} maps is worth comparing; the table says why."
+    if len(sound) == 1:
+        return f"Only {sound[0].name} gives a map worth looking at; the table says what is wrong with the others."
+    left_out = len(entries) - len(sound)
+    return _of_many(sound) + (f" {_runs(left_out)} left out: the table says why." if left_out else "")
+
+
+def _runs(count: int) -> str:
+    return "1 run is" if count == 1 else f"{count} runs are"
+
+
+def _of_one(entry: Entry) -> str:
+    scans = entry.document["scans"]
+    mapped = f"{entry.name} put {scans['accepted']} of {scans['processed']} scans on the map"
+    why = why_not_meaningful(entry)
+    if why:
+        return f"{mapped}; it is not worth trusting: {why}."
+    p95_mm = value_of(entry, P95)
+    thin = "" if p95_mm is None else f"95 % of its wall is at most {_mm(p95_mm)} thick"
+    walls = thin or "there is no straight wall to measure"
+    return f"{mapped}; {walls}{_ghosts(entry)}."
+
+
+def _mm(value_mm: float) -> str:
+    return f"{columns.text(value_mm, 0)} mm"
+
+
+def _ghosts(entry: Entry) -> str:
+    count = lookup(entry.document, "map_quality.ghost_walls.count")
+    if count is None:
+        return ""
+    return ", and no wall stands there twice" if not count else f", and {count} of its walls stand there twice"
+
+
+def _of_many(sound: Sequence[Entry]) -> str:
+    """Name the run that is best at most measures, if there is one."""
+    won = {c.title: columns.winners(sound, c) for c in QUALITY}
+    contested = [title for title, best in won.items() if best]
+    if not contested:
+        return f"The maps of {_list([e.name for e in sound])} are equally good by every measure here{_cheapest(sound)}."
+    score = [sum(k in won[title] for title in contested) for k in range(len(sound))]
+    leaders = [k for k, wins in enumerate(score) if wins == max(score)]
+    best, of = sound[leaders[0]], f"of the {len(contested)} measures that differ"
+    if len(leaders) > 1:
+        names = _list([sound[k].name for k in leaders])
+        return f"No run stands out: {names} are each best at {max(score)} {of}{_cheapest(sound)}."
+    measures = _list([title for title in contested if leaders[0] in won[title]])
+    lead = "by the one measure that differs" if len(contested) == 1 else f"best at {max(score)} {of}"
+    return f"{best.name} gives the best map, {lead} ({measures}){_thinner(sound, best)}. {_price(sound, best)}"
+
+
+def _list(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _thinner(sound: Sequence[Entry], best: Entry) -> str:
+    """Compare its walls with those of the coarsest grid of its method, and call small differences small."""
+    coarse = columns.coarsest(sound, best)
+    ours, theirs = value_of(best, P95), value_of(coarse, P95)
+    if coarse is best or ours is None or theirs is None:
+        return ""
+    cell_mm = best.grid.cell_m * 1e3
+    if abs(ours - theirs) < cell_mm:
+        return (
+            f"; its walls are as thick as those of {coarse.name} to within a cell ({_mm(ours)} against {_mm(theirs)})"
+        )
+    than = "thinner" if ours < theirs else "thicker"
+    return f"; its walls are {than} than those of {coarse.name}, {_mm(ours)} against {_mm(theirs)} at p95"
+
+
+def _price(sound: Sequence[Entry], best: Entry) -> str:
+    times, coarse = columns.times_the_coarsest(sound, best), columns.coarsest(sound, best)
+    if coarse is best:
+        return "It has the coarsest grid of its method: a finer one does not pay here."
+    seconds = value_of(best, TIME), value_of(coarse, TIME)
+    clock = "" if None in seconds else f" and {seconds[0]:.1f} s of processor time against {seconds[1]:.1f} s"
+    return "" if times is None else f"It costs {times:.1f} times the evaluations of {coarse.name}{clock}."
+
+
+def _cheapest(sound: Sequence[Entry]) -> str:
+    cheapest = min(sound, key=lambda e: lookup(e.document, "search.evaluations_per_scan.mean") or float("inf"))
+    return f"; {cheapest.name} is the cheapest"

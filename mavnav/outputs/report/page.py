@@ -1,0 +1,133 @@
+"""The page and the pictures beside it."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import TYPE_CHECKING, Any, Final
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from mavnav import __version__
+from mavnav.errors import OutputError
+from mavnav.outputs.report import details, panels
+from mavnav.outputs.report.columns import Table, table
+from mavnav.outputs.report.entry import Entry, Failure, load
+from mavnav.outputs.report.headline import headline
+from mavnav.outputs.report.pictures import Pictures, draw
+from mavnav.staging import beside
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from PIL.Image import Image
+
+PICTURE_BYTES: Final = 3_000_000
+"""All pictures of a page together; base64 makes a third more of them."""
+
+MOST_PICTURE_BYTES: Final = 250_000
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """The part of the page on one log: runs, failed ones, and what is said and drawn of them."""
+
+    log: str
+    headline: str
+    entries: list[Entry]
+    failures: list[Failure]
+    table: Table
+    pictures: Pictures | None
+
+
+def single(document: dict[str, Any], directory: str = ".") -> dict[str, Any]:
+    """Return the comparison of one run, whose files lie in ``directory``, with nothing."""
+    cell = {
+        "log": document["input"]["path"],
+        "method": document["method"],
+        "grid": document["grid"],
+        "azimuth": document["azimuth"],
+        "status": "done",
+        "exit_code": document["exit_code"],
+        "directory": directory,
+    }
+    return {"schema_version": 1, "mavnav_version": document["mavnav_version"], "cells": [cell]}
+
+
+def write_report(comparison: dict[str, Any], directory: Path, path: Path) -> None:
+    """Write the page of a comparison to ``path``, and its pictures as PNG files beside it.
+
+    ``comparison`` is the document of ``comparison.json``, or what `single` makes of a run's; the directories of its
+    cells are relative to ``directory``. The pictures are maps.png, closeups.png, thickness.png and cost.png; numbered
+    by log (maps_2.png) from the second log on. Raises OutputError where something cannot be written.
+    """
+    sections = _sections(comparison, directory)
+    try:
+        for number, section in enumerate(sections, 1):
+            _write_pictures(section, path.parent, "" if number == 1 else f"_{number}")
+        with beside(path) as partial:
+            partial.write_text(_page(comparison, sections), encoding="utf-8")
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(f"{path} cannot be written: {reason}; make room or choose another with -o") from error
+
+
+def _sections(comparison: dict[str, Any], directory: Path) -> list[Section]:
+    loaded = [load(cell, directory) for cell in comparison.get("cells") or []]
+    return [_section(log, [e for e in loaded if e.log == log]) for log in dict.fromkeys(e.log for e in loaded)]
+
+
+def _section(log: str, loaded: list[Entry | Failure]) -> Section:
+    entries = [e for e in loaded if isinstance(e, Entry)]
+    return Section(
+        log=log,
+        headline=headline(entries),
+        entries=entries,
+        failures=[e for e in loaded if isinstance(e, Failure)],
+        table=table(entries),
+        pictures=draw(entries) if entries else None,
+    )
+
+
+def _write_pictures(section: Section, folder: Path, number: str) -> None:
+    sheets = section.pictures.sheets() if section.pictures else {}
+    for name, picture in sheets.items():
+        with beside(folder / f"{name}{number}.png") as partial:
+            partial.write_bytes(panels.png(picture))
+
+
+def _page(comparison: dict[str, Any], sections: list[Section]) -> str:
+    environment = Environment(
+        loader=PackageLoader("mavnav.outputs.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    source, _, _ = environment.loader.get_source(environment, "report.css")  # type: ignore[union-attr]
+    style = Markup(source)  # noqa: S704  ours, nothing of a log is in it
+    most = min(MOST_PICTURE_BYTES, PICTURE_BYTES // max(1, sum(s.pictures.count for s in sections if s.pictures)))
+    return environment.get_template("report.html").render(
+        title=_title(sections),
+        sections=sections,
+        details=details,
+        style=style,
+        style_hash=b64encode(sha256(style.encode()).digest()).decode(),
+        version=comparison.get("mavnav_version") or __version__,
+        profile=comparison.get("profile"),
+        data_uri=_remembering(most),
+    )
+
+
+def _remembering(most: int) -> Any:  # noqa: ANN401  a function of the template
+    def uri(image: Image) -> str:
+        return panels.data_uri(image, most)
+
+    return uri
+
+
+def _title(sections: list[Section]) -> str:
+    names = [section.log.rpartition("/")[2] or section.log for section in sections]
+    return ", ".join(names) if len(names) <= 3 else f"{len(names)} logs"

@@ -1,0 +1,105 @@
+"""All pictures of the runs of one log: panels for the page, sheets of them for files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from string import ascii_uppercase
+from typing import TYPE_CHECKING
+
+from mavnav.outputs.drawing import Window
+from mavnav.outputs.report.closeups import LEAST_SIDE_M, differing_places
+from mavnav.outputs.report.columns import why_not_meaningful
+from mavnav.outputs.report.cost_panel import cost_panels
+from mavnav.outputs.report.map_panel import (
+    closeup_panel,
+    common_window,
+    ghosts,
+    is_wide,
+    legend_panel,
+    map_panel,
+    most_hits,
+)
+from mavnav.outputs.report.panels import sheet, stacked
+from mavnav.outputs.report.thickness_panel import thickness_panels
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from PIL.Image import Image
+
+    from mavnav.outputs.report.entry import Entry
+
+
+@dataclass(frozen=True, slots=True)
+class Closeup:
+    """A place that is shown larger, and its pictures by the names of the runs."""
+
+    letter: str
+    x_m: float
+    y_m: float
+    side_m: float
+    images: dict[str, Image]
+
+
+@dataclass(frozen=True, slots=True)
+class Pictures:
+    """One panel a run of each kind, in the order of the runs; ``wide`` maps take a row each."""
+
+    wide: bool
+    maps: list[Image]
+    legend: Image
+    closeups: list[Closeup]
+    thickness: list[Image]
+    cost: list[Image]
+
+    @property
+    def count(self) -> int:
+        """How many pictures the page holds."""
+        return 3 * len(self.maps) + 1 + sum(len(c.images) for c in self.closeups)
+
+    def sheets(self) -> dict[str, Image]:
+        """Return the pictures that stand as files beside the page, by name."""
+        found = {
+            "maps": stacked([sheet(self.maps, 1 if self.wide else None), sheet([self.legend])]),
+            "thickness": sheet(self.thickness),
+            "cost": sheet(self.cost),
+        }
+        if self.closeups:
+            found["closeups"] = stacked([sheet(list(c.images.values())) for c in self.closeups])
+        return found
+
+
+def draw(entries: Sequence[Entry]) -> Pictures:
+    """Draw the runs of one log, all at the same scale.
+
+    Maps that mean nothing are drawn as well, but decide neither the scale nor the close-ups, if there are others.
+    """
+    sound = [e for e in entries if not why_not_meaningful(e)] or entries
+    window, top_hits = common_window(sound), most_hits(sound)
+    places = differing_places([e.grid for e in sound], window) or _ghost_places(sound)
+    boxes = list(zip(ascii_uppercase, places, strict=False))
+    return Pictures(
+        wide=is_wide(window),
+        maps=[map_panel(e, window, top_hits, boxes) for e in entries],
+        legend=legend_panel(top_hits, truth=any(e.true_walls for e in entries), ghost=any(map(ghosts, entries))),
+        closeups=[_closeup(letter, box, sound, top_hits) for letter, box in boxes],
+        thickness=thickness_panels(entries),
+        cost=cost_panels(entries),
+    )
+
+
+def _ghost_places(entries: Sequence[Entry]) -> list[Window]:
+    """Frame the longest ghost walls of a single run, which has no other to differ from."""
+    worst = sorted((place for e in entries for place in ghosts(e)), key=lambda p: -p["length_m"])[:3]
+    halves = [(p, max(0.75 * p["length_m"], LEAST_SIDE_M / 2)) for p in worst]
+    return [Window(p["x_m"] - h, p["x_m"] + h, p["y_m"] - h, p["y_m"] + h) for p, h in halves]
+
+
+def _closeup(letter: str, box: Window, entries: Sequence[Entry], top_hits: float) -> Closeup:
+    return Closeup(
+        letter=letter,
+        x_m=(box.x0_m + box.x1_m) / 2,
+        y_m=(box.y0_m + box.y1_m) / 2,
+        side_m=box.size_m[0],
+        images={e.name: closeup_panel(e, box, top_hits, letter) for e in entries},
+    )

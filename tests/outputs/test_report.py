@@ -1,0 +1,272 @@
+"""report.html: a whole and safe page, the same bytes again, and what is honest about the sentence on top."""
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mavnav.errors import OutputError
+from mavnav.grid import Grid
+from mavnav.outputs import Truth
+from mavnav.outputs.document import run_document, to_json
+from mavnav.outputs.drawing import Window
+from mavnav.outputs.gridmap import write_npz
+from mavnav.outputs.report import columns, details, panels, single, write_report
+from mavnav.outputs.report.closeups import differing_places
+from mavnav.outputs.report.entry import Entry, load
+from mavnav.outputs.report.headline import headline
+from mavnav.outputs.trajectory import write_csv, write_true_walls
+from mavnav.pose import Trajectory
+
+EVIL = 'logs/<script>alert(1)</script>"onload="x.mcap'
+VOID = {"meta", "link", "img", "br"}
+
+
+class Page(HTMLParser):
+    """Every tag with its attributes, the text, and whether the tags close one another."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags, self.open, self.words = [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    def all(self, tag):
+        return [attrs for name, attrs in self.tags if name == tag]
+
+
+def leave(run, folder: Path, **changes) -> dict:
+    """Write what the page reads of a run, some of run.json changed, and return the cell of a comparison."""
+    folder.mkdir(parents=True)
+    write_npz(run, folder / "hits.npz")
+    write_csv(run, folder / "trajectory.csv")
+    document = json.loads(to_json(run_document(run, {}))) | changes
+    (folder / "run.json").write_text(json.dumps(document))
+    return single(document, folder.name)["cells"][0]
+
+
+def doubled(run):
+    """Return the run with a second wall of 1.2 m planted 20 cells beside nothing."""
+    grid = run.slam.grid
+    hits = grid.hits.copy()
+    row, col = np.array(hits.shape) // 2
+    hits[row : row + 2, col : col + 60] = 9
+    return replace(run, slam=replace(run.slam, grid=Grid(grid.cell_m, grid.origin_xy_m, hits, grid.passes)))
+
+
+def quality(*, meaningful=True, ghosts=0.0):
+    place = {"x_m": 1.0, "y_m": 2.0, "direction_deg": 30.0, "length_m": ghosts, "offset_mm": 80.0}
+    walls = {"count": int(ghosts > 0), "length_m": ghosts, "places": [place] if ghosts else []}
+    return {
+        "profile": "map-quality/1",
+        "meaningful": meaningful,
+        "why": [] if meaningful else ["2 % of the scans"],
+        "ghost_walls": walls,
+        "support": {"wall_m": 20.0, "sections": 900, "mapped_share": 0.85},
+    }
+
+
+@pytest.fixture(scope="module")
+def base(run, tmp_path_factory):
+    return tmp_path_factory.mktemp("comparison")
+
+
+@pytest.fixture(scope="module")
+def comparison(run, base):
+    fine = leave(run, base / "fine", grid="20x20", azimuth=40, map_quality=quality())
+    coarse = leave(doubled(run), base / "coarse", grid="5x5", map_quality=quality(ghosts=1.2), warnings=["<b>odd</b>"])
+    failed = {**coarse, "grid": "40x40", "status": "failed", "error": "killed & gone", "directory": None}
+    cells = [{**cell, "log": EVIL} for cell in (coarse, fine, failed)]
+    return {"schema_version": 1, "mavnav_version": "0.1.0", "profile": "map-quality/1", "cells": cells}
+
+
+@pytest.fixture(scope="module")
+def report(comparison, base):
+    write_report(comparison, base, base / "report.html")
+    return (base / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def page(report):
+    return Page(report)
+
+
+@pytest.fixture(scope="module")
+def entries(comparison, base):
+    return [e for e in (load(cell, base) for cell in comparison["cells"]) if isinstance(e, Entry)]
+
+
+def test_the_page_is_whole(page):
+    assert page.open == []
+    assert [name for name, _ in page.tags].count("h1") == 1
+    assert all(attrs.get("scope") for attrs in page.all("th"))
+    assert page.all("img") and all(attrs["alt"] and int(attrs["width"]) for attrs in page.all("img"))
+
+
+def test_the_page_asks_for_nothing_from_outside(report, page):
+    links = [v for _, attrs in page.tags for k, v in attrs.items() if k in {"src", "href", "srcset", "action", "data"}]
+    assert links and all(link.startswith("data:") for link in links)
+    assert not re.search(r"https?://|@import|url\(", report)
+    assert not {"script", "iframe", "object", "form"} & {name for name, _ in page.tags}
+    policy = next(a["content"] for a in page.all("meta") if a.get("http-equiv") == "Content-Security-Policy")
+    assert "default-src 'none'" in policy and "unsafe" not in policy
+
+
+def test_what_came_from_a_log_is_escaped(report, page):
+    assert "<script>" not in report and "<b>" not in report
+    assert not any("onload" in attrs for _, attrs in page.tags)
+    text = " ".join(page.words)
+    assert "<b>odd</b>" in text and "x.mcap" in text
+
+
+def test_the_failed_run_is_named(page):
+    text = " ".join("".join(page.words).split())
+    assert "40x40" in text and "killed & gone" in text
+
+
+def test_the_same_runs_give_the_same_bytes(comparison, base, report, tmp_path):
+    write_report(comparison, base, tmp_path / "report.html")
+    assert (tmp_path / "report.html").read_text(encoding="utf-8") == report
+    for name in ("maps.png", "closeups.png", "thickness.png", "cost.png"):
+        assert (tmp_path / name).read_bytes() == (base / name).read_bytes()
+
+
+def test_the_pictures_stand_beside_the_page(report, base):
+    assert len(report) < 5_000_000
+    sizes = {}
+    for name in ("maps", "closeups", "thickness", "cost"):
+        with Image.open(base / f"{name}.png") as image:
+            sizes[name] = image.size
+    assert min(min(size) for size in sizes.values()) > 200
+
+
+def test_a_large_picture_is_made_smaller_on_the_page():
+    noise = Image.fromarray(np.random.default_rng(1).integers(0, 255, (400, 400, 3), np.uint8))
+    assert len(panels.data_uri(noise, 20_000)) < 28_000
+
+
+def test_the_close_up_is_where_the_maps_differ(run):
+    grid = run.slam.grid
+    planted = doubled(run).slam.grid
+    (x0, y0), cell_m = grid.origin_xy_m, grid.cell_m
+    rows, cols = grid.hits.shape
+    window = Window(x0, x0 + cols * cell_m, y0, y0 + rows * cell_m)
+    first = differing_places([grid, planted, grid], window)[0]
+    wall_x, wall_y = x0 + (cols // 2 + 30) * cell_m, y0 + (rows // 2 + 1) * cell_m
+    assert abs((first.x0_m + first.x1_m) / 2 - wall_x) < 0.4
+    assert abs((first.y0_m + first.y1_m) / 2 - wall_y) < 0.1
+    assert differing_places([grid, grid], window) == []
+    assert differing_places([grid], window) == []
+
+
+def test_close_ups_do_not_overlap():
+    window, empty, walls = Window(0.0, 10.0, 0.0, 10.0), np.zeros((500, 500), np.int32), np.zeros((500, 500), np.int32)
+    walls[::50, ::2] = 5
+    found = differing_places([Grid(0.02, (0.0, 0.0), h, h) for h in (walls, empty)], window)
+    assert len(found) == 3
+    for k, a in enumerate(found):
+        for b in found[:k]:
+            assert abs(a.x0_m - b.x0_m) >= a.size_m[0] * 0.5 or abs(a.y0_m - b.y0_m) >= a.size_m[1] * 0.5
+
+
+def test_the_winner_is_marked_and_named(entries):
+    rows = {row.name: row for row in columns.table(entries).rows}
+    titles = [c.title for c in columns.table(entries).columns]
+    ghost = titles.index("ghost walls")
+    assert rows["robust 40/20x20"].fields[ghost].best
+    assert not rows["robust 20/5x5"].fields[ghost].best
+    assert headline(entries).startswith("robust 40/20x20 gives the best map")
+
+
+def with_document(entry, **changes):
+    return replace(entry, document=entry.document | changes)
+
+
+def test_the_price_is_told_as_a_multiple(entries):
+    search = {"evaluations_per_scan": {"mean": 20_000.0}}
+    coarse, fine = entries[0], with_document(entries[1], search=search)
+    search_0 = coarse.document["search"]["evaluations_per_scan"]["mean"]
+    assert columns.times_the_coarsest([coarse, fine], fine) == pytest.approx(20_000.0 / search_0)
+    assert f"{20_000.0 / search_0:.1f} times the evaluations of robust 20/5x5" in headline([coarse, fine])
+
+
+def test_equal_maps_have_no_winner(entries):
+    same = with_document(entries[1], grid="5x5")
+    assert "equally good" in headline([entries[1], same])
+    assert not any(f.best for row in columns.table([entries[1], same]).rows for f in row.fields)
+
+
+def test_a_difference_below_a_cell_does_not_count(entries):
+    def walls(p95_mm):
+        return with_document(entries[1], wall_thickness={"2": {"p95_mm": p95_mm, "max_mm": 100.0}})
+
+    column = next(c for c in columns.COLUMNS if c.title == "wall p95")
+    assert columns.winners([walls(60.0), walls(75.0)], column) == frozenset()
+    assert columns.winners([walls(60.0), walls(75.0), walls(90.0)], column) == {0, 1}
+
+
+def test_a_map_of_nothing_never_wins(entries):
+    nothing = with_document(entries[1], map_quality=quality(meaningful=False))
+    assert "Only robust 20/5x5" in headline([entries[0], nothing])
+    assert not any(f.best for f in columns.table([entries[0], nothing]).rows[1].fields)
+    assert "None of the 2 maps" in headline([nothing, nothing])
+    assert "each failed" in headline([])
+
+
+def test_a_run_without_the_profile_is_judged_by_its_scans(entries):
+    bare = with_document(entries[1], map_quality=None)
+    assert columns.why_not_meaningful(bare) == ""
+    few = with_document(bare, map={"accepted_share": 0.02})
+    assert "2%" in columns.why_not_meaningful(few)
+    lost = with_document(bare, tracking={"lost": True})
+    assert "lost" in columns.why_not_meaningful(lost)
+
+
+def test_one_run_has_a_page_with_its_true_walls(run, base, tmp_path):
+    cell = leave(run, base / "one")
+    truth = Truth(
+        Trajectory.of([], []), np.array([[0.0, 1.0, 3.0, 1.0]]), np.array([[1.0, 1.0, 0.5, 0.0, 1.0]]), (1, 1)
+    )
+    write_true_walls(replace(run, truth=truth), base / "one" / "true_walls.json")
+    entry = load(cell, base)
+    np.testing.assert_allclose(entry.true_walls[0], [[0.0, 1.0], [3.0, 1.0]])
+    assert len(entry.true_walls) == 2
+    write_report({"cells": [cell]}, base, tmp_path / "report.html")
+    text = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert text.open == [] and not (tmp_path / "closeups.png").exists()
+
+
+def test_a_run_directory_that_is_gone_is_a_failed_run(comparison, base, tmp_path):
+    gone = {**comparison["cells"][0], "directory": "nowhere"}
+    write_report({"cells": [gone]}, base, tmp_path / "report.html")
+    assert "nowhere cannot be read" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_settings_that_differ_are_told_apart(entries):
+    coarse = with_document(entries[0], config={"grid": "5x5", "cell": 20, "paper": {"gate_mm2": 400.0}})
+    fine = with_document(entries[1], config={"grid": "20x20", "cell": 20, "paper": {"gate_mm2": 400.0}})
+    found = details.settings([coarse, fine])
+    assert found.differing == [("grid", ["5x5", "20x20"])]
+    assert found.common == [("cell", "20")]
+
+
+def test_a_place_that_cannot_be_written_is_told(comparison, base, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_report(comparison, base, tmp_path / "file" / "report.html")
