@@ -20,6 +20,20 @@ def repo_root() -> Path:
     return ROOT
 
 
+SHORT_COMPARISON = ("--end", "0.5", "--online", "--set", "azimuth=6", "--grid", "5x5", "--grid", "12x12")
+
+
+@pytest.fixture(scope="session")
+def comparison(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the directory of a finished comparison of two short replays of a sample log; for reading."""
+    from mavnav.cli import run
+
+    target = tmp_path_factory.mktemp("comparisons") / "first"
+    log = ROOT / "sample_logs" / "corridor.mcap"
+    assert run(["compare", str(log), "-o", str(target), "-q", *SHORT_COMPARISON]) == 0
+    return target
+
+
 @pytest.fixture(scope="session")
 def real_logs() -> Path:
     """Return the folder of the real recordings; skip without it, or fail where they are required."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,6 +15,9 @@ from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.replay import pose
 from mavnav.commands.terminal import emit, note
 from mavnav.errors import UsageError
+
+if TYPE_CHECKING:
+    from mavnav.commands.progress import Report
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -108,10 +111,12 @@ def compare(
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
             from mavnav import compare as pipeline
+        configs = pipeline.settings(config, sets or (), methods or (), grids or (), azimuths or (), shared)
+        target = directory or pipeline.default_directory(logs or ())
         request = pipeline.Request(
-            logs=tuple(logs or ()),
-            configs=tuple(pipeline.settings(config, sets or (), methods or (), grids or (), azimuths or (), shared)),
-            directory=directory or pipeline.default_directory(logs or ()),
+            logs=tuple(logs or [_sample(target, report)]),
+            configs=tuple(configs),
+            directory=target,
             workers=jobs or usable_cores(),
             gates=bounds,
             options=options,
@@ -120,10 +125,20 @@ def compare(
         plan = pipeline.plan(request, report)
     with watching([cell.name for cell in plan.missing], quiet=quiet) as listen:
         document = pipeline.compare(plan, listen)
-    _tell(document, request.directory, json=json)
+    _tell(document, target, json=json)
     if preview:
-        _show_maps(document, request.directory, stderr=json)
+        _show_maps(document, target, stderr=json)
     raise typer.Exit(document["exit_code"])
+
+
+def _sample(directory: Path, report: Report) -> Path:
+    """Return the sample corridor, flown and kept in the directory where it is not shipped."""
+    from mavnav.compare import check_directory
+
+    check_directory(directory)
+    with loading_kernels(report):
+        from mavnav.compare.sample import sample_log
+    return sample_log(directory, report)
 
 
 def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:

@@ -35,6 +35,7 @@ def _table(document: dict[str, Any]) -> Table:
     from rich.table import Table
 
     from mavnav.compare.figures import FIGURES
+    from mavnav.compare.files import ratio
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     known = [figure for figure in FIGURES if any(_value(cell, figure) is not None for cell in document["cells"])]
@@ -48,7 +49,7 @@ def _table(document: dict[str, Any]) -> Table:
     for k, cell in enumerate(document["cells"]):
         log = [_text(cell["log"])] if several else []
         figures = [_figure(document, k, figure) for figure in known]
-        prices = [_text(_price(document, name, k)) for name in ("evaluations", "cpu")]
+        prices = [_text(ratio(document, name, k)) for name in ("evaluations", "cpu")]
         grid = _text(f"{cell['azimuth']}/{cell['grid']}")
         table.add_row(*log, _text(cell["method"]), grid, *figures, *prices, _text(_state(cell)))
     return table
@@ -68,11 +69,11 @@ def _value(cell: dict[str, Any], figure: Figure) -> float | None:
 
 def _figure(document: dict[str, Any], k: int, figure: Figure) -> Text:
     """Write a figure, its bar before it, an asterisk behind the winner's."""
-    from mavnav.compare.files import shown, winning
+    from mavnav.compare.files import winning
 
     number = _value(document["cells"][k], figure)
     won = k in winning(document, figure.name)
-    text = shown(number, figure.form) + ("*" if won else " ")
+    text = figure.shown(number) + ("*" if won else " ")
     if figure.name in BARRED and number is not None:
         largest = max(_value(cell, figure) or 0.0 for cell in document["cells"])
         text = f"{bar(number, largest)} {text}"
@@ -86,12 +87,6 @@ def bar(number: float, largest: float) -> str:
         return ("#" * round(BAR_WIDTH * share)).ljust(BAR_WIDTH)
     whole, rest = divmod(round(8 * BAR_WIDTH * share), 8)
     return ("█" * whole + EIGHTHS[rest].strip()).ljust(BAR_WIDTH)
-
-
-def _price(document: dict[str, Any], name: str, k: int) -> str:
-    from mavnav.compare.files import shown
-
-    return shown(document["price"][name][k], "{:.1f}")
 
 
 def _state(cell: dict[str, Any]) -> str:

@@ -15,7 +15,6 @@ from mavnav.compare.cells import Cell, earlier, make_cells, replay_cell
 from mavnav.compare.document import NO_PRICE, comparison
 from mavnav.compare.files import COMPARISON_FILE, write_comparison
 from mavnav.compare.grids import settings
-from mavnav.compare.sample import sample_log
 from mavnav.errors import OutputError
 from mavnav.gates import judge
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs
@@ -30,14 +29,14 @@ if TYPE_CHECKING:
     from mavnav.gates import Gate
     from mavnav.replay import Progress
 
-__all__ = ["COMPARISON_FILE", "Plan", "Request", "compare", "default_directory", "plan", "settings"]
+__all__ = ["COMPARISON_FILE", "Plan", "Request", "check_directory", "compare", "default_directory", "plan", "settings"]
 
 _OURS: Final = {"cells", "logs", COMPARISON_FILE}
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What is asked for: logs (none: the sample), settings, where to, how many at a time, and what must hold.
+    """What is asked for: logs, settings, where to, how many at a time, and what must hold.
 
     ``options`` are further values of the `mavnav.replay.Request` of every cell; ``force`` runs again what is there.
     """
@@ -76,18 +75,17 @@ def plan(request: Request, progress: Progress) -> Plan:
     Raises UsageError for logs and files that cannot be read and for gates on unknown names, OutputError where the
     directory cannot be used: before the work.
     """
-    _check_directory(request.directory)
-    logs = request.logs or (sample_log(request.directory, progress),)
+    check_directory(request.directory)
     progress("reading", 0, None)
-    found = make_cells(logs, request.configs, request.options, request.directory, force=True)
+    found = make_cells(request.logs, request.configs, request.options, request.directory, force=True)
     documents = {} if request.force else {cell.key: document for cell in found if (document := earlier(cell))}
     for document in documents.values():
         judge(request.gates, document | NO_PRICE)
     return Plan(request, tuple(found), documents)
 
 
-def _check_directory(directory: Path) -> None:
-    """Raise OutputError where a comparison cannot be put; what is there must be an earlier one."""
+def check_directory(directory: Path) -> None:
+    """Make the directory of a comparison; raise OutputError where it cannot be, or where something else is there."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         strange = bool(names := {path.name for path in directory.iterdir()}) and not names & _OURS

@@ -16,27 +16,37 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A number of run.json: its name there, its title, how it is written, and which is best.
+    """A number of run.json: its name there, its title, and which is best.
 
-    ``per_cell`` marks what counts cells of the map, and cannot be compared between maps of different cells.
+    It is shown times ``factor`` with so many ``digits``, and what reads the same counts as the same. ``per_cell`` marks
+    what counts cells of the map, and cannot be compared between maps of different cells; ``by_cells`` marks lengths
+    that a map knows to a cell: smaller differences are none.
     """
 
     name: str
     title: str
-    form: str
+    digits: int
     best: Literal["low", "high"]
+    factor: float = 1.0
     per_cell: bool = False
+    by_cells: bool = False
+
+    def shown(self, number: float | None) -> str:
+        """Write a number, or a dash where there is none."""
+        return "-" if number is None else f"{number * self.factor:.{self.digits}f}"
 
 
 FIGURES: Final = (
-    Figure("map.accepted_share", "mapped", "{:.1%}", "high"),
-    Figure("wall_thickness.2.p95_mm", "wall p95 mm", "{:.0f}", "low"),
-    Figure("wall_thickness.2.max_mm", "wall max mm", "{:.0f}", "low"),
-    Figure("map_quality.ghost_walls.length_m", "ghosts m", "{:.1f}", "low"),
-    Figure("map_quality.revisits.nn_l_mm", "revisits mm", "{:.1f}", "low"),
-    Figure("map_quality.crispness.occupied_cells_per_m", "cells/m", "{:.1f}", "low", per_cell=True),
-    Figure("search.evaluations_per_scan.mean", "evaluations", "{:.0f}", "low"),
-    Figure("timing.cpu_s", "cpu s", "{:.2f}", "low"),
+    Figure("map.accepted_share", "mapped %", 1, "high", 100.0),
+    Figure("wall_thickness.2.p95_mm", "wall p95 mm", 0, "low", by_cells=True),
+    Figure("wall_thickness.2.max_mm", "wall max mm", 0, "low", by_cells=True),
+    Figure("map_quality.ghost_walls.length_m", "ghosts m", 1, "low"),
+    Figure("map_quality.crispness.occupied_cells_per_m", "cells/m", 1, "low", per_cell=True),
+    Figure("map_quality.crispness.entropy_bits", "entropy bit", 3, "low", per_cell=True),
+    Figure("map_quality.revisits.nn_l_mm", "revisits mm", 1, "low"),
+    Figure("reference.ate.rmse_m", "ATE mm", 0, "low", 1e3),
+    Figure("search.evaluations_per_scan.mean", "evaluations", 0, "low"),
+    Figure("timing.cpu_s", "cpu s", 2, "low"),
 )
 
 PRICES: Final = {
@@ -59,7 +69,7 @@ def winners(runs: Sequence[Run | None]) -> dict[str, int | None]:
     """Return the index of the best run by every figure; of equals the first.
 
     Only maps that mean something take part: those that map quality calls meaningful, of runs that were not lost. There
-    is no winner where nobody takes part, or where all of several are equal.
+    is no winner where fewer than two take part, or where all are equal.
     """
     eligible = [k for k, run in enumerate(runs) if run is not None and _meaningful(run)]
     return {figure.name: _winner(figure, runs, eligible) for figure in FIGURES}
@@ -71,13 +81,15 @@ def _meaningful(run: Run) -> bool:
 
 
 def _winner(figure: Figure, runs: Sequence[Run | None], eligible: Iterable[int]) -> int | None:
-    found = {k: number for k in eligible if (number := value(runs[k], figure.name)) is not None}
-    if figure.per_cell and len({value(runs[k], "map.cell_mm") for k in found}) > 1:
-        return None
-    if not found or (len(found) > 1 and len(set(found.values())) == 1):
+    known = ((k, value(runs[k], figure.name)) for k in eligible)
+    found = {k: round(number * figure.factor, figure.digits) for k, number in known if number is not None}
+    cells_mm = {value(runs[k], "map.cell_mm") or 0.0 for k in found}
+    if not found or (figure.per_cell and len(cells_mm) > 1):
         return None
     best = min(found.values()) if figure.best == "low" else max(found.values())
-    return next(k for k in found if found[k] == best)
+    least_difference = max(cells_mm) if figure.by_cells else 0.0
+    equals = [k for k, number in found.items() if number == best or abs(number - best) < least_difference]
+    return equals[0] if len(equals) < len(found) else None
 
 
 def prices(groups: Sequence[tuple[object, int]], runs: Sequence[Run | None]) -> dict[str, list[Any]]:

@@ -57,9 +57,9 @@ def _cells(document: dict[str, Any], k: int) -> list[str]:
     cell = document["cells"][k]
     texts = [_escaped(cell["log"]), cell["method"], f"{cell['azimuth']}/{cell['grid']}"]
     for figure in FIGURES:
-        text = shown(value(cell["run"], figure.name), figure.form)
+        text = figure.shown(value(cell["run"], figure.name))
         texts.append(f"**{text}**" if k in winning(document, figure.name) else text)
-    return texts + [shown(document["price"][name][k], "{:.1f}") for name in ("evaluations", "cpu")]
+    return texts + [ratio(document, name, k) for name in ("evaluations", "cpu")]
 
 
 def winning(document: dict[str, Any], figure: str) -> set[int]:
@@ -67,9 +67,10 @@ def winning(document: dict[str, Any], figure: str) -> set[int]:
     return {log["winners"][figure] for log in document["logs"]} - {None}
 
 
-def shown(number: float | None, form: str) -> str:
-    """Write a number, or a dash where there is none."""
-    return "-" if number is None else form.format(number)
+def ratio(document: dict[str, Any], price: str, k: int) -> str:
+    """Write a cell's price as a multiple of the coarsest one's, or a dash where there is none."""
+    number = document["price"][price][k]
+    return "-" if number is None else f"{number:.1f}"
 
 
 def problems(document: dict[str, Any]) -> list[str]:

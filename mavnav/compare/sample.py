@@ -1,4 +1,7 @@
-"""The log to compare where none is given: the sample corridor."""
+"""The log to compare where none is given: the sample corridor.
+
+Imported only where it is needed, because flying a mission takes kernels that a comparison does not.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +22,14 @@ SCENARIO: Final = "corridor"
 SETS: Final = ("seed=1", "vehicle.laser_x_mm=60")
 """How the sample log of a checkout was flown."""
 
+SHIPPED: Final = Path(__file__).parents[2] / "sample_logs" / f"{SCENARIO}.mcap"
+"""Where a checkout has it; an installed package does not."""
+
 
 def sample_log(directory: Path, progress: Progress) -> Path:
     """Return the sample log of a checkout; elsewhere fly the same mission, once, and keep it in ``directory``."""
-    shipped = Path(__file__).parents[2] / "sample_logs" / f"{SCENARIO}.mcap"
-    if shipped.is_file():
-        return shipped
+    if SHIPPED.is_file():
+        return SHIPPED
     kept = directory / "logs" / f"{SCENARIO}-{__version__}.mcap"
     if not kept.is_file():
         progress(f"recording {kept.name}", 0, None)

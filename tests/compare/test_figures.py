@@ -31,7 +31,7 @@ P95, CPU, MAPPED, CELLS = (
 
 
 def test_the_least_or_the_most_wins() -> None:
-    found = winners([run(100, cpu_s=1), run(80, cpu_s=2), run(90, cpu_s=3)])
+    found = winners([run(100, cpu_s=1), run(60, cpu_s=2), run(90, cpu_s=3)])
     assert (found[P95], found[CPU], found[MAPPED]) == (1, 0, None)
     assert set(found) == {figure.name for figure in FIGURES}
     mapped = [run(map={"accepted_share": share, "cell_mm": 20}) for share in (0.2, 0.9)]
@@ -43,11 +43,26 @@ def test_of_two_best_the_coarser_wins_and_of_all_equal_nobody() -> None:
     assert winners([run(80), run(80)])[P95] is None
 
 
+def test_what_reads_the_same_is_the_same() -> None:
+    assert winners([run(cpu_s=1.001), run(cpu_s=1.004)])[CPU] is None
+    assert winners([run(cpu_s=1.006), run(cpu_s=1.004)])[CPU] == 1
+
+
+def test_less_than_a_cell_makes_no_wall_thinner() -> None:
+    assert winners([run(100), run(81)])[P95] is None
+    assert winners([run(100), run(80)])[P95] == 1
+    assert winners([run(150), run(100), run(81)])[P95] == 1
+
+
 def test_failed_lost_and_meaningless_maps_never_win() -> None:
     empty = run(1, map_quality=quality(meaningful=False))
-    found = winners([None, run(2, code=5), empty, run(None), run(90), run(95)])
+    found = winners([None, run(2, code=5), empty, run(None), run(60), run(95)])
     assert found[P95] == 4
     assert set(winners([None, empty]).values()) == {None}
+
+
+def test_nobody_wins_alone() -> None:
+    assert set(winners([run()]).values()) == {None}
 
 
 def test_damaged_input_may_win() -> None:
