@@ -125,7 +125,10 @@ def compare(
         plan = pipeline.plan(request, report)
     with watching([cell.name for cell in plan.missing], quiet=quiet) as listen:
         document = pipeline.compare(plan, listen)
-    _tell(document, target, json=json)
+    with reporting(quiet=quiet) as report:
+        report("drawing the report", 0, None)
+        page = pipeline.draw(plan, document)
+    _tell(document, page, json=json)
     if preview:
         _show_maps(document, target, stderr=json)
     raise typer.Exit(document["exit_code"])
@@ -141,7 +144,7 @@ def _sample(directory: Path, report: Report) -> Path:
     return sample_log(directory, report)
 
 
-def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
+def _tell(document: dict[str, Any], page: Path, *, json: bool) -> None:
     """Print the result on stdout, and on stderr what the user must not miss."""
     from mavnav.compare.files import problems
 
@@ -151,7 +154,7 @@ def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
         emit(dumps(document, indent=2))
     else:
         print_comparison(document)
-        emit(f"\n{directory / 'comparison.md'}")
+        emit(f"\nreport  {page}")
     for problem in problems(document):
         note(f"mavnav: error: {problem}")
 

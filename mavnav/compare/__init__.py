@@ -1,11 +1,12 @@
 """The pipeline of ``mavnav compare``: logs x settings -> replays in processes of their own -> one comparison.
 
 A comparison lives in a directory: ``cells/`` holds a run directory for every cell, and a cell that is there is not run
-again; ``comparison.json``, ``comparison.csv`` and ``comparison.md`` set them side by side.
+again; ``comparison.json``, ``comparison.csv``, ``comparison.md`` and ``report.html`` set them side by side.
 """
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +19,7 @@ from mavnav.compare.grids import settings
 from mavnav.errors import OutputError
 from mavnav.gates import judge
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs
+from mavnav.outputs import REPORT_FILE, write_page
 from mavnav.outputs.document import plain
 from mavnav.replay import log_name
 from mavnav.staging import discard
@@ -29,7 +31,17 @@ if TYPE_CHECKING:
     from mavnav.gates import Gate
     from mavnav.replay import Progress
 
-__all__ = ["COMPARISON_FILE", "Plan", "Request", "check_directory", "compare", "default_directory", "plan", "settings"]
+__all__ = [
+    "COMPARISON_FILE",
+    "Plan",
+    "Request",
+    "check_directory",
+    "compare",
+    "default_directory",
+    "draw",
+    "plan",
+    "settings",
+]
 
 _OURS: Final = {"cells", "logs", COMPARISON_FILE}
 
@@ -52,11 +64,15 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The cells of a comparison, and by key the documents of those that were run before."""
+    """The cells of a comparison, and by key the documents of those that were run before.
+
+    ``drawn`` tells whether there is a report of exactly these results.
+    """
 
     request: Request
     cells: tuple[Cell, ...]
     kept: Mapping[str, dict[str, Any]]
+    drawn: bool
 
     @property
     def missing(self) -> list[Cell]:
@@ -81,7 +97,18 @@ def plan(request: Request, progress: Progress) -> Plan:
     documents = {} if request.force else {cell.key: document for cell in found if (document := earlier(cell))}
     for document in documents.values():
         judge(request.gates, document | NO_PRICE)
-    return Plan(request, tuple(found), documents)
+    drawn = len(documents) == len(found) and _drawn(request.directory, [cell.key for cell in found])
+    return Plan(request, tuple(found), documents, drawn)
+
+
+def _drawn(directory: Path, keys: list[str]) -> bool:
+    """Return whether the report in a directory shows the results of these cells, in this order."""
+    try:
+        before = json.loads((directory / COMPARISON_FILE).read_bytes())
+        shown = [cell["key"] for cell in before["cells"] if cell["status"] != "failed"]
+    except (OSError, ValueError, LookupError, TypeError):
+        return False
+    return shown == keys and (directory / REPORT_FILE).is_file()
 
 
 def check_directory(directory: Path) -> None:
@@ -117,6 +144,14 @@ def compare(plan: Plan, on_event: Callable[[Event], None]) -> dict[str, Any]:
     document: dict[str, Any] = plain(comparison(plan.cells, plan.kept, ran, plan.request.directory, plan.request.gates))
     write_comparison(document, plan.request.directory)
     return document
+
+
+def draw(plan: Plan, document: dict[str, Any]) -> Path:
+    """Draw report.html, unless there is one of the same results, and return its path; raises OutputError."""
+    directory = plan.request.directory
+    if not plan.drawn:
+        write_page(document, directory)
+    return directory / REPORT_FILE
 
 
 def _settle(cell: Cell, outcome: Outcome, gates: tuple[Gate, ...]) -> None:

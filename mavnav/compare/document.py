@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
-from mavnav.compare.figures import PRICES, prices, winners
+from mavnav.compare.figures import PRICES, best, prices
 from mavnav.errors import ExitCode, worst
 from mavnav.gates import judge
 
@@ -58,7 +58,7 @@ def comparison(
         "mavnav_version": __version__,
         "profile": next((run["map_quality"]["profile"] for run in runs if run and run.get("map_quality")), None),
         "cells": rows,
-        "winners": logs[0]["winners"] if len(logs) == 1 else dict.fromkeys(logs[0]["winners"]),
+        "winners": _winners(logs),
         "logs": logs,
         "price": price,
         "gates": verdicts,
@@ -88,7 +88,7 @@ def _cell(cell: Cell, outcome: Outcome | None, run: dict[str, Any] | None, direc
 
 
 def _logs(cells: Sequence[Cell], runs: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]]:
-    """Return for every log its cells and its winners."""
+    """Return for every log its cells, and by figure which of them are the best."""
     groups: dict[Path, list[int]] = {}
     for k, cell in enumerate(cells):
         groups.setdefault(cell.request.log, []).append(k)
@@ -96,13 +96,16 @@ def _logs(cells: Sequence[Cell], runs: Sequence[dict[str, Any] | None]) -> list[
         {
             "log": str(log),
             "cells": group,
-            "winners": {
-                name: None if place is None else group[place]
-                for name, place in winners([runs[k] for k in group]).items()
-            },
+            "best": {name: [group[k] for k in places] for name, places in best([runs[k] for k in group]).items()},
         }
         for log, group in groups.items()
     ]
+
+
+def _winners(logs: Sequence[dict[str, Any]]) -> dict[str, int | None]:
+    """Return by figure the winner, of equals the coarser; none where several logs have one each."""
+    found = {name: next(iter(places), None) for name, places in logs[0]["best"].items()}
+    return found if len(logs) == 1 else dict.fromkeys(found)
 
 
 def _judge(gates: Sequence[Gate], run: dict[str, Any], price: dict[str, list[Any]], k: int) -> list[dict[str, Any]]:

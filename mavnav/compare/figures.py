@@ -65,14 +65,14 @@ def value(run: Run | None, name: str) -> float | None:
         return None
 
 
-def winners(runs: Sequence[Run | None]) -> dict[str, int | None]:
-    """Return the index of the best run by every figure; of equals the first.
+def best(runs: Sequence[Run | None]) -> dict[str, list[int]]:
+    """Return by every figure which runs are the best.
 
-    Only maps that mean something take part: those that map quality calls meaningful, of runs that were not lost. There
-    is no winner where fewer than two take part, or where all are equal.
+    Only maps that mean something take part: those that map quality calls meaningful, of runs that were not lost. Nobody
+    is best where fewer than two take part, or where all are equal.
     """
     eligible = [k for k, run in enumerate(runs) if run is not None and _meaningful(run)]
-    return {figure.name: _winner(figure, runs, eligible) for figure in FIGURES}
+    return {figure.name: _best(figure, runs, eligible) for figure in FIGURES}
 
 
 def _meaningful(run: Run) -> bool:
@@ -80,16 +80,16 @@ def _meaningful(run: Run) -> bool:
     return bool(quality.get("meaningful", True)) and run["exit_code"] != ExitCode.TRACKING_LOST
 
 
-def _winner(figure: Figure, runs: Sequence[Run | None], eligible: Iterable[int]) -> int | None:
+def _best(figure: Figure, runs: Sequence[Run | None], eligible: Iterable[int]) -> list[int]:
     known = ((k, value(runs[k], figure.name)) for k in eligible)
     found = {k: round(number * figure.factor, figure.digits) for k, number in known if number is not None}
     cells_mm = {value(runs[k], "map.cell_mm") or 0.0 for k in found}
     if not found or (figure.per_cell and len(cells_mm) > 1):
-        return None
-    best = min(found.values()) if figure.best == "low" else max(found.values())
+        return []
+    top = min(found.values()) if figure.best == "low" else max(found.values())
     least_difference = max(cells_mm) if figure.by_cells else 0.0
-    equals = [k for k, number in found.items() if number == best or abs(number - best) < least_difference]
-    return equals[0] if len(equals) < len(found) else None
+    equals = [k for k, number in found.items() if number == top or abs(number - top) < least_difference]
+    return equals if len(equals) < len(found) else []
 
 
 def prices(groups: Sequence[tuple[object, int]], runs: Sequence[Run | None]) -> dict[str, list[Any]]:

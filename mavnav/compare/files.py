@@ -64,7 +64,7 @@ def _cells(document: dict[str, Any], k: int) -> list[str]:
 
 def winning(document: dict[str, Any], figure: str) -> set[int]:
     """Return the cells that are the best of their log by a figure."""
-    return {log["winners"][figure] for log in document["logs"]} - {None}
+    return {k for log in document["logs"] for k in log["best"][figure]}
 
 
 def ratio(document: dict[str, Any], price: str, k: int) -> str:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-__all__ = ["WRITERS", "Run", "Timing", "Truth", "check_directory", "to_json", "write_run"]
+__all__ = ["WRITERS", "Run", "Timing", "Truth", "check_directory", "to_json", "write_page", "write_run"]
 
 
 REPORT_FILE: Final = "report.html"
@@ -69,14 +69,13 @@ def write_run(run: Run, directory: Path, *, force: bool = False, report: bool = 
         path.write_text(to_json(document), encoding="utf-8")
         sync(path)
         if report:
-            _write_page(document, folder)
+            write_page(import_module(f"{__name__}.report").single(document), folder)
     return document
 
 
-def _write_page(document: dict[str, Any], folder: Path) -> None:
-    """Write report.html and its pictures; it shows what run.json says, so it comes after."""
-    page = import_module(f"{__name__}.report")
-    page.write_report(page.single(document), folder, folder / REPORT_FILE)
+def write_page(comparison: dict[str, Any], folder: Path) -> None:
+    """Write report.html and its pictures of runs below a folder; it shows what their files say, so it comes after."""
+    import_module(f"{__name__}.report").write_report(comparison, folder, folder / REPORT_FILE)
 
 
 def _names(run: Run) -> list[str]:

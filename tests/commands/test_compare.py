@@ -36,7 +36,7 @@ def test_a_line_for_every_cell(again: Callable, directory: Path) -> None:
     assert lines[0].split()[:3] == ["method", "grid", "mapped"]
     assert [line.split()[:2] for line in lines[1:3]] == [["robust", "6/5x5"], ["robust", "6/12x12"]]
     assert all(line.rstrip().endswith("from before") for line in lines[1:3])
-    assert lines[-1] == str(directory / "comparison.md")
+    assert lines[-1] == f"report  {directory / 'report.html'}"
     assert max(map(len, lines)) <= 200
 
 

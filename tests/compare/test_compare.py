@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.compare import Request, compare, plan, settings
+from mavnav.compare import Request, compare, draw, plan, settings
 from mavnav.compare.cells import cell_key
 from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.gates import parse_gate
@@ -59,12 +59,8 @@ def test_every_cell_is_a_run(finished: tuple[Path, dict]) -> None:
 
 def test_the_files_say_the_same(finished: tuple[Path, dict]) -> None:
     directory, document = finished
-    assert {path.name for path in directory.iterdir()} == {
-        "cells",
-        "comparison.json",
-        "comparison.csv",
-        "comparison.md",
-    }
+    files = {"cells", "comparison.json", "comparison.csv", "comparison.md", "report.html"}
+    assert files == {path.name for path in directory.iterdir() if path.suffix != ".png"}
     assert json.loads((directory / "comparison.json").read_text()) == document
     rows = list(csv.DictReader((directory / "comparison.csv").read_text().splitlines()))
     assert [row["grid"] for row in rows] == list(GRIDS)
@@ -82,6 +78,23 @@ def test_what_was_run_is_not_run_again(copied: Path, finished: tuple[Path, dict]
     assert [cell["status"] for cell in document["cells"]] == ["cached", "cached"]
     assert document["winners"] == finished[1]["winners"]
     assert document["price"] == finished[1]["price"]
+
+
+def test_a_report_of_the_same_results_is_not_drawn_again(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Path] = []
+    monkeypatch.setattr("mavnav.compare.write_page", lambda document, directory: drawn.append(directory))
+
+    def draw_again(grids: tuple[str, ...] = GRIDS) -> int:
+        found = plan(request(copied, grids=grids), silent)
+        assert draw(found, {}) == copied / "report.html"
+        return len(drawn)
+
+    assert draw_again() == 0
+    assert draw_again(("5x5",)) == 1
+    (copied / "report.html").unlink()
+    assert draw_again() == 2
+    (copied / "comparison.json").write_text("[]")
+    assert draw_again() == 3
 
 
 def test_force_runs_again(copied: Path) -> None:
@@ -155,8 +168,9 @@ def test_a_log_without_scans_fails_alone(tmp_path: Path, copied: Path) -> None:
     assert document["exit_code"] == ExitCode.NO_SCANS
     assert document["cells"][0]["error"].startswith(str(empty))
     assert [log["cells"] for log in document["logs"]] == [[0, 1], [2, 3]]
-    assert set(document["logs"][0]["winners"].values()) == {None}
-    assert document["logs"][1]["winners"]["search.evaluations_per_scan.mean"] == 2
+    assert set(map(tuple, document["logs"][0]["best"].values())) == {()}
+    assert document["logs"][1]["best"]["search.evaluations_per_scan.mean"] == [2]
+    assert set(document["winners"].values()) == {None}
     assert document["price"]["coarsest"] == [None, None, 2, 2]
 
 

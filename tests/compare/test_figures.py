@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mavnav.compare.figures import FIGURES, prices, winners
+from mavnav.compare.figures import FIGURES, best, prices
 
 
 def run(p95: float | None = 100.0, *, cpu_s: float = 1.0, code: int = 0, cell_mm: float = 20.0, **more: Any) -> dict:
@@ -20,6 +20,10 @@ def run(p95: float | None = 100.0, *, cpu_s: float = 1.0, code: int = 0, cell_mm
 
 def quality(*, meaningful: bool = True, cells_per_m: float | None = None) -> dict[str, Any]:
     return {"meaningful": meaningful, "crispness": {"occupied_cells_per_m": cells_per_m}}
+
+
+def winners(runs: list) -> dict[str, int | None]:
+    return {name: next(iter(places), None) for name, places in best(runs).items()}
 
 
 P95, CPU, MAPPED, CELLS = (
@@ -38,8 +42,8 @@ def test_the_least_or_the_most_wins() -> None:
     assert winners(mapped)[MAPPED] == 1
 
 
-def test_of_two_best_the_coarser_wins_and_of_all_equal_nobody() -> None:
-    assert winners([run(100), run(80), run(80)])[P95] == 1
+def test_equals_share_the_place_and_of_all_equal_nobody_has_it() -> None:
+    assert best([run(100), run(80), run(80)])[P95] == [1, 2]
     assert winners([run(80), run(80)])[P95] is None
 
 
@@ -51,7 +55,7 @@ def test_what_reads_the_same_is_the_same() -> None:
 def test_less_than_a_cell_makes_no_wall_thinner() -> None:
     assert winners([run(100), run(81)])[P95] is None
     assert winners([run(100), run(80)])[P95] == 1
-    assert winners([run(150), run(100), run(81)])[P95] == 1
+    assert best([run(150), run(100), run(81)])[P95] == [1, 2]
 
 
 def test_failed_lost_and_meaningless_maps_never_win() -> None:
