@@ -56,6 +56,15 @@ class Pose:
         return np.array([self.x_m, self.y_m, self.yaw_rad])
 
 
+def blend(a: Pose, b: Pose, share: float) -> Pose:
+    """Return the pose that lies the share 0 .. 1 of the way from ``a`` to ``b``, turning the shorter way round."""
+    return Pose(
+        a.x_m + share * (b.x_m - a.x_m),
+        a.y_m + share * (b.y_m - a.y_m),
+        wrap_angle(a.yaw_rad + share * wrap_angle(b.yaw_rad - a.yaw_rad)),
+    )
+
+
 def transform_points(a_T_b: Pose, xy_b_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Bring points (n, 2) in metres from frame b to frame a."""
     c, s = cos(a_T_b.yaw_rad), sin(a_T_b.yaw_rad)
@@ -107,13 +116,7 @@ class Trajectory:
         t0, t1 = int(self.stamps_ns[k - 1]), int(self.stamps_ns[k])
         if t1 - t0 > max_gap_ns:
             return None
-        share = (stamp_ns - t0) / (t1 - t0)
-        a, b = self[k - 1], self[k]
-        return Pose(
-            a.x_m + share * (b.x_m - a.x_m),
-            a.y_m + share * (b.y_m - a.y_m),
-            wrap_angle(a.yaw_rad + share * wrap_angle(b.yaw_rad - a.yaw_rad)),
-        )
+        return blend(self[k - 1], self[k], (stamp_ns - t0) / (t1 - t0))
 
     def compose(self, b_T_c: Pose) -> Trajectory:
         """Follow another point of the same rigid body: ``a_T_b`` over time gives ``a_T_c``."""

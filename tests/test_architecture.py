@@ -37,6 +37,7 @@ ALLOWED: dict[str, set[str]] = {
     "linemap": GROUND | {"kernels", "grid"},
     "matcher": GROUND | {"kernels", "grid", "linemap"},
     "motion": GROUND,
+    "pose_graph": GROUND,
     "methods": GROUND | {"kernels", "grid", "linemap", "matcher", "motion"},
     "slam": GROUND | {"grid", "matcher", "motion", "methods"},
     "metrics": GROUND | {"kernels", "grid"},

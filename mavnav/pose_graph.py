@@ -1,0 +1,113 @@
+"""A pose graph in the plane: the poses that agree best with what was measured between pairs of them (docs/method.md).
+
+Each edge says where one pose is seen from another. The squared errors, each over its standard deviation, are summed
+with a robust loss and minimised by damped Gauss-Newton steps on the sparse normal equations (Kuemmerle et al. 2011,
+"g2o: A general framework for graph optimization"; Levenberg-Marquardt damping; Huber's loss).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.sparse import csr_matrix, diags
+from scipy.sparse.linalg import spsolve
+
+from mavnav.pose import Pose, wrap_angle
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+OUTLIER_SIGMAS = 3.0
+"""Errors beyond this count linearly instead of squared, so that one wrong edge cannot bend the rest."""
+
+MAX_ITERATIONS = 50
+SMALL_STEP = 1e-6  # m, rad
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """Pose ``end`` was measured from pose ``start`` (numbers of poses), with standard deviations."""
+
+    start: int
+    end: int
+    start_T_end: Pose
+    sigma_m: float
+    sigma_rad: float
+
+
+def optimised(poses: Sequence[Pose], edges: Sequence[Edge]) -> list[Pose]:
+    """Return the poses that fit the edges best; the first one stays where it is.
+
+    ``poses`` are where the iteration starts, in any one frame; edges must join all of them to the first.
+    """
+    graph = _Graph(edges, len(poses))
+    here = np.array([(p.x_m, p.y_m, p.yaw_rad) for p in poses])
+    cost, damping = graph.cost(here), 1e-6
+    for _ in range(MAX_ITERATIONS):
+        step = graph.step(here, damping)
+        there = here + step
+        there_cost = graph.cost(there)
+        if there_cost > cost:
+            damping *= 10.0
+        else:
+            here, cost, damping = there, there_cost, max(0.1 * damping, 1e-9)
+        if np.abs(step).max(initial=0.0) < SMALL_STEP:
+            break
+    return [poses[0], *(Pose(float(x), float(y), wrap_angle(float(yaw))) for x, y, yaw in here[1:])]
+
+
+class _Graph:
+    """The errors of all edges, and how they change with the poses (n, 3), of which the first is held."""
+
+    def __init__(self, edges: Sequence[Edge], n: int) -> None:
+        self.start = np.array([e.start for e in edges], np.intp)
+        self.end = np.array([e.end for e in edges], np.intp)
+        self.measured = np.array([e.start_T_end.as_array() for e in edges]).reshape(-1, 3)
+        self.weights = 1.0 / np.array([(e.sigma_m, e.sigma_m, e.sigma_rad) for e in edges]).reshape(-1, 3)
+        self.n = n
+
+    def errors(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what each edge is off, in standard deviations, (edges, 3)."""
+        a, b = poses[self.start], poses[self.end]
+        c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+        dx, dy = (b - a)[:, :2].T
+        error = np.column_stack((c * dx + s * dy, -s * dx + c * dy, b[:, 2] - a[:, 2])) - self.measured
+        error[:, 2] = (error[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+        scaled: NDArray[np.float64] = error * self.weights
+        return scaled
+
+    def cost(self, poses: NDArray[np.float64]) -> float:
+        """Return Huber's loss of the edges' errors, summed."""
+        size = np.linalg.norm(self.errors(poses), axis=1)
+        far = size > OUTLIER_SIGMAS
+        return float(np.where(far, OUTLIER_SIGMAS * (2.0 * size - OUTLIER_SIGMAS), size**2).sum())
+
+    def step(self, poses: NDArray[np.float64], damping: float) -> NDArray[np.float64]:
+        """Return the damped Gauss-Newton step from here, (n, 3); outliers weigh less the farther they are off."""
+        errors, jacobian = self.errors(poses), self.jacobian(poses)
+        size = np.linalg.norm(errors, axis=1)
+        trust = np.repeat(OUTLIER_SIGMAS / np.maximum(size, OUTLIER_SIGMAS), 3)
+        weighted = jacobian.T @ diags(trust)
+        normal = weighted @ jacobian
+        damped = normal + damping * diags(normal.diagonal())
+        step = spsolve(damped.tocsc(), -(weighted @ errors.ravel()))
+        return np.concatenate((np.zeros(3), step)).reshape(-1, 3)
+
+    def jacobian(self, poses: NDArray[np.float64]) -> csr_matrix:
+        """Return how the errors change with all poses but the first, (3 edges, 3 (n - 1))."""
+        a, b = poses[self.start], poses[self.end]
+        c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+        dx, dy = (b - a)[:, :2].T
+        zero, one = np.zeros(len(a)), np.ones(len(a))
+        by_start = [[-c, -s, -s * dx + c * dy], [s, -c, -c * dx - s * dy], [zero, zero, -one]]
+        by_end = [[c, s, zero], [-s, c, zero], [zero, zero, one]]
+        values = np.array([by_start, by_end]).transpose(3, 0, 1, 2) * self.weights[:, None, :, None]
+        rows = 3 * np.arange(len(a))[:, None, None, None] + np.arange(3)[:, None]
+        cols = 3 * (np.column_stack((self.start, self.end)) - 1)[:, :, None, None] + np.arange(3)
+        rows, cols = np.broadcast_to(rows, values.shape), np.broadcast_to(cols, values.shape)
+        free = cols >= 0
+        return csr_matrix((values[free], (rows[free], cols[free])), shape=(3 * len(a), 3 * (self.n - 1)))
