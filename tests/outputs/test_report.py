@@ -212,6 +212,15 @@ def test_equal_maps_have_no_winner(entries):
     assert not any(f.best for row in columns.table([entries[1], same]).rows for f in row.fields)
 
 
+def test_a_small_difference_is_called_small(entries):
+    def crisp(cells):
+        crispness = {"occupied_cells_per_m": cells}
+        return with_document(entries[1], map_quality=quality() | {"crispness": crispness})
+
+    assert "no other measure by more than 1.0 %" in headline([crisp(200.0), crisp(202.0)])
+    assert "gives the best map" in headline([crisp(200.0), crisp(220.0)])
+
+
 def test_a_difference_below_a_cell_does_not_count(entries):
     def walls(p95_mm):
         return with_document(entries[1], wall_thickness={"2": {"p95_mm": p95_mm, "max_mm": 100.0}})

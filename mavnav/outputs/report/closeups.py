@@ -90,5 +90,11 @@ def _centred(difference: NDArray[np.float64], at: tuple[int, int], side_cells: i
 
 
 def _square(row: int, col: int, side_m: float, window: Window, cell_m: float) -> Window:
-    x, y = window.x0_m + (col + 0.5) * cell_m, window.y0_m + (row + 0.5) * cell_m
-    return Window(x - side_m / 2, x + side_m / 2, y - side_m / 2, y + side_m / 2)
+    """Frame a place, moved into the window where it fits."""
+    ends = ((window.x0_m, window.x1_m, col), (window.y0_m, window.y1_m, row))
+    half = side_m / 2
+    x, y = (
+        float(np.clip(a + (k + 0.5) * cell_m, min(a + half, (a + b) / 2), max(b - half, (a + b) / 2)))
+        for a, b, k in ends
+    )
+    return Window(x - half, x + half, y - half, y + half)

@@ -54,7 +54,7 @@ COLUMNS: Final = (
            "absolute trajectory error against the truth, root mean square, after alignment", 1e3),
     Column("evaluations", "a match", ("search.evaluations_per_scan.mean",), 0, -1,
            "how many poses the search tries for each scan", price=True),
-    Column("time", "s CPU", ("timing.cpu_s",), 1, -1, "processor time of the whole run", price=True),
+    Column("time", "s CPU", ("timing.cpu_s",), 2, -1, "processor time of the whole run", price=True),
 )  # fmt: skip
 
 
@@ -155,7 +155,7 @@ def fineness(entry: Entry) -> int:
     """Return the points of a run's search grid, 0 where it does not say."""
     try:
         across, along = str(entry.document.get("grid")).split("x")
-        return int(across) * int(along) * int(entry.document.get("azimuth") or 1)
+        return int(across) * int(along) + int(entry.document.get("azimuth") or 0)
     except ValueError:
         return 0
 

@@ -18,16 +18,18 @@ if TYPE_CHECKING:
 
 COST_BLUE: Final = "#2f6690"
 LOST_ROSE: Final = "#f2c4c0"
-FLOOR_MM2: Final = 1.0
+LEAST_MM2: Final = 0.1
 """Costs below are drawn at it: the first scan of a map costs nothing, and a logarithmic scale has no nothing."""
+LOW_SHARE: Final = 0.02
+"""So many of the costs may lie below the scale's end."""
 
 
 def cost_panels(entries: Sequence[Entry]) -> list[Image]:
     """Draw the cost over time for each run, all on the same scale."""
-    costs = np.concatenate([e.scans.cost_mm2 for e in entries])
-    top = float(np.nanmax(costs, initial=100.0))
+    costs = np.concatenate([e.scans.cost_mm2[e.scans.cost_mm2 > LEAST_MM2] for e in entries])
     gates = [gate for e in entries if (gate := gate_mm2(e))]
-    limits = (FLOOR_MM2, 2.0 * max([top, *gates]))
+    low = float(np.quantile(costs, LOW_SHARE)) if costs.size else 1.0
+    limits = (0.5 * low, 2.0 * max([float(costs.max(initial=10.0 * low)), *gates]))
     end_s = max(float(e.scans.time_s.max(initial=0.1)) for e in entries)
     return [_panel(e, limits, end_s) for e in entries]
 
@@ -40,7 +42,7 @@ def gate_mm2(entry: Entry) -> float | None:
 
 def _panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
     scans = entry.scans
-    cost = np.maximum(scans.cost_mm2, FLOOR_MM2)
+    cost = np.maximum(scans.cost_mm2, LEAST_MM2)
     canvas = Canvas(4.0, 1.7, entry.name, CHART_FRAME)
     axes = canvas.axes
     _draw_lost(axes, entry)

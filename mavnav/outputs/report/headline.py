@@ -10,11 +10,15 @@ from mavnav.outputs.report.columns import COLUMNS, lookup, value_of, why_not_mea
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from mavnav.outputs.report.columns import Column
     from mavnav.outputs.report.entry import Entry
 
 QUALITY: Final = tuple(c for c in COLUMNS if not c.price)
 P95: Final = next(c for c in COLUMNS if c.title == "wall p95")
 TIME: Final = next(c for c in COLUMNS if c.title == "time")
+
+SMALL_SHARE: Final = 0.03
+"""Maps that differ by less in every measure are as good as equal."""
 
 
 def headline(entries: Sequence[Entry]) -> str:
@@ -65,6 +69,11 @@ def _of_many(sound: Sequence[Entry]) -> str:
     contested = [title for title, best in won.items() if best]
     if not contested:
         return f"The maps of {_list([e.name for e in sound])} are equally good by every measure here{_cheapest(sound)}."
+    most = max(_spread(sound, c) for c in QUALITY if won[c.title])
+    if most < SMALL_SHARE:
+        names = _list([e.name for e in sound])
+        differ = f"no wall differs by a cell, no other measure by more than {100 * most:.1f} %"
+        return f"The maps of {names} are as good as equal: {differ}{_cheapest(sound)}."
     score = [sum(k in won[title] for title in contested) for k in range(len(sound))]
     leaders = [k for k, wins in enumerate(score) if wins == max(score)]
     best, of = sound[leaders[0]], f"of the {len(contested)} measures that differ"
@@ -74,6 +83,12 @@ def _of_many(sound: Sequence[Entry]) -> str:
     measures = _list([title for title in contested if leaders[0] in won[title]])
     lead = "by the one measure that differs" if len(contested) == 1 else f"best at {max(score)} {of}"
     return f"{best.name} gives the best map, {lead} ({measures}){_thinner(sound, best)}. {_price(sound, best)}"
+
+
+def _spread(sound: Sequence[Entry], column: Column) -> float:
+    """Return by what share of the greatest value of a measure the runs differ."""
+    values = [v for e in sound if (v := value_of(e, column)) is not None]
+    return (max(values) - min(values)) / max(*map(abs, values), 1e-12)
 
 
 def _list(names: Sequence[str]) -> str:

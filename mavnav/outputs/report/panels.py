@@ -19,8 +19,8 @@ from mavnav.outputs import drawing
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-COLOURS: Final = 128
-"""Enough for a map in steps of viridis; a picture of a palette is a third of one without."""
+COLOURS: Final = 256
+"""A picture of a palette is a third of one without; an octree of colours keeps the rare ones: ghosts and true walls."""
 
 GAP_PIXELS: Final = 24
 SHEET_PIXELS: Final = 2800
@@ -93,7 +93,7 @@ def stacked(sheets: Sequence[Image.Image]) -> Image.Image:
 def png(image: Image.Image) -> bytes:
     """Return the bytes of a PNG of `COLOURS` colours."""
     held = io.BytesIO()
-    image.quantize(COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
+    image.quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
         held, format="PNG", optimize=True
     )
     return held.getvalue()

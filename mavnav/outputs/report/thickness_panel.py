@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -59,8 +59,7 @@ def _panel(
     if p95_mm is None:
         axes.text(0.5, 0.5, "no straight wall to measure", ha="center", transform=axes.transAxes, fontsize=9)
     else:
-        axes.axvline(p95_mm, color=P95_COLOUR, lw=1.6)
-        axes.text(p95_mm, 0.98 * most_m * 1.08, f" p95 {p95_mm:.0f} mm", color=P95_COLOUR, fontsize=FONT_PT, va="top")
+        _mark(axes, p95_mm, past_middle=p95_mm > longest_mm / 2)
     axes.set_xlim(0.0, max(longest_mm, 3 * cell_mm) + cell_mm)
     axes.set_ylim(0.0, max(most_m * 1.08, 0.1))
     axes.set_xlabel("thickness [mm]", fontsize=FONT_PT)
@@ -68,3 +67,19 @@ def _panel(
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(colors=drawing.MUTED)
     return canvas.image()
+
+
+def _mark(axes: Any, p95_mm: float, *, past_middle: bool) -> None:  # noqa: ANN401
+    """Draw a line at the p95 with its number on the side that has room."""
+    axes.axvline(p95_mm, color=P95_COLOUR, lw=1.6)
+    axes.annotate(
+        f"p95 {p95_mm:.0f} mm",
+        (p95_mm, 1.0),
+        xycoords=("data", "axes fraction"),
+        xytext=(-4 if past_middle else 4, -2),
+        textcoords="offset points",
+        ha="right" if past_middle else "left",
+        va="top",
+        color=P95_COLOUR,
+        fontsize=FONT_PT,
+    )
