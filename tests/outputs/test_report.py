@@ -206,6 +206,13 @@ def test_the_price_is_told_as_a_multiple(entries):
     assert f"{20_000.0 / search_0:.1f} times the evaluations of robust 20/5x5" in headline([coarse, fine])
 
 
+def test_the_coarsest_grid_of_two_may_win(entries):
+    lower = with_document(entries[1], grid="4x4", azimuth=10)
+    assert headline([entries[0], lower]).endswith("a finer one does not pay here.")
+    other = with_document(lower, method="paper")
+    assert "finer" not in headline([entries[0], other])
+
+
 def test_equal_maps_have_no_winner(entries):
     same = with_document(entries[1], grid="5x5")
     assert "equally good" in headline([entries[1], same])

@@ -82,7 +82,7 @@ def _of_many(sound: Sequence[Entry]) -> str:
         return f"No run stands out: {names} are each best at {max(score)} {of}{_cheapest(sound)}."
     measures = _list([title for title in contested if leaders[0] in won[title]])
     lead = "by the one measure that differs" if len(contested) == 1 else f"best at {max(score)} {of}"
-    return f"{best.name} gives the best map, {lead} ({measures}){_thinner(sound, best)}. {_price(sound, best)}"
+    return f"{best.name} gives the best map, {lead} ({measures}){_thinner(sound, best)}. {_price(sound, best)}".rstrip()
 
 
 def _spread(sound: Sequence[Entry], column: Column) -> float:
@@ -113,7 +113,8 @@ def _thinner(sound: Sequence[Entry], best: Entry) -> str:
 def _price(sound: Sequence[Entry], best: Entry) -> str:
     times, coarse = columns.times_the_coarsest(sound, best), columns.coarsest(sound, best)
     if coarse is best:
-        return "It has the coarsest grid of its method: a finer one does not pay here."
+        finer = sum(e.document.get("method") == best.document.get("method") for e in sound) > 1
+        return "It has the coarsest grid of its method: a finer one does not pay here." if finer else ""
     seconds = value_of(best, TIME), value_of(coarse, TIME)
     clock = "" if None in seconds else f" and {seconds[0]:.1f} s of processor time against {seconds[1]:.1f} s"
     return "" if times is None else f"It costs {times:.1f} times the evaluations of {coarse.name}{clock}."
