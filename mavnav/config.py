@@ -95,6 +95,9 @@ class RobustConfig(_Strict):
     stop_mm: float = Field(1.0, gt=0, description="search ends at this spacing in the plane")
     stop_deg: float = Field(0.02, gt=0, description="search ends at this spacing in azimuth")
     max_extensions: int = Field(3, ge=0, description="border extensions a level at most")
+    field_above_mm: float = Field(
+        30.0, ge=0, description="wider searches ask for the nearest cells, narrower ones for the local lines"
+    )
     prior: float = Field(0.01, ge=0, description="cost of a squared metre away from what odometry predicts")
     first_level_points: int = Field(120, ge=10, description="points of the first, widest level")
     min_points: int = Field(30, ge=3, description="scans with fewer points are not matched")
@@ -113,6 +116,9 @@ class Config(_Strict):
     grid: GridSize = GridSize()
     azimuth: int = Field(20, ge=2, le=2000, description="points of the azimuth grid")
     odom: str = Field("auto", description="odometry as prediction: auto, off, or a topic")
+    search: Literal["pruned", "exhaustive"] = Field(
+        "pruned", description="exhaustive evaluates every point of every grid, to the same minimum"
+    )
     final_pass: bool = Field(True, description="match every scan once more against the finished map")
     paper: PaperConfig = PaperConfig()
     robust: RobustConfig = RobustConfig()

@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.grid import covering
-from mavnav.kernels.linemap import REACH_CELLS, insert_points
+from mavnav.kernels.linemap import NOTHING_NEAR, REACH_CELLS, insert_points
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _BLOCK_CELLS = 256
+
+NOWHERE = (1e9, 1e9, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+"""The line of index 0: so far away that the cost of every point is truncated."""
 
 
 @dataclass(slots=True)
@@ -28,12 +31,12 @@ class LineMap:
     line_sigma_m: float
     line_noise_m: float
     origin_cells: tuple[int, int] = (0, 0)
-    count: int = 0
+    count: int = 1
     nearest: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 0), np.int32))
-    cells: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 2), np.int32))
-    own: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 6)))
-    smooth: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 6)))
-    lines: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 8)))
+    quads: NDArray[np.uint32] = field(default_factory=lambda: np.empty((0, 0), np.uint32))
+    cells: NDArray[np.int32] = field(default_factory=lambda: np.empty((1, 2), np.int32))
+    moments: NDArray[np.float64] = field(default_factory=lambda: np.empty((1, 12)))
+    lines: NDArray[np.float64] = field(default_factory=lambda: np.array([NOWHERE]))
 
     @property
     def geometry(self) -> NDArray[np.float64]:
@@ -52,27 +55,28 @@ class LineMap:
             self.geometry,
             self.count,
             self.nearest,
+            self.quads,
             self.cells,
-            self.own,
-            self.smooth,
+            self.moments,
             self.lines,
         )
 
     def _cover(self, xy_map_m: NDArray[np.float64]) -> None:
         """Grow the lattice until the points and the reach around them lie inside."""
-        low = np.floor(xy_map_m.min(axis=0) / self.cell_m).astype(np.int64) - REACH_CELLS - 1
-        high = np.floor(xy_map_m.max(axis=0) / self.cell_m).astype(np.int64) + REACH_CELLS + 1
+        low = np.floor(xy_map_m.min(axis=0) / self.cell_m).astype(np.int64) - REACH_CELLS - 2
+        high = np.floor(xy_map_m.max(axis=0) / self.cell_m).astype(np.int64) + REACH_CELLS + 2
         origin = np.array(self.origin_cells, np.int64)
         grown = covering(low, high, self.nearest.shape, origin, _BLOCK_CELLS)
         if grown is None:
             return
         new_origin, shape = grown
         (dc, dr), (rows, cols) = origin - new_origin, self.nearest.shape
-        nearest = np.full(shape, -1, np.int32)
+        nearest, quads = np.zeros(shape, np.int32), np.full(shape, NOTHING_NEAR, np.uint32)
         if rows:
             nearest[dr : dr + rows, dc : dc + cols] = self.nearest
-            self.cells[: self.count] += np.array([dr, dc], np.int32)
-        self.nearest = nearest
+            quads[dr : dr + rows, dc : dc + cols] = self.quads
+            self.cells[1 : self.count] += np.array([dr, dc], np.int32)
+        self.nearest, self.quads = nearest, quads
         self.origin_cells = (int(new_origin[0]), int(new_origin[1]))
 
     def _reserve(self, needed: int) -> None:
@@ -84,7 +88,7 @@ class LineMap:
         cells = np.zeros((capacity, 2), np.int32)
         cells[: self.count] = self.cells[: self.count]
         self.cells = cells
-        for name in ("own", "smooth", "lines"):
+        for name in ("moments", "lines"):
             grown = np.zeros((capacity, getattr(self, name).shape[1]))
             grown[: self.count] = getattr(self, name)[: self.count]
             setattr(self, name, grown)

@@ -164,7 +164,7 @@ def search_lines(
     x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
         points,
         start.as_array(),
-        np.array([config.azimuth * refine, grid.nx, grid.ny, robust.max_extensions], float),
+        np.array([config.azimuth * refine, grid.nx, grid.ny, robust.max_extensions, config.search == "pruned"], float),
         np.array(
             [
                 *window,
@@ -174,10 +174,12 @@ def search_lines(
                 robust.first_level_points,
                 ALTERNATIONS,
                 prior,
+                robust.field_above_mm * MM,
             ]
         ),
         line_map.nearest,
         line_map.lines,
+        line_map.quads,
         line_map.geometry,
     )
     pose = Pose(float(x), float(y), wrap_angle(float(yaw)))

@@ -166,6 +166,23 @@ def line_costs(points, pose, lines, cell_m, truncate_m, reach=8):
     return costs
 
 
+def field_costs(points, occupied, cell_m, reach=8):
+    """Squared distances, in cells, to the nearest of the occupied (row, col), between four cell centres."""
+
+    def at(row, col):
+        return min(min((row - r) ** 2 + (col - c) ** 2 for r, c in occupied), reach * reach)
+
+    costs = []
+    for x, y in points:
+        u, v = x / cell_m - 0.5, y / cell_m - 0.5
+        col, row = math.floor(u), math.floor(v)
+        u, v = u - col, v - row
+        low = (1 - u) * at(row, col) + u * at(row, col + 1)
+        high = (1 - u) * at(row + 1, col) + u * at(row + 1, col + 1)
+        costs.append((1 - v) * low + v * high)
+    return costs
+
+
 def coarse_to_fine(cost, pivot, start, grid, limits, prior=0.0):
     """The schedule of ``linesearch.search`` over any cost(x, y, yaw) of the pose, rotating about the pivot.
 

@@ -1,7 +1,20 @@
-"""Brute-force, coarse-to-fine search for the pose that lays a scan's points on the map's lines (docs/method.md).
+"""Coarse-to-fine search over grids for the pose that lays a scan's points on the map (docs/method.md).
 
-The arrays of the map are those of ``linemap``. Grids are searched in turn as in the paper's minimisation, steps i-v:
-azimuth with the position fixed, then the plane with the azimuth fixed; the scan turns about its points' centroid.
+Grids are searched in turn as in the paper's minimisation, steps i-v: azimuth with the position fixed, then the plane
+with the azimuth fixed; the scan turns about its points' centroid. Wide grids ask a field of squared distances to the
+nearest occupied cell, narrow ones the map's local lines (arrays of ``linemap``).
+
+Every grid has an exhaustive and a pruned form with the same minimum: the same index, the lowest of equals, and the
+same cost, bit for bit. Pruning rests on three facts:
+
+* a sum of squares that exceeds the best total so far only grows: the rest of that candidate is left out;
+* while a point stays in one cell its cost is a polynomial of the motion, so that a few sums over the points stand for
+  all candidates: nearly, but for rounding, and what comes within `ROUNDING_M2` of the best is summed point by point;
+* a metric's eigenvalues are 1 at most, so that the distance to a line's centroid tells where nothing is truncated.
+
+Shared arguments of the grids: ``points`` (2, n) about their centroid, m; ``at`` (5,) centroid x, y (m) and yaw (rad) in
+the middle of the grid, and where the centroid was expected; ``window`` (5,) half-windows (m, rad), cost of a squared
+metre from there, truncation (m2), 1 to prune.
 """
 
 from __future__ import annotations
@@ -9,7 +22,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types, void
+from numba import float64, int32, int64, types, uint32, uint64, void
 
 from mavnav.kernels._jit import kernel
 
@@ -17,13 +30,165 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MAX_LEVELS = 40
+CHUNK = 32  # points between two looks at the bound
+FRACTION = 11  # bits of a coordinate of the field below a cell
+ONE = 1 << FRACTION
+RECTANGLE_COST = 3  # of a polynomial on a rectangle of candidates, in candidates summed point by point
+ROUNDING_M2 = 1e-9  # above any difference between two orders of summation, as long as maps are smaller than 100 km
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 _I2 = types.Array(int32, 2, "C", readonly=True)
+_U2 = types.Array(uint32, 2, "C", readonly=True)
 
 
-@kernel(float64(float64[::1], float64[::1], float64[::1], float64, _I2, _F2, _F1, float64))
+@kernel(void(_F2, float64, float64[::1], float64[::1]))
+def _rotate(points: NDArray[np.float64], yaw: float, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+    c, s = np.cos(yaw), np.sin(yaw)
+    from_x, from_y = points[0], points[1]
+    for k in range(len(x)):
+        x[k] = c * from_x[k] - s * from_y[k]
+        y[k] = s * from_x[k] + c * from_y[k]
+
+
+@kernel(float64(int64, int64, int64, _F1, _F1, float64[::1]))
+def _place(
+    ji: int, nx: int, ny: int, at: NDArray[np.float64], window: NDArray[np.float64], offset: NDArray[np.float64]
+) -> float:
+    """Write the centroid of candidate j nx + i of the plane to ``offset``; returns what its distance costs a point."""
+    offset[0] = at[0] - window[0] + (ji % nx) * (2 * window[0] / (nx - 1))
+    offset[1] = at[1] - window[0] + (ji // nx) * (2 * window[0] / (ny - 1))
+    dx, dy = offset[0] - at[3], offset[1] - at[4]
+    return window[2] * (dx * dx + dy * dy)
+
+
+# ---- the field of squared distances ----------------------------------------------------------------------------------
+
+
+@kernel(void(_F2, float64, float64, int64, int32[::1], int32[::1]))
+def _rotate_to_cells(
+    points: NDArray[np.float64], yaw: float, cell_m: float, first: int, x: NDArray[np.int32], y: NDArray[np.int32]
+) -> None:
+    """Turn a chunk of points, in whole parts of 1 / ``ONE`` of a cell."""
+    c, s = np.cos(yaw) * (ONE / cell_m), np.sin(yaw) * (ONE / cell_m)
+    last = min(first + CHUNK, len(x))
+    from_x, from_y, to_x, to_y = points[0, first:last], points[1, first:last], x[first:last], y[first:last]
+    for k in range(last - first):
+        to_x[k] = int32(np.floor(c * from_x[k] - s * from_y[k] + 0.5))
+        to_y[k] = int32(np.floor(s * from_x[k] + c * from_y[k] + 0.5))
+
+
+@kernel(int64(float64, float64, float64))
+def _to_cells(at_m: float, origin_m: float, cell_m: float) -> int:
+    """Return a coordinate from the centre of cell 0, in whole parts of 1 / ``ONE`` of a cell."""
+    return int64(np.floor(((at_m - origin_m) / cell_m - 0.5) * ONE + 0.5))
+
+
+@kernel(int64(int32[::1], int32[::1], int64, int64, int64, _U2))
+def _field_part(
+    x: NDArray[np.int32], y: NDArray[np.int32], first: int, right: int, up: int, quads: NDArray[np.uint32]
+) -> int:
+    """Sum the field, interpolated between four centres, over a chunk of shifted points.
+
+    The unit is a squared cell over ``ONE`` squared; integers make the sum exact in any order. Nothing is near the edge
+    of the map, so that points beyond it may be brought there: branches and wide integers would cost five times as much.
+    """
+    wide, top = int32(quads.shape[1]), int32(quads.shape[0] - 1)
+    flat, total = quads.ravel(), int64(0)
+    to_right, to_up = int32(right), int32(up)
+    for k in range(first, min(first + CHUNK, len(x))):
+        px, py = int32(x[k] + to_right), int32(y[k] + to_up)
+        col = min(max(int32(px >> FRACTION), int32(0)), int32(wide - int32(1)))
+        row = min(max(int32(py >> FRACTION), int32(0)), top)
+        quad = flat[int64(row) * int64(wide) + int64(col)]
+        u, v = int32(px & (ONE - 1)), int32(py & (ONE - 1))
+        u_left, v_left = int32(int32(ONE) - u), int32(int32(ONE) - v)
+        low = int32(int32(int32(quad & uint32(255)) * u_left) + int32(int32((quad >> uint32(8)) & uint32(255)) * u))
+        high = int32(int32(int32((quad >> uint32(16)) & uint32(255)) * u_left) + int32(int32(quad >> uint32(24)) * u))
+        total += int64(int32(int32(low * v_left) + int32(high * v)))
+    return total
+
+
+@kernel(int64(_F2, _F1, _F1, int64, _U2, _F1))
+def _turn_on_field(
+    points: NDArray[np.float64],
+    at: NDArray[np.float64],
+    window: NDArray[np.float64],
+    azimuths: int,
+    quads: NDArray[np.uint32],
+    geometry: NDArray[np.float64],
+) -> int:
+    """Search the azimuth grid on the field; returns the index of the least sum."""
+    n, pruned = points.shape[1], window[4] > 0
+    x, y = np.empty(n, np.int32), np.empty(n, np.int32)
+    right, up = _to_cells(at[0], geometry[0], geometry[2]), _to_cells(at[1], geometry[1], geometry[2])
+    most = np.iinfo(np.int64).max
+    best, best_i = most, azimuths
+    for turn in range(-1 if pruned else 0, azimuths):
+        i = azimuths // 2 if turn < 0 else turn
+        yaw = at[2] - window[1] + i * (2 * window[1] / (azimuths - 1))
+        total, k = int64(0), 0
+        while k < n and total <= (best if pruned else most):
+            _rotate_to_cells(points, yaw, geometry[2], k, x, y)
+            total += _field_part(x, y, k, right, up, quads)
+            k += CHUNK
+        if total < best or (total == best and i < best_i):
+            best, best_i = total, i
+    return best_i
+
+
+@kernel(int64(_F2, _F1, _F1, int64, int64, _U2, _F1))
+def _shift_on_field(
+    points: NDArray[np.float64],
+    at: NDArray[np.float64],
+    window: NDArray[np.float64],
+    nx: int,
+    ny: int,
+    quads: NDArray[np.uint32],
+    geometry: NDArray[np.float64],
+) -> int:
+    """Search the plane on the field; returns the index j nx + i of the least cost."""
+    n, pruned = points.shape[1], window[4] > 0
+    x, y, place = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(2)
+    for k in range(0, n, CHUNK):
+        _rotate_to_cells(points, at[2], geometry[2], k, x, y)
+    unit = (geometry[2] / ONE) ** 2
+    best, best_ji = np.inf, -1
+    for turn in range(-1 if pruned else 0, nx * ny):
+        ji = (ny // 2) * nx + nx // 2 if turn < 0 else turn
+        expected = n * _place(ji, nx, ny, at, window, place)
+        right, up = _to_cells(place[0], geometry[0], geometry[2]), _to_cells(place[1], geometry[1], geometry[2])
+        total, k = int64(0), 0
+        while k < n and (not pruned or expected + unit * total <= best):
+            total += _field_part(x, y, k, right, up, quads)
+            k += CHUNK
+        cost = expected + unit * total
+        if cost < best or (cost == best and ji < best_ji):
+            best, best_ji = cost, ji
+    return best_ji
+
+
+# ---- the local lines -------------------------------------------------------------------------------------------------
+
+
+@kernel(float64(float64, float64, float64, int64, _F2))
+def _distance2(px: float, py: float, truncate_m2: float, slot: int, lines: NDArray[np.float64]) -> float:
+    """Squared, truncated distance of a point of the map frame to a line; ``slot`` 0 is nowhere."""
+    line = uint64(slot)
+    dx, dy = px - lines[line, 0], py - lines[line, 1]
+    return min(dx * dx * lines[line, 2] + 2.0 * dx * dy * lines[line, 3] + dy * dy * lines[line, 4], truncate_m2)
+
+
+@kernel(int64(float64, float64, float64, float64, float64, _I2))
+def _slot_at(px: float, py: float, ox: float, oy: float, inverse: float, nearest: NDArray[np.int32]) -> int:
+    """Return the line that a point of the map frame belongs to; beyond the edge what is there: 0, nowhere."""
+    fx, fy = (px - ox) * inverse, (py - oy) * inverse
+    col = int64(min(max(fx, 0.0), nearest.shape[1] - 1.0))
+    row = int64(min(max(fy, 0.0), nearest.shape[0] - 1.0))
+    return int64(nearest[uint64(row), uint64(col)])
+
+
+@kernel(float64(float64[::1], float64[::1], _F1, float64, _I2, _F2, _F1, float64))
 def _cost_sum(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
@@ -35,45 +200,258 @@ def _cost_sum(
     bound: float,
 ) -> float:
     """Sum of the points' squared, truncated distances to their lines; gives up once it exceeds ``bound``."""
-    rows, cols = nearest.shape
     ox, oy, inverse = geometry[0], geometry[1], 1.0 / geometry[2]
-    total = 0.0
-    for k in range(len(x)):
-        px, py = x[k] + offset[0], y[k] + offset[1]
-        # Beyond the lower edge the conversion towards zero could fall on row or column 0: test before it.
-        fx, fy = (px - ox) * inverse, (py - oy) * inverse
-        d2 = truncate_m2
-        if fx >= 0.0 and fy >= 0.0 and fx < cols and fy < rows:
-            slot = nearest[int64(fy), int64(fx)]
-            if slot >= 0:
-                dx, dy = px - lines[slot, 0], py - lines[slot, 1]
-                d2 = min(
-                    dx * dx * lines[slot, 2] + 2.0 * dx * dy * lines[slot, 3] + dy * dy * lines[slot, 4], truncate_m2
-                )
-        total += d2
-        if total > bound:
-            break
+    to_x, to_y = offset[0], offset[1]
+    total, k = 0.0, 0
+    while k < len(x) and total <= bound:
+        for m in range(k, min(k + CHUNK, len(x))):
+            px, py = x[m] + to_x, y[m] + to_y
+            total += _distance2(px, py, truncate_m2, _slot_at(px, py, ox, oy, inverse, nearest), lines)
+        k += CHUNK
     return total
 
 
-@kernel(void(_F2, int64, float64[::1], float64, float64[::1], float64[::1]))
-def _rotate(
+@kernel(void(_F2, _F1, _F1, float64[::1], float64[:, ::1], _I2, _F2, _F1))
+def _turn_sums(
     points: NDArray[np.float64],
-    n: int,
-    pivot: NDArray[np.float64],
-    yaw: float,
+    at: NDArray[np.float64],
+    window: NDArray[np.float64],
+    sums: NDArray[np.float64],
+    turned: NDArray[np.float64],
+    nearest: NDArray[np.int32],
+    lines: NDArray[np.float64],
+    geometry: NDArray[np.float64],
+) -> None:
+    """Sum the costs of all azimuths into ``sums`` (azimuths,), right but for rounding.
+
+    ``turned`` (azimuths, 2) are cosine - 1 and sine of the turns from the middle. A point that is farther from its
+    cell's edges than any turn takes it has a cost quadratic in the two; the others are looked up turn by turn.
+    """
+    half_rad, truncate_m2, at_x, at_y = window[1], window[3], at[0], at[1]
+    ox, oy, cell, inverse = geometry[0], geometry[1], geometry[2], 1.0 / geometry[2]
+    c, s = np.cos(at[2]), np.sin(at[2])
+    k0 = k_c = k_s = k_cc = k_cs = k_ss = 0.0
+    for k in range(points.shape[1]):
+        ex, ey = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
+        px, py = at_x + ex, at_y + ey
+        reach = half_rad * np.sqrt(ex * ex + ey * ey) + 1e-9
+        fx, fy = (px - ox) * inverse, (py - oy) * inverse
+        fx, fy = fx - np.floor(fx), fy - np.floor(fy)
+        if min(min(fx, 1.0 - fx), min(fy, 1.0 - fy)) * cell > reach:
+            slot = _slot_at(px, py, ox, oy, inverse, nearest)
+            line = uint64(slot)
+            dx, dy = px - lines[line, 0], py - lines[line, 1]
+            if slot == 0:
+                k0 += truncate_m2
+                continue
+            if (np.sqrt(dx * dx + dy * dy) + reach) ** 2 < truncate_m2:
+                a, b, d = lines[line, 2], lines[line, 3], lines[line, 4]
+                # The turned point is d + (cos - 1) e + sin e', e' at right angles to e.
+                gx, gy = a * dx + b * dy, b * dx + d * dy
+                hx, hy = a * ex + b * ey, b * ex + d * ey
+                k0 += dx * gx + dy * gy
+                k_c += ex * gx + ey * gy
+                k_s += ex * gy - ey * gx
+                k_cc += ex * hx + ey * hy
+                k_cs += ex * hy - ey * hx
+                k_ss += a * ey * ey - 2.0 * b * ex * ey + d * ex * ex
+                continue
+        for i in range(len(sums)):
+            qx = px + turned[i, 0] * ex - turned[i, 1] * ey
+            qy = py + turned[i, 0] * ey + turned[i, 1] * ex
+            sums[i] += _distance2(qx, qy, truncate_m2, _slot_at(qx, qy, ox, oy, inverse, nearest), lines)
+    for i in range(len(sums)):
+        u, v = turned[i, 0], turned[i, 1]
+        sums[i] += k0 + 2.0 * (u * k_c + v * k_s) + u * u * k_cc + 2.0 * u * v * k_cs + v * v * k_ss
+
+
+@kernel(int64(_F2, _F1, _F1, int64, _I2, _F2, _F1))
+def _turn_on_lines(
+    points: NDArray[np.float64],
+    at: NDArray[np.float64],
+    window: NDArray[np.float64],
+    azimuths: int,
+    nearest: NDArray[np.int32],
+    lines: NDArray[np.float64],
+    geometry: NDArray[np.float64],
+) -> int:
+    """Search the azimuth grid on the lines; returns the index of the least cost."""
+    x, y = np.empty(points.shape[1]), np.empty(points.shape[1])
+    sums, step, near = np.zeros(azimuths), 2 * window[1] / (azimuths - 1), np.inf
+    if window[4] > 0:
+        turned = np.empty((azimuths, 2))
+        for i in range(azimuths):
+            turn = i * step - window[1]
+            turned[i, 0], turned[i, 1] = -2.0 * np.sin(0.5 * turn) ** 2, np.sin(turn)
+        _turn_sums(points, at, window, sums, turned, nearest, lines, geometry)
+        near = sums.min() + 2.0 * ROUNDING_M2
+    best, best_i = np.inf, 0
+    for i in range(azimuths):
+        if sums[i] > near:
+            continue
+        _rotate(points, at[2] - window[1] + i * step, x, y)
+        cost = _cost_sum(x, y, at, window[3], nearest, lines, geometry, np.inf)
+        if cost < best:
+            best, best_i = cost, i
+    return best_i
+
+
+@kernel(int64(float64[::1], float64, float64, float64, int64[:, ::1]))
+def _runs(offsets: NDArray[np.float64], x: float, origin_m: float, cell_m: float, out: NDArray[np.int64]) -> int:
+    """Split the offsets by the column that a point falls into: rows of the run's end and its column; returns how many.
+
+    The sums are those of ``_slot_at``, so that both agree on every candidate. Columns beyond the edges count on.
+    """
+    n, i, last, inverse = 0, 0, len(offsets) - 1, 1.0 / cell_m
+    col = np.floor((x + offsets[0] - origin_m) * inverse)
+    end = np.floor((x + offsets[last] - origin_m) * inverse)
+    if col == end:
+        out[0, 0], out[0, 1] = last + 1, int64(col)
+        return 1
+    per_offset = last / (offsets[last] - offsets[0])
+    while col != end:
+        edge = origin_m + (col + 1.0) * cell_m - x
+        i = min(max(int64(np.ceil((edge - offsets[0]) * per_offset)), i + 1), last)
+        # The estimate may be one off.
+        while np.floor((x + offsets[i - 1] - origin_m) * inverse) != col:
+            i -= 1
+        while np.floor((x + offsets[i] - origin_m) * inverse) == col:
+            i += 1
+        out[n, 0], out[n, 1] = i, int64(col)
+        n += 1
+        col = np.floor((x + offsets[i] - origin_m) * inverse)
+    out[n, 0], out[n, 1] = last + 1, int64(col)
+    return n + 1
+
+
+@kernel(void(float64[:, :, ::1], float64[::1], float64[::1], float64[:, ::1]))
+def _integrate(
+    bends: NDArray[np.float64], right: NDArray[np.float64], up: NDArray[np.float64], sums: NDArray[np.float64]
+) -> None:
+    """Sum second differences (ny + 1, nx + 1, 8) of polynomials up, and add each candidate's value to ``sums``."""
+    ny, nx = sums.shape
+    p = np.empty(8)
+    for j in range(ny):
+        if j > 0:
+            below, here = bends[j - 1].ravel(), bends[j].ravel()
+            for m in range(len(here)):
+                here[m] += below[m]
+        p[:] = 0.0
+        for i in range(nx):
+            for m in range(8):
+                p[m] += bends[j, i, m]
+            u, v = right[i], up[j]
+            sums[j, i] += p[0] + u * (p[1] + u * p[3] + v * p[4]) + v * (p[2] + v * p[5])
+
+
+@kernel(void(float64[::1], float64[::1], _F1, _F1, float64[:, ::1], _I2, _F2, _F1))
+def _shift_sums(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
+    at: NDArray[np.float64],
+    window: NDArray[np.float64],
+    sums: NDArray[np.float64],
+    nearest: NDArray[np.int32],
+    lines: NDArray[np.float64],
+    geometry: NDArray[np.float64],
 ) -> None:
-    """Turn the first ``n`` points about the pivot."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    for k in range(n):
-        dx, dy = points[k, 0] - pivot[0], points[k, 1] - pivot[1]
-        x[k] = c * dx - s * dy
-        y[k] = s * dx + c * dy
+    """Sum the costs of all shifts of the turned points into ``sums`` (ny, nx), right but for rounding.
+
+    Candidates that put a point into one cell form a rectangle, over which its cost is one polynomial of the shift.
+    """
+    ny, nx = sums.shape
+    half_m, truncate_m2 = window[0], window[3]
+    to_x, to_y = np.empty(nx), np.empty(ny)
+    for i in range(nx):
+        to_x[i] = at[0] - half_m + i * (2 * half_m / (nx - 1))
+    for j in range(ny):
+        to_y[j] = at[1] - half_m + j * (2 * half_m / (ny - 1))
+    right, up = to_x - at[0], to_y - at[1]
+    at_x, at_y, ox, oy = at[0], at[1], geometry[0], geometry[1]
+    bends, polynomial = np.zeros((ny + 1, nx + 1, 8)), np.zeros(8)
+    cols, rows = np.empty((nx, 2), np.int64), np.empty((ny, 2), np.int64)
+    for k in range(len(x)):
+        n_cols = _runs(to_x, x[k], ox, geometry[2], cols)
+        n_rows = _runs(to_y, y[k], oy, geometry[2], rows)
+        j0 = 0
+        for r in range(n_rows):
+            j1, row = rows[r, 0], rows[r, 1]
+            i0 = 0
+            for n in range(n_cols):
+                i1, col = cols[n, 0], cols[n, 1]
+                slot = int64(0)
+                if 0 <= col < nearest.shape[1] and 0 <= row < nearest.shape[0]:
+                    slot = int64(nearest[uint64(row), uint64(col)])
+                line = uint64(slot)
+                dx, dy = x[k] + at_x - lines[line, 0], y[k] + at_y - lines[line, 1]
+                far_x = max(abs(dx + right[i0]), abs(dx + right[i1 - 1]))
+                far_y = max(abs(dy + up[j0]), abs(dy + up[j1 - 1]))
+                if slot == 0:
+                    polynomial[:] = 0.0
+                    polynomial[0] = truncate_m2
+                elif (far_x * far_x + far_y * far_y) * (1.0 + 1e-9) < truncate_m2:
+                    a, b, d = lines[line, 2], lines[line, 3], lines[line, 4]
+                    gx, gy = a * dx + b * dy, b * dx + d * dy
+                    polynomial[0], polynomial[1], polynomial[2] = dx * gx + dy * gy, 2.0 * gx, 2.0 * gy
+                    polynomial[3], polynomial[4], polynomial[5] = a, 2.0 * b, d
+                else:
+                    for j in range(j0, j1):
+                        for i in range(i0, i1):
+                            sums[j, i] += _distance2(x[k] + to_x[i], y[k] + to_y[j], truncate_m2, slot, lines)
+                    i0 = i1
+                    continue
+                for m in range(8):
+                    bends[j0, i0, m] += polynomial[m]
+                    bends[j0, i1, m] -= polynomial[m]
+                    bends[j1, i0, m] -= polynomial[m]
+                    bends[j1, i1, m] += polynomial[m]
+                i0 = i1
+            j0 = j1
+    _integrate(bends, right, up, sums)
 
 
-@kernel(float64[::1](_F2, _F1, _F1, _F1, _I2, _F2, _F1))
+@kernel(int64(_F2, _F1, _F1, int64, int64, _I2, _F2, _F1))
+def _shift_on_lines(
+    points: NDArray[np.float64],
+    at: NDArray[np.float64],
+    window: NDArray[np.float64],
+    nx: int,
+    ny: int,
+    nearest: NDArray[np.int32],
+    lines: NDArray[np.float64],
+    geometry: NDArray[np.float64],
+) -> int:
+    """Search the plane on the lines; returns the index j nx + i of the least cost."""
+    n = points.shape[1]
+    x, y, offset = np.empty(n), np.empty(n), np.empty(2)
+    _rotate(points, at[2], x, y)
+    pruned = window[4] > 0
+    by_cells = pruned and RECTANGLE_COST * (2 * window[0] / geometry[2] + 1) ** 2 < nx * ny
+    sums, near = np.zeros((ny, nx)), np.inf
+    costs = sums.ravel()
+    if by_cells:
+        _shift_sums(x, y, at, window, sums, nearest, lines, geometry)
+        for ji in range(nx * ny):
+            costs[ji] += n * _place(ji, nx, ny, at, window, offset)
+        near = costs.min() + 2.0 * ROUNDING_M2
+    best, best_ji = np.inf, -1
+    # Without sums the middle comes first: its cost is a bound that few others come under.
+    for turn in range(-1 if pruned and not by_cells else 0, nx * ny):
+        ji = (ny // 2) * nx + nx // 2 if turn < 0 else turn
+        if costs[ji] > near:
+            continue
+        expected = n * _place(ji, nx, ny, at, window, offset)
+        bound = best - expected + ROUNDING_M2 if pruned else np.inf
+        cost = expected + _cost_sum(x, y, offset, window[3], nearest, lines, geometry, bound)
+        if cost < best or (cost == best and ji < best_ji):
+            best, best_ji = cost, ji
+    return best_ji
+
+
+# ---- coarse to fine --------------------------------------------------------------------------------------------------
+
+
+@kernel(float64[::1](_F2, _F1, _F1, _F1, _I2, _F2, _U2, _F1))
 def search(
     points: NDArray[np.float64],
     start: NDArray[np.float64],
@@ -81,6 +459,7 @@ def search(
     limits: NDArray[np.float64],
     nearest: NDArray[np.int32],
     lines: NDArray[np.float64],
+    quads: NDArray[np.uint32],
     geometry: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Find the pose of the scan in the map; returns [x, y, yaw, cost_m2, inliers, evaluations, grids, converged].
@@ -89,87 +468,65 @@ def search(
     ----------
     points : (n, 2) points in the laser's frame, m, in an order that makes any prefix a fair sample
     start : (3,) predicted pose: x, y (m), yaw (rad)
-    grid : (4,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most
-    limits : (8,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
-        points of the first level, alternations a level, and what a squared metre away from the start costs a point
-    nearest, lines, geometry : the map, see ``linemap``
+    grid : (5,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most, 1 to prune
+    limits : (9,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
+        points of the first level, alternations a level, what a squared metre away from the start costs a point, and
+        the half-window (m) above which the field is searched
+    nearest, lines, quads, geometry : the map, see ``linemap``
     """
     n = len(points)
     azimuths, nx, ny, extensions = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3])
-    half_m, half_rad, stop_m, stop_rad, truncate_m = limits[:5]
-    truncate_m2 = truncate_m * truncate_m
-    alternations = int(limits[6])
+    stop_m, stop_rad, truncate_m2 = limits[2], limits[3], limits[4] * limits[4]
+    pivot_x, pivot_y = points[:, 0].mean(), points[:, 1].mean()
+    centred = np.empty((2, n))
+    centred[0], centred[1] = points[:, 0] - pivot_x, points[:, 1] - pivot_y
+    sample = centred[:, : min(n, int(limits[5]))].copy()
+    c, s = np.cos(start[2]), np.sin(start[2])
+    at_x, at_y = start[0] + c * pivot_x - s * pivot_y, start[1] + s * pivot_x + c * pivot_y
+    at = np.array([at_x, at_y, start[2], at_x, at_y])
+    window = np.array([limits[0], limits[1], limits[7], truncate_m2, grid[4]])
 
-    pivot = np.zeros(2)
-    for k in range(n):
-        pivot[0] += points[k, 0] / n
-        pivot[1] += points[k, 1] / n
-    yaw = start[2]
-    c, s = np.cos(yaw), np.sin(yaw)
-    at = np.array([start[0] + c * pivot[0] - s * pivot[1], start[1] + s * pivot[0] + c * pivot[1]])
-
-    expected_x, expected_y = at[0], at[1]
-
-    x, y, offset = np.empty(n), np.empty(n), np.empty(2)
     evaluations, grids, converged = 0, 0, 0.0
     for level in range(MAX_LEVELS):
-        used = min(n, int(limits[5])) if level == 0 else n
-        step_x, step_y, step_rad = 2 * half_m / (nx - 1), 2 * half_m / (ny - 1), 2 * half_rad / (azimuths - 1)
-        for _ in range(alternations):
+        used = sample if level == 0 else centred
+        on_field = window[0] > limits[8]
+        step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
+        for _ in range(int(limits[6])):
             for _ in range(extensions + 1):
-                best, best_i = np.inf, 0
-                for i in range(azimuths):
-                    _rotate(points, used, pivot, yaw - half_rad + i * step_rad, x, y)
-                    cost = _cost_sum(x[:used], y[:used], at, truncate_m2, nearest, lines, geometry, best)
-                    if cost < best:
-                        best, best_i = cost, i
+                if on_field:
+                    i = _turn_on_field(used, at, window, azimuths, quads, geometry)
+                else:
+                    i = _turn_on_lines(used, at, window, azimuths, nearest, lines, geometry)
+                at[2] += i * step_rad - window[1]
                 evaluations += azimuths
                 grids += 1
-                yaw += best_i * step_rad - half_rad
-                if 0 < best_i < azimuths - 1:
+                if 0 < i < azimuths - 1:
                     break
-            _rotate(points, used, pivot, yaw, x, y)
             for _ in range(extensions + 1):
-                best, best_i, best_j = np.inf, 0, 0
-                for j in range(ny):
-                    offset[1] = at[1] - half_m + j * step_y
-                    for i in range(nx):
-                        offset[0] = at[0] - half_m + i * step_x
-                        dx, dy = offset[0] - expected_x, offset[1] - expected_y
-                        cost = used * limits[7] * (dx * dx + dy * dy)
-                        cost += _cost_sum(
-                            x[:used], y[:used], offset, truncate_m2, nearest, lines, geometry, best - cost
-                        )
-                        if cost < best:
-                            best, best_i, best_j = cost, i, j
+                if on_field:
+                    ji = _shift_on_field(used, at, window, nx, ny, quads, geometry)
+                else:
+                    ji = _shift_on_lines(used, at, window, nx, ny, nearest, lines, geometry)
+                i, j = ji % nx, ji // nx
+                at[0] += i * step_x - window[0]
+                at[1] += j * step_y - window[0]
                 evaluations += nx * ny
                 grids += 1
-                at[0] += best_i * step_x - half_m
-                at[1] += best_j * step_y - half_m
-                if 0 < best_i < nx - 1 and 0 < best_j < ny - 1:
+                if 0 < i < nx - 1 and 0 < j < ny - 1:
                     break
         if max(step_x, step_y) < stop_m and step_rad < stop_rad:
             converged = 1.0
             break
-        half_m = min(1.5 * max(step_x, step_y), 0.9 * half_m)
-        half_rad = min(1.5 * step_rad, 0.9 * half_rad)
+        window[0] = min(1.5 * max(step_x, step_y), 0.9 * window[0])
+        window[1] = min(1.5 * step_rad, 0.9 * window[1])
 
-    _rotate(points, n, pivot, yaw, x, y)
+    x, y = np.empty(n), np.empty(n)
+    _rotate(centred, at[2], x, y)
     total, inliers = 0.0, 0
     for k in range(n):
         d2 = _cost_sum(x[k : k + 1], y[k : k + 1], at, truncate_m2, nearest, lines, geometry, np.inf)
         total += d2
         inliers += d2 < 0.25 * truncate_m2
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array(
-        [
-            at[0] - c * pivot[0] + s * pivot[1],
-            at[1] - s * pivot[0] - c * pivot[1],
-            yaw,
-            total / n,
-            inliers / n,
-            evaluations,
-            grids,
-            converged,
-        ]
-    )
+    c, s = np.cos(at[2]), np.sin(at[2])
+    to_x, to_y = at[0] - c * pivot_x + s * pivot_y, at[1] - s * pivot_x - c * pivot_y
+    return np.array([to_x, to_y, at[2], total / n, inliers / n, evaluations, grids, converged])

@@ -79,9 +79,9 @@ def test_lines_grown_scan_by_scan_are_those_of_all_points_at_once(seed: int) -> 
     for part in np.array_split(points, 5):
         grown.insert(part)
     expected = naive.insert_points(points, 0.02, 0.06, 0.01)
-    assert grown.count == len(expected)
+    assert grown.count - 1 == len(expected)
     col0, row0 = grown.origin_cells
-    for slot in range(grown.count):
+    for slot in range(1, grown.count):
         row, col = grown.cells[slot] + (row0, col0)
         mu, a = expected[row, col]
         assert grown.nearest[tuple(grown.cells[slot])] == slot
@@ -92,13 +92,17 @@ def test_lines_grown_scan_by_scan_are_those_of_all_points_at_once(seed: int) -> 
 def test_nearest_is_the_nearest_occupied_cell_within_reach() -> None:
     grown = LineMap(0.02, 0.06, 0.01)
     grown.insert(wall_points(np.random.default_rng(5), 12))
-    occupied = grown.cells[: grown.count].astype(int)
+    occupied = grown.cells[1 : grown.count].astype(int)
     rows, cols = np.indices(grown.nearest.shape)
     d2 = (rows[..., None] - occupied[:, 0]) ** 2 + (cols[..., None] - occupied[:, 1]) ** 2
     within = d2.min(axis=-1) <= linemap_kernel.REACH_CELLS**2
-    np.testing.assert_array_equal(grown.nearest >= 0, within)
-    chosen = np.take_along_axis(d2, np.maximum(grown.nearest, 0)[..., None].astype(int), axis=-1)[..., 0]
+    np.testing.assert_array_equal(grown.nearest > 0, within)
+    chosen = np.take_along_axis(d2, np.maximum(grown.nearest - 1, 0)[..., None].astype(int), axis=-1)[..., 0]
     np.testing.assert_array_equal(chosen[within], d2.min(axis=-1)[within])
+    for shift, (up, right) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):  # the quads hold the same, four times
+        held = grown.quads[: -1 or None, :-1] >> np.uint32(8 * shift) & np.uint32(255)
+        expected = np.minimum(d2.min(axis=-1), linemap_kernel.FAR)[up:, right:]
+        np.testing.assert_array_equal(held[: len(expected) - 1, : expected.shape[1] - 1], expected[:-1, :-1])
 
 
 @given(shift=st.tuples(st.integers(-900, 900), st.integers(-900, 900)))
@@ -108,11 +112,19 @@ def test_map_grows_any_way_and_forgets_nothing(shift: tuple[int, int]) -> None:
     first = wall_points(rng)
     grown = LineMap(0.02, 0.06, 0.01)
     grown.insert(first)
-    before = grown.lines[: grown.count, :5].copy(), grown.cells[: grown.count] + np.array(grown.origin_cells)[::-1]
+    before = grown.lines[: grown.count, :5].copy(), grown.cells[1 : grown.count] + np.array(grown.origin_cells)[::-1]
     grown.insert(first[:5] + np.array(shift) * 0.05 + 100.0)
     n = len(before[0])
     np.testing.assert_array_equal(grown.lines[:n, :5], before[0])
-    np.testing.assert_array_equal(grown.cells[:n] + np.array(grown.origin_cells)[::-1], before[1])
+    np.testing.assert_array_equal(grown.cells[1:n] + np.array(grown.origin_cells)[::-1], before[1])
+
+
+LINES_ALONE = 1e9
+"""A half-window in m above which the field is asked: no grid is that wide."""
+
+
+def arrays(line_map: LineMap) -> tuple[np.ndarray, ...]:
+    return line_map.nearest, line_map.lines, line_map.quads, line_map.geometry
 
 
 def furnished_map() -> tuple[LineMap, np.ndarray]:
@@ -134,7 +146,7 @@ def test_cost_is_its_twin() -> None:
             line_map.lines[k, :2],
             np.array([line_map.lines[k, 2:4], line_map.lines[k, 3:5]]),
         )
-        for k in range(line_map.count)
+        for k in range(1, line_map.count)
     }
     for pose in ([3.0, 2.2, 1.0], [3.04, 2.17, 1.02], [2.8, 2.4, 0.8]):
         slow = naive.line_costs(points, pose, lines, 0.02, 0.15)
@@ -151,10 +163,8 @@ def test_cost_is_its_twin() -> None:
 def test_search_is_its_twin(grid: tuple[int, ...], prior: float) -> None:
     line_map, points = furnished_map()
     start = np.array([3.06, 2.12, 1.1])
-    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, 1e9, 2, prior])
-    found = linesearch.search(
-        points, start, np.array(grid, float), limits, line_map.nearest, line_map.lines, line_map.geometry
-    )
+    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, 1e9, 2, prior, LINES_ALONE])
+    found = linesearch.search(points, start, np.array([*grid, 1.0]), limits, *arrays(line_map))
 
     def cost(x: float, y: float, yaw: float) -> float:
         placed = transform_points(Pose(x, y, yaw), points)
@@ -171,9 +181,8 @@ def test_search_is_its_twin(grid: tuple[int, ...], prior: float) -> None:
 def test_search_finds_the_pose_and_counts_its_work() -> None:
     line_map, points = furnished_map()
     x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
-        points, np.array([3.2, 2.0, 1.2]), np.array([20.0, 10, 10, 3]),
-        np.array([0.35, 0.35, 0.001, math.radians(0.02), 0.15, 120, 2, 0]),
-        line_map.nearest, line_map.lines, line_map.geometry,
+        points, np.array([3.2, 2.0, 1.2]), np.array([20.0, 10, 10, 3, 1]),
+        np.array([0.35, 0.35, 0.001, math.radians(0.02), 0.15, 120, 2, 0, 0.03]), *arrays(line_map),
     )  # fmt: skip
     assert math.hypot(x - 3.0, y - 2.2) < 0.01
     assert abs(yaw - 1.0) < 0.005
@@ -193,8 +202,8 @@ def test_search_finds_the_pose_and_counts_its_work() -> None:
 def test_points_off_the_map_cost_the_truncation() -> None:
     line_map, points = furnished_map()
     found = linesearch.search(
-        points, np.array([-500.0, 800.0, 0.0]), np.array([4.0, 3, 3, 1]),
-        np.array([0.1, 0.1, 0.05, 0.05, 0.15, 120, 1, 0]), line_map.nearest, line_map.lines, line_map.geometry,
+        points, np.array([-500.0, 800.0, 0.0]), np.array([4.0, 3, 3, 1, 1]),
+        np.array([0.1, 0.1, 0.05, 0.05, 0.15, 120, 1, 0, 0.03]), *arrays(line_map),
     )  # fmt: skip
     assert found[3] == pytest.approx(0.15**2)
     assert found[4] == 0.0

@@ -1,0 +1,104 @@
+"""A pruned grid has the minimum of the exhaustive one: the same index and the same cost, bit for bit."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from matches import GRIDS, Problem, differences, random_problem
+
+from mavnav.kernels import linesearch
+from mavnav.pose import Pose, transform_points
+
+HALF_WINDOWS_M = (0.35, 0.12, 0.05, 0.02, 0.008, 0.001)
+HALF_WINDOWS_RAD = (0.35, 0.05, 0.005, 0.0005)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    grid=st.sampled_from(GRIDS),
+    half_m=st.sampled_from(HALF_WINDOWS_M),
+    half_rad=st.sampled_from(HALF_WINDOWS_RAD),
+    prior=st.sampled_from((0.0, 0.01)),
+)
+@example(seed=0, grid=40, half_m=0.35, half_rad=0.35, prior=0.0)
+@example(seed=1, grid=40, half_m=0.02, half_rad=0.005, prior=0.01)
+def test_every_grid_has_the_same_minimum(seed: int, grid: int, half_m: float, half_rad: float, prior: float) -> None:
+    problem = random_problem(seed)
+    assert differences(problem, grid, half_m, half_rad, prior) == []
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), grid=st.sampled_from(GRIDS))
+def test_whole_searches_are_identical(seed: int, grid: int) -> None:
+    problem = random_problem(seed)
+    limits = np.array([0.35, 0.35, 0.001, 0.0004, 0.15, 120, 2, 0.01, 0.03])
+    pruned, exhaustive = (
+        linesearch.search(problem.points, problem.start, np.array([2.0 * grid, grid, grid, 3, prune]), limits, *problem.arrays)
+        for prune in (1.0, 0.0)
+    )
+    np.testing.assert_array_equal(pruned, exhaustive)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), half_m=st.sampled_from(HALF_WINDOWS_M[2:]), grid=st.sampled_from((2, 5, 13)))
+def test_sums_by_cells_are_the_sums_by_points(seed: int, half_m: float, grid: int) -> None:
+    """The polynomials stand for every candidate of the plane, well within the rounding that pruning allows for."""
+    problem = random_problem(seed)
+    at, window = problem.grid(half_m, 0.1, 0.0, pruned=True)
+    x, y = problem.turned(at)
+    sums = np.zeros((grid, grid))
+    linesearch._shift_sums(x, y, at, window, sums, *problem.lines)
+    offsets = -half_m + np.arange(grid) * (2 * half_m / (grid - 1))
+    slow = [[problem.cost(x, y, at[:2] + (right, up)) for right in offsets] for up in offsets]
+    np.testing.assert_allclose(sums, slow, atol=0.01 * linesearch.ROUNDING_M2)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), half_rad=st.sampled_from(HALF_WINDOWS_RAD), azimuths=st.sampled_from((2, 7, 20)))
+def test_sums_over_turns_are_the_sums_by_points(seed: int, half_rad: float, azimuths: int) -> None:
+    problem = random_problem(seed)
+    at, window = problem.grid(0.05, half_rad, 0.0, pruned=True)
+    turns = np.linspace(-half_rad, half_rad, azimuths)
+    sums = np.zeros(azimuths)
+    turned = np.column_stack((-2.0 * np.sin(turns / 2) ** 2, np.sin(turns)))
+    linesearch._turn_sums(problem.centred, at, window, sums, turned, *problem.lines)
+    slow = []
+    for turn in turns:
+        x, y = problem.turned(at + np.array([0, 0, turn, 0, 0]))
+        slow.append(problem.cost(x, y, at[:2]))
+    np.testing.assert_allclose(sums, slow, atol=0.01 * linesearch.ROUNDING_M2)
+
+
+def test_the_field_is_its_twin() -> None:
+    """Interpolated squares of distances, right to the rounding of coordinates to 1/2048 of a cell."""
+    problem = random_problem(3)
+    cell_m = problem.line_map.cell_m
+    occupied = problem.line_map.cells[1 : problem.line_map.count] + np.array(problem.line_map.origin_cells)[::-1]
+    at, _ = problem.grid(0.1, 0.1, 0.0, pruned=False)
+    placed = transform_points(Pose(*at[:3]), problem.centred.T)
+    slow = naive.field_costs(placed, occupied, cell_m)
+    x, y = np.empty(len(placed), np.int32), np.empty(len(placed), np.int32)
+    for first in range(0, len(placed), linesearch.CHUNK):
+        linesearch._rotate_to_cells(problem.centred, at[2], cell_m, first, x, y)
+    right, up = (linesearch._to_cells(at[k], problem.line_map.geometry[k], cell_m) for k in range(2))
+    total = sum(
+        linesearch._field_part(x, y, first, right, up, problem.line_map.quads)
+        for first in range(0, len(placed), linesearch.CHUNK)
+    )
+    assert total / linesearch.ONE**2 == pytest.approx(sum(slow), rel=2e-3)
+
+
+def test_ties_go_to_the_lowest_index() -> None:
+    """Far from the map every candidate costs the same."""
+    problem = random_problem(0)
+    far = Problem(problem.line_map, problem.points, problem.start + np.array([500.0, 0, 0]))
+    for pruned in (True, False):
+        at, window = far.grid(0.1, 0.1, 0.0, pruned=pruned)
+        assert linesearch._turn_on_field(far.centred, at, window, 7, *far.field) == 0
+        assert linesearch._shift_on_field(far.centred, at, window, 5, 5, *far.field) == 0
+        assert linesearch._turn_on_lines(far.centred, at, window, 7, *far.lines) == 0
+        assert linesearch._shift_on_lines(far.centred, at, window, 5, 5, *far.lines) == 0

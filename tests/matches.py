@@ -1,0 +1,84 @@
+"""Matches to search for, random and recorded, and whether pruned and exhaustive search agree on each of their grids."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from synthetic import furnished_rooms, scan_at
+
+from mavnav.kernels import linesearch
+from mavnav.kernels.points import voxel_means
+from mavnav.linemap import LineMap
+from mavnav.pose import Pose, transform_points
+
+GRIDS = (5, 10, 20, 40)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A scan's points (n, 2) in the laser's frame, the map, and where the search begins: x, y, yaw."""
+
+    line_map: LineMap
+    points: np.ndarray
+    start: np.ndarray
+
+    @property
+    def lines(self) -> tuple[np.ndarray, ...]:
+        return self.line_map.nearest, self.line_map.lines, self.line_map.geometry
+
+    @property
+    def field(self) -> tuple[np.ndarray, ...]:
+        return self.line_map.quads, self.line_map.geometry
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        return self.line_map.nearest, self.line_map.lines, *self.field
+
+    @property
+    def centred(self) -> np.ndarray:
+        return np.ascontiguousarray((self.points - self.points.mean(axis=0)).T)
+
+    def grid(self, half_m: float, half_rad: float, prior: float, *, pruned: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return ``at`` and ``window`` of a grid about the start."""
+        middle = transform_points(Pose(*self.start), self.points.mean(axis=0)[None])[0]
+        at = np.array([*middle, self.start[2], *(middle + (0.01, -0.02))])
+        return at, np.array([half_m, half_rad, prior, 0.15**2, float(pruned)])
+
+    def turned(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x, y = np.empty(len(self.points)), np.empty(len(self.points))
+        linesearch._rotate(self.centred, at[2], x, y)
+        return x, y
+
+    def cost(self, x: np.ndarray, y: np.ndarray, offset: np.ndarray) -> float:
+        return linesearch._cost_sum(x, y, np.array(offset), 0.15**2, *self.lines, np.inf)
+
+
+def random_problem(seed: int) -> Problem:
+    """Make a map of scans and scattered points, and a scan that more or less fits it."""
+    rng = np.random.default_rng(seed)
+    here = Pose(3.0, 2.2, float(rng.uniform(-3, 3)))
+    noise = float(rng.choice((0.001, 0.01, 0.04)))
+    line_map = LineMap(float(rng.choice((0.014, 0.02, 0.025))), 0.06, 0.01)
+    for _ in range(int(rng.integers(1, 4))):
+        seen = scan_at(furnished_rooms(), here, noise=noise, rng=rng).points()
+        line_map.insert(transform_points(here, seen))
+    line_map.insert(rng.uniform(-1, 6, (int(rng.integers(1, 200)), 2)))
+    points = scan_at(furnished_rooms(), here, noise=noise, rng=rng).points()
+    points = voxel_means(np.ascontiguousarray(points[:: int(rng.choice((1, 3, 9)))]), 0.03)
+    return Problem(line_map, points, here.as_array() + rng.normal(0, (0.05, 0.05, 0.03)))
+
+
+def differences(problem: Problem, grid: int, half_m: float, half_rad: float, prior: float) -> list[str]:
+    """Search the four grids both ways; names those whose minima differ in index or cost."""
+    found = {}
+    for pruned in (True, False):
+        at, window = problem.grid(half_m, half_rad, prior, pruned=pruned)
+        args = problem.centred, at, window
+        found[pruned] = {
+            "azimuth on the field": linesearch._turn_on_field(*args, 2 * grid, *problem.field),
+            "plane on the field": linesearch._shift_on_field(*args, grid, grid, *problem.field),
+            "azimuth on the lines": linesearch._turn_on_lines(*args, 2 * grid, *problem.lines),
+            "plane on the lines": linesearch._shift_on_lines(*args, grid, grid, *problem.lines),
+        }
+    return [name for name, index in found[True].items() if index != found[False][name]]
