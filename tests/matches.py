@@ -42,7 +42,7 @@ class Problem:
     def grid(self, half_m: float, half_rad: float, prior: float, *, pruned: bool) -> tuple[np.ndarray, np.ndarray]:
         """Return ``at`` and ``window`` of a grid about the start."""
         middle = transform_points(Pose(*self.start), self.points.mean(axis=0)[None])[0]
-        at = np.array([*middle, self.start[2], *(middle + (0.01, -0.02))])
+        at = np.array([*middle, self.start[2], *(middle + np.array((0.01, -0.02)))])
         return at, np.array([half_m, half_rad, prior, 0.15**2, float(pruned)])
 
     def turned(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

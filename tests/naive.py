@@ -170,7 +170,7 @@ def field_costs(points, occupied, cell_m, reach=8):
     """Squared distances, in cells, to the nearest of the occupied (row, col), between four cell centres."""
 
     def at(row, col):
-        return min(min((row - r) ** 2 + (col - c) ** 2 for r, c in occupied), reach * reach)
+        return min(*((row - r) ** 2 + (col - c) ** 2 for r, c in occupied), reach * reach)
 
     costs = []
     for x, y in points:

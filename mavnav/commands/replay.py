@@ -46,6 +46,10 @@ def replay(
     ] = None,
     azimuth: Annotated[int | None, typer.Option(help="Points of the azimuth grid.", show_default=False)] = None,
     online: Annotated[bool, typer.Option("--online", help="Leave out the final pass over the finished map.")] = False,
+    search: Annotated[
+        str | None,
+        typer.Option(metavar="pruned|exhaustive", help="Exhaustive: slower, the same minimum.", show_default=False),
+    ] = None,
     odom: Annotated[
         str | None,
         typer.Option(metavar="auto|TOPIC|off", help="Odometry as prediction (never with paper).", show_default=False),
@@ -75,7 +79,8 @@ def replay(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
 ) -> None:
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
-    chosen = _config(config, sets or [], method=method, grid=grid, azimuth=azimuth, odom=odom, online=online)
+    options = {"method": method, "grid": grid, "azimuth": azimuth, "search": search, "odom": odom}
+    chosen = _config(config, sets or [], online=online, **options)
     bounds = gates_of(gates)
     mounting = None if extrinsic is None else pose(extrinsic)
     if not log.exists():

@@ -8,9 +8,10 @@ Layout shared by this file and ``linesearch``:
 ``quads``    (rows, cols) uint32  squared distances, in cells, from the centres of four cells to the nearest occupied
                                   ones, FAR beyond reach; a byte each: of the cell, its right, its upper neighbour
                                   and the one aslant, so that interpolating between four centres takes one load
-``moments``  (capacity, 12) float64  n, sum x, sum y, sum xx, sum xy, sum yy of a cell's points, m in the map frame; then
-                                  the same, summed over a window of neighbours with Gaussian weights
-``lines``    (capacity, 8) float64   centroid x, y and the metric a_xx, a_xy, a_yy of the local line; the rest is scratch
+``moments``  (capacity, 12) float64  n, sum x, sum y, sum xx, sum xy, sum yy of a cell's points, m in the map
+                                  frame; then the same, summed over a window of neighbours with Gaussian weights
+``lines``    (capacity, 8) float64   centroid x, y and the metric a_xx, a_xy, a_yy of the local line; then
+                                  scratch
 ``geometry`` (5,) float64        origin x, origin y, cell, line sigma, line noise, in m
 """
 

@@ -81,7 +81,7 @@ def _rotate_to_cells(
 @kernel(int64(float64, float64, float64))
 def _to_cells(at_m: float, origin_m: float, cell_m: float) -> int:
     """Return a coordinate from the centre of cell 0, in whole parts of 1 / ``ONE`` of a cell."""
-    return int64(np.floor(((at_m - origin_m) / cell_m - 0.5) * ONE + 0.5))
+    return int(np.floor(((at_m - origin_m) / cell_m - 0.5) * ONE + 0.5))
 
 
 @kernel(int64(int32[::1], int32[::1], int64, int64, int64, _U2))
@@ -106,7 +106,7 @@ def _field_part(
         low = int32(int32(int32(quad & uint32(255)) * u_left) + int32(int32((quad >> uint32(8)) & uint32(255)) * u))
         high = int32(int32(int32((quad >> uint32(16)) & uint32(255)) * u_left) + int32(int32(quad >> uint32(24)) * u))
         total += int64(int32(int32(low * v_left) + int32(high * v)))
-    return total
+    return int(total)
 
 
 @kernel(int64(_F2, _F1, _F1, int64, _U2, _F1))
@@ -176,7 +176,8 @@ def _distance2(px: float, py: float, truncate_m2: float, slot: int, lines: NDArr
     """Squared, truncated distance of a point of the map frame to a line; ``slot`` 0 is nowhere."""
     line = uint64(slot)
     dx, dy = px - lines[line, 0], py - lines[line, 1]
-    return min(dx * dx * lines[line, 2] + 2.0 * dx * dy * lines[line, 3] + dy * dy * lines[line, 4], truncate_m2)
+    d2 = dx * dx * lines[line, 2] + 2.0 * dx * dy * lines[line, 3] + dy * dy * lines[line, 4]
+    return float(min(d2, truncate_m2))
 
 
 @kernel(int64(float64, float64, float64, float64, float64, _I2))
@@ -185,7 +186,7 @@ def _slot_at(px: float, py: float, ox: float, oy: float, inverse: float, nearest
     fx, fy = (px - ox) * inverse, (py - oy) * inverse
     col = int64(min(max(fx, 0.0), nearest.shape[1] - 1.0))
     row = int64(min(max(fy, 0.0), nearest.shape[0] - 1.0))
-    return int64(nearest[uint64(row), uint64(col)])
+    return int(nearest[uint64(row), uint64(col)])
 
 
 @kernel(float64(float64[::1], float64[::1], _F1, float64, _I2, _F2, _F1, float64))
@@ -237,7 +238,7 @@ def _turn_sums(
         reach = half_rad * np.sqrt(ex * ex + ey * ey) + 1e-9
         fx, fy = (px - ox) * inverse, (py - oy) * inverse
         fx, fy = fx - np.floor(fx), fy - np.floor(fy)
-        if min(min(fx, 1.0 - fx), min(fy, 1.0 - fy)) * cell > reach:
+        if min(fx, 1.0 - fx, fy, 1.0 - fy) * cell > reach:
             slot = _slot_at(px, py, ox, oy, inverse, nearest)
             line = uint64(slot)
             dx, dy = px - lines[line, 0], py - lines[line, 1]

@@ -37,7 +37,9 @@ def test_whole_searches_are_identical(seed: int, grid: int) -> None:
     problem = random_problem(seed)
     limits = np.array([0.35, 0.35, 0.001, 0.0004, 0.15, 120, 2, 0.01, 0.03])
     pruned, exhaustive = (
-        linesearch.search(problem.points, problem.start, np.array([2.0 * grid, grid, grid, 3, prune]), limits, *problem.arrays)
+        linesearch.search(
+            problem.points, problem.start, np.array([2.0 * grid, grid, grid, 3, prune]), limits, *problem.arrays
+        )
         for prune in (1.0, 0.0)
     )
     np.testing.assert_array_equal(pruned, exhaustive)
@@ -53,7 +55,7 @@ def test_sums_by_cells_are_the_sums_by_points(seed: int, half_m: float, grid: in
     sums = np.zeros((grid, grid))
     linesearch._shift_sums(x, y, at, window, sums, *problem.lines)
     offsets = -half_m + np.arange(grid) * (2 * half_m / (grid - 1))
-    slow = [[problem.cost(x, y, at[:2] + (right, up)) for right in offsets] for up in offsets]
+    slow = [[problem.cost(x, y, at[:2] + np.array((right, up))) for right in offsets] for up in offsets]
     np.testing.assert_allclose(sums, slow, atol=0.01 * linesearch.ROUNDING_M2)
 
 
