@@ -59,7 +59,7 @@ def _place(
     offset[0] = at[0] - window[0] + (ji % nx) * (2 * window[0] / (nx - 1))
     offset[1] = at[1] - window[0] + (ji // nx) * (2 * window[0] / (ny - 1))
     dx, dy = offset[0] - at[3], offset[1] - at[4]
-    return window[2] * (dx * dx + dy * dy)
+    return float(window[2] * (dx * dx + dy * dy))
 
 
 # ---- the field of squared distances ----------------------------------------------------------------------------------
