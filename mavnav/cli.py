@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from mavnav.commands import compare, config, convert, info, replay, signals, simulate
+from mavnav.commands import compare, config, convert, info, metrics, replay, signals, simulate
 from mavnav.commands.terminal import emit, note
 from mavnav.errors import ExitCode, MavnavError
 
@@ -51,6 +51,7 @@ app = typer.Typer(
 )
 app.command(epilog=replay.EPILOG)(replay.replay)
 app.command(epilog=compare.EPILOG)(compare.compare)
+app.command(epilog=metrics.EPILOG)(metrics.metrics)
 app.command(epilog=simulate.EPILOG)(simulate.simulate)
 app.command(epilog=info.EPILOG)(info.info)
 app.command(epilog=convert.EPILOG)(convert.convert)

@@ -12,8 +12,9 @@ from mavnav import slam
 from mavnav.logs import open_log
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import map_quality
-from mavnav.metrics.wall_thickness import wall_thickness
+from mavnav.metrics.wall_thickness import wall_thicknesses
 from mavnav.outputs import Run, Timing, check_directory, write_run
+from mavnav.references import check_times, compared, load_references, occupied_xy_m
 
 if TYPE_CHECKING:
     from mavnav.config import Config
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
 Progress = Callable[[str, int, int | None], None]
 """What is being done, how much of it is done, how much there is or None."""
 
-THRESHOLDS = (1, 2, 5)
-"""Wall thickness is reported for cells of at least so many hits: the threshold decides the answer."""
-
 LOG_SUFFIXES = (".zst", ".zstd", ".active", ".mcap", ".bag", ".db3")
 
 
@@ -38,7 +36,8 @@ class Request:
     """What is asked for: the log, which part of it, how, and where to.
 
     ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base;
-    ``report`` asks for the page as well.
+    ``report`` asks for the page as well; ``truth``, ``truth_map`` and ``relations`` are files to compare the outcome
+    with.
     """
 
     log: Path
@@ -50,6 +49,9 @@ class Request:
     extrinsic: Pose | None = None
     force: bool = False
     report: bool = False
+    truth: Path | None = None
+    truth_map: Path | None = None
+    relations: Path | None = None
 
 
 def default_directory(log: Path, config: Config) -> Path:
@@ -73,21 +75,30 @@ def replay(request: Request, progress: Progress, compile_s: float) -> tuple[Run,
     written is asked before the work. Raises what the rooms raise: TopicError, NoScansError, UsageError, OutputError.
     """
     check_directory(request.directory, force=request.force)
+    references = load_references(request.truth, request.truth_map, request.relations)
     wall_s, cpu_s = perf_counter(), process_time()
     log = _open(request, progress)
+    check_times(references, log.first_ns, log.last_ns)
     outcome = _track(log, request.config, progress)
     thickness = measured_thickness(outcome.grid)
     timing = Timing(wall_s=perf_counter() - wall_s, cpu_s=process_time() - cpu_s, compile_s=compile_s)
     progress("measuring", 0, None)
-    quality = measured_quality(outcome, log)
-    run = Run(log=log, config=request.config, slam=outcome, thickness=thickness, timing=timing, quality=quality)
+    run = Run(
+        log=log,
+        config=request.config,
+        slam=outcome,
+        thickness=thickness,
+        timing=timing,
+        quality=measured_quality(outcome, log),
+        reference=compared(references, outcome.trajectory, occupied_xy_m(outcome.grid)),
+    )
     progress("writing", 0, None)
     return run, write_run(run, request.directory, force=request.force, report=request.report)
 
 
 def measured_thickness(grid: Grid) -> dict[int, WallThickness]:
     """Measure the walls at each of the thresholds."""
-    return {hits: wall_thickness(grid.hits, grid.cell_m, hits) for hits in THRESHOLDS}
+    return wall_thicknesses(grid.hits, grid.cell_m)
 
 
 def measured_quality(outcome: slam.Slam, log: Log) -> MapQuality:

@@ -19,6 +19,7 @@ from mavnav.outputs import Run, Timing, check_directory, write_run
 from mavnav.outputs.animation import animate, check_animation
 from mavnav.outputs.run import Mission, Truth
 from mavnav.pose import Pose, transform_points
+from mavnav.references import LEAST_POSES, References, compared, occupied_xy_m, of_world
 from mavnav.replay import Progress, measured_quality, measured_thickness
 from mavnav.world import World
 
@@ -31,10 +32,6 @@ WALL_BEAMS = 15
 
 WALL_GAP_CELLS = 8
 """Empty cells that a noisy wall may hold along a beam: its densest cell then is the wall, not a stray in front."""
-
-
-LEAST_POSES = 3
-"""Fewer tracked poses lie on any truth after the best rigid motion, or nearly so: they measure nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +82,7 @@ def simulate(request: Request, progress: Progress, compile_s: float) -> tuple[Ru
             truth=_truth(flight),
             mission=_mission(request, flight),
             quality=measured_quality(flight.slam, log),
+            reference=_reference(flight),
         )
         document = write_run(run, request.directory, force=request.force, report=request.report)
         if request.recording:
@@ -130,6 +128,12 @@ def moved(world: World, a_T_world: Pose) -> World:
     centres = transform_points(a_T_world, world.arcs[:, :2])
     arcs = np.column_stack((centres, world.arcs[:, 2], world.arcs[:, 3] + a_T_world.yaw_rad, world.arcs[:, 4]))
     return World(ends, arcs)
+
+
+def _reference(flight: Flight) -> dict[str, Any] | None:
+    """Compare the outcome with the truth as a replay with ``--truth`` and ``--truth-map`` does."""
+    truth = References(truth=flight.map_T_laser, true_map=of_world(flight.scenario.world, flight.world_T_map))
+    return compared(truth, flight.slam.trajectory, occupied_xy_m(flight.slam.grid))
 
 
 def _mission(request: Request, flight: Flight) -> Mission:

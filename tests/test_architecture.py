@@ -41,18 +41,21 @@ ALLOWED: dict[str, set[str]] = {
     "methods": GROUND | {"kernels", "grid", "linemap", "matcher", "motion"},
     "slam": GROUND | {"grid", "matcher", "motion", "methods"},
     "metrics": GROUND | {"kernels", "grid"},
+    "references": GROUND | {"grid", "layers", "metrics", "world"},
     "planner_config": GROUND,
     "routes": GROUND | {"kernels", "planner_config"},
     "techniques": GROUND | {"kernels", "planner_config", "routes"},
     "planner": GROUND | {"kernels", "grid", "planner_config", "techniques"},
     "flight": GROUND | {"planner", "world"} | CORE,
     "outputs": GROUND | {"", "logs", "metrics"} | CORE,
-    "replay": GROUND | {"logs", "metrics", "outputs"} | CORE,
-    "simulate": GROUND | {"flight", "logs", "metrics", "outputs", "replay", "world"} | CORE,
+    "evaluate": GROUND | {"", "grid", "logs", "metrics", "outputs", "references"},
+    "replay": GROUND | {"logs", "metrics", "outputs", "references"} | CORE,
+    "simulate": GROUND | {"flight", "logs", "metrics", "outputs", "references", "replay", "world"} | CORE,
     "compare": GROUND
     | {"", "config_file", "flight", "gates", "jobs", "logs", "outputs", "replay", "simulate", "world"},
     "commands": GROUND
-    | {"", "compare", "config_file", "gates", "jobs", "logs", "metrics", "outputs", "replay", "simulate", "world"}
+    | {"", "compare", "config_file", "evaluate", "gates", "jobs", "logs", "metrics", "outputs", "references"}
+    | {"replay", "simulate", "world"}
     | CORE,
     "cli": {"", "commands", "errors"},
 }
@@ -126,7 +129,7 @@ def test_rooms_neither_print_nor_exit(path: Path) -> None:
 
 @pytest.mark.parametrize(
     "args",
-    [["--help"], *([command, "--help"] for command in ("replay", "simulate", "compare", "info", "config"))],
+    [["--help"], *([command, "--help"] for command in ("replay", "simulate", "compare", "metrics", "info", "config"))],
     ids=" ".join,
 )
 def test_help_imports_no_heavy_library(args: list[str]) -> None:
@@ -180,7 +183,7 @@ def test_documented_options_exist() -> None:
             text=True,
             env={"COLUMNS": "200", "PATH": ""},
         ).stdout
-        for command in ([], ["replay"], ["compare"], ["simulate"], ["info"], ["config", "show"])
+        for command in ([], ["replay"], ["compare"], ["metrics"], ["simulate"], ["info"], ["config", "show"])
     )
     assert {option for option in documented_options() if option not in helps} == set()
 

@@ -11,6 +11,8 @@ import typer
 from mavnav.commands.gating import Gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.progress import loading_kernels, reporting
+from mavnav.commands.quality_rows import quality_rows, reference_rows
+from mavnav.commands.references import RelationsFile, Truth, TruthMap
 from mavnav.commands.terminal import console, emit, note, printable
 from mavnav.errors import ExitCode, UsageError
 
@@ -71,6 +73,9 @@ def replay(
     sets: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of it.", show_default=False)
     ] = None,
+    truth: Truth = None,
+    truth_map: TruthMap = None,
+    relations: RelationsFile = None,
     gates: Gates = None,
     preview: Preview = False,
     report: Annotated[bool, typer.Option("--report", help="Leave the run as one page too, report.html.")] = False,
@@ -91,7 +96,9 @@ def replay(
             from mavnav import replay as pipeline
         compile_s = perf_counter() - started_s
         target = directory or pipeline.default_directory(log, chosen)
-        request = pipeline.Request(log, target, chosen, topic, start, end, mounting, force, report)
+        request = pipeline.Request(
+            log, target, chosen, topic, start, end, mounting, force, report, truth, truth_map, relations
+        )
         _, document = pipeline.replay(request, progress, compile_s)
     _tell(document, target, json=json)
     if preview:
@@ -165,7 +172,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         ("lost", f"{lost} scans in {len(tracking['intervals'])} stretch(es)" if lost else "never"),
         ("path", f"{tracking['path_length_m']:.2f} m"),
     ]
-    rows += wall_rows(document)
+    rows += [*wall_rows(document), *quality_rows(document["map_quality"]), *reference_rows(document.get("reference"))]
     rows += [
         ("speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"),
         ("pictures", f"{directory / 'map.png'}, {directory / 'wall_thickness.png'}"),

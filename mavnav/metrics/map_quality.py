@@ -14,7 +14,7 @@ from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
 from mavnav.metrics.revisits import Revisits, revisits
 from mavnav.metrics.shape import EnclosedAreas, corners, enclosed_areas, occupied_share
 from mavnav.metrics.support import Support, map_support, reasons
-from mavnav.metrics.wall_thickness import wall_sections
+from mavnav.metrics.wall_thickness import THRESHOLDS, wall_sections
 from mavnav.metrics.walls import Wall, straight_walls
 
 if TYPE_CHECKING:
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from mavnav.metrics.journey import Journey
 
 PROFILE: Final = "map-quality/1"
-
-GHOST_THRESHOLDS: Final = (1, 2, 5)
-"""Ghost walls are looked for along the walls at each of these hit thresholds: noise may hide one at the lower ones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +62,8 @@ def map_quality(grid: Grid, journey: Journey | None = None, *, counted: bool = T
     """
     cells = occupancy(grid)
     walls = wall_sections(_occupied(cells), grid.cell_m, 1)
-    thresholds = GHOST_THRESHOLDS if counted else (1,)
+    # Noise may hide a ghost wall at the lower thresholds, few hits at the higher ones.
+    thresholds = THRESHOLDS if counted else (1,)
     support = map_support(grid, cells, walls, journey)
     why = reasons(support, lost_for_good=journey is not None and journey.lost_for_good)
     return MapQuality(

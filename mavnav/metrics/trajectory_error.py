@@ -1,16 +1,25 @@
-"""Trajectory errors against a truth: absolute, with and without the best rigid motion taken out."""
+"""Trajectory errors against a truth: absolute, with and without the best rigid motion taken out, and relative."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from mavnav.pose import Pose, transform_points
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from mavnav.pose import Trajectory
+
+MAX_GAP_NS: Final = 1_000_000_000
+"""The truth is interpolated over gaps up to this."""
+
+DELTA_M: Final = 1.0
+"""Relative errors are taken over so much of the estimated path."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +30,21 @@ class AbsoluteError:
     rmse_m: float
     median_m: float
     max_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class RelativeError:
+    """Relative pose error (Sturm et al. 2012) over ``pairs`` stretches of `DELTA_M` of the estimated path.
+
+    ``distance_rmse_m`` compares how far apart the two ends of a stretch are; it needs no headings. NaN without a pair,
+    the others also where the truth has no headings.
+    """
+
+    pairs: int
+    delta_m: float
+    translation_rmse_m: float
+    rotation_rmse_deg: float
+    distance_rmse_m: float
 
 
 def align(from_xy_m: NDArray[np.float64], to_xy_m: NDArray[np.float64]) -> Pose:
@@ -43,3 +67,54 @@ def absolute_error(
         estimate_xy_m = transform_points(align(estimate_xy_m, truth_xy_m), estimate_xy_m)
     error = np.hypot(*(estimate_xy_m - truth_xy_m).T)
     return AbsoluteError(n, float(np.sqrt((error**2).mean())), float(np.median(error)), float(error.max()))
+
+
+def relative_error(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> RelativeError:
+    """Compare motions over stretches of the path; poses (n, 3) in m, m, rad, one by one, each in its own frame."""
+    first, last = _stretches(estimate[:, :2])
+    if not len(first):
+        return RelativeError(0, DELTA_M, np.nan, np.nan, np.nan)
+    moved, should = between(estimate[first], estimate[last]), between(truth[first], truth[last])
+    error = between(should, moved)
+    apart = np.hypot(*moved[:, :2].T) - np.hypot(*should[:, :2].T)
+    headed = bool(np.ptp(truth[:, 2]) > 0.0)
+    return RelativeError(
+        pairs=len(first),
+        delta_m=DELTA_M,
+        translation_rmse_m=_rms(np.hypot(error[:, 0], error[:, 1])) if headed else np.nan,
+        rotation_rmse_deg=_rms(error[:, 2]) / DEG if headed else np.nan,
+        distance_rmse_m=_rms(apart),
+    )
+
+
+def matched(estimate: Trajectory, truth: Trajectory) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Pair the estimated poses with the true ones of the same time, (n, 3) each.
+
+    The truth is interpolated; estimates before it, after it and in its longer gaps are left out.
+    """
+    found = [(k, truth.at(int(stamp_ns), MAX_GAP_NS)) for k, stamp_ns in enumerate(estimate.stamps_ns)]
+    rows = [k for k, pose in found if pose is not None]
+    true = np.array([pose.as_array() for _, pose in found if pose is not None], np.float64)
+    return estimate.xyyaw[rows], true.reshape(-1, 3)
+
+
+def between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return poses b seen from poses a, (n, 3) each: ``inverse(a) @ b`` row by row, yaw in [-pi, pi)."""
+    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+    dx, dy, turn = (b - a).T
+    return np.column_stack((c * dx + s * dy, c * dy - s * dx, (turn + np.pi) % (2.0 * np.pi) - np.pi))
+
+
+def _stretches(xy_m: NDArray[np.float64]) -> tuple[list[int], list[int]]:
+    """Cut a path (n, 2) into stretches that end at the first pose `DELTA_M` or more after their beginning."""
+    ends, walked_m = [0], 0.0
+    for k, step_m in enumerate(np.hypot(*np.diff(xy_m, axis=0).T), start=1):
+        walked_m += float(step_m)
+        if walked_m >= DELTA_M:
+            ends.append(k)
+            walked_m = 0.0
+    return ends[:-1], ends[1:]
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt((values**2).mean()))

@@ -23,6 +23,9 @@ MIN_LENGTH_M: Final = 0.25
 MAX_RATIO: Final = 0.1
 MAX_GAP_CELLS: Final = 1
 
+THRESHOLDS: Final = (1, 2, 5)
+"""Wall thickness is reported for cells of at least so many hits: the threshold decides the answer."""
+
 
 @dataclass(frozen=True, slots=True)
 class Sections:
@@ -82,6 +85,13 @@ def wall_thickness(hits: NDArray[np.int32], cell_m: float, min_hits: int) -> Wal
         length_m=float(weight.sum()),
         share=sections.share,
     )
+
+
+def wall_thicknesses(
+    hits: NDArray[np.int32], cell_m: float, thresholds: tuple[int, ...] = THRESHOLDS
+) -> dict[int, WallThickness]:
+    """Measure the walls of a map at each of the thresholds."""
+    return {min_hits: wall_thickness(hits, cell_m, min_hits) for min_hits in thresholds}
 
 
 def quantiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[float, float, float]:

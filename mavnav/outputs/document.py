@@ -58,7 +58,7 @@ def metrics(run: Run) -> Document:
         "cleaning": dict(run.log.cleaning),
         "tracking": _tracking(run),
         "search": _search(run),
-        "wall_thickness": {str(k): _thickness(t) for k, t in run.thickness.items()},
+        "wall_thickness": {str(k): thickness_document(t) for k, t in run.thickness.items()},
         "map_quality": None if run.quality is None else asdict(run.quality),
         **({} if run.reference is None else {"reference": run.reference}),
         "map": _map(run),
@@ -173,7 +173,8 @@ def _spread(values: list[float] | list[int]) -> Document:
     return {"mean": np.mean(values), "median": np.median(values), "min": min(values), "max": max(values)}
 
 
-def _thickness(thickness: WallThickness) -> Document:
+def thickness_document(thickness: WallThickness) -> Document:
+    """Describe the wall thickness at one threshold."""
     return {k: v for k, v in asdict(thickness).items() if k != "hits"}
 
 

@@ -1,0 +1,65 @@
+"""``mavnav metrics RUN|MAP.yaml ...``: how good maps are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from mavnav.commands.progress import loading_kernels, reporting
+from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows
+from mavnav.commands.references import RelationsFile, Truth, TruthMap
+from mavnav.commands.replay import print_table, wall_rows
+from mavnav.commands.terminal import emit
+
+EPILOG = """
+[bold]Examples[/bold]
+
+mavnav metrics runs/drive-robust-10x10
+
+mavnav metrics other_tool/map.yaml --json | jq '.maps[0].map_quality.ghost_walls'
+
+mavnav metrics runs/* --truth groundtruth.tum
+
+mavnav metrics map.yaml --truth-map corridor.yaml
+"""
+
+
+def metrics(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN|MAP.yaml ...", help="Run directories, or map_server maps.", show_default=False),
+    ],
+    *,
+    truth: Truth = None,
+    truth_map: TruthMap = None,
+    relations: RelationsFile = None,
+    json: Annotated[bool, typer.Option("--json", help="Print one object on stdout and nothing else.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+) -> None:
+    """Measure maps: wall thickness, ghost walls, crispness, support, errors against a reference."""
+    with reporting(quiet=quiet) as report:
+        with loading_kernels(report):
+            from mavnav.evaluate import evaluate
+            from mavnav.references import load_references
+        document = evaluate(paths, load_references(truth, truth_map, relations), report)
+    if json:
+        from json import dumps
+
+        emit(dumps(document, indent=2))
+        return
+    for found in document["maps"]:
+        print_table(_summary(found))
+
+
+def _summary(found: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the rows of the table on one map."""
+    quality = found["map_quality"]
+    return [
+        (found["kind"], found["path"]),
+        *wall_rows(found),
+        *quality_rows(quality),
+        *more_rows(quality),
+        *reference_rows(found.get("reference")),
+    ]

@@ -1,0 +1,73 @@
+"""Rows of a summary table on the quality of a map; a number that is not known has no row."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mavnav.units import MM
+
+Rows = list[tuple[str, str]]
+
+
+def quality_rows(quality: dict[str, Any]) -> Rows:
+    """Return the rows on ``map_quality`` of a document that a summary shows."""
+    ghosts, revisits, support = quality["ghost_walls"], quality["revisits"], quality["support"]
+    rows = [("ghost walls", "none")]
+    if ghosts["count"]:
+        rows = [
+            (
+                "ghost walls",
+                f"{ghosts['count']}, {ghosts['length_m']:.1f} m, up to {ghosts['worst_offset_mm']:.0f} mm apart",
+            )
+        ]
+    if revisits and revisits["nn_l_mm"] is not None:
+        rows.append(("revisits", f"{revisits['nn_l_mm']:.1f} mm apart, neighbours {revisits['nn_s_mm']:.1f} mm"))
+    rows.append(("walls", f"{support['wall_m']:.1f} m straight"))
+    return rows + [("not meaningful", why) for why in quality["why"]]
+
+
+def more_rows(quality: dict[str, Any]) -> Rows:
+    """Return the other rows on ``map_quality``."""
+    crisp, areas, support = quality["crispness"], quality["enclosed_areas"], quality["support"]
+    rows = []
+    if crisp["occupied_cells_per_m"] is not None:
+        rows.append(("crispness", f"{crisp['occupied_cells_per_m']:.0f} occupied cells a metre of wall"))
+    if crisp["entropy_bits"] is not None:
+        rows.append(("entropy", f"{crisp['entropy_bits']:.3f} bits a cell hit"))
+    if support["mapped_share"] is not None:
+        rows.append(("mapped", f"{support['mapped_share']:.1%} of the scans"))
+    if support["explained_share"] is not None:
+        rows.append(("explained", f"{support['explained_share']:.1%} of what the laser saw lies on the map"))
+    if quality["occupied_share"] is not None:
+        rows.append(("occupied", f"{quality['occupied_share']:.1%} of the known cells"))
+    return [
+        *rows,
+        ("corners", str(quality["corners"])),
+        ("enclosed areas", f"{areas['count']}, {areas['area_m2']:.2f} m2"),
+    ]
+
+
+def reference_rows(reference: dict[str, Any] | None) -> Rows:
+    """Return the rows on the comparison with references."""
+    found = reference or {}
+    rows = []
+    if found.get("ate"):
+        ate, rpe = found["ate"], found["rpe"]
+        rows.append(("ATE, aligned", f"{ate['rmse_m'] / MM:.1f} mm rmse, {ate['max_m'] / MM:.1f} mm max"))
+        if rpe["distance_rmse_m"] is not None:
+            rows.append((f"RPE a {rpe['delta_m']:g} m", _relative(rpe)))
+    if "map_distance" in found and found["map_distance"]["cells"]:
+        d = found["map_distance"]
+        covered = f"{d['covered_share']:.0%} of the true walls mapped, {d['alignment']}"
+        rows.append(("true map", f"{d['mean_mm']:.0f} mm off, 95 % within {d['p95_mm']:.0f} mm; {covered}"))
+    if "relations" in found and found["relations"]["all"]["scored"]:
+        r = found["relations"]["all"]
+        mean = f"{r['translation_mean_m'] / MM:.1f} mm, {r['rotation_mean_deg']:.2f} deg"
+        rows.append(("relations", f"{mean}; {r['scored']} of {r['relations']}"))
+    return rows
+
+
+def _relative(rpe: dict[str, Any]) -> str:
+    if rpe["translation_rmse_m"] is None:
+        return f"{rpe['distance_rmse_m'] / MM:.1f} mm of distance (the truth has no headings)"
+    return f"{rpe['translation_rmse_m'] / MM:.1f} mm, {rpe['rotation_rmse_deg']:.2f} deg"

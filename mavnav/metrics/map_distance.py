@@ -1,0 +1,66 @@
+"""How far a map is from the true one: occupied cells from true walls, and how much of the walls it has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mavnav.units import MM
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+COVERED_M: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class TrueMap:
+    """The true walls in the map frame.
+
+    ``distance_m`` tells the distance of points (n, 2) to the nearest wall, (n,) in m; ``xy_m`` (m, 2) are points all
+    along the walls; ``alignment`` says how they were brought to the map frame.
+    """
+
+    distance_m: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    xy_m: NDArray[np.float64]
+    alignment: str
+
+
+@dataclass(frozen=True, slots=True)
+class MapDistance:
+    """Distances of the ``cells`` occupied cells to the nearest true wall; NaN without one.
+
+    ``covered_share`` of the true walls have an occupied cell within 0.1 m.
+    """
+
+    alignment: str
+    cells: int
+    mean_mm: float
+    median_mm: float
+    p95_mm: float
+    max_mm: float
+    covered_share: float
+
+
+def map_distance(occupied_xy_m: NDArray[np.float64], truth: TrueMap) -> MapDistance:
+    """Compare the middles of the occupied cells (n, 2), in the map frame, with the true walls."""
+    n = len(occupied_xy_m)
+    if n == 0:
+        return MapDistance(truth.alignment, 0, np.nan, np.nan, np.nan, np.nan, 0.0)
+    distance_mm = truth.distance_m(occupied_xy_m) / MM
+    median, p95 = np.quantile(distance_mm, (0.5, 0.95))
+    gap_m, _ = cKDTree(occupied_xy_m).query(truth.xy_m)
+    return MapDistance(
+        alignment=truth.alignment,
+        cells=n,
+        mean_mm=float(distance_mm.mean()),
+        median_mm=float(median),
+        p95_mm=float(p95),
+        max_mm=float(distance_mm.max()),
+        covered_share=float((gap_m <= COVERED_M).mean()) if len(gap_m) else np.nan,
+    )

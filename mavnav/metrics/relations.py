@@ -1,0 +1,81 @@
+"""Relations: true motions between two times.
+
+The benchmark of Kuemmerle et al. 2009 ("On measuring the accuracy of SLAM algorithms", Autonomous Robots 27). It needs
+no common frame, and a drift counts only where a relation spans it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mavnav.metrics.trajectory_error import between
+from mavnav.units import DEG
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.pose import Trajectory
+
+TOLERANCE_NS: Final = 100_000_000
+"""A time takes the nearest pose within this; else the relation is missing."""
+
+LOOP_NS: Final = 20_000_000_000
+"""Relations over a longer time than this are loops, the others sequential."""
+
+
+@dataclass(frozen=True, slots=True)
+class Relations:
+    """``stamps_ns`` (n, 2): two times; ``xyyaw`` (n, 3): the pose at the second seen from the first, m, m, rad."""
+
+    stamps_ns: NDArray[np.int64]
+    xyyaw: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class RelationErrors:
+    """Errors over ``scored`` of ``relations``; NaN without one. A short trajectory misses relations: see ``share``."""
+
+    relations: int
+    scored: int
+    share: float
+    translation_mean_m: float
+    translation_std_m: float
+    rotation_mean_deg: float
+    rotation_std_deg: float
+
+
+def relation_errors(relations: Relations, trajectory: Trajectory) -> dict[str, RelationErrors]:
+    """Score a trajectory of the laser: ``all`` relations, and the ``sequential`` ones and ``loops`` apart."""
+    rows, gaps_ns = _nearest(trajectory.stamps_ns, relations.stamps_ns)
+    poses = trajectory.xyyaw
+    error = between(relations.xyyaw, between(poses[rows[:, 0]], poses[rows[:, 1]]))
+    scored = (gaps_ns < TOLERANCE_NS).all(axis=1)
+    loop = np.abs(np.diff(relations.stamps_ns, axis=1)[:, 0]) > LOOP_NS
+    kinds = {"all": np.full(len(loop), fill_value=True), "sequential": ~loop, "loops": loop}
+    return {name: _errors(error[kind & scored], int(kind.sum())) for name, kind in kinds.items()}
+
+
+def _nearest(stamps_ns: NDArray[np.int64], wanted_ns: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Return for each wanted time the nearest row, and how far off that is."""
+    after = np.clip(np.searchsorted(stamps_ns, wanted_ns), 0, len(stamps_ns) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.abs(wanted_ns - stamps_ns[before]) <= np.abs(wanted_ns - stamps_ns[after])
+    rows = np.where(nearer, before, after)
+    return rows, np.abs(wanted_ns - stamps_ns[rows])
+
+
+def _errors(error: NDArray[np.float64], relations: int) -> RelationErrors:
+    n = len(error)
+    length_m, turn_deg = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2]) / DEG
+    return RelationErrors(
+        relations=relations,
+        scored=n,
+        share=n / relations if relations else np.nan,
+        translation_mean_m=float(length_m.mean()) if n else np.nan,
+        translation_std_m=float(length_m.std()) if n else np.nan,
+        rotation_mean_deg=float(turn_deg.mean()) if n else np.nan,
+        rotation_std_deg=float(turn_deg.std()) if n else np.nan,
+    )

@@ -1,0 +1,79 @@
+"""True maps: a scenario's walls, or a map file that is taken for true."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mavnav.errors import UsageError
+from mavnav.layers import read_yaml
+from mavnav.metrics.map_distance import TrueMap
+from mavnav.pose import transform_points
+from mavnav.references.map_file import read_map
+from mavnav.world.scenario_file import load_scenario, scenario_path
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mavnav.pose import Pose
+    from mavnav.world import World
+
+SPACING_M: Final = 0.02
+
+
+def read_true_map(path: Path) -> TrueMap:
+    """Read a scenario (it has ``walls``) or a map_server map (it has an ``image``).
+
+    A scenario's walls are seen from the laser's first pose, which is the origin of a map; a map file is taken to have
+    the frame of the map that it is compared with. A shipped scenario may be named where no such file lies there. Raises
+    UsageError.
+    """
+    if not path.exists():
+        path = scenario_path(path)
+    keys = {key[0] for key in read_yaml(path).values}
+    if "image" in keys:
+        return _of_map(path)
+    if "walls" not in keys:
+        raise UsageError(f"{path} is neither a scenario (walls) nor a map (image); name one of them")
+    scenario = load_scenario(path)
+    return of_world(scenario.world, scenario.world_T_base @ scenario.base_T_laser)
+
+
+def of_world(world: World, world_T_map: Pose) -> TrueMap:
+    """Take exact walls for the truth; ``world_T_map`` is the laser's first pose."""
+
+    def distance_m(xy_map_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        return world.clearance_m(transform_points(world_T_map, xy_map_m))
+
+    xy_m = transform_points(world_T_map.inverse(), np.concatenate((_on_segments(world), _on_arcs(world))))
+    return TrueMap(distance_m, xy_m, "start pose")
+
+
+def _of_map(path: Path) -> TrueMap:
+    xy_m = read_map(path).occupied_xy_m()
+    if not len(xy_m):
+        raise UsageError(f"{path} has no occupied cell; name a map with walls")
+    tree: Any = cKDTree(xy_m)
+    return TrueMap(lambda points: tree.query(points)[0], xy_m, "same frame")
+
+
+def _on_segments(world: World) -> NDArray[np.float64]:
+    """Return points all along the straight walls, (n, 2) in the world frame."""
+    parts = [np.zeros((0, 2))]
+    for x1, y1, x2, y2 in world.segments:
+        count = int(np.ceil(np.hypot(x2 - x1, y2 - y1) / SPACING_M)) + 1
+        parts.append(np.linspace((x1, y1), (x2, y2), count))
+    return np.concatenate(parts)
+
+
+def _on_arcs(world: World) -> NDArray[np.float64]:
+    """Return points all along the curved walls, (n, 2) in the world frame."""
+    parts = [np.zeros((0, 2))]
+    for x, y, radius, start, sweep in world.arcs:
+        angle = start + np.linspace(0.0, sweep, int(np.ceil(abs(sweep) * radius / SPACING_M)) + 1)
+        parts.append(np.column_stack((x + radius * np.cos(angle), y + radius * np.sin(angle))))
+    return np.concatenate(parts)
