@@ -29,8 +29,8 @@ LEAST_CIRCLE_SHARE: Final = 0.05
 """A ghost's circle is at least so long, of the window's longer side: one of 0.3 m is to be seen on a map of 50 m."""
 
 LONGEST_IN, LEAST_IN, WIDE_IN, CLOSEUP_IN = 5.0, 2.0, 9.0, 2.6
-WIDE: Final = 2.2
-"""A map is wide from this ratio of width to height on: it gets a row of its own."""
+WIDE, TALL = 2.2, 1.4
+"""From these ratios of the longer side to the other on a map gets a row of its own, or less room than others."""
 
 
 def common_window(entries: Sequence[Entry]) -> Window:
@@ -56,15 +56,15 @@ def most_hits(entries: Sequence[Entry]) -> float:
     return max(top, 10.0)
 
 
-def is_wide(window: Window) -> bool:
-    """Tell whether a map needs the whole width of a page."""
+def shape(window: Window) -> str:
+    """Name the shape of a map by what room it needs on a page: wide, tall, or neither (empty)."""
     width, height = window.size_m
-    return width > WIDE * height
+    return "wide" if width > WIDE * height else "tall" if height > TALL * width else ""
 
 
 def map_panel(entry: Entry, window: Window, top_hits: float, boxes: Sequence[tuple[str, Window]]) -> Image:
     """Draw the map of a run; ``boxes`` are the close-ups, by letter."""
-    width, height = window.figure_size(WIDE_IN if is_wide(window) else LONGEST_IN, LEAST_IN)
+    width, height = window.figure_size(WIDE_IN if shape(window) == "wide" else LONGEST_IN, LEAST_IN)
     canvas = Canvas(width, height, entry.name)
     draw_map(canvas.axes, entry, window, top_hits)
     for letter, box in boxes:

@@ -14,10 +14,10 @@ from mavnav.outputs.report.map_panel import (
     closeup_panel,
     common_window,
     ghosts,
-    is_wide,
     legend_panel,
     map_panel,
     most_hits,
+    shape,
 )
 from mavnav.outputs.report.panels import sheet, stacked
 from mavnav.outputs.report.thickness_panel import thickness_panels
@@ -43,9 +43,9 @@ class Closeup:
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """One panel a run of each kind, in the order of the runs; ``wide`` maps take a row each."""
+    """One panel a run of each kind, in the order of the runs; ``shape`` is that of the maps."""
 
-    wide: bool
+    shape: str
     maps: list[Image]
     legend: Image
     closeups: list[Closeup]
@@ -60,7 +60,7 @@ class Pictures:
     def sheets(self) -> dict[str, Image]:
         """Return the pictures that stand as files beside the page, by name."""
         found = {
-            "maps": stacked([sheet(self.maps, 1 if self.wide else None), sheet([self.legend])]),
+            "maps": stacked([sheet(self.maps, 1 if self.shape == "wide" else None), sheet([self.legend])]),
             "thickness": sheet(self.thickness),
             "cost": sheet(self.cost),
         }
@@ -79,7 +79,7 @@ def draw(entries: Sequence[Entry]) -> Pictures:
     places = differing_places([e.grid for e in sound], window) or _ghost_places(sound)
     boxes = list(zip(ascii_uppercase, places, strict=False))
     return Pictures(
-        wide=is_wide(window),
+        shape=shape(window),
         maps=[map_panel(e, window, top_hits, boxes) for e in entries],
         legend=legend_panel(top_hits, truth=any(e.true_walls for e in entries), ghost=any(map(ghosts, entries))),
         closeups=[_closeup(letter, box, sound, top_hits) for letter, box in boxes],
