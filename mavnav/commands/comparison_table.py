@@ -90,9 +90,9 @@ def bar(number: float, largest: float) -> str:
 
 
 def _state(cell: dict[str, Any]) -> str:
-    """Say what is not in the figures: that it failed, that it was there, that its map is none."""
+    """Say what is not in the figures: that it failed (stderr says why), that it was there, that its map is none."""
     if cell["status"] == "failed":
-        return f"failed: {cell['error']}"
+        return "failed"
     remarks = ["from before"] if cell["status"] == "cached" else []
     quality = cell["run"].get("map_quality") or {}
     if quality.get("meaningful", True) is False:
