@@ -52,7 +52,7 @@ ALLOWED: dict[str, set[str]] = {
     "replay": GROUND | {"logs", "metrics", "outputs", "references"} | CORE,
     "simulate": GROUND | {"flight", "logs", "metrics", "outputs", "references", "replay", "world"} | CORE,
     "compare": GROUND
-    | {"", "config_file", "flight", "gates", "jobs", "logs", "outputs", "replay", "simulate", "world"},
+    | {"", "config_file", "flight", "gates", "jobs", "logs", "outputs", "references", "replay", "simulate", "world"},
     "commands": GROUND
     | {"", "compare", "config_file", "evaluate", "gates", "jobs", "logs", "metrics", "outputs", "references"}
     | {"replay", "simulate", "world"}

@@ -12,6 +12,7 @@ from mavnav.commands.comparison_table import print_comparison
 from mavnav.commands.gating import Gates, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.progress import loading_kernels, reporting
+from mavnav.commands.references import RelationsFile, Truth, TruthMap
 from mavnav.commands.replay import pose
 from mavnav.commands.terminal import emit, note
 from mavnav.errors import UsageError
@@ -66,6 +67,9 @@ def compare(
         Path | None,
         typer.Option("--output", "-o", help="Directory; runs/compare-LOG if not given.", show_default=False),
     ] = None,
+    truth: Truth = None,
+    truth_map: TruthMap = None,
+    relations: RelationsFile = None,
     gates: Gates = None,
     online: Annotated[bool, typer.Option("--online", help="Leave out the final pass over the finished map.")] = False,
     odom: Annotated[
@@ -103,7 +107,13 @@ def compare(
     shared = {
         key: value for key, value in (("odom", odom), ("final_pass", False if online else None)) if value is not None
     }
-    options = {"topic": topic, "start_s": start, "end_s": end, "extrinsic": pose(extrinsic) if extrinsic else None}
+    options: dict[str, Any] = {
+        "topic": topic,
+        "start_s": start,
+        "end_s": end,
+        "extrinsic": pose(extrinsic) if extrinsic else None,
+    }
+    options |= {"truth": truth, "truth_map": truth_map, "relations": relations}
     for log in logs or []:
         if not log.exists():
             raise UsageError(f"{log}: no such file; name a log")

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.compare.cells import Cell, earlier, make_cells, replay_cell
+from mavnav.compare.cells import REFERENCES, Cell, earlier, make_cells, replay_cell
 from mavnav.compare.document import NO_PRICE, comparison
 from mavnav.compare.files import COMPARISON_FILE, write_comparison
 from mavnav.compare.grids import settings
-from mavnav.errors import OutputError
+from mavnav.errors import OutputError, UsageError
 from mavnav.gates import judge
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs
 from mavnav.outputs import REPORT_FILE, write_page
@@ -92,6 +92,8 @@ def plan(request: Request, progress: Progress) -> Plan:
     directory cannot be used: before the work.
     """
     check_directory(request.directory)
+    if len(request.logs) > 1 and any(request.options.get(name) for name in REFERENCES):
+        raise UsageError("--truth, --truth-map and --relations tell of one log; compare one log at a time with them")
     progress("reading", 0, None)
     found = make_cells(request.logs, request.configs, request.options, request.directory, force=True)
     documents = {} if request.force else {cell.key: document for cell in found if (document := earlier(cell))}

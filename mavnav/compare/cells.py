@@ -9,9 +9,12 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from mavnav import __version__, replay
 from mavnav.logs import content_sha256
 from mavnav.outputs.directory import RUN_FILE
+from mavnav.references import References, load_references
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -19,8 +22,11 @@ if TYPE_CHECKING:
     from mavnav.config import Config
     from mavnav.jobs import Report
 
-_NO_INFLUENCE = {"log", "directory", "config", "force", "report"}
-"""Of a request: where things are, and what enters the key by itself."""
+REFERENCES = ("truth", "truth_map", "relations")
+"""Of a request: the files to compare the outcome with."""
+
+_NOT_OPTIONS = {"log", "directory", "config", "force", "report", *REFERENCES}
+"""Of a request: where things are, what does not change a result, and what enters the key by itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +58,12 @@ def make_cells(
     """
     found: dict[str, Cell] = {}
     digests = {log: content_sha256(log) for log in logs}
+    references = references_sha256(load_references(**{name: options.get(name) for name in REFERENCES}))
     configs = list(configs)
     for log, digest in digests.items():
         for config in configs:
             request = replay.Request(log=log, directory=directory, config=config, force=force, **options)
-            key = cell_key(request, digest)
+            key = cell_key(request, digest, references)
             name = f"{replay.default_directory(log, config).name}-{key[:8]}"
             place = directory / "cells" / name
             request = replay.Request(log=log, directory=place, config=config, force=force, **options)
@@ -64,25 +71,34 @@ def make_cells(
     return list(found.values())
 
 
-def cell_key(request: replay.Request, log_sha256: str) -> str:
-    """Return the SHA-256 over the log's content, the effective configuration, all options, and mavnav itself.
+def cell_key(request: replay.Request, log_sha256: str, references: str) -> str:
+    """Return the SHA-256 over the log's content, the effective configuration, options, references, and mavnav itself.
 
-    Files among the options enter by content. Of mavnav the version and the source enter: between releases the version
+    Of mavnav the version and the source enter: between releases the version
     alone would pass off the results of earlier code.
     """
     document = {
         "mavnav": [__version__, source_sha256()],
         "log": log_sha256,
         "config": request.config.document(),
-        "options": {f.name: _plain(getattr(request, f.name)) for f in fields(request) if f.name not in _NO_INFLUENCE},
+        "options": {f.name: _plain(getattr(request, f.name)) for f in fields(request) if f.name not in _NOT_OPTIONS},
+        "references": references,
     }
     return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401  any option of a request
-    if isinstance(value, Path):
-        return content_sha256(value)
     return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
+
+
+def references_sha256(references: References) -> str:
+    """Return the SHA-256 over what was read of the references, whatever files it stood in."""
+    digest = hashlib.sha256()
+    for name, known in ((f.name, getattr(references, f.name)) for f in fields(references)):
+        for part in fields(known) if known is not None else ():
+            if isinstance(array := getattr(known, part.name), np.ndarray):
+                digest.update(f"{name}.{part.name} {array.shape}\n".encode() + array.tobytes())
+    return digest.hexdigest()
 
 
 @cache

@@ -45,6 +45,7 @@ FIGURES: Final = (
     Figure("map_quality.crispness.entropy_bits", "entropy bit", 3, "low", per_cell=True),
     Figure("map_quality.revisits.nn_l_mm", "revisits mm", 1, "low"),
     Figure("reference.ate.rmse_m", "ATE mm", 0, "low", 1e3),
+    Figure("reference.map_distance.mean_mm", "off the map mm", 0, "low"),
     Figure("search.evaluations_per_scan.mean", "evaluations", 0, "low"),
     Figure("timing.cpu_s", "cpu s", 2, "low"),
 )

@@ -8,6 +8,7 @@ import os
 import shutil
 import signal
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -125,12 +126,34 @@ def test_the_key_holds_all_that_decides_the_result(tmp_path: Path, monkeypatch: 
     assert [cell.key for cell in plan(request(tmp_path / "out", moved), silent).cells] == first
     assert not set(keys(grids=("4x5", "5x4"))) & set(first)
     wanted = plan(request(tmp_path / "out", log), silent).cells[0].request
-    assert cell_key(wanted, "other log") not in first
+    assert cell_key(wanted, "other log", "") not in first
     monkeypatch.setattr("mavnav.compare.cells.__version__", "0.2.0")
     assert not set(keys()) & set(first)
     monkeypatch.undo()
     monkeypatch.setattr("mavnav.compare.cells.source_sha256", lambda: "other code")
     assert not set(keys()) & set(first)
+
+
+def test_references_are_read_before_the_work_and_are_part_of_the_key(tmp_path: Path) -> None:
+    truth = tmp_path / "truth.tum"
+    plain = request(tmp_path / "out")
+
+    def key(**references: Path) -> str:
+        return plan(replace(plain, options={"end_s": 0.5} | references), silent).cells[0].key
+
+    def with_truth(*ys: float) -> str:
+        truth.write_text("".join(f"{k / 10:.1f} {k} {y} 0 0 0 0 1\n" for k, y in enumerate(ys)))
+        return key(truth=truth)
+
+    keys = [key(), with_truth(0, 0, 0), with_truth(0, 0, 1), key(truth_map=Path("corridor"))]
+    assert len(set(keys)) == 4
+    assert with_truth(0, 0, 0) == keys[1]
+    truth.write_text("no truth\n")
+    with pytest.raises(UsageError, match=r"truth\.tum"):
+        key(truth=truth)
+    two = replace(request(tmp_path / "out", SAMPLE, truth), options={"truth_map": Path("corridor")})
+    with pytest.raises(UsageError, match="one log at a time"):
+        plan(two, silent)
 
 
 def test_the_same_log_twice_is_one_cell(tmp_path: Path) -> None:
