@@ -102,9 +102,11 @@ class RobustConfig(_Strict):
     first_level_points: int = Field(120, ge=10, description="points of the first, widest level")
     min_points: int = Field(30, ge=3, description="scans with fewer points are not matched")
     retry_below: float = Field(0.8, ge=0, le=1, description="search wider under this share of inliers")
+    conflicts_below: float = Field(
+        0.15, ge=0, le=1, description="share of points in the open or behind walls that is not believed"
+    )
     track_above: float = Field(0.6, ge=0, le=1, description="a match is believed at this share of inliers")
     regain_above: float = Field(0.7, ge=0, le=1, description="a match is believed after a gap at this share of inliers")
-    insert_above: float = Field(0.6, ge=0, le=1, description="a scan enters the map at this share of inliers")
     max_speed_m_s: float = Field(3.0, gt=0, description="faster motion is not believed")
     max_turn_deg_s: float = Field(300.0, gt=0, description="faster turning is not believed")
 

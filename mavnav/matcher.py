@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +25,10 @@ class Match:
 
     ``cost_m2`` is the mean squared distance over ``beams_used`` contributing beams (inf where too few
     contribute), ``inliers`` the share of the scan that agrees with the map, ``evaluations`` the number of
-    candidate poses whose cost was asked for, ``iterations`` the number of grids searched.
+    candidate poses whose cost was asked for, ``iterations`` the number of grids searched. ``conflicts`` is the share
+    that the map speaks against, ``surprise`` how far the place is from the expected one (1: as far as strong
+    acceleration reaches), and ``ambiguous`` tells that another place would explain the scan about as well
+    (``relocalise``).
     """
 
     map_T_laser: Pose
@@ -35,6 +38,9 @@ class Match:
     evaluations: int
     iterations: int
     converged: bool
+    conflicts: float = 0.0
+    surprise: float = 0.0
+    ambiguous: bool = False
 
 
 def no_match(map_T_laser: Pose, beams: int = 0) -> Match:
@@ -122,31 +128,6 @@ ALTERNATIONS = 2
 # ---- the robust method: distance to the map's local lines ----------------------------------------------------------
 
 
-def match_lines(
-    points: NDArray[np.float64],
-    line_map: LineMap,
-    predicted: Pose,
-    alternatives: tuple[Pose, ...],
-    config: Config,
-    prior: float = 0.0,
-) -> Match:
-    """Match points (n, 2) of the laser's frame, as ``voxel_means`` gives them, against the whole map.
-
-    Where too few points agree with the map, a wider and finer search follows around the prediction and around the
-    ``alternatives``; the pose with most inliers wins.
-    """
-    robust = config.robust
-    window = (robust.window_mm * MM, robust.window_deg * DEG)
-    best = search_lines(points, line_map, predicted, window, config, prior=prior)
-    if best.inliers >= robust.retry_below:
-        return best
-    wide = (1.5 * window[0], 1.5 * window[1])
-    for start in (predicted, *alternatives):
-        other = search_lines(points, line_map, start, wide, config, refine=3)
-        best = with_effort(other if other.inliers > best.inliers else best, best, other)
-    return best
-
-
 def search_lines(
     points: NDArray[np.float64],
     line_map: LineMap,
@@ -188,12 +169,4 @@ def search_lines(
 
 def with_effort(best: Match, *tried: Match) -> Match:
     """Charge a match with the effort of all that were tried for it."""
-    return Match(
-        best.map_T_laser,
-        best.cost_m2,
-        best.beams_used,
-        best.inliers,
-        sum(m.evaluations for m in tried),
-        sum(m.iterations for m in tried),
-        best.converged,
-    )
+    return replace(best, evaluations=sum(m.evaluations for m in tried), iterations=sum(m.iterations for m in tried))

@@ -6,20 +6,22 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from mavnav.belief import Verdict
 from mavnav.grid import Grid
 from mavnav.kernels.points import scan_points, voxel_means
 from mavnav.linemap import LineMap
 from mavnav.matcher import (
     Match,
     first_match,
-    match_lines,
     match_polar,
     no_match,
     polar_points,
     search_lines,
     with_effort,
 )
+from mavnav.motion import LONGEST_S
 from mavnav.pose import Pose, transform_points
+from mavnav.relocalise import FARTHEST_SURPRISE, best_of, candidates, everywhere, judged, within_reach
 from mavnav.units import DEG, MM, MM2
 
 if TYPE_CHECKING:
@@ -48,8 +50,11 @@ class Method(Protocol):
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
         """Find the scan in the map."""
 
-    def gate(self, match: Match, scan: Scan, motion: Motion) -> tuple[bool, bool]:
-        """Decide whether the match is believed, and whether the scan may enter the map."""
+    def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
+        """Decide whether the match is believed; then the scan may enter the map as well."""
+
+    def relocalise(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
+        """Find the scan anywhere in the map, None where that is not possible without doubt; ``match`` is a guess."""
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add the scan to the map."""
@@ -61,6 +66,11 @@ class Method(Protocol):
 def _directions(spec: LaserSpec) -> NDArray[np.float64]:
     angles = spec.angles_rad
     return np.column_stack((np.cos(angles), np.sin(angles)))
+
+
+def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
+    """Return where the laser should be: as predicted, by its velocity, or where it was."""
+    return tuple(dict.fromkeys((predicted, motion.by_velocity(scan.stamp_ns), motion.map_T_laser)))
 
 
 class Paper:
@@ -90,10 +100,13 @@ class Paper:
         virtual_m = self.grid.virtual_scan(predicted, _directions(scan.spec), far_m, paper.cluster_gap_cells)
         return match_polar(virtual_m, points, scan.spec, predicted, self.config)
 
-    def gate(self, match: Match, scan: Scan, motion: Motion) -> tuple[bool, bool]:
+    def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
         """Believe and insert only a well-minimised cost (paper, "Map Update")."""
-        good = match.cost_m2 <= self.config.paper.gate_mm2 * MM2
-        return good, good
+        return Verdict.SURE if match.cost_m2 <= self.config.paper.gate_mm2 * MM2 else Verdict.REFUSED
+
+    def relocalise(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
+        """Find nothing: the paper searches around the last pose only."""
+        return None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Count the hits of every valid beam."""
@@ -123,26 +136,64 @@ class Robust:
         return first_match(n) if n >= self.config.robust.min_points else no_match(Pose(), n)
 
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
-        """Match the de-skewed scan around the prediction; try others where that fails."""
-        points = voxel_means(self._points(scan, motion), self.config.robust.voxel_mm * MM)
-        if len(points) < self.config.robust.min_points:
+        """Match the de-skewed scan around the prediction; where that does not convince, look farther."""
+        robust = self.config.robust
+        points = self._match_points(scan, motion)
+        if len(points) < robust.min_points:
             return no_match(predicted, len(points))
-        alternatives = dict.fromkeys((motion.by_velocity(scan.stamp_ns), motion.map_T_laser))
-        alternatives.pop(predicted, None)
-        prior = 0.0 if motion.odometry is None else self.config.robust.prior
-        return match_lines(points, self.lines, predicted, tuple(alternatives), self.config, prior)
+        prior = 0.0 if motion.odometry is None else robust.prior
+        window = (robust.window_mm * MM, robust.window_deg * DEG)
+        found = search_lines(points, self.lines, predicted, window, self.config, prior=prior)
+        found = judged(found, points, self.grid)
+        if self._convinces(found) and self._possible(found, scan, motion):
+            return found
+        return self._match_wide(scan, predicted, motion, points, found)
 
-    def gate(self, match: Match, scan: Scan, motion: Motion) -> tuple[bool, bool]:
-        """Believe a match that enough of the scan agrees with, at a speed that a vehicle can have."""
+    def _match_wide(
+        self, scan: Scan, predicted: Pose, motion: Motion, points: NDArray[np.float64], narrow: Match
+    ) -> Match:
+        """Search wherever the laser can be by now, from the prediction and from rest."""
+        elapsed_s, found = motion.elapsed_s(scan.stamp_ns), [narrow]
+        for pose in (expected := _expected(scan, predicted, motion)):
+            found += candidates(points, self.lines, self.grid, within_reach(pose, elapsed_s), self.config)
+        return best_of(found, expected, elapsed_s, self.config)
+
+    def _convinces(self, match: Match) -> bool:
+        return match.inliers >= self.config.robust.retry_below and match.conflicts <= self.config.robust.conflicts_below
+
+    def _possible(self, match: Match, scan: Scan, motion: Motion) -> bool:
+        """Tell whether a vehicle can have moved so far."""
         robust, elapsed_s = self.config.robust, motion.elapsed_s(scan.stamp_ns)
         moved = motion.map_T_laser.between(match.map_T_laser)
-        possible = (
+        return (
             moved.distance_m <= robust.max_speed_m_s * elapsed_s
             and abs(moved.yaw_rad) <= robust.max_turn_deg_s * DEG * elapsed_s
         )
-        needed = robust.regain_above if elapsed_s > REGAIN_S else robust.track_above
-        tracked = possible and match.inliers >= needed
-        return tracked, tracked and match.inliers >= robust.insert_above
+
+    def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
+        """Believe a match that much of the scan agrees with and little speaks against, at a possible speed.
+
+        After a gap, and where only a jump leads, more of the scan must agree, and the next scans too.
+        """
+        robust = self.config.robust
+        longest_s = max(LONGEST_S if self._convinces(match) else REGAIN_S, motion.period_s)
+        if match.ambiguous or match.inliers < robust.track_above or not self._possible(match, scan, motion):
+            return Verdict.REFUSED
+        if match.conflicts > robust.conflicts_below and match.inliers < robust.retry_below:
+            return Verdict.REFUSED
+        if motion.elapsed_s(scan.stamp_ns) <= longest_s and match.surprise <= FARTHEST_SURPRISE:
+            return Verdict.SURE
+        return Verdict.PROBABLE if match.inliers >= robust.regain_above else Verdict.REFUSED
+
+    def relocalise(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
+        """Find the scan anywhere in the map; None unless one place, and no other, explains it."""
+        points = self._match_points(scan)
+        if len(points) < self.config.robust.min_points:
+            return None
+        found = [match, *candidates(points, self.lines, self.grid, everywhere(self.grid), self.config)]
+        expected = _expected(scan, motion.predict(scan.stamp_ns), motion)
+        best = best_of(found, expected, motion.elapsed_s(scan.stamp_ns), self.config)
+        return best if self._convinces(best) and not best.ambiguous else None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add every point of the de-skewed scan."""
@@ -153,10 +204,13 @@ class Robust:
     def place(self, scan: Scan, match: Match) -> Match:
         """Place the scan as it was recorded, not de-skewed, so that pose and raw ranges fit together."""
         robust = self.config.robust
-        points = voxel_means(self._points(scan), robust.voxel_mm * MM)
+        points = self._match_points(scan)
         window = (robust.final_window_mm * MM, robust.final_window_deg * DEG)
         placed = search_lines(points, self.lines, match.map_T_laser, window, self.config)
         return with_effort(placed, match, placed)
+
+    def _match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
+        return voxel_means(self._points(scan, motion), self.config.robust.voxel_mm * MM)
 
     def _points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
         """Good points (n, 2) in the laser's frame, m; at mid-sweep if the motion is given."""

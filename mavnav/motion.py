@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from math import copysign
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,8 +40,8 @@ class Motion:
     twist: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     def elapsed_s(self, stamp_ns: int) -> float:
-        """Time since the last believed pose, in whole periods, one at least."""
-        return max(1, round((stamp_ns - self.stamp_ns) * NS / self.period_s)) * self.period_s
+        """Time to the last believed pose, in whole periods, one at least."""
+        return max(1, round(abs(stamp_ns - self.stamp_ns) * NS / self.period_s)) * self.period_s
 
     def predict(self, stamp_ns: int) -> Pose:
         """Return the pose to expect: odometry's, else constant velocity's or the last one."""
@@ -48,8 +49,8 @@ class Motion:
         return self.by_odometry(stamp_ns) or rest
 
     def by_velocity(self, stamp_ns: int) -> Pose:
-        """Extrapolate the last pose with its twist, ``LONGEST_S`` at most."""
-        x, y, yaw = self.twist * min(self.elapsed_s(stamp_ns), LONGEST_S)
+        """Extrapolate the last pose with its twist, ``LONGEST_S`` at most; also back in time."""
+        x, y, yaw = self.twist * copysign(min(self.elapsed_s(stamp_ns), LONGEST_S), stamp_ns - self.stamp_ns)
         return self.map_T_laser @ Pose(float(x), float(y), float(yaw))
 
     def by_odometry(self, stamp_ns: int) -> Pose | None:
@@ -77,3 +78,9 @@ class Motion:
     def started_at(self, map_T_laser: Pose, stamp_ns: int) -> Motion:
         """Return a motion at rest."""
         return replace(self, map_T_laser=map_T_laser, stamp_ns=stamp_ns, twist=np.zeros(3))
+
+    def coming_from(self, map_T_laser: Pose, stamp_ns: int) -> Motion:
+        """Return the motion with the twist that led here from an earlier pose, unless that is too long ago."""
+        elapsed = self.elapsed_s(stamp_ns)
+        twist = map_T_laser.between(self.map_T_laser).as_array() / elapsed
+        return replace(self, twist=twist) if elapsed <= LONGEST_S else self

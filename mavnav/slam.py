@@ -6,9 +6,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from mavnav.belief import Belief, Verdict
+from mavnav.matcher import with_effort
 from mavnav.methods import METHODS
-from mavnav.motion import Motion
+from mavnav.motion import LONGEST_S, Motion
 from mavnav.pose import Pose, Trajectory
+from mavnav.relocalise import apart
+from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -20,7 +24,13 @@ if TYPE_CHECKING:
     from mavnav.scan import Scan
 
 LOST_SCANS = 5
-"""So many scans in a row without a believed pose are called lost; fewer are rejected scans."""
+"""So many scans in a row without a believed pose are called lost; fewer are rejected scans, unless a jump follows."""
+
+JUMP_M, JUMP_RAD = 0.5, 45 * DEG
+"""So much motion over scans without a believed pose is a gap in the track, however few they are."""
+
+LONG_LOST_SCANS, RARELY_SCANS = 8, 64
+"""The whole map is searched after so many scans without a believed pose, then ever more rarely, down to one in 64."""
 
 ODOMETRY_GAP_NS = 500_000_000
 """Odometry is interpolated over gaps up to this."""
@@ -76,22 +86,82 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion) -> Iterator[Ste
     The first scan that the method can use becomes the map, and its pose the map frame. Afterwards a scan that does
     not match well enough moves neither map nor pose (paper, "Map Update").
     """
-    started = False
+    belief = None
     for index, scan in enumerate(scans):
-        if not started:
+        if belief is None:
             match = method.first(scan)
-            predicted, tracked = match.map_T_laser, match.converged
-            accepted = started = tracked
-            motion = motion.started_at(predicted, scan.stamp_ns)
+            predicted, here, tracked = match.map_T_laser, motion, match.converged
+            belief = Belief(motion.started_at(predicted, scan.stamp_ns)) if tracked else None
         else:
-            predicted = motion.predict(scan.stamp_ns)
-            match = method.match(scan, predicted, motion)
-            tracked, accepted = method.gate(match, scan, motion)
-        if accepted:
-            method.insert(scan, match.map_T_laser, motion)
+            here = belief.here
+            predicted = here.predict(scan.stamp_ns)
+            match = method.match(scan, predicted, here)
+            verdict = method.gate(match, scan, here)
+            if belief.trial is None and worth_a_look(verdict, belief.missed):
+                match, verdict = look_everywhere(scan, match, verdict, here, method)
+            belief = belief.after(verdict, match.map_T_laser, scan.stamp_ns)
+            tracked = belief.missed == 0
         if tracked:
-            motion = motion.moved_to(match.map_T_laser, scan.stamp_ns)
-        yield Step(index, scan.stamp_ns, predicted, match, tracked, accepted)
+            method.insert(scan, match.map_T_laser, here)
+        yield Step(index, scan.stamp_ns, predicted, match, tracked, tracked)
+
+
+def look_everywhere(scan: Scan, match: Match, verdict: Verdict, here: Motion, method: Method) -> tuple[Match, Verdict]:
+    """Search the whole map: a doubtful place is believed if no other explains the scan as well, another on trial."""
+    found = method.relocalise(scan, match, here)
+    if found is None:
+        return match, Verdict.REFUSED
+    agree = verdict is Verdict.PROBABLE and not apart(found.map_T_laser, match.map_T_laser)
+    return found, Verdict.SURE if agree else Verdict.PROBABLE
+
+
+def worth_a_look(verdict: Verdict, missed: int) -> bool:
+    """Tell whether to search the whole map: for the first doubtful places, and ever more rarely when lost."""
+    if missed < LONG_LOST_SCANS:
+        return verdict is Verdict.PROBABLE
+    return verdict is not Verdict.SURE and (missed.bit_count() == 1 or missed % RARELY_SCANS == 0)
+
+
+def settle(log_scans: Callable[[], Iterable[Scan]], steps: list[Step], method: Method, motion: Motion) -> list[Step]:
+    """Look again at the scans that were not believed, now that it is known where the track went on after them.
+
+    From the next believed pose backwards, each is expected between its neighbours; one that convinces then enters
+    trajectory and map, the others are left out for good.
+    """
+    before = waiting(steps)
+    scans = {index: scan for index, scan in enumerate(log_scans()) if index in before} if before else {}
+    settled, after = list(steps), steps[-1]
+    for step in reversed(steps):
+        if step.index in before and (after.stamp_ns - step.stamp_ns) * NS <= LONGEST_S:
+            settled[step.index] = second_look(scans[step.index], step, before[step.index], after, method, motion)
+        after = settled[step.index] if settled[step.index].tracked else after
+    return settled
+
+
+def waiting(steps: list[Step]) -> dict[int, Step]:
+    """Return the believed step before each scan that was not believed and lies between two that were."""
+    before: dict[int, Step] = {}
+    between: dict[int, Step] = {}
+    last: Step | None = None
+    for step in steps:
+        if step.tracked:
+            before.update(between)
+            between, last = {}, step
+        elif last:
+            between[step.index] = last
+    return before
+
+
+def second_look(scan: Scan, step: Step, before: Step, after: Step, method: Method, motion: Motion) -> Step:
+    """Match a scan between two believed ones; return its step, tracked if it fits there."""
+    here = motion.started_at(after.match.map_T_laser, after.stamp_ns)
+    here = here.coming_from(before.match.map_T_laser, before.stamp_ns)
+    predicted = here.predict(scan.stamp_ns)
+    match = method.match(scan, predicted, here)
+    if method.gate(match, scan, here) is not Verdict.SURE:
+        return step
+    method.insert(scan, match.map_T_laser, here)
+    return replace(step, predicted=predicted, match=with_effort(match, step.match, match), tracked=True, accepted=True)
 
 
 def place(scans: Iterable[Scan], steps: Iterable[Step], method: Method) -> Iterator[Step]:
@@ -121,6 +191,8 @@ def replay(
     odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
     motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest)
     steps = list(_told(track(log_scans(), method, motion), "track", on_step))
+    if config.final_pass and method.places:
+        steps = settle(log_scans, steps, method, motion)
     return conclude(steps, log_scans, method, config, on_step)
 
 
@@ -147,14 +219,21 @@ def _told(steps: Iterable[Step], name: str, on_step: Callable[[str, int], None] 
 
 
 def lost_intervals(steps: list[Step]) -> Iterator[LostInterval]:
-    """Find the runs of ``LOST_SCANS`` or more scans without a believed pose."""
+    """Find the stretches without a believed pose: of ``LOST_SCANS`` or more scans, or with a jump across them."""
     run: list[Step] = []
+    last: Step | None = None
     for step in steps:
         if not step.tracked:
             run.append(step)
             continue
-        if len(run) >= LOST_SCANS:
+        if len(run) >= LOST_SCANS or (run and last and jumped(last, step)):
             yield LostInterval(run[0].stamp_ns, run[-1].stamp_ns, len(run), recovered=True)
-        run = []
+        run, last = [], step
     if len(run) >= min(LOST_SCANS, len(steps)):
         yield LostInterval(run[0].stamp_ns, run[-1].stamp_ns, len(run), recovered=False)
+
+
+def jumped(before: Step, after: Step) -> bool:
+    """Tell whether a reader of the trajectory would see a jump between two believed poses."""
+    moved = before.match.map_T_laser.between(after.match.map_T_laser)
+    return moved.distance_m > JUMP_M or abs(moved.yaw_rad) > JUMP_RAD

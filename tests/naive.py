@@ -183,6 +183,12 @@ def field_costs(points, occupied, cell_m, reach=8):
     return costs
 
 
+def volume(points, xy_map_m, yaws_rad, lines, cell_m, truncate_m):
+    """Mean cost at every yaw and position; None marks a tie of cells."""
+    costs = [[line_costs(points, (x, y, yaw), lines, cell_m, truncate_m) for x, y in xy_map_m] for yaw in yaws_rad]
+    return [[None if None in point else sum(point) / len(point) for point in row] for row in costs]
+
+
 def coarse_to_fine(cost, pivot, start, grid, limits, prior=0.0):
     """The schedule of ``linesearch.search`` over any cost(x, y, yaw) of the pose, rotating about the pivot.
 
@@ -221,3 +227,25 @@ def coarse_to_fine(cost, pivot, start, grid, limits, prior=0.0):
         if step_m < stop_m and step_rad < stop_rad:
             return pose(at, yaw)
         half_m, half_rad = min(1.5 * step_m, 0.9 * half_m), min(1.5 * step_rad, 0.9 * half_rad)
+
+
+# ---- conflicts -----------------------------------------------------------------------------------------------------
+
+
+def conflicts(xy_map_m, laser_xy_m, lattice, hits, passes, wall=4, free=3, reach=7, graze=10):
+    """Count the points in the open and those behind walls; the cells on a beam's way are looked at cell by cell."""
+    u, v = (np.asarray(xy_map_m) - lattice[:2]).T / lattice[2]
+    u0, v0 = (np.asarray(laser_xy_m) - lattice[:2]) / lattice[2]
+    count = 0
+    for u1, v1 in zip(u, v, strict=True):
+        row, col = math.floor(v1), math.floor(u1)
+        inside = 0 <= row < hits.shape[0] and 0 <= col < hits.shape[1]
+        near = hits[max(row - reach, 0) : row + reach + 1, max(col - reach, 0) : col + reach + 1]
+        in_the_open = inside and passes[row, col] >= free and not near.any()
+        length = math.hypot(u1 - u0, v1 - v0)
+        way = [(v0 + i * (v1 - v0) / length, u0 + i * (u1 - u0) / length) for i in range(2, int(length - graze))]
+        cells = [(math.floor(r), math.floor(c)) for r, c in way]
+        met = [hits[at] for at in cells if 0 <= at[0] < hits.shape[0] and 0 <= at[1] < hits.shape[1]
+               and hits[at] >= max(wall, passes[at])]  # fmt: skip
+        count += bool(in_the_open or met)
+    return count

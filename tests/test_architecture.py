@@ -17,7 +17,7 @@ PACKAGE = ROOT / "mavnav"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 GROUND = {"errors", "units", "pose", "scan", "config", "staging"}
-CORE = {"grid", "linemap", "matcher", "motion", "methods", "slam"}
+CORE = {"grid", "linemap", "matcher", "relocalise", "motion", "belief", "methods", "slam"}
 ALLOWED: dict[str, set[str]] = {
     "": set(),
     "errors": set(),
@@ -38,8 +38,10 @@ ALLOWED: dict[str, set[str]] = {
     "matcher": GROUND | {"kernels", "grid", "linemap"},
     "motion": GROUND,
     "pose_graph": GROUND,
-    "methods": GROUND | {"kernels", "grid", "linemap", "matcher", "motion"},
-    "slam": GROUND | {"grid", "matcher", "motion", "methods"},
+    "relocalise": GROUND | {"kernels", "grid", "linemap", "matcher"},
+    "belief": GROUND | {"motion"},
+    "methods": GROUND | {"kernels", "grid", "linemap", "matcher", "relocalise", "motion", "belief"},
+    "slam": GROUND | {"grid", "matcher", "relocalise", "motion", "belief", "methods"},
     "metrics": GROUND | {"kernels", "grid"},
     "references": GROUND | {"grid", "layers", "metrics", "world"},
     "planner_config": GROUND,

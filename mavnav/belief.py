@@ -1,0 +1,51 @@
+"""What the tracker believes: where the laser is, or a place found again that has yet to prove itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mavnav.motion import Motion
+    from mavnav.pose import Pose
+
+PROOFS = 3
+"""So many scans in a row must agree on a place before it is believed after a gap."""
+
+
+class Verdict(Enum):
+    """What a match is worth: believed at once, believed once the next scans agree, or nothing."""
+
+    SURE = "sure"
+    PROBABLE = "probable"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """The last believed motion, and perhaps a trial: a motion that ``proofs`` scans in a row agreed on.
+
+    ``missed`` counts the scans since the last believed one.
+    """
+
+    motion: Motion
+    trial: Motion | None = None
+    proofs: int = 0
+    missed: int = 0
+
+    @property
+    def here(self) -> Motion:
+        """The motion that predicts the next scan."""
+        return self.trial or self.motion
+
+    def after(self, verdict: Verdict, map_T_laser: Pose, stamp_ns: int) -> Belief:
+        """Return the belief after a scan; it was believed if ``missed`` is 0."""
+        if verdict is Verdict.REFUSED:
+            return replace(self, trial=None, proofs=0, missed=self.missed + 1)
+        far = verdict is Verdict.PROBABLE and not self.trial
+        moved = (self.here.started_at if far else self.here.moved_to)(map_T_laser, stamp_ns)
+        proven = self.proofs + 1 >= PROOFS if self.trial else verdict is Verdict.SURE
+        if proven:
+            return Belief(moved)
+        return Belief(self.motion, moved, self.proofs + 1, self.missed + 1)

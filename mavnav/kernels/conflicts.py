@@ -1,0 +1,76 @@
+"""What a scan in its place contradicts of the map: beams through walls, ends in open space (docs/method.md)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import boolean, float64, int32, int64, types
+
+from mavnav.kernels._jit import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+WALL_HITS = 4  # fewer may be strays
+FREE_PASSES = 3  # beams that crossed an open cell
+REACH_CELLS = 7  # a hit so near explains an end point
+GRAZE_CELLS = 10  # a beam may run along the wall that it ends on
+
+_F1 = types.Array(float64, 1, "C", readonly=True)
+_F2 = types.Array(float64, 2, "C", readonly=True)
+_I2 = types.Array(int32, 2, "C", readonly=True)
+
+
+@kernel(boolean(int64, int64, _I2, _I2))
+def _in_the_open(row: int, col: int, hits: NDArray[np.int32], passes: NDArray[np.int32]) -> bool:
+    """Tell whether a cell was seen empty, with no hit within reach."""
+    rows, cols = hits.shape
+    if not (0 <= row < rows and 0 <= col < cols) or passes[row, col] < FREE_PASSES:
+        return False
+    for r in range(max(row - REACH_CELLS, 0), min(row + REACH_CELLS + 1, rows)):
+        for c in range(max(col - REACH_CELLS, 0), min(col + REACH_CELLS + 1, cols)):
+            if hits[r, c] > 0:
+                return False
+    return True
+
+
+@kernel(boolean(float64, float64, float64, float64, _I2, _I2))
+def _through_a_wall(
+    u0: float, v0: float, u1: float, v1: float, hits: NDArray[np.int32], passes: NDArray[np.int32]
+) -> bool:
+    """Tell whether the beam from (u0, v0) to (u1, v1), in cells, meets a wall well before its end."""
+    rows, cols = hits.shape
+    length = np.hypot(u1 - u0, v1 - v0)
+    du, dv = (u1 - u0) / length, (v1 - v0) / length
+    for i in range(2, int(length - GRAZE_CELLS)):
+        row, col = int(np.floor(v0 + i * dv)), int(np.floor(u0 + i * du))
+        if 0 <= row < rows and 0 <= col < cols and hits[row, col] >= WALL_HITS and hits[row, col] >= passes[row, col]:
+            return True
+    return False
+
+
+@kernel(int64(_F2, _F1, _F1, _I2, _I2))
+def conflicts(
+    xy_map_m: NDArray[np.float64],
+    laser_xy_m: NDArray[np.float64],
+    lattice: NDArray[np.float64],
+    hits: NDArray[np.int32],
+    passes: NDArray[np.int32],
+) -> int:
+    """Count the points (n, 2) that the map speaks against.
+
+    Either the point lies in the open: its cell was crossed by beams and no hit is near; or the beam from the laser to
+    it meets a wall, a cell hit ``WALL_HITS`` times and at least as often as crossed. ``lattice``, ``hits`` and
+    ``passes`` are the grid's, see ``Grid``.
+    """
+    ox, oy, cell = lattice
+    u0, v0 = (laser_xy_m[0] - ox) / cell, (laser_xy_m[1] - oy) / cell
+    count = 0
+    for k in range(len(xy_map_m)):
+        u1, v1 = (xy_map_m[k, 0] - ox) / cell, (xy_map_m[k, 1] - oy) / cell
+        if _in_the_open(int(np.floor(v1)), int(np.floor(u1)), hits, passes) or _through_a_wall(
+            u0, v0, u1, v1, hits, passes
+        ):
+            count += 1
+    return count

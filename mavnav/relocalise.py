@@ -1,0 +1,132 @@
+"""Where in a wide region, or in the whole map, could this scan have been taken? All candidates, ranked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.kernels.conflicts import conflicts
+from mavnav.kernels.volume import volume
+from mavnav.matcher import Match, search_lines, with_effort
+from mavnav.pose import Pose, transform_points, wrap_angle
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.config import Config
+    from mavnav.grid import Grid
+    from mavnav.linemap import LineMap
+
+    Region = tuple[NDArray[np.float64], NDArray[np.float64]]
+    """Positions (p, 2), m, and yaws (q,), rad, map frame: every position with every yaw."""
+
+STEP_M, STEP_RAD = 0.1, 4 * DEG
+"""Spacing of the wide search: the cost is felt 0.15 m from a wall."""
+
+SEPARATE_M, SEPARATE_RAD = 0.25, 12 * DEG
+"""Minima nearer than this are one."""
+
+CANDIDATES = 6
+
+FARTHEST_M = 2.5
+"""A laser that was not seen for long can be anywhere: then the whole map is searched."""
+
+PRIOR = 0.05
+"""What a place loses, in ``disagreement``, that only the strongest acceleration reaches."""
+
+ACCELERATION_M_S2, ACCELERATION_RAD_S2 = 4.0, 600 * DEG
+SLACK_M, SLACK_RAD = 0.1, 5 * DEG
+"""Strong accelerations of vehicles and hands, and what velocity estimates and stamps leave open."""
+
+FARTHEST_SURPRISE = 4.0
+"""Where no motion leads to, all places of the map are equally likely: someone carried the laser there."""
+
+CLEAR_BY = 0.05
+"""A place is ambiguous if another one ranks nearer than this."""
+
+
+def judged(match: Match, points: NDArray[np.float64], grid: Grid) -> Match:
+    """Return the match with the share of its points (n, 2), laser frame, that the map speaks against."""
+    xy_map_m = transform_points(match.map_T_laser, points)
+    count = conflicts(xy_map_m, match.map_T_laser.as_array()[:2], grid.lattice, grid.hits, grid.passes)
+    return replace(match, conflicts=float(count) / max(len(points), 1))
+
+
+def disagreement(match: Match, config: Config) -> float:
+    """Rank a judged match: its truncated cost as a share of the worst, and what speaks against it; 0 is perfect."""
+    return match.cost_m2 / (config.robust.truncate_mm * MM) ** 2 + match.conflicts
+
+
+def within_reach(pose: Pose, elapsed_s: float) -> Region:
+    """Return a disc of positions and the yaws about a pose where a vehicle can be after a time, in m and rad."""
+    radius_m = float(np.clip(0.15 + 1.5 * elapsed_s, 0.3, FARTHEST_M))
+    half_rad = float(np.clip(10 * DEG + 150 * DEG * elapsed_s, 20 * DEG, pi))
+    n, k = int(np.ceil(radius_m / STEP_M)), int(np.ceil(half_rad / STEP_RAD))
+    rows, cols = np.indices((2 * n + 1, 2 * n + 1), dtype=np.float64)
+    lattice = STEP_M * (np.column_stack((cols.ravel(), rows.ravel())) - n)
+    disc = lattice[np.hypot(*lattice.T) <= radius_m + 1e-9]
+    return disc + pose.as_array()[:2], pose.yaw_rad + STEP_RAD * np.arange(-k, k + 1, dtype=np.float64)
+
+
+def everywhere(grid: Grid) -> Region:
+    """Return the positions (p, 2) where the map was seen free, and yaws (q,) all round, in m and rad."""
+    rows, cols = np.nonzero((grid.passes > 0) & (grid.passes > grid.hits))
+    free_m = np.array(grid.origin_xy_m) + (np.column_stack((cols, rows)) + 0.5) * grid.cell_m
+    places = np.unique(np.round(free_m / STEP_M).astype(np.int64), axis=0) * STEP_M
+    return places, np.arange(-pi, pi, STEP_RAD)
+
+
+def candidates(
+    points: NDArray[np.float64], line_map: LineMap, grid: Grid, region: Region, config: Config
+) -> list[Match]:
+    """Search a region of poses; return its separate minima, refined and judged.
+
+    ``points`` (n, 2) are the scan's in the laser's frame, m, as ``voxel_means`` gives them.
+    """
+    robust, (xy_m, yaws_rad) = config.robust, region
+    few = points[: robust.first_level_points]
+    costs = volume(few, xy_m, yaws_rad, robust.truncate_mm * MM, line_map.nearest, line_map.lines, line_map.geometry)
+    window = (1.5 * STEP_M, 1.5 * STEP_RAD)
+    starts = minima(costs, xy_m, yaws_rad)
+    return [judged(search_lines(points, line_map, start, window, config), points, grid) for start in starts]
+
+
+def best_of(found: list[Match], expected: tuple[Pose, ...], elapsed_s: float, config: Config) -> Match:
+    """Return the match that agrees best with map and motion; it is ambiguous if another place agrees as well."""
+    weighed = [replace(m, surprise=min(surprise(pose, m.map_T_laser, elapsed_s) for pose in expected)) for m in found]
+    ranks = [disagreement(m, config) + PRIOR * min(m.surprise, FARTHEST_SURPRISE) for m in weighed]
+    lowest = min(ranks)
+    best = weighed[ranks.index(lowest)]
+    rivals = [rank for m, rank in zip(weighed, ranks, strict=True) if apart(best.map_T_laser, m.map_T_laser)]
+    return replace(with_effort(best, *found), ambiguous=min(rivals, default=np.inf) < lowest + CLEAR_BY)
+
+
+def surprise(expected: Pose, pose: Pose, elapsed_s: float) -> float:
+    """Square how far a pose is from the expected one, in what accelerations of vehicles and hands reach meanwhile."""
+    off, half_t2 = expected.between(pose), 0.5 * elapsed_s**2
+    reach_m, reach_rad = SLACK_M + ACCELERATION_M_S2 * half_t2, SLACK_RAD + ACCELERATION_RAD_S2 * half_t2
+    return (off.distance_m / reach_m) ** 2 + (off.yaw_rad / reach_rad) ** 2
+
+
+def apart(a: Pose, b: Pose) -> bool:
+    """Tell whether two poses are different places."""
+    off = a.between(b)
+    return off.distance_m > SEPARATE_M or abs(off.yaw_rad) > SEPARATE_RAD
+
+
+def minima(costs: NDArray[np.float64], xy_m: NDArray[np.float64], yaws_rad: NDArray[np.float64]) -> list[Pose]:
+    """Return the poses of the ``CANDIDATES`` lowest costs (q, p) that lie apart."""
+    left, found = costs.copy(), []
+    for _ in range(CANDIDATES):
+        q, p = np.unravel_index(int(np.argmin(left)), left.shape)
+        if not np.isfinite(left[q, p]):
+            break
+        found.append(Pose(float(xy_m[p, 0]), float(xy_m[p, 1]), wrap_angle(float(yaws_rad[q]))))
+        near = np.hypot(*(xy_m - xy_m[p]).T) < SEPARATE_M
+        turned = np.abs((yaws_rad - yaws_rad[q] + pi) % (2 * pi) - pi) < SEPARATE_RAD
+        left[np.ix_(turned, near)] = np.inf
+    return found

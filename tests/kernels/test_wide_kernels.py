@@ -1,0 +1,68 @@
+"""The kernels of the wide search against their twins."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mavnav.kernels.conflicts import conflicts
+from mavnav.kernels.volume import volume
+from mavnav.linemap import LineMap
+
+LATTICE = np.array([-0.3, 0.1, 0.02])
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_conflicts_are_the_twins(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    hits = np.where(rng.random((60, 80)) < 0.01, rng.integers(1, 9, (60, 80)), 0).astype(np.int32)
+    passes = np.where(hits > 0, rng.integers(0, 9, hits.shape), rng.integers(0, 6, hits.shape)).astype(np.int32)
+    points = rng.uniform((-0.6, -0.2), (1.6, 1.6), (40, 2))
+    laser = rng.uniform((-0.2, 0.2), (1.2, 1.2))
+    assert conflicts(points, laser, LATTICE, hits, passes) == naive.conflicts(points, laser, LATTICE, hits, passes)
+
+
+@pytest.mark.parametrize(("passes", "hits", "expected"), [(2, 0, 0), (3, 0, 1), (3, 1, 0)])
+def test_a_point_in_the_open_is_a_conflict(passes: int, hits: int, expected: int) -> None:
+    grid = np.zeros((40, 40), np.int32)
+    near = grid.copy()
+    near[20, 27] = hits
+    at = np.array([[20.5, 20.5]]) * 0.02
+    assert conflicts(at, np.array([0.3, 0.41]), np.array([0.0, 0.0, 0.02]), near, grid + passes) == expected
+
+
+@pytest.mark.parametrize(("hits", "passes", "expected"), [(4, 0, 1), (3, 0, 0), (4, 5, 0)])
+def test_a_beam_through_a_wall_is_a_conflict(hits: int, passes: int, expected: int) -> None:
+    grid = np.zeros((5, 80), np.int32)
+    wall, crossed = grid.copy(), grid.copy()
+    wall[2, 30], crossed[2, 30] = hits, passes
+    ends = np.array([[60.5, 2.5], [38.5, 2.5], [29.5, 2.5]]) * 0.02  # well behind it, just behind it, in front of it
+    assert conflicts(ends, np.array([0.1, 0.05]), np.array([0.0, 0.0, 0.02]), wall, crossed) == expected
+
+
+def test_a_point_on_the_laser_is_no_beam() -> None:
+    grid = np.zeros((5, 5), np.int32)
+    assert conflicts(np.full((1, 2), 0.05), np.full(2, 0.05), np.array([0.0, 0.0, 0.02]), grid, grid) == 0
+
+
+def test_volume_is_its_twin() -> None:
+    rng = np.random.default_rng(3)
+    line_map = LineMap(0.02, 0.06, 0.01)
+    line_map.insert(np.column_stack((rng.uniform(0, 1, 60), rng.normal(0.5, 0.01, 60))))
+    origin = np.array(line_map.origin_cells)[::-1]
+    lines = {
+        tuple(line_map.cells[k] + origin): (line_map.lines[k, :2], line_map.lines[k, [2, 3, 3, 4]].reshape(2, 2))
+        for k in range(line_map.count)
+    }
+    points = rng.uniform(-0.5, 0.5, (4, 2))
+    xy, yaws = rng.uniform(0, 1, (5, 2)), np.array([-3.0, 0.0, 0.4])
+    fast = volume(points, xy, yaws, 0.15, line_map.nearest, line_map.lines, line_map.geometry)
+    slow = naive.volume(points, xy, yaws, lines, 0.02, 0.15)
+    clear = [(q, p) for q in range(3) for p in range(5) if slow[q][p] is not None]
+    assert len(clear) > 8
+    for q, p in clear:
+        assert fast[q, p] == pytest.approx(slow[q][p], abs=1e-12)

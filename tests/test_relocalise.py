@@ -1,0 +1,110 @@
+"""The wide search: the place is found, flips are told apart, twins are ambiguous, and the track comes back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from synthetic import TOUR, along, furnished_rooms, record, room, scan_at
+
+from mavnav import slam
+from mavnav.config import Config
+from mavnav.matcher import Match, no_match
+from mavnav.methods import Robust
+from mavnav.motion import Motion
+from mavnav.pose import Pose
+from mavnav.relocalise import apart, minima, surprise, within_reach
+from mavnav.scan import Scan
+
+PERIOD_NS = 100_000_000
+
+
+def mapped(segments: np.ndarray, poses: list[Pose]) -> Robust:
+    """Return the method with a map of the scans from known poses."""
+    method, rng = Robust(Config()), np.random.default_rng(0)
+    for pose in poses:
+        for _ in range(4):
+            scan = scan_at(segments, pose, noise=0.01, rng=rng)
+            method.insert(scan, pose, Motion(0.1))
+    return method
+
+
+def look_everywhere(method: Robust, scan: Scan) -> Match | None:
+    return method.relocalise(scan, no_match(Pose()), Motion(0.1).started_at(Pose(1.0, 1.0), -5_000_000_000))
+
+
+def test_a_laser_is_found_anywhere_in_its_map() -> None:
+    method = mapped(furnished_rooms(), [Pose(1.0, 1.0, 0.5), Pose(4.6, 0.8, 2.0), Pose(3.0, 3.0, -1.0)])
+    there = Pose(3.9, 1.1, -2.6)
+    found = look_everywhere(method, scan_at(furnished_rooms(), there, noise=0.01))
+    assert found is not None
+    assert there.between(found.map_T_laser).distance_m < 0.03
+    assert abs(there.between(found.map_T_laser).yaw_rad) < 0.02
+    assert found.conflicts < 0.05
+
+
+def test_a_room_that_looks_the_same_when_turned_is_ambiguous() -> None:
+    method = mapped(room(4.0, 2.5), [Pose(1.0, 1.0, 0.0), Pose(3.0, 1.5, np.pi)])
+    assert look_everywhere(method, scan_at(room(4.0, 2.5), Pose(1.5, 1.2, 0.3), noise=0.01)) is None
+
+
+def test_another_room_is_not_found_in_the_map() -> None:
+    method = mapped(furnished_rooms(), [Pose(1.0, 1.0, 0.5), Pose(4.6, 0.8, 2.0)])
+    assert look_everywhere(method, scan_at(room(2.0, 9.0), Pose(1.0, 3.0, 0.3), noise=0.01)) is None
+
+
+def test_a_scan_of_few_points_is_not_looked_for() -> None:
+    method = mapped(room(), [Pose(1.0, 1.0)])
+    scan = scan_at(room(), Pose(1.0, 1.0))
+    assert look_everywhere(method, Scan(0, np.full(scan.spec.beams, np.nan), scan.spec)) is None
+
+
+def test_minima_lie_apart_and_begin_with_the_lowest() -> None:
+    xy, yaws = within_reach(Pose(1.0, 2.0, 3.0), 0.5)
+    costs = np.hypot(*(xy - (1.3, 2.2)).T)[None, :] + np.abs(yaws - 2.9)[:, None]
+    found = minima(costs, xy, yaws)
+    assert Pose(1.3, 2.2, 2.9).between(found[0]).distance_m < 0.06
+    assert all(apart(a, b) for k, a in enumerate(found) for b in found[:k])
+
+
+@pytest.mark.parametrize("elapsed_s", [0.1, 0.7, 30.0])
+def test_reach_grows_with_time_and_ends(elapsed_s: float) -> None:
+    xy, yaws = within_reach(Pose(1.0, 2.0, 0.5), elapsed_s)
+    radius_m = np.hypot(*(xy - (1.0, 2.0)).T).max()
+    assert radius_m <= min(max(0.15 + 1.5 * elapsed_s, 0.3), 2.5) + 1e-9
+    assert [1.0, 2.0] in xy.tolist()
+    assert np.isclose(yaws, 0.5).any()
+
+
+def test_surprise_is_measured_in_accelerations() -> None:
+    assert surprise(Pose(), Pose(), 0.1) == 0.0
+    assert surprise(Pose(), Pose(0.6, 0.0, 0.0), 0.1) > 10
+    assert surprise(Pose(), Pose(0.6, 0.0, 0.0), 0.5) == pytest.approx(1.0)
+
+
+# ---- the whole loop --------------------------------------------------------------------------------------------------
+
+
+def with_blanks(scans: list[Scan], blanks: range) -> list[Scan]:
+    return [Scan(s.stamp_ns, np.full(s.spec.beams, np.nan), s.spec) if k in blanks else s for k, s in enumerate(scans)]
+
+
+def test_a_laser_carried_through_its_map_is_found_again_and_the_gap_is_told() -> None:
+    recording = record(furnished_rooms(), along(TOUR[:4], speed_m_s=0.8))
+    truth, n = recording.map_T_laser, len(recording.scans)
+    scans = [*with_blanks(recording.scans, range(n - 2, n)), *recording.scans[20:40]]
+    scans = [Scan(k * PERIOD_NS, s.ranges_m, s.spec) for k, s in enumerate(scans)]
+    outcome = slam.replay(lambda: scans, Config(), 0.1)
+    assert [lost.recovered for lost in outcome.lost] == [True]
+    assert outcome.lost[0].scans < 18
+    assert truth[39].between(outcome.trajectory[-1]).distance_m < 0.05
+
+
+def test_scans_that_wait_are_believed_once_the_track_goes_on() -> None:
+    recording = record(furnished_rooms(), along(TOUR[:3]))
+    gap = range(30, 37)
+    blind = with_blanks(recording.scans, gap)
+    on_line = slam.replay(lambda: blind, Config(final_pass=False), 0.1)
+    settled = slam.replay(lambda: blind, Config(), 0.1)
+    assert {s.index for s in settled.steps if not s.tracked} == set(gap)
+    assert set(gap) <= {s.index for s in on_line.steps if not s.tracked}
+    assert [s.accepted for s in settled.steps] == [s.tracked for s in settled.steps]
