@@ -48,10 +48,9 @@ def volume(
                 d2 = truncate_m2
                 if fx >= 0.0 and fy >= 0.0 and fx < cols and fy < rows:
                     slot = nearest[int64(fy), int64(fx)]
-                    if slot >= 0:
-                        dx, dy = px - lines[slot, 0], py - lines[slot, 1]
-                        xx, xy, yy = lines[slot, 2], lines[slot, 3], lines[slot, 4]
-                        d2 = min(dx * dx * xx + 2.0 * dx * dy * xy + dy * dy * yy, truncate_m2)
+                    dx, dy = px - lines[slot, 0], py - lines[slot, 1]
+                    xx, xy, yy = lines[slot, 2], lines[slot, 3], lines[slot, 4]
+                    d2 = min(dx * dx * xx + 2.0 * dx * dy * xy + dy * dy * yy, truncate_m2)
                 total += d2
             out[q, p] = total / n
     return out

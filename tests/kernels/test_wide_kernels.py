@@ -56,7 +56,7 @@ def test_volume_is_its_twin() -> None:
     origin = np.array(line_map.origin_cells)[::-1]
     lines = {
         tuple(line_map.cells[k] + origin): (line_map.lines[k, :2], line_map.lines[k, [2, 3, 3, 4]].reshape(2, 2))
-        for k in range(line_map.count)
+        for k in range(1, line_map.count)
     }
     points = rng.uniform(-0.5, 0.5, (4, 2))
     xy, yaws = rng.uniform(0, 1, (5, 2)), np.array([-3.0, 0.0, 0.4])
