@@ -29,6 +29,30 @@ OPTIONS = {"planner.technique": "--planner"}
 """Options that are not named like the last part of their key."""
 
 
+_NUMBER, _SECTION = "should be a number", "should be a section of 'key: value' lines"
+_PROBLEMS = {
+    "float_parsing": _NUMBER,
+    "float_type": _NUMBER,
+    "finite_number": "should be a finite number",
+    "int_parsing": "should be a whole number",
+    "int_type": "should be a whole number",
+    "int_from_float": "should be a whole number",
+    "bool_parsing": "should be true or false",
+    "bool_type": "should be true or false",
+    "string_type": "should be a word",
+    "model_type": _SECTION,
+    "model_attributes_type": _SECTION,
+    "dict_type": _SECTION,
+    "tuple_type": "should be a list",
+    "list_type": "should be a list",
+    "too_long": "should have at most {max_length} items, not {actual_length}",
+    "too_short": "should have at least {min_length} items, not {actual_length}",
+    "literal_error": "should be {expected}",
+    "enum": "should be {expected}",
+}
+"""Type of a rejected value -> what it should be."""
+
+
 @cache
 def presets_folder() -> Path:
     """Return ``configs/``: in the installed package, or beside it in a checkout."""
@@ -148,9 +172,22 @@ def _complaint(model: type[BaseModel], details: ErrorDetails, layer: Layer, name
         advice = _nearest(named, list(known)) or f"see '{help_}' for the known keys"
         return f"{where}: unknown key {dotted}; {advice}"
     if details["type"] == "missing":
-        return f"{where}: {dotted} is missing; give the {hint}"
-    problem = details["msg"].removeprefix("Input ").removeprefix("Value error, ")
-    return f"{where}: {dotted} is {_short(details['input'])}, it {problem}; {hint}"
+        return f"{_file_of(layer, where, name)}: {dotted} is missing; give the {hint}"
+    return f"{where}: {dotted} is {_short(details['input'])}, it {_problem(details)}; {hint}"
+
+
+def _file_of(layer: Layer, where: str, name: str) -> str:
+    """Return the first line of the file where a missing key has no line of its own."""
+    lines = (written for written in reversed(layer.origins.values()) if not written.startswith("--"))
+    return next((f"{line.rpartition(':')[0]}:1" for line in lines), where) if where == name else where
+
+
+def _problem(details: ErrorDetails) -> str:
+    """Say what a value should be, without the words of the library."""
+    template = _PROBLEMS.get(details["type"])
+    if template is not None:
+        return template.format_map(details.get("ctx", {}))
+    return details["msg"].removeprefix("Input ").removeprefix("Value error, ")
 
 
 def _short(value: object) -> str:

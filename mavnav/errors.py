@@ -4,9 +4,11 @@
 
     MavnavError                       70  a bug, if it is this class itself
     ├── UsageError                     2  what was typed cannot be done
+    │   ├── MapTooLargeError           2  the map would not fit into the memory
     │   ├── ConfigError                2  a configuration file or value is wrong
     │   └── TopicError                 2  no such topic, or several to choose from
     ├── NoScansError                   4  the input holds no usable scan, or is no log
+    ├── StoppedError                 130  a signal came before there was anything to keep (143: SIGTERM)
     └── OutputError                    6  the output cannot be written, or exists
 
 Each says in one line what is wrong, where, and what to do next. Nobody but ``cli.main`` prints it.
@@ -80,6 +82,18 @@ class NoScansError(MavnavError):
     """The input is no log, or holds no usable scan."""
 
     exit_code = ExitCode.NO_SCANS
+
+
+class MapTooLargeError(UsageError):
+    """The map would not fit into the memory."""
+
+
+class StoppedError(MavnavError):
+    """A signal stopped the work before there was anything to keep."""
+
+    def __init__(self, text: str, exit_code: ExitCode) -> None:
+        super().__init__(text)
+        self.exit_code = exit_code
 
 
 class OutputError(MavnavError):

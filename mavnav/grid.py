@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
 from mavnav.kernels import raycast
 
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from mavnav.pose import Pose
 
 _BLOCK_CELLS = 64
+MAX_CELLS = 1 << 28
+"""Of 8 bytes: 2 GiB; 819 m x 819 m in cells of 50 mm."""
 
 OCCUPIED_SHARE: Final = 0.2
 """A cell is occupied where at least this share of the beams that reached it ended in it."""
@@ -80,6 +83,15 @@ class Grid:
         """
         return raycast.virtual_scan(self.hits, self.lattice, laser.as_array(), directions, far_m, gap_cells)
 
+    def _check_size(self, shape: tuple[int, int]) -> None:
+        rows, cols = shape
+        if rows * cols > MAX_CELLS:
+            size = f"{cols * self.cell_m:.0f} m x {rows * self.cell_m:.0f} m in cells of {self.cell_m * 1e3:g} mm"
+            raise MapTooLargeError(
+                f"the map would be {size}, too large for the memory: a pose or a range is far off, "
+                "or the cells are too small; see the ranges with 'mavnav info', or --set ...cell_mm"
+            )
+
     def _cover(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
         """Grow until cells ``low`` to ``high`` (col, row) lie inside."""
         origin = np.round(np.array(self.origin_xy_m) / self.cell_m).astype(np.int64)
@@ -87,6 +99,7 @@ class Grid:
         if grown is None:
             return
         new_origin, shape = grown
+        self._check_size(shape)
         (dc, dr), (rows, cols) = origin - new_origin, self.hits.shape
         for name in ("hits", "passes"):
             array = np.zeros(shape, np.int32)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
 
 from mavnav import slam
-from mavnav.logs import open_log
+from mavnav.errors import ExitCode, StoppedError
+from mavnav.logs import check_log, open_log
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import wall_thicknesses
@@ -17,13 +20,20 @@ from mavnav.outputs import Run, Timing, check_directory, write_run
 from mavnav.references import check_times, compared, load_references, occupied_xy_m
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from mavnav.config import Config
     from mavnav.grid import Grid
     from mavnav.logs import Log
     from mavnav.metrics.map_quality import MapQuality
     from mavnav.metrics.wall_thickness import WallThickness
     from mavnav.pose import Pose
+    from mavnav.references import References
+    from mavnav.scan import Scan
 
+
+Stop = Callable[[], ExitCode | None]
+"""Asked between two scans: the code to end with, None to go on."""
 
 Progress = Callable[[str, int, int | None], None]
 """What is being done, how much of it is done, how much there is or None."""
@@ -37,7 +47,7 @@ class Request:
 
     ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base;
     ``report`` asks for the page as well; ``truth``, ``truth_map`` and ``relations`` are files to compare the outcome
-    with.
+    with; ``strict`` leaves out scans from where a checksum does not match.
     """
 
     log: Path
@@ -52,6 +62,7 @@ class Request:
     truth: Path | None = None
     truth_map: Path | None = None
     relations: Path | None = None
+    strict: bool = False
 
 
 def default_directory(log: Path, config: Config) -> Path:
@@ -68,18 +79,51 @@ def log_name(log: Path) -> str:
     return name
 
 
-def replay(request: Request, progress: Progress, compile_s: float) -> tuple[Run, dict[str, Any]]:
+def _never() -> None:
+    """Stop for nothing."""
+
+
+def _unstoppable() -> AbstractContextManager[Stop]:
+    return nullcontext(_never)
+
+
+def replay(
+    request: Request,
+    progress: Progress,
+    compile_s: float,
+    stoppable: Callable[[], AbstractContextManager[Stop]] = _unstoppable,
+) -> tuple[Run, dict[str, Any]]:
     """Run the whole job and return the run with its document (run.json).
 
     ``compile_s`` is what it took to import this module: kernels compile on import. Whether the run directory can be
-    written is asked before the work. Raises what the rooms raise: TopicError, NoScansError, UsageError, OutputError.
+    written is asked before the work. Within ``stoppable`` there are scans to keep: when its function gives a code, the
+    run ends there, and is written and marked as partial. Raises what the rooms raise: TopicError, NoScansError,
+    UsageError, OutputError; and StoppedError where nothing was tracked yet.
     """
+    check_log(request.log, request.start_s, request.end_s)
     check_directory(request.directory, force=request.force)
     references = load_references(request.truth, request.truth_map, request.relations)
     wall_s, cpu_s = perf_counter(), process_time()
     log = _open(request, progress)
     check_times(references, log.first_ns, log.last_ns)
-    outcome = _track(log, request.config, progress)
+    with stoppable() as stop:
+        return _mapped(request, log, references, progress, stop, (wall_s, cpu_s, compile_s))
+
+
+def _mapped(
+    request: Request,
+    log: Log,
+    references: References,
+    progress: Progress,
+    stop: Stop,
+    began: tuple[float, float, float],
+) -> tuple[Run, dict[str, Any]]:
+    """Track, measure and write; ``began`` are the clocks at the start, and the time to compile."""
+    wall_s, cpu_s, compile_s = began
+    outcome = _track(log, request.config, progress, stop)
+    stopped = stop()
+    if stopped is not None and not len(outcome.trajectory):
+        raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
     thickness = measured_thickness(outcome.grid)
     timing = Timing(wall_s=perf_counter() - wall_s, cpu_s=process_time() - cpu_s, compile_s=compile_s)
     progress("measuring", 0, None)
@@ -91,6 +135,7 @@ def replay(request: Request, progress: Progress, compile_s: float) -> tuple[Run,
         timing=timing,
         quality=measured_quality(outcome, log),
         reference=compared(references, outcome.trajectory, occupied_xy_m(outcome.grid)),
+        stopped=stopped,
     )
     progress("writing", 0, None)
     return run, write_run(run, request.directory, force=request.force, report=request.report)
@@ -116,14 +161,19 @@ def _open(request: Request, progress: Progress) -> Log:
         start_s=request.start_s,
         end_s=request.end_s,
         extrinsic=request.extrinsic,
+        strict=request.strict,
         progress=lambda done, total: progress("reading", done, total),
     )
 
 
-def _track(log: Log, config: Config, progress: Progress) -> slam.Slam:
+def _track(log: Log, config: Config, progress: Progress, stop: Stop) -> slam.Slam:
     total = log.counts.usable
+
+    def scans() -> Iterator[Scan]:
+        return takewhile(lambda _: stop() is None, log.scans())
+
     return slam.replay(
-        log.scans,
+        scans,
         config,
         log.period_s,
         log.odometry.odom_T_laser if log.odometry else None,

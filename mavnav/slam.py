@@ -165,9 +165,14 @@ def second_look(scan: Scan, step: Step, before: Step, after: Step, method: Metho
 
 
 def place(scans: Iterable[Scan], steps: Iterable[Step], method: Method) -> Iterator[Step]:
-    """Match every tracked scan once more, against the finished map, close to where it was."""
-    for scan, step in zip(scans, steps, strict=True):
-        yield replace(step, match=method.place(scan, step.match)) if step.tracked else step
+    """Match every tracked scan once more, against the finished map, close to where it was.
+
+    Steps whose scans do not come, because the run is being stopped, stay as they are.
+    """
+    coming = iter(scans)
+    for step in steps:
+        scan = next(coming, None)
+        yield replace(step, match=method.place(scan, step.match)) if scan is not None and step.tracked else step
 
 
 def replay(

@@ -86,7 +86,7 @@ def test_grid_takes_text_and_mapping(tmp_path: Path) -> None:
         ("grid: {nx: 3, nz: 3}", 1, ["unknown key grid.nz", "did you mean grid.n"]),
         ("method: rubust", 1, ["method", "'rubust'", "'robust' or 'paper'"]),
         ("\nazimuth: 1", 2, ["azimuth is 1", "greater than or equal to 2"]),
-        ("paper:\n  near_mm: abc", 2, ["paper.near_mm", "valid number", "step vi"]),
+        ("paper:\n  near_mm: abc", 2, ["paper.near_mm", "should be a number", "step vi"]),
         ("robust:\n  cell_mm: .inf", 2, ["robust.cell_mm"]),
         ("robust: 5", 1, ["robust is 5"]),
         ("azimuth: 3\nazimuth: 4", 2, ["azimuth stands there twice"]),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mavnav.commands import signals
 from mavnav.commands.gating import Gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.progress import loading_kernels, reporting
@@ -19,6 +20,9 @@ from mavnav.errors import ExitCode, UsageError
 if TYPE_CHECKING:
     from mavnav.config import Config
     from mavnav.pose import Pose
+
+_FEW_BEAMS = 20
+"""A scan of fewer returns hardly tells one pose from another."""
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -79,6 +83,9 @@ def replay(
     gates: Gates = None,
     preview: Preview = False,
     report: Annotated[bool, typer.Option("--report", help="Leave the run as one page too, report.html.")] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Leave out scans from where a checksum does not match.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the run directory if it exists.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print run.json on stdout and nothing else.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
@@ -97,9 +104,9 @@ def replay(
         compile_s = perf_counter() - started_s
         target = directory or pipeline.default_directory(log, chosen)
         request = pipeline.Request(
-            log, target, chosen, topic, start, end, mounting, force, report, truth, truth_map, relations
+            log, target, chosen, topic, start, end, mounting, force, report, truth, truth_map, relations, strict
         )
-        _, document = pipeline.replay(request, progress, compile_s)
+        _, document = pipeline.replay(request, progress, compile_s, signals.keeping)
     _tell(document, target, json=json)
     if preview:
         show_preview(target, stderr=json)
@@ -141,7 +148,7 @@ def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
         print_table(_summary(document, directory))
     for warning in document["warnings"]:
         note(f"mavnav: warning: {warning}")
-    if document["exit_code"] == ExitCode.DAMAGED_INPUT:
+    if document["damage"]:
         first = document["damage"][0]
         note(
             f"mavnav: warning: the input is damaged in {len(document['damage'])} place(s), the first: {first['what']},"
@@ -149,12 +156,21 @@ def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
         )
     if document["exit_code"] == ExitCode.TRACKING_LOST:
         note(_lost_line(document))
+    if document["partial"]:
+        scans = document["scans"]
+        note(f"mavnav: stopped after {scans['processed']} of {scans['usable']} scans; the run is partial")
 
 
 def _lost_line(document: dict[str, Any]) -> str:
     last = document["tracking"]["intervals"][-1]
     share = 100 * document["tracking"]["tracked_share"]
     advice = "--method robust" if document["method"] == "paper" else "--odom auto or a finer --grid"
+    beams = document["search"]["beams_used"]["median"] or 0
+    if beams < _FEW_BEAMS:
+        return (
+            f"mavnav: error: the scans see too little to be matched ({beams:.0f} beams with a return in the median); "
+            "what could be tracked is written, look at the ranges with 'mavnav info'"
+        )
     return (
         f"mavnav: error: tracking was lost for good {last['start_s']:.1f} s after the first scan, {share:.0f} % of the"
         f" scans have a pose; what came before is written, try {advice}, and look at map.png"

@@ -3,6 +3,8 @@
 Python drops an exception that a signal raises inside a finalizer, as happens while kernels compile. The signal is
 therefore remembered, and whoever works long asks for it. It is no KeyboardInterrupt either: one that passes an
 ``exec`` anywhere, as in a library that makes its classes so, makes Python end by the signal and drop the exit code.
+
+While scans are tracked there is something to keep: there the first signal lets the run end early and be written.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from typing import TYPE_CHECKING, NoReturn
 from mavnav.errors import ExitCode
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from types import FrameType
 
 
@@ -42,12 +44,28 @@ class Terminated(Stopped):
 
 _REASONS = {signal.SIGINT: Interrupted, signal.SIGTERM: Terminated}
 _ARRIVED: list[type[Stopped]] = []
+_FORGIVEN = [0]
+"""So many signals do not end the work by themselves: whoever works within ``keeping`` asks for them."""
 
 
 def listen() -> None:
     """Take over SIGINT and SIGTERM."""
     for number in _REASONS:
         signal.signal(number, _stop)
+
+
+@contextmanager
+def keeping() -> Iterator[Callable[[], ExitCode | None]]:
+    """Let the first signal only be asked for, so that what is done so far can be kept; the second ends the work.
+
+    Gives the function to ask: the exit code of the signal that arrived, None while there is none.
+    """
+    _FORGIVEN[0] = 1
+    try:
+        yield lambda: _ARRIVED[-1].exit_code if _ARRIVED else None
+    finally:
+        _FORGIVEN[0] = 0
+        _ARRIVED.clear()
 
 
 @contextmanager
@@ -65,10 +83,12 @@ def ignore() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
-def _stop(number: int, _frame: FrameType | None) -> NoReturn:
+def _stop(number: int, _frame: FrameType | None) -> None:
     reason = _REASONS[signal.Signals(number)]
     _ARRIVED.append(reason)
-    raise reason
+    if len(_ARRIVED) > _FORGIVEN[0]:
+        raise reason
+    os.write(2, f"mavnav: {reason.word}: what is done so far is being kept; once more, and it is not\n".encode())
 
 
 def _end(number: int, _frame: FrameType | None) -> NoReturn:
@@ -80,5 +100,5 @@ def _end(number: int, _frame: FrameType | None) -> NoReturn:
 
 def check() -> None:
     """Raise the signal that arrived, if it is still to be obeyed."""
-    if _ARRIVED:
+    if len(_ARRIVED) > _FORGIVEN[0]:
         raise _ARRIVED[-1]

@@ -5,7 +5,7 @@
 
 from mavnav.logs.log import Log, choose, open_log
 from mavnav.logs.records import Damage, Gap, Odometry, ScanCounts, Topic
-from mavnav.logs.survey import Survey, content_sha256, survey
+from mavnav.logs.survey import Survey, check_log, content_sha256, survey
 
 __all__ = [
     "Damage",
@@ -15,6 +15,7 @@ __all__ = [
     "ScanCounts",
     "Survey",
     "Topic",
+    "check_log",
     "choose",
     "content_sha256",
     "open_log",

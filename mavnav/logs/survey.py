@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
-from mavnav.errors import UsageError
+from mavnav.errors import NoScansError, UsageError
 from mavnav.logs import formats
 from mavnav.logs.decode import ODOMETRY_TYPE, decoder, is_laser
 from mavnav.logs.door import Door
@@ -201,6 +201,16 @@ def content_sha256(path: Path) -> str:
     _check(path, None, None)
     try:
         return _identity(path)[1]
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from error
+
+
+def check_log(path: Path, start_s: float | None = None, end_s: float | None = None) -> None:
+    """Raise UsageError or NoScansError for what shows at a glance: no such log, no log at all, an empty window."""
+    _check(path, start_s, end_s)
+    try:
+        if formats.sniff(path) == formats.UNKNOWN:
+            raise NoScansError(f"{path}: no usable scans; {formats.refusal(path)}")
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from error
 

@@ -47,6 +47,7 @@ def run_document(run: Run, outputs: dict[str, str]) -> Document:
         "damage": [asdict(d) for d in run.log.damage],
         "warnings": list(run.log.warnings),
         "outputs": outputs,
+        "partial": run.stopped is not None,
         "exit_code": int(run.exit_code),
     }
 

@@ -63,7 +63,7 @@ class Run:
     """A log, how it was run, what came out, and how thick the walls are (hit threshold -> summary).
 
     A mission of the simulator knows the truth besides. ``reference`` is what a comparison with references told, plain
-    data for run.json.
+    data for run.json. ``stopped`` is the code of the signal that stopped the run before the log ended.
     """
 
     log: Log
@@ -75,6 +75,7 @@ class Run:
     mission: Mission | None = None
     quality: MapQuality | None = None
     reference: dict[str, Any] | None = None
+    stopped: ExitCode | None = None
 
     @property
     def name(self) -> str:
@@ -89,7 +90,9 @@ class Run:
 
     @property
     def exit_code(self) -> ExitCode:
-        """How the run ended: lost for good outweighs a failed mission or a damaged input."""
+        """How the run ended: a stop outweighs lost for good, that a failed mission or a damaged input."""
+        if self.stopped is not None:
+            return self.stopped
         if self.slam.lost_for_good:
             return ExitCode.TRACKING_LOST
         if self.mission and not self.mission.reached:

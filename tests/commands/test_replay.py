@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -243,15 +244,22 @@ def test_a_track_lost_for_good_is_told(mavnav: Callable, make_log: Callable, tmp
 # --- signals ------------------------------------------------------------------------------------------------------
 
 
-def wait_for_kernels(pid: int) -> None:
-    """Wait until a process has loaded numba's compiler: a busy machine may take seconds to get there."""
-    deadline = time.monotonic() + 60.0
-    while "llvmlite" not in Path(f"/proc/{pid}/maps").read_text():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+@pytest.fixture
+def tracking(sample: Path, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Start a run whose grids make the tracking long, and wait until it has begun."""
+    talkative = "from mavnav.commands import progress; progress.LINE_PERIOD_S = 0.05"
+    options = ["-o", str(tmp_path / "out" / "run"), "--grid", "100x100", "--azimuth", "1000"]
+    code = f"{talkative}; from mavnav.cli import main; main()"
+    command = [sys.executable, "-c", code, "replay", str(sample), *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if line.startswith("mavnav: track"):
+                break
+        yield process
+        process.kill()
 
 
-@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="needs /proc to see how far the process is")
 @pytest.mark.parametrize(
     ("number", "code", "word"),
     [
@@ -259,20 +267,29 @@ def wait_for_kernels(pid: int) -> None:
         (signal.SIGTERM, ExitCode.TERMINATED, "terminated"),
     ],
 )
-def test_a_signal_leaves_nothing_half_written(
-    spawn: Callable, sample: Path, tmp_path: Path, number: int, code: int, word: str
+def test_the_first_signal_keeps_what_is_done_and_marks_it(
+    tracking: subprocess.Popen[str], tmp_path: Path, number: int, code: int, word: str
 ) -> None:
     directory = tmp_path / "out" / "run"
-    process = spawn("replay", sample, "-o", directory, "--grid", "100x100", "--azimuth", "1000")
-    wait_for_kernels(process.pid)
-    time.sleep(1.0)
-    assert process.poll() is None  # the grids make the tracking long enough that the signal falls into it
-    os.kill(process.pid, number)
-    try:
-        out, err = process.communicate(timeout=100)  # a cold machine finishes a kernel first
-    finally:
-        process.kill()
-    assert process.returncode == code
+    tracking.send_signal(number)
+    _, err = tracking.communicate(timeout=100)
+    assert tracking.returncode == code
+    assert f"mavnav: {word}: what is done so far is being kept" in err
+    document = json.loads((directory / "run.json").read_text())
+    assert (document["partial"], document["exit_code"]) == (True, code)
+    assert 0 < document["scans"]["processed"] < document["scans"]["usable"]
+    assert set(document["outputs"]) | {"run.json"} == {path.name for path in directory.iterdir()}
+    assert [path.name for path in directory.parent.iterdir()] == ["run"]
+
+
+def test_a_second_signal_gives_up_and_leaves_nothing_half_written(
+    tracking: subprocess.Popen[str], tmp_path: Path
+) -> None:
+    for _ in range(2):
+        tracking.send_signal(signal.SIGINT)
+        time.sleep(0.2)
+    out, err = tracking.communicate(timeout=100)
+    assert tracking.returncode == ExitCode.INTERRUPTED
     assert out == ""
-    assert err.splitlines()[-1] == f"mavnav: {word}"
-    assert not directory.parent.exists() or list(directory.parent.iterdir()) == []
+    assert err.splitlines()[-1] == "mavnav: interrupted"
+    assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []

@@ -13,7 +13,8 @@ from mavnav.slam import LostInterval
 
 KEYS = {
     "schema_version", "mavnav_version", "input", "config", "method", "grid", "azimuth", "scans", "cleaning", "tracking",
-    "timing", "search", "wall_thickness", "map", "damage", "warnings", "outputs", "exit_code", "python", "libraries",
+    "timing", "search", "wall_thickness", "map", "damage", "warnings", "outputs", "partial", "exit_code", "python",
+    "libraries",
     "map_quality",
 }  # fmt: skip
 
