@@ -6,10 +6,10 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do command 
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test check format-check lint types bench samples golden clean
+.PHONY: help demo test fuzz check format-check lint types bench samples golden clean
 
 help:
-	@echo "make demo | test | check | bench | samples | golden | clean"
+	@echo "make demo | test | fuzz | check | bench | samples | golden | clean"
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=..."; exit 1; }
@@ -30,6 +30,9 @@ demo: $(VENV)/.run
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2
+
+fuzz: $(VENV)/.dev
+	$(BIN)/python tests/logs/fuzz.py 5000
 
 check: format-check lint types test
 

@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 
 _READ = frozenset({Op.HEADER, Op.FOOTER, Op.SCHEMA, Op.CHANNEL, Op.MESSAGE, Op.CHUNK, Op.STATISTICS, Op.DATA_END})
 _IN_CHUNKS = frozenset({Op.SCHEMA, Op.CHANNEL, Op.MESSAGE})
+_IN_SUMMARIES = frozenset(
+    {Op.SCHEMA, Op.CHANNEL, Op.STATISTICS, Op.CHUNK_INDEX, Op.ATTACHMENT_INDEX, Op.METADATA_INDEX, Op.SUMMARY_OFFSET}
+)
 _BLOCK_BYTES = 1 << 20
 _SEARCH_BYTES = 1 << 16
 _FOOTER_BYTES = 20
@@ -101,6 +104,9 @@ def _summary_channels(source: Source, ledger: Ledger) -> dict[int, Channel]:
     footer = source.read(record.start, _FOOTER_BYTES)
     start, _, crc = struct.unpack("<QQI", footer)
     if not 0 < start < footer_at or footer_at - start > MAX_CHUNK_BYTES:
+        return {}
+    first = record_at(source, start)
+    if first is None or first.opcode not in _IN_SUMMARIES:  # of a file that lies behind other bytes
         return {}
     summary = source.read(start, footer_at - start)
     guarded = summary + source.read(footer_at, HEAD.size + _FOOTER_BYTES - 4)

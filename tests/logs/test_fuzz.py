@@ -1,0 +1,32 @@
+"""Some thousand mutated logs: nothing but the refusals we mean, quickly, and no altered scan unmarked."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import fuzz
+import pytest
+from log_files import WRITERS, laser
+
+from mavnav.logs import choose, survey
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+CASES = 120
+
+
+@pytest.mark.parametrize("name", fuzz.FILES)
+def test_mutated_logs_are_read_or_refused(name: str, tmp_path: Path) -> None:
+    source = WRITERS[name][1](tmp_path / "source", [laser(k, beams=16) for k in range(30)])
+    data, sound = source.read_bytes(), fuzz.contents(choose(survey(source)))
+    case, kept = tmp_path / "case", 0
+    for seed in range(CASES):
+        case.write_bytes(fuzz.mutated(data, seed))
+        result = fuzz.verdict(case, sound)
+        assert result.seconds < 5.0, seed
+        if name in fuzz.CHECKED:
+            assert result.altered <= result.suspect, seed
+        assert result.told or result.scans >= len(sound) or name not in fuzz.CHECKED, seed
+        kept += result.scans
+    assert kept > 0.25 * CASES * len(sound)
