@@ -19,6 +19,16 @@ BARRED = {"wall_thickness.2.p95_mm", "timing.cpu_s"}
 BAR_WIDTH = 6
 EIGHTHS = " ▏▎▍▌▋▊▉█"
 
+LEFT_OUT_FIRST = (
+    "map_quality.crispness.entropy_bits",
+    "map_quality.crispness.occupied_cells_per_m",
+    "wall_thickness.2.max_mm",
+    "search.evaluations_per_scan.mean",
+    "map_quality.revisits.nn_l_mm",
+    "map.accepted_share",
+)
+"""Figures that a narrow terminal does without; the files and the report have them all."""
+
 WIDE = 200
 """Columns where the output goes to no terminal, so that no line is folded."""
 
@@ -28,17 +38,23 @@ def print_comparison(document: dict[str, Any]) -> None:
     out = console()
     if not out.is_terminal:
         out.width = WIDE
-    out.print(_table(document))
+    unbounded = out.options.update_width(1000)
+    left_out: set[str] = set()
+    table = _table(document, left_out)
+    for name in LEFT_OUT_FIRST:
+        if out.measure(table, options=unbounded).maximum > out.width:
+            left_out.add(name)
+            table = _table(document, left_out)
+    out.print(table)
 
 
-def _table(document: dict[str, Any]) -> Table:
+def _table(document: dict[str, Any], left_out: set[str]) -> Table:
     from rich.table import Table
 
-    from mavnav.compare.figures import FIGURES
     from mavnav.compare.files import ratio
 
     table = Table(box=None, pad_edge=False, header_style="bold")
-    known = [figure for figure in FIGURES if any(_value(cell, figure) is not None for cell in document["cells"])]
+    known = [figure for figure in _known(document) if figure.name not in left_out]
     several = len(document["logs"]) > 1
     for title in (*(["log"] if several else []), "method", "grid"):
         table.add_column(title, overflow="fold")
@@ -53,6 +69,13 @@ def _table(document: dict[str, Any]) -> Table:
         grid = _text(f"{cell['azimuth']}/{cell['grid']}")
         table.add_row(*log, _text(cell["method"]), grid, *figures, *prices, _text(_state(cell)))
     return table
+
+
+def _known(document: dict[str, Any]) -> list[Figure]:
+    """Return the figures that any cell has."""
+    from mavnav.compare.figures import FIGURES
+
+    return [figure for figure in FIGURES if any(_value(cell, figure) is not None for cell in document["cells"])]
 
 
 def _text(text: str, style: str = "") -> Text:
@@ -93,7 +116,7 @@ def _state(cell: dict[str, Any]) -> str:
     """Say what is not in the figures: that it failed (stderr says why), that it was there, that its map is none."""
     if cell["status"] == "failed":
         return "failed"
-    remarks = ["from before"] if cell["status"] == "cached" else []
+    remarks = ["kept"] if cell["status"] == "cached" else []
     quality = cell["run"].get("map_quality") or {}
     if quality.get("meaningful", True) is False:
         remarks.append("map not meaningful")

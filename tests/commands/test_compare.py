@@ -12,7 +12,7 @@ import pytest
 from conftest import SHORT_COMPARISON
 
 from mavnav.commands.cell_progress import watching
-from mavnav.commands.comparison_table import bar
+from mavnav.commands.comparison_table import bar, print_comparison
 from mavnav.commands.gating import gated_code, gates_of
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import Ended, Fate, Outcome, Started
@@ -35,9 +35,22 @@ def test_a_line_for_every_cell(again: Callable, directory: Path) -> None:
     assert (code, err) == (0, "")
     assert lines[0].split()[:3] == ["method", "grid", "mapped"]
     assert [line.split()[:2] for line in lines[1:3]] == [["robust", "6/5x5"], ["robust", "6/12x12"]]
-    assert all(line.rstrip().endswith("from before") for line in lines[1:3])
+    assert all(line.rstrip().endswith("kept") for line in lines[1:3])
     assert lines[-1] == f"report  {directory / 'report.html'}"
     assert max(map(len, lines)) <= 200
+
+
+def test_a_narrow_terminal_gets_fewer_figures(
+    comparison: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    document = json.loads((comparison / "comparison.json").read_text())
+    monkeypatch.setattr("mavnav.commands.comparison_table.WIDE", 80)
+    print_comparison(document)
+    head, *lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(document["cells"])
+    assert max(map(len, [head, *lines])) <= 80
+    assert "wall p95 mm" in head
+    assert "entropy" not in head
 
 
 def test_json_is_comparison_json_and_nothing_else(again: Callable, directory: Path) -> None:
