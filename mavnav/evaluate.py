@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from math import pi
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
@@ -16,6 +15,7 @@ from mavnav.grid import Grid
 from mavnav.logs import open_log
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.journey import Journey
+from mavnav.metrics.lines import half_turn
 from mavnav.metrics.map_quality import MapQuality, map_quality
 from mavnav.metrics.wall_thickness import THRESHOLDS, wall_thicknesses
 from mavnav.metrics.walls import Wall
@@ -143,4 +143,4 @@ def _seen_from_map(quality: MapQuality, map_T_grid: Pose) -> MapQuality:
 
 def _moved(place: Place, a_T_b: Pose) -> Place:
     turned = a_T_b @ Pose(place.x_m, place.y_m, place.direction_deg * DEG)
-    return replace(place, x_m=turned.x_m, y_m=turned.y_m, direction_deg=turned.yaw_rad % pi / DEG)
+    return replace(place, x_m=turned.x_m, y_m=turned.y_m, direction_deg=half_turn(turned.yaw_rad) / DEG)

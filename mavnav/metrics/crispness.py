@@ -27,7 +27,7 @@ def crispness(grid: Grid, cells: NDArray[np.int8], wall_m: float, *, counted: bo
     """Measure a map; ``cells`` is its occupancy, ``counted`` says whether hits and crossings are true counts."""
     occupied = np.count_nonzero(cells == OCCUPIED)
     return Crispness(
-        occupied_cells_per_m=occupied / wall_m if wall_m else np.nan,
+        occupied_cells_per_m=float(occupied / wall_m) if wall_m else np.nan,
         entropy_bits=entropy_bits(grid) if counted else np.nan,
     )
 

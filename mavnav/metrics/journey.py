@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +14,6 @@ if TYPE_CHECKING:
 
     from mavnav.pose import Trajectory
     from mavnav.scan import LaserSpec, Scan
-
-MAX_SCANS: Final = 4000
-"""No more scans than this are kept, evenly spread over those wanted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +40,11 @@ class PlacedScans:
     ranges_m: NDArray[np.float64]
 
 
+def spread(n: int, most: int) -> NDArray[np.intp]:
+    """Choose ``most`` of n rows, evenly; all of them where there are no more."""
+    return np.arange(n) if n <= most else np.linspace(0, n - 1, most).round().astype(np.intp)
+
+
 def placed_scans(journey: Journey, wanted: NDArray[np.intp]) -> PlacedScans | None:
     """Read the scans of some rows of the trajectory; None without any.
 
@@ -58,7 +60,7 @@ def placed_scans(journey: Journey, wanted: NDArray[np.intp]) -> PlacedScans | No
         if row is None:
             continue
         spec = spec or scan.spec
-        if _same_beams(scan.spec, spec):
+        if scan.spec is spec or _same_beams(scan.spec, spec):
             rows.append(row)
             ranges.append(scan.ranges_m)
     if spec is None:

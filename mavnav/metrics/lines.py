@@ -51,6 +51,12 @@ def linked(
     return labels
 
 
+def half_turn(angle_rad: float) -> float:
+    """Bring a line's direction to [0, pi); a hair below 0 is 0, not the pi that rounding would make of it."""
+    angle_rad %= np.pi
+    return angle_rad if angle_rad < np.pi - 1e-9 else 0.0
+
+
 def fit_line(xy_m: NDArray[np.float64], weight: NDArray[np.float64], along_m: float) -> Line:
     """Fit a line to points (n, 2) by weighted total least squares; ``along_m`` is the length that one point covers."""
     middle = np.average(xy_m, axis=0, weights=weight)
@@ -61,4 +67,4 @@ def fit_line(xy_m: NDArray[np.float64], weight: NDArray[np.float64], along_m: fl
     low, high = float(u.min()), float(u.max())
     centre = middle + 0.5 * (low + high) * np.array([np.cos(angle), np.sin(angle)])
     spread = float(np.sqrt(np.average(v * v, weights=weight)))
-    return Line(float(centre[0]), float(centre[1]), angle % np.pi, high - low + along_m, spread)
+    return Line(float(centre[0]), float(centre[1]), half_turn(angle), high - low + along_m, spread)

@@ -8,21 +8,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from mavnav.grid import occupancy
 from mavnav.metrics.crispness import Crispness, crispness
 from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
-from mavnav.metrics.revisits import Revisits, revisits
+from mavnav.metrics.journey import placed_scans, spread
+from mavnav.metrics.revisits import Revisits, pairs_of, revisits
 from mavnav.metrics.shape import EnclosedAreas, corners, enclosed_areas, occupied_share
-from mavnav.metrics.support import Support, map_support, reasons
+from mavnav.metrics.support import SAMPLE_SCANS, Support, map_support, reasons
 from mavnav.metrics.wall_thickness import THRESHOLDS, wall_sections
 from mavnav.metrics.walls import Wall, straight_walls
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from mavnav.grid import Grid
-    from mavnav.metrics.journey import Journey
+    from mavnav.metrics.journey import Journey, PlacedScans
 
 PROFILE: Final = "map-quality/1"
 
@@ -64,7 +66,8 @@ def map_quality(grid: Grid, journey: Journey | None = None, *, counted: bool = T
     walls = wall_sections(_occupied(cells), grid.cell_m, 1)
     # Noise may hide a ghost wall at the lower thresholds, few hits at the higher ones.
     thresholds = THRESHOLDS if counted else (1,)
-    support = map_support(grid, cells, walls, journey)
+    found, scans = (None, None) if journey is None else _seen_again(journey)
+    support = map_support(grid, cells, walls, journey, scans)
     why = reasons(support, lost_for_good=journey is not None and journey.lost_for_good)
     return MapQuality(
         profile=PROFILE,
@@ -72,7 +75,7 @@ def map_quality(grid: Grid, journey: Journey | None = None, *, counted: bool = T
         why=why,
         ghost_walls=ghost_walls(grid, [wall_sections(grid.hits, grid.cell_m, hits) for hits in thresholds]),
         crispness=crispness(grid, cells, support.wall_m, counted=counted),
-        revisits=None if journey is None else revisits(journey),
+        revisits=found,
         support=support,
         occupied_share=occupied_share(cells),
         corners=corners(cells, grid.cell_m),
@@ -81,6 +84,14 @@ def map_quality(grid: Grid, journey: Journey | None = None, *, counted: bool = T
     )
 
 
+def _seen_again(journey: Journey) -> tuple[Revisits, PlacedScans | None]:
+    """Compare the scans with one another, and keep them for other uses: they are read once."""
+    trajectory = journey.map_T_laser
+    pairs = pairs_of(trajectory)
+    scans = placed_scans(journey, np.union1d(pairs.rows, spread(len(trajectory), SAMPLE_SCANS)))
+    return revisits(trajectory, pairs, scans), scans
+
+
 def _occupied(cells: NDArray[np.int8]) -> NDArray[np.int32]:
     """Return a map of one hit where a cell is occupied."""
-    return (cells > 0).astype("int32")
+    return (cells > 0).astype(np.int32)

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mavnav.kernels.overlap import scan_distances
-from mavnav.metrics.journey import placed_scans
+from mavnav.metrics.journey import spread
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.metrics.journey import Journey, PlacedScans
+    from mavnav.metrics.journey import PlacedScans
     from mavnav.pose import Trajectory
 
 CAP_M: Final = 0.15
@@ -54,15 +54,30 @@ class Revisits:
     visible_share: float
 
 
-def revisits(journey: Journey) -> Revisits:
-    """Measure the self-consistency of a run."""
-    trajectory = journey.map_T_laser
-    short, long = short_pairs(trajectory.stamps_ns), long_pairs(trajectory)
-    scans = placed_scans(journey, np.unique(np.concatenate((short, long))))
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """Rows of the trajectory whose scans are compared, (n, 2) each: neighbours in time, and revisits of a place."""
+
+    short: NDArray[np.intp]
+    long: NDArray[np.intp]
+
+    @property
+    def rows(self) -> NDArray[np.intp]:
+        """All rows, each once."""
+        return np.unique(np.concatenate((self.short, self.long)))
+
+
+def pairs_of(trajectory: Trajectory) -> Pairs:
+    """Choose the scans to compare: the same for the same trajectory."""
+    return Pairs(short_pairs(trajectory.stamps_ns), long_pairs(trajectory))
+
+
+def revisits(trajectory: Trajectory, pairs: Pairs, scans: PlacedScans | None) -> Revisits:
+    """Measure the self-consistency of a run; ``scans`` are those of the pairs' rows, and maybe others."""
     if scans is None:
         return Revisits(np.nan, np.nan, 0, np.nan)
-    near = _distances(scans, trajectory, short)
-    far = _distances(scans, trajectory, long)
+    near = _distances(scans, trajectory, pairs.short)
+    far = _distances(scans, trajectory, pairs.long)
     return Revisits(
         nn_s_mm=_mean_mm(near[:, 0], near[:, 1]),
         nn_l_mm=_mean_mm(far[:, 2], far[:, 3]),
@@ -74,7 +89,7 @@ def revisits(journey: Journey) -> Revisits:
 def short_pairs(stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
     """Pair scans with one that is 0.3 to 3 s older or younger, evenly over the run, (n, 2)."""
     pairs = []
-    for k, i in enumerate(_spread(len(stamps_ns), PAIRS)):
+    for k, i in enumerate(spread(len(stamps_ns), PAIRS)):
         lows = np.searchsorted(stamps_ns, stamps_ns[i] + np.array([-SHORT_GAP_NS[1], SHORT_GAP_NS[0]]), side="right")
         highs = np.searchsorted(stamps_ns, stamps_ns[i] + np.array([-SHORT_GAP_NS[0], SHORT_GAP_NS[1]]))
         partners = np.concatenate([np.arange(low, high) for low, high in zip(lows, highs, strict=True)])
@@ -87,19 +102,14 @@ def long_pairs(trajectory: Trajectory) -> NDArray[np.intp]:
     """Pair scans with others of the same place and heading, 10 s or more apart, evenly over the run, (n, 2)."""
     t, (x, y, yaw) = trajectory.stamps_ns, trajectory.xyyaw.T
     pairs = []
-    for k, i in enumerate(_spread(len(t), PAIRS)):
+    for k, i in enumerate(spread(len(t), PAIRS)):
         near = np.hypot(x - x[i], y - y[i]) < LONG_DISTANCE_M
         alike = np.cos(yaw - yaw[i]) > np.cos(LONG_TURN_RAD)
         partners = np.flatnonzero(near & alike & (np.abs(t - t[i]) > LONG_GAP_NS))
         chosen = {int((_fraction(k) + part / PARTNERS) % 1.0 * len(partners)) for part in range(PARTNERS)}
         pairs += [(i, partners[j]) for j in sorted(chosen) if len(partners)]
     found = np.array(pairs, np.intp).reshape(-1, 2)
-    return found[_spread(len(found), PAIRS)]
-
-
-def _spread(n: int, most: int) -> NDArray[np.intp]:
-    """Choose ``most`` of n places, evenly."""
-    return np.arange(n) if n <= most else np.linspace(0, n - 1, most).round().astype(np.intp)
+    return found[spread(len(found), PAIRS)]
 
 
 def _fraction(k: int) -> float:

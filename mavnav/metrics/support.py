@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from mavnav.grid import OCCUPIED
-from mavnav.metrics.journey import placed_scans
+from mavnav.metrics.journey import spread
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import Scan
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.grid import Grid
-    from mavnav.metrics.journey import Journey
+    from mavnav.metrics.journey import Journey, PlacedScans
     from mavnav.metrics.wall_thickness import Sections
 
 LEAST_WALL_M: Final = 2.0
@@ -43,13 +43,19 @@ class Support:
     explained_share: float
 
 
-def map_support(grid: Grid, cells: NDArray[np.int8], walls: Sections, journey: Journey | None) -> Support:
-    """Measure the support of a map; ``cells`` is its occupancy, ``walls`` are the sections of its straight walls."""
+def map_support(
+    grid: Grid, cells: NDArray[np.int8], walls: Sections, journey: Journey | None, scans: PlacedScans | None
+) -> Support:
+    """Measure the support of a map.
+
+    ``cells`` is its occupancy, ``walls`` are the sections of its straight walls; ``scans`` are tracked scans of the
+    journey, evenly spread.
+    """
     return Support(
         wall_m=float(walls.length_m.sum()),
         sections=len(walls.length_m),
         mapped_share=np.nan if journey is None else journey.mapped_share,
-        explained_share=np.nan if journey is None else explained_share(grid, cells, journey),
+        explained_share=np.nan if scans is None else explained_share(grid, cells, scans),
     )
 
 
@@ -68,22 +74,18 @@ def reasons(support: Support, *, lost_for_good: bool) -> tuple[str, ...]:
     return tuple(found)
 
 
-def explained_share(grid: Grid, cells: NDArray[np.int8], journey: Journey) -> float:
+def explained_share(grid: Grid, cells: NDArray[np.int8], scans: PlacedScans) -> float:
     """Lay tracked scans over the map: the part of their end points within a cell of an occupied cell; NaN without any.
 
     A part of the map that was cut away, or scans that were tracked but are not in the map, lower it.
     """
-    n = len(journey.map_T_laser)
-    wanted = np.unique(np.linspace(0, n - 1, min(n, SAMPLE_SCANS)).round().astype(np.intp))
-    placed = placed_scans(journey, wanted)
-    if placed is None:
-        return np.nan
     near = np.pad(ndimage.binary_dilation(cells == OCCUPIED, np.ones((3, 3))), 1)
     on_map = total = 0
-    for stamp_ns, xyyaw, ranges_m in zip(placed.stamps_ns.tolist(), placed.poses, placed.ranges_m, strict=True):
-        xy_m = transform_points(Pose(*xyyaw.tolist()), Scan(stamp_ns, ranges_m, placed.spec).points())
-        col, row = np.floor((xy_m - grid.origin_xy_m) / grid.cell_m).astype(np.int64).T + 1
-        rows, cols = (np.clip(at, 0, most - 1) for at, most in zip((row, col), near.shape, strict=True))
+    for row in spread(len(scans.poses), SAMPLE_SCANS):
+        scan = Scan(int(scans.stamps_ns[row]), scans.ranges_m[row], scans.spec)
+        xy_m = transform_points(Pose(*scans.poses[row].tolist()), scan.points())
+        places = np.floor((xy_m - grid.origin_xy_m) / grid.cell_m).astype(np.int64) + 1
+        cols, rows = np.clip(places, 0, np.array(near.shape[::-1]) - 1).T
         on_map += int(np.count_nonzero(near[rows, cols]))
         total += len(xy_m)
     return on_map / total if total else np.nan

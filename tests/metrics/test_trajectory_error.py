@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from synthetic import TOUR, along, drifting_odometry
 
 from mavnav.metrics.trajectory_error import absolute_error, align
-from mavnav.pose import Pose, transform_points
+from mavnav.pose import Pose, Trajectory, transform_points
+from mavnav.references import References, compared, read_tum
 
 coordinate = st.floats(-50, 50)
 
@@ -58,3 +60,61 @@ def test_it_is_what_evo_says() -> None:
     ours = absolute_error(estimate, truth)
     assert ours.rmse_m == pytest.approx(ape.get_statistic(metrics.StatisticsType.rmse), abs=1e-9)
     assert ours.max_m == pytest.approx(ape.get_statistic(metrics.StatisticsType.max), abs=1e-9)
+
+
+def evo_of(trajectory):
+    from evo.core.trajectory import PoseTrajectory3D
+
+    x, y, yaw = trajectory.xyyaw.T
+    zero = np.zeros_like(x)
+    quaternions = np.column_stack((np.cos(yaw / 2), zero, zero, np.sin(yaw / 2)))
+    return PoseTrajectory3D(np.column_stack((x, y, zero)), quaternions, trajectory.stamps_ns * 1e-9)
+
+
+def evo_errors(estimate, truth) -> dict[str, float]:
+    """Let evo interpolate the truth at the estimate's times, align, and measure."""
+    from evo.core import metrics
+
+    inside = (estimate.stamps_ns >= truth.stamps_ns[0]) & (estimate.stamps_ns <= truth.stamps_ns[-1])
+    estimate = Trajectory(estimate.stamps_ns[inside].copy(), estimate.xyyaw[inside].copy())
+    reference, other = evo_of(truth).interpolate(estimate.stamps_ns * 1e-9), evo_of(estimate)
+    relation, errors = metrics.PoseRelation, {}
+    for name, kind in (
+        ("translation_rmse_m", relation.translation_part),
+        ("rotation_rmse_deg", relation.rotation_angle_deg),
+        ("distance_rmse_m", relation.point_distance),
+    ):
+        rpe = metrics.RPE(kind, 1.0, metrics.Unit.meters)
+        rpe.process_data((reference, other))
+        errors[name] = rpe.get_statistic(metrics.StatisticsType.rmse)
+    other.align(reference)
+    ape = metrics.APE(relation.translation_part)
+    ape.process_data((reference, other))
+    return errors | {"rmse_m": ape.get_statistic(metrics.StatisticsType.rmse)}
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_simulated_run_as_evo_measures_it() -> None:
+    """The truth has other stamps than the estimate, which drifts."""
+    truth = along(TOUR, period_s=0.07)
+    estimate = drifting_odometry(along(TOUR, period_s=0.1))
+    ours = compared(References(truth=truth), estimate, np.zeros((0, 2)))
+    theirs = evo_errors(estimate, truth)
+    assert ours["ate"]["rmse_m"] == pytest.approx(theirs.pop("rmse_m"), abs=1e-6)
+    assert ours["rpe"]["pairs"] > 10
+    assert {name: ours["rpe"][name] for name in theirs} == pytest.approx(theirs, abs=1e-6)
+
+
+@pytest.mark.real_logs
+@pytest.mark.filterwarnings("ignore")
+def test_a_real_run_as_evo_measures_it(real_logs) -> None:
+    """Wheel odometry against an overhead camera, which tells no headings."""
+    folder = real_logs / "lego_robot4"
+    truth = read_tum(folder / "groundtruth.tum")
+    t, x, y, yaw = np.loadtxt(folder / "odometry.txt", usecols=range(4)).T
+    estimate = Trajectory(np.round(t * 1e9).astype(np.int64), np.column_stack((x, y, yaw)))
+    ours = compared(References(truth=truth), estimate, np.zeros((0, 2)))
+    theirs = evo_errors(estimate, truth)
+    assert ours["ate"]["rmse_m"] == pytest.approx(theirs["rmse_m"], abs=1e-6)
+    assert ours["rpe"]["distance_rmse_m"] == pytest.approx(theirs["distance_rmse_m"], abs=1e-6)
+    assert np.isnan(ours["rpe"]["translation_rmse_m"])

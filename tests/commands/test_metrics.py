@@ -1,0 +1,133 @@
+"""``mavnav metrics``: runs and map files measured, references, errors in one line."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+PARTS = {
+    "profile", "meaningful", "why", "ghost_walls", "crispness", "revisits", "support", "occupied_share", "corners",
+    "enclosed_areas", "walls",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory, repo_root: Path) -> Path:
+    """Simulate the corner once, small."""
+    from mavnav.cli import run as command
+
+    folder = tmp_path_factory.mktemp("runs") / "corner"
+    assert command(["simulate", "corner", "-o", str(folder), "-q", "--set", "max_steps=60", "--json"]) in {0, 1}
+    return folder
+
+
+def measured(mavnav, *args: object) -> list[dict]:
+    code, out, err = mavnav("metrics", *args, "--json", "-q")
+    assert (code, err) == (0, "")
+    return json.loads(out)["maps"]
+
+
+def same(a: object, b: object) -> bool:
+    """Compare documents; numbers may differ by what text files of poses leave out."""
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
+    if isinstance(a, list):
+        return len(a) == len(b) and all(map(same, a, b))
+    return a == pytest.approx(b, rel=1e-4, abs=1e-6) if isinstance(a, float) else a == b
+
+
+def test_a_run_measures_what_its_document_says(mavnav, run) -> None:
+    capture = json.loads((run / "run.json").read_text())
+    (found,) = measured(mavnav, run)
+    assert set(found["map_quality"]) == PARTS
+    assert same(found["map_quality"], capture["map_quality"])
+    assert same(found["wall_thickness"], capture["wall_thickness"])
+    assert json.loads((run / "metrics.json").read_text())["map_quality"] == capture["map_quality"]
+
+
+def test_a_simulation_knows_its_references(mavnav, run) -> None:
+    capture = json.loads((run / "run.json").read_text())
+    (found,) = measured(mavnav, run, "--truth", run / "truth.tum", "--truth-map", "corner")
+    assert same(found["reference"], capture["reference"])
+    assert found["reference"]["ate"]["rmse_m"] == pytest.approx(capture["truth"]["ate_rmse_m"], abs=1e-6)
+    assert found["reference"]["map_distance"]["alignment"] == "start pose"
+    assert found["reference"]["map_distance"]["median_mm"] < 100
+
+
+def test_the_map_file_of_a_run_agrees_with_it(mavnav, run) -> None:
+    of_run, of_file = measured(mavnav, run, run / "map.yaml", "--truth-map", "corner")
+    assert (of_run["kind"], of_file["kind"]) == ("run", "map")
+    a, b = of_run["map_quality"], of_file["map_quality"]
+    for name in ("walls", "corners", "enclosed_areas", "occupied_share"):
+        assert same(a[name], b[name]), name
+    assert same(a["support"]["wall_m"], b["support"]["wall_m"])
+    assert same(of_run["reference"]["map_distance"], of_file["reference"]["map_distance"])
+    assert set(of_file["wall_thickness"]) == {"1"}
+    unknown = [b["revisits"], b["crispness"]["entropy_bits"], b["support"]["mapped_share"]]
+    assert [*unknown, b["support"]["explained_share"]] == [None] * 4
+
+
+def test_the_table_and_the_warning(mavnav, run, tmp_path) -> None:
+    code, out, err = mavnav("metrics", run, "--truth", run / "truth.tum", "-q")
+    assert (code, err) == (0, "")
+    for words in ("ghost walls", "explained", "crispness", "ATE, aligned", "RPE a 1 m", "enclosed areas"):
+        assert words in out
+    (tmp_path / "empty.pgm").write_bytes(b"P5\n4 4\n255\n" + bytes([205] * 16))
+    (tmp_path / "empty.yaml").write_text("image: empty.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n")
+    code, out, err = mavnav("metrics", tmp_path / "empty.yaml", "-q")
+    assert code == 0
+    assert "not meaningful" in out
+    (found,) = measured(mavnav, tmp_path / "empty.yaml", "--truth-map", "corner")
+    assert found["map_quality"]["occupied_share"] is None
+    assert found["map_quality"]["ghost_walls"]["worst_offset_mm"] is None
+    assert found["reference"]["map_distance"]["mean_mm"] is None
+
+
+def broken(run: Path, tmp_path: Path, name: str) -> Path:
+    """Copy a run and spoil one file of it."""
+    copy = tmp_path / "copy"
+    shutil.copytree(run, copy)
+    (copy / name).write_bytes(b"broken")
+    return copy
+
+
+@pytest.mark.parametrize("name", ["run.json", "hits.npz", "trajectory.tum", "result.mcap"])
+def test_a_run_that_is_not_whole(mavnav, run, tmp_path, name) -> None:
+    code, out, err = mavnav("metrics", broken(run, tmp_path, name), "-q")
+    assert (code, out) == (2, "")
+    assert "is no whole run" in err
+    assert err.count("\n") == 1
+
+
+def test_what_cannot_be_measured(mavnav, run, tmp_path) -> None:
+    (tmp_path / "late.tum").write_text("9e8 0 0 0 0 0 0 1\n9.1e8 1 0 0 0 0 0 1\n")
+    for args, word in (
+        ([tmp_path / "gone"], "no such file"),
+        ([tmp_path], "holds no run"),
+        ([run / "map.pgm"], "map.pgm"),
+        ([run, "--truth", tmp_path / "gone.tum"], "cannot be read"),
+        ([run, "--truth", tmp_path / "late.tum"], "share no time"),
+        ([run, "--truth-map", run / "run.json"], "neither"),
+        ([], "Missing argument"),
+    ):
+        code, out, err = mavnav("metrics", *args, "-q")
+        assert (code, out) == (2, ""), args
+        assert word in err, args
+        assert err.count("\n") == 1, args
+
+
+def test_replay_takes_references(mavnav, sample, tmp_path) -> None:
+    args = ("replay", sample, "-o", tmp_path / "r", "--end", 2, "-q", "--json", "--truth-map", "corridor")
+    code, out, _ = mavnav(*args)
+    assert code == 0
+    document = json.loads(out)
+    assert set(document["map_quality"]) == PARTS
+    assert document["reference"]["map_distance"]["p95_mm"] < 200
+    (tmp_path / "late.tum").write_text("9e8 0 0 0 0 0 0 1\n9.1e8 1 0 0 0 0 0 1\n")
+    code, out, err = mavnav("replay", sample, "-o", tmp_path / "s", "-q", "--truth", tmp_path / "late.tum")
+    assert (code, out) == (2, "")
+    assert "share no time" in err
+    assert not (tmp_path / "s").exists()
