@@ -20,7 +20,7 @@ def run(tmp_path_factory, repo_root: Path) -> Path:
     from mavnav.cli import run as command
 
     folder = tmp_path_factory.mktemp("runs") / "corner"
-    assert command(["simulate", "corner", "-o", str(folder), "-q", "--set", "max_steps=60", "--json"]) in {0, 1}
+    assert command(["simulate", "corner", "-o", str(folder), "-q", "--set", "max_steps=30", "--json"]) in {0, 1}
     return folder
 
 
