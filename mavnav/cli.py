@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from mavnav.commands import compare, config, convert, info, metrics, replay, signals, simulate
+from mavnav.commands import batch, check, compare, config, convert, info, metrics, replay, signals, simulate
 from mavnav.commands.terminal import emit, note
 from mavnav.errors import ExitCode, MavnavError
 
@@ -33,6 +33,8 @@ mavnav replay drive.bag --method paper --grid 20x20 --azimuth 40
 
 mavnav compare drive.mcap --grid 5x5 --grid 10x10 --grid 20x20
 
+mavnav batch logs/ -j 4 --gate 'map.accepted_share>=0.95'
+
 mavnav simulate corner.yaml
 
 [bold]Exit codes[/bold]  0 done, 1 a quality gate failed, 2 usage or configuration, 3 done but the input was damaged, \
@@ -51,6 +53,8 @@ app = typer.Typer(
 )
 app.command(epilog=replay.EPILOG)(replay.replay)
 app.command(epilog=compare.EPILOG)(compare.compare)
+app.command(epilog=batch.EPILOG)(batch.batch)
+app.command(epilog=check.EPILOG)(check.check)
 app.command(epilog=metrics.EPILOG)(metrics.metrics)
 app.command(epilog=simulate.EPILOG)(simulate.simulate)
 app.command(epilog=info.EPILOG)(info.info)

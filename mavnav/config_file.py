@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 Model = TypeVar("Model", bound=BaseModel)
 
+HELP = {"Config": "mavnav config show", "Scenario": "mavnav simulate --schema", "Manifest": "mavnav batch --schema"}
+"""Model -> the command that shows its keys."""
+
 OPTIONS = {"planner.technique": "--planner"}
 """Options that are not named like the last part of their key."""
 
@@ -90,7 +93,10 @@ def _file_layer(file: str | Path | None) -> Layer:
 
 
 def load_config(
-    file: str | Path | None = None, sets: Iterable[str] = (), overrides: Mapping[str, object] | None = None
+    file: str | Path | None = None,
+    sets: Iterable[str] = (),
+    overrides: Mapping[str, object] | None = None,
+    values: Layer | None = None,
 ) -> Config:
     """Load the effective configuration.
 
@@ -102,13 +108,15 @@ def load_config(
         ``key=value`` with dotted keys, values read as YAML.
     overrides
         Values of command line options by the name of the field.
+    values
+        What a manifest says of this run; above the file, below the rest.
 
     Raises
     ------
     ConfigError
         One line: file and line, dotted key, what is wrong, the nearest known name.
     """
-    top = overlaid(_file_layer(file), sets, overrides or {})
+    top = overlaid((values or Layer()).over(_file_layer(file)), sets, overrides or {})
     return validated(Config, top.over(method_layer(top.values.get(("method",)))))
 
 
@@ -165,7 +173,7 @@ def origin(layer: Layer, key: Key, name: str = "configuration") -> str:
 def _complaint(model: type[BaseModel], details: ErrorDetails, layer: Layer, name: str) -> str:
     key = tuple(str(part) for part in details["loc"])
     where, dotted, known = origin(layer, key, name), ".".join(key), dict(fields(model))
-    help_ = "mavnav config show" if model is Config else "mavnav simulate --schema"
+    help_ = HELP.get(model.__name__, "mavnav simulate --schema")
     named = tuple(part for part in key if not part.isdecimal())
     hint = known.get(named) or f"see '{help_}'"
     if details["type"] == "extra_forbidden":

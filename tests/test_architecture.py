@@ -18,6 +18,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 GROUND = {"errors", "units", "pose", "scan", "config", "staging"}
 CORE = {"grid", "linemap", "matcher", "relocalise", "motion", "belief", "methods", "slam"}
+RUNS = {"", "cells", "config_file", "gates", "jobs", "logs", "markdown", "outputs", "references", "replay"}
 ALLOWED: dict[str, set[str]] = {
     "": set(),
     "errors": set(),
@@ -53,12 +54,11 @@ ALLOWED: dict[str, set[str]] = {
     "evaluate": GROUND | {"", "grid", "logs", "metrics", "outputs", "references"},
     "replay": GROUND | {"logs", "metrics", "outputs", "references"} | CORE,
     "simulate": GROUND | {"flight", "logs", "metrics", "outputs", "references", "replay", "world"} | CORE,
-    "compare": GROUND
-    | {"", "config_file", "flight", "gates", "jobs", "logs", "outputs", "references", "replay", "simulate", "world"},
-    "commands": GROUND
-    | {"", "compare", "config_file", "evaluate", "gates", "jobs", "logs", "metrics", "outputs", "references"}
-    | {"replay", "simulate", "world"}
-    | CORE,
+    "markdown": set(),
+    "cells": GROUND | {"", "jobs", "logs", "outputs", "references", "replay"},
+    "batch": GROUND | RUNS | {"layers"},
+    "compare": GROUND | RUNS | {"flight", "simulate", "world"},
+    "commands": GROUND | RUNS | {"batch", "compare", "evaluate", "metrics", "simulate", "world"} | CORE,
     "cli": {"", "commands", "errors"},
 }
 """Room -> rooms that it may import; "" is the package itself (its version)."""
@@ -131,7 +131,13 @@ def test_rooms_neither_print_nor_exit(path: Path) -> None:
 
 @pytest.mark.parametrize(
     "args",
-    [["--help"], *([command, "--help"] for command in ("replay", "simulate", "compare", "metrics", "info", "config"))],
+    [
+        ["--help"],
+        *(
+            [name, "--help"]
+            for name in ("replay", "simulate", "compare", "batch", "check", "metrics", "info", "config")
+        ),
+    ],
     ids=" ".join,
 )
 def test_help_imports_no_heavy_library(args: list[str]) -> None:

@@ -19,9 +19,12 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def watching(names: Sequence[str], *, quiet: bool) -> Iterator[Listener]:
-    """Give the function that hears of jobs; ``names`` are theirs. It also raises a signal that Python has lost."""
-    with _listener(names, quiet=quiet) as listen:
+def watching(names: Sequence[str], *, quiet: bool, lines: bool = True) -> Iterator[Listener]:
+    """Give the function that hears of jobs; ``names`` are theirs. It also raises a signal that Python has lost.
+
+    ``lines`` says whether it tells of ends where there are no bars, as a caller may do that better.
+    """
+    with _listener(names, quiet=quiet, lines=lines) as listen:
 
         def attentive(event: Event) -> None:
             signals.check()
@@ -31,14 +34,14 @@ def watching(names: Sequence[str], *, quiet: bool) -> Iterator[Listener]:
 
 
 @contextmanager
-def _listener(names: Sequence[str], *, quiet: bool) -> Iterator[Listener]:
+def _listener(names: Sequence[str], *, quiet: bool, lines: bool) -> Iterator[Listener]:
     if quiet or not names:
         yield _silent
     elif sys.stderr.isatty():
         with _bars(names) as listen:
             yield listen
     else:
-        yield _lines(names)
+        yield _lines(names) if lines else _silent
 
 
 def _silent(event: Event) -> None:
@@ -75,12 +78,16 @@ def _bars(names: Sequence[str]) -> Iterator[Listener]:
     from mavnav.jobs import Ended, Fate, Progressed, Started
 
     with bars() as shown:
-        whole = shown.add_task(f"{len(names)} cells", total=len(names))
+        failed = 0
+        whole = shown.add_task(f"{len(names)} runs", total=len(names))
         tasks: dict[int, object] = {}
 
         def listen(event: Event) -> None:
+            nonlocal failed
             match event:
                 case Started(index):
+                    if index in tasks:  # tried again
+                        shown.remove_task(tasks[index])  # type: ignore[arg-type]
                     tasks[index] = shown.add_task(printable(names[index]), total=None)
                 case Progressed(index, phase, done, total):
                     text = printable(f"{names[index]}: {phase}")
@@ -89,6 +96,8 @@ def _bars(names: Sequence[str]) -> Iterator[Listener]:
                     shown.remove_task(tasks.pop(index))  # type: ignore[arg-type]
                     shown.advance(whole)
                     if outcome.fate is not Fate.DONE:
+                        failed += 1
+                        shown.update(whole, description=f"{len(names)} runs, {failed} failed")
                         note(f"mavnav: {names[index]} {_fate(event)}")
 
         yield listen

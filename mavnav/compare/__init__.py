@@ -7,16 +7,15 @@ again; ``comparison.json``, ``comparison.csv``, ``comparison.md`` and ``report.h
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.compare.cells import REFERENCES, Cell, earlier, make_cells, replay_cell
+from mavnav.cells import REFERENCES, Cell, check_home, earlier, make_cells, replay_cell
 from mavnav.compare.document import NO_PRICE, comparison
 from mavnav.compare.files import COMPARISON_FILE, write_comparison
 from mavnav.compare.grids import settings
-from mavnav.errors import OutputError, UsageError
+from mavnav.errors import UsageError
 from mavnav.gates import judge
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs
 from mavnav.outputs import REPORT_FILE, write_page
@@ -43,7 +42,7 @@ __all__ = [
     "settings",
 ]
 
-_OURS: Final = {"cells", "logs", COMPARISON_FILE}
+_OURS: Final = ("cells", "logs", COMPARISON_FILE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,15 +114,7 @@ def _drawn(directory: Path, keys: list[str]) -> bool:
 
 def check_directory(directory: Path) -> None:
     """Make the directory of a comparison; raise OutputError where it cannot be, or where something else is there."""
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        strange = bool(names := {path.name for path in directory.iterdir()}) and not names & _OURS
-    except OSError as error:
-        raise OutputError(f"{directory} cannot be used: {error.strerror}; choose another with -o") from error
-    if strange:
-        raise OutputError(f"{directory} holds other files (no {COMPARISON_FILE}); choose another directory with -o")
-    if not os.access(directory, os.W_OK | os.X_OK):
-        raise OutputError(f"{directory} is not writable; choose another with -o")
+    check_home(directory, _OURS)
 
 
 def compare(plan: Plan, on_event: Callable[[Event], None]) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
+from mavnav.cells import cell_row
 from mavnav.compare.figures import PRICES, best, prices
 from mavnav.errors import ExitCode, worst
 from mavnav.gates import judge
@@ -13,24 +14,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from mavnav.compare.cells import Cell
+    from mavnav.cells import Cell
     from mavnav.gates import Gate
     from mavnav.jobs import Outcome
 
 SCHEMA_VERSION: Final = 1
-
-SECTIONS: Final = (
-    "scans",
-    "tracking",
-    "search",
-    "map",
-    "wall_thickness",
-    "map_quality",
-    "reference",
-    "timing",
-    "exit_code",
-)
-"""What a comparison repeats of every run.json."""
 
 NO_PRICE: Final[dict[str, Any]] = {"price": dict.fromkeys(PRICES)}
 """What a gate finds under ``price`` before all cells are done."""
@@ -51,7 +39,7 @@ def comparison(
     runs = [kept.get(cell.key) or outcomes[cell.key].value for cell in cells]
     price = prices([_group(cell) for cell in cells], runs)
     verdicts = [verdict for k, run in enumerate(runs) if run for verdict in _judge(gates, run, price, k)]
-    rows = [_cell(cell, outcomes.get(cell.key), run, directory) for cell, run in zip(cells, runs, strict=True)]
+    rows = [cell_row(cell, outcomes.get(cell.key), run, directory) for cell, run in zip(cells, runs, strict=True)]
     logs = _logs(cells, runs)
     return {
         "schema_version": SCHEMA_VERSION,
@@ -68,23 +56,6 @@ def comparison(
 
 def _group(cell: Cell) -> tuple[object, int]:
     return (cell.request.log, cell.config.method), cell.config.grid.points + cell.config.azimuth
-
-
-def _cell(cell: Cell, outcome: Outcome | None, run: dict[str, Any] | None, directory: Path) -> dict[str, Any]:
-    status = "cached" if outcome is None else "failed" if run is None else "done"
-    return {
-        "name": cell.name,
-        "log": str(cell.request.log),
-        "method": cell.config.method,
-        "grid": str(cell.config.grid),
-        "azimuth": cell.config.azimuth,
-        "key": cell.key,
-        "status": status,
-        "exit_code": int(run["exit_code"] if run else outcome.exit_code if outcome else ExitCode.BUG),
-        "error": outcome.error if outcome and outcome.error else None,
-        "directory": cell.request.directory.relative_to(directory).as_posix() if run else None,
-        "run": {name: run[name] for name in SECTIONS if name in run} if run else None,
-    }
 
 
 def _logs(cells: Sequence[Cell], runs: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]]:

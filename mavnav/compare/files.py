@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.compare.figures import FIGURES, PRICES, value
 from mavnav.errors import OutputError
+from mavnav.markdown import escaped, table_row
 from mavnav.outputs import to_json
 from mavnav.staging import beside
 
@@ -43,19 +44,15 @@ def to_csv(document: dict[str, Any]) -> str:
 def to_markdown(document: dict[str, Any]) -> str:
     """Write a table of GitHub's kind, the winners bold, and below it what failed."""
     titles = ["log", "method", "azimuth/grid", *(f.title for f in FIGURES), "evaluations ratio", "cpu ratio"]
-    lines = [f"# mavnav {document['mavnav_version']} compare", "", _row(titles), _row(["---"] * len(titles))]
-    lines += [_row(_cells(document, k)) for k in range(len(document["cells"]))]
-    failed = [f"- {_escaped(problem)}" for problem in problems(document)]
+    lines = [f"# mavnav {document['mavnav_version']} compare", "", table_row(titles), table_row(["---"] * len(titles))]
+    lines += [table_row(_cells(document, k)) for k in range(len(document["cells"]))]
+    failed = [f"- {escaped(problem)}" for problem in problems(document)]
     return "\n".join([*lines, *(["", *failed] if failed else [])]) + "\n"
-
-
-def _row(texts: list[str]) -> str:
-    return f"| {' | '.join(texts)} |"
 
 
 def _cells(document: dict[str, Any], k: int) -> list[str]:
     cell = document["cells"][k]
-    texts = [_escaped(cell["log"]), cell["method"], f"{cell['azimuth']}/{cell['grid']}"]
+    texts = [escaped(cell["log"]), cell["method"], f"{cell['azimuth']}/{cell['grid']}"]
     for figure in FIGURES:
         text = figure.shown(value(cell["run"], figure.name))
         texts.append(f"**{text}**" if k in winning(document, figure.name) else text)
@@ -82,12 +79,6 @@ def problems(document: dict[str, Any]) -> list[str]:
         if not gate["passed"]
     ]
     return failed + gates
-
-
-def _escaped(text: str) -> str:
-    """Keep Markdown from taking a log's name for its own marks, or a line's end in it for its own."""
-    plain = "".join(c if c.isprintable() else "?" for c in text)
-    return "".join(f"\\{c}" if c in r"\`*_{}[]<>|#" else c for c in plain)
 
 
 TEXTS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {

@@ -7,6 +7,7 @@ that they share no state with their parent, and they follow it when it dies. Wha
 
 from mavnav.jobs.crew import run_jobs, usable_cores
 from mavnav.jobs.records import Ended, Event, Fate, Job, Outcome, Progressed, Report, Started
+from mavnav.jobs.retry import run_with_retries
 
 __all__ = [
     "Ended",
@@ -18,5 +19,6 @@ __all__ = [
     "Report",
     "Started",
     "run_jobs",
+    "run_with_retries",
     "usable_cores",
 ]

@@ -57,16 +57,30 @@ def _follow_parent() -> None:
 
 
 def _attempt(index: int, packed: bytes, channel: connection.Connection[Any, Any]) -> Outcome:
-    """Run one job; an exception becomes an outcome."""
+    """Unpack one job and run it."""
     began_s = monotonic()
     try:
         job: Job = pickle.loads(packed)  # noqa: S301  our own parent packed it
-        value = job.work(*job.args, _reporter(index, channel))
-        return Outcome(Fate.DONE, os.getpid(), monotonic() - began_s, value)
     except Exception as error:
-        code = error.exit_code if isinstance(error, MavnavError) else ExitCode.BUG
-        trace = "".join(format_exception(error))
-        return Outcome(Fate.FAILED, os.getpid(), monotonic() - began_s, None, _said(error), trace, code)
+        return failed(error, began_s)
+    return attempt(job, _reporter(index, channel))
+
+
+def attempt(job: Job, report: Report) -> Outcome:
+    """Run one job in this process; an exception becomes an outcome."""
+    began_s = monotonic()
+    try:
+        value = job.work(*job.args, report)
+    except Exception as error:
+        return failed(error, began_s)
+    return Outcome(Fate.DONE, os.getpid(), monotonic() - began_s, value)
+
+
+def failed(error: Exception, began_s: float) -> Outcome:
+    """Return the outcome of a job that raised, and began at that time of the monotonic clock."""
+    code = error.exit_code if isinstance(error, MavnavError) else ExitCode.BUG
+    trace = "".join(format_exception(error))
+    return Outcome(Fate.FAILED, os.getpid(), monotonic() - began_s, None, _said(error), trace, code)
 
 
 def _said(error: Exception) -> str:

@@ -1,26 +1,41 @@
-"""Cells of a comparison: one log replayed with one setting, known by everything that decides its result."""
+"""Cells of a comparison or a batch: one log replayed with one setting, known by everything that decides its result."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, fields, is_dataclass
+import os
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from mavnav import __version__, replay
+from mavnav.errors import ExitCode, OutputError
 from mavnav.logs import content_sha256
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.references import References, load_references
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from mavnav.config import Config
-    from mavnav.jobs import Report
+    from mavnav.jobs import Outcome, Report
+
+SECTIONS: Final = (
+    "scans",
+    "tracking",
+    "search",
+    "map",
+    "wall_thickness",
+    "map_quality",
+    "reference",
+    "timing",
+    "exit_code",
+)
+"""What the document of a comparison or a batch repeats of every run.json."""
 
 REFERENCES = ("truth", "truth_map", "relations")
 """Of a request: the files to compare the outcome with."""
@@ -57,18 +72,40 @@ def make_cells(
     another file that cannot be read.
     """
     found: dict[str, Cell] = {}
-    digests = {log: content_sha256(log) for log in logs}
     references = references_sha256(load_references(**{name: options.get(name) for name in REFERENCES}))
     configs = list(configs)
-    for log, digest in digests.items():
+    for log, digest in {log: content_sha256(log) for log in logs}.items():
         for config in configs:
             request = replay.Request(log=log, directory=directory, config=config, force=force, **options)
-            key = cell_key(request, digest, references)
-            name = f"{replay.default_directory(log, config).name}-{key[:8]}"
-            place = directory / "cells" / name
-            request = replay.Request(log=log, directory=place, config=config, force=force, **options)
-            found.setdefault(key, Cell(request, key))
+            cell = make_cell(request, digest, references)
+            found.setdefault(cell.key, cell)
     return list(found.values())
+
+
+def make_cell(request: replay.Request, log_sha256: str, references: str) -> Cell:
+    """Return the cell of a request, given the hashes of its log and of its references.
+
+    Its run directory lies below ``request.directory`` / ``cells``.
+    """
+    key = cell_key(request, log_sha256, references)
+    name = f"{replay.default_directory(request.log, request.config).name}-{key[:8]}"
+    return Cell(replace(request, directory=request.directory / "cells" / name), key)
+
+
+def check_home(directory: Path, ours: Sequence[str]) -> None:
+    """Make the directory that cells are to lie below; it may hold an earlier comparison or batch, known by its files.
+
+    Raises OutputError where it cannot be used, or holds none of ``ours`` but something else.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        strange = bool(names := {path.name for path in directory.iterdir()}) and not names & set(ours)
+    except OSError as error:
+        raise OutputError(f"{directory} cannot be used: {error.strerror}; choose another with -o") from error
+    if strange:
+        raise OutputError(f"{directory} holds other files (no {ours[-1]}); choose another directory with -o")
+    if not os.access(directory, os.W_OK | os.X_OK):
+        raise OutputError(f"{directory} is not writable; choose another with -o")
 
 
 def cell_key(request: replay.Request, log_sha256: str, references: str) -> str:
@@ -104,7 +141,7 @@ def references_sha256(references: References) -> str:
 @cache
 def source_sha256() -> str:
     """Return the SHA-256 over all modules of this package."""
-    package = Path(__file__).parent.parent
+    package = Path(__file__).parent
     digest = hashlib.sha256()
     for module in sorted(package.rglob("*.py")):
         digest.update(f"{module.relative_to(package).as_posix()}\n".encode() + module.read_bytes())
@@ -124,3 +161,25 @@ def replay_cell(request: replay.Request, report: Report) -> dict[str, Any]:
     """Replay one cell and return its document; the job of a worker process, in which the kernels are loaded by now."""
     _, document = replay.replay(request, report, compile_s=0.0)
     return document
+
+
+def cell_row(cell: Cell, outcome: Outcome | None, run: Mapping[str, Any] | None, directory: Path) -> dict[str, Any]:
+    """Describe a cell: what it is, what became of it, and the sections of its run.json.
+
+    ``outcome`` is None for a run that was there before, ``run`` for one that failed; directories are told from
+    ``directory`` on.
+    """
+    status = "cached" if outcome is None else "failed" if run is None else "done"
+    return {
+        "name": cell.name,
+        "log": str(cell.request.log),
+        "method": cell.config.method,
+        "grid": str(cell.config.grid),
+        "azimuth": cell.config.azimuth,
+        "key": cell.key,
+        "status": status,
+        "exit_code": int(run["exit_code"] if run else outcome.exit_code if outcome else ExitCode.BUG),
+        "error": outcome.error if outcome and outcome.error else None,
+        "directory": cell.request.directory.relative_to(directory).as_posix() if run else None,
+        "run": {name: run[name] for name in SECTIONS if name in run} if run else None,
+    }

@@ -1,0 +1,241 @@
+"""The pipeline of ``mavnav batch``: many logs with many settings, each run apart, one verdict.
+
+A batch lives in a directory: ``cells/`` holds a run directory for every run, and a run that is there is not made again;
+``batch.json``, ``batch.csv`` and ``batch.html`` are about all of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import monotonic
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav.batch.baseline import write_baseline
+from mavnav.batch.cases import BASELINE_GATE, Case, make_cases
+from mavnav.batch.document import batch_document, batch_row, judged
+from mavnav.batch.files import BATCH_FILE, write_batch
+from mavnav.batch.work import replay_there
+from mavnav.cells import check_home, earlier
+from mavnav.errors import UsageError
+from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs, run_with_retries
+from mavnav.staging import discard
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from mavnav.batch.baseline import Baseline, Tolerance
+    from mavnav.batch.manifest import Entry
+    from mavnav.batch.settings import Setting
+    from mavnav.gates import Gate
+    from mavnav.replay import Progress
+
+    Row = dict[str, Any]
+    OnRow = Callable[[Row], None]
+    OnEvent = Callable[[Event], None]
+
+__all__ = ["BASELINE_GATE", "BATCH_FILE", "Limits", "Part", "Plan", "Request", "Rules", "plan", "run_batch"]
+
+_OURS: Final = ("cells", BATCH_FILE)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How many runs at a time, how long and how large each may get, and how often one whose process died is tried."""
+
+    workers: int = 1
+    timeout_s: float | None = None
+    memory_mb: int | None = None
+    tries: int = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """What must hold of every run, besides what must of its log.
+
+    ``accept`` are exit codes that count as done; ``baseline_gate`` says that nothing may be worse than in ``baseline``.
+    """
+
+    gates: tuple[Gate, ...] = ()
+    accept: frozenset[int] = frozenset()
+    baseline: Baseline | None = None
+    watched: tuple[Tolerance, ...] = ()
+    baseline_gate: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One of several equal parts of a batch, counted from 1, for machines that share a directory."""
+
+    number: int
+    of: int
+
+    def __post_init__(self) -> None:
+        """Refuse a part that there is not; raises UsageError."""
+        if not 1 <= self.number <= self.of:
+            raise UsageError(
+                f"part {self.number}/{self.of} is none; parts count from 1, for example 1/{max(self.of, 2)}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is asked for. Relative paths of ``entries`` count from ``base``; ``force`` runs again what is there,
+    ``report`` asks for a page of every run.
+
+    ``new_baseline`` is a file that the figures are written to, for later batches.
+    """
+
+    entries: tuple[Entry, ...]
+    settings: tuple[Setting, ...]
+    base: Path
+    directory: Path
+    limits: Limits = Limits()
+    rules: Rules = Rules()
+    part: Part | None = None
+    force: bool = False
+    report: bool = False
+    new_baseline: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The cases of a batch, and which of their run directories are there already."""
+
+    request: Request
+    cases: tuple[Case, ...]
+    kept: frozenset[Path]
+
+    @property
+    def missing(self) -> list[Case]:
+        """The cases that are to be run, one for each run directory."""
+        by_place = {case.cell.request.directory: case for case in self.cases if case.cell}
+        return [case for place, case in by_place.items() if place not in self.kept]
+
+
+def plan(request: Request, progress: Progress) -> Plan:
+    """Find out what is to be run and what is there.
+
+    Raises UsageError for no logs at all, for gates on unknown names and for folders that cannot be read, OutputError
+    where the directory cannot be used: before the work. A log that cannot be read fails alone.
+    """
+    check_home(request.directory, _OURS)
+    common = {"directory": request.directory, "report": request.report, "force": True}
+    cases = make_cases(request.entries, request.settings, request.base, common, progress)
+    if request.part:
+        cases = cases[request.part.number - 1 :: request.part.of]
+    elif not cases:
+        raise UsageError("no logs; name a manifest, or logs, patterns or folders")
+    kept = set()
+    for case in cases:
+        if case.cell and not request.force and (run := earlier(case.cell)):
+            kept.add(case.cell.request.directory)
+            _row(request, case, None, run)
+    return Plan(request, tuple(cases), frozenset(kept))
+
+
+def run_batch(plan: Plan, on_event: OnEvent, on_row: OnRow) -> dict[str, Any]:
+    """Run what is missing, each run in a process of its own, judge all, and return batch.json.
+
+    Parameters
+    ----------
+    plan
+        What is to be run, of `plan`.
+    on_event
+        Hears of the jobs, which are ``plan.missing`` in its order.
+    on_row
+        Gets the row of every run as soon as it is known: first those that were there, then each as it ends.
+
+    Raises
+    ------
+    UsageError
+        As soon as a result does not have a number that a gate names.
+    OutputError
+        Where the documents cannot be written. A part of a batch writes none: the whole does, when all parts are there.
+    """
+    began_s = monotonic()
+    desk = _Desk(plan, on_row)
+    desk.settle_kept()
+    _run_missing(plan, on_event, desk)
+    rows, request = desk.ordered(), plan.request
+    rules = request.rules
+    document = batch_document(rows, monotonic() - began_s, rules.baseline, baseline_gate=rules.baseline_gate)
+    if request.part is None:
+        write_batch(document, request.directory)
+    if request.new_baseline:
+        write_baseline(rows, request.new_baseline, rules.watched)
+    return document
+
+
+class _Desk:
+    """Where results are judged and their rows collected; runs that share a directory get a row each."""
+
+    def __init__(self, plan: Plan, on_row: OnRow) -> None:
+        self.plan, self.on_row = plan, on_row
+        self.rows: dict[str, Row] = {}
+        self.sharing: dict[Path, list[Case]] = {}
+        for case in plan.cases:
+            if case.cell:
+                self.sharing.setdefault(case.cell.request.directory, []).append(case)
+
+    def settle_kept(self) -> None:
+        """Take in what was there before, and what cannot be read."""
+        for case in self.plan.cases:
+            if case.cell is None:
+                self._take(case, None, None)
+            elif case.cell.request.directory in self.plan.kept:
+                self._take(case, None, earlier(case.cell))
+
+    def settle(self, place: Path, outcome: Outcome) -> None:
+        """Take in how the run of a directory ended."""
+        for case in self.sharing[place]:
+            self._take(case, outcome, earlier(case.cell) if case.cell and outcome.fate is Fate.DONE else None)
+
+    def _take(self, case: Case, outcome: Outcome | None, run: dict[str, Any] | None) -> None:
+        self.rows[case.name] = _row(self.plan.request, case, outcome, run)
+        self.on_row(self.rows[case.name])
+
+    def ordered(self) -> list[Row]:
+        """Return the rows in the order of the cases."""
+        return [self.rows[case.name] for case in self.plan.cases]
+
+
+def _row(request: Request, case: Case, outcome: Outcome | None, run: dict[str, Any] | None) -> Row:
+    """Describe and judge one run."""
+    rules = request.rules
+    return judged(
+        batch_row(case, outcome, run, request.directory),
+        run,
+        (*rules.gates, *case.gates),
+        rules.accept | case.accept,
+        rules.baseline,
+        rules.watched,
+        baseline_gate=rules.baseline_gate,
+    )
+
+
+def _run_missing(plan: Plan, on_event: OnEvent, desk: _Desk) -> None:
+    limits = plan.request.limits
+    requests = [case.cell.request for case in plan.missing if case.cell]
+
+    def once(jobs: Sequence[Job], listen: OnEvent) -> list[Outcome]:
+        return run_jobs(jobs, limits.workers, _tidying(jobs, listen), limits.timeout_s, limits.memory_mb)
+
+    def hear(event: Event) -> None:
+        if isinstance(event, Ended):
+            desk.settle(requests[event.index].directory, event.outcome)
+        on_event(event)
+
+    jobs = [Job(case.name, replay_there, (request,)) for case, request in zip(plan.missing, requests, strict=True)]
+    run_with_retries(jobs, once, hear, limits.tries)
+
+
+def _tidying(jobs: Sequence[Job], listen: OnEvent) -> OnEvent:
+    """Clear away what a dead worker has left, before anyone else hears of it."""
+
+    def hear(event: Event) -> None:
+        if isinstance(event, Ended) and event.outcome.fate in {Fate.DIED, Fate.TIMEOUT}:
+            discard(jobs[event.index].args[0].directory, event.outcome.pid)
+        listen(event)
+
+    return hear

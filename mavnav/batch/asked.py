@@ -1,0 +1,160 @@
+"""What a command line and a manifest ask for together: the command line wins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mavnav.batch import Limits, Part, Request, Rules
+from mavnav.batch.baseline import parse_tolerance, read_baseline, tolerances
+from mavnav.batch.cases import BASELINE_GATE
+from mavnav.batch.manifest import Entry, Manifest, read_manifest
+from mavnav.batch.settings import Setting, crossed_settings, listed_settings
+from mavnav.errors import ExitCode, UsageError
+from mavnav.gates import Gate, parse_gate
+from mavnav.jobs import usable_cores
+from mavnav.layers import Layer
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from mavnav.batch.baseline import Tolerance
+
+MANIFEST_SUFFIXES = (".yaml", ".yml")
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """The command line: what was not given is None or empty.
+
+    ``sources`` are a manifest and logs; ``options`` values of the configuration, ``reading`` those of an `Entry`.
+    """
+
+    sources: Sequence[str] = ()
+    methods: Sequence[str] = ()
+    grids: Sequence[str] = ()
+    azimuths: Sequence[int] = ()
+    config: str | None = None
+    sets: Sequence[str] = ()
+    options: Mapping[str, object] = field(default_factory=dict)
+    reading: Mapping[str, Any] = field(default_factory=dict)
+    gates: Sequence[str] = ()
+    accept: Sequence[int] = ()
+    baseline: Path | None = None
+    tolerances: Sequence[str] = ()
+    directory: Path | None = None
+    jobs: int | None = None
+    timeout_s: float | None = None
+    memory_mb: int | None = None
+    tries: int | None = None
+    part: str | None = None
+    force: bool = False
+    report: bool = False
+    update_baseline: bool = False
+
+
+def request_of(asked: Asked) -> Request:
+    """Read the manifest, if one is named, and return the request.
+
+    Raises ConfigError for a manifest that is wrong, UsageError for anything else that cannot be done.
+    """
+    path = _manifest_path(asked.sources)
+    manifest, layer = read_manifest(path) if path else (Manifest(), Layer())
+    base = path.parent if path else Path()
+    baseline = asked.baseline or (base / manifest.baseline if manifest.baseline else None)
+    return Request(
+        entries=_entries(asked, manifest, base),
+        settings=tuple(_settings(asked, manifest, layer, base)),
+        base=base,
+        directory=asked.directory or (base / manifest.output if manifest.output else _default_directory(path)),
+        limits=_limits(asked, manifest),
+        rules=_rules(asked, manifest, baseline),
+        part=_part(asked.part),
+        force=asked.force,
+        report=asked.report or manifest.report,
+        new_baseline=baseline if asked.update_baseline else None,
+    )
+
+
+def _manifest_path(sources: Sequence[str]) -> Path | None:
+    manifests = [source for source in sources if source.endswith(MANIFEST_SUFFIXES)]
+    if len(manifests) > 1:
+        raise UsageError(f"{len(manifests)} manifests; name one, and logs besides")
+    return Path(manifests[0]) if manifests else None
+
+
+def _default_directory(path: Path | None) -> Path:
+    return Path("runs") / (f"batch-{path.stem}" if path else "batch")
+
+
+def _entries(asked: Asked, manifest: Manifest, base: Path) -> tuple[Entry, ...]:
+    """Return the manifest's logs and those of the command line, which count from the current folder."""
+    logs = [source for source in asked.sources if not source.endswith(MANIFEST_SUFFIXES)]
+    absolute = [log if "://" in log or not base.parts else str(Path(log).absolute()) for log in logs]
+    entries = (*manifest.logs, *((Entry(log=tuple(absolute)),) if absolute else ()))
+    return tuple(entry.model_copy(update=dict(asked.reading)) for entry in entries)
+
+
+def _settings(asked: Asked, manifest: Manifest, layer: Layer, base: Path) -> list[Setting]:
+    if manifest.runs and not (asked.methods or asked.grids or asked.azimuths or asked.config):
+        return listed_settings(manifest.runs, layer, base, asked.sets, asked.options)
+    return crossed_settings(asked.config, asked.sets, asked.methods, asked.grids, asked.azimuths, asked.options)
+
+
+def _limits(asked: Asked, manifest: Manifest) -> Limits:
+    return Limits(
+        workers=asked.jobs or manifest.jobs or usable_cores(),
+        timeout_s=asked.timeout_s or manifest.timeout_s,
+        memory_mb=asked.memory_mb or manifest.memory_mb,
+        tries=asked.tries or manifest.tries,
+    )
+
+
+def _rules(asked: Asked, manifest: Manifest, path: Path | None) -> Rules:
+    texts = [*manifest.gates, *asked.gates]
+    gated = BASELINE_GATE in texts or any(BASELINE_GATE in entry.gates for entry in manifest.logs)
+    if path is None and (gated or asked.update_baseline):
+        raise UsageError("no baseline; name one with --baseline, an earlier batch or a file")
+    if asked.update_baseline and path and path.is_dir():
+        raise UsageError(f"{path} is a directory; name a file for --update-baseline to write")
+    fresh = asked.update_baseline and path is not None and not path.exists()
+    return Rules(
+        gates=tuple(_gates(texts)),
+        accept=frozenset(_codes([*manifest.accept, *asked.accept])),
+        baseline=None if path is None or fresh else read_baseline(path),
+        watched=tolerances([*_given(manifest.tolerances), *(_tolerance(text) for text in asked.tolerances)]),
+        baseline_gate=gated and not asked.update_baseline,
+    )
+
+
+def _gates(texts: Sequence[str]) -> list[Gate]:
+    return [parse_gate(text) for text in texts if text != BASELINE_GATE]
+
+
+def _codes(codes: Sequence[int]) -> list[int]:
+    known = {int(code) for code in ExitCode}
+    for code in codes:
+        if code not in known:
+            raise UsageError(f"--accept {code}: mavnav has no such exit code; see docs/cli.md")
+    return list(codes)
+
+
+def _given(named: Mapping[str, float | str]) -> list[Tolerance]:
+    return [parse_tolerance(name, str(text)) for name, text in named.items()]
+
+
+def _tolerance(text: str) -> Tolerance:
+    name, equals, size = text.partition("=")
+    if not equals or not name.strip():
+        raise UsageError(f"--tolerance {text!r} is not NAME=X; write for example --tolerance timing.cpu_s=50%")
+    return parse_tolerance(name.strip(), size)
+
+
+def _part(text: str | None) -> Part | None:
+    if text is None:
+        return None
+    number, slash, of = text.partition("/")
+    if not (slash and number.isdecimal() and of.isdecimal()):
+        raise UsageError(f"--part {text!r} is not I/N; write for example --part 1/4")
+    return Part(int(number), int(of))

@@ -1,0 +1,191 @@
+"""Baselines: the figures of an earlier batch, and how far those of a new one may move from them."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav import __version__
+from mavnav.errors import SEVERITY, ExitCode, OutputError, UsageError
+from mavnav.gates import find
+from mavnav.outputs import to_json
+from mavnav.staging import beside
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+SCHEMA_VERSION: Final = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """How far a number of run.json may move: by the larger of ``absolute`` and ``relative`` times what it was.
+
+    ``high`` says that more of it is better.
+    """
+
+    name: str
+    absolute: float = 0.0
+    relative: float = 0.0
+    high: bool = False
+
+    def allows(self, before: float) -> float:
+        """Return by how much the number may differ and still count as the same."""
+        return max(self.absolute, self.relative * abs(before))
+
+
+TOLERANCES: Final = (
+    Tolerance("map_quality.meaningful", high=True),
+    Tolerance("map.accepted_share", absolute=0.02, high=True),
+    Tolerance("tracking.tracked_share", absolute=0.01, high=True),
+    Tolerance("wall_thickness.2.p95_mm", absolute=2.0, relative=0.05),
+    Tolerance("map_quality.ghost_walls.length_m", absolute=0.25, relative=0.05),
+    Tolerance("map_quality.revisits.nn_l_mm", absolute=0.5, relative=0.05),
+    Tolerance("map_quality.crispness.occupied_cells_per_m", relative=0.05),
+    Tolerance("search.evaluations_per_scan.mean", relative=0.1),
+)
+"""What is compared by itself. Processor time is not: it is the machine's as well."""
+
+_TOLERANCE: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(%?)\s*(?:,\s*(low|high)\s*)?")
+
+
+def parse_tolerance(name: str, text: str) -> Tolerance:
+    """Read ``5``, ``5%``, ``5%,high``; which direction is better is known for the figures in `TOLERANCES`, else low.
+
+    Raises UsageError.
+    """
+    match = _TOLERANCE.fullmatch(text)
+    try:
+        size = abs(float(match[1])) if match else None
+    except ValueError:
+        size = None
+    if match is None or size is None:
+        example = "write for example --tolerance wall_thickness.p95_mm=5%"
+        raise UsageError(f"the tolerance {text!r} of {name} is no number, with % or not; {example}")
+    usual = any(known.name == name and known.high for known in TOLERANCES)
+    high = match[3] == "high" if match[3] else usual
+    return Tolerance(name, high=high, **({"relative": size / 100} if match[2] else {"absolute": size}))
+
+
+def tolerances(given: Iterable[Tolerance]) -> tuple[Tolerance, ...]:
+    """Return the usual tolerances, with those given in their places or behind them."""
+    return tuple(({known.name: known for known in TOLERANCES} | {mine.name: mine for mine in given}).values())
+
+
+class Change(StrEnum):
+    """What became of a number or of a run since the baseline."""
+
+    SAME = "same"
+    BETTER = "better"
+    WORSE = "worse"
+    NEW = "new"
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """The runs of an earlier batch by name, each with its exit code, and its figures or its sections of run.json."""
+
+    path: Path
+    version: str
+    runs: Mapping[str, Mapping[str, Any]]
+
+
+def read_baseline(path: Path) -> Baseline:
+    """Read ``batch.json`` of a directory, or a file of `write_baseline`; raises UsageError where it is neither."""
+    file = path / "batch.json" if path.is_dir() else path
+    try:
+        document = json.loads(file.read_bytes())
+        runs = {cell["name"]: {"run": None, "figures": {}, **cell} for cell in document["cells"]}
+        for run in runs.values():
+            ExitCode(run["exit_code"])
+        return Baseline(path, str(document["mavnav_version"]), runs)
+    except OSError as error:
+        reason = f"cannot be read ({error.strerror})"
+        raise UsageError(
+            f"{file}: the baseline {reason}; name an earlier batch, or make one with --update-baseline"
+        ) from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise UsageError(
+            f"{file} is no baseline; name the directory of a batch, its batch.json, or a baseline file"
+        ) from error
+
+
+def write_baseline(rows: Sequence[Mapping[str, Any]], path: Path, watched: Sequence[Tolerance]) -> None:
+    """Write the figures that are compared, and nothing else, so that the file can be kept with the code."""
+    cells = [_kept(row, watched) for row in rows]
+    document = {"schema_version": SCHEMA_VERSION, "mavnav_version": __version__, "cells": cells}
+    try:
+        with beside(path) as partial:
+            partial.write_text(to_json(document), encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}; name another file") from error
+
+
+def _kept(row: Mapping[str, Any], watched: Sequence[Tolerance]) -> dict[str, Any]:
+    figures = {tolerance.name: figure(row["run"], tolerance.name) for tolerance in watched}
+    return {"name": row["name"], "exit_code": row["exit_code"], "figures": figures}
+
+
+def figure(run: Mapping[str, Any] | None, name: str) -> float | None:
+    """Return a number of run.json, None where there is no such number."""
+    try:
+        return None if run is None else find(run, name)
+    except UsageError:
+        return None
+
+
+def changes(row: Mapping[str, Any], baseline: Baseline, watched: Sequence[Tolerance]) -> dict[str, Any]:
+    """Compare a run with the one of its name.
+
+    Returns ``change`` as a whole, and ``figures``: for those that moved beyond their tolerance, and for the exit code,
+    what they were, what they are, and whether that is better. A number that is gone is worse, and so is a map that has
+    ceased to be meaningful; one that was not there before is not compared.
+    """
+    before = baseline.runs.get(row["name"])
+    if before is None:
+        return {"change": Change.NEW, "figures": []}
+    found = [_code_change(before["exit_code"], row["exit_code"])]
+    if row["run"]:
+        found += [_figure_change(t, _before(before, t.name), figure(row["run"], t.name)) for t in watched]
+    moved = [item for item in found if item["change"] != Change.SAME]
+    kinds = {item["change"] for item in moved}
+    whole = next((kind for kind in (Change.WORSE, Change.BETTER) if kind in kinds), Change.SAME)
+    return {"change": whole, "figures": moved}
+
+
+def _before(run: Mapping[str, Any], name: str) -> float | None:
+    number: float | None = run["figures"].get(name)
+    return figure(run["run"], name) if number is None else number
+
+
+def _code_change(before: int, now: int) -> dict[str, Any]:
+    change = _ordered(SEVERITY.index(ExitCode(now)), SEVERITY.index(ExitCode(before)), 0.0)
+    return {"name": "exit_code", "before": before, "now": now, "change": change}
+
+
+def _figure_change(tolerance: Tolerance, before: float | None, now: float | None) -> dict[str, Any]:
+    if before is None:
+        change = Change.SAME
+    elif now is None:
+        change = Change.WORSE
+    else:
+        sign = -1.0 if tolerance.high else 1.0
+        change = _ordered(sign * now, sign * before, tolerance.allows(before))
+    return {"name": tolerance.name, "before": before, "now": now, "change": change}
+
+
+def _ordered(now: float, before: float, allowed: float) -> Change:
+    """Compare two numbers of which the less is the better."""
+    if abs(now - before) <= allowed:
+        return Change.SAME
+    return Change.WORSE if now > before else Change.BETTER
+
+
+def missing(rows: Sequence[Mapping[str, Any]], baseline: Baseline) -> list[str]:
+    """Return the names of the baseline's runs that a batch does not have."""
+    names = {row["name"] for row in rows}
+    return [name for name in baseline.runs if name not in names]

@@ -1,0 +1,107 @@
+"""Cases of a batch: every log with every setting, each with a name that stays from one batch to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mavnav import replay
+from mavnav.batch.gather import gather, is_address
+from mavnav.batch.settings import told
+from mavnav.cells import Cell, make_cell, references_sha256
+from mavnav.errors import ExitCode, MavnavError
+from mavnav.gates import Gate, parse_gate
+from mavnav.logs import content_sha256
+from mavnav.pose import Pose
+from mavnav.references import load_references
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from mavnav.batch.manifest import Entry
+    from mavnav.batch.settings import Setting
+    from mavnav.replay import Progress
+
+BASELINE_GATE = "baseline"
+"""The gate that holds where nothing is worse than in the baseline."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A log with a setting, and what must hold of it.
+
+    ``cell`` is None for a log that cannot be read, which ``error`` and ``exit_code`` tell. ``source`` is the path or
+    the address of the log, ``log`` what people call it.
+    """
+
+    name: str
+    log: str
+    source: str
+    setting: Setting
+    cell: Cell | None
+    gates: tuple[Gate, ...] = ()
+    accept: frozenset[int] = frozenset()
+    error: str = ""
+    exit_code: ExitCode = ExitCode.DONE
+
+
+def make_cases(
+    entries: Sequence[Entry], settings: Sequence[Setting], base: Path, common: Mapping[str, Any], progress: Progress
+) -> list[Case]:
+    """Return the cases of a batch, logs first, in order.
+
+    ``common`` are values of every `mavnav.replay.Request`, its directory for one. Every log is read once, for the hash
+    of its content; one that cannot be read, or whose references cannot, is a case that has failed already. Raises
+    UsageError for a gate that cannot be read.
+    """
+    logs = [(entry, log) for entry in entries for log in gather(entry.log, base)]
+    found: dict[str, Case] = {}
+    for number, (entry, log) in enumerate(logs):
+        progress("reading", number, len(logs))
+        for case in _cases(entry, log, settings, base, common):
+            found.setdefault(case.name, case)
+    return list(found.values())
+
+
+def _cases(
+    entry: Entry, log: str, settings: Sequence[Setting], base: Path, common: Mapping[str, Any]
+) -> Iterator[Case]:
+    source = log if is_address(log) else str(base / log)
+    gates = tuple(parse_gate(text) for text in entry.gates if text != BASELINE_GATE)
+    shared: dict[str, Any] = {"log": log, "source": source, "gates": gates, "accept": frozenset(entry.accept)}
+    options = {**common, **_reading(entry), **_files(entry, base)}
+    try:
+        digest = content_sha256(Path(source))
+        references = references_sha256(load_references(**_files(entry, base)))
+    except MavnavError as error:
+        failed: dict[str, Any] = {"cell": None, "error": str(error), "exit_code": error.exit_code}
+        yield from (Case(_name(entry, log, setting), setting=setting, **shared, **failed) for setting in settings)
+        return
+    for setting in settings:
+        request = replay.Request(Path(source), config=setting.config, **options)
+        yield Case(_name(entry, log, setting), setting=setting, cell=make_cell(request, digest, references), **shared)
+
+
+def _name(entry: Entry, log: str, setting: Setting) -> str:
+    """Name a case by its log, its setting, and how the log is read, if that is told."""
+    extrinsic = ",".join(f"{x:g}" for x in entry.extrinsic or ())
+    reading = {"topic": entry.topic, "start_s": entry.start_s, "end_s": entry.end_s, "extrinsic": extrinsic}
+    besides = [f"{name}={told(value)}" for name, value in reading.items() if value not in {None, ""}]
+    return " ".join([log, setting.name, *besides, *(["strict"] if entry.strict else [])])
+
+
+def _reading(entry: Entry) -> dict[str, Any]:
+    mounting = Pose(*entry.extrinsic) if entry.extrinsic else None
+    return {
+        "topic": entry.topic,
+        "start_s": entry.start_s,
+        "end_s": entry.end_s,
+        "extrinsic": mounting,
+        "strict": entry.strict,
+    }
+
+
+def _files(entry: Entry, base: Path) -> dict[str, Path | None]:
+    named = {"truth": entry.truth, "truth_map": entry.truth_map, "relations": entry.relations}
+    return {name: None if file is None else base / file for name, file in named.items()}

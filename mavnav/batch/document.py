@@ -1,0 +1,151 @@
+"""batch.json: a row for every run, with its gates and what became of it since the baseline."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav import __version__
+from mavnav.batch.baseline import Change, changes, missing
+from mavnav.cells import cell_row
+from mavnav.errors import SEVERITY, ExitCode, worst
+from mavnav.gates import judge
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from mavnav.batch.baseline import Baseline, Tolerance
+    from mavnav.batch.cases import Case
+    from mavnav.gates import Gate
+    from mavnav.jobs import Outcome
+
+SCHEMA_VERSION: Final = 1
+
+
+def batch_row(case: Case, outcome: Outcome | None, run: Mapping[str, Any] | None, directory: Path) -> dict[str, Any]:
+    """Describe a run; as in comparison.json, with ``setting`` and ``seconds`` besides."""
+    row = _unread(case) if case.cell is None else cell_row(case.cell, outcome, run, directory)
+    more = {"setting": case.setting.name, "seconds": outcome.seconds if outcome else None}
+    return row | {"name": case.name, "log": case.log, **more}
+
+
+def _unread(case: Case) -> dict[str, Any]:
+    """Describe a run that was not begun."""
+    config = case.setting.config
+    return {
+        "name": case.name,
+        "log": case.log,
+        "method": config.method,
+        "grid": str(config.grid),
+        "azimuth": config.azimuth,
+        "key": None,
+        "status": "failed",
+        "exit_code": int(case.exit_code),
+        "error": case.error,
+        "directory": None,
+        "run": None,
+    }
+
+
+def judged(
+    row: dict[str, Any],
+    run: Mapping[str, Any] | None,
+    gates: Sequence[Gate],
+    accept: frozenset[int],
+    baseline: Baseline | None,
+    watched: Sequence[Tolerance],
+    *,
+    baseline_gate: bool,
+) -> dict[str, Any]:
+    """Return a row with its ``gates``, its ``baseline`` (None without one), and ``verdict``, the exit code that counts.
+
+    The verdict is the worst of the gates and of the run's own exit code, unless that is one of ``accept``. ``run`` is
+    the whole run.json. Raises UsageError for a gate on a number that it does not have.
+    """
+    verdicts = [] if run is None else judge(gates, run)
+    found = None if baseline is None else changes(row, baseline, watched)
+    told = [{"gate": v.gate.text, "value": v.value, "passed": v.passed, "why": v.why} for v in verdicts]
+    if baseline_gate and found is not None:
+        told.append(_baseline_verdict(found))
+    codes = [] if row["exit_code"] in accept else [row["exit_code"]]
+    codes += [ExitCode.GATE_FAILED for verdict in told if not verdict["passed"]]
+    return row | {"gates": told, "baseline": found, "verdict": int(worst(codes))}
+
+
+def _baseline_verdict(found: Mapping[str, Any]) -> dict[str, Any]:
+    worse = [item for item in found["figures"] if item["change"] == Change.WORSE]
+    why = "; ".join(f"{item['name']} went from {_shown(item['before'])} to {_shown(item['now'])}" for item in worse)
+    return {"gate": "baseline", "value": len(worse), "passed": not worse, "why": why}
+
+
+def _shown(number: float | None) -> str:
+    return "nothing" if number is None else f"{number:.6g}"
+
+
+def batch_document(
+    rows: Sequence[dict[str, Any]], wall_s: float, baseline: Baseline | None, *, baseline_gate: bool
+) -> dict[str, Any]:
+    """Put the rows of a batch together; where the baseline is a gate, a run that is missing fails it."""
+    gone = [] if baseline is None else missing(rows, baseline)
+    codes = [*(row["verdict"] for row in rows), *(ExitCode.GATE_FAILED for _ in gone if baseline_gate)]
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "mavnav_version": __version__,
+        "profile": next((run["map_quality"]["profile"] for run in _runs(rows) if run.get("map_quality")), None),
+        "counts": _counts(rows),
+        "wall_s": wall_s,
+        "cells": list(rows),
+        "baseline": None if baseline is None else {**_since(rows, baseline, gone), "gate": baseline_gate},
+        "exit_code": int(worst(codes)),
+    }
+
+
+def _runs(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    return [row["run"] for row in rows if row["run"]]
+
+
+def _counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    status, verdicts = Counter(row["status"] for row in rows), Counter(row["verdict"] for row in rows)
+    return {
+        "runs": len(rows),
+        **{name: status[name] for name in ("done", "cached", "failed")},
+        "verdicts": {str(int(code)): verdicts[code] for code in SEVERITY if verdicts[code]},
+    }
+
+
+def _since(rows: Sequence[Mapping[str, Any]], baseline: Baseline, gone: list[str]) -> dict[str, Any]:
+    kinds = Counter(row["baseline"]["change"] for row in rows)
+    counts = {str(change): kinds[change] for change in Change}
+    return {"path": str(baseline.path), "mavnav_version": baseline.version, **counts, "missing": gone}
+
+
+def worst_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return rows from the worst verdict to the best; of equal ones those that are worse than the baseline first."""
+
+    def rank(row: dict[str, Any]) -> tuple[int, int]:
+        change = (row["baseline"] or {}).get("change")
+        return -SEVERITY.index(ExitCode(row["verdict"])), 0 if change == Change.WORSE else 1
+
+    return sorted(rows, key=rank)
+
+
+def why(row: Mapping[str, Any]) -> list[str]:
+    """Return a line for all that speaks against a run: its own end, and the gates that do not hold."""
+    own = [row["error"] or ENDS[ExitCode(row["exit_code"])]] if row["exit_code"] else []
+    return own + [f"gate {gate['gate']} failed: {gate['why']}" for gate in row["gates"] if not gate["passed"]]
+
+
+ENDS: Final = {
+    ExitCode.DONE: "done",
+    ExitCode.GATE_FAILED: "a gate failed",
+    ExitCode.USAGE: "it cannot be done",
+    ExitCode.DAMAGED_INPUT: "the log is damaged; what is intact was used",
+    ExitCode.NO_SCANS: "no usable scans",
+    ExitCode.TRACKING_LOST: "tracking was lost for good",
+    ExitCode.OUTPUT: "it could not be written",
+    ExitCode.BUG: "a bug, or its process died",
+    ExitCode.INTERRUPTED: "interrupted",
+    ExitCode.TERMINATED: "terminated",
+}
+"""What the exit code of a run means, in a few words."""

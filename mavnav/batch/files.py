@@ -1,0 +1,76 @@
+"""The files of a batch: batch.json, and a table for spreadsheets and for pandas."""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav.batch.baseline import figure
+from mavnav.errors import OutputError
+from mavnav.outputs import to_json
+from mavnav.staging import beside
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+BATCH_FILE: Final = "batch.json"
+
+FIGURES: Final = (
+    "scans.processed",
+    "map.accepted_share",
+    "tracking.tracked_share",
+    "tracking.path_length_m",
+    "map_quality.meaningful",
+    "wall_thickness.2.p95_mm",
+    "wall_thickness.2.max_mm",
+    "map_quality.ghost_walls.length_m",
+    "map_quality.revisits.nn_l_mm",
+    "map_quality.crispness.occupied_cells_per_m",
+    "search.evaluations_per_scan.mean",
+    "timing.cpu_s",
+    "timing.wall_s",
+)
+"""Numbers of run.json that have a column."""
+
+_HEAD: Final = ("name", "log", "setting", "method", "grid", "azimuth", "status", "exit_code", "verdict", "error")
+
+
+def write_batch(document: dict[str, Any], directory: Path) -> None:
+    """Write the files of a batch, each complete or not at all; raises OutputError."""
+    for name, text in TEXTS.items():
+        write_text(text(document), directory / name)
+
+
+def write_text(text: str, path: Path) -> None:
+    """Write one file; raises OutputError."""
+    try:
+        with beside(path) as partial:
+            partial.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}; make room or name another") from error
+
+
+def append_text(text: str, path: Path) -> None:
+    """Write behind what a file holds already; raises OutputError."""
+    try:
+        with path.open("a", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}; name another") from error
+
+
+def to_csv(document: dict[str, Any]) -> str:
+    """Write a line a run: what it is, what became of it, and its figures under their names in run.json."""
+    rows = io.StringIO()
+    table = csv.writer(rows, lineterminator="\n")
+    table.writerow([*_HEAD, "gates_failed", "baseline", "seconds", "directory", *FIGURES])
+    for row in document["cells"]:
+        failed = " ".join(gate["gate"] for gate in row["gates"] if not gate["passed"])
+        more = [failed, (row["baseline"] or {}).get("change"), row["seconds"], row["directory"]]
+        table.writerow([*(row[key] for key in _HEAD), *more, *(figure(row["run"], name) for name in FIGURES)])
+    return rows.getvalue()
+
+
+TEXTS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {BATCH_FILE: to_json, "batch.csv": to_csv}

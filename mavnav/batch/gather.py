@@ -1,0 +1,71 @@
+"""Logs out of paths, patterns, folders and addresses."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from mavnav.errors import UsageError
+from mavnav.outputs.directory import RUN_FILE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+SUFFIXES: Final = (".mcap", ".bag", ".db3", ".active", ".zst", ".zstd")
+"""How logs in a folder end; a log that is named itself may be called anything."""
+
+_ADDRESS: Final = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
+
+
+def is_address(text: str) -> bool:
+    """Tell an address (``s3://bucket/drive.mcap``) from a path."""
+    return _ADDRESS.match(text) is not None
+
+
+def gather(patterns: Iterable[str], base: Path) -> list[str]:
+    """Return the logs that paths, patterns, folders and addresses stand for, each once and in order.
+
+    A pattern (``*``, ``?``, ``[...]``, ``**``) stands for the paths that fit, by name; a folder for the logs in it,
+    ROS 2 bags and folders of folders included, finished runs left out. What stands for nothing is returned as it is:
+    it fails alone later, by its name. Relative paths count from ``base``; those returned are relative to it where they
+    lie below it. Raises UsageError for a folder that cannot be looked into.
+    """
+    found: dict[str, None] = {}
+    for pattern in patterns:
+        try:
+            found.update(dict.fromkeys([pattern] if is_address(pattern) else _paths(pattern, base)))
+        except OSError as error:
+            raise UsageError(
+                f"{error.filename or pattern} cannot be read: {error.strerror}; name other logs"
+            ) from error
+    return list(found)
+
+
+def _paths(pattern: str, base: Path) -> list[str]:
+    return [_told(path, base) for place in _matches(pattern, base) for path in (list(_logs(place)) or [place])]
+
+
+def _matches(pattern: str, base: Path) -> list[Path]:
+    """Return what a pattern stands for; a file may well have a bracket in its name."""
+    whole = base / pattern
+    if whole.exists() or not re.search(r"[*?[]", pattern):
+        return [whole]
+    anchor = Path(whole.anchor)
+    return sorted(anchor.glob(str(whole.absolute().relative_to(anchor.absolute())))) or [whole]
+
+
+def _logs(place: Path) -> Iterator[Path]:
+    if not place.is_dir() or (place / "metadata.yaml").is_file():
+        yield place
+    elif not (place / RUN_FILE).is_file():
+        for path in sorted(place.iterdir()):
+            if not path.name.startswith(".") and (path.is_dir() or path.name.endswith(SUFFIXES)):
+                yield from _logs(path)
+
+
+def _told(path: Path, base: Path) -> str:
+    try:
+        return path.absolute().relative_to(base.absolute()).as_posix()
+    except ValueError:
+        return path.as_posix()

@@ -1,0 +1,92 @@
+"""JUnit XML, as CI servers read it: a suite a log, a test case a run.
+
+After the schema that Jenkins' xUnit plugin publishes: ``testsuites`` of ``testsuite`` of ``testcase``, with at most one
+``failure`` or ``error`` each. A gate that does not hold, a lost track and a damaged log are failures; a run that could
+not be made is an error.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any, Final
+from xml.etree import ElementTree as XML  # noqa: N814  short, as it stands in every line
+
+from mavnav.batch.baseline import figure
+from mavnav.batch.document import why
+from mavnav.batch.files import FIGURES
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+_NOT_XML: Final = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""Characters that XML 1.0 cannot hold (its section 2.2)."""
+
+
+def to_junit(document: Mapping[str, Any]) -> str:
+    """Write a batch as JUnit XML."""
+    logs: dict[str, list[Mapping[str, Any]]] = {}
+    for row in document["cells"]:
+        logs.setdefault(row["log"], []).append(row)
+    root = XML.Element("testsuites", {"name": "mavnav batch", **_totals(document["cells"])})
+    for log, rows in logs.items():
+        root.append(_suite(log, rows))
+    gone = (document["baseline"] or {}).get("missing", [])
+    if gone:
+        root.append(_missing(gone, failed=bool(document["baseline"].get("gate"))))
+    XML.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + XML.tostring(root, encoding="unicode") + "\n"
+
+
+def _totals(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    kinds = [_kind(row) for row in rows]
+    seconds = sum(_seconds(row) for row in rows)
+    counts = {"failures": kinds.count("failure"), "errors": kinds.count("error")}
+    return {"tests": str(len(rows)), **{k: str(v) for k, v in counts.items()}, "time": f"{seconds:.3f}"}
+
+
+def _seconds(row: Mapping[str, Any]) -> float:
+    """Return what a run took, now or when it was made."""
+    return float(row["seconds"] or figure(row["run"], "timing.wall_s") or 0.0)
+
+
+def _kind(row: Mapping[str, Any]) -> str | None:
+    if not row["verdict"]:
+        return None
+    return "failure" if row["run"] else "error"
+
+
+def _suite(log: str, rows: Sequence[Mapping[str, Any]]) -> XML.Element:
+    suite = XML.Element("testsuite", {"name": _text(log), **_totals(rows), "skipped": "0"})
+    suite.extend(_case(log, row) for row in rows)
+    return suite
+
+
+def _case(log: str, row: Mapping[str, Any]) -> XML.Element:
+    name = row["name"].removeprefix(log).strip() or row["name"]
+    case = XML.Element("testcase", {"name": _text(name), "classname": _text(log), "time": f"{_seconds(row):.3f}"})
+    figures = [(name, figure(row["run"], name)) for name in FIGURES]
+    known = [{"name": name, "value": f"{number:.6g}"} for name, number in figures if number is not None]
+    if known:
+        properties = XML.SubElement(case, "properties")
+        for attributes in known:
+            XML.SubElement(properties, "property", attributes)
+    kind, reasons = _kind(row), [_text(reason) for reason in why(row)]
+    if kind:
+        about = {"message": reasons[0], "type": f"exit code {row['verdict']}"}
+        XML.SubElement(case, kind, about).text = "\n".join(reasons)
+    return case
+
+
+def _missing(names: Sequence[str], *, failed: bool) -> XML.Element:
+    """Make a suite of the runs that the baseline has and the batch has not."""
+    count = str(len(names) if failed else 0)
+    counts = {"tests": str(len(names)), "failures": count, "errors": "0", "time": "0.000"}
+    suite = XML.Element("testsuite", {"name": "missing", **counts, "skipped": str(0 if failed else len(names))})
+    for name in names:
+        case = XML.SubElement(suite, "testcase", {"name": _text(name), "classname": "missing", "time": "0.000"})
+        XML.SubElement(case, "failure" if failed else "skipped", {"message": "the baseline has it, this batch has not"})
+    return suite
+
+
+def _text(text: str) -> str:
+    return _NOT_XML.sub("?", text)

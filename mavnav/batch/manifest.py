@@ -1,0 +1,76 @@
+"""The manifest of a batch: a YAML file that names logs, settings, and what must hold."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from mavnav.config_file import validated
+from mavnav.layers import read_yaml
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mavnav.layers import Layer
+
+
+def _listed(value: object) -> object:
+    return value if isinstance(value, list | tuple) else [value]
+
+
+def _entry(value: object) -> object:
+    return {"log": value} if isinstance(value, str) else value
+
+
+Texts = Annotated[tuple[str, ...], BeforeValidator(_listed)]
+Codes = Annotated[tuple[int, ...], BeforeValidator(_listed)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Entry(_Strict):
+    """Logs that are read alike, and what must hold of them besides what must of all."""
+
+    log: Texts = Field(description="path, pattern, folder or address; or a list of them")
+    topic: str | None = Field(None, description="scan topic, where there are several")
+    start_s: float | None = Field(None, ge=0, description="begin so many seconds after the first scan")
+    end_s: float | None = Field(None, ge=0, description="end so many seconds after the first scan")
+    extrinsic: tuple[float, float, float] | None = Field(
+        None, description="laser on its base: x and y in m, yaw in rad"
+    )
+    strict: bool = Field(False, description="leave out scans from where a checksum does not match")
+    truth: str | None = Field(None, description="true trajectory, as of mavnav replay --truth")
+    truth_map: str | None = Field(None, description="true map, as of --truth-map")
+    relations: str | None = Field(None, description="true relative poses, as of --relations")
+    gates: Texts = Field((), description="bounds such as wall_thickness.p95_cells<=7")
+    accept: Codes = Field((), description="exit codes that count as done, such as 3 for a log known to be damaged")
+
+
+class Manifest(_Strict):
+    """Logs times settings. Relative paths count from the manifest's folder."""
+
+    logs: tuple[Annotated[Entry, BeforeValidator(_entry)], ...] = Field((), description="paths, or sections with log")
+    runs: tuple[dict[str, Any], ...] = Field(
+        (), description="settings, every log with each: the keys of a configuration, with name and config (a file)"
+    )
+    gates: Texts = Field((), description="bounds that must hold of every run; the word baseline: none is worse")
+    accept: Codes = Field((), description="exit codes that count as done")
+    baseline: str | None = Field(None, description="an earlier batch: its directory, batch.json, or a baseline file")
+    tolerances: dict[str, float | str] = Field(
+        {}, description="number of run.json: how far it may move, 5, 5% or 5%,high"
+    )
+    output: str | None = Field(None, description="directory")
+    report: bool = Field(False, description="draw a page of every run")
+    jobs: int | None = Field(None, ge=1, description="runs at a time")
+    timeout_s: float | None = Field(None, gt=0, description="a run that takes longer is stopped")
+    memory_mb: int | None = Field(None, ge=1, description="data that a run may hold")
+    tries: int = Field(3, ge=1, description="a run whose process was killed is tried so many times in all")
+
+
+def read_manifest(path: Path) -> tuple[Manifest, Layer]:
+    """Read a manifest, and where each of its values stands; raises ConfigError with the line."""
+    layer = read_yaml(path)
+    return validated(Manifest, layer, str(path)), layer

@@ -1,0 +1,119 @@
+"""Settings of a batch: configurations, each with a name by which it is known from one batch to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+from mavnav.config_file import load_config
+from mavnav.errors import ConfigError, UsageError
+from mavnav.layers import Layer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from mavnav.config import Config
+    from mavnav.layers import Key
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A configuration and its name."""
+
+    name: str
+    config: Config
+
+
+def crossed_settings(
+    file: str | None,
+    sets: Sequence[str],
+    methods: Sequence[str],
+    grids: Sequence[str],
+    azimuths: Sequence[int],
+    options: Mapping[str, object],
+) -> list[Setting]:
+    """Return every method with every grid; where none is named, the configuration's own.
+
+    ``azimuths`` are none, one for all grids, or one for each. Raises ConfigError, and UsageError for another number.
+    """
+    named: list[dict[str, object]] = [{"method": method} for method in methods] or [{}]
+    configs = [
+        load_config(file, sets, {**options, **method, **pair})
+        for method, pair in product(named, _grids(grids, azimuths))
+    ]
+    return _distinct(Setting(setting_name(config), config) for config in configs)
+
+
+def _grids(grids: Sequence[str], azimuths: Sequence[int]) -> list[dict[str, object]]:
+    """Give every grid its azimuth grid."""
+    if len(azimuths) not in {0, 1, len(grids)}:
+        raise UsageError(
+            f"{len(azimuths)} values of --azimuth for {len(grids)} grids; give none, one for all, or one for each"
+        )
+    if len(azimuths) > 1:
+        return [{"grid": grid, "azimuth": azimuth} for grid, azimuth in zip(grids, azimuths, strict=True)]
+    shared: dict[str, object] = {"azimuth": azimuths[0]} if azimuths else {}
+    return [{"grid": grid, **shared} for grid in grids] or [shared]
+
+
+def listed_settings(
+    runs: Sequence[Mapping[str, Any]], layer: Layer, base: Path, sets: Sequence[str], options: Mapping[str, object]
+) -> list[Setting]:
+    """Return the settings of a manifest's ``runs``; ``sets`` and ``options`` of the command line lie above them.
+
+    A run has the keys of a configuration, and besides ``name`` and ``config``: a file, from ``base`` on, or a preset.
+    Raises ConfigError with the manifest's line.
+    """
+    return _distinct(_listed(number, run, layer, base, sets, options) for number, run in enumerate(runs))
+
+
+def _listed(
+    number: int, run: Mapping[str, Any], layer: Layer, base: Path, sets: Sequence[str], options: Mapping[str, object]
+) -> Setting:
+    key = ("runs", str(number))
+    own = {name: run.get(name) for name in ("name", "config")}
+    for name, value in own.items():
+        if value is not None and not (isinstance(value, str) and value):
+            raise ConfigError(f"{layer.origins[*key, name]}: {name} is {value!r}; give it a word, or leave it out")
+    file = own["config"]
+    below = str(base / file) if file and (base / file).exists() else file
+    values = dict(_leaves({name: value for name, value in run.items() if name not in own}))
+    origins = {path: layer.origins.get(key + path, f"runs.{number}") for path in values}
+    config = load_config(below, sets, options, Layer(values, origins))
+    return Setting(own["name"] or setting_name(config), config)
+
+
+def _leaves(tree: Mapping[str, Any], above: Key = ()) -> Iterator[tuple[Key, object]]:
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, (*above, name))
+        else:
+            yield (*above, name), value
+
+
+def told(value: object) -> str:
+    """Write a value as people type it."""
+    return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _distinct(settings: Iterator[Setting]) -> list[Setting]:
+    """Leave out what comes twice; raises ConfigError where one name stands for two configurations."""
+    found: dict[str, Setting] = {}
+    for setting in settings:
+        if found.setdefault(setting.name, setting).config != setting.config:
+            raise ConfigError(f"two runs are named {setting.name!r}; give each a name of its own")
+    return list(found.values())
+
+
+def setting_name(config: Config) -> str:
+    """Name a configuration: ``robust 20/10x10``, azimuth grid first, and whatever else is not as the method has it."""
+    usual = load_config(None, (), {name: getattr(config, name) for name in ("method", "azimuth")})
+    mine, theirs = (dict(_leaves(c.document())) for c in (config, usual))
+    others = [
+        f"{'.'.join(key)}={told(value)}"
+        for key, value in mine.items()
+        if value != theirs[key] and key[-1] != "grid" and key[0] not in {"paper", "robust"} - {config.method}
+    ]
+    return " ".join([config.method, f"{config.azimuth}/{config.grid}", *others])

@@ -1,0 +1,93 @@
+"""What people see of a batch in CI: a summary in Markdown, and annotations of GitHub's kind."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav.batch.baseline import Change, figure
+from mavnav.batch.document import why, worst_first
+from mavnav.markdown import escaped, table_row
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+MOST_ROWS: Final = 100
+"""A summary shows so many runs, the worst; GitHub takes 1 MiB of them a step."""
+
+FIGURES: Final = (
+    ("mapped", "map.accepted_share", "{:.1%}"),
+    ("wall p95 mm", "wall_thickness.2.p95_mm", "{:.0f}"),
+    ("ghosts m", "map_quality.ghost_walls.length_m", "{:.1f}"),
+    ("s", "timing.wall_s", "{:.1f}"),
+)
+"""Title, name in run.json, how it is written."""
+
+
+def headline(document: Mapping[str, Any]) -> str:
+    """Say in one line how a batch ended."""
+    rows = document["cells"]
+    bad = sum(bool(row["verdict"]) for row in rows)
+    counts, since = document["counts"], document["baseline"]
+    parts = [f"{len(rows) - bad} of {len(rows)} runs passed"]
+    parts += [f"{counts['failed']} could not be made"] if counts["failed"] else []
+    parts += [f"{counts['cached']} from before"] if counts["cached"] else []
+    if since:
+        parts.append(f"since the baseline {since['worse']} worse, {since['better']} better, {since['new']} new")
+        parts += [f"{len(since['missing'])} missing"] if since["missing"] else []
+    return ", ".join(parts)
+
+
+def to_summary(document: Mapping[str, Any]) -> str:
+    """Write a batch in GitHub's Markdown: the headline, what went wrong, and a table, worst first."""
+    rows = worst_first(document["cells"])
+    mark = "✅" if document["exit_code"] == 0 else "❌"
+    lines = [f"## {mark} mavnav batch", "", headline(document) + ".", ""]
+    bad = [row for row in rows if row["verdict"]]
+    lines += [f"- **{escaped(row['name'])}**: {escaped('; '.join(why(row)))}" for row in bad[:MOST_ROWS]]
+    lines += [f"- **{escaped(name)}**: in the baseline, not in this batch" for name in _missing(document)[:MOST_ROWS]]
+    lines += [""] if bad or _missing(document) else []
+    titles = ["", "run", *(title for title, _, _ in FIGURES), *(["since the baseline"] if document["baseline"] else [])]
+    lines += [table_row(titles), table_row(["---"] * len(titles))]
+    lines += [table_row(_cells(row, since=bool(document["baseline"]))) for row in rows[:MOST_ROWS]]
+    if len(rows) > MOST_ROWS:
+        lines += ["", f"{len(rows) - MOST_ROWS} more are in batch.html and batch.csv."]
+    return "\n".join(lines) + "\n"
+
+
+def _missing(document: Mapping[str, Any]) -> list[str]:
+    return list((document["baseline"] or {}).get("missing", []))
+
+
+def _cells(row: Mapping[str, Any], *, since: bool) -> list[str]:
+    texts = ["❌" if row["verdict"] else "✅", escaped(row["name"])]
+    for _, name, form in FIGURES:
+        number = figure(row["run"], name)
+        texts.append("-" if number is None else form.format(number))
+    return [*texts, changed(row)] if since else texts
+
+
+def changed(row: Mapping[str, Any]) -> str:
+    """Say what has moved since the baseline."""
+    found = row["baseline"]
+    if not found or found["change"] == Change.SAME:
+        return ""
+    return f"{found['change']} {', '.join(item['name'] for item in found['figures'])}".strip()
+
+
+def github_commands(document: Mapping[str, Any]) -> list[str]:
+    """Return the workflow commands that make GitHub show what went wrong, a line each."""
+    bad = [row for row in worst_first(document["cells"]) if row["verdict"]]
+    found = [
+        f"::error file={_property(r['log'])},title={_property(r['name'])}::{_data('; '.join(why(r)))}" for r in bad
+    ]
+    gone = [f"{name}: in the baseline, not in this batch" for name in _missing(document)]
+    return found + [f"::warning title=mavnav::{_data(text)}" for text in gone]
+
+
+def _data(text: str) -> str:
+    """Escape the text of a workflow command: one line, and no escape of its own."""
+    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+
+
+def _property(text: str) -> str:
+    return _data(text).replace(":", "%3A").replace(",", "%2C")

@@ -1,0 +1,92 @@
+"""How the runs of a batch ended: a plain line each on stderr, or a line of JSON each on stdout; and the verdict."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from mavnav.commands.terminal import console, emit, note, printable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from rich.table import Table
+
+MOST_ROWS = 60
+"""The table shows so many runs, the worst."""
+
+WIDE = 200
+
+
+@contextmanager
+def telling(total: int, *, json: bool, quiet: bool) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """Give the function that takes the row of every run as it ends.
+
+    What was there before is not told on stderr, but counted; on a terminal the bars tell enough.
+    """
+    from mavnav.batch.document import why
+
+    silent = quiet or sys.stderr.isatty()
+    ended = 0
+
+    def tell(row: dict[str, Any]) -> None:
+        nonlocal ended
+        ended += 1
+        if json:
+            emit(_line({"event": "run", **row}))
+        if row["status"] != "cached" and not silent:
+            end = "; ".join(why(row)) or "passed"
+            took = f" in {row['seconds']:.1f} s" if row["seconds"] else ""
+            note(f"mavnav: {ended} of {total}: {row['name']}{took}: {end}")
+
+    yield tell
+
+
+def _line(document: dict[str, Any]) -> str:
+    from json import dumps
+
+    from mavnav.outputs.document import plain
+
+    return dumps(plain(document))
+
+
+def print_verdict(document: dict[str, Any], directory: Path, *, json: bool) -> None:
+    """Print the end of a batch: on stdout a table, worst first, or with ``json`` a line without the rows."""
+    from mavnav.batch.summary import headline
+
+    if json:
+        emit(_line({"event": "batch", **{k: v for k, v in document.items() if k != "cells"}}))
+        return
+    out = console()
+    if not out.is_terminal:
+        out.width = WIDE
+    out.print(_table(document))
+    emit(f"\n{printable(headline(document))}; {printable(directory / 'batch.html')}")
+    for name in (document["baseline"] or {}).get("missing", []):
+        note(f"mavnav: warning: {name}: in the baseline, not in this batch")
+
+
+def _table(document: dict[str, Any]) -> Table:
+    from rich.table import Table
+    from rich.text import Text
+
+    from mavnav.batch.baseline import figure
+    from mavnav.batch.document import why, worst_first
+    from mavnav.batch.summary import FIGURES, changed
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("run", overflow="fold")
+    for title, _, _ in FIGURES:
+        table.add_column(title, justify="right", no_wrap=True)
+    table.add_column("", overflow="fold")
+    for row in worst_first(document["cells"])[:MOST_ROWS]:
+        numbers = [(figure(row["run"], name), form) for _, name, form in FIGURES]
+        texts = ["-" if number is None else form.format(number) for number, form in numbers]
+        remarks = [*why(row), changed(row), "from before" if row["status"] == "cached" else ""]
+        end = Text(printable("; ".join(filter(None, remarks))), style="bold red" if row["verdict"] else "")
+        table.add_row(Text(printable(row["name"])), *texts, end)
+    if len(document["cells"]) > MOST_ROWS:
+        table.caption = f"{len(document['cells']) - MOST_ROWS} more in batch.csv"
+    return table

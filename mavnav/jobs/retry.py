@@ -1,0 +1,49 @@
+"""A second chance for jobs whose process died: that may pass, what a job itself says does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from mavnav.jobs.records import Ended, Event, Fate, Job, Outcome, Progressed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    Listener = Callable[[Event], None]
+    Run = Callable[[Sequence[Job], Listener], Sequence[Outcome]]
+
+
+def run_with_retries(jobs: Sequence[Job], run: Run, on_event: Listener, tries: int) -> None:
+    """Run jobs, and those whose process died again when all others are through, ``tries`` times in all.
+
+    ``run`` runs some jobs, as `run_jobs` does. ``on_event`` hears the end of every job once, by its place in ``jobs``;
+    the end of a try that is not the last one is told as progress.
+    """
+    left = list(range(len(jobs)))
+    for number in range(1, tries + 1):
+        outcomes = run([jobs[k] for k in left], _renumbered(left, on_event, number, tries))
+        left = [k for k, outcome in zip(left, outcomes, strict=True) if outcome.fate is Fate.DIED]
+        if not left:
+            return
+
+
+def _renumbered(numbers: Sequence[int], on_event: Listener, number: int, tries: int) -> Listener:
+    """Pass on the events of one round under the numbers that its jobs have among all."""
+    numbers = tuple(numbers)
+
+    def hear(event: Event) -> None:
+        event = replace(event, index=numbers[event.index])
+        if isinstance(event, Ended) and event.outcome.fate is Fate.DIED:
+            event = _retried(event, number, tries)
+        on_event(event)
+
+    return hear
+
+
+def _retried(event: Ended, number: int, tries: int) -> Event:
+    error = event.outcome.error
+    if number < tries:
+        return Progressed(event.index, f"{error}; it is tried again at the end", 0, None)
+    given_up = f"{error}; given up after {tries} tries" if tries > 1 else error
+    return replace(event, outcome=replace(event.outcome, error=given_up))

@@ -1,0 +1,19 @@
+"""Tables in GitHub's Markdown."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+
+def table_row(texts: Iterable[str]) -> str:
+    """Write a row of a table."""
+    return f"| {' | '.join(texts)} |"
+
+
+def escaped(text: str) -> str:
+    """Keep Markdown from taking a log's name for its own marks, or a line's end in it for its own."""
+    plain = "".join(c if c.isprintable() else "?" for c in text)
+    return "".join(f"\\{c}" if c in r"\`*_{}[]<>|#" else c for c in plain)
