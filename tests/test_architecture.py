@@ -191,7 +191,10 @@ def test_documented_options_exist() -> None:
             text=True,
             env={"COLUMNS": "200", "PATH": ""},
         ).stdout
-        for command in ([], ["replay"], ["compare"], ["metrics"], ["simulate"], ["info"], ["config", "show"])
+        for command in (
+            *([], ["replay"], ["compare"], ["batch"], ["check"], ["metrics"]),
+            *(["simulate"], ["info"], ["config", "show"]),
+        )
     )
     assert {option for option in documented_options() if option not in helps} == set()
 

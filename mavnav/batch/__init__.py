@@ -80,10 +80,10 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What is asked for. Relative paths of ``entries`` count from ``base``; ``force`` runs again what is there,
-    ``report`` asks for a page of every run.
+    """What is asked for.
 
-    ``new_baseline`` is a file that the figures are written to, for later batches.
+    Relative paths of ``entries`` count from ``base``; ``force`` runs again what is there; ``report`` asks for a page of
+    every run; ``new_baseline`` is a file that the figures are written to, for later batches.
     """
 
     entries: tuple[Entry, ...]

@@ -1,0 +1,235 @@
+"""Batches: what fails fails alone, what is there stays, what dies is tried again."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import signal
+from pathlib import Path
+
+import pytest
+from small_batch import NAME, batch
+
+from mavnav.batch import Part, plan
+from mavnav.batch.asked import Asked, request_of
+from mavnav.errors import ConfigError, ExitCode, OutputError, UsageError
+from mavnav.jobs import Ended, Event, Started
+
+
+def rows(document: dict) -> dict[str, dict]:
+    return {row["log"]: row for row in document["cells"]}
+
+
+def test_what_fails_fails_alone(home: Path) -> None:
+    document = json.loads(Path("runs/batch/batch.json").read_text())
+    found = rows(document)
+    assert list(found) == ["logs/cut.mcap", "logs/empty.mcap", "logs/good.mcap", "gone.bag"]
+    assert {log: row["exit_code"] for log, row in found.items()} == {
+        "logs/cut.mcap": ExitCode.DAMAGED_INPUT,
+        "logs/empty.mcap": ExitCode.NO_SCANS,
+        "logs/good.mcap": ExitCode.DONE,
+        "gone.bag": ExitCode.USAGE,
+    }
+    assert found["logs/empty.mcap"]["error"].startswith("logs/empty.mcap")
+    assert found["gone.bag"]["error"].startswith("gone.bag: no such file")
+    assert found["logs/good.mcap"]["name"] == f"logs/good.mcap robust {NAME}"
+    assert document["exit_code"] == ExitCode.USAGE
+    assert document["counts"] == {
+        "runs": 4,
+        "done": 2,
+        "cached": 0,
+        "failed": 2,
+        "verdicts": {"0": 1, "3": 1, "4": 1, "2": 1},
+    }
+
+
+def test_what_is_there_is_not_run_again(home: Path) -> None:
+    document, ran = batch()
+    assert ran == [f"logs/empty.mcap robust {NAME}"]
+    assert [row["status"] for row in document["cells"]] == ["cached", "failed", "cached", "failed"]
+    assert document["exit_code"] == ExitCode.USAGE
+
+
+def test_force_runs_again(home: Path) -> None:
+    asked = Asked(sources=("logs/good.mcap",), grids=("5x5",), azimuths=(6,), reading={"end_s": 0.5}, force=True)
+    assert len(plan(request_of(asked), lambda *args: None).missing) == 1
+
+
+def test_the_table_is_read_by_a_parser(home: Path) -> None:
+    with Path("runs/batch/batch.csv").open() as file:
+        table = {row["log"]: row for row in csv.DictReader(file)}
+    assert table["logs/good.mcap"]["verdict"] == "0"
+    assert int(table["logs/good.mcap"]["scans.processed"]) >= 5
+    assert table["gone.bag"]["scans.processed"] == ""
+    assert table["gone.bag"]["error"].startswith("gone.bag: no such file")
+
+
+def test_codes_that_are_accepted(home: Path) -> None:
+    document, _ = batch(sources=("logs/*t.mcap", "logs/good.mcap"), accept=(3,))
+    assert [(row["exit_code"], row["verdict"]) for row in document["cells"]] == [(3, 0), (0, 0)]
+    assert document["exit_code"] == 0
+
+
+def test_gates_pass_and_fail(home: Path) -> None:
+    document, _ = batch(sources=("logs/good.mcap",), gates=("scans.processed>=3", "scans.accepted>=1000"))
+    row = document["cells"][0]
+    assert [gate["passed"] for gate in row["gates"]] == [True, False]
+    assert row["gates"][1]["why"].startswith("it is ")
+    assert (row["exit_code"], row["verdict"], document["exit_code"]) == (0, 1, 1)
+
+
+def test_a_gate_on_an_unknown_number_stops_before_the_work(home: Path) -> None:
+    with pytest.raises(UsageError, match=r"did you mean scans.processed\?"):
+        batch(gates=("scans.procesed>=3",))
+
+
+def test_a_gate_on_a_map_that_means_nothing(home: Path) -> None:
+    path = next(Path("runs/batch/cells").glob("good-*/run.json"))
+    run = json.loads(path.read_text())
+    run["map_quality"].update(meaningful=False, why=["two scans are no map"])
+    path.write_text(json.dumps(run))
+    document, _ = batch(sources=("logs/good.mcap",), gates=("wall_thickness.p95_mm<=100000",))
+    gate = document["cells"][0]["gates"][0]
+    assert not gate["passed"]
+    assert gate["why"].endswith("the map is not meaningful: two scans are no map")
+
+
+def test_a_manifest_with_gates_for_some(home: Path) -> None:
+    Path("ci").mkdir()
+    Path("ci/night.yaml").write_text("""
+logs:
+  - log: ../logs/good.mcap
+    end_s: 0.5
+    gates: scans.processed>=1000
+  - {log: ../logs/cut.mcap, end_s: 0.5, accept: 3}
+runs:
+  - {name: quick, grid: 5x5, azimuth: 6, final_pass: false}
+gates: scans.processed>=1
+output: ../runs/batch
+""")
+    document, ran = batch(sources=("ci/night.yaml",), grids=(), azimuths=(), options={}, reading={})
+    assert ran == []
+    assert [row["name"] for row in document["cells"]] == [
+        "../logs/good.mcap quick end_s=0.5",
+        "../logs/cut.mcap quick end_s=0.5",
+    ]
+    assert [row["verdict"] for row in document["cells"]] == [1, 0]
+    assert document["exit_code"] == ExitCode.GATE_FAILED
+
+
+def test_a_killed_worker_is_tried_again(home: Path) -> None:
+    killed = []
+
+    def kill_once(event: Event) -> None:
+        if isinstance(event, Started) and not killed:
+            killed.append(event.pid)
+            os.kill(event.pid, signal.SIGKILL)
+
+    document, ran = batch(sources=("logs/good.mcap",), grids=("6x6",), listen=kill_once)
+    assert len(ran) == len(killed) == 1
+    assert (document["cells"][0]["status"], document["exit_code"]) == ("done", 0)
+    assert not [path for path in Path("runs/batch/cells").iterdir() if path.name.startswith(".")]
+
+
+def test_a_log_that_always_kills_its_worker_is_given_up_and_named(home: Path) -> None:
+    def kill(event: Event) -> None:
+        if isinstance(event, Started):
+            os.kill(event.pid, signal.SIGKILL)
+
+    document, _ = batch(sources=("logs/good.mcap",), grids=("6x6",), listen=kill, tries=2)
+    row = document["cells"][0]
+    assert row["error"].endswith("given up after 2 tries")
+    assert (row["status"], row["exit_code"]) == ("failed", ExitCode.BUG)
+
+
+def test_the_same_results_whoever_makes_them(home: Path) -> None:
+    one = json.loads(next(Path("runs/batch/cells").glob("good-*/run.json")).read_text())
+    document, _ = batch(sources=("logs/good.mcap",), directory=Path("other"))
+    two = json.loads(Path("other", document["cells"][0]["directory"], "run.json").read_text())
+    assert one["outputs"] == two["outputs"]
+
+
+def test_runs_that_share_a_directory_are_made_once(home: Path) -> None:
+    Path("copies").mkdir()
+    shutil.copy("logs/good.mcap", "copies/good.mcap")
+    asked = Asked(sources=("logs/good.mcap", "copies/good.mcap"), directory=Path("new"))
+    planned = plan(request_of(asked), lambda *args: None)
+    assert (len(planned.cases), len(planned.missing)) == (2, 1)
+
+
+def test_parts_are_the_whole(home: Path) -> None:
+    def names(part: str | None) -> list[str]:
+        asked = Asked(sources=("logs", "gone.bag"), grids=("5x5", "6x6"), part=part)
+        return [case.name for case in plan(request_of(asked), lambda *args: None).cases]
+
+    parts = [names(f"{k}/3") for k in (1, 2, 3)]
+    assert sorted(name for part in parts for name in part) == sorted(names(None))
+    assert {len(part) for part in parts} == {2, 3}
+    Path("runs/batch/batch.json").unlink()
+    document, _ = batch(part="3/4")
+    assert [row["log"] for row in document["cells"]] == ["logs/good.mcap"]
+    assert not Path("runs/batch/batch.json").exists()
+
+
+def test_baselines(home: Path) -> None:
+    good = {"sources": ("logs/good.mcap",), "baseline": Path("base.json")}
+    document, _ = batch(**good, update_baseline=True)
+    assert (document["baseline"], document["exit_code"]) == (None, 0)
+    document, _ = batch(**good, gates=("baseline",))
+    assert document["baseline"]["same"] == 1
+    assert document["cells"][0]["gates"] == [{"gate": "baseline", "value": 0, "passed": True, "why": ""}]
+
+    kept = json.loads(Path("base.json").read_text())
+    kept["cells"][0]["figures"]["search.evaluations_per_scan.mean"] /= 2
+    kept["cells"].append({"name": "old.bag robust", "exit_code": 0, "figures": {}})
+    Path("base.json").write_text(json.dumps(kept))
+    document, _ = batch(**good)
+    assert document["exit_code"] == 0
+    assert (document["baseline"]["worse"], document["baseline"]["missing"]) == (1, ["old.bag robust"])
+    document, _ = batch(**good, gates=("baseline",))
+    assert document["exit_code"] == ExitCode.GATE_FAILED
+    assert "search.evaluations_per_scan.mean went from" in document["cells"][0]["gates"][0]["why"]
+    document, _ = batch(**good, tolerances=("search.evaluations_per_scan.mean=200%",))
+    assert document["baseline"]["worse"] == 0
+
+
+def test_a_whole_batch_as_the_baseline(home: Path) -> None:
+    document, _ = batch(baseline=Path("runs/batch"))
+    assert (document["baseline"]["same"], document["baseline"]["missing"]) == (4, [])
+
+
+@pytest.mark.parametrize(
+    ("more", "error", "said"),
+    [
+        ({"sources": ()}, UsageError, "no logs"),
+        ({"sources": ("a.yaml", "b.yml")}, UsageError, "2 manifests"),
+        ({"sources": ("gone.yaml",)}, ConfigError, "gone.yaml"),
+        ({"gates": ("baseline",)}, UsageError, "no baseline; name one"),
+        ({"update_baseline": True}, UsageError, "no baseline; name one"),
+        ({"update_baseline": True, "baseline": Path("logs")}, UsageError, "logs is a directory"),
+        ({"baseline": Path("gone.json")}, UsageError, "the baseline cannot be read"),
+        ({"accept": (9,)}, UsageError, "--accept 9"),
+        ({"tolerances": ("x",)}, UsageError, "--tolerance 'x'"),
+        ({"part": "1"}, UsageError, "--part '1'"),
+        ({"part": "3/2"}, UsageError, "part 3/2 is none"),
+        ({"directory": Path("logs")}, OutputError, "holds other files"),
+    ],
+)
+def test_what_cannot_be_done_is_said_before_the_work(home: Path, more: dict, error: type, said: str) -> None:
+    with pytest.raises(error, match=said):
+        batch(**more, listen=lambda event: pytest.fail("nothing is to be run"))
+
+
+def test_a_part_may_be_empty(home: Path) -> None:
+    assert Part(2, 2).number == 2
+    document, ran = batch(sources=("logs/good.mcap",), part="2/2")
+    assert (document["cells"], ran, document["exit_code"]) == ([], [], 0)
+
+
+def test_a_run_that_takes_too_long(home: Path) -> None:
+    ended: list[Event] = []
+    document, _ = batch(sources=("logs/good.mcap",), grids=("7x7",), timeout_s=0.01, listen=ended.append)
+    assert document["cells"][0]["error"] == "took longer than 0.01 s"
+    assert len([event for event in ended if isinstance(event, Ended)]) == 1
