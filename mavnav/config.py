@@ -96,7 +96,7 @@ class RobustConfig(_Strict):
     stop_deg: float = Field(0.02, gt=0, description="search ends at this spacing in azimuth")
     max_extensions: int = Field(3, ge=0, description="border extensions a level at most")
     field_above_mm: float = Field(
-        30.0, ge=0, description="wider searches ask for the nearest cells, narrower ones for the local lines"
+        1000.0, ge=0, description="wider searches ask for the nearest cells, narrower ones for the local lines"
     )
     prior: float = Field(0.01, ge=0, description="cost of a squared metre away from what odometry predicts")
     first_level_points: int = Field(120, ge=10, description="points of the first, widest level")

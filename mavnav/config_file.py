@@ -180,14 +180,8 @@ def _complaint(model: type[BaseModel], details: ErrorDetails, layer: Layer, name
         advice = _nearest(named, list(known)) or f"see '{help_}' for the known keys"
         return f"{where}: unknown key {dotted}; {advice}"
     if details["type"] == "missing":
-        return f"{_file_of(layer, where, name)}: {dotted} is missing; give the {hint}"
+        return f"{where}: {dotted} is missing; give the {hint}"
     return f"{where}: {dotted} is {_short(details['input'])}, it {_problem(details)}; {hint}"
-
-
-def _file_of(layer: Layer, where: str, name: str) -> str:
-    """Return the first line of the file where a missing key has no line of its own."""
-    lines = (written for written in reversed(layer.origins.values()) if not written.startswith("--"))
-    return next((f"{line.rpartition(':')[0]}:1" for line in lines), where) if where == name else where
 
 
 def _problem(details: ErrorDetails) -> str:

@@ -240,7 +240,7 @@ def test_errors_name_the_line_and_what_to_do(tmp_path: Path, old: str, new: str,
         (GOOD.replace("goal_m: [5, 3]\n", ""), ": goal_m is missing; give the position to reach"),
         ("walls: []\nstart: {x_m: 1, y_m: 1}\ngoal_m: [1, 1]\n", ":1: walls is [], it needs one shape at least; "),
         ("", ": walls is missing; "),
-        ("walls: [[1, 2]]\nstart: {x_m: 1, y_m: 1}\ngoal_m: [1, 1]\n", ":1: walls.0 is [1, 2], it should be a valid"),
+        ("walls: [[1, 2]]\nstart: {x_m: 1, y_m: 1}\ngoal_m: [1, 1]\n", ":1: walls.0 is [1, 2], it should be a section"),
         ("walls:\n - arc: {a: 1, a: 2}\n", ":2: arc.a stands there twice"),
     ],
 )  # fmt: skip
