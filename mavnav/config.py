@@ -83,7 +83,9 @@ class RobustConfig(_Strict):
     cell_mm: float = Field(20.0, ge=1, description="cell edge of the map")
     near_mm: float = Field(100.0, ge=0, description="nearer returns are not used")
     far_mm: float = Field(30000.0, gt=0, description="farther returns are not used")
-    deskew: bool = Field(True, description="undo the laser's motion during a sweep")
+    deskew: Literal["auto", "on", "off"] = Field(
+        "auto", description="undo the laser's motion during a sweep; auto finds out in which order the beams were fired"
+    )
     voxel_mm: float = Field(30.0, gt=0, description="points are averaged in voxels of this size before matching")
     line_sigma_mm: float = Field(60.0, gt=0, description="Gaussian window of the local line fit")
     line_noise_mm: float = Field(10.0, gt=0, description="noise floor of the local line fit")

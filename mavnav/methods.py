@@ -216,7 +216,7 @@ class Robust:
         """Good points (n, 2) in the laser's frame, m; at mid-sweep if the motion is given."""
         robust, spec = self.config.robust, scan.spec
         twist, increment_s = np.zeros(3), 0.0
-        if robust.deskew and motion is not None and spec.time_increment_s * spec.beams <= 1.2 * motion.period_s:
+        if robust.deskew != "off" and motion and abs(spec.time_increment_s) * spec.beams <= 1.2 * motion.period_s:
             twist, increment_s = motion.twist_at(scan.stamp_ns), spec.time_increment_s
         return scan_points(
             scan.ranges_m, _directions(spec), twist, increment_s, robust.near_mm * MM, robust.far_mm * MM

@@ -16,11 +16,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from mavnav.pose import Trajectory
+
     Odometry = Callable[[int], Pose | None]
     """Stamp (ns) -> odom_T_laser, None where odometry does not cover it."""
 
 LONGEST_S = 1.2  # a velocity is trusted no further
 NEW_SHARE = 0.7  # of a new velocity in the running one
+LEAST_STEPS, MISLEADING = 20, 0.3  # steps that judge odometry; the share of the motion by which it may be wrong
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,3 +87,25 @@ class Motion:
         elapsed = self.elapsed_s(stamp_ns)
         twist = map_T_laser.between(self.map_T_laser).as_array() / elapsed
         return replace(self, twist=twist) if elapsed <= LONGEST_S else self
+
+
+def misleads(odometry: Odometry, map_T_laser: Trajectory) -> bool:
+    """Tell whether odometry predicts the tracked poses worse than constant velocity, and badly.
+
+    Errors are root mean squares over steps, in m; a radian counts as a metre.
+    """
+    errors = []
+    stamps = map_T_laser.stamps_ns.tolist()
+    for k in range(2, len(stamps)):
+        then, now = odometry(stamps[k - 1]), odometry(stamps[k])
+        if then and now:
+            went, moved = map_T_laser[k - 2].between(map_T_laser[k - 1]), map_T_laser[k - 1].between(map_T_laser[k])
+            errors.append([_size(p) for p in (then.between(now).between(moved), went.between(moved), moved)])
+    if len(errors) < LEAST_STEPS:
+        return False
+    by_odometry, by_velocity, motion = np.sqrt(np.square(errors).mean(axis=0))
+    return bool(by_odometry > max(by_velocity, MISLEADING * motion))
+
+
+def _size(motion: Pose) -> float:
+    return float(np.hypot(motion.distance_m, motion.yaw_rad))

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from mavnav.belief import Belief, Verdict
+from mavnav.firing import backwards, is_backwards, turning_stretch
 from mavnav.matcher import with_effort
 from mavnav.methods import METHODS
-from mavnav.motion import LONGEST_S, Motion
+from mavnav.motion import LONGEST_S, Motion, misleads
 from mavnav.pose import Pose, Trajectory
 from mavnav.relocalise import apart
 from mavnav.units import DEG, NS
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from mavnav.grid import Grid
     from mavnav.matcher import Match
     from mavnav.methods import Method
+    from mavnav.motion import Odometry
     from mavnav.scan import Scan
 
 LOST_SCANS = 5
@@ -67,12 +70,16 @@ class LostInterval:
 
 @dataclass(frozen=True, slots=True)
 class Slam:
-    """The outcome: a step for every scan, the poses of the tracked ones (map_T_laser), the map, the lost stretches."""
+    """The outcome: a step for every scan, the poses of the tracked ones (map_T_laser), the map, the lost stretches.
+
+    ``warnings`` are lines for the user: what of the log was not taken as it stands there.
+    """
 
     steps: tuple[Step, ...]
     trajectory: Trajectory
     grid: Grid
     lost: tuple[LostInterval, ...]
+    warnings: tuple[str, ...] = ()
 
     @property
     def lost_for_good(self) -> bool:
@@ -192,13 +199,56 @@ def replay(
     odom_T_laser : odometry of the laser, used as the prediction
     on_step : called with the name of the pass ("track", "final pass") and the number of scans done
     """
-    method = METHODS[config.method](config)
     odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
-    motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest)
-    steps = list(_told(track(log_scans(), method, motion), "track", on_step))
+    start, warnings = Start(config, max(period_s, SHORTEST_PERIOD_S), odometry), []
+    method, steps = start.tracked(log_scans(), on_step)
+    if start.odometry and misleads(start.odometry, _trajectory(steps)):
+        start = replace(start, odometry=None)
+        method, steps = start.tracked(log_scans(), on_step)
+        warnings.append("odometry contradicts the scans and is not used; check its scale, axes and clock")
+    if fires_backwards(log_scans, steps, start):
+        fired = log_scans
+        log_scans = lambda: map(backwards, fired())  # noqa: E731
+        method, steps = start.tracked(log_scans(), on_step)
+        warnings.append(
+            "beams were fired in the reverse of the listed order, judged by the turns, and are de-skewed so"
+        )
     if config.final_pass and method.places:
-        steps = settle(log_scans, steps, method, motion)
-    return conclude(steps, log_scans, method, config, on_step)
+        steps = settle(log_scans, steps, method, start.motion)
+    return replace(conclude(steps, log_scans, method, config, on_step), warnings=tuple(warnings))
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """All that a track begins with."""
+
+    config: Config
+    period_s: float
+    odometry: Odometry | None
+
+    @property
+    def motion(self) -> Motion:
+        """The laser at rest at the origin."""
+        return Motion(self.period_s, self.odometry, METHODS[self.config.method](self.config).expects_rest)
+
+    def tracked(
+        self, scans: Iterable[Scan], on_step: Callable[[str, int], None] | None = None
+    ) -> tuple[Method, list[Step]]:
+        """Track scans from an empty map on."""
+        method = METHODS[self.config.method](self.config)
+        return method, list(_told(track(scans, method, self.motion), "track", on_step))
+
+
+def fires_backwards(log_scans: Callable[[], Iterable[Scan]], steps: list[Step], start: Start) -> bool:
+    """Try both orders of firing where the laser turned most, each on a map of its own."""
+    if start.config.method == "paper" or start.config.robust.deskew != "auto":
+        return False
+    stretch = turning_stretch([s.match for s in steps])
+    scans = list(islice(log_scans(), stretch.start, stretch.stop))
+    if not any(scan.spec.time_increment_s for scan in scans):
+        return False
+    told, other = (start.tracked(some)[1] for some in (scans, map(backwards, scans)))
+    return is_backwards([s.match for s in told], [s.match for s in other])
 
 
 def conclude(
@@ -211,9 +261,12 @@ def conclude(
     """Make the final pass where it is wanted, and sum up."""
     if config.final_pass and method.places:
         steps = list(_told(place(log_scans(), steps, method), "final pass", on_step))
+    return Slam(tuple(steps), _trajectory(steps), method.grid, tuple(lost_intervals(steps)))
+
+
+def _trajectory(steps: list[Step]) -> Trajectory:
     tracked = [s for s in steps if s.tracked]
-    trajectory = Trajectory.of([s.stamp_ns for s in tracked], [s.match.map_T_laser for s in tracked])
-    return Slam(tuple(steps), trajectory, method.grid, tuple(lost_intervals(steps)))
+    return Trajectory.of([s.stamp_ns for s in tracked], [s.match.map_T_laser for s in tracked])
 
 
 def _told(steps: Iterable[Step], name: str, on_step: Callable[[str, int], None] | None) -> Iterator[Step]:

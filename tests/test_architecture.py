@@ -17,7 +17,7 @@ PACKAGE = ROOT / "mavnav"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 GROUND = {"errors", "units", "pose", "scan", "config", "staging"}
-CORE = {"grid", "linemap", "matcher", "relocalise", "motion", "belief", "methods", "slam"}
+CORE = {"grid", "linemap", "matcher", "relocalise", "motion", "belief", "firing", "methods", "slam"}
 RUNS = {"", "cells", "config_file", "gates", "jobs", "logs", "markdown", "outputs", "references", "replay"}
 ALLOWED: dict[str, set[str]] = {
     "": set(),
@@ -41,8 +41,9 @@ ALLOWED: dict[str, set[str]] = {
     "pose_graph": GROUND,
     "relocalise": GROUND | {"kernels", "grid", "linemap", "matcher"},
     "belief": GROUND | {"motion"},
+    "firing": GROUND | {"matcher"},
     "methods": GROUND | {"kernels", "grid", "linemap", "matcher", "relocalise", "motion", "belief"},
-    "slam": GROUND | {"grid", "matcher", "relocalise", "motion", "belief", "methods"},
+    "slam": GROUND | {"grid", "matcher", "relocalise", "motion", "belief", "firing", "methods"},
     "metrics": GROUND | {"kernels", "grid"},
     "references": GROUND | {"grid", "layers", "metrics", "world"},
     "planner_config": GROUND,

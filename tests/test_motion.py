@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from mavnav.motion import Motion
+from mavnav.motion import Motion, misleads
 from mavnav.pose import Pose, Trajectory
 
 MS = 1_000_000
@@ -68,3 +68,42 @@ def test_without_odometry_at_the_time_velocity_takes_over(stamp_ms: int) -> None
     assert close(motion.predict(stamp_ms * MS), motion.by_velocity(stamp_ms * MS))
     gap = Trajectory.of([0, 100 * MS, 900 * MS], [Pose()] * 3)
     assert after_two_steps(gap).by_odometry(300 * MS) is None
+
+
+# ---- odometry that contradicts the scans ---------------------------------------------------------------------------
+
+
+def swerving() -> Trajectory:
+    """Return a way whose speed and turns change all the time, so that constant velocity predicts it badly."""
+    poses = [Pose()]
+    for k in range(60):
+        poses.append(poses[-1] @ Pose(0.05 + 0.04 * np.sin(0.5 * k), 0.0, 0.1 * np.cos(0.8 * k)))
+    return Trajectory.of([100 * MS * k for k in range(61)], poses)
+
+
+def seen_by_wheels(way: Trajectory, scale: float = 1.0, side: float = 1.0, late_ns: int = 0) -> Trajectory:
+    xyyaw = way.xyyaw * np.array([scale, scale * side, side])
+    return Trajectory(way.stamps_ns + late_ns, xyyaw)
+
+
+@pytest.mark.parametrize(
+    ("fault", "expected"),
+    [
+        ({}, False),
+        ({"scale": 1.05}, False),
+        ({"scale": 0.0, "side": 0.0}, True),
+        ({"side": -1.0}, True),
+        ({"scale": 4.0}, True),
+        ({"late_ns": 250 * MS}, True),
+    ],
+    ids=str,
+)
+def test_odometry_that_contradicts_the_track_misleads(fault: dict[str, float], *, expected: bool) -> None:
+    odometry = seen_by_wheels(swerving(), **fault)  # type: ignore[arg-type]
+    assert misleads(partial(odometry.at, max_gap_ns=500 * MS), swerving()) is expected
+
+
+def test_few_steps_do_not_convict_odometry() -> None:
+    way = swerving()
+    short = Trajectory(way.stamps_ns[:15].copy(), way.xyyaw[:15].copy())
+    assert not misleads(lambda _: Pose(), short)

@@ -60,6 +60,10 @@ def replay(
         str | None,
         typer.Option(metavar="auto|TOPIC|off", help="Odometry as prediction (never with paper).", show_default=False),
     ] = None,
+    deskew: Annotated[
+        str | None,
+        typer.Option(metavar="auto|on|off", help="Undo the motion of a sweep (robust).", show_default=False),
+    ] = None,
     topic: Annotated[str | None, typer.Option(help="Scan topic, where there are several.", show_default=False)] = None,
     start: Annotated[
         float | None, typer.Option(help="Begin so many seconds after the first scan.", show_default=False)
@@ -92,7 +96,8 @@ def replay(
 ) -> None:
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
     options = {"method": method, "grid": grid, "azimuth": azimuth, "search": search, "odom": odom}
-    chosen = _config(config, sets or [], online=online, **options)
+    sweep = [] if deskew is None else [f"robust.deskew={deskew}"]
+    chosen = _config(config, [*(sets or []), *sweep], online=online, **options)
     bounds = gates_of(gates)
     mounting = None if extrinsic is None else pose(extrinsic)
     if not log.exists():

@@ -45,7 +45,7 @@ def run_document(run: Run, outputs: dict[str, str]) -> Document:
         **metrics(run),
         "timing": _timing(run),
         "damage": [asdict(d) for d in run.log.damage],
-        "warnings": list(run.log.warnings),
+        "warnings": [*run.log.warnings, *run.slam.warnings],
         "outputs": outputs,
         "partial": run.stopped is not None,
         "exit_code": int(run.exit_code),

@@ -1,0 +1,55 @@
+"""In which order a laser fires its beams: as the log tells, or backwards (docs/method.md).
+
+Some drivers turn the list of beams round and leave the time between them positive; undoing the motion of a sweep
+the wrong way round then blurs every turn twice over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.pose import wrap_angle
+from mavnav.units import DEG
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mavnav.matcher import Match
+    from mavnav.scan import Scan
+
+STRETCH_SCANS = 80
+"""Both orders are tried on so many scans, where the laser turns most."""
+
+LEAST_TURN_RAD = 90 * DEG
+"""A stretch that turns less tells nothing."""
+
+CLEARLY = 0.9
+"""The told order is kept unless the other one costs less than this share of it."""
+
+
+def backwards(scan: Scan) -> Scan:
+    """Return the scan with its last beam fired first."""
+    return replace(scan, spec=replace(scan.spec, time_increment_s=-scan.spec.time_increment_s))
+
+
+def turning_stretch(matches: Sequence[Match]) -> range:
+    """Find the ``STRETCH_SCANS`` scans over which the laser turns most; empty where it hardly turns."""
+    yaws = [m.map_T_laser.yaw_rad for m in matches]
+    turns = np.array([abs(wrap_angle(b - a)) for a, b in pairwise(yaws)])
+    length = min(STRETCH_SCANS, len(turns))
+    if length == 0:
+        return range(0)
+    sums = np.convolve(turns, np.ones(length), "valid")
+    first = int(np.argmax(sums))
+    return range(first, first + length) if sums[first] >= LEAST_TURN_RAD else range(0)
+
+
+def is_backwards(told: Sequence[Match], other: Sequence[Match]) -> bool:
+    """Judge by the matches of the same scans, tracked with either order: the right one makes the sharper map."""
+    both = [(a.cost_m2, b.cost_m2) for a, b in zip(told, other, strict=True)]
+    costs = np.array([pair for pair in both if np.isfinite(pair).all()]).reshape(-1, 2)
+    return len(costs) > 0 and bool(costs[:, 1].mean() < CLEARLY * costs[:, 0].mean())
