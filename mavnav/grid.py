@@ -10,6 +10,7 @@ import numpy as np
 from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
 from mavnav.kernels import raycast
+from mavnav.stages import timed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -62,6 +63,7 @@ class Grid:
         """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
         return np.array([*self.origin_xy_m, self.cell_m])
 
+    @timed("insert")
     def insert(self, laser: Pose, xy_map_m: NDArray[np.float64]) -> None:
         """Count the end points (n, 2) of one scan, in m, and the cells that its beams crossed."""
         if len(xy_map_m) == 0:
@@ -72,6 +74,7 @@ class Grid:
         )
         hits_kernel.add_scan(xy_map_m, laser.as_array()[:2], self.lattice, self.hits, self.passes)
 
+    @timed("virtual scan")
     def virtual_scan(
         self, laser: Pose, directions: NDArray[np.float64], far_m: float, gap_cells: int
     ) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from mavnav.grid import covering
 from mavnav.kernels.linemap import NOTHING_NEAR, REACH_CELLS, insert_points
+from mavnav.stages import timed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,6 +45,7 @@ class LineMap:
         col, row = self.origin_cells
         return np.array([col * self.cell_m, row * self.cell_m, self.cell_m, self.line_sigma_m, self.line_noise_m])
 
+    @timed("field update")
     def insert(self, xy_map_m: NDArray[np.float64]) -> None:
         """Add points (n, 2), in m, and refit the lines around them."""
         if len(xy_map_m) == 0:

@@ -9,6 +9,7 @@ import numpy as np
 
 from mavnav.kernels import linesearch, polarsearch
 from mavnav.pose import Pose, wrap_angle
+from mavnav.stages import timed
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ def match_polar(
     return with_effort(best, match, fine)
 
 
+@timed("search")
 def _search_polar(
     virtual_m: NDArray[np.float64],
     points: NDArray[np.float64],
@@ -109,6 +111,7 @@ def _search_polar(
     return Match(pose, float(cost), int(used), share, int(evaluations), int(iterations), bool(converged))
 
 
+@timed("cleaning")
 def polar_points(ranges_m: NDArray[np.float64], spec: LaserSpec, mixed_pixel_m: float) -> NDArray[np.float64]:
     """Return the valid beams as rows x, y, beam number, range, bearing, (n, 5); mixed pixels left out (cost step vii).
 
@@ -128,6 +131,7 @@ ALTERNATIONS = 2
 # ---- the robust method: distance to the map's local lines ----------------------------------------------------------
 
 
+@timed("search")
 def search_lines(
     points: NDArray[np.float64],
     line_map: LineMap,

@@ -22,6 +22,7 @@ from mavnav.matcher import (
 from mavnav.motion import LONGEST_S
 from mavnav.pose import Pose, transform_points
 from mavnav.relocalise import FARTHEST_SURPRISE, best_of, candidates, everywhere, judged, within_reach
+from mavnav.stages import timed
 from mavnav.units import DEG, MM, MM2
 
 if TYPE_CHECKING:
@@ -100,6 +101,7 @@ class Paper:
         virtual_m = self.grid.virtual_scan(predicted, _directions(scan.spec), far_m, paper.cluster_gap_cells)
         return match_polar(virtual_m, points, scan.spec, predicted, self.config)
 
+    @timed("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
         """Believe and insert only a well-minimised cost (paper, "Map Update")."""
         return Verdict.SURE if match.cost_m2 <= self.config.paper.gate_mm2 * MM2 else Verdict.REFUSED
@@ -170,6 +172,7 @@ class Robust:
             and abs(moved.yaw_rad) <= robust.max_turn_deg_s * DEG * elapsed_s
         )
 
+    @timed("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
         """Believe a match that much of the scan agrees with and little speaks against, at a possible speed.
 
@@ -209,9 +212,12 @@ class Robust:
         placed = search_lines(points, self.lines, match.map_T_laser, window, self.config)
         return with_effort(placed, match, placed)
 
+    @timed("cleaning")
     def _match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
+        """Averages (n, 2) of the good points in voxels, in a scrambled order."""
         return voxel_means(self._points(scan, motion), self.config.robust.voxel_mm * MM)
 
+    @timed("cleaning")
     def _points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
         """Good points (n, 2) in the laser's frame, m; at mid-sweep if the motion is given."""
         robust, spec = self.config.robust, scan.spec

@@ -12,6 +12,7 @@ from mavnav.kernels.conflicts import conflicts
 from mavnav.kernels.volume import volume
 from mavnav.matcher import Match, search_lines, with_effort
 from mavnav.pose import Pose, transform_points, wrap_angle
+from mavnav.stages import timed
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ CLEAR_BY = 0.05
 """A place is ambiguous if another one ranks nearer than this."""
 
 
+@timed("gate")
 def judged(match: Match, points: NDArray[np.float64], grid: Grid) -> Match:
     """Return the match with the share of its points (n, 2), laser frame, that the map speaks against."""
     xy_map_m = transform_points(match.map_T_laser, points)
@@ -80,6 +82,7 @@ def everywhere(grid: Grid) -> Region:
     return places, np.arange(-pi, pi, STEP_RAD)
 
 
+@timed("search")
 def candidates(
     points: NDArray[np.float64], line_map: LineMap, grid: Grid, region: Region, config: Config
 ) -> list[Match]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from dataclasses import replace as changed
 from itertools import takewhile
 from pathlib import Path
 from time import perf_counter, process_time
@@ -18,6 +19,7 @@ from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import wall_thicknesses
 from mavnav.outputs import Run, Timing, check_directory, write_run
 from mavnav.references import check_times, compared, load_references, occupied_xy_m
+from mavnav.stages import account, timed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -103,11 +105,11 @@ def replay(
     check_log(request.log, request.start_s, request.end_s)
     check_directory(request.directory, force=request.force)
     references = load_references(request.truth, request.truth_map, request.relations)
-    wall_s, cpu_s = perf_counter(), process_time()
+    wall_s, cpu_s, stages = perf_counter(), process_time(), account()
     log = _open(request, progress)
     check_times(references, log.first_ns, log.last_ns)
     with stoppable() as stop:
-        return _mapped(request, log, references, progress, stop, (wall_s, cpu_s, compile_s))
+        return _mapped(request, log, references, progress, stop, Timing(wall_s, cpu_s, compile_s, stages))
 
 
 def _mapped(
@@ -116,16 +118,15 @@ def _mapped(
     references: References,
     progress: Progress,
     stop: Stop,
-    began: tuple[float, float, float],
+    began: Timing,
 ) -> tuple[Run, dict[str, Any]]:
-    """Track, measure and write; ``began`` are the clocks at the start, and the time to compile."""
-    wall_s, cpu_s, compile_s = began
+    """Track, measure and write; ``began`` holds the clocks as they stood at the start."""
     outcome = _track(log, request.config, progress, stop)
     stopped = stop()
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
     thickness = measured_thickness(outcome.grid)
-    timing = Timing(wall_s=perf_counter() - wall_s, cpu_s=process_time() - cpu_s, compile_s=compile_s)
+    timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
     progress("measuring", 0, None)
     run = Run(
         log=log,
@@ -141,11 +142,13 @@ def _mapped(
     return run, write_run(run, request.directory, force=request.force, report=request.report)
 
 
+@timed("measuring")
 def measured_thickness(grid: Grid) -> dict[int, WallThickness]:
     """Measure the walls at each of the thresholds."""
     return wall_thicknesses(grid.hits, grid.cell_m)
 
 
+@timed("measuring")
 def measured_quality(outcome: slam.Slam, log: Log) -> MapQuality:
     """Measure the map of a run, with the scans behind it."""
     mapped = sum(step.accepted for step in outcome.steps) / max(len(outcome.steps), 1)

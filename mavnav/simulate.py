@@ -21,6 +21,7 @@ from mavnav.outputs.run import Mission, Truth
 from mavnav.pose import Pose, transform_points
 from mavnav.references import LEAST_POSES, References, compared, occupied_xy_m, of_world
 from mavnav.replay import Progress, measured_quality, measured_thickness
+from mavnav.stages import account
 from mavnav.world import World
 
 if TYPE_CHECKING:
@@ -59,9 +60,9 @@ def simulate(request: Request, progress: Progress, compile_s: float) -> tuple[Ru
     NoScansError where no scan could even begin a map.
     """
     check_outputs(request)
-    wall_s, cpu_s = perf_counter(), process_time()
+    wall_s, cpu_s, stages = perf_counter(), process_time(), account()
     flight = fly(request.scenario, lambda phase, done: progress(phase, done, None))
-    timing = Timing(wall_s=perf_counter() - wall_s, cpu_s=process_time() - cpu_s, compile_s=compile_s)
+    timing = Timing(perf_counter() - wall_s, process_time() - cpu_s, compile_s, stages)
     if not len(flight.slam.trajectory):
         raise NoScansError(
             f"{request.path}: in {flight.mission.steps} scans the laser saw too little to begin a map; "

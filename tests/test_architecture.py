@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "mavnav"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-GROUND = {"errors", "units", "pose", "scan", "config", "staging"}
+GROUND = {"errors", "units", "pose", "scan", "config", "staging", "stages"}
 CORE = {"grid", "linemap", "matcher", "relocalise", "motion", "belief", "firing", "methods", "slam"}
 RUNS = {"", "cells", "config_file", "gates", "jobs", "logs", "markdown", "outputs", "references", "replay"}
 ALLOWED: dict[str, set[str]] = {
@@ -26,6 +26,7 @@ ALLOWED: dict[str, set[str]] = {
     "pose": set(),
     "scan": set(),
     "staging": set(),
+    "stages": set(),
     "config": {"errors", "units"},
     "gates": {"errors"},
     "jobs": {"errors"},

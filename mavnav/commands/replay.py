@@ -90,6 +90,7 @@ def replay(
     strict: Annotated[
         bool, typer.Option("--strict", help="Leave out scans from where a checksum does not match.")
     ] = False,
+    profile: Annotated[bool, typer.Option("--profile", help="Tell the processor's seconds by stage.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the run directory if it exists.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print run.json on stdout and nothing else.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
@@ -113,6 +114,8 @@ def replay(
         )
         _, document = pipeline.replay(request, progress, compile_s, signals.keeping)
     _tell(document, target, json=json)
+    if profile:
+        tell_stages(document["timing"]["stages"], stderr=json)
     if preview:
         show_preview(target, stderr=json)
     raise typer.Exit(gated_code(document, bounds))
@@ -205,6 +208,17 @@ def page_row(directory: Path) -> list[tuple[str, str]]:
     """Return the row that names the run's page, where there is one."""
     page = directory / "report.html"
     return [("report", str(page))] if page.exists() else []
+
+
+def tell_stages(stages: dict[str, float], *, stderr: bool) -> None:
+    """Print the processor's seconds by stage, the longest first, and each one's share."""
+    total_s = max(sum(stages.values()), 1e-9)
+    for name, spent_s in sorted(stages.items(), key=lambda stage: -stage[1]):
+        line = f"{name:<14}{spent_s:>9.3f} s {spent_s / total_s:>6.1%}"
+        if stderr:
+            note(line)
+        else:
+            emit(line)
 
 
 def wall_rows(document: dict[str, Any]) -> list[tuple[str, str]]:

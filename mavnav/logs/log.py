@@ -17,6 +17,7 @@ from mavnav.logs.stamps import StampSource, Timeline, period_and_gaps
 from mavnav.logs.survey import Survey, survey
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
+from mavnav.stages import each
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 _MOST_WAITING: Final = 64
 _WAITING_BYTES: Final = 64 << 20
+_KEPT_BYTES: Final = 32 << 20
+"""Scans of shorter logs are kept once they have all been read: decoding costs more than the memory."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,7 @@ class Log:
     strict: bool
     _order: NDArray[np.int64] = field(repr=False, compare=False)
     _stamps_ns: NDArray[np.int64] = field(repr=False, compare=False)
+    _kept: list[Scan] = field(default_factory=list, repr=False, compare=False)
 
     @property
     def duration_s(self) -> float:
@@ -73,6 +77,20 @@ class Log:
         return (self.last_ns - self.first_ns) * 1e-9
 
     def scans(self) -> Iterator[Scan]:
+        """Read the usable scans again from the file: cleaned, stamps strictly ascending, in bounded memory."""
+        if self._kept:
+            return iter(self._kept)
+        scans = each("reading", self._scans())
+        return self._keeping(scans) if 8 * self.sensor.beams * len(self._order) <= _KEPT_BYTES else scans
+
+    def _keeping(self, scans: Iterator[Scan]) -> Iterator[Scan]:
+        read = []
+        for scan in scans:
+            read.append(scan)
+            yield scan
+        self._kept[:] = read
+
+    def _scans(self) -> Iterator[Scan]:
         """Read the usable scans again from the file: cleaned, stamps strictly ascending, in constant memory.
 
         Scans that come early in the file wait for their turn. Only so many may wait; where more would have to, the file

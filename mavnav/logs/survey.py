@@ -19,6 +19,7 @@ from mavnav.logs.odometry import OdometryTracks
 from mavnav.logs.records import Channel, Damage, RawMessage, Topic
 from mavnav.logs.rosbag2 import METADATA
 from mavnav.logs.stamps import TopicScans
+from mavnav.stages import timed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -137,6 +138,7 @@ class _Pass:
                 self.ledger.warn(f"{topic}: the frame of the scans changes on the way ({names}); the first is used")
 
 
+@timed("reading")
 def survey(
     path: Path,
     *,

@@ -22,6 +22,7 @@ from mavnav.outputs.trajectory import (
     write_truth_tum,
     write_tum,
 )
+from mavnav.stages import Stage
 from mavnav.staging import sync
 
 if TYPE_CHECKING:
@@ -87,6 +88,7 @@ def _names(run: Run) -> list[str]:
 
 def _write(run: Run, path: Path) -> str:
     """Write one file to the disk and return its SHA-256."""
-    WRITERS[path.name](run, path)
-    sync(path)
-    return sha256(path.read_bytes()).hexdigest()
+    with Stage("pictures" if path.suffix == ".png" else "outputs"):
+        WRITERS[path.name](run, path)
+        sync(path)
+        return sha256(path.read_bytes()).hexdigest()

@@ -199,4 +199,9 @@ def _timing(run: Run) -> Document:
     t, scans = run.timing, len(run.slam.steps)
     duration_s = (run.log.last_ns - run.log.first_ns) * NS
     work_s = max(t.wall_s, 1e-9)
-    return {**asdict(t), "scans_per_s": scans / work_s, "realtime_factor": duration_s / work_s}
+    return {
+        **asdict(t),
+        "stages": dict(t.stages),
+        "scans_per_s": scans / work_s,
+        "realtime_factor": duration_s / work_s,
+    }

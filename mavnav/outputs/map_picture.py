@@ -8,11 +8,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.colors import LinearSegmentedColormap, LogNorm
 
-from mavnav.outputs import drawing
+from mavnav.grid import FREE, occupancy
+from mavnav.outputs import canvas
 from mavnav.outputs.gridmap import known_part
+from mavnav.outputs.window import DPI, FREE_GREY, INK, MUTED, wall_lines, window_of
 from mavnav.units import MM
 
 if TYPE_CHECKING:
@@ -22,48 +22,72 @@ if TYPE_CHECKING:
 
     from mavnav.grid import Grid
     from mavnav.metrics.wall_thickness import WallThickness
+    from mavnav.outputs.canvas import Canvas, Frame
     from mavnav.outputs.run import Run, Truth
     from mavnav.pose import Trajectory
 
 CIRCLE_SPACING: Final = 0.018
 """Between two circles along the path, of the picture's longer side: so that they touch at most."""
 
+LEFT, TOP, RIGHT, BOTTOM = 100, 110, 130, 120
+"""Margins of the map in the picture, in pixels."""
+
+SCALE: Final = canvas.ramp(canvas.VIRIDIS[::-1])
+HIT_TICKS: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
+
 
 def write(run: Run, path: Path) -> None:
     """Draw the map of a run."""
     grid, trajectory = known_part(run.slam.grid), run.slam.trajectory
-    window = drawing.window_of(grid, framed(run))
-    width, height = window.figure_size(longest_in=7.5, least_in=3.0)
-    fig = drawing.figure(max(width + 1.7, 6.4), height + 1.6)
-    axes = fig.add_subplot()
-    drawing.draw_free(axes, grid, window)
-    _draw_hits(axes, grid, window)
+    window = window_of(grid, framed(run))
+    width, height = (round(v * DPI) for v in window.figure_size(longest_in=7.5, least_in=0.0))
+    picture = canvas.Canvas.of(max(width + LEFT + RIGHT, 960), max(height + TOP + BOTTOM, 420))
+    left = (picture.image.width - width - RIGHT + LEFT) // 2
+    frame = canvas.Frame(picture, window, left, TOP, width, height)
+    draw_free(frame, grid)
+    _draw_hits(frame, grid)
     some = thinned(trajectory.xyyaw[:, :2], CIRCLE_SPACING * max(window.size_m))
-    _draw_poses(axes, trajectory, some)
+    marks = [*path_marks(trajectory, some), *_ends(run, trajectory.stamps_ns[some].tolist())]
+    _draw_path(frame, trajectory)
     if run.truth:
-        _draw_truth(axes, run.truth, trajectory.stamps_ns[some].tolist())
-    elif len(trajectory):
-        drawing.draw_ends(axes, trajectory.xyyaw[0, :2], trajectory.xyyaw[-1, :2], "end")
-    drawing.dress(axes, window)
-    fig.suptitle(run.name, fontsize=12, fontweight="bold", color=drawing.INK)
-    axes.set_title(_subtitle(run), fontsize=8.5, color=drawing.MUTED)
-    if len(trajectory) or run.truth:
-        fig.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=8.5)
-    drawing.save(fig, path)
+        _draw_walls(frame, run.truth)
+    for mark, xy_m in marks:
+        frame.mark(mark, xy_m)
+    frame.dress()
+    named = [canvas.TRUE_WALL] if run.truth else []
+    canvas.legend(picture, named + [mark for mark, _ in marks], picture.image.height - 28)
+    _title(picture, run)
+    picture.save(path)
 
 
-def _draw_hits(axes: Any, grid: Grid, window: drawing.Window) -> None:  # noqa: ANN401
+def _title(picture: Canvas, run: Run) -> None:
+    middle = picture.image.width / 2
+    picture.text((middle, 26), run.name, 12.0, INK, bold=True)
+    picture.text((middle, 74), _subtitle(run), 8.5, MUTED)
+
+
+def draw_free(frame: Frame, grid: Grid) -> None:
+    """Shade the cells that are known to be free."""
+    grey = np.array(canvas.rgb_of(FREE_GREY), np.uint8)
+    frame.cells(grid, (occupancy(grid) == FREE).astype(np.uint8), lambda _: grey)
+
+
+def _draw_hits(frame: Frame, grid: Grid) -> None:
     """Colour the hit cells on a logarithmic scale that a few crowded cells cannot spoil."""
     counts = grid.hits[grid.hits > 0]
     top = max(float(np.quantile(counts, 0.995)) if counts.size else 1.0, 10.0)
-    colours = LinearSegmentedColormap.from_list("hits", colormaps["viridis"](np.linspace(0.92, 0.0, 256)))
-    image = drawing.draw_cells(axes, grid, grid.hits, window, cmap=colours, norm=LogNorm(1.0, top), zorder=1)
-    bar = axes.figure.colorbar(image, ax=axes, extend="max", fraction=0.04, pad=0.02, aspect=28)
-    ticks = [t for t in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000) if t <= top]
-    bar.set_ticks(ticks, labels=[str(t) for t in ticks])
-    bar.ax.minorticks_off()
-    bar.set_label("laser hits per cell", fontsize=9)
-    bar.outline.set_visible(False)
+
+    def colour_of(hits: NDArray[Any]) -> NDArray[np.uint8]:
+        share = np.minimum(np.log(hits) / np.log(top), 1.0)
+        return np.asarray(SCALE[np.round(share * (len(SCALE) - 1)).astype(np.intp)])
+
+    frame.cells(grid, grid.hits, colour_of)
+    bar = canvas.Bar(frame, frame.left + frame.width + 24)
+    bar.gradient(SCALE)
+    for tick in HIT_TICKS:
+        if tick <= top:
+            bar.tick(np.log(tick) / np.log(top), str(tick))
+    bar.name("laser hits per cell")
 
 
 def framed(run: Run) -> NDArray[np.float64]:
@@ -71,25 +95,42 @@ def framed(run: Run) -> NDArray[np.float64]:
     xy_m, truth = run.slam.trajectory.xyyaw[:, :2], run.truth
     if truth is None:
         return xy_m
-    return np.vstack((xy_m, truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *drawing.wall_lines(truth)))
+    return np.vstack((xy_m, truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *wall_lines(truth)))
 
 
-def _draw_poses(axes: Any, trajectory: Trajectory, some: NDArray[np.intp]) -> None:  # noqa: ANN401
-    """Mark some of the estimated poses by magenta circles, on the line of all."""
-    xy_m = trajectory.xyyaw[:, :2]
-    colour = drawing.POSE_MAGENTA
-    if len(xy_m):
-        axes.plot(*xy_m.T, color=colour, lw=0.6, alpha=0.6, zorder=3)
-        axes.plot(*xy_m[some].T, "o", ms=4, mfc="none", mec=colour, mew=0.8, label="estimated pose", zorder=3)
+def _draw_path(frame: Frame, trajectory: Trajectory) -> None:
+    """Draw the line of all estimated poses, fainter than the circles."""
+    line = frame.to_marks(trajectory.xyyaw[:, :2])
+    if len(line) > 1:
+        frame.canvas.marks(frame.box, canvas.POSE.colour, lambda on: on.line(line, fill=150, width=3))
 
 
-def _draw_truth(axes: Any, truth: Truth, stamps_ns: list[int]) -> None:  # noqa: ANN401
-    """Draw the walls dashed, the true poses at the stamps of the circles as black x, start and goal."""
-    drawing.draw_walls(axes, truth, color=drawing.TRUE_ORANGE, lw=0.9, ls=(0, (4, 3)), zorder=2, label="true wall")
-    rows = np.flatnonzero(np.isin(truth.map_T_laser.stamps_ns, stamps_ns))
+def _draw_walls(frame: Frame, truth: Truth) -> None:
+    def draw(on: Any) -> None:  # noqa: ANN401
+        for line in wall_lines(truth):
+            canvas.dashed(on, frame.to_marks(line))
+
+    frame.canvas.marks(frame.box, canvas.TRUE_WALL.colour, draw)
+
+
+def path_marks(trajectory: Trajectory, some: NDArray[np.intp]) -> list[tuple[canvas.Mark, NDArray[np.float64]]]:
+    """Mark some of the estimated poses."""
+    return [(canvas.POSE, trajectory.xyyaw[some, :2])] if len(trajectory) else []
+
+
+def _ends(run: Run, stamps_ns: list[int]) -> list[tuple[canvas.Mark, NDArray[np.float64]]]:
+    """Mark start and end; where the truth is known the true poses at the stamps of the circles, start and goal."""
+    xy_m = run.slam.trajectory.xyyaw[:, :2]
+    if run.truth is not None:
+        return truth_marks(run.truth, stamps_ns)
+    return [(canvas.START, xy_m[:1]), (canvas.END, xy_m[-1:])] if len(xy_m) else []
+
+
+def truth_marks(truth: Truth, stamps_ns: list[int]) -> list[tuple[canvas.Mark, NDArray[np.float64]]]:
+    """Mark the true poses at the stamps, the true start and the goal."""
     xy_m = truth.map_T_laser.xyyaw[:, :2]
-    axes.plot(*xy_m[rows].T, "x", ms=3.5, color="black", mew=0.7, label="true pose", zorder=4)
-    drawing.draw_ends(axes, xy_m[0], truth.goal_xy_map_m, "goal")
+    at = np.isin(truth.map_T_laser.stamps_ns, stamps_ns)
+    return [(canvas.TRUE_POSE, xy_m[at]), (canvas.START, xy_m[:1]), (canvas.GOAL, np.array([truth.goal_xy_map_m]))]
 
 
 def thinned(xy_m: NDArray[np.float64], spacing_m: float) -> NDArray[np.intp]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from mavnav.errors import ExitCode
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     import numpy as np
@@ -23,11 +24,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """What the run took, in seconds: by the clock, of the processor, and of it to load or compile the kernels."""
+    """What the run took, in seconds: by the clock, of the processor, and of it to load or compile the kernels.
+
+    ``stages`` are the processor's seconds by stage, an account that goes on while the outputs are written.
+    """
 
     wall_s: float
     cpu_s: float
     compile_s: float
+    stages: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

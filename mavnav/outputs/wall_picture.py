@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.collections import LineCollection
-from matplotlib.colors import BoundaryNorm, ListedColormap
+from PIL import ImageDraw
 
 from mavnav.metrics.wall_thickness import wall_sections
-from mavnav.outputs import drawing
+from mavnav.outputs import canvas
 from mavnav.outputs.gridmap import known_part
+from mavnav.outputs.map_picture import draw_free
+from mavnav.outputs.window import DPI, INK, MUTED, WALL_GREY, window_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -20,10 +20,15 @@ if TYPE_CHECKING:
 
     from mavnav.grid import Grid
     from mavnav.metrics.wall_thickness import Sections, WallThickness
+    from mavnav.outputs.canvas import Canvas, Frame
     from mavnav.outputs.run import Run
 
 BAR_COLOUR: Final = "#5b8db8"
 P95_COLOUR: Final = "#c0392b"
+LEFT, TOP, RIGHT, BOTTOM = 100, 90, 130, 80
+"""Margins of the map in the picture, in pixels."""
+HISTOGRAM: Final = (560, 110)
+"""Width and height of a histogram, in pixels."""
 
 
 def write(run: Run, path: Path) -> None:
@@ -31,47 +36,43 @@ def write(run: Run, path: Path) -> None:
     grid, thresholds = known_part(run.slam.grid), sorted(run.thickness)
     sections = {k: wall_sections(grid.hits, grid.cell_m, k) for k in thresholds}
     shown = thresholds[len(thresholds) // 2]
-    window = drawing.window_of(grid, np.empty((0, 2)))
-    width, height = window.figure_size(longest_in=6.5, least_in=3.2)
-    fig = drawing.figure(width + 6.6, max(height + 1.2, 5.8))
-    cells = fig.add_gridspec(len(thresholds), 2, width_ratios=(width + 1.4, 4.6))
-    _draw_map(fig.add_subplot(cells[:, 0]), grid, sections[shown], window, shown)
-    _draw_histograms([fig.add_subplot(cells[k, 1]) for k in range(len(thresholds))], run, sections)
-    fig.suptitle(f"{run.name}: wall thickness", fontsize=12, fontweight="bold", color=drawing.INK)
-    drawing.save(fig, path)
+    window = window_of(grid, np.empty((0, 2)))
+    width, height = (round(v * DPI) for v in window.figure_size(longest_in=6.5, least_in=0.0))
+    tall = max(height, len(thresholds) * (HISTOGRAM[1] + 120))
+    picture = canvas.Canvas.of(LEFT + width + RIGHT + 80 + HISTOGRAM[0] + 30, TOP + tall + BOTTOM)
+    frame = canvas.Frame(picture, window, LEFT, TOP + (tall - height) // 2, width, height)
+    _draw_map(frame, grid, sections[shown], shown)
+    pitch = tall // len(thresholds)
+    left = LEFT + width + RIGHT + 80
+    _draw_histograms(picture, [(left, TOP + k * pitch, pitch - 120) for k in range(len(thresholds))], run, sections)
+    picture.text((picture.image.width / 2, 26), f"{run.name}: wall thickness", 12.0, INK, bold=True)
+    picture.save(path)
 
 
-def _draw_map(
-    axes: Any,  # noqa: ANN401
-    grid: Grid,
-    sections: Sections,
-    window: drawing.Window,
-    min_hits: int,
-) -> None:
-    drawing.draw_free(axes, grid, window)
-    occupied = (grid.hits >= min_hits).astype(np.uint8)
-    drawing.draw_cells(axes, grid, occupied, window, cmap=ListedColormap([drawing.WALL_GREY]), vmin=0, vmax=1)
+def _draw_map(frame: Frame, grid: Grid, sections: Sections, min_hits: int) -> None:
+    draw_free(frame, grid)
+    grey = np.array(canvas.rgb_of(WALL_GREY), np.uint8)
+    frame.cells(grid, (grid.hits >= min_hits).astype(np.uint8), lambda _: grey)
     top = max(3, int(np.ceil(np.quantile(sections.thickness_cells, 0.99))) if len(sections.row) else 3)
     step = -(-top // 12)  # cells a colour
     bounds = np.arange(0.5, top + step, step)
+    colours = canvas.ramp(canvas.TURBO, len(bounds) - 1)
     # drawn across the wall, and at least a few pixels long wherever the map is large
-    least_m = 0.012 * max(window.size_m)
-    lines = LineCollection(
-        section_lines(grid, sections, least_m),
-        cmap=colormaps["turbo"],
-        norm=BoundaryNorm(bounds, 256),
-        linewidths=1.6,
-        zorder=2,
-    )
-    lines.set_array(sections.thickness_cells)
-    axes.add_collection(lines)
-    bar = axes.figure.colorbar(lines, ax=axes, extend="max", fraction=0.04, pad=0.02, aspect=28)
-    bar.set_ticks(bounds[:-1] + step / 2, labels=_names(bounds))
-    bar.ax.minorticks_off()
-    bar.set_label("thickness [cells]", fontsize=9)
-    bar.outline.set_visible(False)
-    drawing.dress(axes, window)
-    axes.set_title(f"cells with ≥ {min_hits} hits; grey: not part of a straight wall", fontsize=9, color=drawing.MUTED)
+    lines = section_lines(grid, sections, 0.012 * max(frame.window.size_m))
+    ends = np.hstack((frame.to_canvas(lines[:, 0]), frame.to_canvas(lines[:, 1]))).round().astype(int)
+    level = np.clip(np.searchsorted(bounds, sections.thickness_cells) - 1, 0, len(colours) - 1)
+    draw = ImageDraw.Draw(frame.canvas.image)
+    for line, colour in zip(ends.tolist(), colours[level].tolist(), strict=True):
+        draw.line(line, fill=tuple(colour), width=3)
+    bar = canvas.Bar(frame, frame.left + frame.width + 24)
+    bar.gradient(np.repeat(colours, 16, axis=0))
+    for k, name in enumerate(_names(bounds)):
+        bar.tick((k + 0.5) / len(colours), name, line=False)
+    bar.name("thickness [cells]")
+    frame.dress()
+    middle = frame.left + frame.width / 2
+    text = f"cells with ≥ {min_hits} hits; grey: not part of a straight wall"
+    frame.canvas.text((middle, frame.top - 22), text, 8.5, MUTED)
 
 
 def _names(bounds: NDArray[np.float64]) -> list[str]:
@@ -90,29 +91,48 @@ def section_lines(grid: Grid, sections: Sections, least_m: float) -> Any:  # noq
     return (np.stack((middle - half, middle + half), axis=1)) * grid.cell_m + np.array(grid.origin_xy_m)
 
 
-def _draw_histograms(all_axes: list[Any], run: Run, sections: dict[int, Sections]) -> None:
-    """Draw metres of wall over thickness, one below the other on the same scale."""
+def _draw_histograms(
+    picture: Canvas, places: list[tuple[int, int, int]], run: Run, sections: dict[int, Sections]
+) -> None:
+    """Draw metres of wall over thickness, one below the other on the same scale; places are left, top and height."""
     longest = max((s.thickness_cells.max() for s in sections.values() if len(s.row)), default=3.0)
-    bins = np.arange(0.5, np.ceil(longest) + 1.5)
-    for axes, (min_hits, found) in zip(all_axes, sections.items(), strict=True):
-        axes.hist(found.thickness_cells, bins, weights=found.length_m, color=BAR_COLOUR, rwidth=0.9)
-        _describe(axes, run.thickness[min_hits])
-        axes.set_xlim(bins[0], bins[-1])
-        axes.xaxis.get_major_locator().set_params(integer=True)
-    all_axes[-1].set_xlabel("thickness [cells]")
+    most = int(np.ceil(longest)) + 1
+    for (left, top, height), (min_hits, found) in zip(places, sections.items(), strict=True):
+        thickness = run.thickness[min_hits]
+        picture.text((left, top), _title(thickness), 8.5, INK, "la")
+        bins = np.round(found.thickness_cells).astype(int)
+        metres = np.bincount(bins, found.length_m, minlength=most + 1)[: most + 1]
+        _draw_bars(picture, (left, top + 56, left + HISTOGRAM[0], top + 56 + height), metres, thickness)
+    left, top, height = places[-1]
+    picture.text((left + HISTOGRAM[0] / 2, top + 56 + height + 36), "thickness [cells]", 9.0, INK, "ma")
 
 
-def _describe(axes: Any, t: WallThickness) -> None:  # noqa: ANN401
-    axes.set_ylabel("wall [m]", fontsize=9)
-    axes.tick_params(colors=drawing.MUTED, labelsize=8)
-    axes.spines[["top", "right"]].set_visible(False)
+def _draw_bars(picture: Canvas, box: canvas.Box, metres: NDArray[Any], thickness: WallThickness) -> None:
+    """Draw one histogram: ``metres`` of wall of 0, 1, 2 ... cells."""
+    draw, (left, top, right, bottom) = ImageDraw.Draw(picture.image), box
+    pitch, highest = (right - left) / len(metres), max(float(metres.max()), 1e-9)
+    for cells, value in enumerate(metres.tolist()):
+        if value > 0.0:
+            x0, x1 = left + (cells + 0.05) * pitch, left + (cells + 0.95) * pitch
+            draw.rectangle((x0, bottom - value / highest * (bottom - top), x1, bottom), fill=BAR_COLOUR)
+    draw.line((left, top, left, bottom, right, bottom), fill=MUTED)
+    for tick in canvas.ticks(0.0, len(metres) - 1.0, 8):
+        if tick.is_integer():
+            picture.text((left + (tick + 0.5) * pitch, bottom + 8), f"{tick:g}", colour=MUTED, anchor="ma")
+    for value in canvas.ticks(0.0, highest, 4):
+        picture.text((left - 8, bottom - value / highest * (bottom - top)), f"{value:g}", colour=MUTED, anchor="rm")
+    picture.text((left - 62, (top + bottom) / 2), "wall [m]", 9.0, upright=True)
+    if thickness.sections:
+        x = left + (thickness.p95_cells + 0.5) * pitch
+        draw.line((x, top, x, bottom), fill=P95_COLOUR, width=3)
+        picture.text((x + 8, top + 8), "p95", 8.0, P95_COLOUR, "lm")
+
+
+def _title(t: WallThickness) -> str:
     numbers = "no straight wall"
     if t.sections:
-        axes.axvline(t.p95_cells, color=P95_COLOUR, lw=1.4, label="p95")
-        axes.legend(loc="upper right", frameon=False, fontsize=8)
         numbers = (
             f"p95 {t.p95_cells:.1f} cells = {t.p95_mm:.0f} mm, median {t.median_cells:.1f}, max {t.max_cells:.1f}\n"
             f"{t.length_m:.1f} m of wall in {t.sections} sections, {t.share:.0%} of the cells"
         )
-    title = f"≥ {t.hits} hit{'s' if t.hits > 1 else ''}: {numbers}"
-    axes.set_title(title, fontsize=8.5, color=drawing.INK, loc="left")
+    return f"≥ {t.hits} hit{'s' if t.hits > 1 else ''}: {numbers}"

@@ -84,16 +84,11 @@ def test_the_map_of_a_mission_shows_the_truth_on_top(run, mission, tmp_path):
         assert with_truth > without + more, colour
 
 
-def test_true_poses_are_those_at_the_stamps_of_the_circles(mission, monkeypatch):
-    told = {}
-
-    class Axes:
-        def plot(self, x, y, *_, label=None, **__):
-            told.setdefault(label, np.column_stack((np.atleast_1d(x), np.atleast_1d(y))))
-
+def test_true_poses_are_those_at_the_stamps_of_the_circles(mission):
     some = np.arange(0, len(mission.slam.trajectory), 3)
-    map_picture._draw_poses(Axes(), mission.slam.trajectory, some)
-    map_picture._draw_truth(Axes(), mission.truth, mission.slam.trajectory.stamps_ns[some].tolist())
+    marks = map_picture.path_marks(mission.slam.trajectory, some)
+    marks += map_picture.truth_marks(mission.truth, mission.slam.trajectory.stamps_ns[some].tolist())
+    told = {mark.name: xy_m for mark, xy_m in marks}
     apart = np.hypot(*(told["estimated pose"] - told["true pose"]).T)
     np.testing.assert_allclose(apart, 0.05, atol=1e-12)
     assert told["goal"].tolist() == [[3.5, 4.4]]

@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image
 
 from mavnav.grid import Grid
 from mavnav.metrics.wall_thickness import wall_sections, wall_thickness
-from mavnav.outputs import drawing, map_picture, wall_picture
+from mavnav.outputs import canvas, drawing, map_picture, wall_picture
 from mavnav.pose import Trajectory
 
 WRITERS = pytest.mark.parametrize("write", [map_picture.write, wall_picture.write], ids=["map", "walls"])
@@ -89,3 +91,40 @@ def test_section_lines_run_from_the_first_cell_to_the_last():
     lines = wall_picture.section_lines(grid, wall_sections(hits, 0.02, 1), 0.0)
     middle = lines[np.argmin(np.abs(lines[:, 0, 0] - 1.6))]
     assert middle[:, 1] == pytest.approx([2.0 + 20 * 0.02, 2.0 + 24 * 0.02])
+
+
+def test_marks_lie_where_their_points_are_and_y_grows_upwards():
+    picture = canvas.Canvas.of(300, 200)
+    frame = canvas.Frame(picture, drawing.Window(-1.0, 1.0, 0.0, 1.0), 50, 40, 200, 100)
+    frame.mark(canvas.START, np.array([[0.5, 0.25]]))
+    pixels = np.asarray(picture.image).astype(int)
+    row, col = np.argwhere(np.abs(pixels - (0x00, 0x33, 0xFF)).sum(axis=2) < 60).mean(axis=0)
+    assert (col, row) == pytest.approx((50 + 150, 40 + 75), abs=1.0)
+
+
+def test_cells_fill_their_squares():
+    picture = canvas.Canvas.of(300, 200)
+    hits = np.zeros((10, 20), np.int32)
+    hits[9, 0] = hits[0, 19] = 1
+    grid = Grid(0.1, (-1.0, 0.0), hits, np.zeros_like(hits))
+    frame = canvas.Frame(picture, drawing.Window(-1.0, 1.0, 0.0, 1.0), 50, 40, 200, 100)
+    frame.cells(grid, hits, lambda _: np.array((0, 0, 0), np.uint8))
+    dark = np.asarray(picture.image).sum(axis=2) == 0
+    expected = np.zeros((200, 300), bool)
+    expected[40:50, 50:60] = expected[130:140, 240:250] = True
+    np.testing.assert_array_equal(dark, expected)
+
+
+@given(low=st.floats(-1e4, 1e4), span=st.floats(1e-3, 1e4))
+def test_ticks_are_few_round_and_inside(low, span):
+    found = canvas.ticks(low, low + span)
+    assert 2 <= len(found) <= 10
+    assert all(low - 1e-9 * span <= tick <= low + span + 1e-9 * span for tick in found)
+    np.testing.assert_allclose(np.diff(found), found[1] - found[0], rtol=1e-6)
+
+
+@WRITERS
+def test_pictures_repeat_to_the_byte(run, write, tmp_path):
+    for name in ("a.png", "b.png"):
+        write(run, tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()

@@ -1,0 +1,73 @@
+"""The account of processor time by stage."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from mavnav import stages
+from mavnav.stages import OTHER, Stage, account, each, timed
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """A processor clock that tells, and advances by, what a test says."""
+    now = [100.0]
+    monkeypatch.setattr(stages, "process_time", lambda: now[0])
+    return now
+
+
+def test_inner_stages_are_not_charged_to_outer_ones(clock: list[float]) -> None:
+    spent = account()
+    clock[0] += 1
+    with Stage("outer"):
+        clock[0] += 2
+        with Stage("inner"):
+            clock[0] += 4
+        clock[0] += 8
+    clock[0] += 16
+    with Stage("inner"):
+        clock[0] += 32
+    assert spent == {OTHER: 17, "outer": 10, "inner": 36}
+
+
+def test_a_decorated_function_is_a_stage_even_when_it_fails(clock: list[float]) -> None:
+    @timed("work")
+    def work(seconds: float) -> None:
+        clock[0] += seconds
+        raise ValueError
+
+    spent = account()
+    for _ in range(2):
+        with pytest.raises(ValueError, match=r"^$"):
+            work(3)
+    with Stage("after"):
+        clock[0] += 1
+    assert spent == {OTHER: 0, "work": 6, "after": 1}
+
+
+def test_making_items_is_a_stage_and_using_them_is_not(clock: list[float]) -> None:
+    def items() -> object:
+        for k in range(3):
+            clock[0] += 1
+            yield k
+
+    spent, used = account(), []
+    for k in each("making", items()):
+        clock[0] += 10
+        used.append(k)
+    with Stage("end"):
+        pass
+    assert used == [0, 1, 2]
+    assert spent == {"making": 3, OTHER: 30, "end": 0}
+
+
+def test_a_new_account_begins_empty_and_the_real_clock_runs() -> None:
+    account()
+    spent = account()
+    with Stage("busy"):
+        end = time.process_time() + 0.01
+        while time.process_time() < end:
+            pass
+    assert 0.01 <= spent["busy"] < 0.5
