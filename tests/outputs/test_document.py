@@ -34,7 +34,7 @@ def test_the_promised_names_are_there(run):
     assert {"path", "sha256", "format", "topic"} <= set(document["input"])
     assert set(document["wall_thickness"]) == {"1", "2", "5"}
     assert {"max_cells", "p95_cells", "median_cells", "sections", "length_m"} <= set(document["wall_thickness"]["2"])
-    assert {"wall_s", "cpu_s", "compile_s", "scans_per_s", "realtime_factor"} == set(document["timing"])
+    assert {"wall_s", "cpu_s", "compile_s", "stages", "scans_per_s", "realtime_factor"} == set(document["timing"])
     assert document["outputs"] == {"map.pgm": "abc"}
     assert (document["grid"], document["config"]["grid"]) == ("10x10", "10x10")
 
