@@ -91,7 +91,7 @@ class Log:
         self._kept[:] = read
 
     def _scans(self) -> Iterator[Scan]:
-        """Read the usable scans again from the file: cleaned, stamps strictly ascending, in constant memory.
+        """Read the usable scans again from the file, as ``scans`` gives them.
 
         Scans that come early in the file wait for their turn. Only so many may wait; where more would have to, the file
         is read again.
