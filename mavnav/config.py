@@ -124,6 +124,9 @@ class Config(_Strict):
         "pruned", description="exhaustive evaluates every point of every grid, to the same minimum"
     )
     final_pass: bool = Field(True, description="match every scan once more against the finished map")
+    loop_closure: Literal["auto", "off"] = Field(
+        "auto", description="correct the way between places that the laser came back to (with the final pass)"
+    )
     paper: PaperConfig = PaperConfig()
     robust: RobustConfig = RobustConfig()
 

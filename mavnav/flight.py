@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from mavnav.grid import Grid
     from mavnav.scan import LaserSpec, Scan
+    from mavnav.steps import Step
 
 START_NS = 1_700_000_000_000_000_000
 """Stamp of the first scan, the same for every mission."""
@@ -117,7 +118,7 @@ def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -
     method = METHODS[config.method](config)
     motion = Motion(laser.spec.scan_time_s, vehicle.odometry, method.expects_rest)
     scans: list[Scan] = []
-    steps: list[slam.Step] = []
+    steps: list[Step] = []
     end = End.STEP_LIMIT
     for step in slam.track(_scans(scenario, vehicle, scans), method, motion):
         steps.append(step)
@@ -131,7 +132,7 @@ def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -
         if _closest_m(scenario.world, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
             end = End.COLLISION
             break
-    return _landed(scenario, vehicle, scans, end, slam.conclude(steps, lambda: scans, method, config, on_step))
+    return _landed(scenario, vehicle, scans, end, slam.conclude(steps, lambda: scans, method, motion, config, on_step))
 
 
 class Pilot:
@@ -146,7 +147,7 @@ class Pilot:
         self.planner = make_planner(scenario.planner)
         self.hovering = 0
 
-    def decide(self, step: slam.Step, grid: Grid) -> Command | End:
+    def decide(self, step: Step, grid: Grid) -> Command | End:
         """Judge where the vehicle is and plan its next step; without a believed pose it hovers and looks again."""
         here = step.match.map_T_laser
         self.hovering = 0 if step.tracked else self.hovering + 1

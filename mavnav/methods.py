@@ -57,6 +57,9 @@ class Method(Protocol):
     def relocalise(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
         """Find the scan anywhere in the map, None where that is not possible without doubt; ``match`` is a guess."""
 
+    def match_points(self, scan: Scan) -> NDArray[np.float64]:
+        """Return the points (n, 2) of the scan as recorded that are matched, m, laser frame."""
+
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add the scan to the map."""
 
@@ -110,6 +113,10 @@ class Paper:
         """Find nothing: the paper searches around the last pose only."""
         return None
 
+    def match_points(self, scan: Scan) -> NDArray[np.float64]:
+        """Return the points of every valid beam."""
+        return scan.points()
+
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Count the hits of every valid beam."""
         self.grid.insert(map_T_laser, transform_points(map_T_laser, scan.points()))
@@ -140,7 +147,7 @@ class Robust:
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
         """Match the de-skewed scan around the prediction; where that does not convince, look farther."""
         robust = self.config.robust
-        points = self._match_points(scan, motion)
+        points = self.match_points(scan, motion)
         if len(points) < robust.min_points:
             return no_match(predicted, len(points))
         prior = 0.0 if motion.odometry is None else robust.prior
@@ -190,7 +197,7 @@ class Robust:
 
     def relocalise(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
         """Find the scan anywhere in the map; None unless one place, and no other, explains it."""
-        points = self._match_points(scan)
+        points = self.match_points(scan)
         if len(points) < self.config.robust.min_points:
             return None
         found = [match, *candidates(points, self.lines, self.grid, everywhere(self.grid), self.config)]
@@ -207,14 +214,14 @@ class Robust:
     def place(self, scan: Scan, match: Match) -> Match:
         """Place the scan as it was recorded, not de-skewed, so that pose and raw ranges fit together."""
         robust = self.config.robust
-        points = self._match_points(scan)
+        points = self.match_points(scan)
         window = (robust.final_window_mm * MM, robust.final_window_deg * DEG)
         placed = search_lines(points, self.lines, match.map_T_laser, window, self.config)
         return with_effort(placed, match, placed)
 
     @timed("cleaning")
-    def _match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
-        """Averages (n, 2) of the good points in voxels, in a scrambled order."""
+    def match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
+        """Return the points (n, 2) that are matched, m, laser frame; de-skewed if the motion is given."""
         return voxel_means(self._points(scan, motion), self.config.robust.voxel_mm * MM)
 
     @timed("cleaning")

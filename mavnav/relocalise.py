@@ -67,6 +67,11 @@ def within_reach(pose: Pose, elapsed_s: float) -> Region:
     """Return a disc of positions and the yaws about a pose where a vehicle can be after a time, in m and rad."""
     radius_m = float(np.clip(0.15 + 1.5 * elapsed_s, 0.3, FARTHEST_M))
     half_rad = float(np.clip(10 * DEG + 150 * DEG * elapsed_s, 20 * DEG, pi))
+    return around(pose, radius_m, half_rad)
+
+
+def around(pose: Pose, radius_m: float, half_rad: float) -> Region:
+    """Return a disc of positions and the yaws about a pose, in m and rad."""
     n, k = int(np.ceil(radius_m / STEP_M)), int(np.ceil(half_rad / STEP_RAD))
     rows, cols = np.indices((2 * n + 1, 2 * n + 1), dtype=np.float64)
     lattice = STEP_M * (np.column_stack((cols.ravel(), rows.ravel())) - n)

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING
 
 from mavnav.belief import Belief, Verdict
 from mavnav.firing import backwards, is_backwards, turning_stretch
+from mavnav.loop_closure import Loops
 from mavnav.matcher import with_effort
 from mavnav.methods import METHODS
 from mavnav.motion import LONGEST_S, Motion, misleads
-from mavnav.pose import Pose, Trajectory
+from mavnav.redrawing import close
 from mavnav.relocalise import apart
-from mavnav.units import DEG, NS
+from mavnav.steps import LostInterval, Step, lost_intervals, tracked_way
+from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -24,13 +26,8 @@ if TYPE_CHECKING:
     from mavnav.matcher import Match
     from mavnav.methods import Method
     from mavnav.motion import Odometry
+    from mavnav.pose import Trajectory
     from mavnav.scan import Scan
-
-LOST_SCANS = 5
-"""So many scans in a row without a believed pose are called lost; fewer are rejected scans, unless a jump follows."""
-
-JUMP_M, JUMP_RAD = 0.5, 45 * DEG
-"""So much motion over scans without a believed pose is a gap in the track, however few they are."""
 
 LONG_LOST_SCANS, RARELY_SCANS = 8, 64
 """The whole map is searched after so many scans without a believed pose, then ever more rarely, down to one in 64."""
@@ -43,34 +40,8 @@ SHORTEST_PERIOD_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
-    """What became of one scan.
-
-    ``tracked``: the match is believed and stands in the trajectory. ``accepted``: the scan was inserted into the map
-    as well. ``predicted`` is where the search began.
-    """
-
-    index: int
-    stamp_ns: int
-    predicted: Pose
-    match: Match
-    tracked: bool
-    accepted: bool
-
-
-@dataclass(frozen=True, slots=True)
-class LostInterval:
-    """A stretch of scans without a believed pose, and whether the track was found again after it."""
-
-    start_ns: int
-    end_ns: int
-    scans: int
-    recovered: bool
-
-
-@dataclass(frozen=True, slots=True)
 class Slam:
-    """The outcome: a step for every scan, the poses of the tracked ones (map_T_laser), the map, the lost stretches.
+    """The outcome: a step for every scan, the poses of the tracked ones (map_T_laser), map, lost stretches, loops.
 
     ``warnings`` are lines for the user: what of the log was not taken as it stands there.
     """
@@ -79,6 +50,7 @@ class Slam:
     trajectory: Trajectory
     grid: Grid
     lost: tuple[LostInterval, ...]
+    loops: Loops = field(default_factory=Loops)
     warnings: tuple[str, ...] = ()
 
     @property
@@ -139,7 +111,7 @@ def settle(log_scans: Callable[[], Iterable[Scan]], steps: list[Step], method: M
     scans = {index: scan for index, scan in enumerate(log_scans()) if index in before} if before else {}
     settled, after = list(steps), steps[-1]
     for step in reversed(steps):
-        if step.index in before and (after.stamp_ns - step.stamp_ns) * NS <= LONGEST_S:
+        if step.index in scans and (after.stamp_ns - step.stamp_ns) * NS <= LONGEST_S:
             settled[step.index] = second_look(scans[step.index], step, before[step.index], after, method, motion)
         after = settled[step.index] if settled[step.index].tracked else after
     return settled
@@ -202,7 +174,7 @@ def replay(
     odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
     start, warnings = Start(config, max(period_s, SHORTEST_PERIOD_S), odometry), []
     method, steps = start.tracked(log_scans(), on_step)
-    if start.odometry and misleads(start.odometry, _trajectory(steps)):
+    if start.odometry and misleads(start.odometry, tracked_way(steps)):
         start = replace(start, odometry=None)
         method, steps = start.tracked(log_scans(), on_step)
         warnings.append("odometry contradicts the scans and is not used; check its scale, axes and clock")
@@ -215,7 +187,7 @@ def replay(
         )
     if config.final_pass and method.places:
         steps = settle(log_scans, steps, method, start.motion)
-    return replace(conclude(steps, log_scans, method, config, on_step), warnings=tuple(warnings))
+    return replace(conclude(steps, log_scans, method, start.motion, config, on_step), warnings=tuple(warnings))
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,18 +227,17 @@ def conclude(
     steps: list[Step],
     log_scans: Callable[[], Iterable[Scan]],
     method: Method,
+    motion: Motion,
     config: Config,
     on_step: Callable[[str, int], None] | None = None,
 ) -> Slam:
-    """Make the final pass where it is wanted, and sum up."""
+    """Close loops and make the final pass where they are wanted, and sum up; ``motion`` is as before the first scan."""
+    loops = Loops()
     if config.final_pass and method.places:
+        if config.loop_closure == "auto":
+            steps, method, loops = close(steps, log_scans, method, motion, config)
         steps = list(_told(place(log_scans(), steps, method), "final pass", on_step))
-    return Slam(tuple(steps), _trajectory(steps), method.grid, tuple(lost_intervals(steps)))
-
-
-def _trajectory(steps: list[Step]) -> Trajectory:
-    tracked = [s for s in steps if s.tracked]
-    return Trajectory.of([s.stamp_ns for s in tracked], [s.match.map_T_laser for s in tracked])
+    return Slam(tuple(steps), tracked_way(steps), method.grid, tuple(lost_intervals(steps)), loops)
 
 
 def _told(steps: Iterable[Step], name: str, on_step: Callable[[str, int], None] | None) -> Iterator[Step]:
@@ -274,24 +245,3 @@ def _told(steps: Iterable[Step], name: str, on_step: Callable[[str, int], None] 
         if on_step:
             on_step(name, done)
         yield step
-
-
-def lost_intervals(steps: list[Step]) -> Iterator[LostInterval]:
-    """Find the stretches without a believed pose: of ``LOST_SCANS`` or more scans, or with a jump across them."""
-    run: list[Step] = []
-    last: Step | None = None
-    for step in steps:
-        if not step.tracked:
-            run.append(step)
-            continue
-        if len(run) >= LOST_SCANS or (run and last and jumped(last, step)):
-            yield LostInterval(run[0].stamp_ns, run[-1].stamp_ns, len(run), recovered=True)
-        run, last = [], step
-    if len(run) >= min(LOST_SCANS, len(steps)):
-        yield LostInterval(run[0].stamp_ns, run[-1].stamp_ns, len(run), recovered=False)
-
-
-def jumped(before: Step, after: Step) -> bool:
-    """Tell whether a reader of the trajectory would see a jump between two believed poses."""
-    moved = before.match.map_T_laser.between(after.match.map_T_laser)
-    return moved.distance_m > JUMP_M or abs(moved.yaw_rad) > JUMP_RAD

@@ -17,7 +17,12 @@ PACKAGE = ROOT / "mavnav"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 GROUND = {"errors", "units", "pose", "scan", "config", "staging", "stages"}
-CORE = {"grid", "linemap", "matcher", "relocalise", "motion", "belief", "firing", "methods", "slam"}
+CORE = {"grid", "linemap", "matcher", "relocalise", "motion", "belief", "firing", "methods", "slam"} | {
+    "steps",
+    "pose_graph",
+    "loop_closure",
+    "redrawing",
+}
 RUNS = {"", "cells", "config_file", "gates", "jobs", "logs", "markdown", "outputs", "references", "replay"}
 ALLOWED: dict[str, set[str]] = {
     "": set(),
@@ -44,7 +49,11 @@ ALLOWED: dict[str, set[str]] = {
     "belief": GROUND | {"motion"},
     "firing": GROUND | {"matcher"},
     "methods": GROUND | {"kernels", "grid", "linemap", "matcher", "relocalise", "motion", "belief"},
-    "slam": GROUND | {"grid", "matcher", "relocalise", "motion", "belief", "firing", "methods"},
+    "steps": GROUND | {"matcher"},
+    "loop_closure": GROUND | {"grid", "linemap", "matcher", "relocalise", "pose_graph"},
+    "redrawing": GROUND | {"motion", "methods", "steps", "loop_closure"},
+    "slam": GROUND
+    | {"grid", "matcher", "relocalise", "motion", "belief", "firing", "methods", "steps", "loop_closure", "redrawing"},
     "metrics": GROUND | {"kernels", "grid"},
     "references": GROUND | {"grid", "layers", "metrics", "world"},
     "planner_config": GROUND,

@@ -64,6 +64,12 @@ def replay(
         str | None,
         typer.Option(metavar="auto|on|off", help="Undo the motion of a sweep (robust).", show_default=False),
     ] = None,
+    loop_closure: Annotated[
+        str | None,
+        typer.Option(
+            metavar="auto|off", help="Correct the way where it came back (never on line).", show_default=False
+        ),
+    ] = None,
     topic: Annotated[str | None, typer.Option(help="Scan topic, where there are several.", show_default=False)] = None,
     start: Annotated[
         float | None, typer.Option(help="Begin so many seconds after the first scan.", show_default=False)
@@ -97,6 +103,7 @@ def replay(
 ) -> None:
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
     options = {"method": method, "grid": grid, "azimuth": azimuth, "search": search, "odom": odom}
+    options |= {"loop_closure": loop_closure}
     sweep = [] if deskew is None else [f"robust.deskew={deskew}"]
     chosen = _config(config, [*(sets or []), *sweep], online=online, **options)
     bounds = gates_of(gates)

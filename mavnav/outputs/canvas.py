@@ -263,6 +263,11 @@ def _dash(on: Any, x: float, y: float) -> None:  # noqa: ANN401
     dashed(on, [(x - reach, y), (x + reach, y)])
 
 
+def _stroke(on: Any, x: float, y: float) -> None:  # noqa: ANN401
+    reach = 10.0 * POINT
+    on.line((x - reach, y, x + reach, y), fill=255, width=3)
+
+
 def dashed(on: Any, line: list[tuple[float, float]], dash_pt: float = 3.6, gap_pt: float = 2.7) -> None:  # noqa: ANN401
     """Draw a line of dashes, in marks."""
     xy = np.array(line)
@@ -279,6 +284,7 @@ END: Final = Mark(GOAL_RED, "end", _circle(13.0, 1.4, crossed=True))
 GOAL: Final = Mark(GOAL_RED, "goal", END.draw)
 POSE: Final = Mark(POSE_MAGENTA, "estimated pose", _circle(4.0, 0.8))
 TRUE_POSE: Final = Mark("#000000", "true pose", _cross(3.5, 0.7))
+LOOP: Final = Mark(INK, "closed loop", _stroke)
 TRUE_WALL: Final = Mark(TRUE_ORANGE, "true wall", _dash)
 
 

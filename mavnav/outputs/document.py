@@ -15,7 +15,7 @@ import numpy as np
 from mavnav import __version__
 from mavnav.outputs.gridmap import known_part
 from mavnav.outputs.run import base_frame
-from mavnav.units import MM, NS
+from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -58,6 +58,7 @@ def metrics(run: Run) -> Document:
         "scans": _scans(run),
         "cleaning": dict(run.log.cleaning),
         "tracking": _tracking(run),
+        "loop_closure": _loop_closure(run),
         "search": _search(run),
         "wall_thickness": {str(k): thickness_document(t) for k, t in run.thickness.items()},
         "map_quality": None if run.quality is None else asdict(run.quality),
@@ -153,6 +154,29 @@ def _tracking(run: Run) -> Document:
         "path_length_m": slam.trajectory.length_m,
         "frames": {"trajectory.tum": ["map", run.log.frame_id]}
         | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),
+    }
+
+
+def _loop_closure(run: Run) -> Document:
+    """Tell the closed loops: both scans, seconds from the first scan's stamp, what the later one was off by."""
+    slam, first_ns = run.slam, run.log.first_ns
+    scans = [s.index for s in slam.steps if s.tracked]
+    stamps_ns = slam.trajectory.stamps_ns
+    return {
+        "closures": [
+            {
+                "from_scan": scans[loop.start],
+                "to_scan": scans[loop.end],
+                "from_s": (int(stamps_ns[loop.start]) - first_ns) * NS,
+                "to_s": (int(stamps_ns[loop.end]) - first_ns) * NS,
+                "correction_m": loop.correction.distance_m,
+                "correction_deg": loop.correction.yaw_rad / DEG,
+                "inliers": loop.inliers,
+            }
+            for loop in slam.loops.closed
+        ],
+        "rejected": slam.loops.refused,
+        "corrected": slam.loops.map_T_laser is not None,
     }
 
 

@@ -49,12 +49,13 @@ def write(run: Run, path: Path) -> None:
     some = thinned(trajectory.xyyaw[:, :2], CIRCLE_SPACING * max(window.size_m))
     marks = [*path_marks(trajectory, some), *_ends(run, trajectory.stamps_ns[some].tolist())]
     _draw_path(frame, trajectory)
+    _draw_loops(frame, run)
     if run.truth:
         _draw_walls(frame, run.truth)
     for mark, xy_m in marks:
         frame.mark(mark, xy_m)
     frame.dress()
-    named = [canvas.TRUE_WALL] if run.truth else []
+    named = [*([canvas.LOOP] if run.slam.loops.closed else []), *([canvas.TRUE_WALL] if run.truth else [])]
     canvas.legend(picture, named + [mark for mark, _ in marks], picture.image.height - 28)
     _title(picture, run)
     picture.save(path)
@@ -103,6 +104,17 @@ def _draw_path(frame: Frame, trajectory: Trajectory) -> None:
     line = frame.to_marks(trajectory.xyyaw[:, :2])
     if len(line) > 1:
         frame.canvas.marks(frame.box, canvas.POSE.colour, lambda on: on.line(line, fill=150, width=3))
+
+
+def _draw_loops(frame: Frame, run: Run) -> None:
+    """Join the two poses of every closed loop by a line."""
+    xy_m, closed = run.slam.trajectory.xyyaw[:, :2], run.slam.loops.closed
+
+    def draw(on: Any) -> None:  # noqa: ANN401
+        for loop in closed:
+            on.line(frame.to_marks(xy_m[[loop.start, loop.end]]), fill=255, width=3)
+
+    frame.canvas.marks(frame.box, canvas.LOOP.colour, draw)
 
 
 def _draw_walls(frame: Frame, truth: Truth) -> None:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from mavnav.outputs.run import Run
     from mavnav.pose import Trajectory
-    from mavnav.slam import Step
+    from mavnav.steps import Step
 
 COLUMNS = (
     "index", "stamp", "x_m", "y_m", "yaw_rad", "cost_m2", "beams_used", "inliers", "evaluations", "iterations",

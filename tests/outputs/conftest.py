@@ -16,7 +16,8 @@ from mavnav.matcher import Match
 from mavnav.metrics.wall_thickness import wall_thickness
 from mavnav.outputs import Run, Timing
 from mavnav.pose import Pose, Trajectory, transform_points
-from mavnav.slam import LostInterval, Slam, Step
+from mavnav.slam import Slam
+from mavnav.steps import LostInterval, Step
 
 LOST = (10, 11)
 """Scans without a pose."""

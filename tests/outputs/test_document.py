@@ -7,15 +7,17 @@ import numpy as np
 import pytest
 
 from mavnav.logs import Damage
+from mavnav.loop_closure import Loop, Loops
 from mavnav.metrics.wall_thickness import wall_thickness
 from mavnav.outputs.document import plain, run_document, to_json
-from mavnav.slam import LostInterval
+from mavnav.pose import Pose
+from mavnav.steps import LostInterval
 
 KEYS = {
     "schema_version", "mavnav_version", "input", "config", "method", "grid", "azimuth", "scans", "cleaning", "tracking",
     "timing", "search", "wall_thickness", "map", "damage", "warnings", "outputs", "partial", "exit_code", "python",
     "libraries",
-    "map_quality",
+    "map_quality", "loop_closure",
 }  # fmt: skip
 
 
@@ -43,6 +45,21 @@ def test_scans_are_accounted_for(run):
     scans = run_document(run, {})["scans"]
     assert (scans["total"], scans["usable"], scans["skipped"]) == (22, 20, {"stamp repeats": 2})
     assert (scans["processed"], scans["tracked"], scans["accepted"], scans["rejected"]) == (20, 18, 17, 3)
+
+
+def test_a_closed_loop_is_told_by_both_its_scans(run):
+    assert run_document(run, {})["loop_closure"] == {"closures": [], "rejected": 0, "corrected": False}
+    loop = Loop(2, 16, Pose(0.1, 0.0, 0.0), Pose(0.3, -0.4, np.pi / 60), 0.8)
+    closed = replace(run, slam=replace(run.slam, loops=Loops((loop,), 5, run.slam.trajectory)))
+    told = strict(run_document(closed, {}))["loop_closure"]
+    assert (told["rejected"], told["corrected"]) == (5, True)
+    (closure,) = told["closures"]
+    indices = [step.index for step in run.slam.steps if step.tracked]
+    assert (closure["from_scan"], closure["to_scan"]) == (indices[2], indices[16])
+    stamps_ns = run.slam.trajectory.stamps_ns
+    assert closure["to_s"] - closure["from_s"] == pytest.approx((stamps_ns[16] - stamps_ns[2]) * 1e-9)
+    assert closure["correction_m"] == pytest.approx(0.5)
+    assert closure["correction_deg"] == pytest.approx(3.0)
 
 
 def test_a_lost_stretch_is_told_in_seconds_from_the_first_scan(run):

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mavnav.grid import Grid
+from mavnav.loop_closure import Loop, Loops
 from mavnav.metrics.wall_thickness import wall_sections, wall_thickness
 from mavnav.outputs import canvas, drawing, map_picture, wall_picture
-from mavnav.pose import Trajectory
+from mavnav.pose import Pose, Trajectory
 
 WRITERS = pytest.mark.parametrize("write", [map_picture.write, wall_picture.write], ids=["map", "walls"])
 
@@ -56,6 +57,19 @@ def test_the_colours_of_the_legend_are_in_the_map(run, tmp_path):
     assert near((0xD6, 0x00, 0x9A)) > 200  # poses
     assert near((0x00, 0x33, 0xFF)) > 50  # start
     assert near((0xE0, 0x00, 0x00)) > 50  # end
+
+
+def test_closed_loops_are_joined_and_named(run, tmp_path):
+    loop = Loop(0, len(run.slam.trajectory) - 1, Pose(), Pose(), 0.9)
+    closed = replace(run, slam=replace(run.slam, loops=Loops((loop,))))
+
+    def ink(a_run):
+        map_picture.write(a_run, tmp_path / "map.png")
+        with Image.open(tmp_path / "map.png") as image:
+            pixels = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
+        return (np.abs(pixels - canvas.rgb_of(canvas.LOOP.colour)).sum(axis=1) < 30).sum()
+
+    assert ink(closed) > ink(run) + 100
 
 
 def test_a_wall_of_one_cell_survives_the_shrinking():

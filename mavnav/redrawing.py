@@ -1,0 +1,67 @@
+"""The map drawn anew, from the poses that follow where loops were closed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.loop_closure import Loops, close_loops
+from mavnav.methods import METHODS
+from mavnav.steps import tracked_way
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from mavnav.config import Config
+    from mavnav.methods import Method
+    from mavnav.motion import Motion
+    from mavnav.pose import Trajectory
+    from mavnav.scan import Scan
+    from mavnav.steps import Step
+
+
+def close(
+    steps: list[Step], log_scans: Callable[[], Iterable[Scan]], method: Method, motion: Motion, config: Config
+) -> tuple[list[Step], Method, Loops]:
+    """Close loops and draw the map anew; all stays where there are none, or where the new map is no crisper.
+
+    It stays as well where scans do not come, because the run is being stopped.
+    """
+    loops = close_loops(tracked_way(steps), partial(points_of, log_scans, steps, method), config)
+    if loops.map_T_laser is None:
+        return steps, method, loops
+    fresh = METHODS[config.method](config)
+    redrawn = list(redraw(log_scans(), steps, loops.map_T_laser, fresh, motion))
+    if len(redrawn) < len(steps) or np.count_nonzero(fresh.grid.hits) >= np.count_nonzero(method.grid.hits):
+        return steps, method, loops.dropped()
+    return redrawn, fresh, loops
+
+
+def points_of(
+    log_scans: Callable[[], Iterable[Scan]], steps: list[Step], method: Method, rows: list[int]
+) -> Iterator[NDArray[np.float64]]:
+    """Give the points (n, 2) of some tracked scans, numbered as in the trajectory; m, laser frame."""
+    tracked = [s.index for s in steps if s.tracked]
+    wanted = {tracked[row] for row in rows}
+    return (method.match_points(scan) for index, scan in enumerate(log_scans()) if index in wanted)
+
+
+def redraw(
+    scans: Iterable[Scan], steps: list[Step], map_T_laser: Trajectory, method: Method, motion: Motion
+) -> Iterator[Step]:
+    """Draw a new map with every tracked scan at its corrected pose: a row of ``map_T_laser`` for each of them."""
+    poses = iter([map_T_laser[row] for row in range(len(map_T_laser))])
+    for step, scan in zip(steps, scans, strict=False):
+        if not step.tracked:
+            yield step
+            continue
+        pose = next(poses)
+        if step.accepted:
+            method.insert(scan, pose, motion)
+        motion = motion.moved_to(pose, step.stamp_ns) if motion.stamp_ns else motion.started_at(pose, step.stamp_ns)
+        yield replace(step, match=replace(step.match, map_T_laser=pose))
