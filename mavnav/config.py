@@ -68,6 +68,7 @@ class PaperConfig(_Strict):
     window_mm: float = Field(200.0, gt=0, description="half-width of the first search in the plane")
     window_deg: float = Field(15.0, gt=0, description="half-width of the first azimuth search")
     shrink: float = Field(0.3, gt=0, lt=1, description="narrowing of the search from iteration to iteration")
+    leave_no_gaps: bool = Field(True, description="narrow no further than to the grid's spacing")
     stop_mm: float = Field(0.01, gt=0, description="convergence in the plane")
     stop_deg: float = Field(0.01, gt=0, description="convergence in azimuth")
     extend_border: bool = Field(True, description="move the search when the minimum lies on its border")

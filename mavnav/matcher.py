@@ -92,7 +92,14 @@ def _search_polar(
         points,
         np.array([azimuth, grid.nx, grid.ny, paper.max_extensions if paper.extend_border else 0], float),
         np.array(
-            [paper.window_mm * MM, paper.window_deg * DEG, paper.shrink, paper.stop_mm * MM, paper.stop_deg * DEG]
+            [
+                paper.window_mm * MM,
+                paper.window_deg * DEG,
+                paper.shrink,
+                paper.leave_no_gaps,
+                paper.stop_mm * MM,
+                paper.stop_deg * DEG,
+            ]
         ),
         np.array(
             [

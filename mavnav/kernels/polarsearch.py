@@ -114,13 +114,14 @@ def search(
     ----------
     virtual, points, limits : as for ``polar_cost``
     grid : (4,) points of the azimuth grid, of the plane in x and in y, border extensions at most
-    schedule : (5,) half-window in the plane (m) and in azimuth (rad), shrink factor, spacings to stop at (m, rad)
+    schedule : (6,) half-window in the plane (m) and in azimuth (rad), shrink factor, 1 to leave no gaps between grids,
+        spacings to stop at (m, rad)
 
     The points of the plane cover a circular area (step iii): the square lattice is mapped onto the disc, its border
     onto the circle, so that NxM points cost N*M evaluations as in the paper.
     """
     azimuths, nx, ny, extensions = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3])
-    half_m, half_rad, shrink, stop_m, stop_rad = schedule
+    half_m, half_rad, shrink, covered, stop_m, stop_rad = schedule
     seen = np.empty(len(virtual))
     # Turning about the points' centroid keeps the two searches from undoing each other.
     pivot_x, pivot_y = points[:, 0].mean(), points[:, 1].mean()
@@ -168,8 +169,8 @@ def search(
             break
         if best == np.inf:
             break
-        half_m *= max(shrink, min(spacing / half_m, 0.9))
-        half_rad *= max(shrink, min(step_rad / half_rad, 0.9))
+        half_m *= max(shrink, covered * min(spacing / half_m, 0.9))
+        half_rad *= max(shrink, covered * min(step_rad / half_rad, 0.9))
     c, s = np.cos(yaw), np.sin(yaw)
     x, y = x - c * pivot_x + s * pivot_y, y - s * pivot_x - c * pivot_y
     return np.array([x, y, yaw, best, used, evaluations, iterations, converged])
