@@ -136,6 +136,7 @@ def _mapped(
         timing=timing,
         quality=measured_quality(outcome, log),
         reference=compared(references, outcome.trajectory, occupied_xy_m(outcome.grid)),
+        true_map=references.true_map,
         stopped=stopped,
     )
     progress("writing", 0, None)

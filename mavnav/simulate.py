@@ -18,11 +18,10 @@ from mavnav.metrics.trajectory_error import absolute_error, align
 from mavnav.outputs import Run, Timing, check_directory, write_run
 from mavnav.outputs.animation import animate, check_animation
 from mavnav.outputs.run import Mission, Truth
-from mavnav.pose import Pose, transform_points
-from mavnav.references import LEAST_POSES, References, compared, occupied_xy_m, of_world
+from mavnav.pose import Pose
+from mavnav.references import LEAST_POSES, References, compared, occupied_xy_m, of_scenario
 from mavnav.replay import Progress, measured_quality, measured_thickness
 from mavnav.stages import account
-from mavnav.world import World
 
 if TYPE_CHECKING:
     from mavnav.world import Scenario
@@ -117,23 +116,15 @@ def recorded(flight: Flight) -> Recording:
 def _truth(flight: Flight) -> Truth:
     """Bring walls and goal to the map frame."""
     map_T_world = flight.world_T_map.inverse()
-    overlay = moved(flight.scenario.overlay, map_T_world)
+    overlay = flight.scenario.overlay.seen_from(flight.world_T_map)
     x, y = flight.scenario.goals_xy_m[-1]
     goal = map_T_world @ Pose(x, y)
     return Truth(flight.map_T_laser, overlay.segments, overlay.arcs, (goal.x_m, goal.y_m))
 
 
-def moved(world: World, a_T_world: Pose) -> World:
-    """Return the walls in another frame."""
-    ends = transform_points(a_T_world, world.segments.reshape(-1, 2)).reshape(-1, 4)
-    centres = transform_points(a_T_world, world.arcs[:, :2])
-    arcs = np.column_stack((centres, world.arcs[:, 2], world.arcs[:, 3] + a_T_world.yaw_rad, world.arcs[:, 4]))
-    return World(ends, arcs)
-
-
 def _reference(flight: Flight) -> dict[str, Any] | None:
     """Compare the outcome with the truth as a replay with ``--truth`` and ``--truth-map`` does."""
-    truth = References(truth=flight.map_T_laser, true_map=of_world(flight.scenario.world, flight.world_T_map))
+    truth = References(truth=flight.map_T_laser, true_map=of_scenario(flight.scenario, flight.world_T_map))
     return compared(truth, flight.slam.trajectory, occupied_xy_m(flight.slam.grid))
 
 

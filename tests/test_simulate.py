@@ -17,7 +17,7 @@ from mavnav.grid import Grid
 from mavnav.logs import open_log
 from mavnav.logs.recorder import record
 from mavnav.pose import Pose, Trajectory, transform_points
-from mavnav.simulate import Request, check_outputs, moved, recorded, simulate, truth_errors, wall_distances_m
+from mavnav.simulate import Request, check_outputs, recorded, simulate, truth_errors, wall_distances_m
 from mavnav.units import DEG
 from mavnav.world import World, load_scenario
 
@@ -111,7 +111,7 @@ def test_a_map_without_walls_has_no_distance() -> None:
 def test_walls_move_as_the_rays_do() -> None:
     world = load_scenario("curved").world
     a_T_world = Pose(1.0, -2.0, 0.8)
-    other = moved(world, a_T_world)
+    other = world.seen_from(a_T_world.inverse())
     bearings = np.linspace(-3, 3, 500)
     here = a_T_world @ Pose(0.8, 2.4)
     there, _ = other.cast((here.x_m, here.y_m), bearings + 0.8)

@@ -121,10 +121,13 @@ def compare(
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
             from mavnav import compare as pipeline
-        configs = pipeline.settings(config, sets or (), methods or (), grids or (), azimuths or (), shared)
         target = directory or pipeline.default_directory(logs or ())
+        if not logs:
+            logs, true_map = _sample(target, report)
+            options["truth_map"] = truth_map or true_map
+        configs = pipeline.settings(config, sets or (), methods or (), grids or (), azimuths or (), shared)
         request = pipeline.Request(
-            logs=tuple(logs or [_sample(target, report)]),
+            logs=tuple(logs),
             configs=tuple(configs),
             directory=target,
             workers=jobs or usable_cores(),
@@ -144,14 +147,14 @@ def compare(
     raise typer.Exit(document["exit_code"])
 
 
-def _sample(directory: Path, report: Report) -> Path:
-    """Return the sample corridor, flown and kept in the directory where it is not shipped."""
+def _sample(directory: Path, report: Report) -> tuple[list[Path], Path]:
+    """Return the sample corridor, flown and kept in the directory where it is not shipped, and its true map."""
     from mavnav.compare import check_directory
 
     check_directory(directory)
     with loading_kernels(report):
-        from mavnav.compare.sample import sample_log
-    return sample_log(directory, report)
+        from mavnav.compare.sample import sample_log, sample_truth
+    return [sample_log(directory, report)], sample_truth(directory)
 
 
 def _tell(document: dict[str, Any], page: Path, *, json: bool) -> None:

@@ -5,6 +5,7 @@ Imported only where it is needed, because flying a mission takes kernels that a 
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -24,6 +25,17 @@ SETS: Final = ("seed=1", "vehicle.laser_x_mm=60")
 
 SHIPPED: Final = Path(__file__).parents[2] / "sample_logs" / f"{SCENARIO}.mcap"
 """Where a checkout has it; an installed package does not."""
+
+
+def sample_truth(directory: Path) -> Path:
+    """Write the scenario of the sample log to ``directory``: its walls are the true map."""
+    path = directory / "logs" / f"{SCENARIO}.yaml"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(load_scenario(SCENARIO, SETS).document(), indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror}; choose another directory with -o") from error
+    return path
 
 
 def sample_log(directory: Path, progress: Progress) -> Path:

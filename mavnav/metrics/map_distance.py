@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -23,12 +23,15 @@ class TrueMap:
     """The true walls in the map frame.
 
     ``distance_m`` tells the distance of points (n, 2) to the nearest wall, (n,) in m; ``xy_m`` (m, 2) are points all
-    along the walls; ``alignment`` says how they were brought to the map frame.
+    along the walls; ``alignment`` says how they were brought to the map frame. ``segments_map`` (k, 4) and ``arcs_map``
+    (l, 5) are the walls to be drawn, as in `Truth`; a map file has none.
     """
 
     distance_m: Callable[[NDArray[np.float64]], NDArray[np.float64]]
     xy_m: NDArray[np.float64]
     alignment: str
+    segments_map: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
+    arcs_map: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 5)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -82,7 +82,8 @@ def write_page(comparison: dict[str, Any], folder: Path) -> None:
 def _names(run: Run) -> list[str]:
     """Return the files that can be written: some need to know more than every log tells."""
     known = {"trajectory_base.tum": run.log.base_T_laser is not None}
-    known |= dict.fromkeys(("truth.tum", TRUE_WALLS_FILE, "true_map.png"), run.truth is not None)
+    known |= dict.fromkeys(("truth.tum", "true_map.png"), run.truth is not None)
+    known[TRUE_WALLS_FILE] = run.true_walls is not None
     return [name for name in WRITERS if known.get(name, True)]
 
 

@@ -1,6 +1,7 @@
 """map.png: hits in colour, the estimated poses, start and end (after the paper's Figure 3).
 
-Where the truth is known, true walls and poses lie on top (Figure 7), and the goal takes the place of the end.
+Where the true walls are known they lie on top (Figure 7); of a mission the true poses too, and its goal takes the place
+of the end.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from mavnav.grid import Grid
     from mavnav.metrics.wall_thickness import WallThickness
     from mavnav.outputs.canvas import Canvas, Frame
-    from mavnav.outputs.run import Run, Truth
+    from mavnav.outputs.run import Run, Truth, Walls
     from mavnav.pose import Trajectory
 
 CIRCLE_SPACING: Final = 0.018
@@ -50,12 +51,12 @@ def write(run: Run, path: Path) -> None:
     marks = [*path_marks(trajectory, some), *_ends(run, trajectory.stamps_ns[some].tolist())]
     _draw_path(frame, trajectory)
     _draw_loops(frame, run)
-    if run.truth:
-        _draw_walls(frame, run.truth)
+    if run.true_walls:
+        _draw_walls(frame, run.true_walls)
     for mark, xy_m in marks:
         frame.mark(mark, xy_m)
     frame.dress()
-    named = [*([canvas.LOOP] if run.slam.loops.closed else []), *([canvas.TRUE_WALL] if run.truth else [])]
+    named = [*([canvas.LOOP] if run.slam.loops.closed else []), *([canvas.TRUE_WALL] if run.true_walls else [])]
     canvas.legend(picture, named + [mark for mark, _ in marks], picture.image.height - 28)
     _title(picture, run)
     picture.save(path)
@@ -94,9 +95,9 @@ def _draw_hits(frame: Frame, grid: Grid) -> None:
 def framed(run: Run) -> NDArray[np.float64]:
     """Return the points (n, 2) that the picture has to show besides the map."""
     xy_m, truth = run.slam.trajectory.xyyaw[:, :2], run.truth
-    if truth is None:
-        return xy_m
-    return np.vstack((xy_m, truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *wall_lines(truth)))
+    walls = wall_lines(run.true_walls) if run.true_walls else []
+    mission = () if truth is None else (truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m])
+    return np.vstack((xy_m, *mission, *walls))
 
 
 def _draw_path(frame: Frame, trajectory: Trajectory) -> None:
@@ -117,9 +118,9 @@ def _draw_loops(frame: Frame, run: Run) -> None:
     frame.canvas.marks(frame.box, canvas.LOOP.colour, draw)
 
 
-def _draw_walls(frame: Frame, truth: Truth) -> None:
+def _draw_walls(frame: Frame, walls: Walls) -> None:
     def draw(on: Any) -> None:  # noqa: ANN401
-        for line in wall_lines(truth):
+        for line in wall_lines(walls):
             canvas.dashed(on, frame.to_marks(line))
 
     frame.canvas.marks(frame.box, canvas.TRUE_WALL.colour, draw)

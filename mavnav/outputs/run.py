@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from mavnav.errors import ExitCode
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from mavnav.config import Config
     from mavnav.logs import Log
+    from mavnav.metrics.map_distance import TrueMap
     from mavnav.metrics.map_quality import MapQuality
     from mavnav.metrics.wall_thickness import WallThickness
     from mavnav.pose import Trajectory
@@ -33,6 +34,18 @@ class Timing:
     cpu_s: float
     compile_s: float
     stages: Mapping[str, float] = field(default_factory=dict)
+
+
+class Walls(Protocol):
+    """Walls in the map frame: ``segments_map`` (n, 4) and ``arcs_map`` (m, 5), as `Truth` has them."""
+
+    @property
+    def segments_map(self) -> NDArray[np.float64]:
+        """Straight walls."""
+
+    @property
+    def arcs_map(self) -> NDArray[np.float64]:
+        """Curved walls."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +80,9 @@ class Mission:
 class Run:
     """A log, how it was run, what came out, and how thick the walls are (hit threshold -> summary).
 
-    A mission of the simulator knows the truth besides. ``reference`` is what a comparison with references told, plain
-    data for run.json. ``stopped`` is the code of the signal that stopped the run before the log ended.
+    A mission of the simulator knows the truth besides. ``reference`` is what a comparison with references told,
+    plain data for run.json, and ``true_map`` the one among them. ``stopped`` is the code of the signal that stopped
+    the run before the log ended.
     """
 
     log: Log
@@ -80,12 +94,19 @@ class Run:
     mission: Mission | None = None
     quality: MapQuality | None = None
     reference: dict[str, Any] | None = None
+    true_map: TrueMap | None = None
     stopped: ExitCode | None = None
 
     @property
     def name(self) -> str:
         """What the pictures call the run: its log, or its scenario."""
         return self.mission.path.stem if self.mission else self.log.path.name
+
+    @property
+    def true_walls(self) -> Walls | None:
+        """The true walls to draw on top of the map, None where they are not known."""
+        given = self.true_map
+        return self.truth or (given if given and len(given.segments_map) + len(given.arcs_map) else None)
 
     @property
     def map_T_base(self) -> Trajectory | None:

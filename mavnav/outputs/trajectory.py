@@ -46,17 +46,13 @@ def write_truth_tum(run: Run, path: Path) -> None:
 
 
 def write_true_walls(run: Run, path: Path) -> None:
-    """Write the true walls in the map frame, m and rad, as `Truth` holds them; the run must be a mission."""
-    if run.truth is None:
+    """Write the true walls in the map frame, m and rad, as `Truth` holds them, and of a mission the goal."""
+    true = run.true_walls
+    if true is None:
         msg = "the truth is not known"
         raise ValueError(msg)
-    truth = run.truth
-    walls = {
-        "frame": "map",
-        "segments": truth.segments_map.tolist(),
-        "arcs": truth.arcs_map.tolist(),
-        "goal": list(truth.goal_xy_map_m),
-    }
+    goal = {} if run.truth is None else {"goal": list(run.truth.goal_xy_map_m)}
+    walls = {"frame": "map", "segments": true.segments_map.tolist(), "arcs": true.arcs_map.tolist(), **goal}
     path.write_text(json.dumps(walls) + "\n", encoding="ascii")
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.grid import Grid
-    from mavnav.outputs.run import Truth
+    from mavnav.outputs.run import Walls
 
 DPI: Final = 150
 MAX_CELLS: Final = 1100
@@ -88,9 +88,9 @@ def pooled(cells: NDArray[Any], factor: int) -> NDArray[Any]:
     return blocks
 
 
-def wall_lines(truth: Truth) -> list[NDArray[np.float64]]:
+def wall_lines(walls: Walls) -> list[NDArray[np.float64]]:
     """Return the true walls as lines (k, 2) in the map frame, m; arcs in steps of `ARC_STEP_RAD` at most."""
-    return [*truth.segments_map.reshape(-1, 2, 2), *map(_arc_line, truth.arcs_map)]
+    return [*walls.segments_map.reshape(-1, 2, 2), *map(_arc_line, walls.arcs_map)]
 
 
 def _arc_line(arc: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from mavnav.metrics.relations import TOLERANCE_NS, Relations, relation_errors
 from mavnav.metrics.trajectory_error import absolute_error, matched, relative_error
 from mavnav.references.map_file import MapFile, occupied_xy_m, read_map
 from mavnav.references.tables import read_relations, read_tum
-from mavnav.references.true_map import of_world, read_true_map
+from mavnav.references.true_map import of_scenario, read_true_map
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ __all__ = [
     "compared",
     "load_references",
     "occupied_xy_m",
-    "of_world",
+    "of_scenario",
     "read_map",
     "read_tum",
 ]

@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 from mavnav.errors import UsageError
 from mavnav.layers import read_yaml
 from mavnav.metrics.map_distance import TrueMap
-from mavnav.pose import transform_points
 from mavnav.references.map_file import read_map
 from mavnav.world.scenario_file import load_scenario, scenario_path
 
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.pose import Pose
-    from mavnav.world import World
+    from mavnav.world import Scenario, World
 
 SPACING_M: Final = 0.02
 
@@ -40,17 +39,14 @@ def read_true_map(path: Path) -> TrueMap:
     if "walls" not in keys:
         raise UsageError(f"{path} is neither a scenario (walls) nor a map (image); name one of them")
     scenario = load_scenario(path)
-    return of_world(scenario.world, scenario.world_T_base @ scenario.base_T_laser)
+    return of_scenario(scenario, scenario.world_T_base @ scenario.base_T_laser)
 
 
-def of_world(world: World, world_T_map: Pose) -> TrueMap:
-    """Take exact walls for the truth; ``world_T_map`` is the laser's first pose."""
-
-    def distance_m(xy_map_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        return world.clearance_m(transform_points(world_T_map, xy_map_m))
-
-    xy_m = transform_points(world_T_map.inverse(), np.concatenate((_on_segments(world), _on_arcs(world))))
-    return TrueMap(distance_m, xy_m, "start pose")
+def of_scenario(scenario: Scenario, world_T_map: Pose) -> TrueMap:
+    """Take exact walls for the truth, and draw the measured ones; ``world_T_map`` is the laser's first pose."""
+    walls, overlay = scenario.world.seen_from(world_T_map), scenario.overlay.seen_from(world_T_map)
+    xy_m = np.concatenate((_on_segments(walls), _on_arcs(walls)))
+    return TrueMap(walls.clearance_m, xy_m, "start pose", overlay.segments, overlay.arcs)
 
 
 def _of_map(path: Path) -> TrueMap:

@@ -7,8 +7,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mavnav.pose import transform_points
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from mavnav.pose import Pose
 
     Array = NDArray[np.float64]
 
@@ -81,6 +85,14 @@ class World:
         x, y = xy_m[:, :1], xy_m[:, 1:]
         nearest: Array = np.hstack((_to_segments(self.segments, x, y), _to_arcs(self.arcs, x, y))).min(axis=1)
         return nearest
+
+    def seen_from(self, world_T_frame: Pose) -> World:
+        """Return the walls in another frame."""
+        frame_T_world = world_T_frame.inverse()
+        ends = transform_points(frame_T_world, self.segments.reshape(-1, 2)).reshape(-1, 4)
+        centres = transform_points(frame_T_world, self.arcs[:, :2])
+        starts_rad = self.arcs[:, 3] + frame_T_world.yaw_rad
+        return World(ends, np.column_stack((centres, self.arcs[:, 2], starts_rad, self.arcs[:, 4])))
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:

@@ -126,6 +126,8 @@ def test_replay_takes_references(mavnav, sample, tmp_path) -> None:
     document = json.loads(out)
     assert set(document["map_quality"]) == PARTS
     assert document["reference"]["map_distance"]["p95_mm"] < 200
+    assert {"true_walls.json", "map.png"} <= set(document["outputs"])
+    assert "goal" not in json.loads((tmp_path / "r" / "true_walls.json").read_text())
     (tmp_path / "late.tum").write_text("9e8 0 0 0 0 0 0 1\n9.1e8 1 0 0 0 0 0 1\n")
     code, out, err = mavnav("replay", sample, "-o", tmp_path / "s", "-q", "--truth", tmp_path / "late.tum")
     assert (code, out) == (2, "")

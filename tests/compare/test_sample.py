@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mavnav.compare import sample
 from mavnav.logs import open_log
+from mavnav.references.true_map import read_true_map
 
 ROOT = Path(__file__).parents[2]
 
@@ -36,3 +38,10 @@ def test_elsewhere_it_is_flown_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert open_log(log).counts.usable >= 4
     monkeypatch.setattr(sample, "fly", lambda *_: pytest.fail("it is there"))
     assert sample.sample_log(tmp_path / "out", silent) == log
+
+
+def test_its_true_map_is_where_the_walls_are(tmp_path: Path) -> None:
+    true = read_true_map(sample.sample_truth(tmp_path))
+    scan = next(iter(open_log(ROOT / "sample_logs" / "corridor.mcap").scans()))
+    assert np.median(true.distance_m(scan.points())) < 0.02  # the noise; the laser stands 0.06 m before the base
+    assert len(true.segments_map) > 10

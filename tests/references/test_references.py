@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mavnav.errors import MavnavError, UsageError
 from mavnav.pose import Pose, Trajectory
-from mavnav.references import References, check_times, compared, load_references, of_world, read_tum
+from mavnav.references import References, check_times, compared, load_references, of_scenario, read_tum
 from mavnav.references.tables import read_relations
 from mavnav.references.true_map import read_true_map
 from mavnav.world import load_scenario
@@ -124,7 +124,7 @@ def test_too_few_poses_measure_nothing() -> None:
 def test_a_scenario_is_seen_from_its_start() -> None:
     scenario = load_scenario("corner")
     start = scenario.world_T_base @ scenario.base_T_laser
-    truth = of_world(scenario.world, start)
+    truth = of_scenario(scenario, start)
     assert truth.distance_m(truth.xy_m).max() < 1e-9
     found = compared(References(true_map=truth), None, truth.xy_m + 0.03 * np.array([1.0, 0.0]))["map_distance"]
     assert found["alignment"] == "start pose"
@@ -146,7 +146,7 @@ def test_shipped_scenarios_are_truths(name, tmp_path, monkeypatch) -> None:
 
 def test_an_empty_map_has_no_distance() -> None:
     scenario = load_scenario("corner")
-    found = compared(References(true_map=of_world(scenario.world, Pose())), None, np.zeros((0, 2)))["map_distance"]
+    found = compared(References(true_map=of_scenario(scenario, Pose())), None, np.zeros((0, 2)))["map_distance"]
     assert found["cells"] == 0
     assert np.isnan(found["mean_mm"])
 
