@@ -19,7 +19,7 @@ from mavnav.linemap import LineMap
 from mavnav.matcher import search_lines
 from mavnav.pose import Pose, Trajectory, blend, transform_points, wrap_angle
 from mavnav.pose_graph import Edge, optimised
-from mavnav.relocalise import apart, around, candidates, disagreement, judged
+from mavnav.relocalise import apart, around, candidates, judged, unrivalled
 from mavnav.stages import timed
 from mavnav.units import DEG, MM
 
@@ -241,12 +241,8 @@ def the_place(key: KeyFrame, old: Part, bound: tuple[float, float], config: Conf
     """Find where within the bounds of the drift a key frame fits; None where it fits nowhere, or in several places."""
     region = around(key.map_T_laser, *bound)
     found = candidates(key.points, old.lines, old.grid, region, config)
-    if not found:
-        return None
-    best = min(found, key=lambda match: disagreement(match, config))
-    clear = disagreement(best, config) + CLEAR_BY
-    rivals = [m for m in found if apart(best.map_T_laser, m.map_T_laser) and disagreement(m, config) < clear]
-    return best if fits(best) and not rivals else None
+    best = unrivalled(found, CLEAR_BY, config)
+    return best if best and fits(best) else None
 
 
 def fits(match: Match) -> bool:

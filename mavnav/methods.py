@@ -44,6 +44,7 @@ class Method(Protocol):
     grid: Grid
     expects_rest: bool
     places: bool
+    closes_loops: bool
 
     def first(self, scan: Scan) -> Match:
         """Judge whether a scan can begin the map (``converged``)."""
@@ -82,6 +83,7 @@ class Paper:
 
     expects_rest = True  # a recorded log has no commands
     places = False
+    closes_loops = False
 
     def __init__(self, config: Config) -> None:
         """Start with an empty map."""
@@ -127,16 +129,20 @@ class Paper:
 
 
 class Robust:
-    """Point to local line over the whole map; the grid of hit counts is kept beside it for the outputs."""
+    """Point to local line over the whole map; the grid of hit counts is kept beside it for the outputs.
+
+    ``known`` is the grid that tells what speaks against a place.
+    """
 
     expects_rest = False
     places = True
+    closes_loops = True
 
     def __init__(self, config: Config) -> None:
         """Start with an empty map."""
         robust = config.robust
         self.config = config
-        self.grid = Grid(robust.cell_mm * MM)
+        self.known = self.grid = Grid(robust.cell_mm * MM)
         self.lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
 
     def first(self, scan: Scan) -> Match:
@@ -153,7 +159,7 @@ class Robust:
         prior = 0.0 if motion.odometry is None else robust.prior
         window = (robust.window_mm * MM, robust.window_deg * DEG)
         found = search_lines(points, self.lines, predicted, window, self.config, prior=prior)
-        found = judged(found, points, self.grid)
+        found = judged(found, points, self.known)
         if self._convinces(found) and self._possible(found, scan, motion):
             return found
         return self._match_wide(scan, predicted, motion, points, found)
@@ -164,7 +170,7 @@ class Robust:
         """Search wherever the laser can be by now, from the prediction and from rest."""
         elapsed_s, found = motion.elapsed_s(scan.stamp_ns), [narrow]
         for pose in (expected := _expected(scan, predicted, motion)):
-            found += candidates(points, self.lines, self.grid, within_reach(pose, elapsed_s), self.config)
+            found += candidates(points, self.lines, self.known, within_reach(pose, elapsed_s), self.config)
         return best_of(found, expected, elapsed_s, self.config)
 
     def _convinces(self, match: Match) -> bool:
@@ -200,7 +206,7 @@ class Robust:
         points = self.match_points(scan)
         if len(points) < self.config.robust.min_points:
             return None
-        found = [match, *candidates(points, self.lines, self.grid, everywhere(self.grid), self.config)]
+        found = [match, *candidates(points, self.lines, self.known, everywhere(self.known), self.config)]
         expected = _expected(scan, motion.predict(scan.stamp_ns), motion)
         best = best_of(found, expected, motion.elapsed_s(scan.stamp_ns), self.config)
         return best if self._convinces(best) and not best.ambiguous else None

@@ -89,9 +89,14 @@ def everywhere(grid: Grid) -> Region:
 
 @timed("search")
 def candidates(
-    points: NDArray[np.float64], line_map: LineMap, grid: Grid, region: Region, config: Config
+    points: NDArray[np.float64],
+    line_map: LineMap,
+    grid: Grid,
+    region: Region,
+    config: Config,
+    most: int = CANDIDATES,
 ) -> list[Match]:
-    """Search a region of poses; return its separate minima, refined and judged.
+    """Search a region of poses; return its separate minima, ``most`` of them, refined and judged.
 
     ``points`` (n, 2) are the scan's in the laser's frame, m, as ``voxel_means`` gives them.
     """
@@ -99,7 +104,7 @@ def candidates(
     few = points[: robust.first_level_points]
     costs = volume(few, xy_m, yaws_rad, robust.truncate_mm * MM, line_map.nearest, line_map.lines, line_map.geometry)
     window = (1.5 * STEP_M, 1.5 * STEP_RAD)
-    starts = minima(costs, xy_m, yaws_rad)
+    starts = minima(costs, xy_m, yaws_rad, most)
     return [judged(search_lines(points, line_map, start, window, config), points, grid) for start in starts]
 
 
@@ -111,6 +116,15 @@ def best_of(found: list[Match], expected: tuple[Pose, ...], elapsed_s: float, co
     best = weighed[ranks.index(lowest)]
     rivals = [rank for m, rank in zip(weighed, ranks, strict=True) if apart(best.map_T_laser, m.map_T_laser)]
     return replace(with_effort(best, *found), ambiguous=min(rivals, default=np.inf) < lowest + CLEAR_BY)
+
+
+def unrivalled(found: list[Match], clear_by: float, config: Config) -> Match | None:
+    """Return the best of judged matches; None if there is none, or another place ranks within ``clear_by`` of it."""
+    ranked = sorted(found, key=lambda match: disagreement(match, config))
+    best = next(iter(ranked), None)
+    rival = next((m for m in ranked if best and apart(best.map_T_laser, m.map_T_laser)), None)
+    clear = best and (rival is None or disagreement(rival, config) >= disagreement(best, config) + clear_by)
+    return best if clear else None
 
 
 def surprise(expected: Pose, pose: Pose, elapsed_s: float) -> float:
@@ -126,10 +140,12 @@ def apart(a: Pose, b: Pose) -> bool:
     return off.distance_m > SEPARATE_M or abs(off.yaw_rad) > SEPARATE_RAD
 
 
-def minima(costs: NDArray[np.float64], xy_m: NDArray[np.float64], yaws_rad: NDArray[np.float64]) -> list[Pose]:
-    """Return the poses of the ``CANDIDATES`` lowest costs (q, p) that lie apart."""
+def minima(
+    costs: NDArray[np.float64], xy_m: NDArray[np.float64], yaws_rad: NDArray[np.float64], most: int = CANDIDATES
+) -> list[Pose]:
+    """Return the poses of the ``most`` lowest costs (q, p) that lie apart."""
     left, found = costs.copy(), []
-    for _ in range(CANDIDATES):
+    for _ in range(most):
         q, p = np.unravel_index(int(np.argmin(left)), left.shape)
         if not np.isfinite(left[q, p]):
             break

@@ -12,20 +12,23 @@ from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
 
 from mavnav import slam
-from mavnav.errors import ExitCode, StoppedError
+from mavnav.errors import ExitCode, StoppedError, UsageError
+from mavnav.known_map import known_map
 from mavnav.logs import check_log, open_log
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import wall_thicknesses
 from mavnav.outputs import Run, Timing, check_directory, write_run
-from mavnav.references import check_times, compared, load_references, occupied_xy_m
+from mavnav.references import check_times, compared, load_references, occupied_xy_m, read_map
 from mavnav.stages import account, timed
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mavnav.config import Config
     from mavnav.grid import Grid
+    from mavnav.known_map import KnownMap
     from mavnav.logs import Log
     from mavnav.metrics.map_quality import MapQuality
     from mavnav.metrics.wall_thickness import WallThickness
@@ -49,7 +52,8 @@ class Request:
 
     ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base;
     ``report`` asks for the page as well; ``truth``, ``truth_map`` and ``relations`` are files to compare the outcome
-    with; ``strict`` leaves out scans from where a checksum does not match.
+    with; ``strict`` leaves out scans from where a checksum does not match. ``map`` is a map to localise in instead of
+    making one, and ``start_pose`` about where in it the laser begins.
     """
 
     log: Path
@@ -65,6 +69,46 @@ class Request:
     truth_map: Path | None = None
     relations: Path | None = None
     strict: bool = False
+    map: Path | None = None
+    start_pose: Pose | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """What files besides the log tell: references to compare with, and the map to localise in, None without one."""
+
+    references: References
+    known: KnownMap | None
+
+
+def known_map_of(request: Request) -> KnownMap | None:
+    """Read the map to localise in: a map_server YAML file, or the one in a run directory; raises UsageError."""
+    if request.map is None:
+        return None
+    file = read_map(map_yaml(request.map))
+    known = known_map(file.grid, file.map_T_grid, request.start_pose)
+    if not len(known.walls_xy_m):
+        raise UsageError(f"{request.map}: the map has no occupied cell; name a map with walls")
+    return known
+
+
+def map_yaml(path: Path) -> Path:
+    """Return the YAML file that describes a map: the path itself, or the one in a run directory."""
+    return path / "map.yaml" if path.is_dir() else path
+
+
+def localisation(request: Request, outcome: slam.Slam) -> dict[str, Any]:
+    """Tell of run.json how a laser was found in a known map: where it was said to begin, and where it did."""
+    first = next((step for step in outcome.steps if step.tracked), None)
+    return {
+        "map": str(request.map),
+        "start_pose": request.start_pose and _posed(request.start_pose),
+        "found": first and {"scan": first.index, **_posed(first.match.map_T_laser)},
+    }
+
+
+def _posed(pose: Pose) -> dict[str, float]:
+    return {"x_m": pose.x_m, "y_m": pose.y_m, "yaw_deg": pose.yaw_rad / DEG}
 
 
 def default_directory(log: Path, config: Config) -> Path:
@@ -104,24 +148,24 @@ def replay(
     """
     check_log(request.log, request.start_s, request.end_s)
     check_directory(request.directory, force=request.force)
-    references = load_references(request.truth, request.truth_map, request.relations)
+    given = Given(load_references(request.truth, request.truth_map, request.relations), known_map_of(request))
     wall_s, cpu_s, stages = perf_counter(), process_time(), account()
     log = _open(request, progress)
-    check_times(references, log.first_ns, log.last_ns)
+    check_times(given.references, log.first_ns, log.last_ns)
     with stoppable() as stop:
-        return _mapped(request, log, references, progress, stop, Timing(wall_s, cpu_s, compile_s, stages))
+        return _mapped(request, log, given, progress, stop, Timing(wall_s, cpu_s, compile_s, stages))
 
 
 def _mapped(
     request: Request,
     log: Log,
-    references: References,
+    given: Given,
     progress: Progress,
     stop: Stop,
     began: Timing,
 ) -> tuple[Run, dict[str, Any]]:
     """Track, measure and write; ``began`` holds the clocks as they stood at the start."""
-    outcome = _track(log, request.config, progress, stop)
+    outcome = _track(log, request.config, given.known, progress, stop)
     stopped = stop()
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
@@ -135,9 +179,10 @@ def _mapped(
         thickness=thickness,
         timing=timing,
         quality=measured_quality(outcome, log),
-        reference=compared(references, outcome.trajectory, occupied_xy_m(outcome.grid)),
-        true_map=references.true_map,
+        reference=compared(given.references, outcome.trajectory, occupied_xy_m(outcome.grid)),
+        true_map=given.references.true_map,
         stopped=stopped,
+        localisation=None if given.known is None else localisation(request, outcome),
     )
     progress("writing", 0, None)
     return run, write_run(run, request.directory, force=request.force, report=request.report)
@@ -170,7 +215,7 @@ def _open(request: Request, progress: Progress) -> Log:
     )
 
 
-def _track(log: Log, config: Config, progress: Progress, stop: Stop) -> slam.Slam:
+def _track(log: Log, config: Config, known: KnownMap | None, progress: Progress, stop: Stop) -> slam.Slam:
     total = log.counts.usable
 
     def scans() -> Iterator[Scan]:
@@ -182,4 +227,5 @@ def _track(log: Log, config: Config, progress: Progress, stop: Stop) -> slam.Sla
         log.period_s,
         log.odometry.odom_T_laser if log.odometry else None,
         on_step=lambda phase, done: progress(phase, done, total),
+        known=known,
     )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from mavnav.belief import Belief, Verdict
 from mavnav.firing import backwards, is_backwards, turning_stretch
+from mavnav.localise import Localised
 from mavnav.loop_closure import Loops
 from mavnav.matcher import with_effort
 from mavnav.methods import METHODS
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
     from mavnav.config import Config
     from mavnav.grid import Grid
+    from mavnav.known_map import KnownMap
     from mavnav.matcher import Match
     from mavnav.methods import Method
     from mavnav.motion import Odometry
@@ -160,6 +162,7 @@ def replay(
     period_s: float,
     odom_T_laser: Trajectory | None = None,
     on_step: Callable[[str, int], None] | None = None,
+    known: KnownMap | None = None,
 ) -> Slam:
     """Run the configured method over a recorded log.
 
@@ -170,9 +173,10 @@ def replay(
     period_s : the sensor's time between scans, 0 if unknown
     odom_T_laser : odometry of the laser, used as the prediction
     on_step : called with the name of the pass ("track", "final pass") and the number of scans done
+    known : localise in this map, and leave it as it is, instead of making one
     """
     odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
-    start, warnings = Start(config, max(period_s, SHORTEST_PERIOD_S), odometry), []
+    start, warnings = Start(config, max(period_s, SHORTEST_PERIOD_S), odometry, known), []
     method, steps = start.tracked(log_scans(), on_step)
     if start.odometry and misleads(start.odometry, tracked_way(steps)):
         start = replace(start, odometry=None)
@@ -197,6 +201,7 @@ class Start:
     config: Config
     period_s: float
     odometry: Odometry | None
+    known: KnownMap | None = None
 
     @property
     def motion(self) -> Motion:
@@ -206,8 +211,8 @@ class Start:
     def tracked(
         self, scans: Iterable[Scan], on_step: Callable[[str, int], None] | None = None
     ) -> tuple[Method, list[Step]]:
-        """Track scans from an empty map on."""
-        method = METHODS[self.config.method](self.config)
+        """Track scans from an empty map on, or in the known one."""
+        method = Localised(self.config, self.known) if self.known else METHODS[self.config.method](self.config)
         return method, list(_told(track(scans, method, self.motion), "track", on_step))
 
 
@@ -219,6 +224,7 @@ def fires_backwards(log_scans: Callable[[], Iterable[Scan]], steps: list[Step], 
     scans = list(islice(log_scans(), stretch.start, stretch.stop))
     if not any(scan.spec.time_increment_s for scan in scans):
         return False
+    start = replace(start, known=None)
     told, other = (start.tracked(some)[1] for some in (scans, map(backwards, scans)))
     return is_backwards([s.match for s in told], [s.match for s in other])
 
@@ -234,7 +240,7 @@ def conclude(
     """Close loops and make the final pass where they are wanted, and sum up; ``motion`` is as before the first scan."""
     loops = Loops()
     if config.final_pass and method.places:
-        if config.loop_closure == "auto":
+        if config.loop_closure == "auto" and method.closes_loops:
             steps, method, loops = close(steps, log_scans, method, motion, config)
         steps = list(_told(place(log_scans(), steps, method), "final pass", on_step))
     return Slam(tuple(steps), tracked_way(steps), method.grid, tuple(lost_intervals(steps)), loops)

@@ -20,6 +20,8 @@ GROUND = {"errors", "units", "pose", "scan", "config", "staging", "stages"}
 CORE = {"grid", "linemap", "matcher", "relocalise", "motion", "belief", "firing", "methods", "slam"} | {
     "steps",
     "pose_graph",
+    "known_map",
+    "localise",
     "loop_closure",
     "redrawing",
 }
@@ -50,10 +52,13 @@ ALLOWED: dict[str, set[str]] = {
     "firing": GROUND | {"matcher"},
     "methods": GROUND | {"kernels", "grid", "linemap", "matcher", "relocalise", "motion", "belief"},
     "steps": GROUND | {"matcher"},
+    "known_map": GROUND | {"grid"},
+    "localise": GROUND | {"linemap", "matcher", "relocalise", "motion", "methods", "known_map"},
     "loop_closure": GROUND | {"grid", "linemap", "matcher", "relocalise", "pose_graph"},
     "redrawing": GROUND | {"motion", "methods", "steps", "loop_closure"},
     "slam": GROUND
-    | {"grid", "matcher", "relocalise", "motion", "belief", "firing", "methods", "steps", "loop_closure", "redrawing"},
+    | {"grid", "matcher", "relocalise", "motion", "belief", "firing", "methods", "steps", "loop_closure", "redrawing"}
+    | {"known_map", "localise"},
     "metrics": GROUND | {"kernels", "grid"},
     "references": GROUND | {"grid", "layers", "metrics", "world"},
     "planner_config": GROUND,

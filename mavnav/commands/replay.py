@@ -33,6 +33,8 @@ mavnav replay drive.bag -o runs/drive --odom off --start 5 --end 60
 
 mavnav replay rosbag2_folder --method paper --grid 20x20 --azimuth 40
 
+mavnav replay drive.mcap --map office.yaml --start-pose 2.1,0.4,1.57
+
 mavnav replay drive.mcap --set robust.cell_mm=25 --json | jq .wall_thickness
 """
 
@@ -87,6 +89,19 @@ def replay(
     sets: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of it.", show_default=False)
     ] = None,
+    known: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="MAP",
+            help="Localise in a map_server YAML file or a run; no map is made.",
+            show_default=False,
+        ),
+    ] = None,
+    start_pose: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,YAW", help="About where in it the laser begins, m, m, rad.", show_default=False),
+    ] = None,
     truth: Truth = None,
     truth_map: TruthMap = None,
     relations: RelationsFile = None,
@@ -108,6 +123,8 @@ def replay(
     chosen = _config(config, [*(sets or []), *sweep], online=online, **options)
     bounds = gates_of(gates)
     mounting = None if extrinsic is None else pose(extrinsic)
+    began = None if start_pose is None else pose(start_pose, "--start-pose")
+    _check_map(known, began, chosen)
     if not log.exists():
         raise UsageError(f"{log}: no such file; name a log")
     with reporting(quiet=quiet) as progress:
@@ -117,7 +134,21 @@ def replay(
         compile_s = perf_counter() - started_s
         target = directory or pipeline.default_directory(log, chosen)
         request = pipeline.Request(
-            log, target, chosen, topic, start, end, mounting, force, report, truth, truth_map, relations, strict
+            log,
+            target,
+            chosen,
+            topic,
+            start,
+            end,
+            mounting,
+            force,
+            report,
+            truth,
+            truth_map,
+            relations,
+            strict,
+            known,
+            began,
         )
         _, document = pipeline.replay(request, progress, compile_s, signals.keeping)
     _tell(document, target, json=json)
@@ -136,8 +167,17 @@ def _config(file: str | None, sets: list[str], *, online: bool, **options: objec
     return load_config(file, sets, overrides | ({"final_pass": False} if online else {}))
 
 
-def pose(text: str) -> Pose:
-    """Read ``x,y,yaw`` in m, m, rad; raises UsageError."""
+def _check_map(known: Path | None, start_pose: Pose | None, config: Config) -> None:
+    if start_pose and known is None:
+        raise UsageError("--start-pose is a pose in a known map; name the map with --map")
+    if known is not None and config.method != "robust":
+        raise UsageError(f"--map: method {config.method} makes a map of its own; use --method robust")
+    if known is not None and not known.exists():
+        raise UsageError(f"{known}: no such file; name the YAML file of a map, or a run directory")
+
+
+def pose(text: str, option: str = "--extrinsic") -> Pose:
+    """Read the ``x,y,yaw`` of an option in m, m, rad; raises UsageError."""
     from math import isfinite
 
     from mavnav.pose import Pose
@@ -147,9 +187,7 @@ def pose(text: str) -> Pose:
     except ValueError:
         values = []
     if len(values) != 3 or not all(map(isfinite, values)):
-        raise UsageError(
-            f"--extrinsic {text!r} is not X,Y,YAW in m, m, rad; write for example --extrinsic 0.1,0,1.5708"
-        )
+        raise UsageError(f"{option} {text!r} is not X,Y,YAW in m, m, rad; write for example {option} 0.1,0,1.5708")
     return Pose(*values)
 
 
@@ -179,6 +217,11 @@ def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
 def _lost_line(document: dict[str, Any]) -> str:
     last = document["tracking"]["intervals"][-1]
     share = 100 * document["tracking"]["tracked_share"]
+    if "localisation" in document:
+        return (
+            f"mavnav: error: the laser was lost for good in the map {last['start_s']:.1f} s after the first scan,"
+            f" {share:.0f} % of the scans have a pose; see whether the map is of this place, and try --start-pose"
+        )
     advice = "--method robust" if document["method"] == "paper" else "--odom auto or a finer --grid"
     beams = document["search"]["beams_used"]["median"] or 0
     if beams < _FEW_BEAMS:
@@ -203,12 +246,21 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         ("lost", f"{lost} scans in {len(tracking['intervals'])} stretch(es)" if lost else "never"),
         ("path", f"{tracking['path_length_m']:.2f} m"),
     ]
+    if "localisation" in document:
+        rows.append(("found in the map", _found(document["localisation"])))
     rows += [*wall_rows(document), *quality_rows(document["map_quality"]), *reference_rows(document.get("reference"))]
     rows += [
         ("speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"),
         ("pictures", f"{directory / 'map.png'}, {directory / 'wall_thickness.png'}"),
     ]
     return rows + page_row(directory)
+
+
+def _found(localisation: dict[str, Any]) -> str:
+    found = localisation["found"]
+    if not found:
+        return "nowhere"
+    return f"x {found['x_m']:.2f} m, y {found['y_m']:.2f} m, yaw {found['yaw_deg']:.1f} deg, scan {found['scan']}"
 
 
 def page_row(directory: Path) -> list[tuple[str, str]]:

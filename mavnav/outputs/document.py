@@ -59,6 +59,7 @@ def metrics(run: Run) -> Document:
         "cleaning": dict(run.log.cleaning),
         "tracking": _tracking(run),
         "loop_closure": _loop_closure(run),
+        **({} if run.localisation is None else {"localisation": run.localisation}),
         "search": _search(run),
         "wall_thickness": {str(k): thickness_document(t) for k, t in run.thickness.items()},
         "map_quality": None if run.quality is None else asdict(run.quality),

@@ -83,6 +83,7 @@ class Run:
     A mission of the simulator knows the truth besides. ``reference`` is what a comparison with references told,
     plain data for run.json, and ``true_map`` the one among them. ``stopped`` is the code of the signal that stopped
     the run before the log ended.
+    ``localisation`` tells, where the laser was followed in a known map, of that map: plain data for run.json.
     """
 
     log: Log
@@ -96,6 +97,7 @@ class Run:
     reference: dict[str, Any] | None = None
     true_map: TrueMap | None = None
     stopped: ExitCode | None = None
+    localisation: dict[str, Any] | None = None
 
     @property
     def name(self) -> str:

@@ -198,6 +198,10 @@ def test_unknown_configuration_key(mavnav: Callable, sample: Path, tmp_path: Pat
         (["--set", "robust.cel_mm=3"], ["robust.cell_mm"]),
         (["--extrinsic", "1,2"], ["--extrinsic", "X,Y,YAW"]),
         (["--extrinsic", "1,2,nan"], ["--extrinsic", "X,Y,YAW"]),
+        (["--start-pose", "1,2,0"], ["--start-pose", "--map"]),
+        (["--map", ".", "--start-pose", "1,2"], ["--start-pose", "X,Y,YAW"]),
+        (["--map", "none.yaml"], ["none.yaml", "run directory"]),
+        (["--map", ".", "--method", "paper"], ["--map", "--method robust"]),
         (["--no-such-option"], ["--no-such-option", "see 'mavnav replay --help'"]),
         (["--start", "100"], ["--start"]),
         (["--config", "none.yaml"], ["none.yaml", "paper, robust"]),
@@ -239,6 +243,44 @@ def test_a_track_lost_for_good_is_told(mavnav: Callable, make_log: Callable, tmp
     assert "lost for good 1.5 s after the first scan" in err
     assert err.count("\n") == 1
     assert len((tmp_path / "r" / "trajectory.tum").read_text().splitlines()) == 15
+
+
+# --- in a known map -----------------------------------------------------------------------------------------------
+
+
+def test_the_laser_is_found_in_the_map_of_another_run(
+    mavnav: Callable, sample: Path, finished: Path, tmp_path: Path
+) -> None:
+    part = ("--start", 1.0, "--end", 1.8, "-q", "--odom", "off")
+    code, out, _ = mavnav("replay", sample, "-o", tmp_path / "r", *part, "--map", finished, "--start-pose", "0.3,0,0")
+    assert code == 0
+    assert "found in the map" in out
+    told = json.loads((tmp_path / "r" / "run.json").read_text())["localisation"]
+    assert told["map"] == str(finished)
+    assert told["start_pose"] == {"x_m": 0.3, "y_m": 0.0, "yaw_deg": 0.0}
+    first = [float(word) for word in (finished / "trajectory.tum").read_text().splitlines()[10].split()]
+    assert told["found"]["scan"] == 0
+    assert told["found"]["x_m"] == pytest.approx(first[1], abs=0.05)
+    assert told["found"]["y_m"] == pytest.approx(first[2], abs=0.05)
+
+
+def test_a_laser_that_is_nowhere_in_the_map_is_told(
+    mavnav: Callable, make_log: Callable, finished: Path, tmp_path: Path
+) -> None:
+    log = make_log("nowhere.mcap", blind_after=0)
+    code, out, err = mavnav("replay", log, "-o", tmp_path / "r", "--end", 0.6, "-q", "--odom", "off", "--map", finished)
+    assert code == ExitCode.TRACKING_LOST
+    assert "nowhere" in out
+    assert "--start-pose" in err
+    assert json.loads((tmp_path / "r" / "run.json").read_text())["localisation"]["found"] is None
+    assert (tmp_path / "r" / "trajectory.tum").read_text() == ""
+
+
+def test_a_map_without_walls_is_refused(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty.pgm").write_bytes(b"P5 2 2 255\n" + bytes([254] * 4))
+    (tmp_path / "empty.yaml").write_text("image: empty.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n")
+    result = mavnav("replay", sample, "-o", tmp_path / "r", "-q", "--map", tmp_path / "empty.yaml")
+    expect(result, ExitCode.USAGE, "no occupied cell")
 
 
 # --- signals ------------------------------------------------------------------------------------------------------
