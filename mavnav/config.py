@@ -91,6 +91,10 @@ class RobustConfig(_Strict):
     line_sigma_mm: float = Field(60.0, gt=0, description="Gaussian window of the local line fit")
     line_noise_mm: float = Field(10.0, gt=0, description="noise floor of the local line fit")
     truncate_mm: float = Field(150.0, gt=0, description="distances are capped here")
+    near_window_mm: float = Field(
+        50.0, ge=0, description="half-width of the search about the prediction that often suffices; 0 leaves it out"
+    )
+    near_window_deg: float = Field(5.0, gt=0, description="half-width of that search in azimuth")
     window_mm: float = Field(350.0, gt=0, description="half-width of the first search in the plane")
     window_deg: float = Field(20.0, gt=0, description="half-width of the first azimuth search")
     final_window_mm: float = Field(50.0, gt=0, description="half-width of the final pass in the plane")
@@ -98,8 +102,10 @@ class RobustConfig(_Strict):
     stop_mm: float = Field(1.0, gt=0, description="search ends at this spacing in the plane")
     stop_deg: float = Field(0.02, gt=0, description="search ends at this spacing in azimuth")
     max_extensions: int = Field(3, ge=0, description="border extensions a level at most")
-    field_above_mm: float = Field(
-        1000.0, ge=0, description="wider searches ask for the nearest cells, narrower ones for the local lines"
+    hold_below_mm: float = Field(
+        51.0,
+        ge=0,
+        description="levels from here down to a cell keep each point's line, and search azimuth and plane jointly",
     )
     prior: float = Field(0.01, ge=0, description="cost of a squared metre away from what odometry predicts")
     first_level_points: int = Field(120, ge=10, description="points of the first, widest level")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.grid import covering
-from mavnav.kernels.linemap import NOTHING_NEAR, REACH_CELLS, insert_points
+from mavnav.kernels.linemap import FAR, REACH_CELLS, insert_points
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class LineMap:
     origin_cells: tuple[int, int] = (0, 0)
     count: int = 1
     nearest: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 0), np.int32))
-    quads: NDArray[np.uint32] = field(default_factory=lambda: np.empty((0, 0), np.uint32))
+    squares: NDArray[np.uint8] = field(default_factory=lambda: np.empty((0, 0), np.uint8))
     cells: NDArray[np.int32] = field(default_factory=lambda: np.empty((1, 2), np.int32))
     moments: NDArray[np.float64] = field(default_factory=lambda: np.empty((1, 12)))
     lines: NDArray[np.float64] = field(default_factory=lambda: np.array([NOWHERE]))
@@ -57,7 +57,7 @@ class LineMap:
             self.geometry,
             self.count,
             self.nearest,
-            self.quads,
+            self.squares,
             self.cells,
             self.moments,
             self.lines,
@@ -73,12 +73,12 @@ class LineMap:
             return
         new_origin, shape = grown
         (dc, dr), (rows, cols) = origin - new_origin, self.nearest.shape
-        nearest, quads = np.zeros(shape, np.int32), np.full(shape, NOTHING_NEAR, np.uint32)
+        nearest, squares = np.zeros(shape, np.int32), np.full(shape, FAR, np.uint8)
         if rows:
             nearest[dr : dr + rows, dc : dc + cols] = self.nearest
-            quads[dr : dr + rows, dc : dc + cols] = self.quads
+            squares[dr : dr + rows, dc : dc + cols] = self.squares
             self.cells[1 : self.count] += np.array([dr, dc], np.int32)
-        self.nearest, self.quads = nearest, quads
+        self.nearest, self.squares = nearest, squares
         self.origin_cells = (int(new_origin[0]), int(new_origin[1]))
 
     def _reserve(self, needed: int) -> None:

@@ -166,12 +166,11 @@ def search_lines(
                 robust.first_level_points,
                 ALTERNATIONS,
                 prior,
-                robust.field_above_mm * MM,
+                robust.hold_below_mm * MM,
             ]
         ),
         line_map.nearest,
         line_map.lines,
-        line_map.quads,
         line_map.geometry,
     )
     pose = Pose(float(x), float(y), wrap_angle(float(yaw)))

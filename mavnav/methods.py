@@ -38,6 +38,10 @@ if TYPE_CHECKING:
 REGAIN_S = 0.5  # without a believed pose for longer, chance agreements are likely: more of the scan must agree
 
 
+INSIDE = 0.5
+"""Share of the near window within which a match is believed: beyond, the laser may be outside of it."""
+
+
 class Method(Protocol):
     """What ``slam.track`` asks of a method; ``grid`` is the map that it builds."""
 
@@ -144,6 +148,9 @@ class Robust:
         self.config = config
         self.known = self.grid = Grid(robust.cell_mm * MM)
         self.lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        near = (robust.near_window_mm * MM, robust.near_window_deg * DEG)
+        wide = (robust.window_mm * MM, robust.window_deg * DEG)
+        self._windows = [(near, INSIDE), (wide, np.inf)] if robust.near_window_mm else [(wide, np.inf)]
 
     def first(self, scan: Scan) -> Match:
         """Begin the map with any scan of enough points."""
@@ -151,24 +158,27 @@ class Robust:
         return first_match(n) if n >= self.config.robust.min_points else no_match(Pose(), n)
 
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
-        """Match the de-skewed scan around the prediction; where that does not convince, look farther."""
+        """Match the de-skewed scan close to the prediction; as long as that does not convince, look farther."""
         robust = self.config.robust
         points = self.match_points(scan, motion)
         if len(points) < robust.min_points:
             return no_match(predicted, len(points))
         prior = 0.0 if motion.odometry is None else robust.prior
-        window = (robust.window_mm * MM, robust.window_deg * DEG)
-        found = search_lines(points, self.lines, predicted, window, self.config, prior=prior)
-        found = judged(found, points, self.known)
-        if self._convinces(found) and self._possible(found, scan, motion):
-            return found
-        return self._match_wide(scan, predicted, motion, points, found)
+        tried: list[Match] = []
+        for window, believed in self._windows:
+            found = search_lines(points, self.lines, predicted, window, self.config, prior=prior)
+            tried.append(judged(found, points, self.known))
+            off = predicted.between(found.map_T_laser)
+            inside = off.distance_m <= believed * window[0] and abs(off.yaw_rad) <= believed * window[1]
+            if inside and self._convinces(tried[-1]) and self._possible(tried[-1], scan, motion):
+                return with_effort(tried[-1], *tried)
+        return self._match_wide(scan, predicted, motion, points, tried)
 
     def _match_wide(
-        self, scan: Scan, predicted: Pose, motion: Motion, points: NDArray[np.float64], narrow: Match
+        self, scan: Scan, predicted: Pose, motion: Motion, points: NDArray[np.float64], tried: list[Match]
     ) -> Match:
         """Search wherever the laser can be by now, from the prediction and from rest."""
-        elapsed_s, found = motion.elapsed_s(scan.stamp_ns), [narrow]
+        elapsed_s, found = motion.elapsed_s(scan.stamp_ns), tried
         for pose in (expected := _expected(scan, predicted, motion)):
             found += candidates(points, self.lines, self.known, within_reach(pose, elapsed_s), self.config)
         return best_of(found, expected, elapsed_s, self.config)

@@ -28,14 +28,6 @@ class Problem:
         return self.line_map.nearest, self.line_map.lines, self.line_map.geometry
 
     @property
-    def field(self) -> tuple[np.ndarray, ...]:
-        return self.line_map.quads, self.line_map.geometry
-
-    @property
-    def arrays(self) -> tuple[np.ndarray, ...]:
-        return self.line_map.nearest, self.line_map.lines, *self.field
-
-    @property
     def centred(self) -> np.ndarray:
         return np.ascontiguousarray((self.points - self.points.mean(axis=0)).T)
 
@@ -44,6 +36,11 @@ class Problem:
         middle = transform_points(Pose(*self.start), self.points.mean(axis=0)[None])[0]
         at = np.array([*middle, self.start[2], *(middle + np.array((0.01, -0.02)))])
         return at, np.array([half_m, half_rad, prior, 0.15**2, float(pruned)])
+
+    def form(self, at: np.ndarray, window: np.ndarray) -> np.ndarray:
+        form = np.zeros((5, 5))
+        linesearch._form(self.centred, at, window, form, *self.lines)
+        return form
 
     def turned(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         x, y = np.empty(len(self.points)), np.empty(len(self.points))
@@ -70,14 +67,13 @@ def random_problem(seed: int) -> Problem:
 
 
 def differences(problem: Problem, grid: int, half_m: float, half_rad: float, prior: float) -> list[str]:
-    """Search the four grids both ways; names those whose minima differ in index or cost."""
+    """Search the three grids both ways; names those whose minima differ in index or cost."""
     found = {}
     for pruned in (True, False):
         at, window = problem.grid(half_m, half_rad, prior, pruned=pruned)
         args = problem.centred, at, window
         found[pruned] = {
-            "azimuth on the field": linesearch._turn_on_field(*args, 2 * grid, *problem.field),
-            "plane on the field": linesearch._shift_on_field(*args, grid, grid, *problem.field),
+            "joint with lines held": linesearch._least_of_form(problem.form(at, window), window, 2 * grid, grid, grid),
             "azimuth on the lines": linesearch._turn_on_lines(*args, 2 * grid, *problem.lines),
             "plane on the lines": linesearch._shift_on_lines(*args, grid, grid, *problem.lines),
         }

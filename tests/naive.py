@@ -166,21 +166,28 @@ def line_costs(points, pose, lines, cell_m, truncate_m, reach=8):
     return costs
 
 
-def field_costs(points, occupied, cell_m, reach=8):
-    """Squared distances, in cells, to the nearest of the occupied (row, col), between four cell centres."""
+def held_cost(points, at, motion, line_map, truncate_m):
+    """Sum of the points' squared distances after a motion of their middle to the lines that they have before it.
 
-    def at(row, col):
-        return min(*((row - r) ** 2 + (col - c) ** 2 for r, c in occupied), reach * reach)
-
-    costs = []
-    for x, y in points:
-        u, v = x / cell_m - 0.5, y / cell_m - 0.5
-        col, row = math.floor(u), math.floor(v)
-        u, v = u - col, v - row
-        low = (1 - u) * at(row, col) + u * at(row, col + 1)
-        high = (1 - u) * at(row + 1, col) + u * at(row + 1, col + 1)
-        costs.append((1 - v) * low + v * high)
-    return costs
+    ``at`` x, y, yaw before, ``motion`` to the right, up and turn; a point truncated before it stays so.
+    """
+    total = 0.0
+    (x, y, yaw), (right, up, turn) = at, motion
+    for px, py in points:
+        before = (x + math.cos(yaw) * px - math.sin(yaw) * py, y + math.sin(yaw) * px + math.cos(yaw) * py)
+        there = yaw + turn
+        after = (
+            x + right + math.cos(there) * px - math.sin(there) * py,
+            y + up + math.sin(there) * px + math.cos(there) * py,
+        )
+        row, col = np.array(cell_of(before, line_map.cell_m)) - line_map.origin_cells[::-1]
+        inside = 0 <= row < line_map.nearest.shape[0] and 0 <= col < line_map.nearest.shape[1]
+        mu_x, mu_y, xx, xy, yy = line_map.lines[line_map.nearest[row, col] if inside else 0, :5]
+        d2 = [
+            (u - mu_x) ** 2 * xx + 2 * (u - mu_x) * (v - mu_y) * xy + (v - mu_y) ** 2 * yy for u, v in (before, after)
+        ]
+        total += d2[1] if d2[0] < truncate_m**2 else truncate_m**2
+    return total
 
 
 def volume(points, xy_map_m, yaws_rad, lines, cell_m, truncate_m):

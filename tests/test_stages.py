@@ -1,4 +1,4 @@
-"""The account of processor time by stage."""
+"""The account of time by stage."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from mavnav.stages import OTHER, Stage, account, each, timed
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """A processor clock that tells, and advances by, what a test says."""
+    """A clock that tells, and advances by, what a test says."""
     now = [100.0]
-    monkeypatch.setattr(stages, "process_time", lambda: now[0])
+    monkeypatch.setattr(stages, "perf_counter", lambda: now[0])
     return now
 
 

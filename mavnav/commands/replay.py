@@ -111,7 +111,7 @@ def replay(
     strict: Annotated[
         bool, typer.Option("--strict", help="Leave out scans from where a checksum does not match.")
     ] = False,
-    profile: Annotated[bool, typer.Option("--profile", help="Tell the processor's seconds by stage.")] = False,
+    profile: Annotated[bool, typer.Option("--profile", help="Tell the seconds by stage.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the run directory if it exists.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print run.json on stdout and nothing else.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,

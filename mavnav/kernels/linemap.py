@@ -5,9 +5,7 @@ Layout shared by this file and ``linesearch``:
 ``nearest``  (rows, cols) int32   index of the nearest occupied cell within reach, 0 where none is
 ``cells``    (capacity, 2) int32  row, col of the occupied cells, in the order they were first hit; row 0 of this and
                                   the following is no cell, and its line lies beyond everything
-``quads``    (rows, cols) uint32  squared distances, in cells, from the centres of four cells to the nearest occupied
-                                  ones, FAR beyond reach; a byte each: of the cell, its right, its upper neighbour
-                                  and the one aslant, so that interpolating between four centres takes one load
+``squares``  (rows, cols) uint8   squared distance to it in cells, `FAR` beyond reach
 ``moments``  (capacity, 12) float64  n, sum x, sum y, sum xx, sum xy, sum yy of a cell's points, m in the map
                                   frame; then the same, summed over a window of neighbours with Gaussian weights
 ``lines``    (capacity, 8) float64   centroid x, y and the metric a_xx, a_xy, a_yy of the local line; then
@@ -20,7 +18,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types, uint32, void
+from numba import float64, int32, int64, types, uint8, void
 
 from mavnav.kernels._jit import kernel
 
@@ -30,32 +28,20 @@ if TYPE_CHECKING:
 WINDOW_CELLS = 4  # half-width of the line fit's window: 9x9 cells
 REACH_CELLS = 8  # nearest occupied cells are known this far
 FAR = REACH_CELLS * REACH_CELLS
-NOTHING_NEAR = np.uint32(FAR * 0x01010101)
-"""What ``quads`` holds where no cell is occupied."""
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 
 
-@kernel(void(int64, int64, int64, uint32[:, ::1]))
-def _set_distance(row: int, col: int, d2: int, quads: NDArray[np.uint32]) -> None:
-    """Write the squared distance of one cell into the four quads that hold it."""
-    for up in range(2):
-        for aside in range(2):
-            shift = uint32(8 * (2 * up + aside))
-            kept = quads[row - up, col - aside] & ~(uint32(255) << shift)
-            quads[row - up, col - aside] = kept | (uint32(d2) << shift)
-
-
-@kernel(void(int64, int64, int64, int32[:, ::1], uint32[:, ::1]))
-def _stamp(slot: int, row: int, col: int, nearest: NDArray[np.int32], quads: NDArray[np.uint32]) -> None:
+@kernel(void(int64, int64, int64, int32[:, ::1], uint8[:, ::1]))
+def _stamp(slot: int, row: int, col: int, nearest: NDArray[np.int32], squares: NDArray[np.uint8]) -> None:
     """Make ``slot`` the nearest occupied cell wherever it is nearer than the present one (ties keep the older)."""
     for r in range(row - REACH_CELLS, row + REACH_CELLS + 1):
         for c in range(col - REACH_CELLS, col + REACH_CELLS + 1):
             d2 = (r - row) * (r - row) + (c - col) * (c - col)
-            if d2 < int64(quads[r, c] & uint32(255)) or (d2 == FAR and nearest[r, c] == 0):
+            if d2 < squares[r, c] or (d2 == FAR and nearest[r, c] == 0):
                 nearest[r, c] = slot
-                _set_distance(r, c, d2, quads)
+                squares[r, c] = d2
 
 
 @kernel(void(int64, float64, float64[:, ::1], float64[:, ::1]))
@@ -86,13 +72,13 @@ def _weights(cell_m: float, sigma_m: float) -> NDArray[np.float64]:
     return out
 
 
-@kernel(int64(_F2, _F1, int64, int32[:, ::1], uint32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
+@kernel(int64(_F2, _F1, int64, int32[:, ::1], uint8[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
 def insert_points(
     xy_map_m: NDArray[np.float64],
     geometry: NDArray[np.float64],
     count: int,
     nearest: NDArray[np.int32],
-    quads: NDArray[np.uint32],
+    squares: NDArray[np.uint8],
     cells: NDArray[np.int32],
     moments: NDArray[np.float64],
     lines: NDArray[np.float64],
@@ -109,11 +95,11 @@ def insert_points(
     for k in range(len(xy_map_m)):
         x, y = xy_map_m[k, 0], xy_map_m[k, 1]
         row, col = int(np.floor((y - oy) / cell)), int(np.floor((x - ox) / cell))
-        if quads[row, col] & uint32(255):  # nothing but the occupied cell itself is at no distance
+        if squares[row, col]:  # nothing but the occupied cell itself is at no distance
             cells[count, 0], cells[count, 1] = row, col
             moments[count, :] = 0.0
             lines[count, 6:] = 0.0
-            _stamp(count, row, col, nearest, quads)
+            _stamp(count, row, col, nearest, squares)
             count += 1
         slot = int64(nearest[row, col])
         if lines[slot, 6] == 0.0:
@@ -133,7 +119,7 @@ def insert_points(
         row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
         for i in range(2 * WINDOW_CELLS + 1):
             for j in range(2 * WINDOW_CELLS + 1):
-                if quads[row + i, col + j] & uint32(255) == 0:
+                if squares[row + i, col + j] == 0:
                     other = int64(nearest[row + i, col + j])
                     for m in range(6):
                         moments[slot, 6 + m] += weight[i, j] * moments[other, m]
@@ -147,7 +133,7 @@ def insert_points(
         row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
         for i in range(2 * WINDOW_CELLS + 1):
             for j in range(2 * WINDOW_CELLS + 1):
-                if quads[row + i, col + j] & uint32(255) == 0:
+                if squares[row + i, col + j] == 0:
                     other = int64(nearest[row + i, col + j])
                     for m in range(6):
                         moments[other, 6 + m] += weight[i, j] * added[k, m]

@@ -1,8 +1,9 @@
 """Coarse-to-fine search over grids for the pose that lays a scan's points on the map (docs/method.md).
 
 Grids are searched in turn as in the paper's minimisation, steps i-v: azimuth with the position fixed, then the plane
-with the azimuth fixed; the scan turns about its points' centroid. Wide grids ask a field of squared distances to the
-nearest occupied cell, narrow ones the map's local lines (arrays of ``linemap``).
+with the azimuth fixed; the scan turns about its points' centroid. A point costs its squared distance to the line of the
+cell that it falls into (arrays of ``linemap``). In between, while the window is a few cells wide, every point holds
+the line that it has in the middle: then one quadratic form stands for a joint grid of azimuth and plane.
 
 Every grid has an exhaustive and a pruned form with the same minimum: the same index, the lowest of equals, and the
 same cost, bit for bit. Pruning rests on three facts:
@@ -22,7 +23,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types, uint32, uint64, void
+from numba import float64, int32, int64, types, uint64, void
 
 from mavnav.kernels._jit import kernel
 
@@ -31,15 +32,13 @@ if TYPE_CHECKING:
 
 MAX_LEVELS = 40
 CHUNK = 32  # points between two looks at the bound
-FRACTION = 11  # bits of a coordinate of the field below a cell
-ONE = 1 << FRACTION
 RECTANGLE_COST = 3  # of a polynomial on a rectangle of candidates, in candidates summed point by point
+ARC_CELLS = 0.15  # mean way of a point on an arc, in cells, up to which polynomials pay
 ROUNDING_M2 = 1e-9  # above any difference between two orders of summation, as long as maps are smaller than 100 km
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 _I2 = types.Array(int32, 2, "C", readonly=True)
-_U2 = types.Array(uint32, 2, "C", readonly=True)
 
 
 @kernel(void(_F2, float64, float64[::1], float64[::1]))
@@ -60,112 +59,6 @@ def _place(
     offset[1] = at[1] - window[0] + (ji // nx) * (2 * window[0] / (ny - 1))
     dx, dy = offset[0] - at[3], offset[1] - at[4]
     return float(window[2] * (dx * dx + dy * dy))
-
-
-# ---- the field of squared distances ----------------------------------------------------------------------------------
-
-
-@kernel(void(_F2, float64, float64, int64, int32[::1], int32[::1]))
-def _rotate_to_cells(
-    points: NDArray[np.float64], yaw: float, cell_m: float, first: int, x: NDArray[np.int32], y: NDArray[np.int32]
-) -> None:
-    """Turn a chunk of points, in whole parts of 1 / ``ONE`` of a cell."""
-    c, s = np.cos(yaw) * (ONE / cell_m), np.sin(yaw) * (ONE / cell_m)
-    last = min(first + CHUNK, len(x))
-    from_x, from_y, to_x, to_y = points[0, first:last], points[1, first:last], x[first:last], y[first:last]
-    for k in range(last - first):
-        to_x[k] = int32(np.floor(c * from_x[k] - s * from_y[k] + 0.5))
-        to_y[k] = int32(np.floor(s * from_x[k] + c * from_y[k] + 0.5))
-
-
-@kernel(int64(float64, float64, float64))
-def _to_cells(at_m: float, origin_m: float, cell_m: float) -> int:
-    """Return a coordinate from the centre of cell 0, in whole parts of 1 / ``ONE`` of a cell."""
-    return int(np.floor(((at_m - origin_m) / cell_m - 0.5) * ONE + 0.5))
-
-
-@kernel(int64(int32[::1], int32[::1], int64, int64, int64, _U2))
-def _field_part(
-    x: NDArray[np.int32], y: NDArray[np.int32], first: int, right: int, up: int, quads: NDArray[np.uint32]
-) -> int:
-    """Sum the field, interpolated between four centres, over a chunk of shifted points.
-
-    The unit is a squared cell over ``ONE`` squared; integers make the sum exact in any order. Nothing is near the edge
-    of the map, so that points beyond it may be brought there: branches and wide integers would cost five times as much.
-    """
-    wide, top = int32(quads.shape[1]), int32(quads.shape[0] - 1)
-    flat, total = quads.ravel(), int64(0)
-    to_right, to_up = int32(right), int32(up)
-    for k in range(first, min(first + CHUNK, len(x))):
-        px, py = int32(x[k] + to_right), int32(y[k] + to_up)
-        col = min(max(int32(px >> FRACTION), int32(0)), int32(wide - int32(1)))
-        row = min(max(int32(py >> FRACTION), int32(0)), top)
-        quad = flat[int64(row) * int64(wide) + int64(col)]
-        u, v = int32(px & (ONE - 1)), int32(py & (ONE - 1))
-        u_left, v_left = int32(int32(ONE) - u), int32(int32(ONE) - v)
-        low = int32(int32(int32(quad & uint32(255)) * u_left) + int32(int32((quad >> uint32(8)) & uint32(255)) * u))
-        high = int32(int32(int32((quad >> uint32(16)) & uint32(255)) * u_left) + int32(int32(quad >> uint32(24)) * u))
-        total += int64(int32(int32(low * v_left) + int32(high * v)))
-    return int(total)
-
-
-@kernel(int64(_F2, _F1, _F1, int64, _U2, _F1))
-def _turn_on_field(
-    points: NDArray[np.float64],
-    at: NDArray[np.float64],
-    window: NDArray[np.float64],
-    azimuths: int,
-    quads: NDArray[np.uint32],
-    geometry: NDArray[np.float64],
-) -> int:
-    """Search the azimuth grid on the field; returns the index of the least sum."""
-    n, pruned = points.shape[1], window[4] > 0
-    x, y = np.empty(n, np.int32), np.empty(n, np.int32)
-    right, up = _to_cells(at[0], geometry[0], geometry[2]), _to_cells(at[1], geometry[1], geometry[2])
-    most = np.iinfo(np.int64).max
-    best, best_i = most, azimuths
-    for turn in range(-1 if pruned else 0, azimuths):
-        i = azimuths // 2 if turn < 0 else turn
-        yaw = at[2] - window[1] + i * (2 * window[1] / (azimuths - 1))
-        total, k = int64(0), 0
-        while k < n and total <= (best if pruned else most):
-            _rotate_to_cells(points, yaw, geometry[2], k, x, y)
-            total += _field_part(x, y, k, right, up, quads)
-            k += CHUNK
-        if total < best or (total == best and i < best_i):
-            best, best_i = total, i
-    return best_i
-
-
-@kernel(int64(_F2, _F1, _F1, int64, int64, _U2, _F1))
-def _shift_on_field(
-    points: NDArray[np.float64],
-    at: NDArray[np.float64],
-    window: NDArray[np.float64],
-    nx: int,
-    ny: int,
-    quads: NDArray[np.uint32],
-    geometry: NDArray[np.float64],
-) -> int:
-    """Search the plane on the field; returns the index j nx + i of the least cost."""
-    n, pruned = points.shape[1], window[4] > 0
-    x, y, place = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(2)
-    for k in range(0, n, CHUNK):
-        _rotate_to_cells(points, at[2], geometry[2], k, x, y)
-    unit = (geometry[2] / ONE) ** 2
-    best, best_ji = np.inf, -1
-    for turn in range(-1 if pruned else 0, nx * ny):
-        ji = (ny // 2) * nx + nx // 2 if turn < 0 else turn
-        expected = n * _place(ji, nx, ny, at, window, place)
-        right, up = _to_cells(place[0], geometry[0], geometry[2]), _to_cells(place[1], geometry[1], geometry[2])
-        total, k = int64(0), 0
-        while k < n and (not pruned or expected + unit * total <= best):
-            total += _field_part(x, y, k, right, up, quads)
-            k += CHUNK
-        cost = expected + unit * total
-        if cost < best or (cost == best and ji < best_ji):
-            best, best_ji = cost, ji
-    return best_ji
 
 
 # ---- the local lines -------------------------------------------------------------------------------------------------
@@ -228,14 +121,14 @@ def _turn_sums(
     ``turned`` (azimuths, 2) are cosine - 1 and sine of the turns from the middle. A point that is farther from its
     cell's edges than any turn takes it has a cost quadratic in the two; the others are looked up turn by turn.
     """
-    half_rad, truncate_m2, at_x, at_y = window[1], window[3], at[0], at[1]
+    half_rad, truncate_m, truncate_m2, at_x, at_y = window[1], np.sqrt(window[3]), window[3], at[0], at[1]
     ox, oy, cell, inverse = geometry[0], geometry[1], geometry[2], 1.0 / geometry[2]
     c, s = np.cos(at[2]), np.sin(at[2])
     k0 = k_c = k_s = k_cc = k_cs = k_ss = 0.0
     for k in range(points.shape[1]):
         ex, ey = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
         px, py = at_x + ex, at_y + ey
-        reach = half_rad * np.sqrt(ex * ex + ey * ey) + 1e-9
+        reach = half_rad * (abs(ex) + abs(ey)) + 1e-9
         fx, fy = (px - ox) * inverse, (py - oy) * inverse
         fx, fy = fx - np.floor(fx), fy - np.floor(fy)
         if min(fx, 1.0 - fx, fy, 1.0 - fy) * cell > reach:
@@ -245,7 +138,7 @@ def _turn_sums(
             if slot == 0:
                 k0 += truncate_m2
                 continue
-            if (np.sqrt(dx * dx + dy * dy) + reach) ** 2 < truncate_m2:
+            if dx * dx + dy * dy < (truncate_m - reach) ** 2 and reach < truncate_m:
                 a, b, d = lines[line, 2], lines[line, 3], lines[line, 4]
                 # The turned point is d + (cos - 1) e + sin e', e' at right angles to e.
                 gx, gy = a * dx + b * dy, b * dx + d * dy
@@ -279,20 +172,24 @@ def _turn_on_lines(
     """Search the azimuth grid on the lines; returns the index of the least cost."""
     x, y = np.empty(points.shape[1]), np.empty(points.shape[1])
     sums, step, near = np.zeros(azimuths), 2 * window[1] / (azimuths - 1), np.inf
-    if window[4] > 0:
+    pruned = window[4] > 0
+    by_cells = pruned and window[1] * np.abs(points).mean() < ARC_CELLS * geometry[2]
+    if by_cells:
         turned = np.empty((azimuths, 2))
         for i in range(azimuths):
             turn = i * step - window[1]
             turned[i, 0], turned[i, 1] = -2.0 * np.sin(0.5 * turn) ** 2, np.sin(turn)
         _turn_sums(points, at, window, sums, turned, nearest, lines, geometry)
         near = sums.min() + 2.0 * ROUNDING_M2
-    best, best_i = np.inf, 0
-    for i in range(azimuths):
+    best, best_i = np.inf, azimuths
+    # Without sums the middle comes first: its cost is a bound that few others come under.
+    for turn in range(-1 if pruned and not by_cells else 0, azimuths):
+        i = azimuths // 2 if turn < 0 else turn
         if sums[i] > near:
             continue
         _rotate(points, at[2] - window[1] + i * step, x, y)
-        cost = _cost_sum(x, y, at, window[3], nearest, lines, geometry, np.inf)
-        if cost < best:
+        cost = _cost_sum(x, y, at, window[3], nearest, lines, geometry, best if pruned else np.inf)
+        if cost < best or (cost == best and i < best_i):
             best, best_i = cost, i
     return best_i
 
@@ -325,13 +222,19 @@ def _runs(offsets: NDArray[np.float64], x: float, origin_m: float, cell_m: float
     return n + 1
 
 
+@kernel(void(float64[:, :, ::1], int64, int64, float64, float64[::1]))
+def _bend(bends: NDArray[np.float64], j: int, i: int, sign: float, polynomial: NDArray[np.float64]) -> None:
+    for m in range(6):
+        bends[j, i, m] += sign * polynomial[m]
+
+
 @kernel(void(float64[:, :, ::1], float64[::1], float64[::1], float64[:, ::1]))
 def _integrate(
     bends: NDArray[np.float64], right: NDArray[np.float64], up: NDArray[np.float64], sums: NDArray[np.float64]
 ) -> None:
-    """Sum second differences (ny + 1, nx + 1, 8) of polynomials up, and add each candidate's value to ``sums``."""
+    """Sum second differences (ny, nx, 6) of polynomials up, and add each candidate's value to ``sums``."""
     ny, nx = sums.shape
-    p = np.empty(8)
+    p = np.empty(6)
     for j in range(ny):
         if j > 0:
             below, here = bends[j - 1].ravel(), bends[j].ravel()
@@ -339,7 +242,7 @@ def _integrate(
                 here[m] += below[m]
         p[:] = 0.0
         for i in range(nx):
-            for m in range(8):
+            for m in range(6):
                 p[m] += bends[j, i, m]
             u, v = right[i], up[j]
             sums[j, i] += p[0] + u * (p[1] + u * p[3] + v * p[4]) + v * (p[2] + v * p[5])
@@ -369,9 +272,28 @@ def _shift_sums(
         to_y[j] = at[1] - half_m + j * (2 * half_m / (ny - 1))
     right, up = to_x - at[0], to_y - at[1]
     at_x, at_y, ox, oy = at[0], at[1], geometry[0], geometry[1]
-    bends, polynomial = np.zeros((ny + 1, nx + 1, 8)), np.zeros(8)
+    bends, polynomial = np.zeros((ny, nx, 6)), np.zeros(6)
     cols, rows = np.empty((nx, 2), np.int64), np.empty((ny, 2), np.int64)
+    inverse, last_x, last_y = 1.0 / geometry[2], to_x[nx - 1], to_y[ny - 1]
+    wide, high = nearest.shape[1], nearest.shape[0]
+    k0 = k_u = k_v = k_uu = k_uv = k_vv = 0.0
     for k in range(len(x)):
+        col, row = np.floor((x[k] + to_x[0] - ox) * inverse), np.floor((y[k] + to_y[0] - oy) * inverse)
+        stays = col == np.floor((x[k] + last_x - ox) * inverse) and row == np.floor((y[k] + last_y - oy) * inverse)
+        if stays and 0 <= col < wide and 0 <= row < high:
+            line = uint64(nearest[uint64(row), uint64(col)])
+            dx, dy = x[k] + at_x - lines[line, 0], y[k] + at_y - lines[line, 1]
+            far_x, far_y = abs(dx) + half_m, abs(dy) + half_m
+            if (far_x * far_x + far_y * far_y) * (1.0 + 1e-9) < truncate_m2:
+                a, b, d = lines[line, 2], lines[line, 3], lines[line, 4]
+                gx, gy = a * dx + b * dy, b * dx + d * dy
+                k0 += dx * gx + dy * gy
+                k_u += gx
+                k_v += gy
+                k_uu += a
+                k_uv += b
+                k_vv += d
+                continue
         n_cols = _runs(to_x, x[k], ox, geometry[2], cols)
         n_rows = _runs(to_y, y[k], oy, geometry[2], rows)
         j0 = 0
@@ -401,13 +323,17 @@ def _shift_sums(
                             sums[j, i] += _distance2(x[k] + to_x[i], y[k] + to_y[j], truncate_m2, slot, lines)
                     i0 = i1
                     continue
-                for m in range(8):
-                    bends[j0, i0, m] += polynomial[m]
-                    bends[j0, i1, m] -= polynomial[m]
-                    bends[j1, i0, m] -= polynomial[m]
-                    bends[j1, i1, m] += polynomial[m]
+                _bend(bends, j0, i0, 1.0, polynomial)
+                if i1 < nx:
+                    _bend(bends, j0, i1, -1.0, polynomial)
+                if j1 < ny:
+                    _bend(bends, j1, i0, -1.0, polynomial)
+                if i1 < nx and j1 < ny:
+                    _bend(bends, j1, i1, 1.0, polynomial)
                 i0 = i1
             j0 = j1
+    polynomial[:] = np.array([k0, 2.0 * k_u, 2.0 * k_v, k_uu, 2.0 * k_uv, k_vv])
+    _bend(bends, 0, 0, 1.0, polynomial)
     _integrate(bends, right, up, sums)
 
 
@@ -436,7 +362,6 @@ def _shift_on_lines(
             costs[ji] += n * _place(ji, nx, ny, at, window, offset)
         near = costs.min() + 2.0 * ROUNDING_M2
     best, best_ji = np.inf, -1
-    # Without sums the middle comes first: its cost is a bound that few others come under.
     for turn in range(-1 if pruned and not by_cells else 0, nx * ny):
         ji = (ny // 2) * nx + nx // 2 if turn < 0 else turn
         if costs[ji] > near:
@@ -449,10 +374,100 @@ def _shift_on_lines(
     return best_ji
 
 
+# ---- lines held fast -------------------------------------------------------------------------------------------------
+
+
+@kernel(void(_F2, _F1, _F1, float64[:, ::1], _I2, _F2, _F1))
+def _form(
+    points: NDArray[np.float64],
+    at: NDArray[np.float64],
+    window: NDArray[np.float64],
+    form: NDArray[np.float64],
+    nearest: NDArray[np.int32],
+    lines: NDArray[np.float64],
+    geometry: NDArray[np.float64],
+) -> None:
+    """Write the quadratic form (5, 5) of the cost sum in (1, cos - 1, sin, right, up) of a motion from the middle.
+
+    Every point keeps the line that it has there; one that is truncated there stays so.
+    """
+    truncate_m2, ox, oy, inverse = window[3], geometry[0], geometry[1], 1.0 / geometry[2]
+    c, s = np.cos(at[2]), np.sin(at[2])
+    g00 = g01 = g02 = g03 = g04 = g11 = g12 = g13 = g14 = g22 = g23 = g24 = g33 = g34 = g44 = 0.0
+    for k in range(points.shape[1]):
+        ex, ey = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
+        px, py = at[0] + ex, at[1] + ey
+        line = uint64(_slot_at(px, py, ox, oy, inverse, nearest))
+        dx, dy = px - lines[line, 0], py - lines[line, 1]
+        a, b, d = lines[line, 2], lines[line, 3], lines[line, 4]
+        hx, hy = a * dx + b * dy, b * dx + d * dy
+        d2 = dx * hx + dy * hy
+        if d2 >= truncate_m2:
+            g00 += truncate_m2
+            continue
+        # The point moves by (cos - 1) e + sin e' + (right, up), e' at right angles to e.
+        ax, ay = a * ex + b * ey, b * ex + d * ey
+        bx, by = b * ex - a * ey, d * ex - b * ey
+        g00 += d2
+        g01 += ex * hx + ey * hy
+        g02 += ex * hy - ey * hx
+        g03 += hx
+        g04 += hy
+        g11 += ex * ax + ey * ay
+        g12 += ex * bx + ey * by
+        g13 += ax
+        g14 += ay
+        g22 += ex * by - ey * bx
+        g23 += bx
+        g24 += by
+        g33 += a
+        g34 += b
+        g44 += d
+    prior = points.shape[1] * window[2]
+    ux, uy = at[0] - at[3], at[1] - at[4]
+    form[0, 0], form[0, 1], form[0, 2] = g00 + prior * (ux * ux + uy * uy), g01, g02
+    form[0, 3], form[0, 4] = g03 + prior * ux, g04 + prior * uy
+    form[1, 1], form[1, 2], form[1, 3], form[1, 4] = g11, g12, g13, g14
+    form[2, 2], form[2, 3], form[2, 4] = g22, g23, g24
+    form[3, 3], form[3, 4], form[4, 4] = g33 + prior, g34, g44 + prior
+
+
+@kernel(int64(_F2, _F1, int64, int64, int64))
+def _least_of_form(form: NDArray[np.float64], window: NDArray[np.float64], azimuths: int, nx: int, ny: int) -> int:
+    """Return the index (a ny + j) nx + i of the least value over azimuths, ups and rights.
+
+    Along a row the form is a parabola, least at one of the two nodes about its vertex.
+    """
+    half_m, half_rad = window[0], window[1]
+    step_x, step_y, step_rad = 2 * half_m / (nx - 1), 2 * half_m / (ny - 1), 2 * half_rad / (azimuths - 1)
+    a = form[3, 3]
+    best, best_at = np.inf, 0
+    for turn in range(azimuths):
+        angle = turn * step_rad - half_rad
+        c, s = -2.0 * np.sin(0.5 * angle) ** 2, np.sin(angle)
+        k0 = form[0, 0] + 2.0 * (c * form[0, 1] + s * form[0, 2] + c * s * form[1, 2])
+        k0 += c * c * form[1, 1] + s * s * form[2, 2]
+        kx = form[0, 3] + c * form[1, 3] + s * form[2, 3]
+        ky = form[0, 4] + c * form[1, 4] + s * form[2, 4]
+        for j in range(ny):
+            y = j * step_y - half_m
+            low, b = k0 + y * (2.0 * ky + y * form[4, 4]), kx + y * form[3, 4]
+            first, last = 0, nx - 1
+            if window[4] > 0 and a > 0.0:
+                vertex = min(max((half_m - b / a) / step_x, 0.0), nx - 1.0)
+                first, last = int(vertex), min(int(vertex) + 1, nx - 1)
+            for i in range(first, last + 1):
+                x = i * step_x - half_m
+                value = low + x * (2.0 * b + x * a)
+                if value < best:
+                    best, best_at = value, (turn * ny + j) * nx + i
+    return best_at
+
+
 # ---- coarse to fine --------------------------------------------------------------------------------------------------
 
 
-@kernel(float64[::1](_F2, _F1, _F1, _F1, _I2, _F2, _U2, _F1))
+@kernel(float64[::1](_F2, _F1, _F1, _F1, _I2, _F2, _F1))
 def search(
     points: NDArray[np.float64],
     start: NDArray[np.float64],
@@ -460,7 +475,6 @@ def search(
     limits: NDArray[np.float64],
     nearest: NDArray[np.int32],
     lines: NDArray[np.float64],
-    quads: NDArray[np.uint32],
     geometry: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Find the pose of the scan in the map; returns [x, y, yaw, cost_m2, inliers, evaluations, grids, converged].
@@ -471,13 +485,13 @@ def search(
     start : (3,) predicted pose: x, y (m), yaw (rad)
     grid : (5,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most, 1 to prune
     limits : (9,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
-        points of the first level, alternations a level, what a squared metre away from the start costs a point, and
-        the half-window (m) above which the field is searched
-    nearest, lines, quads, geometry : the map, see ``linemap``
+        points of the first level where it is wide, alternations a level, what a squared metre away from the start
+        costs a point, and the half-window (m) up to which, down to a cell, lines are held
+    nearest, lines, geometry : the map, see ``linemap``
     """
     n = len(points)
     azimuths, nx, ny, extensions = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3])
-    stop_m, stop_rad, truncate_m2 = limits[2], limits[3], limits[4] * limits[4]
+    stop_m, stop_rad, truncate_m2, turns = limits[2], limits[3], limits[4] * limits[4], int(limits[6])
     pivot_x, pivot_y = points[:, 0].mean(), points[:, 1].mean()
     centred = np.empty((2, n))
     centred[0], centred[1] = points[:, 0] - pivot_x, points[:, 1] - pivot_y
@@ -487,27 +501,32 @@ def search(
     at = np.array([at_x, at_y, start[2], at_x, at_y])
     window = np.array([limits[0], limits[1], limits[7], truncate_m2, grid[4]])
 
-    evaluations, grids, converged = 0, 0, 0.0
+    evaluations, grids, converged, form = 0, 0, 0.0, np.zeros((5, 5))
     for level in range(MAX_LEVELS):
-        used = sample if level == 0 else centred
-        on_field = window[0] > limits[8]
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
-        for _ in range(int(limits[6])):
+        held = geometry[2] < window[0] <= limits[8]
+        used = sample if level == 0 and not held else centred
+        for turn in range(turns + extensions if held else 0):
+            _form(used, at, window, form, nearest, lines, geometry)
+            best = _least_of_form(form, window, azimuths, nx, ny)
+            i, j, a = best % nx, (best // nx) % ny, best // (nx * ny)
+            at[0] += i * step_x - window[0]
+            at[1] += j * step_y - window[0]
+            at[2] += a * step_rad - window[1]
+            evaluations += azimuths * nx * ny
+            grids += 1
+            if turn + 1 >= turns and 0 < i < nx - 1 and 0 < j < ny - 1 and 0 < a < azimuths - 1:
+                break
+        for _ in range(0 if held else turns):
             for _ in range(extensions + 1):
-                if on_field:
-                    i = _turn_on_field(used, at, window, azimuths, quads, geometry)
-                else:
-                    i = _turn_on_lines(used, at, window, azimuths, nearest, lines, geometry)
+                i = _turn_on_lines(used, at, window, azimuths, nearest, lines, geometry)
                 at[2] += i * step_rad - window[1]
                 evaluations += azimuths
                 grids += 1
                 if 0 < i < azimuths - 1:
                     break
             for _ in range(extensions + 1):
-                if on_field:
-                    ji = _shift_on_field(used, at, window, nx, ny, quads, geometry)
-                else:
-                    ji = _shift_on_lines(used, at, window, nx, ny, nearest, lines, geometry)
+                ji = _shift_on_lines(used, at, window, nx, ny, nearest, lines, geometry)
                 i, j = ji % nx, ji // nx
                 at[0] += i * step_x - window[0]
                 at[1] += j * step_y - window[0]

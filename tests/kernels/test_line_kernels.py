@@ -99,10 +99,7 @@ def test_nearest_is_the_nearest_occupied_cell_within_reach() -> None:
     np.testing.assert_array_equal(grown.nearest > 0, within)
     chosen = np.take_along_axis(d2, np.maximum(grown.nearest - 1, 0)[..., None].astype(int), axis=-1)[..., 0]
     np.testing.assert_array_equal(chosen[within], d2.min(axis=-1)[within])
-    for shift, (up, right) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):  # the quads hold the same, four times
-        held = grown.quads[: -1 or None, :-1] >> np.uint32(8 * shift) & np.uint32(255)
-        expected = np.minimum(d2.min(axis=-1), linemap_kernel.FAR)[up:, right:]
-        np.testing.assert_array_equal(held[: len(expected) - 1, : expected.shape[1] - 1], expected[:-1, :-1])
+    np.testing.assert_array_equal(grown.squares, np.minimum(d2.min(axis=-1), linemap_kernel.FAR))
 
 
 @given(shift=st.tuples(st.integers(-900, 900), st.integers(-900, 900)))
@@ -119,12 +116,8 @@ def test_map_grows_any_way_and_forgets_nothing(shift: tuple[int, int]) -> None:
     np.testing.assert_array_equal(grown.cells[1:n] + np.array(grown.origin_cells)[::-1], before[1])
 
 
-LINES_ALONE = 1e9
-"""A half-window in m above which the field is asked: no grid is that wide."""
-
-
 def arrays(line_map: LineMap) -> tuple[np.ndarray, ...]:
-    return line_map.nearest, line_map.lines, line_map.quads, line_map.geometry
+    return line_map.nearest, line_map.lines, line_map.geometry
 
 
 def furnished_map() -> tuple[LineMap, np.ndarray]:
@@ -163,7 +156,7 @@ def test_cost_is_its_twin() -> None:
 def test_search_is_its_twin(grid: tuple[int, ...], prior: float) -> None:
     line_map, points = furnished_map()
     start = np.array([3.06, 2.12, 1.1])
-    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, 1e9, 2, prior, LINES_ALONE])
+    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, 1e9, 2, prior, 0.0])
     found = linesearch.search(points, start, np.array([*grid, 1.0]), limits, *arrays(line_map))
 
     def cost(x: float, y: float, yaw: float) -> float:
@@ -182,7 +175,7 @@ def test_search_finds_the_pose_and_counts_its_work() -> None:
     line_map, points = furnished_map()
     x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
         points, np.array([3.2, 2.0, 1.2]), np.array([20.0, 10, 10, 3, 1]),
-        np.array([0.35, 0.35, 0.001, math.radians(0.02), 0.15, 120, 2, 0, 0.03]), *arrays(line_map),
+        np.array([0.35, 0.35, 0.001, math.radians(0.02), 0.15, 120, 2, 0, 0.0]), *arrays(line_map),
     )  # fmt: skip
     assert math.hypot(x - 3.0, y - 2.2) < 0.01
     assert abs(yaw - 1.0) < 0.005
@@ -203,7 +196,7 @@ def test_points_off_the_map_cost_the_truncation() -> None:
     line_map, points = furnished_map()
     found = linesearch.search(
         points, np.array([-500.0, 800.0, 0.0]), np.array([4.0, 3, 3, 1, 1]),
-        np.array([0.1, 0.1, 0.05, 0.05, 0.15, 120, 1, 0, 0.03]), *arrays(line_map),
+        np.array([0.1, 0.1, 0.05, 0.05, 0.15, 120, 1, 0, 0.0]), *arrays(line_map),
     )  # fmt: skip
     assert found[3] == pytest.approx(0.15**2)
     assert found[4] == 0.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import naive
 import numpy as np
 import pytest
@@ -10,7 +12,6 @@ from hypothesis import strategies as st
 from matches import GRIDS, Problem, differences, random_problem
 
 from mavnav.kernels import linesearch
-from mavnav.pose import Pose, transform_points
 
 HALF_WINDOWS_M = (0.35, 0.12, 0.05, 0.02, 0.008, 0.001)
 HALF_WINDOWS_RAD = (0.35, 0.05, 0.005, 0.0005)
@@ -35,10 +36,10 @@ def test_every_grid_has_the_same_minimum(seed: int, grid: int, half_m: float, ha
 @given(seed=st.integers(0, 2**32 - 1), grid=st.sampled_from(GRIDS))
 def test_whole_searches_are_identical(seed: int, grid: int) -> None:
     problem = random_problem(seed)
-    limits = np.array([0.35, 0.35, 0.001, 0.0004, 0.15, 120, 2, 0.01, 0.03])
+    limits = np.array([0.35, 0.35, 0.001, 0.0004, 0.15, 120, 2, 0.01, 0.051])
     pruned, exhaustive = (
         linesearch.search(
-            problem.points, problem.start, np.array([2.0 * grid, grid, grid, 3, prune]), limits, *problem.arrays
+            problem.points, problem.start, np.array([2.0 * grid, grid, grid, 3, prune]), limits, *problem.lines
         )
         for prune in (1.0, 0.0)
     )
@@ -75,23 +76,20 @@ def test_sums_over_turns_are_the_sums_by_points(seed: int, half_rad: float, azim
     np.testing.assert_allclose(sums, slow, atol=0.01 * linesearch.ROUNDING_M2)
 
 
-def test_the_field_is_its_twin() -> None:
-    """Interpolated squares of distances, right to the rounding of coordinates to 1/2048 of a cell."""
-    problem = random_problem(3)
-    cell_m = problem.line_map.cell_m
-    occupied = problem.line_map.cells[1 : problem.line_map.count] + np.array(problem.line_map.origin_cells)[::-1]
-    at, _ = problem.grid(0.1, 0.1, 0.0, pruned=False)
-    placed = transform_points(Pose(*at[:3]), problem.centred.T)
-    slow = naive.field_costs(placed, occupied, cell_m)
-    x, y = np.empty(len(placed), np.int32), np.empty(len(placed), np.int32)
-    for first in range(0, len(placed), linesearch.CHUNK):
-        linesearch._rotate_to_cells(problem.centred, at[2], cell_m, first, x, y)
-    right, up = (linesearch._to_cells(at[k], problem.line_map.geometry[k], cell_m) for k in range(2))
-    total = sum(
-        linesearch._field_part(x, y, first, right, up, problem.line_map.quads)
-        for first in range(0, len(placed), linesearch.CHUNK)
-    )
-    assert total / linesearch.ONE**2 == pytest.approx(sum(slow), rel=2e-3)
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), prior=st.sampled_from((0.0, 0.01)))
+def test_the_form_is_the_sum_by_points(seed: int, prior: float) -> None:
+    """Each point keeps the line of the middle, or stays truncated, however the scan is moved."""
+    problem = random_problem(seed)
+    at, window = problem.grid(0.05, 0.1, prior, pruned=True)
+    form = problem.form(at, window)
+    rng = np.random.default_rng(seed)
+    for turn, right, up in rng.uniform(-1, 1, (5, 3)) * (0.1, 0.05, 0.05):
+        motion = np.array((1.0, math.cos(turn) - 1.0, math.sin(turn), right, up))
+        value = motion @ (form + np.triu(form, 1).T) @ motion
+        slow = naive.held_cost(problem.centred.T, at[:3], (right, up, turn), problem.line_map, 0.15)
+        far2 = ((at[:2] - at[3:] + np.array((right, up))) ** 2).sum()
+        assert value == pytest.approx(slow + prior * len(problem.points) * far2, abs=linesearch.ROUNDING_M2)
 
 
 def test_ties_go_to_the_lowest_index() -> None:
@@ -100,7 +98,6 @@ def test_ties_go_to_the_lowest_index() -> None:
     far = Problem(problem.line_map, problem.points, problem.start + np.array([500.0, 0, 0]))
     for pruned in (True, False):
         at, window = far.grid(0.1, 0.1, 0.0, pruned=pruned)
-        assert linesearch._turn_on_field(far.centred, at, window, 7, *far.field) == 0
-        assert linesearch._shift_on_field(far.centred, at, window, 5, 5, *far.field) == 0
+        assert linesearch._least_of_form(far.form(at, window), window, 7, 5, 5) == 0
         assert linesearch._turn_on_lines(far.centred, at, window, 7, *far.lines) == 0
         assert linesearch._shift_on_lines(far.centred, at, window, 5, 5, *far.lines) == 0
