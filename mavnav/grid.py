@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import floor
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
 from mavnav.kernels import raycast
+from mavnav.kernels.points import extent
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
@@ -28,20 +30,20 @@ FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 
 
 def covering(
-    low: NDArray[np.int64], high: NDArray[np.int64], shape: tuple[int, int], origin: NDArray[np.int64], block: int
-) -> tuple[NDArray[np.int64], tuple[int, int]] | None:
+    low: tuple[int, int], high: tuple[int, int], shape: tuple[int, int], origin: tuple[int, int], block: int
+) -> tuple[tuple[int, int], tuple[int, int]] | None:
     """Find the lattice of whole blocks that covers cells ``low`` to ``high`` (col, row) and the present one.
 
     Returns the new origin (col, row) and shape (rows, cols), or None where the present lattice covers all.
     """
-    end = origin + shape[::-1]
-    if shape[0] and (low >= origin).all() and (high < end).all():
-        return None
+    end = (origin[0] + shape[1], origin[1] + shape[0])
     if shape[0]:
-        low, high = np.minimum(low, origin), np.maximum(high, end - 1)
-    low = np.floor_divide(low, block) * block
-    high = (np.floor_divide(high, block) + 1) * block
-    return low, (int(high[1] - low[1]), int(high[0] - low[0]))
+        if low[0] >= origin[0] and low[1] >= origin[1] and high[0] < end[0] and high[1] < end[1]:
+            return None
+        low = (min(low[0], origin[0]), min(low[1], origin[1]))
+        high = (max(high[0], end[0] - 1), max(high[1], end[1] - 1))
+    low = (low[0] // block * block, low[1] // block * block)
+    return low, ((high[1] // block + 1) * block - low[1], (high[0] // block + 1) * block - low[0])
 
 
 @dataclass(slots=True)
@@ -68,10 +70,10 @@ class Grid:
         """Count the end points (n, 2) of one scan, in m, and the cells that its beams crossed."""
         if len(xy_map_m) == 0:
             return
-        corners = np.vstack((xy_map_m, [laser.x_m, laser.y_m])) / self.cell_m
-        self._cover(
-            np.floor(corners.min(axis=0)).astype(np.int64) - 1, np.floor(corners.max(axis=0)).astype(np.int64) + 1
-        )
+        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m)).tolist()
+        low = (floor(min(x0, laser.x_m) / self.cell_m) - 1, floor(min(y0, laser.y_m) / self.cell_m) - 1)
+        high = (floor(max(x1, laser.x_m) / self.cell_m) + 1, floor(max(y1, laser.y_m) / self.cell_m) + 1)
+        self._cover(low, high)
         hits_kernel.add_scan(xy_map_m, laser.as_array()[:2], self.lattice, self.hits, self.passes)
 
     @timed("virtual scan")
@@ -95,15 +97,15 @@ class Grid:
                 "or the cells are too small; see the ranges with 'mavnav info', or --set ...cell_mm"
             )
 
-    def _cover(self, low: NDArray[np.int64], high: NDArray[np.int64]) -> None:
+    def _cover(self, low: tuple[int, int], high: tuple[int, int]) -> None:
         """Grow until cells ``low`` to ``high`` (col, row) lie inside."""
-        origin = np.round(np.array(self.origin_xy_m) / self.cell_m).astype(np.int64)
+        origin = (round(self.origin_xy_m[0] / self.cell_m), round(self.origin_xy_m[1] / self.cell_m))
         grown = covering(low, high, self.hits.shape, origin, _BLOCK_CELLS)
         if grown is None:
             return
         new_origin, shape = grown
         self._check_size(shape)
-        (dc, dr), (rows, cols) = origin - new_origin, self.hits.shape
+        (dc, dr), (rows, cols) = (origin[0] - new_origin[0], origin[1] - new_origin[1]), self.hits.shape
         for name in ("hits", "passes"):
             array = np.zeros(shape, np.int32)
             if rows:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import floor
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mavnav.grid import covering
 from mavnav.kernels.linemap import FAR, REACH_CELLS, insert_points
+from mavnav.kernels.points import extent
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
@@ -65,21 +67,23 @@ class LineMap:
 
     def _cover(self, xy_map_m: NDArray[np.float64]) -> None:
         """Grow the lattice until the points and the reach around them lie inside."""
-        low = np.floor(xy_map_m.min(axis=0) / self.cell_m).astype(np.int64) - REACH_CELLS - 2
-        high = np.floor(xy_map_m.max(axis=0) / self.cell_m).astype(np.int64) + REACH_CELLS + 2
-        origin = np.array(self.origin_cells, np.int64)
+        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m)).tolist()
+        beyond = REACH_CELLS + 2
+        low = (floor(x0 / self.cell_m) - beyond, floor(y0 / self.cell_m) - beyond)
+        high = (floor(x1 / self.cell_m) + beyond, floor(y1 / self.cell_m) + beyond)
+        origin = self.origin_cells
         grown = covering(low, high, self.nearest.shape, origin, _BLOCK_CELLS)
         if grown is None:
             return
         new_origin, shape = grown
-        (dc, dr), (rows, cols) = origin - new_origin, self.nearest.shape
+        (dc, dr), (rows, cols) = (origin[0] - new_origin[0], origin[1] - new_origin[1]), self.nearest.shape
         nearest, squares = np.zeros(shape, np.int32), np.full(shape, FAR, np.uint8)
         if rows:
             nearest[dr : dr + rows, dc : dc + cols] = self.nearest
             squares[dr : dr + rows, dc : dc + cols] = self.squares
             self.cells[1 : self.count] += np.array([dr, dc], np.int32)
         self.nearest, self.squares = nearest, squares
-        self.origin_cells = (int(new_origin[0]), int(new_origin[1]))
+        self.origin_cells = new_origin
 
     def _reserve(self, needed: int) -> None:
         """Make room for ``needed`` cells, doubling so that the cost a cell stays constant."""

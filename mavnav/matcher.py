@@ -179,4 +179,6 @@ def search_lines(
 
 def with_effort(best: Match, *tried: Match) -> Match:
     """Charge a match with the effort of all that were tried for it."""
+    if len(tried) == 1 and tried[0] is best:
+        return best
     return replace(best, evaluations=sum(m.evaluations for m in tried), iterations=sum(m.iterations for m in tried))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -72,9 +73,12 @@ class Method(Protocol):
         """Match the scan as recorded against the finished map, close to an earlier match."""
 
 
+@lru_cache(maxsize=8)
 def _directions(spec: LaserSpec) -> NDArray[np.float64]:
     angles = spec.angles_rad
-    return np.column_stack((np.cos(angles), np.sin(angles)))
+    directions = np.column_stack((np.cos(angles), np.sin(angles)))
+    directions.flags.writeable = False
+    return directions
 
 
 def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:

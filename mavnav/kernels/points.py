@@ -76,3 +76,13 @@ def voxel_means(points: NDArray[np.float64], voxel_m: float) -> NDArray[np.float
         out[m, 0], out[m, 1] = x / (k - first), y / (k - first)
         m += 1
     return out[:m].copy()
+
+
+@kernel(float64[::1](_F2))
+def extent(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return least x, least y, largest x and largest y of points (n, 2), n > 0; shape (4,)."""
+    low_x, low_y = high_x, high_y = points[0, 0], points[0, 1]
+    for k in range(1, len(points)):
+        low_x, high_x = min(low_x, points[k, 0]), max(high_x, points[k, 0])
+        low_y, high_y = min(low_y, points[k, 1]), max(high_y, points[k, 1])
+    return np.array([low_x, low_y, high_x, high_y])
