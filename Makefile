@@ -47,6 +47,8 @@ types: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m pytest benchmarks --benchmark-only
+	$(BIN)/python benchmarks/replays.py
+	$(BIN)/python benchmarks/exactness.py
 
 samples: $(VENV)/.dev
 	MAVNAV_UPDATE_SAMPLES=1 $(BIN)/python -m pytest tests/test_sample_logs.py -k makes_it_again

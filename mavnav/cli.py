@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from mavnav.commands import batch, check, compare, config, convert, info, metrics, replay, signals, simulate
+from mavnav.commands import batch, check, compare, config, convert, info, metrics, replay, signals, simulate, warmup
 from mavnav.commands.terminal import emit, note
 from mavnav.errors import ExitCode, MavnavError
 
@@ -59,6 +59,7 @@ app.command(epilog=metrics.EPILOG)(metrics.metrics)
 app.command(epilog=simulate.EPILOG)(simulate.simulate)
 app.command(epilog=info.EPILOG)(info.info)
 app.command(epilog=convert.EPILOG)(convert.convert)
+app.command(epilog=warmup.EPILOG)(warmup.warmup)
 app.add_typer(config.app, name="config")
 
 

@@ -116,6 +116,12 @@ def voxel_means(points, voxel_m):
     return np.array([np.mean(members, axis=0) for members in voxels.values()]).reshape(-1, 2)
 
 
+def extent(points):
+    """Least and largest coordinates: x, y, x, y."""
+    xs, ys = [x for x, _ in points], [y for _, y in points]
+    return min(xs), min(ys), max(xs), max(ys)
+
+
 # ---- linemap, linesearch -------------------------------------------------------------------------------------------
 
 

@@ -74,7 +74,7 @@ ALLOWED: dict[str, set[str]] = {
     "cells": GROUND | {"", "jobs", "logs", "outputs", "references", "replay"},
     "batch": GROUND | RUNS | {"layers"},
     "compare": GROUND | RUNS | {"flight", "simulate", "world"},
-    "commands": GROUND | RUNS | {"batch", "compare", "evaluate", "metrics", "simulate", "world"} | CORE,
+    "commands": GROUND | RUNS | {"batch", "compare", "evaluate", "kernels", "metrics", "simulate", "world"} | CORE,
     "cli": {"", "commands", "errors"},
 }
 """Room -> rooms that it may import; "" is the package itself (its version)."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, types, void
+from numba import float64, int32, types, uint64, void
 
 from mavnav.kernels._jit import kernel
 
@@ -31,24 +31,28 @@ def add_scan(
     """
     ox, oy, cell = lattice
     u0, v0 = (laser_xy_m[0] - ox) / cell, (laser_xy_m[1] - oy) / cell
+    wide, flat = passes.shape[1], passes.ravel()
     for k in range(len(xy_map_m)):
         u1, v1 = (xy_map_m[k, 0] - ox) / cell, (xy_map_m[k, 1] - oy) / cell
         col, row = int(np.floor(u0)), int(np.floor(v0))
         end_col, end_row = int(np.floor(u1)), int(np.floor(v1))
         du, dv = u1 - u0, v1 - v0
-        step_col, step_row = (1 if du > 0 else -1), (1 if dv > 0 else -1)
+        step_col, step_row = (1 if du > 0 else -1), (wide if dv > 0 else -wide)
         # Share of the beam at which the next column and the next row begin.
         next_u = ((col + (du > 0)) - u0) / du if du != 0.0 else np.inf
         next_v = ((row + (dv > 0)) - v0) / dv if dv != 0.0 else np.inf
         each_u = abs(1.0 / du) if du != 0.0 else np.inf
         each_v = abs(1.0 / dv) if dv != 0.0 else np.inf
         # The number of steps is known beforehand: rounding can then neither overshoot the end nor miss it.
-        for _ in range(abs(end_col - col) + abs(end_row - row)):
-            passes[row, col] += 1
-            if (next_u < next_v and col != end_col) or row == end_row:
-                col += step_col
+        cols, rows, at = abs(end_col - col), abs(end_row - row), row * wide + col
+        for _ in range(cols + rows):
+            flat[uint64(at)] += 1
+            if (next_u < next_v and cols > 0) or rows == 0:
+                at += step_col
+                cols -= 1
                 next_u += each_u
             else:
-                row += step_row
+                at += step_row
+                rows -= 1
                 next_v += each_v
         hits[end_row, end_col] += 1

@@ -18,7 +18,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types, uint8, void
+from numba import float64, int32, int64, types, uint8, uint64, void
 
 from mavnav.kernels._jit import kernel
 
@@ -90,6 +90,7 @@ def insert_points(
     """
     ox, oy, cell, sigma, noise = geometry
     weight = _weights(cell, sigma)
+    wide, flat, flat_nearest = int64(squares.shape[1]), squares.ravel(), nearest.ravel()
     first, hit, n_hit = count, np.empty(len(xy_map_m), np.int64), 0
     added = np.zeros((len(xy_map_m), 6))  # moments of this scan, by the order in which its cells were hit
     for k in range(len(xy_map_m)):
@@ -106,21 +107,22 @@ def insert_points(
             hit[n_hit] = slot
             n_hit += 1
             lines[slot, 6] = n_hit
-        at = int64(lines[slot, 6]) - 1
-        added[at, 0] += 1.0
-        added[at, 1] += x
-        added[at, 2] += y
-        added[at, 3] += x * x
-        added[at, 4] += x * y
-        added[at, 5] += y * y
+        into = added[int64(lines[slot, 6]) - 1]
+        into[0] += 1.0
+        into[1] += x
+        into[2] += y
+        into[3] += x * x
+        into[4] += x * y
+        into[5] += y * y
 
     # A new cell starts from what its neighbours held before this scan.
     for slot in range(first, count):
         row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
         for i in range(2 * WINDOW_CELLS + 1):
             for j in range(2 * WINDOW_CELLS + 1):
-                if squares[row + i, col + j] == 0:
-                    other = int64(nearest[row + i, col + j])
+                at = uint64((row + i) * wide + col + j)
+                if flat[at] == 0:
+                    other = int64(flat_nearest[at])
                     for m in range(6):
                         moments[slot, 6 + m] += weight[i, j] * moments[other, m]
 
@@ -133,8 +135,9 @@ def insert_points(
         row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
         for i in range(2 * WINDOW_CELLS + 1):
             for j in range(2 * WINDOW_CELLS + 1):
-                if squares[row + i, col + j] == 0:
-                    other = int64(nearest[row + i, col + j])
+                at = uint64((row + i) * wide + col + j)
+                if flat[at] == 0:
+                    other = int64(flat_nearest[at])
                     for m in range(6):
                         moments[other, 6 + m] += weight[i, j] * added[k, m]
                     if lines[other, 7] == 0.0:

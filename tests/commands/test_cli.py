@@ -25,6 +25,14 @@ def test_version_names_the_libraries(mavnav: Callable) -> None:
     assert all(f"{name} " in out for name in cli.LIBRARIES)
 
 
+def test_warmup_leaves_no_kernel_out(mavnav: Callable) -> None:
+    code, out, _ = mavnav("warmup")
+    files = [path for path in (Path(cli.__file__).parent / "kernels").glob("*.py") if path.stem != "__init__"]
+    assert code == 0
+    assert out.startswith(f"{len(files)} files of kernels are ready, in ")
+    assert {f"mavnav.kernels.{path.stem}" for path in files} <= sys.modules.keys()
+
+
 def test_without_arguments_it_shows_its_help(spawn: Callable) -> None:
     process = spawn()
     out, err = process.communicate(timeout=30)

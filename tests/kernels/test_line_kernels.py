@@ -13,7 +13,7 @@ from synthetic import URG_04LX, furnished_rooms, scan_at
 
 from mavnav.kernels import linemap as linemap_kernel
 from mavnav.kernels import linesearch
-from mavnav.kernels.points import scan_points, voxel_means
+from mavnav.kernels.points import extent, scan_points, voxel_means
 from mavnav.linemap import LineMap
 from mavnav.pose import Pose, transform_points
 
@@ -129,6 +129,12 @@ def furnished_map() -> tuple[LineMap, np.ndarray]:
         line_map.insert(transform_points(here, scan.points()))
     seen = scan_at(furnished_rooms(), here, noise=0.01, rng=rng).points()
     return line_map, voxel_means(np.ascontiguousarray(seen[::12]), 0.03)
+
+
+def test_extent_is_its_twin() -> None:
+    points = np.random.default_rng(4).normal(0, 5, (50, 2))
+    assert tuple(extent(points)) == naive.extent(points)
+    assert tuple(extent(points[:1])) == naive.extent(points[:1])
 
 
 def test_cost_is_its_twin() -> None:

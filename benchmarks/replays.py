@@ -1,0 +1,125 @@
+"""How many scans a second of processor time does the whole program map, and how much memory does it take?
+
+    python benchmarks/replays.py [LOG ...] [--rounds N] [--output FILE.json]
+
+Each row is the command ``mavnav replay LOG`` with all its outputs, in a process of its own on one core. Start-up is
+the same command on the first scan alone, and is taken off: imports, kernels from the disk, the pictures' fonts. The
+least of the rounds counts, and the rows of a round alternate. A machine differs from another, and from itself: times are also
+told as multiples of a fixed piece of work done in the same run, and those are compared with the results kept in
+replays.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import tempfile
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).parent
+SAMPLE = HERE.parent / "sample_logs" / "corridor.mcap"
+KEPT = HERE / "replays.json"
+ROWS = {
+    "robust 20 / 10x10": [],
+    "robust 40 / 40x40": ["--grid", "40x40", "--azimuth", "40"],
+    "robust 20 / 10x10, exhaustive": ["--search", "exhaustive"],
+    "paper 20 / 10x10": ["--method", "paper"],
+}
+
+
+def run(log: Path, options: list[str], directory: str) -> tuple[float, float, dict[str, Any]]:
+    """Replay a log; returns processor time in s, peak memory in MB and the document of the run."""
+    command = [sys.executable, "-m", "mavnav", "replay", str(log), "--odom", "off", "-q", "--force", "-o", directory]
+    process = os.posix_spawn(
+        sys.executable,
+        [*command, *options],
+        {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        file_actions=[(os.POSIX_SPAWN_OPEN, fd, os.devnull, os.O_WRONLY, 0) for fd in (1, 2)],
+    )
+    _, status, usage = os.wait4(process, 0)
+    document = json.loads(Path(directory, "run.json").read_text())
+    if os.waitstatus_to_exitcode(status) not in (0, 3, 5):
+        sys.exit(f"{' '.join(command + options)} failed")
+    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024, document
+
+
+def reference_s() -> float:
+    """Do the fixed piece of work: sorting, rounding and adding numbers."""
+    values = np.random.default_rng(0).random(1_000_000)
+    began_s = process_time()
+    for _ in range(5):
+        np.bincount((np.sort(values) * 1000).astype(np.int64))
+    return process_time() - began_s
+
+
+def measured(logs: list[Path], rounds: int) -> dict[str, Any]:
+    """Measure all rows, alternating."""
+    cases = [(log, name) for log in logs for name in ROWS]
+    best: dict[tuple[str, str], dict[str, float]] = {}
+    references = []
+    with tempfile.TemporaryDirectory() as directory:
+        for _ in range(rounds):
+            references.append(reference_s())
+            for log, name in cases:
+                start_s, _, _ = run(log, [*ROWS[name], "--end", "0.001"], directory)
+                spent_s, memory_mb, document = run(log, ROWS[name], directory)
+                row = best.setdefault((log.name, name), {"cpu_s": np.inf, "start_s": np.inf})
+                row["cpu_s"], row["start_s"] = min(row["cpu_s"], spent_s), min(row["start_s"], start_s)
+                row["memory_mb"], row["scans"] = round(memory_mb), document["scans"]["processed"]
+                row["evaluations_per_scan"] = round(document["search"]["evaluations_per_scan"])
+    unit_s = min(references)
+    for row in best.values():
+        net_s = row["cpu_s"] - row["start_s"]
+        row["scans_per_cpu_s"] = round(row["scans"] / net_s)
+        row["units_per_1000_scans"] = round(net_s / unit_s / row["scans"] * 1000, 2)
+        row["cpu_s"], row["start_s"] = round(row["cpu_s"], 2), round(row["start_s"], 2)
+    machine = {"processor": processor(), "cores": os.cpu_count(), "python": platform.python_version()}
+    return {
+        "machine": machine,
+        "unit_s": round(unit_s, 4),
+        "rows": {f"{log}: {name}": r for (log, name), r in best.items()},
+    }
+
+
+def processor() -> str:
+    """Name the processor."""
+    path = Path("/proc/cpuinfo")
+    lines = path.read_text().splitlines() if path.exists() else []
+    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def table(now: dict[str, Any], before: dict[str, Any]) -> str:
+    """Write the rows, with how much the work of a scan has grown since the kept results."""
+    lines = [f"{'':45} scans/CPU-s  start-up s  MB  evaluations  against kept"]
+    for name, row in now["rows"].items():
+        kept = before.get("rows", {}).get(name)
+        ratio = f"{row['units_per_1000_scans'] / kept['units_per_1000_scans']:.2f}" if kept else "-"
+        lines.append(
+            f"{name:45} {row['scans_per_cpu_s']:11} {row['start_s']:11} {row['memory_mb']:4} "
+            f"{row['evaluations_per_scan']:11}  {ratio}"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure what the command line asks for, print the table and write the results where told."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("logs", nargs="*", type=Path, default=[SAMPLE])
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--output", type=Path)
+    args = parser.parse_args()
+    now = measured(args.logs, args.rounds)
+    print(table(now, json.loads(KEPT.read_text()) if KEPT.exists() else {}))
+    if args.output:
+        args.output.write_text(json.dumps(now, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
