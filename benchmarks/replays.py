@@ -4,9 +4,9 @@
 
 Each row is the command ``mavnav replay LOG`` with all its outputs, in a process of its own on one core. Start-up is
 the same command on the first scan alone, and is taken off: imports, kernels from the disk, the pictures' fonts. The
-least of the rounds counts, and the rows of a round alternate. A machine differs from another, and from itself: times are also
-told as multiples of a fixed piece of work done in the same run, and those are compared with the results kept in
-replays.json.
+least of the rounds counts, and the rows of a round alternate. A machine differs from another, and from itself: times
+are also told as multiples of a fixed piece of work done in the same run, and those are compared with the results kept
+in replays.json.
 """
 
 from __future__ import annotations
