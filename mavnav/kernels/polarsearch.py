@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int64, types
+from numba import float64, int64, types, uint64, void
 
 from mavnav.kernels._jit import kernel
 
@@ -18,18 +18,87 @@ _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 
 
-@kernel(float64(float64, float64, float64, float64))
-def _angle_between(px: float, py: float, qx: float, qy: float) -> float:
-    """Angle from p to q in rad: for small ones, as between neighbouring poses, a series good to 1e-11."""
-    cross, dot = px * qy - py * qx, px * qx + py * qy
-    if abs(cross) >= 0.2 * dot:
-        return float(np.arctan2(cross, dot))
-    t = cross / dot
-    u = t * t
-    return t * (1.0 - u * (1 / 3 - u * (1 / 5 - u * (1 / 7 - u * (1 / 9 - u * (1 / 11 - u * (1 / 13)))))))
+@kernel(types.boolean(_F2, _F1, _F1, float64[::1], float64[::1]))
+def _see(
+    points: NDArray[np.float64],
+    motion: NDArray[np.float64],
+    limits: NDArray[np.float64],
+    r: NDArray[np.float64],
+    beam: NDArray[np.float64],
+) -> bool:
+    """Write range and beam number of the moved points; False where one turns too far for the series.
+
+    Between neighbouring poses a point's bearing changes little: a series of the tangent is then good to 1e-11. Without
+    branches the loop works on four points at a time.
+    """
+    c, s, x, y, yaw = motion
+    per_step, turn = 1.0 / limits[1], 2.0 * np.pi / abs(limits[1])
+    per_turn, first, wide = 1.0 / turn, limits[0], 0
+    from_x, from_y, bearing = points[0], points[1], points[4]
+    for k in range(len(r)):
+        px, py = c * from_x[k] - s * from_y[k], s * from_x[k] + c * from_y[k]
+        qx, qy = px + x, py + y
+        r[k] = np.sqrt(qx * qx + qy * qy)
+        cross, dot = px * qy - py * qx, px * qx + py * qy
+        t = cross / dot
+        u = t * t
+        wide += (u >= 0.04) | (dot <= 0.0)
+        between = t * (1.0 - u * (1 / 3 - u * (1 / 5 - u * (1 / 7 - u * (1 / 9 - u * (1 / 11 - u * (1 / 13)))))))
+        at = (bearing[k] + yaw + between - first) * per_step
+        beam[k] = at - turn * np.floor(at * per_turn)
+    return bool(wide == 0)
 
 
-@kernel(types.UniTuple(float64, 2)(_F1, _F2, float64, float64, float64, _F1, float64[::1]))
+@kernel(void(_F2, _F1, _F1, float64[::1]))
+def _see_far(
+    points: NDArray[np.float64], motion: NDArray[np.float64], limits: NDArray[np.float64], beam: NDArray[np.float64]
+) -> None:
+    """Write the beam numbers of points some of which turn far."""
+    c, s, x, y, yaw = motion
+    per_step, turn = 1.0 / limits[1], 2.0 * np.pi / abs(limits[1])
+    for k in range(len(beam)):
+        px, py = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
+        qx, qy = px + x, py + y
+        between = np.arctan2(px * qy - py * qx, px * qx + py * qy)
+        at = (points[4, k] + yaw + between - limits[0]) * per_step
+        beam[k] = at - turn * np.floor(at * (1.0 / turn))
+
+
+@kernel(void(_F2, float64[::1], float64[::1], float64, float64, float64[::1]))
+def _lay(
+    points: NDArray[np.float64],
+    r: NDArray[np.float64],
+    beam: NDArray[np.float64],
+    turn: float,
+    edge: float,
+    seen: NDArray[np.float64],
+) -> None:
+    """Write what each virtual beam sees of the moved points: nearer surfaces hide farther ones.
+
+    Only between neighbouring beams of one surface, where it turns its front to the virtual laser (step iv).
+    """
+    seen[:] = np.inf
+    beams = len(seen)
+    for k in range(1, len(r)):
+        if points[2, k] != points[2, k - 1] + 1.0 or abs(points[3, k] - points[3, k - 1]) >= edge:
+            continue
+        start, ahead = beam[k - 1], beam[k] - beam[k - 1]
+        if ahead < -0.5 * turn:
+            ahead += turn
+        if not 0.0 < ahead < 0.25 * turn:
+            continue
+        slope = (r[k] - r[k - 1]) / ahead
+        for _ in range(2):
+            j = max(int64(np.ceil(start)), 0)
+            while j <= start + ahead and j < beams:
+                seen[uint64(j)] = min(seen[uint64(j)], r[k - 1] + (j - start) * slope)
+                j += 1
+            if start + ahead < turn:
+                break
+            start -= turn  # a segment across the seam goes on at beam 0
+
+
+@kernel(types.UniTuple(float64, 2)(_F1, _F2, float64, float64, float64, _F1, float64[:, ::1]))
 def polar_cost(
     virtual: NDArray[np.float64],
     points: NDArray[np.float64],
@@ -37,61 +106,35 @@ def polar_cost(
     y: float,
     yaw: float,
     limits: NDArray[np.float64],
-    seen: NDArray[np.float64],
+    scratch: NDArray[np.float64],
 ) -> tuple[float, float]:
     """Mean squared radius difference (m2) between virtual and roto-translated scan, and the number of beams in it.
 
     Parameters
     ----------
     virtual : (beams,) ranges of the virtual scan, m, NaN where it saw no cell
-    points : (n, 5) the scan's good points in beam order: x, y (m), beam number, its range (m) and bearing (rad)
+    points : (5, n) the scan's good points in beam order: x, y (m), beam number, its range (m) and bearing (rad)
     x, y, yaw : proposed motion from the virtual scan's pose, m, rad
     limits : (7,) bearing of beam 0 and bearing step (rad); near, far, occlusion threshold, range jump between
         surfaces (m); least number of beams
-    seen : (beams,) scratch, the roto-translated scan at the virtual bearings
+    scratch : (3, beams or more) for the roto-translated scan
 
     The cost is inf where fewer beams than the least number contribute.
     """
-    beams = len(virtual)
-    first, step, near, far, occlusion, edge, least = limits
-    c, s = np.cos(yaw), np.sin(yaw)
-    seen[:] = np.inf
-    last_angle, last_r, last_beam = 0.0, 0.0, -2.0
-    turn = 2.0 * np.pi / abs(step)
-    per_step, per_turn = 1.0 / step, 1.0 / turn
-    for k in range(len(points)):
-        # Cost function, step iii
-        px = c * points[k, 0] - s * points[k, 1]
-        py = s * points[k, 0] + c * points[k, 1]
-        qx, qy = px + x, py + y
-        r = np.sqrt(qx * qx + qy * qy)
-        angle = (points[k, 4] + yaw + _angle_between(px, py, qx, qy) - first) * per_step
-        angle -= turn * np.floor(angle * per_turn)
-        # Step iv: between neighbouring beams of one surface, where it turns its front to the virtual laser.
-        if points[k, 2] == last_beam + 1.0:
-            ahead = angle - last_angle
-            if ahead < -0.5 * turn:
-                ahead += turn
-            if 0.0 < ahead < 0.25 * turn and abs(points[k, 3] - points[k - 1, 3]) < edge:
-                start = last_angle
-                for _ in range(2):
-                    j = max(int64(np.ceil(start)), 0)
-                    while j <= start + ahead and j < beams:
-                        # Of two surfaces in one direction the nearer hides the other.
-                        seen[j] = min(seen[j], last_r + (j - start) / ahead * (r - last_r))
-                        j += 1
-                    if start + ahead < turn:
-                        break
-                    start -= turn  # a segment across the seam goes on at beam 0
-        last_angle, last_r, last_beam = angle, r, points[k, 2]
+    n, beams = points.shape[1], len(virtual)
+    near, far, occlusion, least = limits[2], limits[3], limits[4], limits[6]
+    r, beam, seen = scratch[0, :n], scratch[1, :n], scratch[2, :beams]
+    motion = np.array([np.cos(yaw), np.sin(yaw), x, y, yaw])
+    # Cost function, step iii
+    if not _see(points, motion, limits, r, beam):
+        _see_far(points, motion, limits, beam)
+    # Step iv
+    _lay(points, r, beam, 2.0 * np.pi / abs(limits[1]), limits[5], seen)
     total, used = 0.0, 0
     for j in range(beams):
-        # Step ix: empty cells match nothing. Step vi: too close or too far.
-        if not near < virtual[j] < far or not near < seen[j] < far:
-            continue
-        # Steps v and viii
+        # Step ix: empty cells match nothing. Step vi: too close or too far. Steps v and viii
         d = seen[j] - virtual[j]
-        if abs(d) < occlusion:
+        if (near < virtual[j]) & (virtual[j] < far) & (near < seen[j]) & (seen[j] < far) & (abs(d) < occlusion):
             total += d * d
             used += 1
     # Steps x and xi
@@ -112,7 +155,8 @@ def search(
 
     Parameters
     ----------
-    virtual, points, limits : as for ``polar_cost``
+    virtual, limits : as for ``polar_cost``
+    points : (n, 5), the columns of ``polar_cost``'s as rows
     grid : (4,) points of the azimuth grid, of the plane in x and in y, border extensions at most
     schedule : (6,) half-window in the plane (m) and in azimuth (rad), shrink factor, 1 to leave no gaps between grids,
         spacings to stop at (m, rad)
@@ -122,7 +166,8 @@ def search(
     """
     azimuths, nx, ny, extensions = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3])
     half_m, half_rad, shrink, covered, stop_m, stop_rad = schedule
-    seen = np.empty(len(virtual))
+    scratch = np.empty((3, max(len(virtual), len(points))))
+    columns = np.ascontiguousarray(points.T)
     # Turning about the points' centroid keeps the two searches from undoing each other.
     pivot_x, pivot_y = points[:, 0].mean(), points[:, 1].mean()
     x, y, yaw = pivot_x, pivot_y, 0.0
@@ -137,7 +182,7 @@ def search(
                 a = centre - half_rad + i * step_rad
                 c, s = np.cos(a), np.sin(a)
                 to_x, to_y = x - c * pivot_x + s * pivot_y, y - s * pivot_x - c * pivot_y
-                cost, n = polar_cost(virtual, points, to_x, to_y, a, limits, seen)
+                cost, n = polar_cost(virtual, columns, to_x, to_y, a, limits, scratch)
                 if cost < best:
                     best, used, best_i = cost, n, i
             evaluations += azimuths
@@ -155,7 +200,7 @@ def search(
                 for i in range(nx):
                     u = -1.0 + 2.0 * i / (nx - 1)
                     dx, dy = half_m * u * np.sqrt(1.0 - 0.5 * v * v), half_m * v * np.sqrt(1.0 - 0.5 * u * u)
-                    cost, n = polar_cost(virtual, points, to_x + dx, to_y + dy, yaw, limits, seen)
+                    cost, n = polar_cost(virtual, columns, to_x + dx, to_y + dy, yaw, limits, scratch)
                     if cost < best:
                         best, used, best_i, best_j = cost, n, i, j
                         x, y = x0 + dx, y0 + dy

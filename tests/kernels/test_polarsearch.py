@@ -32,8 +32,9 @@ def test_cost_is_its_twin(spec: LaserSpec, seed: int) -> None:
     scan = scan_at(furnished_rooms(), Pose(3.1, 2.3, rng.uniform(-3, 3)), spec, noise=0.02, rng=rng)
     points = polar_points(scan.ranges_m, spec, 0.1)
     limits = np.array([spec.angle_min_rad, spec.angle_step_rad, 0.1, 5.0, 0.3, 0.1, 8.0])
-    move = rng.uniform(-0.2, 0.2, 3)
-    fast = polarsearch.polar_cost(virtual, points, *move, limits, np.empty(spec.beams))
+    move = rng.uniform(-0.2, 0.2, 3) * rng.choice((1.0, 10.0))  # the farther one is beyond the series
+    columns = np.ascontiguousarray(points.T)
+    fast = polarsearch.polar_cost(virtual, columns, *move, limits, np.empty((3, spec.beams)))
     slow = naive.polar_cost(virtual, points, *move, limits)
     assert fast[1] == slow[1]
     assert fast[0] == pytest.approx(slow[0], rel=1e-9)
