@@ -73,7 +73,7 @@ def measured(logs: list[Path], rounds: int) -> dict[str, Any]:
                 row = best.setdefault((log.name, name), {"cpu_s": np.inf, "start_s": np.inf})
                 row["cpu_s"], row["start_s"] = min(row["cpu_s"], spent_s), min(row["start_s"], start_s)
                 row["memory_mb"], row["scans"] = round(memory_mb), document["scans"]["processed"]
-                row["evaluations_per_scan"] = round(document["search"]["evaluations_per_scan"])
+                row["evaluations_per_scan"] = round(document["search"]["evaluations_per_scan"]["mean"])
     unit_s = min(references)
     for row in best.values():
         net_s = row["cpu_s"] - row["start_s"]
