@@ -19,7 +19,7 @@ from mavnav.linemap import LineMap
 from mavnav.matcher import search_lines
 from mavnav.pose import Pose, Trajectory, blend, transform_points, wrap_angle
 from mavnav.pose_graph import Edge, optimised
-from mavnav.relocalise import apart, around, candidates, judged, unrivalled
+from mavnav.relocalise import apart, around, candidates, firmness, judged, unrivalled
 from mavnav.stages import timed
 from mavnav.units import DEG, MM
 
@@ -57,8 +57,14 @@ MOST_CONFLICTS = 0.05
 CLEAR_BY = 0.15
 """A closure is ambiguous if another place within the drift ranks nearer than this (``disagreement``)."""
 
-PART_M = 3.0
-"""A closure is measured against what was seen within so much way of where it lies, because that is rigid."""
+PLACE_M = 0.1
+"""Two key frames saw the same where their points lie in the same square of this edge."""
+
+PART_M = 1.0
+"""A closure is measured against what was seen within so much way of its witness, because that is rigid."""
+
+LEAST_FIRMNESS = 0.03
+"""A closure is loose if it can be moved at less cost (``relocalise.firmness``): along a corridor it says nothing."""
 
 WITNESS_M = 10.0
 """Closures testify on each other if the ways between them are no longer."""
@@ -253,7 +259,7 @@ def fits(match: Match) -> bool:
 def measured(keys: Sequence[KeyFrame], j: int, match: Match, config: Config) -> Closure | None:
     """Measure key frame ``j`` against what was seen about that place; None where that speaks against it."""
     old = [k for k, key in enumerate(keys) if key.way_m < keys[j].way_m - LOOP_M]
-    i = min(old, key=lambda k: keys[k].map_T_laser.between(match.map_T_laser).distance_m)
+    i = witness(keys, old, replace(keys[j], map_T_laser=match.map_T_laser))
     part = Part(config)
     part.grow([keys[k] for k in old if abs(keys[k].way_m - keys[i].way_m) <= PART_M], len(old))
     window = (config.robust.truncate_mm * MM, DRIFT_RAD[0])
@@ -261,7 +267,22 @@ def measured(keys: Sequence[KeyFrame], j: int, match: Match, config: Config) -> 
     fine = judged(fine, keys[j].points, part.grid)
     if apart(match.map_T_laser, fine.map_T_laser) or not fits(fine):
         return None
+    if firmness(keys[j].points, fine.map_T_laser, part.lines, config) < LEAST_FIRMNESS:
+        return None
     return Closure(i, j, keys[i].map_T_laser.between(fine.map_T_laser), fine)
+
+
+def witness(keys: Sequence[KeyFrame], old: Sequence[int], key: KeyFrame) -> int:
+    """Return the old key frame that saw most of what a key frame saw, by its own pose: one nearer by may lie askew."""
+    seen = places(key)
+    common = {k: np.count_nonzero(np.isin(seen, places(keys[k]), assume_unique=True)) for k in old}
+    return max(old, key=lambda k: (common[k], -keys[k].map_T_laser.between(key.map_T_laser).distance_m))
+
+
+def places(key: KeyFrame) -> NDArray[np.complex128]:
+    """Return the squares of the plane that hold points of a key frame, each by its corner in the complex plane."""
+    xy = np.floor(transform_points(key.map_T_laser, key.points) / PLACE_M)
+    return np.unique(xy[:, 0] + 1j * xy[:, 1])
 
 
 def agreeing(closures: Sequence[Closure], keys: Sequence[KeyFrame]) -> list[Closure]:

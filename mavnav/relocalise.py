@@ -127,6 +127,18 @@ def unrivalled(found: list[Match], clear_by: float, config: Config) -> Match | N
     return best if clear else None
 
 
+def firmness(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, config: Config) -> float:
+    """Tell by how much the cost of a place grows, as a share of the worst, ``SEPARATE_M`` away in the best direction.
+
+    It is nearly 0 where walls on both sides leave open how far along them the laser is.
+    """
+    angles, truncate_m = np.arange(8) * (pi / 4), config.robust.truncate_mm * MM
+    steps = SEPARATE_M * np.column_stack((np.cos(angles), np.sin(angles)))
+    xy_m, yaw_rad = np.vstack(([(0.0, 0.0)], steps)) + map_T_laser.as_array()[:2], np.array([map_T_laser.yaw_rad])
+    costs = volume(points, xy_m, yaw_rad, truncate_m, line_map.nearest, line_map.lines, line_map.geometry)[0]
+    return float(costs[1:].min() - costs[0]) / truncate_m**2
+
+
 def surprise(expected: Pose, pose: Pose, elapsed_s: float) -> float:
     """Square how far a pose is from the expected one, in what accelerations of vehicles and hands reach meanwhile."""
     off, half_t2 = expected.between(pose), 0.5 * elapsed_s**2

@@ -14,7 +14,7 @@ from synthetic import DEG, Segments, along, box, polyline, scan_at
 from mavnav import redrawing, slam
 from mavnav.config import Config
 from mavnav.kernels.points import voxel_means
-from mavnav.loop_closure import LOOP_M, Loop, Loops, close_loops, drift_bound, key_rows
+from mavnav.loop_closure import LOOP_M, KeyFrame, Loop, Loops, close_loops, drift_bound, key_rows, witness
 from mavnav.matcher import first_match
 from mavnav.methods import Robust
 from mavnav.motion import Motion
@@ -193,6 +193,14 @@ def test_key_frames_follow_way_and_turning() -> None:
     rows, ways_m = key_rows(moving)
     assert rows == [0, 2, 4, 6, 8]
     np.testing.assert_allclose(ways_m, [0, 0.4, 0.8, 1.2, 1.6])
+
+
+def test_the_witness_saw_the_same_walls_even_from_farther_away() -> None:
+    wall = np.column_stack((np.linspace(3.0, 5.0, 30), np.full(30, 1.0)))
+    other = wall + np.array([0.0, 3.0])
+    seen = [(Pose(-1.0, 0.0, 0.0), wall), (Pose(0.1, 0.0, 0.0), other), (Pose(-2.0, 0.0, 0.0), wall)]
+    keys = [KeyFrame(k, float(k), xy_m - (pose.x_m, pose.y_m), pose) for k, (pose, xy_m) in enumerate(seen)]
+    assert witness(keys, [0, 1, 2], KeyFrame(9, 30.0, wall, Pose())) == 0
 
 
 def test_the_bound_of_the_drift_grows_and_ends() -> None:

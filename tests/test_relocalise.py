@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from synthetic import TOUR, along, furnished_rooms, record, room, scan_at
+from synthetic import TOUR, along, furnished_rooms, polyline, record, room, scan_at
 
 from mavnav import slam
 from mavnav.config import Config
@@ -12,7 +12,7 @@ from mavnav.matcher import Match, no_match
 from mavnav.methods import Robust
 from mavnav.motion import Motion
 from mavnav.pose import Pose
-from mavnav.relocalise import apart, minima, surprise, within_reach
+from mavnav.relocalise import apart, firmness, minima, surprise, within_reach
 from mavnav.scan import Scan
 
 PERIOD_NS = 100_000_000
@@ -79,6 +79,15 @@ def test_surprise_is_measured_in_accelerations() -> None:
     assert surprise(Pose(), Pose(), 0.1) == 0.0
     assert surprise(Pose(), Pose(0.6, 0.0, 0.0), 0.1) > 10
     assert surprise(Pose(), Pose(0.6, 0.0, 0.0), 0.5) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("walls", "firm"), [(room(4.0, 3.0), True), (polyline((-20, 0), (20, 0)), False)])
+def test_a_place_is_firm_where_walls_hold_it_from_all_sides(walls: np.ndarray, firm: bool) -> None:
+    here = Pose(1.5, 1.2, 0.3)
+    method = mapped(walls, [here])
+    points = method.match_points(scan_at(walls, here))
+    least = firmness(points, here, method.lines, Config())
+    assert least > 0.2 if firm else least < 0.03
 
 
 # ---- the whole loop --------------------------------------------------------------------------------------------------
