@@ -68,11 +68,11 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A run in the table; ``times`` is its price as a multiple of the coarsest grid's, None where not known."""
+    """A run in the table; ``price`` its evaluations and time as multiples of the coarsest grid's, None if not known."""
 
     name: str
     fields: tuple[Shown, ...]
-    times: float | None
+    price: tuple[float | None, float | None]
     why_not: str
 
 
@@ -118,7 +118,7 @@ def table(entries: Sequence[Entry]) -> Table:
         Row(
             e.name,
             tuple(Shown(text(value_of(e, c), c.digits), k in best[c]) for c in columns),
-            times_the_coarsest(entries, e),
+            (times_the_coarsest(entries, e), times_the_coarsest(entries, e, "timing.cpu_s")),
             why_not_meaningful(e),
         )
         for k, e in enumerate(entries)
@@ -166,8 +166,9 @@ def coarsest(entries: Sequence[Entry], like: Entry) -> Entry:
     return min(same, key=fineness)
 
 
-def times_the_coarsest(entries: Sequence[Entry], entry: Entry) -> float | None:
-    """Return a run's evaluations a match as a multiple of those of the coarsest grid of its method."""
-    least = lookup(coarsest(entries, entry).document, "search.evaluations_per_scan.mean")
-    own = lookup(entry.document, "search.evaluations_per_scan.mean")
+def times_the_coarsest(
+    entries: Sequence[Entry], entry: Entry, key: str = "search.evaluations_per_scan.mean"
+) -> float | None:
+    """Return what a run took, its evaluations a match, as a multiple of what the coarsest grid of its method did."""
+    least, own = lookup(coarsest(entries, entry).document, key), lookup(entry.document, key)
     return None if not least or own is None else float(own / least)
