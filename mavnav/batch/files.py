@@ -1,4 +1,4 @@
-"""The files of a batch: batch.json, and a table for spreadsheets and for pandas."""
+"""The files of a batch: batch.json, a table for spreadsheets and for pandas, and a page."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import io
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.batch.baseline import figure
+from mavnav.batch.page import to_page
 from mavnav.errors import OutputError
 from mavnav.outputs import to_json
 from mavnav.staging import beside
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 BATCH_FILE: Final = "batch.json"
+PAGE_FILE: Final = "batch.html"
 
 FIGURES: Final = (
     "scans.processed",
@@ -41,6 +43,7 @@ def write_batch(document: dict[str, Any], directory: Path) -> None:
     """Write the files of a batch, each complete or not at all; raises OutputError."""
     for name, text in TEXTS.items():
         write_text(text(document), directory / name)
+    write_text(to_page(document, directory), directory / PAGE_FILE)
 
 
 def write_text(text: str, path: Path) -> None:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from base64 import b64encode
 from dataclasses import dataclass
-from hashlib import sha256
 from typing import TYPE_CHECKING, Any, Final
-
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 
 from mavnav import __version__
 from mavnav.errors import OutputError
+from mavnav.outputs.html import environment, inlined
 from mavnav.outputs.report import details, panels
 from mavnav.outputs.report.columns import Table, table
 from mavnav.outputs.report.entry import Entry, Failure, load
@@ -99,22 +95,14 @@ def _write_pictures(section: Section, folder: Path, number: str) -> None:
 
 
 def _page(comparison: dict[str, Any], sections: list[Section]) -> str:
-    environment = Environment(
-        loader=PackageLoader("mavnav.outputs.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    source, _, _ = environment.loader.get_source(environment, "report.css")  # type: ignore[union-attr]
-    style = Markup(source)  # noqa: S704  ours, nothing of a log is in it
+    templates = environment("mavnav.outputs.report")
+    style = inlined(templates, "report.css")
     most = min(MOST_PICTURE_BYTES, PICTURE_BYTES // max(1, sum(s.pictures.count for s in sections if s.pictures)))
-    return environment.get_template("report.html").render(
+    return templates.get_template("report.html").render(
         title=_title(sections),
         sections=sections,
         details=details,
         style=style,
-        style_hash=b64encode(sha256(style.encode()).digest()).decode(),
         version=comparison.get("mavnav_version") or __version__,
         profile=comparison.get("profile"),
         data_uri=_remembering(most),

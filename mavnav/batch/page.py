@@ -1,0 +1,120 @@
+"""batch.html: all runs of a batch on one page, worst first, each with a small map and what speaks against it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav.batch.baseline import figure
+from mavnav.batch.document import ENDS, why, worst_first
+from mavnav.batch.summary import changed, headline
+from mavnav.batch.thumbnail import thumbnail
+from mavnav.errors import ExitCode
+from mavnav.outputs import REPORT_FILE
+from mavnav.outputs.directory import RUN_FILE
+from mavnav.outputs.html import environment, inlined
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A figure of run.json, how it is headed and written, and what it is."""
+
+    name: str
+    title: str
+    unit: str
+    form: str
+    about: str
+
+
+COLUMNS: Final = (
+    Column("map.accepted_share", "mapped", "", "{:.1%}", "share of the usable scans that were put on the map"),
+    Column("tracking.path_length_m", "way", "m", "{:.1f}", "length of the way of the laser"),
+    Column("wall_thickness.2.p95_mm", "walls", "mm", "{:.0f}", "thickness that 95 % of the walls do not exceed"),
+    Column("map_quality.ghost_walls.length_m", "ghosts", "m", "{:.1f}", "length of walls that are there twice"),
+    Column(
+        "map_quality.revisits.nn_l_mm", "revisits", "mm", "{:.1f}", "how far walls seen again lie from the first time"
+    ),
+    Column("timing.wall_s", "time", "s", "{:.1f}", "seconds that the run took"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A figure as it is shown, and as it is sorted by; empty where there is none."""
+
+    text: str
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A run as the page shows it.
+
+    ``kind`` is passed, failed (a verdict) or broken (not made); ``link`` leads to the run, ``change`` is what became of
+    it since the baseline.
+    """
+
+    name: str
+    kind: str
+    end: str
+    reasons: tuple[str, ...]
+    link: str | None
+    picture: str | None
+    change: str
+    change_text: str
+    fields: tuple[Field, ...]
+
+
+def to_page(document: Mapping[str, Any], directory: Path) -> str:
+    """Write the page of a batch whose run directories lie in ``directory``."""
+    templates = environment("mavnav.batch", "mavnav.outputs.report")
+    lines = [_line(row, directory) for row in worst_first(document["cells"])]
+    return templates.get_template("batch.html").render(
+        headline=headline(document),
+        lines=lines,
+        kinds=_counts(line.kind for line in lines),
+        changes=_counts(line.change for line in lines if line.change) if document["baseline"] else {},
+        missing=(document["baseline"] or {}).get("missing", []),
+        columns=COLUMNS,
+        style=inlined(templates, "report.css", "batch.css"),
+        script=inlined(templates, "batch.js"),
+        version=document["mavnav_version"],
+        profile=document["profile"],
+    )
+
+
+def _counts(words: Iterable[str]) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for word in words:
+        counts[word] = counts.get(word, 0) + 1
+    return counts
+
+
+def _line(row: dict[str, Any], directory: Path) -> Line:
+    place = directory / row["directory"] if row["directory"] else None
+    verdict = ExitCode(row["verdict"])
+    return Line(
+        name=row["name"],
+        kind="passed" if not verdict else "failed" if row["run"] else "broken",
+        end="passed" if not verdict else ENDS[verdict],
+        reasons=tuple(why(row)),
+        link=_link(place, row["directory"]) if place else None,
+        picture=thumbnail(place) if place else None,
+        change=str((row["baseline"] or {}).get("change") or ""),
+        change_text=changed(row),
+        fields=tuple(_field(column, figure(row["run"], column.name)) for column in COLUMNS),
+    )
+
+
+def _link(place: Path, told: str) -> str | None:
+    """Return the run's own page, or the best that there is of it, from the batch's directory on."""
+    there = (name for name in (REPORT_FILE, "map.png", RUN_FILE) if (place / name).is_file())
+    return next((f"{told}/{name}" for name in there), None)
+
+
+def _field(column: Column, number: float | None) -> Field:
+    return Field("", "") if number is None else Field(column.form.format(number), f"{number:.9g}")
