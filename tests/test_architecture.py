@@ -72,9 +72,13 @@ ALLOWED: dict[str, set[str]] = {
     "simulate": GROUND | {"flight", "logs", "metrics", "outputs", "references", "replay", "world"} | CORE,
     "markdown": set(),
     "cells": GROUND | {"", "jobs", "logs", "outputs", "references", "replay"},
-    "batch": GROUND | RUNS | {"layers"},
+    "cluster": {"", "cells", "errors", "jobs"},
+    "batch": GROUND | RUNS | {"cluster", "layers"},
     "compare": GROUND | RUNS | {"flight", "simulate", "world"},
-    "commands": GROUND | RUNS | {"batch", "compare", "evaluate", "kernels", "metrics", "simulate", "world"} | CORE,
+    "commands": GROUND
+    | RUNS
+    | {"batch", "cluster", "compare", "evaluate", "kernels", "metrics", "simulate", "world"}
+    | CORE,
     "cli": {"", "commands", "errors"},
 }
 """Room -> rooms that it may import; "" is the package itself (its version)."""

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from mavnav.batch.baseline import Baseline, Tolerance
     from mavnav.batch.manifest import Entry
     from mavnav.batch.settings import Setting
+    from mavnav.cluster import Cluster
     from mavnav.gates import Gate
     from mavnav.replay import Progress
 
@@ -41,12 +42,16 @@ _OURS: Final = ("cells", BATCH_FILE)
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """How many runs at a time, how long and how large each may get, and how often one whose process died is tried."""
+    """How many runs at a time, how long and how large each may get, and how often one whose process died is tried.
+
+    ``scheduler`` names a Dask cluster to run on, if given.
+    """
 
     workers: int = 1
     timeout_s: float | None = None
     memory_mb: int | None = None
     tries: int = 3
+    scheduler: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +139,7 @@ def plan(request: Request, progress: Progress) -> Plan:
     return Plan(request, tuple(cases), frozenset(kept))
 
 
-def run_batch(plan: Plan, on_event: OnEvent, on_row: OnRow) -> dict[str, Any]:
+def run_batch(plan: Plan, on_event: OnEvent, on_row: OnRow, cluster: Cluster | None = None) -> dict[str, Any]:
     """Run what is missing, each run in a process of its own, judge all, and return batch.json.
 
     Parameters
@@ -145,6 +150,8 @@ def run_batch(plan: Plan, on_event: OnEvent, on_row: OnRow) -> dict[str, Any]:
         Hears of the jobs, which are ``plan.missing`` in its order.
     on_row
         Gets the row of every run as soon as it is known: first those that were there, then each as it ends.
+    cluster
+        Where to run, if not in processes here; it tries again what kills its workers by rules of its own.
 
     Raises
     ------
@@ -156,7 +163,7 @@ def run_batch(plan: Plan, on_event: OnEvent, on_row: OnRow) -> dict[str, Any]:
     began_s = monotonic()
     desk = _Desk(plan, on_row)
     desk.settle_kept()
-    _run_missing(plan, on_event, desk)
+    _run_missing(plan, on_event, desk, cluster)
     rows, request = desk.ordered(), plan.request
     rules = request.rules
     document = batch_document(rows, monotonic() - began_s, rules.baseline, baseline_gate=rules.baseline_gate)
@@ -214,11 +221,13 @@ def _row(request: Request, case: Case, outcome: Outcome | None, run: dict[str, A
     )
 
 
-def _run_missing(plan: Plan, on_event: OnEvent, desk: _Desk) -> None:
+def _run_missing(plan: Plan, on_event: OnEvent, desk: _Desk, cluster: Cluster | None) -> None:
     limits = plan.request.limits
     requests = [case.cell.request for case in plan.missing if case.cell]
 
     def once(jobs: Sequence[Job], listen: OnEvent) -> list[Outcome]:
+        if cluster:
+            return cluster.run_jobs(jobs, listen, limits.timeout_s)
         return run_jobs(jobs, limits.workers, _tidying(jobs, listen), limits.timeout_s, limits.memory_mb)
 
     def hear(event: Event) -> None:
@@ -227,7 +236,7 @@ def _run_missing(plan: Plan, on_event: OnEvent, desk: _Desk) -> None:
         on_event(event)
 
     jobs = [Job(case.name, replay_there, (request,)) for case, request in zip(plan.missing, requests, strict=True)]
-    run_with_retries(jobs, once, hear, limits.tries)
+    run_with_retries(jobs, once, hear, 1 if cluster else limits.tries)
 
 
 def _tidying(jobs: Sequence[Job], listen: OnEvent) -> OnEvent:

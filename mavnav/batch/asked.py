@@ -11,6 +11,7 @@ from mavnav.batch.baseline import parse_tolerance, read_baseline, tolerances
 from mavnav.batch.cases import BASELINE_GATE
 from mavnav.batch.manifest import Entry, Manifest, read_manifest
 from mavnav.batch.settings import Setting, crossed_settings, listed_settings
+from mavnav.cluster import LOCAL
 from mavnav.errors import ExitCode, UsageError
 from mavnav.gates import Gate, parse_gate
 from mavnav.jobs import usable_cores
@@ -48,6 +49,7 @@ class Asked:
     timeout_s: float | None = None
     memory_mb: int | None = None
     tries: int | None = None
+    scheduler: str | None = None
     part: str | None = None
     force: bool = False
     report: bool = False
@@ -103,11 +105,14 @@ def _settings(asked: Asked, manifest: Manifest, layer: Layer, base: Path) -> lis
 
 
 def _limits(asked: Asked, manifest: Manifest) -> Limits:
+    if asked.memory_mb and asked.scheduler not in {None, LOCAL}:
+        raise UsageError("--memory-mb is not for workers that run already; start them with dask worker --memory-limit")
     return Limits(
         workers=asked.jobs or manifest.jobs or usable_cores(),
         timeout_s=asked.timeout_s or manifest.timeout_s,
         memory_mb=asked.memory_mb or manifest.memory_mb,
         tries=asked.tries or manifest.tries,
+        scheduler=asked.scheduler,
     )
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,6 +15,12 @@ from mavnav.commands.gating import Gates
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.replay import pose
 from mavnav.commands.terminal import emit, note
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mavnav.batch import Request
+    from mavnav.cluster import Cluster
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -61,6 +68,12 @@ def batch(
     ] = None,
     tries: Annotated[
         int | None, typer.Option(min=1, help="Tries of a run whose process is killed; 3.", show_default=False)
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="tcp://HOST:PORT|local", help="Run on a Dask cluster, mavnav[cluster].", show_default=False
+        ),
     ] = None,
     part: Annotated[
         str | None, typer.Option(metavar="I/N", help="Run one of N parts; all share -o.", show_default=False)
@@ -153,6 +166,7 @@ def batch(
                 timeout_s=timeout,
                 memory_mb=memory_mb,
                 tries=tries,
+                scheduler=scheduler,
                 part=part,
                 force=force,
                 report=pages,
@@ -161,13 +175,29 @@ def batch(
         )
         plan = pipeline.plan(request, report)
     with (
+        _cluster(request, quiet=quiet) as cluster,
         watching([case.name for case in plan.missing], quiet=quiet, lines=False) as listen,
         telling(len(plan.cases), json=json, quiet=quiet) as tell,
     ):
-        document = pipeline.run_batch(plan, listen, tell)
+        document = pipeline.run_batch(plan, listen, tell, cluster)
     _leave(document, junit, summary, annotations=annotations)
     print_verdict(document, request.directory, json=json)
     raise typer.Exit(document["exit_code"])
+
+
+@contextmanager
+def _cluster(request: Request, *, quiet: bool) -> Iterator[Cluster | None]:
+    """Connect to the cluster that is asked for, if any, and tell of it."""
+    limits = request.limits
+    if limits.scheduler is None:
+        yield None
+        return
+    from mavnav.cluster import connected
+
+    with connected(limits.scheduler, request.directory, limits.workers, limits.memory_mb, limits.tries) as cluster:
+        if not quiet:
+            note(f"mavnav: {cluster.workers} workers; dashboard at {cluster.dashboard}")
+        yield cluster
 
 
 def _given(**values: object) -> dict[str, Any]:

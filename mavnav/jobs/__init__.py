@@ -8,6 +8,7 @@ that they share no state with their parent, and they follow it when it dies. Wha
 from mavnav.jobs.crew import run_jobs, usable_cores
 from mavnav.jobs.records import Ended, Event, Fate, Job, Outcome, Progressed, Report, Started
 from mavnav.jobs.retry import run_with_retries
+from mavnav.jobs.worker import attempt, failed
 
 __all__ = [
     "Ended",
@@ -18,6 +19,8 @@ __all__ = [
     "Progressed",
     "Report",
     "Started",
+    "attempt",
+    "failed",
     "run_jobs",
     "run_with_retries",
     "usable_cores",
