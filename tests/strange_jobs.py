@@ -59,3 +59,21 @@ def sleep_with_a_file(path: Path, report) -> None:
         time.sleep(60)
     finally:
         path.unlink()
+
+
+def kill_the_first(mark: Path, report) -> str:
+    """Kill the first process that tries."""
+    if not mark.exists():
+        mark.touch()
+        kill_itself(report)
+    return "done"
+
+
+def report_for_ever(report) -> None:
+    for count in range(10**6):
+        report("waiting", count, None)
+        time.sleep(0.01)
+
+
+def where(report) -> str:
+    return str(Path.cwd())

@@ -226,8 +226,6 @@ def _run_missing(plan: Plan, on_event: OnEvent, desk: _Desk, cluster: Cluster | 
     requests = [case.cell.request for case in plan.missing if case.cell]
 
     def once(jobs: Sequence[Job], listen: OnEvent) -> list[Outcome]:
-        if cluster:
-            return cluster.run_jobs(jobs, listen, limits.timeout_s)
         return run_jobs(jobs, limits.workers, _tidying(jobs, listen), limits.timeout_s, limits.memory_mb)
 
     def hear(event: Event) -> None:
@@ -236,7 +234,10 @@ def _run_missing(plan: Plan, on_event: OnEvent, desk: _Desk, cluster: Cluster | 
         on_event(event)
 
     jobs = [Job(case.name, replay_there, (request,)) for case, request in zip(plan.missing, requests, strict=True)]
-    run_with_retries(jobs, once, hear, 1 if cluster else limits.tries)
+    if cluster:
+        cluster.run_jobs(jobs, hear, limits.timeout_s)
+    else:
+        run_with_retries(jobs, once, hear, limits.tries)
 
 
 def _tidying(jobs: Sequence[Job], listen: OnEvent) -> OnEvent:

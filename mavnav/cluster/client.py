@@ -15,7 +15,7 @@ from uuid import uuid4
 
 from mavnav.cluster.worker import Terms, our_version, run_there, sees
 from mavnav.errors import ExitCode, UsageError
-from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started
+from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started, run_with_retries
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -40,23 +40,31 @@ class Cluster:
         """How many workers there are now."""
         return len(self.client.nthreads())
 
-    def run_jobs(
-        self, jobs: Sequence[Job], on_event: Callable[[Event], None], timeout_s: float | None = None
-    ) -> list[Outcome]:
-        """Run jobs on the cluster and return their outcomes in order, as `mavnav.jobs.run_jobs` does here.
+    def run_jobs(self, jobs: Sequence[Job], on_event: Callable[[Event], None], timeout_s: float | None = None) -> None:
+        """Run jobs on the cluster; ``on_event`` hears the same as of `mavnav.jobs.run_with_retries`.
 
-        There are never more jobs under way than workers, so that a job that kills its worker takes no other into
-        Dask's suspicion. What ``on_event`` raises cancels what has not begun, and is passed on. Raises UsageError when
-        the scheduler is gone.
+        Dask tries jobs of a lost worker on others, and suspects all that a dying worker had in hand. So there are never
+        more jobs under way than workers, and those that it has given up are tried once more, one at a time. What
+        ``on_event`` raises cancels what has not begun, and is passed on. Raises UsageError when the scheduler is gone.
         """
+        most = iter((None, 1))
+
+        def once(jobs: Sequence[Job], listen: Callable[[Event], None]) -> list[Outcome]:
+            return self._round(jobs, listen, timeout_s, next(most))
+
+        run_with_retries(jobs, once, on_event, 2)
+
+    def _round(
+        self, jobs: Sequence[Job], on_event: Callable[[Event], None], timeout_s: float | None, most: int | None
+    ) -> list[Outcome]:
+        """Run jobs, ``most`` at a time, or as many as there are workers."""
         topic = f"mavnav-{uuid4()}"
-        version, modules_sha256 = our_version()
-        terms = Terms(version, modules_sha256, str(Path.cwd()), topic, timeout_s)
+        terms = Terms(*our_version(), str(Path.cwd()), topic, timeout_s)
         heard: SimpleQueue[Any] = SimpleQueue()
         self.client.subscribe_topic(topic, lambda event: heard.put(Progressed(*event[1]["progress"])))
         under_way: dict[int, _Submitted] = {}
         try:
-            return list(self._outcomes(jobs, terms, heard, under_way, on_event))
+            return self._outcomes(jobs, terms, heard, under_way, on_event, most)
         finally:
             self.client.cancel([job.future for job in under_way.values()])
             self.client.unsubscribe_topic(topic)
@@ -68,11 +76,12 @@ class Cluster:
         heard: SimpleQueue[Any],
         under_way: dict[int, _Submitted],
         on_event: Callable[[Event], None],
+        most: int | None,
     ) -> list[Outcome]:
         outcomes: dict[int, Outcome] = {}
         waiting = list(enumerate(jobs))[::-1]
         while len(outcomes) < len(jobs):
-            while waiting and len(under_way) < max(self._count(), 1):
+            while waiting and len(under_way) < (most or max(self._count(), 1)):
                 index, job = waiting.pop()
                 under_way[index] = self._submit(index, job, terms, heard)
                 on_event(Started(index, 0))
@@ -129,7 +138,7 @@ def _outcome(job: _Submitted) -> Outcome:
     error = future.exception()
     if isinstance(error, KilledWorker):
         count = error.allowed_failures + 1
-        text = f"it was given up after {count} workers died of it, the last {error.last_worker.address}"
+        text = f"{count} workers died of it, the last {error.last_worker.address}"
         return Outcome(Fate.DIED, 0, seconds, error=text, exit_code=ExitCode.BUG)
     text = f"its worker could not run it: {type(error).__name__}: {error}"
     return Outcome(Fate.FAILED, 0, seconds, error=text, exit_code=ExitCode.BUG)
@@ -179,7 +188,7 @@ def _started(workers: int, memory_mb: int | None, tries: int) -> Iterator[Any]:
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": tries - 1}),
         distributed.LocalCluster(
-            n_workers=workers, threads_per_worker=1, memory_limit=memory, silence_logs=CRITICAL
+            n_workers=workers, threads_per_worker=1, memory_limit=memory, silence_logs=CRITICAL, dashboard_address=":0"
         ) as cluster,
     ):
         yield cluster

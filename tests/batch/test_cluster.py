@@ -1,0 +1,171 @@
+"""Jobs on a Dask cluster: the same outcomes as here; lost workers cost nothing, and what kills them is named."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+import strange_jobs
+from small_batch import ASKED
+
+from mavnav.batch import plan, run_batch
+from mavnav.batch.asked import Asked, request_of
+from mavnav.cluster import LOCAL, Cluster, connected
+from mavnav.cluster import client as cluster_client
+from mavnav.cluster.client import _why_not
+from mavnav.errors import ExitCode, UsageError
+from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started
+
+distributed = pytest.importorskip("distributed", reason="the extra mavnav[cluster]")
+
+TRIES = 2
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Cluster]:
+    """Return a cluster of one worker in this process: quick."""
+    with (
+        distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=":0") as local,
+        distributed.Client(local, set_as_default=False) as client,
+    ):
+        yield Cluster(client, "")
+
+
+@pytest.fixture(scope="module")
+def processes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    with connected(LOCAL, tmp_path_factory.mktemp("shared"), 2, None, TRIES) as found:
+        yield found
+
+
+def ignore(event: Event) -> None:
+    """Hear nothing."""
+
+
+def outcomes_of(cluster: Cluster, jobs: list[Job], on_event=ignore, **more) -> list[Outcome]:
+    ended: dict[int, Outcome] = {}
+
+    def hear(event: Event) -> None:
+        if isinstance(event, Ended):
+            assert event.index not in ended
+            ended[event.index] = event.outcome
+        on_event(event)
+
+    cluster.run_jobs(jobs, hear, **more)
+    return [ended[index] for index in range(len(jobs))]
+
+
+def test_outcomes_come_in_order_and_events_as_they_happen(cluster: Cluster, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    events: list[Event] = []
+    jobs = [Job("square", strange_jobs.square, (7,)), Job("refuse", strange_jobs.refuse)]
+    jobs += [Job("blunder", strange_jobs.blunder), Job("where", strange_jobs.where)]
+    outcomes = outcomes_of(cluster, jobs, events.append)
+    assert [outcome.fate for outcome in outcomes] == [Fate.DONE, Fate.FAILED, Fate.FAILED, Fate.DONE]
+    assert outcomes[0].value == 49
+    assert (outcomes[1].exit_code, outcomes[1].error) == (
+        ExitCode.NO_SCANS,
+        "empty.bag: no scans; choose another",
+    )
+    assert outcomes[2].exit_code == ExitCode.BUG
+    assert outcomes[3].value == str(tmp_path)
+    for kind in (Started, Ended):
+        assert sorted(event.index for event in events if isinstance(event, kind)) == [0, 1, 2, 3]
+
+
+@pytest.mark.slow
+def test_a_lost_worker_costs_nothing_and_what_kills_workers_is_named(processes: Cluster, tmp_path: Path) -> None:
+    jobs = [Job(f"good {x}", strange_jobs.square, (x,)) for x in range(3)]
+    jobs[1:1] = [Job("bad", strange_jobs.kill_itself), Job("unlucky", strange_jobs.kill_the_first, (tmp_path / "x",))]
+    outcomes = outcomes_of(processes, jobs)
+    assert [outcome.fate for outcome in outcomes] == [Fate.DONE, Fate.DIED, Fate.DONE, Fate.DONE, Fate.DONE]
+    assert re.fullmatch(
+        rf"{TRIES} workers died of it, the last tcp://127.0.0.1:\d+; given up after 2 tries", outcomes[1].error
+    )
+    assert outcomes[1].exit_code == ExitCode.BUG
+    assert outcomes[2].value == "done"
+
+
+def test_a_job_that_takes_too_long(cluster: Cluster) -> None:
+    events: list[Event] = []
+    outcome = outcomes_of(cluster, [Job("slow", strange_jobs.report_for_ever)], events.append, timeout_s=0.6)[0]
+    assert (outcome.fate, outcome.error) == (Fate.TIMEOUT, "took longer than 0.6 s")
+    assert any(isinstance(event, Progressed) and event.phase == "waiting" for event in events)
+
+
+def files(directory: Path) -> dict[str, str]:
+    """Return the hashes of what a run leaves, but for the clock's."""
+    return {
+        f"{path.parent.name}/{path.name}": sha256(path.read_bytes()).hexdigest()
+        for name in ("trajectory.*", "map.*", "hits.npz", "wall_thickness.png", "result.mcap")
+        for path in sorted(directory.glob(f"cells/*/{name}"))
+    }
+
+
+def test_a_batch_has_the_same_bytes_as_one_made_here(cluster: Cluster, home: Path) -> None:
+    planned = plan(request_of(Asked(**ASKED, directory=Path("runs/there"))), lambda *args: None)
+    document = run_batch(planned, ignore, lambda row: None, cluster)
+    assert [row["exit_code"] for row in document["cells"]] == [3, 4, 0, 2]
+    assert len(files(Path("runs/there"))) >= 10
+    assert files(Path("runs/there")) == files(Path("runs/batch"))
+
+
+def test_what_the_listener_raises_ends_it(cluster: Cluster) -> None:
+    def stop(event: Event) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cluster.run_jobs([Job("square", strange_jobs.square, (7,))] * 3, stop)
+    assert outcomes_of(cluster, [Job("square", strange_jobs.square, (2,))])[0].value == 4
+
+
+@pytest.mark.parametrize(
+    ("version", "seen", "said"),
+    [
+        (("1.0", "a"), True, ""),
+        (("0.9", "b"), True, "the worker has mavnav 0.9, not 1.0"),
+        (("1.0", "b"), True, "the worker has mavnav 1.0 of other sources, not 1.0"),
+        (("1.0", "a"), False, "the worker does not see the directory of the results"),
+        (ModuleNotFoundError("mavnav"), None, "the worker has no mavnav, or one without clusters"),
+        (OSError("gone"), None, "the worker cannot be asked (gone)"),
+    ],
+)
+def test_workers_that_will_not_do(version, seen, said: str) -> None:
+    assert _why_not(version, seen, ("1.0", "a")) == said
+
+
+@pytest.mark.slow
+def test_workers_of_another_version_are_refused(processes: Cluster, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("mavnav.cluster.worker.__version__", "0.0.9")
+    with (
+        pytest.raises(UsageError, match=r"the worker has mavnav .*, not 0\.0\.9: install mavnav 0\.0\.9"),
+        connected(processes.client.scheduler.address, tmp_path, 1, None, 1),
+    ):
+        pass
+
+
+def test_where_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster_client, "CONNECT_S", 0.3)
+    for scheduler in ("tcp://127.0.0.1:9", "nonsense"):
+        with (
+            pytest.raises(UsageError, match=f"{scheduler}: no scheduler with workers answers; start one"),
+            connected(scheduler, tmp_path, 1, None, 1),
+        ):
+            pass
+
+
+def test_without_dask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with (
+        pytest.raises(UsageError, match=r"install mavnav\[cluster\]"),
+        connected(LOCAL, tmp_path, 1, None, 1),
+    ):
+        pass
+
+
+def test_memory_is_not_for_workers_that_run_already() -> None:
+    with pytest.raises(UsageError, match="--memory-limit"):
+        request_of(Asked(sources=("logs",), scheduler="tcp://127.0.0.1:9", memory_mb=100))
