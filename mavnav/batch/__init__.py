@@ -14,7 +14,8 @@ from mavnav.batch.baseline import write_baseline
 from mavnav.batch.cases import BASELINE_GATE, Case, make_cases
 from mavnav.batch.document import batch_document, batch_row, judged
 from mavnav.batch.files import BATCH_FILE, write_batch
-from mavnav.batch.work import replay_there
+from mavnav.batch.gather import is_address
+from mavnav.batch.work import replay_fetched, replay_there
 from mavnav.cells import check_home, earlier
 from mavnav.errors import UsageError
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs, run_with_retries
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from mavnav import replay
     from mavnav.batch.baseline import Baseline, Tolerance
     from mavnav.batch.manifest import Entry
     from mavnav.batch.settings import Setting
@@ -233,11 +235,17 @@ def _run_missing(plan: Plan, on_event: OnEvent, desk: _Desk, cluster: Cluster | 
             desk.settle(requests[event.index].directory, event.outcome)
         on_event(event)
 
-    jobs = [Job(case.name, replay_there, (request,)) for case, request in zip(plan.missing, requests, strict=True)]
+    jobs = [_job(case, request) for case, request in zip(plan.missing, requests, strict=True)]
     if cluster:
         cluster.run_jobs(jobs, hear, limits.timeout_s)
     else:
         run_with_retries(jobs, once, hear, limits.tries)
+
+
+def _job(case: Case, request: replay.Request) -> Job:
+    if is_address(case.source):
+        return Job(case.name, replay_fetched, (request, case.source))
+    return Job(case.name, replay_there, (request,))
 
 
 def _tidying(jobs: Sequence[Job], listen: OnEvent) -> OnEvent:

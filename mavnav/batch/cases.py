@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from mavnav import replay
 from mavnav.batch.gather import gather, is_address
+from mavnav.batch.remote import fetched
 from mavnav.batch.settings import told
 from mavnav.cells import Cell, make_cell, references_sha256
 from mavnav.errors import ExitCode, MavnavError
@@ -72,7 +73,7 @@ def _cases(
     shared: dict[str, Any] = {"log": log, "source": source, "gates": gates, "accept": frozenset(entry.accept)}
     options = {**common, **_reading(entry), **_files(entry, base)}
     try:
-        digest = content_sha256(Path(source))
+        digest = _digest(source)
         references = references_sha256(load_references(**_files(entry, base)))
     except MavnavError as error:
         failed: dict[str, Any] = {"cell": None, "error": str(error), "exit_code": error.exit_code}
@@ -81,6 +82,14 @@ def _cases(
     for setting in settings:
         request = replay.Request(Path(source), config=setting.config, **options)
         yield Case(_name(entry, log, setting), setting=setting, cell=make_cell(request, digest, references), **shared)
+
+
+def _digest(source: str) -> str:
+    """Return the hash of a log's content; one at an address is fetched for that."""
+    if not is_address(source):
+        return content_sha256(Path(source))
+    with fetched(source) as folder:
+        return content_sha256(folder / source)
 
 
 def _name(entry: Entry, log: str, setting: Setting) -> str:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from contextlib import chdir
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from mavnav import replay
+from mavnav.batch.remote import fetched
 
 if TYPE_CHECKING:
     from mavnav.jobs import Report
@@ -13,3 +17,12 @@ if TYPE_CHECKING:
 def replay_there(request: replay.Request, report: Report) -> None:
     """Replay one log; what comes out is in the run directory, and nothing of it goes back to the parent."""
     replay.replay(request, report, compile_s=0.0)
+
+
+def replay_fetched(request: replay.Request, address: str, report: Report) -> None:
+    """Replay a log that is fetched first, and told of by its address."""
+    report("fetching", 0, None)
+    paths = {field.name: getattr(request, field.name) for field in fields(request) if field.name != "log"}
+    absolute: dict[str, Any] = {name: path.absolute() for name, path in paths.items() if isinstance(path, Path)}
+    with fetched(address) as folder, chdir(folder):
+        replay_there(replace(request, **absolute), report)
