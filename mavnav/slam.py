@@ -110,7 +110,9 @@ def settle(log_scans: Callable[[], Iterable[Scan]], steps: list[Step], method: M
     trajectory and map, the others are left out for good.
     """
     before = waiting(steps)
-    scans = {index: scan for index, scan in enumerate(log_scans()) if index in before} if before else {}
+    if not before:
+        return steps
+    scans = {index: scan for index, scan in enumerate(log_scans()) if index in before}
     settled, after = list(steps), steps[-1]
     for step in reversed(steps):
         if step.index in scans and (after.stamp_ns - step.stamp_ns) * NS <= LONGEST_S:
@@ -179,16 +181,19 @@ def replay(
     start, warnings = Start(config, max(period_s, SHORTEST_PERIOD_S), odometry, known), []
     method, steps = start.tracked(log_scans(), on_step)
     if start.odometry and misleads(start.odometry, tracked_way(steps)):
-        start = replace(start, odometry=None)
-        method, steps = start.tracked(log_scans(), on_step)
-        warnings.append("odometry contradicts the scans and is not used; check its scale, axes and clock")
+        alone = replace(start, odometry=None)
+        again = alone.tracked(log_scans(), on_step)
+        if len(again[1]) == len(steps):  # else the run is being stopped, and the longer track is kept
+            start, (method, steps) = alone, again
+            warnings.append("odometry contradicts the scans and is not used; check its scale, axes and clock")
     if fires_backwards(log_scans, steps, start):
-        fired = log_scans
-        log_scans = lambda: map(backwards, fired())  # noqa: E731
-        method, steps = start.tracked(log_scans(), on_step)
-        warnings.append(
-            "beams were fired in the reverse of the listed order, judged by the turns, and are de-skewed so"
-        )
+        turned = partial(_backwards, log_scans)
+        again = start.tracked(turned(), on_step)
+        if len(again[1]) == len(steps):
+            log_scans, (method, steps) = turned, again
+            warnings.append(
+                "beams were fired in the reverse of the listed order, judged by the turns, and are de-skewed so"
+            )
     if config.final_pass and method.places:
         steps = settle(log_scans, steps, method, start.motion)
     return replace(conclude(steps, log_scans, method, start.motion, config, on_step), warnings=tuple(warnings))
@@ -214,6 +219,10 @@ class Start:
         """Track scans from an empty map on, or in the known one."""
         method = Localised(self.config, self.known) if self.known else METHODS[self.config.method](self.config)
         return method, list(_told(track(scans, method, self.motion), "track", on_step))
+
+
+def _backwards(log_scans: Callable[[], Iterable[Scan]]) -> Iterator[Scan]:
+    return map(backwards, log_scans())
 
 
 def fires_backwards(log_scans: Callable[[], Iterable[Scan]], steps: list[Step], start: Start) -> bool:

@@ -63,7 +63,7 @@ def lost_intervals(steps: list[Step]) -> Iterator[LostInterval]:
         if len(run) >= LOST_SCANS or (run and last and jumped(last, step)):
             yield LostInterval(run[0].stamp_ns, run[-1].stamp_ns, len(run), recovered=True)
         run, last = [], step
-    if len(run) >= min(LOST_SCANS, len(steps)):
+    if run and len(run) >= min(LOST_SCANS, len(steps)):
         yield LostInterval(run[0].stamp_ns, run[-1].stamp_ns, len(run), recovered=False)
 
 

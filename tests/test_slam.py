@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -218,3 +219,25 @@ def test_lego_robot4_lies_on_the_camera_track(judge: ModuleType, real_logs: Path
     error = judge.aligned_error(marker, target, 1.1202)
     assert len(outcome.trajectory) == 278
     assert np.sqrt((error**2).mean()) <= 0.017
+
+
+@pytest.mark.parametrize("after", [0, 1, 60, 130, 190, 250])
+def test_a_run_that_is_stopped_keeps_the_longest_track(after: int) -> None:
+    """Wherever the scans run dry: in the first pass, or in a pass without the odometry that contradicts them."""
+    tour = record(furnished_rooms(), along(TOUR), noise=0.01)
+    scans, odom = tour.scans[:120], tour.map_T_laser
+    wrong = Trajectory(odom.stamps_ns, odom.xyyaw * [-1.0, -1.0, -1.0])
+    given = 0
+
+    def log_scans() -> Iterator[Scan]:
+        nonlocal given
+        for scan in scans:
+            if given >= after:
+                return
+            given += 1
+            yield scan
+
+    outcome = slam.replay(log_scans, Config(), PERIOD_S, wrong)
+    assert len(outcome.steps) == min(after, len(scans))
+    assert [step.index for step in outcome.steps] == list(range(len(outcome.steps)))
+    assert bool(outcome.warnings) == (after >= 2 * len(scans))
