@@ -31,6 +31,7 @@ _OPCODES = frozenset({_DEFINITION, _MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, 
 _OP_FIELD = b"\x04\x00\x00\x00op="
 _MAX_HEADER_BYTES = 1 << 16
 _USUAL_HEADER_BYTES = 256
+_REACH_BYTES = 256
 _BLOCK_BYTES = 1 << 20
 _SEARCH_BYTES = 1 << 16
 _U32 = struct.Struct("<I")
@@ -119,15 +120,13 @@ def _is_flat(record: _Record) -> bool:
 def _records(source: Source, offset: int, state: _State) -> Iterator[_Record]:
     """Yield the records that are whole; behind a loss, go on at the next sound header."""
     pending: _Record | None = None
-    while offset < source.size:
+    while offset < source.size or (pending and offset > source.size):
         record = _parse_header(source, offset)
         if record is None:
-            lost_from = pending.start if pending else offset
-            found = _find_header(source, lost_from + 1)
+            found = _find_header(source, (pending.start if pending else offset) + 1)
             if pending and _is_whole(source, pending, found):
-                yield pending._replace(suspect=True)
-                lost_from = pending.end
-            state.ledger.damage(f"{_length(found, lost_from, source)} bytes are no record", source.where(lost_from))
+                yield _clipped(source, pending, found)
+            _tell_loss(source, pending, offset, found, state)
             pending = None
             if found is None:
                 return
@@ -137,14 +136,28 @@ def _records(source: Source, offset: int, state: _State) -> Iterator[_Record]:
             yield pending
         pending = record
         offset = record.start if _is_flat(record) else record.end
-    if pending and offset > source.size:
-        state.ledger.damage("the last record is cut by the end", source.where(pending.start))
-    if pending and (offset <= source.size or pending.opcode == _CHUNK):
+    if pending:
         yield pending
 
 
-def _length(found: int | None, lost_from: int, source: Source) -> int:
-    return (source.size if found is None else found) - lost_from
+def _clipped(source: Source, pending: _Record, found: int | None) -> _Record:
+    """Let a compressed chunk reach to the next sound header, because its length may lie."""
+    end = pending.end if pending.opcode != _CHUNK else source.size if found is None else found
+    return pending._replace(end=end, suspect=True)
+
+
+def _tell_loss(source: Source, pending: _Record | None, offset: int, found: int | None, state: _State) -> None:
+    """Tell which bytes are lost, or whose length lies; ``offset`` is where a header should stand."""
+    upto = source.size if found is None else found
+    if offset > source.size and found is None and pending:
+        text, at = "the last record is cut by the end", pending.start
+    elif pending and not _is_whole(source, pending, found):
+        text, at = f"{upto - pending.start} bytes are no record", pending.start
+    elif offset >= upto and pending:
+        text, at = "the length of a record lies", pending.start
+    else:
+        text, at = f"{upto - offset} bytes are no record", offset
+    state.ledger.damage(text, source.where(at))
 
 
 def _is_whole(source: Source, pending: _Record, found: int | None) -> bool:
@@ -196,17 +209,30 @@ def _find_header(source: Source, offset: int) -> int | None:
     """Return the offset of the next sound header; found by its ``op`` field, which every header has."""
     while offset < source.size:
         block = source.read(offset, _BLOCK_BYTES)
-        at = block.find(_OP_FIELD)
-        while at >= 0:
-            for start in range(max(offset, offset + at - 256), offset + at - 3):
-                record = _parse_header(source, start)
-                if record is not None and record.start > offset + at:
-                    return start
-            at = block.find(_OP_FIELD, at + 1)
+        for at in _candidates(block):
+            record = _parse_header(source, offset + at)
+            if record is not None and _is_followed(source, record):
+                return offset + at
         if len(block) < _BLOCK_BYTES:
             return None
-        offset += len(block) - 512
+        offset += len(block) - 2 * _REACH_BYTES
     return None
+
+
+def _is_followed(source: Source, record: _Record) -> bool:
+    """Tell whether a header is one of the bag's, and none that shows through in compressed data."""
+    return record.opcode == _CHUNK or record.end == source.size or _parse_header(source, record.end) is not None
+
+
+def _candidates(block: bytes) -> Iterator[int]:
+    """Yield, each once, the places shortly before an ``op`` field where a header of fields may begin."""
+    tried, op_at = 0, block.find(_OP_FIELD)
+    while op_at >= 0:
+        for at in range(max(tried, op_at - _REACH_BYTES), op_at - 3):
+            if block[at + 2 : at + 4] == b"\0\0" == block[at + 6 : at + 8]:  # two lengths below 64 KiB
+                yield at
+        tried = max(tried, op_at - 3)
+        op_at = block.find(_OP_FIELD, op_at + 1)
 
 
 def _chunk_messages(source: Source, record: _Record, state: _State) -> Iterator[RawMessage]:

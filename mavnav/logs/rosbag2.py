@@ -77,6 +77,14 @@ def _family(path: Path) -> str:
 
 def _inside(folder: Path, name: str, ledger: Ledger) -> Path | None:
     """Return the file of a listed name; None, and told, where it leads out of the folder or is missing."""
+    try:
+        return _listed_file(folder, name, ledger)
+    except (OSError, ValueError):  # too long, or with a zero in it
+        ledger.damage(f"metadata.yaml lists {name[:80]!r}, which cannot be a file's name", METADATA)
+        return None
+
+
+def _listed_file(folder: Path, name: str, ledger: Ledger) -> Path | None:
     if not (folder / name).resolve().is_relative_to(folder.resolve()):
         ledger.damage(f"metadata.yaml lists {name!r}, which leads out of the folder; it is not read", METADATA)
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 import zlib
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ import pytest
 from log_files import WRITERS, drive, laser, write_bag1, write_bag2, write_mcap
 
 from mavnav.errors import NoScansError
-from mavnav.logs import Log, open_log
+from mavnav.logs import Log, open_log, survey
 from mavnav.logs.ledger import MAX_DAMAGE, Ledger
 from mavnav.logs.unpack import UnpackError, unpack
 
@@ -227,3 +228,30 @@ def test_loss_of_the_chunk_that_declares_the_channels_loses_no_other(name: str, 
     log = open_log(path)
     assert 20 < log.counts.usable < 40
     assert any("suspect" in d.what for d in log.damage)
+
+
+def bag_of_chunks(tmp_path: Path, name: str) -> tuple[Path, bytes, int]:
+    """Write a compressed bag of 30 scans; return it, its bytes, and where its second chunk tells its stored length."""
+    path = WRITERS[name][1](tmp_path / "a.bag", [laser(k) for k in range(30)])
+    data = path.read_bytes()
+    second = data.index(b"compression=", data.index(b"compression=") + 1)
+    return path, data, data.index(b"size=", second) + 9
+
+
+@pytest.mark.parametrize("name", ["bag1-bz2", "bag1-lz4"])
+@pytest.mark.parametrize("length", [0, 7, 1 << 20, 1 << 31])
+def test_bag_chunk_whose_length_lies_costs_no_scan(name: str, length: int, tmp_path: Path) -> None:
+    path, data, at = bag_of_chunks(tmp_path, name)
+    path.write_bytes(data[:at] + length.to_bytes(4, "little") + data[at + 4 :])
+    found = survey(path)
+    assert found.scans["/scan"].total == 30
+    assert found.damage
+    assert not any(d.what.startswith("-") for d in found.damage)
+
+
+def test_bag_of_nothing_but_op_fields_is_read_in_a_moment(tmp_path: Path) -> None:
+    path = WRITERS["bag1"][1](tmp_path / "a.bag", [laser(k) for k in range(30)])
+    path.write_bytes(path.read_bytes()[:8000] + b"\x04\0\0\0op=" * 100_000)
+    began_s = time.process_time()
+    assert survey(path).damage
+    assert time.process_time() - began_s < 5.0
