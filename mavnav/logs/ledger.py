@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
+from operator import ne
 from typing import TYPE_CHECKING
 
 from mavnav.logs.records import Damage
@@ -13,6 +15,18 @@ if TYPE_CHECKING:
 MAX_DAMAGE = 100
 """Damage is listed singly up to here, so that a log of rubbish does not fill the memory; the rest is counted."""
 
+KNOWN_TYPES = (
+    "sensor_msgs/msg/LaserScan",
+    "foxglove.LaserScan",
+    "nav_msgs/msg/Odometry",
+    "tf2_msgs/msg/TFMessage",
+    "tf/msg/tfMessage",
+)
+"""Types that a scan, a pose or a mounting can come from."""
+
+KNOWN_ENCODINGS = ("cdr", "ros1", "ros2", "json", "protobuf")
+"""Encodings of messages; ``ros2`` is none, and no misspelt ``ros1`` either."""
+
 
 class Ledger:
     """Notes of one pass over a log.
@@ -22,6 +36,7 @@ class Ledger:
 
     def __init__(self) -> None:
         self.channels: dict[tuple[str, str, str], Channel] = {}
+        self._declared: dict[tuple[str, str, str], Channel] = {}
         self.warnings: list[str] = []
         self.total_bytes = 0
         self._base_bytes = 0
@@ -30,8 +45,18 @@ class Ledger:
         self._unlisted: Counter[str] = Counter()
 
     def declare(self, channel: Channel) -> Channel:
-        """Note a channel, with or without messages; return the one to use for it."""
-        return self.channels.setdefault((channel.topic, channel.type, channel.encoding), channel)
+        """Note a channel, with or without messages; return the one to use for it.
+
+        Where a letter or two of a type are wrong, as from a flipped bit, it is the one that is known.
+        """
+        key = (channel.topic, channel.type, channel.encoding)
+        if key not in self._declared:
+            mended = _mended(channel)
+            if mended != channel:
+                was, now = (f"{c.type} ({c.encoding})" for c in (channel, mended))
+                self.damage(f"the type {was} is damaged, and taken for {now}", channel.topic)
+            self._declared[key] = self.channels.setdefault((mended.topic, mended.type, mended.encoding), mended)
+        return self._declared[key]
 
     def only(self, message_type: str) -> Channel | None:
         """Return the channel of this type, if there is just one."""
@@ -68,3 +93,17 @@ class Ledger:
         """Return what was noted, the unlisted rest in one line a kind."""
         rest = (Damage(f"{what} ({count} more)", "further on") for what, count in self._unlisted.items())
         return (*self._damage, *rest)
+
+
+def _mended(channel: Channel) -> Channel:
+    """Return the channel with its type and encoding as they were, if only a letter or two are wrong."""
+    kind = _nearest(channel.type, KNOWN_TYPES, 2)
+    encoding = _nearest(channel.encoding, KNOWN_ENCODINGS, 1)
+    return replace(channel, type=kind, encoding=encoding) if kind and encoding else channel
+
+
+def _nearest(word: str, known: tuple[str, ...], most: int) -> str | None:
+    """Return the known word that is as long and has at most so many other letters."""
+    wrong = {name: sum(map(ne, name, word)) for name in known if len(name) == len(word)}
+    name = min(wrong, key=wrong.__getitem__, default=None)
+    return name if name and wrong[name] <= most else None

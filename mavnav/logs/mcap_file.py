@@ -90,7 +90,8 @@ def read_mcap(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
                 yield from _chunk_messages(source, record, state)
             elif record.opcode in _READ:
                 content = source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES))
-                yield from _take(record.opcode, content, source.where(record.start), state)
+                for message in _take(record.opcode, content, source.where(record.start), state):
+                    yield message._replace(suspect=True) if _runs_into_loss(source, record.end) else message
         if not state.closed:
             ledger.damage("the file ends without a footer; it was cut or not closed", source.where(source.size))
 
@@ -160,6 +161,15 @@ def _records(source: Source, offset: int, state: _State) -> Iterator[Record]:
             offset = record.end
         else:
             offset = _lose(source, offset, record.start, state)
+
+
+def _runs_into_loss(source: Source, end: int) -> bool:
+    """Tell whether what follows a record is none, not even one that is cut: then its own end may be lost, too."""
+    head = source.read(end, HEAD.size)
+    if len(head) < HEAD.size or is_boundary(source, end):
+        return False
+    opcode, length = HEAD.unpack(head)
+    return not (0 < opcode <= Op.DATA_END and source.size - end < length < 1 << 32)
 
 
 def _lose(source: Source, offset: int, search_from: int, state: _State) -> int:

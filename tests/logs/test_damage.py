@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import time
 import zlib
@@ -9,11 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from log_files import WRITERS, drive, laser, write_bag1, write_bag2, write_mcap
+from log_files import PERIOD_NS, START_NS, WRITERS, drive, laser, serialized, write_bag1, write_bag2, write_mcap
 
 from mavnav.errors import NoScansError
 from mavnav.logs import Log, open_log, survey
-from mavnav.logs.ledger import MAX_DAMAGE, Ledger
+from mavnav.logs.decode import DECODERS
+from mavnav.logs.ledger import KNOWN_ENCODINGS, KNOWN_TYPES, MAX_DAMAGE, Ledger
+from mavnav.logs.records import Channel
 from mavnav.logs.unpack import UnpackError, unpack
 
 if TYPE_CHECKING:
@@ -255,3 +258,38 @@ def test_bag_of_nothing_but_op_fields_is_read_in_a_moment(tmp_path: Path) -> Non
     began_s = time.process_time()
     assert survey(path).damage
     assert time.process_time() - began_s < 5.0
+
+
+@pytest.mark.parametrize("name", ["mcap-unchunked", "bag1", "db3"])
+@pytest.mark.parametrize("at", [0, 8, 20])
+def test_a_type_with_a_flipped_bit_is_known_all_the_same(name: str, at: int, tmp_path: Path) -> None:
+    path = WRITERS[name][1](tmp_path / "a.log", [laser(k) for k in range(10)])
+    sound = re.search(rb"sensor_msgs/(msg/)?LaserScan", path.read_bytes())
+    assert sound
+    flipped = sound[0][:at] + bytes([sound[0][at] ^ 4]) + sound[0][at + 1 :]
+    path.write_bytes(path.read_bytes().replace(sound[0], flipped))
+    found = survey(path)
+    assert found.scans["/scan"].total == 10
+    assert any("is damaged, and taken for" in d.what for d in found.damage)
+
+
+def test_types_of_others_are_left_alone() -> None:
+    ledger = Ledger()
+    for kind, encoding in [("sensor_msgs/msg/LaserEcho", "cdr"), ("sensor_msgs/msg/LaserScan", "ros2")]:
+        channel = Channel("/a", kind, encoding)
+        assert ledger.declare(channel) == channel
+    assert ledger.damages() == ()
+    assert {(c, n) for c in KNOWN_ENCODINGS for n in KNOWN_TYPES} >= set(DECODERS)
+    assert {n for _, n in DECODERS} == set(KNOWN_TYPES)
+
+
+def test_a_message_that_runs_into_a_hole_of_zeros_is_suspect(tmp_path: Path) -> None:
+    path = WRITERS["mcap-unchunked"][1](tmp_path / "a.mcap", [laser(k, beams=300) for k in range(10)])
+    data = bytearray(path.read_bytes())
+    middle = data.index(serialized(laser(5, beams=300), 2)) + 600
+    data[middle : middle + 1300] = bytes(1300)
+    path.write_bytes(data)
+    sound = {START_NS + k * PERIOD_NS for k in range(10)}
+    log = open_log(path)
+    assert {s.stamp_ns for s in log.scans()} < sound
+    assert log.counts.suspect == 1
