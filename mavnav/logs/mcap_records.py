@@ -171,7 +171,7 @@ def find_record(source: Source, offset: int) -> int:
                 return offset + at
         if tried > _MOST_CANDIDATES:
             return source.size
-        offset += _BLOCK_BYTES
+        offset = max(offset + _BLOCK_BYTES, source.next_data(offset + _BLOCK_BYTES) - HEAD.size)
     return source.size
 
 

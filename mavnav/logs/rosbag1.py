@@ -216,6 +216,7 @@ def _find_header(source: Source, offset: int) -> int | None:
         if len(block) < _BLOCK_BYTES:
             return None
         offset += len(block) - 2 * _REACH_BYTES
+        offset = max(offset, source.next_data(offset) - 2 * _REACH_BYTES)
     return None
 
 

@@ -42,7 +42,10 @@ def storage_files(
     """
     found = _found(folder, ledger, is_storage)
     names = metadata.names if metadata else ()
-    listed = [file for name in names if (file := _inside(folder, name, ledger)) is not None]
+    inside = [file for name in dict.fromkeys(names) if (file := _inside(folder, name, ledger)) is not None]
+    listed = list(dict.fromkeys(inside))
+    if len(set(names)) < len(names) or len(listed) < len(inside):
+        ledger.warn("metadata.yaml lists a file more than once; it was read once")
     strangers = [file for file in found if file not in listed]
     parts = [file for file in strangers if not listed or _family(file) in set(map(_family, listed))]
     if len({_family(file) for file in parts}) > 1:

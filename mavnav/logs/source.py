@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from dataclasses import dataclass
 from typing import IO
 
@@ -18,6 +20,20 @@ class Source:
         """Read ``count`` bytes, fewer at the end."""
         self.file.seek(offset)
         return self.file.read(min(count, max(self.size - offset, 0)))
+
+    def next_data(self, offset: int) -> int:
+        """Return where the next bytes lie that the file system keeps; what it does not keep are zeros."""
+        try:
+            descriptor = self.file.fileno()
+        except OSError:
+            return offset
+        here = os.lseek(descriptor, 0, os.SEEK_CUR)
+        try:
+            return os.lseek(descriptor, offset, os.SEEK_DATA)
+        except OSError as error:
+            return self.size if error.errno == errno.ENXIO else offset
+        finally:
+            os.lseek(descriptor, here, os.SEEK_SET)  # the buffer of the file does not know
 
     def where(self, offset: int) -> str:
         """Name a place for a person."""

@@ -293,3 +293,17 @@ def test_a_message_that_runs_into_a_hole_of_zeros_is_suspect(tmp_path: Path) -> 
     log = open_log(path)
     assert {s.stamp_ns for s in log.scans()} < sound
     assert log.counts.suspect == 1
+
+
+@pytest.mark.parametrize("name", ["mcap-unchunked", "mcap-zstd", "bag1"])
+def test_what_lies_behind_a_hole_in_the_file_is_found(name: str, tmp_path: Path) -> None:
+    """A hole takes no space on the disk; it is passed over, not read."""
+    path = WRITERS[name][1](tmp_path / "a.log", [laser(k) for k in range(30)])
+    data, hole_bytes = path.read_bytes(), 1 << 26
+    with path.open("wb") as file:
+        file.write(data[: len(data) // 2])
+        file.seek(hole_bytes, 1)
+        file.write(data[len(data) // 2 :])
+    found = survey(path)
+    assert 17 <= found.scans["/scan"].total < 31
+    assert found.damage

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from log_files import START_NS, WRITERS, drive, foxglove_json, foxglove_protobuf, laser, write_bag2, write_mcap
 
-from mavnav.logs import open_log
+from mavnav.logs import open_log, survey
 from mavnav.pose import Pose
 
 if TYPE_CHECKING:
@@ -169,3 +169,22 @@ def test_extrinsic_takes_the_place_of_the_transforms(tmp_path: Path) -> None:
     assert (log.base_T_laser, log.mounting_source) == (Pose(1.0, 0.0, 0.0), "option")
     assert log.odometry is not None
     np.testing.assert_allclose(log.odometry.odom_T_laser.xyyaw[0], (1.0, 0.0, 0.0))
+
+
+def test_a_file_that_metadata_lists_a_thousand_times_is_read_once(tmp_path: Path) -> None:
+    folder = write_bag2(tmp_path / "bag", [laser(k) for k in range(3)])
+    (name,) = (file.name for file in folder.glob("*.db3"))
+    names = ", ".join([name, f"./{name}"] * 500)
+    (folder / "metadata.yaml").write_text(f"rosbag2_bagfile_information: {{relative_file_paths: [{names}]}}")
+    found = survey(folder)
+    assert found.scans["/scan"].total == 3
+    assert any("more than once" in w for w in found.warnings)
+
+
+def test_a_name_that_no_file_can_have_is_told(tmp_path: Path) -> None:
+    folder = write_bag2(tmp_path / "bag", [laser(k) for k in range(3)])
+    for name in ("x" * 5000, "a\\0b"):
+        (folder / "metadata.yaml").write_text(f'rosbag2_bagfile_information: {{relative_file_paths: ["{name}"]}}')
+        found = survey(folder)
+        assert found.scans["/scan"].total == 3
+        assert any("cannot be a file's name" in d.what for d in found.damage)
