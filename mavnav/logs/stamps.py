@@ -5,7 +5,7 @@ from __future__ import annotations
 from array import array
 from bisect import bisect_left
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -155,8 +155,8 @@ class TopicScans:
         kinds = np.array(self._kind)
         offsets = _frozen(self._header_ns) - _frozen(self._log_ns)
         usual = np.median(offsets[~suspect])
-        known = [self._kinds[kind] for kind in np.unique(kinds[~suspect])]
-        like = np.array([kind in known for kind in self._kinds])
+        known = {_geometry(self._kinds[kind]) for kind in np.unique(kinds[~suspect]).tolist()}
+        like = np.array([_geometry(kind) in known for kind in self._kinds])
         plausible: NDArray[np.bool_] = like[kinds] & (np.abs(offsets - usual) < _SUSPECT_OFFSET_NS)
         return plausible | ~suspect
 
@@ -189,6 +189,12 @@ class TopicScans:
         counts = (impossible.sum(), implausible.sum(), twice, len(rest) - twice)
         reasons = ("impossible_stamp", "implausible", "duplicate_stamp", "backward_stamp")
         return Counter(dict(zip(reasons, map(int, counts), strict=True)))
+
+
+def _geometry(kind: tuple[LaserSpec, str]) -> tuple[LaserSpec, str]:
+    """Return a kind of scan without its times, which some drivers measure anew for every scan."""
+    spec, frame_id = kind
+    return replace(spec, time_increment_s=0.0, scan_time_s=0.0), frame_id
 
 
 def _frozen(stamps: array[int]) -> NDArray[np.int64]:

@@ -307,3 +307,14 @@ def test_what_lies_behind_a_hole_in_the_file_is_found(name: str, tmp_path: Path)
     found = survey(path)
     assert 17 <= found.scans["/scan"].total < 31
     assert found.damage
+
+
+def test_suspect_scans_whose_times_differ_as_those_of_all_scans_do_are_kept(tmp_path: Path) -> None:
+    scans = [laser(k, beams=64, scan_time=0.1 + 1e-5 * k) for k in range(40)]
+    path = write_mcap(tmp_path / "a.mcap", scans, compression="NONE")
+    data = bytearray(path.read_bytes())
+    data[data.index(serialized(scans[20], 2)) + 100] ^= 1  # in the ranges
+    path.write_bytes(data)
+    log = open_log(path)
+    assert log.counts.usable == 40
+    assert log.counts.suspect > 0
