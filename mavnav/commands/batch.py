@@ -12,6 +12,7 @@ import typer
 from mavnav.commands.batch_rows import print_verdict, telling
 from mavnav.commands.cell_progress import watching
 from mavnav.commands.gating import Gates
+from mavnav.commands.options import ConfigFile, End, Extrinsic, Odom, Online, Quiet, Sets, Start, Strict, Topic
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.replay import pose
 from mavnav.commands.terminal import emit, note
@@ -103,38 +104,22 @@ def batch(
     annotations: Annotated[
         bool, typer.Option("--annotations", help="GitHub annotations on stderr; there by itself.")
     ] = False,
-    online: Annotated[bool, typer.Option("--online", help="Leave out the final pass over the finished map.")] = False,
-    odom: Annotated[
-        str | None,
-        typer.Option(metavar="auto|TOPIC|off", help="Odometry as prediction (never with paper).", show_default=False),
-    ] = None,
-    topic: Annotated[str | None, typer.Option(help="Scan topic, where there are several.", show_default=False)] = None,
-    start: Annotated[
-        float | None, typer.Option(help="Begin so many seconds after the first scan.", show_default=False)
-    ] = None,
-    end: Annotated[
-        float | None, typer.Option(help="End so many seconds after the first scan.", show_default=False)
-    ] = None,
-    extrinsic: Annotated[
-        str | None,
-        typer.Option(metavar="X,Y,YAW", help="Laser on its base, m, m, rad; overrides tf.", show_default=False),
-    ] = None,
-    config: Annotated[
-        str | None, typer.Option(metavar="FILE", help="YAML file, or the name of a preset.", show_default=False)
-    ] = None,
-    sets: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of it.", show_default=False)
-    ] = None,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Leave out scans from where a checksum does not match.")
-    ] = False,
+    online: Online = False,
+    odom: Odom = None,
+    topic: Topic = None,
+    start: Start = None,
+    end: End = None,
+    extrinsic: Extrinsic = None,
+    config: ConfigFile = None,
+    sets: Sets = None,
+    strict: Strict = False,
     pages: Annotated[bool, typer.Option("--report", help="Draw a page of every run too.")] = False,
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON Schema of manifests.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Run again what was run before.")] = False,
     json: Annotated[
         bool, typer.Option("--json", help="A line of JSON a run on stdout, and a last one on all.")
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Replay many logs with many settings; what fails fails alone, what was run before is not run again."""
     if schema:

@@ -11,6 +11,7 @@ from mavnav.commands.cell_progress import watching
 from mavnav.commands.comparison_table import print_comparison
 from mavnav.commands.gating import Gates, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
+from mavnav.commands.options import ConfigFile, End, Extrinsic, Odom, Online, Quiet, Sets, Start, Topic
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.references import RelationsFile, Truth, TruthMap
 from mavnav.commands.replay import pose
@@ -71,32 +72,18 @@ def compare(
     truth_map: TruthMap = None,
     relations: RelationsFile = None,
     gates: Gates = None,
-    online: Annotated[bool, typer.Option("--online", help="Leave out the final pass over the finished map.")] = False,
-    odom: Annotated[
-        str | None,
-        typer.Option(metavar="auto|TOPIC|off", help="Odometry as prediction (never with paper).", show_default=False),
-    ] = None,
-    topic: Annotated[str | None, typer.Option(help="Scan topic, where there are several.", show_default=False)] = None,
-    start: Annotated[
-        float | None, typer.Option(help="Begin so many seconds after the first scan.", show_default=False)
-    ] = None,
-    end: Annotated[
-        float | None, typer.Option(help="End so many seconds after the first scan.", show_default=False)
-    ] = None,
-    extrinsic: Annotated[
-        str | None,
-        typer.Option(metavar="X,Y,YAW", help="Laser on its base, m, m, rad; overrides tf.", show_default=False),
-    ] = None,
-    config: Annotated[
-        str | None, typer.Option(metavar="FILE", help="YAML file, or the name of a preset.", show_default=False)
-    ] = None,
-    sets: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of it.", show_default=False)
-    ] = None,
+    online: Online = False,
+    odom: Odom = None,
+    topic: Topic = None,
+    start: Start = None,
+    end: End = None,
+    extrinsic: Extrinsic = None,
+    config: ConfigFile = None,
+    sets: Sets = None,
     preview: Preview = False,
     force: Annotated[bool, typer.Option("--force", help="Run again what was run before.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print comparison.json on stdout and nothing else.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Replay logs with several search grids and methods, and set the maps side by side, with their price.
 

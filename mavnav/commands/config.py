@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from mavnav.commands.options import Sets
 from mavnav.commands.terminal import emit
 
 app = typer.Typer(help="Show the configuration, its presets and its schema.")
@@ -16,9 +17,7 @@ def show(
     config: Annotated[
         str | None, typer.Argument(metavar="FILE", help="YAML file, or the name of a preset.", show_default=False)
     ] = None,
-    sets: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of it.", show_default=False)
-    ] = None,
+    sets: Sets = None,
     method: Annotated[str | None, typer.Option(help="robust (default) or paper.", show_default=False)] = None,
 ) -> None:
     """Print the effective configuration as YAML, a comment for every value; it can be given to --config."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mavnav.commands.options import Quiet
 from mavnav.commands.progress import reporting
 from mavnav.commands.replay import print_table
 from mavnav.commands.terminal import emit, note
@@ -39,7 +40,7 @@ def convert(
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Write what can be read of a log as a sound, indexed MCAP with ROS 2 messages."""
     from mavnav.logs.convert import convert as write

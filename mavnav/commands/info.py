@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mavnav.commands.options import Quiet, Strict
 from mavnav.commands.progress import reporting
 from mavnav.commands.terminal import console, emit, note, printable
 from mavnav.errors import ExitCode, MavnavError
@@ -37,11 +38,9 @@ def info(
     ],
     *,
     topic: Annotated[str | None, typer.Option(help="This scan topic alone.", show_default=False)] = None,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Leave out scans from where a checksum does not match.")
-    ] = False,
+    strict: Strict = False,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Examine a log: topics, sensor, scans, rate, validity of ranges, odometry, and everything that is damaged."""
     from mavnav.logs import survey

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from mavnav.commands.options import Quiet
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows
 from mavnav.commands.references import RelationsFile, Truth, TruthMap
@@ -36,7 +37,7 @@ def metrics(
     truth_map: TruthMap = None,
     relations: RelationsFile = None,
     json: Annotated[bool, typer.Option("--json", help="Print one object on stdout and nothing else.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Measure maps: wall thickness, ghost walls, crispness, support, errors against a reference."""
     with reporting(quiet=quiet) as report:

@@ -11,6 +11,7 @@ import typer
 from mavnav.commands import signals
 from mavnav.commands.gating import Gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
+from mavnav.commands.options import ConfigFile, End, Extrinsic, Odom, Online, Quiet, Sets, Start, Strict, Topic
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.quality_rows import quality_rows, reference_rows
 from mavnav.commands.references import RelationsFile, Truth, TruthMap
@@ -53,15 +54,12 @@ def replay(
         str | None, typer.Option(metavar="NxM", help="Points of the search grid in the plane.", show_default=False)
     ] = None,
     azimuth: Annotated[int | None, typer.Option(help="Points of the azimuth grid.", show_default=False)] = None,
-    online: Annotated[bool, typer.Option("--online", help="Leave out the final pass over the finished map.")] = False,
+    online: Online = False,
     search: Annotated[
         str | None,
         typer.Option(metavar="pruned|exhaustive", help="Exhaustive: slower, the same minimum.", show_default=False),
     ] = None,
-    odom: Annotated[
-        str | None,
-        typer.Option(metavar="auto|TOPIC|off", help="Odometry as prediction (never with paper).", show_default=False),
-    ] = None,
+    odom: Odom = None,
     deskew: Annotated[
         str | None,
         typer.Option(metavar="auto|on|off", help="Undo the motion of a sweep (robust).", show_default=False),
@@ -72,23 +70,12 @@ def replay(
             metavar="auto|off", help="Correct the way where it came back (never on line).", show_default=False
         ),
     ] = None,
-    topic: Annotated[str | None, typer.Option(help="Scan topic, where there are several.", show_default=False)] = None,
-    start: Annotated[
-        float | None, typer.Option(help="Begin so many seconds after the first scan.", show_default=False)
-    ] = None,
-    end: Annotated[
-        float | None, typer.Option(help="End so many seconds after the first scan.", show_default=False)
-    ] = None,
-    extrinsic: Annotated[
-        str | None,
-        typer.Option(metavar="X,Y,YAW", help="Laser on its base, m, m, rad; overrides tf.", show_default=False),
-    ] = None,
-    config: Annotated[
-        str | None, typer.Option(metavar="FILE", help="YAML file, or the name of a preset.", show_default=False)
-    ] = None,
-    sets: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of it.", show_default=False)
-    ] = None,
+    topic: Topic = None,
+    start: Start = None,
+    end: End = None,
+    extrinsic: Extrinsic = None,
+    config: ConfigFile = None,
+    sets: Sets = None,
     known: Annotated[
         Path | None,
         typer.Option(
@@ -108,13 +95,11 @@ def replay(
     gates: Gates = None,
     preview: Preview = False,
     report: Annotated[bool, typer.Option("--report", help="Leave the run as one page too, report.html.")] = False,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Leave out scans from where a checksum does not match.")
-    ] = False,
+    strict: Strict = False,
     profile: Annotated[bool, typer.Option("--profile", help="Tell the seconds by stage.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the run directory if it exists.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print run.json on stdout and nothing else.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
     options = {"method": method, "grid": grid, "azimuth": azimuth, "search": search, "odom": odom}

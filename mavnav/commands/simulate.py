@@ -10,6 +10,7 @@ import typer
 
 from mavnav.commands.gating import Gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
+from mavnav.commands.options import Quiet, Sets
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.replay import page_row, print_table, wall_rows
 from mavnav.commands.terminal import emit, note
@@ -59,9 +60,7 @@ def simulate(
     animate: Annotated[
         Path | None, typer.Option(metavar="FILE.gif", help="Leave an animation too.", show_default=False)
     ] = None,
-    sets: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of it.", show_default=False)
-    ] = None,
+    sets: Sets = None,
     gates: Gates = None,
     preview: Preview = False,
     list_: Annotated[bool, typer.Option("--list", help="Show the shipped scenarios.")] = False,
@@ -69,7 +68,7 @@ def simulate(
     report: Annotated[bool, typer.Option("--report", help="Leave the run as one page too, report.html.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace what exists.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print run.json on stdout and nothing else.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Fly a mission in closed loop: laser, scan matching, map, planner, noisy vehicle."""
     if list_ or schema:
