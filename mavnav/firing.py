@@ -18,6 +18,8 @@ from mavnav.units import DEG
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from mavnav.matcher import Match
     from mavnav.scan import Scan
 
@@ -29,6 +31,11 @@ LEAST_TURN_RAD = 90 * DEG
 
 CLEARLY = 0.9
 """The told order is kept unless the other one costs less than this share of it."""
+
+GLANCE_EVERY, PLAINLY = 8, 1.25
+"""Every so manieth scan of the stretch is matched in both orders with the map of the track; where the other order costs
+so many times as much there, it is not tried. Of four logs and their reverse: 1.35 to 3.2 where the told order is right,
+0.49 to 1.04 where it is wrong."""
 
 
 def backwards(scan: Scan) -> Scan:
@@ -48,8 +55,19 @@ def turning_stretch(matches: Sequence[Match]) -> range:
     return range(first, first + length) if sums[first] >= LEAST_TURN_RAD else range(0)
 
 
+def is_plainly_told(told: Sequence[Match], other: Sequence[Match]) -> bool:
+    """Judge by a few scans of the stretch, matched in either order with the map that the told one made."""
+    costs = _costs(told, other)
+    return len(costs) > 0 and bool(costs[:, 1].mean() > PLAINLY * costs[:, 0].mean())
+
+
 def is_backwards(told: Sequence[Match], other: Sequence[Match]) -> bool:
     """Judge by the matches of the same scans, tracked with either order: the right one makes the sharper map."""
-    both = [(a.cost_m2, b.cost_m2) for a, b in zip(told, other, strict=True)]
-    costs = np.array([pair for pair in both if np.isfinite(pair).all()]).reshape(-1, 2)
+    costs = _costs(told, other)
     return len(costs) > 0 and bool(costs[:, 1].mean() < CLEARLY * costs[:, 0].mean())
+
+
+def _costs(told: Sequence[Match], other: Sequence[Match]) -> NDArray[np.float64]:
+    """Return the costs (n, 2) of the scans that either order could be matched in."""
+    both = [(a.cost_m2, b.cost_m2) for a, b in zip(told, other, strict=True)]
+    return np.array([pair for pair in both if np.isfinite(pair).all()]).reshape(-1, 2)

@@ -8,7 +8,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from mavnav.belief import Belief, Verdict
-from mavnav.firing import backwards, is_backwards, turning_stretch
+from mavnav.firing import GLANCE_EVERY, backwards, is_backwards, is_plainly_told, turning_stretch
 from mavnav.localise import Localised
 from mavnav.loop_closure import Loops
 from mavnav.matcher import with_effort
@@ -186,7 +186,7 @@ def replay(
         if len(again[1]) == len(steps):  # else the run is being stopped, and the longer track is kept
             start, (method, steps) = alone, again
             warnings.append("odometry contradicts the scans and is not used; check its scale, axes and clock")
-    if fires_backwards(log_scans, steps, start):
+    if fires_backwards(log_scans, steps, start, method):
         turned = partial(_backwards, log_scans)
         again = start.tracked(turned(), on_step)
         if len(again[1]) == len(steps):
@@ -225,17 +225,31 @@ def _backwards(log_scans: Callable[[], Iterable[Scan]]) -> Iterator[Scan]:
     return map(backwards, log_scans())
 
 
-def fires_backwards(log_scans: Callable[[], Iterable[Scan]], steps: list[Step], start: Start) -> bool:
-    """Try both orders of firing where the laser turned most, each on a map of its own."""
+def fires_backwards(log_scans: Callable[[], Iterable[Scan]], steps: list[Step], start: Start, method: Method) -> bool:
+    """Try both orders of firing where the laser turned most, each on a map of its own, unless a glance tells enough."""
     if start.config.method == "paper" or start.config.robust.deskew != "auto":
         return False
     stretch = turning_stretch([s.match for s in steps])
     scans = list(islice(log_scans(), stretch.start, stretch.stop))
     if not any(scan.spec.time_increment_s for scan in scans):
         return False
+    if is_plainly_told(*glance(scans, steps[stretch.start : stretch.stop], start.motion, method)):
+        return False
     start = replace(start, known=None)
     told, other = (start.tracked(some)[1] for some in (scans, map(backwards, scans)))
     return is_backwards([s.match for s in told], [s.match for s in other])
+
+
+def glance(scans: list[Scan], steps: list[Step], motion: Motion, method: Method) -> tuple[list[Match], list[Match]]:
+    """Match a few tracked scans once more, as told and backwards, with the map that they made."""
+    told, other = [], []
+    for before, step, scan in islice(zip(steps, steps[1:], scans[1:], strict=False), 0, None, GLANCE_EVERY):
+        if before.tracked and step.tracked:
+            here = motion.started_at(step.match.map_T_laser, step.stamp_ns)
+            here = here.coming_from(before.match.map_T_laser, before.stamp_ns)
+            told.append(method.match(scan, here.map_T_laser, here))
+            other.append(method.match(backwards(scan), here.map_T_laser, here))
+    return told, other
 
 
 def conclude(

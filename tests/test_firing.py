@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from synthetic import URG_04LX, along, furnished_rooms, scan_at
 
 from mavnav import slam
 from mavnav.config import Config
-from mavnav.firing import STRETCH_SCANS, backwards, is_backwards, turning_stretch
+from mavnav.firing import STRETCH_SCANS, backwards, is_backwards, is_plainly_told, turning_stretch
 from mavnav.matcher import Match, no_match
 from mavnav.pose import Pose
 from mavnav.scan import Scan
@@ -21,6 +23,14 @@ SLOW = replace(URG_04LX, beams=171, angle_step_rad=4 * URG_04LX.angle_step_rad, 
 
 def at(cost_m2: float, yaw_rad: float = 0.0) -> Match:
     return replace(no_match(Pose(0.0, 0.0, yaw_rad)), cost_m2=cost_m2)
+
+
+def _counted(function: Callable[..., Any], calls: list[object]) -> Callable[..., Any]:
+    def counting(*args: Any, **options: Any) -> Any:
+        calls.append(args)
+        return function(*args, **options)
+
+    return counting
 
 
 @pytest.fixture(scope="module")
@@ -76,3 +86,20 @@ def test_the_other_order_must_be_clearly_better() -> None:
     assert not is_backwards([at(1.0)] * 5, [at(0.95)] * 5)
     assert is_backwards([at(1.0)] * 5, [at(0.8)] * 5)
     assert not is_backwards([at(np.inf)] * 5, [at(0.8)] * 5)
+
+
+def test_a_glance_at_the_map_spares_the_trial_where_the_told_order_is_plainly_right() -> None:
+    assert is_plainly_told([at(1.0)] * 5, [at(1.3)] * 5)
+    assert not is_plainly_told([at(1.0)] * 5, [at(1.2)] * 5)
+    assert not is_plainly_told([at(np.inf)] * 5, [at(1.3)] * 5)
+
+
+def test_the_right_order_is_tracked_once_and_a_wrong_one_tried(
+    sweeps: list[Scan], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    maps: list[object] = []
+    monkeypatch.setattr(slam.Start, "tracked", _counted(slam.Start.tracked, maps))
+    slam.replay(lambda: sweeps, Config(), 0.1)
+    assert len(maps) == 1
+    slam.replay(lambda: [backwards(scan) for scan in sweeps], Config(), 0.1)
+    assert len(maps) == 1 + 4  # as told, the trial of both, and the whole track again
