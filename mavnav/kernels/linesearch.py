@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 MAX_LEVELS = 40
 CHUNK = 32  # points between two looks at the bound
 RECTANGLE_COST = 3  # of a polynomial on a rectangle of candidates, in candidates summed point by point
-ARC_CELLS = 0.15  # mean way of a point on an arc, in cells, up to which polynomials pay
+ARC_COST = 30  # of the polynomials along an arc of two cells, in azimuths summed point by point
 ROUNDING_M2 = 1e-9  # above any difference between two orders of summation, as long as maps are smaller than 100 km
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
@@ -105,57 +105,97 @@ def _cost_sum(
     return total
 
 
-@kernel(void(_F2, _F1, _F1, float64[::1], float64[:, ::1], _I2, _F2, _F1))
+@kernel(int64(float64[::1], int64[::1]))
+def _runs(cells: NDArray[np.float64], starts: NDArray[np.int64]) -> int:
+    """Write where runs of equal cells start, and behind them the number of cells; returns how many runs there are."""
+    n, last = 0, len(cells) - 1
+    starts[0] = 0
+    for i in range(last):
+        starts[uint64(n + 1)] = i + 1  # written over unless a run starts there
+        n += cells[uint64(i)] != cells[uint64(i + 1)]
+    starts[uint64(n + 1)] = last + 1
+    return n + 1
+
+
+@kernel(void(_F2, _F1, _F1, float64[::1], _I2, _F2, _F1))
 def _turn_sums(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
     window: NDArray[np.float64],
     sums: NDArray[np.float64],
-    turned: NDArray[np.float64],
     nearest: NDArray[np.int32],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> None:
     """Sum the costs of all azimuths into ``sums`` (azimuths,), right but for rounding.
 
-    ``turned`` (azimuths, 2) are cosine - 1 and sine of the turns from the middle. A point that is farther from its
-    cell's edges than any turn takes it has a cost quadratic in the two; the others are looked up turn by turn.
+    While a point is in one cell its cost is quadratic in the cosine - 1 and the sine of the turn from the middle.
+    ``bends`` hold by how much the sum of these polynomials changes from one azimuth to the next.
     """
-    half_rad, truncate_m, truncate_m2, at_x, at_y = window[1], np.sqrt(window[3]), window[3], at[0], at[1]
-    ox, oy, cell, inverse = geometry[0], geometry[1], geometry[2], 1.0 / geometry[2]
+    azimuths, step, truncate_m2 = len(sums), 2 * window[1] / (len(sums) - 1), window[3]
+    cos, sin, less_1, turn = np.empty(azimuths), np.empty(azimuths), np.empty(azimuths), np.empty(azimuths)
+    for i in range(azimuths):
+        yaw, by = at[2] - window[1] + i * step, i * step - window[1]
+        cos[i], sin[i], less_1[i], turn[i] = np.cos(yaw), np.sin(yaw), -2.0 * np.sin(0.5 * by) ** 2, np.sin(by)
+    at_x, at_y, ox, oy, inverse = at[0], at[1], geometry[0], geometry[1], 1.0 / geometry[2]
+    wide = uint64(nearest.shape[1])
     c, s = np.cos(at[2]), np.sin(at[2])
-    k0 = k_c = k_s = k_cc = k_cs = k_ss = 0.0
+    flat, last_col, last_row = nearest.ravel(), nearest.shape[1] - 1.0, nearest.shape[0] - 1.0
+    bends, cells, starts = np.zeros((azimuths, 6)), np.empty(azimuths), np.empty(azimuths + 1, np.int64)
+    starts[0] = 0
     for k in range(points.shape[1]):
-        ex, ey = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
-        px, py = at_x + ex, at_y + ey
-        reach = half_rad * (abs(ex) + abs(ey)) + 1e-9
-        fx, fy = (px - ox) * inverse, (py - oy) * inverse
-        fx, fy = fx - np.floor(fx), fy - np.floor(fy)
-        if min(fx, 1.0 - fx, fy, 1.0 - fy) * cell > reach:
-            slot = _slot_at(px, py, ox, oy, inverse, nearest)
-            line = uint64(slot)
+        from_x, from_y = points[0, k], points[1, k]
+        ex, ey = c * from_x - s * from_y, s * from_x + c * from_y
+        px, py, size, runs = at_x + ex, at_y + ey, abs(ex) + abs(ey), 1
+        fx, fy, swept = (px - ox) * inverse, (py - oy) * inverse, (window[1] * size + 1e-9) * inverse
+        col, row = np.floor(fx), np.floor(fy)
+        fx, fy = fx - col, fy - row
+        cells[0] = min(max(row, 0.0), last_row) * wide + min(max(col, 0.0), last_col)
+        if min(fx, 1.0 - fx, fy, 1.0 - fy) <= swept:
+            # The sums are those of ``_slot_at``, so that both agree on every candidate.
+            for i in range(azimuths):
+                fx = np.floor((cos[i] * from_x - sin[i] * from_y + at_x - ox) * inverse)
+                fy = np.floor((sin[i] * from_x + cos[i] * from_y + at_y - oy) * inverse)
+                cells[i] = min(max(fy, 0.0), last_row) * wide + min(max(fx, 0.0), last_col)
+            runs = _runs(cells, starts)
+        b0 = b_c = b_s = b_cc = b_cs = b_ss = 0.0
+        for run in range(runs):
+            i0, i1 = uint64(starts[run]), uint64(starts[run + 1] if runs > 1 else azimuths)
+            line = uint64(flat[uint64(cells[i0])])
             dx, dy = px - lines[line, 0], py - lines[line, 1]
-            if slot == 0:
-                k0 += truncate_m2
-                continue
-            if dx * dx + dy * dy < (truncate_m - reach) ** 2 and reach < truncate_m:
-                a, b, d = lines[line, 2], lines[line, 3], lines[line, 4]
-                # The turned point is d + (cos - 1) e + sin e', e' at right angles to e.
-                gx, gy = a * dx + b * dy, b * dx + d * dy
-                hx, hy = a * ex + b * ey, b * ex + d * ey
-                k0 += dx * gx + dy * gy
-                k_c += ex * gx + ey * gy
-                k_s += ex * gy - ey * gx
-                k_cc += ex * hx + ey * hy
-                k_cs += ex * hy - ey * hx
-                k_ss += a * ey * ey - 2.0 * b * ex * ey + d * ex * ex
-                continue
-        for i in range(len(sums)):
-            qx = px + turned[i, 0] * ex - turned[i, 1] * ey
-            qy = py + turned[i, 0] * ey + turned[i, 1] * ex
-            sums[i] += _distance2(qx, qy, truncate_m2, _slot_at(qx, qy, ox, oy, inverse, nearest), lines)
-    for i in range(len(sums)):
-        u, v = turned[i, 0], turned[i, 1]
+            reach = size * (max(abs(turn[i0]), abs(turn[i1 - uint64(1)])) + step)
+            far_x, far_y = abs(dx) + reach, abs(dy) + reach
+            a, b, d = lines[line, 2], lines[line, 3], lines[line, 4]
+            # The turned point is d + (cos - 1) e + sin e', e' at right angles to e.
+            gx, gy = a * dx + b * dy, b * dx + d * dy
+            hx, hy = a * ex + b * ey, b * ex + d * ey
+            p0, p_c, p_s = dx * gx + dy * gy, ex * gx + ey * gy, ex * gy - ey * gx
+            p_cc, p_cs = ex * hx + ey * hy, ex * hy - ey * hx
+            p_ss = a * ey * ey - 2.0 * b * ex * ey + d * ex * ex
+            if far_x * far_x + far_y * far_y >= truncate_m2:
+                p0 = p_c = p_s = p_cc = p_cs = p_ss = 0.0
+                if line == 0:
+                    p0 = truncate_m2
+                else:
+                    for i in range(i0, i1):
+                        qx, qy = px + less_1[i] * ex - turn[i] * ey, py + less_1[i] * ey + turn[i] * ex
+                        sums[i] += _distance2(qx, qy, truncate_m2, int64(line), lines)
+            bends[i0, 0] += p0 - b0
+            bends[i0, 1] += p_c - b_c
+            bends[i0, 2] += p_s - b_s
+            bends[i0, 3] += p_cc - b_cc
+            bends[i0, 4] += p_cs - b_cs
+            bends[i0, 5] += p_ss - b_ss
+            b0, b_c, b_s, b_cc, b_cs, b_ss = p0, p_c, p_s, p_cc, p_cs, p_ss
+    k0 = k_c = k_s = k_cc = k_cs = k_ss = 0.0
+    for i in range(azimuths):
+        u, v = less_1[i], turn[i]
+        k0 += bends[i, 0]
+        k_c += bends[i, 1]
+        k_s += bends[i, 2]
+        k_cc += bends[i, 3]
+        k_cs += bends[i, 4]
+        k_ss += bends[i, 5]
         sums[i] += k0 + 2.0 * (u * k_c + v * k_s) + u * u * k_cc + 2.0 * u * v * k_cs + v * v * k_ss
 
 
@@ -170,17 +210,15 @@ def _turn_on_lines(
     geometry: NDArray[np.float64],
 ) -> int:
     """Search the azimuth grid on the lines; returns the index of the least cost."""
-    x, y = np.empty(points.shape[1]), np.empty(points.shape[1])
     sums, step, near = np.zeros(azimuths), 2 * window[1] / (azimuths - 1), np.inf
     pruned = window[4] > 0
-    by_cells = pruned and window[1] * np.abs(points).mean() < ARC_CELLS * geometry[2]
+    by_cells = pruned and ARC_COST * window[1] * np.abs(points).mean() < azimuths * geometry[2]
     if by_cells:
-        turned = np.empty((azimuths, 2))
-        for i in range(azimuths):
-            turn = i * step - window[1]
-            turned[i, 0], turned[i, 1] = -2.0 * np.sin(0.5 * turn) ** 2, np.sin(turn)
-        _turn_sums(points, at, window, sums, turned, nearest, lines, geometry)
+        _turn_sums(points, at, window, sums, nearest, lines, geometry)
         near = sums.min() + 2.0 * ROUNDING_M2
+        if np.count_nonzero(sums <= near) == 1:
+            return int(np.argmin(sums))
+    x, y = np.empty(points.shape[1]), np.empty(points.shape[1])
     best, best_i = np.inf, azimuths
     # Without sums the middle comes first: its cost is a bound that few others come under.
     for turn in range(-1 if pruned and not by_cells else 0, azimuths):
@@ -194,58 +232,26 @@ def _turn_on_lines(
     return best_i
 
 
-@kernel(int64(float64[::1], float64, float64, float64, int64[:, ::1]))
-def _runs(offsets: NDArray[np.float64], x: float, origin_m: float, cell_m: float, out: NDArray[np.int64]) -> int:
-    """Split the offsets by the column that a point falls into: rows of the run's end and its column; returns how many.
-
-    The sums are those of ``_slot_at``, so that both agree on every candidate. Columns beyond the edges count on.
-    """
-    n, i, last, inverse = 0, 0, len(offsets) - 1, 1.0 / cell_m
-    col = np.floor((x + offsets[0] - origin_m) * inverse)
-    end = np.floor((x + offsets[last] - origin_m) * inverse)
-    if col == end:
-        out[0, 0], out[0, 1] = last + 1, int64(col)
-        return 1
-    per_offset = last / (offsets[last] - offsets[0])
-    while col != end:
-        edge = origin_m + (col + 1.0) * cell_m - x
-        i = min(max(int64(np.ceil((edge - offsets[0]) * per_offset)), i + 1), last)
-        # The estimate may be one off.
-        while np.floor((x + offsets[i - 1] - origin_m) * inverse) != col:
-            i -= 1
-        while np.floor((x + offsets[i] - origin_m) * inverse) == col:
-            i += 1
-        out[n, 0], out[n, 1] = i, int64(col)
-        n += 1
-        col = np.floor((x + offsets[i] - origin_m) * inverse)
-    out[n, 0], out[n, 1] = last + 1, int64(col)
-    return n + 1
-
-
-@kernel(void(float64[:, :, ::1], int64, int64, float64, float64[::1]))
-def _bend(bends: NDArray[np.float64], j: int, i: int, sign: float, polynomial: NDArray[np.float64]) -> None:
-    for m in range(6):
-        bends[j, i, m] += sign * polynomial[m]
-
-
 @kernel(void(float64[:, :, ::1], float64[::1], float64[::1], float64[:, ::1]))
 def _integrate(
     bends: NDArray[np.float64], right: NDArray[np.float64], up: NDArray[np.float64], sums: NDArray[np.float64]
 ) -> None:
     """Sum second differences (ny, nx, 6) of polynomials up, and add each candidate's value to ``sums``."""
     ny, nx = sums.shape
-    p = np.empty(6)
+    flat = bends.ravel()
+    for m in range(6 * nx, len(flat)):
+        flat[m] += flat[m - 6 * nx]
     for j in range(ny):
-        if j > 0:
-            below, here = bends[j - 1].ravel(), bends[j].ravel()
-            for m in range(len(here)):
-                here[m] += below[m]
-        p[:] = 0.0
+        v, p0, p_u, p_v, p_uu, p_uv, p_vv = up[j], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(nx):
-            for m in range(6):
-                p[m] += bends[j, i, m]
-            u, v = right[i], up[j]
-            sums[j, i] += p[0] + u * (p[1] + u * p[3] + v * p[4]) + v * (p[2] + v * p[5])
+            u = right[i]
+            p0 += bends[j, i, 0]
+            p_u += bends[j, i, 1]
+            p_v += bends[j, i, 2]
+            p_uu += bends[j, i, 3]
+            p_uv += bends[j, i, 4]
+            p_vv += bends[j, i, 5]
+            sums[j, i] += p0 + u * (p_u + u * p_uu + v * p_uv) + v * (p_v + v * p_vv)
 
 
 @kernel(void(float64[::1], float64[::1], _F1, _F1, float64[:, ::1], _I2, _F2, _F1))
@@ -262,6 +268,8 @@ def _shift_sums(
     """Sum the costs of all shifts of the turned points into ``sums`` (ny, nx), right but for rounding.
 
     Candidates that put a point into one cell form a rectangle, over which its cost is one polynomial of the shift.
+    ``bends`` hold the second differences of the sum of these polynomials; each rectangle adds what it differs by at its
+    first corner, ``steps`` what the rectangles of the rows before did along theirs.
     """
     ny, nx = sums.shape
     half_m, truncate_m2 = window[0], window[3]
@@ -271,69 +279,76 @@ def _shift_sums(
     for j in range(ny):
         to_y[j] = at[1] - half_m + j * (2 * half_m / (ny - 1))
     right, up = to_x - at[0], to_y - at[1]
-    at_x, at_y, ox, oy = at[0], at[1], geometry[0], geometry[1]
-    bends, polynomial = np.zeros((ny, nx, 6)), np.zeros(6)
-    cols, rows = np.empty((nx, 2), np.int64), np.empty((ny, 2), np.int64)
-    inverse, last_x, last_y = 1.0 / geometry[2], to_x[nx - 1], to_y[ny - 1]
-    wide, high = nearest.shape[1], nearest.shape[0]
+    at_x, at_y, ox, oy, inverse = at[0], at[1], geometry[0], geometry[1], 1.0 / geometry[2]
+    last_x, last_y = to_x[nx - 1], to_y[ny - 1]
+    flat, wide, high = nearest.ravel(), nearest.shape[1], nearest.shape[0]
+    bends, steps, cols, rows = np.zeros((ny, nx, 6)), np.zeros((nx, 6)), np.empty(nx), np.empty(ny)
+    starts_i, starts_j = np.empty(nx + 1, np.int64), np.empty(ny + 1, np.int64)
     k0 = k_u = k_v = k_uu = k_uv = k_vv = 0.0
     for k in range(len(x)):
-        col, row = np.floor((x[k] + to_x[0] - ox) * inverse), np.floor((y[k] + to_y[0] - oy) * inverse)
-        stays = col == np.floor((x[k] + last_x - ox) * inverse) and row == np.floor((y[k] + last_y - oy) * inverse)
-        if stays and 0 <= col < wide and 0 <= row < high:
-            line = uint64(nearest[uint64(row), uint64(col)])
-            dx, dy = x[k] + at_x - lines[line, 0], y[k] + at_y - lines[line, 1]
-            far_x, far_y = abs(dx) + half_m, abs(dy) + half_m
-            if (far_x * far_x + far_y * far_y) * (1.0 + 1e-9) < truncate_m2:
-                a, b, d = lines[line, 2], lines[line, 3], lines[line, 4]
-                gx, gy = a * dx + b * dy, b * dx + d * dy
-                k0 += dx * gx + dy * gy
-                k_u += gx
-                k_v += gy
-                k_uu += a
-                k_uv += b
-                k_vv += d
-                continue
-        n_cols = _runs(to_x, x[k], ox, geometry[2], cols)
-        n_rows = _runs(to_y, y[k], oy, geometry[2], rows)
-        j0 = 0
-        for r in range(n_rows):
-            j1, row = rows[r, 0], rows[r, 1]
-            i0 = 0
-            for n in range(n_cols):
-                i1, col = cols[n, 0], cols[n, 1]
+        px, py = x[k], y[k]
+        col, row = np.floor((px + to_x[0] - ox) * inverse), np.floor((py + to_y[0] - oy) * inverse)
+        n_i = n_j = 1
+        starts_i[0], starts_i[1], starts_j[0], starts_j[1], cols[0], rows[0] = 0, nx, 0, ny, col, row
+        if col != np.floor((px + last_x - ox) * inverse):
+            for i in range(nx):
+                cols[i] = np.floor((px + to_x[i] - ox) * inverse)
+            n_i = _runs(cols, starts_i)
+        if row != np.floor((py + last_y - oy) * inverse):
+            for j in range(ny):
+                rows[j] = np.floor((py + to_y[j] - oy) * inverse)
+            n_j = _runs(rows, starts_j)
+        for r in range(n_j):
+            j0, j1 = starts_j[r], starts_j[r + 1]
+            row = rows[uint64(j0)]
+            l0 = l_u = l_v = l_uu = l_uv = l_vv = 0.0
+            for n in range(n_i):
+                i0, i1 = starts_i[n], starts_i[n + 1]
+                col = cols[uint64(i0)]
                 slot = int64(0)
-                if 0 <= col < nearest.shape[1] and 0 <= row < nearest.shape[0]:
-                    slot = int64(nearest[uint64(row), uint64(col)])
+                if 0 <= col < wide and 0 <= row < high:
+                    slot = int64(flat[uint64(row * wide + col)])
                 line = uint64(slot)
-                dx, dy = x[k] + at_x - lines[line, 0], y[k] + at_y - lines[line, 1]
-                far_x = max(abs(dx + right[i0]), abs(dx + right[i1 - 1]))
-                far_y = max(abs(dy + up[j0]), abs(dy + up[j1 - 1]))
-                if slot == 0:
-                    polynomial[:] = 0.0
-                    polynomial[0] = truncate_m2
-                elif (far_x * far_x + far_y * far_y) * (1.0 + 1e-9) < truncate_m2:
-                    a, b, d = lines[line, 2], lines[line, 3], lines[line, 4]
-                    gx, gy = a * dx + b * dy, b * dx + d * dy
-                    polynomial[0], polynomial[1], polynomial[2] = dx * gx + dy * gy, 2.0 * gx, 2.0 * gy
-                    polynomial[3], polynomial[4], polynomial[5] = a, 2.0 * b, d
+                dx, dy = px + at_x - lines[line, 0], py + at_y - lines[line, 1]
+                far_x = max(abs(dx + right[uint64(i0)]), abs(dx + right[uint64(i1 - 1)]))
+                far_y = max(abs(dy + up[uint64(j0)]), abs(dy + up[uint64(j1 - 1)]))
+                p_uu, b, p_vv = lines[line, 2], lines[line, 3], lines[line, 4]
+                gx, gy = p_uu * dx + b * dy, b * dx + p_vv * dy
+                p0, p_u, p_v, p_uv = dx * gx + dy * gy, 2.0 * gx, 2.0 * gy, 2.0 * b
+                if (far_x * far_x + far_y * far_y) * (1.0 + 1e-9) >= truncate_m2:
+                    p0 = p_u = p_v = p_uu = p_uv = p_vv = 0.0
+                    if slot == 0:
+                        p0 = truncate_m2
+                    else:
+                        for j in range(j0, j1):
+                            for i in range(i0, i1):
+                                sums[j, i] += _distance2(px + to_x[i], py + to_y[j], truncate_m2, slot, lines)
+                if n == 0 and r == 0:
+                    k0 += p0
+                    k_u += p_u
+                    k_v += p_v
+                    k_uu += p_uu
+                    k_uv += p_uv
+                    k_vv += p_vv
                 else:
-                    for j in range(j0, j1):
-                        for i in range(i0, i1):
-                            sums[j, i] += _distance2(x[k] + to_x[i], y[k] + to_y[j], truncate_m2, slot, lines)
-                    i0 = i1
-                    continue
-                _bend(bends, j0, i0, 1.0, polynomial)
-                if i1 < nx:
-                    _bend(bends, j0, i1, -1.0, polynomial)
-                if j1 < ny:
-                    _bend(bends, j1, i0, -1.0, polynomial)
-                if i1 < nx and j1 < ny:
-                    _bend(bends, j1, i1, 1.0, polynomial)
-                i0 = i1
-            j0 = j1
-    polynomial[:] = np.array([k0, 2.0 * k_u, 2.0 * k_v, k_uu, 2.0 * k_uv, k_vv])
-    _bend(bends, 0, 0, 1.0, polynomial)
+                    bends[uint64(j0), uint64(i0), 0] += p0 - l0
+                    bends[uint64(j0), uint64(i0), 1] += p_u - l_u
+                    bends[uint64(j0), uint64(i0), 2] += p_v - l_v
+                    bends[uint64(j0), uint64(i0), 3] += p_uu - l_uu
+                    bends[uint64(j0), uint64(i0), 4] += p_uv - l_uv
+                    bends[uint64(j0), uint64(i0), 5] += p_vv - l_vv
+                if n_j > 1:
+                    if r > 0:
+                        for m in range(6):
+                            bends[uint64(j0), uint64(i0), m] -= steps[uint64(n), m]
+                    steps[uint64(n), 0], steps[uint64(n), 1], steps[uint64(n), 2] = p0 - l0, p_u - l_u, p_v - l_v
+                    steps[uint64(n), 3], steps[uint64(n), 4], steps[uint64(n), 5] = (
+                        p_uu - l_uu,
+                        p_uv - l_uv,
+                        p_vv - l_vv,
+                    )
+                l0, l_u, l_v, l_uu, l_uv, l_vv = p0, p_u, p_v, p_uu, p_uv, p_vv
+    bends[0, 0] += np.array([k0, k_u, k_v, k_uu, k_uv, k_vv])
     _integrate(bends, right, up, sums)
 
 
@@ -358,9 +373,12 @@ def _shift_on_lines(
     costs = sums.ravel()
     if by_cells:
         _shift_sums(x, y, at, window, sums, nearest, lines, geometry)
-        for ji in range(nx * ny):
-            costs[ji] += n * _place(ji, nx, ny, at, window, offset)
+        if window[2] > 0.0:
+            for ji in range(nx * ny):
+                costs[ji] += n * _place(ji, nx, ny, at, window, offset)
         near = costs.min() + 2.0 * ROUNDING_M2
+        if np.count_nonzero(costs <= near) == 1:
+            return int(np.argmin(costs))
     best, best_ji = np.inf, -1
     for turn in range(-1 if pruned and not by_cells else 0, nx * ny):
         ji = (ny // 2) * nx + nx // 2 if turn < 0 else turn
