@@ -17,7 +17,7 @@ from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.lines import half_turn
 from mavnav.metrics.map_quality import MapQuality, map_quality
-from mavnav.metrics.wall_thickness import THRESHOLDS, wall_thicknesses
+from mavnav.metrics.wall_thickness import THRESHOLDS, sections_by_hits, wall_thicknesses
 from mavnav.metrics.walls import Wall
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.document import plain, thickness_document
@@ -117,8 +117,9 @@ def _document(path: Path, what: Subject, references: References) -> dict[str, An
     grid = what.grid
     if what.trajectory is not None and len(what.trajectory):
         check_times(references, *(int(what.trajectory.stamps_ns[k]) for k in (0, -1)))
-    quality = map_quality(grid, what.journey, counted=what.counted)
-    walls = wall_thicknesses(grid.hits, grid.cell_m, THRESHOLDS if what.counted else (1,))
+    sections = sections_by_hits(grid.hits, grid.cell_m, THRESHOLDS if what.counted else (1,))
+    quality = map_quality(grid, what.journey, counted=what.counted, sections=sections)
+    walls = wall_thicknesses(sections, grid.cell_m)
     reference = compared(references, what.trajectory, transform_points(what.map_T_grid, occupied_xy_m(grid)))
     document: dict[str, Any] = plain(
         {

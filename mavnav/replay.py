@@ -17,7 +17,7 @@ from mavnav.known_map import known_map
 from mavnav.logs import check_log, open_log
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import map_quality
-from mavnav.metrics.wall_thickness import wall_thicknesses
+from mavnav.metrics.wall_thickness import sections_by_hits
 from mavnav.outputs import Run, Timing, check_directory, write_run
 from mavnav.references import check_times, compared, load_references, occupied_xy_m, read_map
 from mavnav.stages import account, timed
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from mavnav.known_map import KnownMap
     from mavnav.logs import Log
     from mavnav.metrics.map_quality import MapQuality
-    from mavnav.metrics.wall_thickness import WallThickness
+    from mavnav.metrics.wall_thickness import Sections
     from mavnav.pose import Pose
     from mavnav.references import References
     from mavnav.scan import Scan
@@ -169,16 +169,16 @@ def _mapped(
     stopped = stop()
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
-    thickness = measured_thickness(outcome.grid)
+    sections = measured_sections(outcome.grid)
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
     progress("measuring", 0, None)
     run = Run(
         log=log,
         config=request.config,
         slam=outcome,
-        thickness=thickness,
+        sections=sections,
         timing=timing,
-        quality=measured_quality(outcome, log),
+        quality=measured_quality(outcome, log, sections),
         reference=compared(given.references, outcome.trajectory, occupied_xy_m(outcome.grid)),
         true_map=given.references.true_map,
         stopped=stopped,
@@ -189,16 +189,17 @@ def _mapped(
 
 
 @timed("measuring")
-def measured_thickness(grid: Grid) -> dict[int, WallThickness]:
-    """Measure the walls at each of the thresholds."""
-    return wall_thicknesses(grid.hits, grid.cell_m)
+def measured_sections(grid: Grid) -> dict[int, Sections]:
+    """Cut the walls across at each of the thresholds."""
+    return sections_by_hits(grid.hits, grid.cell_m)
 
 
 @timed("measuring")
-def measured_quality(outcome: slam.Slam, log: Log) -> MapQuality:
+def measured_quality(outcome: slam.Slam, log: Log, sections: dict[int, Sections]) -> MapQuality:
     """Measure the map of a run, with the scans behind it."""
     mapped = sum(step.accepted for step in outcome.steps) / max(len(outcome.steps), 1)
-    return map_quality(outcome.grid, Journey(outcome.trajectory, log.scans, mapped, outcome.lost_for_good))
+    journey = Journey(outcome.trajectory, log.scans, mapped, outcome.lost_for_good)
+    return map_quality(outcome.grid, journey, sections=sections)
 
 
 def _open(request: Request, progress: Progress) -> Log:

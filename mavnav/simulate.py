@@ -20,7 +20,7 @@ from mavnav.outputs.animation import animate, check_animation
 from mavnav.outputs.run import Mission, Truth
 from mavnav.pose import Pose
 from mavnav.references import LEAST_POSES, References, compared, occupied_xy_m, of_scenario
-from mavnav.replay import Progress, measured_quality, measured_thickness
+from mavnav.replay import Progress, measured_quality, measured_sections
 from mavnav.stages import account
 
 if TYPE_CHECKING:
@@ -72,16 +72,16 @@ def simulate(request: Request, progress: Progress, compile_s: float) -> tuple[Ru
     with TemporaryDirectory(prefix="mavnav-") as folder:
         kept = Path(folder) / f"{request.scenario.name}.mcap"
         record(recording, kept)
-        log = open_log(kept)
+        log, sections = open_log(kept), measured_sections(flight.slam.grid)
         run = Run(
             log=log,
             config=request.scenario.config,
             slam=flight.slam,
-            thickness=measured_thickness(flight.slam.grid),
+            sections=sections,
             timing=timing,
             truth=_truth(flight),
             mission=_mission(request, flight),
-            quality=measured_quality(flight.slam, log),
+            quality=measured_quality(flight.slam, log, sections),
             reference=_reference(flight),
         )
         document = write_run(run, request.directory, force=request.force, report=request.report)

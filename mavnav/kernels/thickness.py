@@ -59,10 +59,10 @@ def run_moments(
     -------
     (runs, 4): cells; variance along the row, covariance and variance along the column, in cells squared.
     """
-    rows, cols = hits.shape
+    (rows, cols), flat = hits.shape, hits.ravel()
     reach, step, limit = np.int64(radius) + 1, max_gap + 1, 4.0 * radius * radius
     side = 2 * reach + 1
-    seen = np.full((side, side), -1, np.int64)  # the last run that came by
+    seen = np.full(side * side, -1, np.int64)  # the last run that came by
     stack = np.empty((side * side, 2), np.int64)
     out = np.zeros((len(runs), 4))
     for k in range(len(runs)):
@@ -71,7 +71,7 @@ def run_moments(
         depth = 0
         for r in range(max(runs[k, 1], r0), min(runs[k, 2] + 1, r0 + side)):
             if hits[r, col] >= min_hits and (2 * r - mid2) ** 2 <= limit:
-                seen[r - r0, reach] = k
+                seen[(r - r0) * side + reach] = k
                 stack[depth, 0], stack[depth, 1] = r, col
                 depth += 1
         cells = weight = s_x = s_y = s_xx = s_xy = s_yy = 0
@@ -88,10 +88,11 @@ def run_moments(
             s_yy += h * y2 * y2
             for nr in range(max(r - step, r0, 0), min(r + step + 1, r0 + side, rows)):
                 for nc in range(max(c - step, c0, 0), min(c + step + 1, c0 + side, cols)):
-                    if hits[nr, nc] < min_hits or seen[nr - r0, nc - c0] == k:
+                    at = nb.uint64((nr - r0) * side + nc - c0)
+                    if flat[nb.uint64(nr * cols + nc)] < min_hits or seen[at] == k:
                         continue
                     if (2 * (nc - col)) ** 2 + (2 * nr - mid2) ** 2 <= limit:
-                        seen[nr - r0, nc - c0] = k
+                        seen[at] = k
                         stack[depth, 0], stack[depth, 1] = nr, nc
                         depth += 1
         if cells:

@@ -17,7 +17,7 @@ from mavnav.metrics.journey import placed_scans, spread
 from mavnav.metrics.revisits import Revisits, pairs_of, revisits
 from mavnav.metrics.shape import EnclosedAreas, corners, enclosed_areas, occupied_share
 from mavnav.metrics.support import SAMPLE_SCANS, Support, map_support, reasons
-from mavnav.metrics.wall_thickness import THRESHOLDS, wall_sections
+from mavnav.metrics.wall_thickness import THRESHOLDS, sections_by_hits, wall_sections
 from mavnav.metrics.walls import Wall, straight_walls
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from mavnav.grid import Grid
     from mavnav.metrics.journey import Journey, PlacedScans
+    from mavnav.metrics.wall_thickness import Sections
 
 PROFILE: Final = "map-quality/1"
 
@@ -49,7 +50,13 @@ class MapQuality:
     walls: tuple[Wall, ...]
 
 
-def map_quality(grid: Grid, journey: Journey | None = None, *, counted: bool = True) -> MapQuality:
+def map_quality(
+    grid: Grid,
+    journey: Journey | None = None,
+    *,
+    counted: bool = True,
+    sections: dict[int, Sections] | None = None,
+) -> MapQuality:
     """Measure a map.
 
     Parameters
@@ -61,11 +68,13 @@ def map_quality(grid: Grid, journey: Journey | None = None, *, counted: bool = T
         The scans behind it with their poses, where they are known.
     counted
         Whether hits and crossings are counts; otherwise they are 0 and 1, as a map file tells them.
+    sections
+        The cuts through the grid's walls at each of the thresholds, where they were made already.
     """
     cells = occupancy(grid)
     walls = wall_sections(_occupied(cells), grid.cell_m, 1)
     # Noise may hide a ghost wall at the lower thresholds, few hits at the higher ones.
-    thresholds = THRESHOLDS if counted else (1,)
+    cuts = sections or sections_by_hits(grid.hits, grid.cell_m, THRESHOLDS if counted else (1,))
     found, scans = (None, None) if journey is None else _seen_again(journey)
     support = map_support(grid, cells, walls, journey, scans)
     why = reasons(support, lost_for_good=journey is not None and journey.lost_for_good)
@@ -73,7 +82,7 @@ def map_quality(grid: Grid, journey: Journey | None = None, *, counted: bool = T
         profile=PROFILE,
         meaningful=not why,
         why=why,
-        ghost_walls=ghost_walls(grid, [wall_sections(grid.hits, grid.cell_m, hits) for hits in thresholds]),
+        ghost_walls=ghost_walls(grid, cuts.values()),
         crispness=crispness(grid, cells, support.wall_m, counted=counted),
         revisits=found,
         support=support,

@@ -70,7 +70,11 @@ def wall_thickness(hits: NDArray[np.int32], cell_m: float, min_hits: int) -> Wal
 
     ``hits`` is (rows, cols); a cell is occupied from ``min_hits`` (1 or more) on; ``cell_m`` is the cell's edge.
     """
-    sections = wall_sections(hits, cell_m, min_hits)
+    return summary(wall_sections(hits, cell_m, min_hits), cell_m, min_hits)
+
+
+def summary(sections: Sections, cell_m: float, min_hits: int) -> WallThickness:
+    """Sum up the sections through the cells of ``min_hits`` hits or more."""
     thickness, weight = sections.thickness_cells, sections.length_m
     maximum, p95, median = quantiles(thickness, weight)
     return WallThickness(
@@ -87,11 +91,16 @@ def wall_thickness(hits: NDArray[np.int32], cell_m: float, min_hits: int) -> Wal
     )
 
 
-def wall_thicknesses(
+def sections_by_hits(
     hits: NDArray[np.int32], cell_m: float, thresholds: tuple[int, ...] = THRESHOLDS
-) -> dict[int, WallThickness]:
-    """Measure the walls of a map at each of the thresholds."""
-    return {min_hits: wall_thickness(hits, cell_m, min_hits) for min_hits in thresholds}
+) -> dict[int, Sections]:
+    """Cut the walls of a map across at each of the thresholds; arguments as of `wall_thickness`."""
+    return {min_hits: wall_sections(hits, cell_m, min_hits) for min_hits in thresholds}
+
+
+def wall_thicknesses(sections: dict[int, Sections], cell_m: float) -> dict[int, WallThickness]:
+    """Sum up the sections at each threshold."""
+    return {min_hits: summary(cuts, cell_m, min_hits) for min_hits, cuts in sections.items()}
 
 
 def quantiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[float, float, float]:

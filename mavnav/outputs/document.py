@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from mavnav import __version__
-from mavnav.outputs.gridmap import known_part
 from mavnav.outputs.run import base_frame
 from mavnav.units import DEG, MM, NS
 
@@ -205,7 +204,7 @@ def thickness_document(thickness: WallThickness) -> Document:
 
 
 def _map(run: Run) -> Document:
-    grid = known_part(run.slam.grid)
+    grid = run.known
     rows, cols = grid.hits.shape
     return {
         "cell_mm": grid.cell_m / MM,

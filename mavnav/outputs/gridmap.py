@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy
+from mavnav.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,7 +30,10 @@ free_thresh: 0.196
 
 
 def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:
-    """Cut the grid to the cells that a beam reached (or ended in) and a small margin; one cell if there is none."""
+    """Cut the grid to the cells that a beam reached (or ended in) and a small margin; one cell if there is none.
+
+    The arrays are views of the grid's.
+    """
     known = grid.hits > 0
     if not hits_only:
         known |= grid.passes > 0
@@ -38,7 +41,7 @@ def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:
         return Grid(grid.cell_m, grid.origin_xy_m, np.zeros((1, 1), np.int32), np.zeros((1, 1), np.int32))
     rows, cols = (_extent(np.flatnonzero(np.any(known, axis=axis))) for axis in (1, 0))
     origin = (grid.origin_xy_m[0] + cols.start * grid.cell_m, grid.origin_xy_m[1] + rows.start * grid.cell_m)
-    return Grid(grid.cell_m, origin, grid.hits[rows, cols].copy(), grid.passes[rows, cols].copy())
+    return Grid(grid.cell_m, origin, grid.hits[rows, cols], grid.passes[rows, cols])
 
 
 def _extent(known: NDArray[np.intp]) -> slice:
@@ -47,7 +50,7 @@ def _extent(known: NDArray[np.intp]) -> slice:
 
 def write_pgm(run: Run, path: Path) -> None:
     """Write the known part of the map as a binary PGM: 0 occupied, 254 free, 205 unknown, largest y on top."""
-    cells = occupancy(known_part(run.slam.grid))[::-1]
+    cells = run.cells[::-1]
     pixels = np.full(cells.shape, _PIXELS[UNKNOWN], np.uint8)
     pixels[cells == FREE] = _PIXELS[FREE]
     pixels[cells == OCCUPIED] = _PIXELS[OCCUPIED]
@@ -57,7 +60,7 @@ def write_pgm(run: Run, path: Path) -> None:
 
 def write_yaml(run: Run, path: Path) -> None:
     """Write map_server's description of ``map.pgm``; origin is the lower left corner, with all its digits."""
-    grid = known_part(run.slam.grid)
+    grid = run.known
     x_m, y_m = (float(v) for v in grid.origin_xy_m)
     path.write_text(_YAML.format(cell_m=float(grid.cell_m), x_m=x_m, y_m=y_m), encoding="ascii")
 
@@ -74,7 +77,7 @@ def write_npz(run: Run, path: Path) -> None:
 
     Row and column grow with y and x; cell [0, 0] is the lower left pixel of ``map.pgm``.
     """
-    grid = known_part(run.slam.grid)
+    grid = run.known
     with path.open("wb") as file:
         np.savez_compressed(
             file,

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav.grid import FREE, occupancy
+from mavnav.grid import FREE
 from mavnav.outputs import canvas
-from mavnav.outputs.gridmap import known_part
 from mavnav.outputs.window import DPI, FREE_GREY, INK, MUTED, wall_lines, window_of
 from mavnav.units import MM
 
@@ -39,13 +38,13 @@ HIT_TICKS: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 
 def write(run: Run, path: Path) -> None:
     """Draw the map of a run."""
-    grid, trajectory = known_part(run.slam.grid), run.slam.trajectory
+    grid, trajectory = run.known, run.slam.trajectory
     window = window_of(grid, framed(run))
     width, height = (round(v * DPI) for v in window.figure_size(longest_in=7.5, least_in=0.0))
     picture = canvas.Canvas.of(max(width + LEFT + RIGHT, 960), max(height + TOP + BOTTOM, 420))
     left = (picture.image.width - width - RIGHT + LEFT) // 2
     frame = canvas.Frame(picture, window, left, TOP, width, height)
-    draw_free(frame, grid)
+    draw_free(frame, run)
     _draw_hits(frame, grid)
     some = thinned(trajectory.xyyaw[:, :2], CIRCLE_SPACING * max(window.size_m))
     marks = [*path_marks(trajectory, some), *_ends(run, trajectory.stamps_ns[some].tolist())]
@@ -68,10 +67,10 @@ def _title(picture: Canvas, run: Run) -> None:
     picture.text((middle, 74), _subtitle(run), 8.5, MUTED)
 
 
-def draw_free(frame: Frame, grid: Grid) -> None:
+def draw_free(frame: Frame, run: Run) -> None:
     """Shade the cells that are known to be free."""
     grey = np.array(canvas.rgb_of(FREE_GREY), np.uint8)
-    frame.cells(grid, (occupancy(grid) == FREE).astype(np.uint8), lambda _: grey)
+    frame.cells(run.known, (run.cells == FREE).astype(np.uint8), lambda _: grey)
 
 
 def _draw_hits(frame: Frame, grid: Grid) -> None:

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav.grid import OCCUPIED, UNKNOWN, occupancy
+from mavnav.grid import OCCUPIED, UNKNOWN
 from mavnav.logs import ros
 from mavnav.logs.containers import Channel, write_mcap
-from mavnav.outputs.gridmap import known_part
 from mavnav.outputs.run import base_frame
 from mavnav.pose import Pose, transform_points
 
@@ -58,7 +57,7 @@ def write(run: Run, path: Path) -> None:
             if walls.add(scan, map_T_laser, mapped=mapped):
                 put("/map", scan.stamp_ns, _map(walls.grid, walls.cells, scan.stamp_ns))
         put("/path", last_ns, _path(run))
-        put("/map", last_ns, _map(walls.grid, occupancy(walls.grid), last_ns))
+        put("/map", last_ns, _map(walls.grid, run.cells, last_ns))
 
 
 def laser_frame(run: Run) -> str:
@@ -103,9 +102,9 @@ class _GrowingMap:
     """
 
     def __init__(self, run: Run) -> None:
-        self.grid = known_part(run.slam.grid)
+        self.grid = run.known
         self.cells: NDArray[np.int8] = np.full(self.grid.hits.shape, UNKNOWN, np.int8)
-        self._walls = occupancy(self.grid) == OCCUPIED
+        self._walls = run.cells == OCCUPIED
         maps = min(MAX_MAPS, MAX_MAP_BYTES // self.cells.size)
         span_ns = run.log.last_ns - run.log.first_ns
         self._period_ns = max(MAP_PERIOD_NS, span_ns // maps) if maps else None

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
 from mavnav.errors import ExitCode
+from mavnav.grid import occupancy
+from mavnav.metrics.wall_thickness import wall_thicknesses
+from mavnav.outputs.gridmap import known_part
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -15,10 +19,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config import Config
+    from mavnav.grid import Grid
     from mavnav.logs import Log
     from mavnav.metrics.map_distance import TrueMap
     from mavnav.metrics.map_quality import MapQuality
-    from mavnav.metrics.wall_thickness import WallThickness
+    from mavnav.metrics.wall_thickness import Sections, WallThickness
     from mavnav.pose import Trajectory
     from mavnav.slam import Slam
 
@@ -76,9 +81,9 @@ class Mission:
     reached: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Run:
-    """A log, how it was run, what came out, and how thick the walls are (hit threshold -> summary).
+    """A log, how it was run, what came out, and the cuts through its walls (hit threshold -> sections).
 
     A mission of the simulator knows the truth besides. ``reference`` is what a comparison with references told,
     plain data for run.json, and ``true_map`` the one among them. ``stopped`` is the code of the signal that stopped
@@ -89,7 +94,7 @@ class Run:
     log: Log
     config: Config
     slam: Slam
-    thickness: dict[int, WallThickness]
+    sections: dict[int, Sections]
     timing: Timing
     truth: Truth | None = None
     mission: Mission | None = None
@@ -103,6 +108,21 @@ class Run:
     def name(self) -> str:
         """What the pictures call the run: its log, or its scenario."""
         return self.mission.path.stem if self.mission else self.log.path.name
+
+    @property
+    def thickness(self) -> dict[int, WallThickness]:
+        """How thick the walls are at each hit threshold."""
+        return wall_thicknesses(self.sections, self.slam.grid.cell_m)
+
+    @cached_property
+    def known(self) -> Grid:
+        """The known part of the map."""
+        return known_part(self.slam.grid)
+
+    @cached_property
+    def cells(self) -> NDArray[np.int8]:
+        """What is free, occupied and unknown in it."""
+        return occupancy(self.known)
 
     @property
     def true_walls(self) -> Walls | None:

@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from PIL import ImageDraw
 
-from mavnav.metrics.wall_thickness import wall_sections
 from mavnav.outputs import canvas
-from mavnav.outputs.gridmap import known_part
 from mavnav.outputs.map_picture import draw_free
 from mavnav.outputs.window import DPI, INK, MUTED, WALL_GREY, window_of
 
@@ -33,15 +31,15 @@ HISTOGRAM: Final = (560, 110)
 
 def write(run: Run, path: Path) -> None:
     """Draw the sections of the middle threshold on the map, and a histogram for every threshold."""
-    grid, thresholds = known_part(run.slam.grid), sorted(run.thickness)
-    sections = {k: wall_sections(grid.hits, grid.cell_m, k) for k in thresholds}
+    sections = dict(sorted(run.sections.items()))
+    thresholds = list(sections)
     shown = thresholds[len(thresholds) // 2]
-    window = window_of(grid, np.empty((0, 2)))
+    window = window_of(run.known, np.empty((0, 2)))
     width, height = (round(v * DPI) for v in window.figure_size(longest_in=6.5, least_in=0.0))
     tall = max(height, len(thresholds) * (HISTOGRAM[1] + 120))
     picture = canvas.Canvas.of(LEFT + width + RIGHT + 80 + HISTOGRAM[0] + 30, TOP + tall + BOTTOM)
     frame = canvas.Frame(picture, window, LEFT, TOP + (tall - height) // 2, width, height)
-    _draw_map(frame, grid, sections[shown], shown)
+    _draw_map(frame, run, shown)
     pitch = tall // len(thresholds)
     left = LEFT + width + RIGHT + 80
     _draw_histograms(picture, [(left, TOP + k * pitch, pitch - 120) for k in range(len(thresholds))], run, sections)
@@ -49,8 +47,9 @@ def write(run: Run, path: Path) -> None:
     picture.save(path)
 
 
-def _draw_map(frame: Frame, grid: Grid, sections: Sections, min_hits: int) -> None:
-    draw_free(frame, grid)
+def _draw_map(frame: Frame, run: Run, min_hits: int) -> None:
+    draw_free(frame, run)
+    grid, sections = run.known, run.sections[min_hits]
     grey = np.array(canvas.rgb_of(WALL_GREY), np.uint8)
     frame.cells(grid, (grid.hits >= min_hits).astype(np.uint8), lambda _: grey)
     top = max(3, int(np.ceil(np.quantile(sections.thickness_cells, 0.99))) if len(sections.row) else 3)
@@ -58,7 +57,7 @@ def _draw_map(frame: Frame, grid: Grid, sections: Sections, min_hits: int) -> No
     bounds = np.arange(0.5, top + step, step)
     colours = canvas.ramp(canvas.TURBO, len(bounds) - 1)
     # drawn across the wall, and at least a few pixels long wherever the map is large
-    lines = section_lines(grid, sections, 0.012 * max(frame.window.size_m))
+    lines = section_lines(run.slam.grid, sections, 0.012 * max(frame.window.size_m))
     ends = np.hstack((frame.to_canvas(lines[:, 0]), frame.to_canvas(lines[:, 1]))).round().astype(int)
     level = np.clip(np.searchsorted(bounds, sections.thickness_cells) - 1, 0, len(colours) - 1)
     draw = ImageDraw.Draw(frame.canvas.image)

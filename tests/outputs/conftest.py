@@ -13,7 +13,7 @@ from mavnav.config import Config
 from mavnav.grid import Grid
 from mavnav.logs import Damage, Odometry, ScanCounts, Topic
 from mavnav.matcher import Match
-from mavnav.metrics.wall_thickness import wall_thickness
+from mavnav.metrics.wall_thickness import sections_by_hits
 from mavnav.outputs import Run, Timing
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam import Slam
@@ -89,9 +89,9 @@ def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
     kept = [s for s in steps if s.tracked]
     trajectory = Trajectory.of([s.stamp_ns for s in kept], [s.match.map_T_laser for s in kept])
     lost = (LostInterval(recorded[LOST[0]].stamp_ns, recorded[LOST[-1]].stamp_ns, len(LOST), recovered=True),)
-    thickness = {k: wall_thickness(grid.hits, grid.cell_m, k) for k in (1, 2, 5)}
+    sections = sections_by_hits(grid.hits, grid.cell_m)
     log = FabricatedLog(recorded, cleaning={"valid": 600, "zero": 7})
-    return Run(log, Config(), Slam(tuple(steps), trajectory, grid, lost), thickness, Timing(2.0, 1.5, 0.5))
+    return Run(log, Config(), Slam(tuple(steps), trajectory, grid, lost), sections, Timing(2.0, 1.5, 0.5))
 
 
 @pytest.fixture(scope="session")

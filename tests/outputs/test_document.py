@@ -8,7 +8,7 @@ import pytest
 
 from mavnav.logs import Damage
 from mavnav.loop_closure import Loop, Loops
-from mavnav.metrics.wall_thickness import wall_thickness
+from mavnav.metrics.wall_thickness import wall_sections
 from mavnav.outputs.document import plain, run_document, to_json
 from mavnav.pose import Pose
 from mavnav.steps import LostInterval
@@ -91,8 +91,8 @@ def test_exit_codes(run, change):
 
 
 def test_no_wall_is_null(run):
-    empty = wall_thickness(np.zeros((3, 3), np.int32), 0.02, 5)
-    document = strict(run_document(replace(run, thickness={5: empty}), {}))
+    empty = wall_sections(np.zeros((3, 3), np.int32), 0.02, 5)
+    document = strict(run_document(replace(run, sections={5: empty}), {}))
     assert document["wall_thickness"]["5"]["max_cells"] is None
     assert document["wall_thickness"]["5"]["sections"] == 0
 

@@ -10,7 +10,7 @@ from PIL import Image
 
 from mavnav.grid import Grid
 from mavnav.loop_closure import Loop, Loops
-from mavnav.metrics.wall_thickness import wall_sections, wall_thickness
+from mavnav.metrics.wall_thickness import sections_by_hits, wall_sections
 from mavnav.outputs import canvas, drawing, map_picture, wall_picture
 from mavnav.pose import Pose, Trajectory
 
@@ -20,7 +20,7 @@ WRITERS = pytest.mark.parametrize("write", [map_picture.write, wall_picture.writ
 def with_map(run, hits, trajectory=None, cell_m=0.02):
     grid = Grid(cell_m, (0.0, 0.0), hits.astype(np.int32), np.zeros(hits.shape, np.int32))
     slam = replace(run.slam, grid=grid, trajectory=trajectory or run.slam.trajectory)
-    return replace(run, slam=slam, thickness={k: wall_thickness(grid.hits, cell_m, k) for k in (1, 2, 5)})
+    return replace(run, slam=slam, sections=sections_by_hits(grid.hits, cell_m))
 
 
 def size_of(path):
