@@ -114,6 +114,21 @@ class Grid:
         self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))
 
 
+def show_ends(
+    ranges_m: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    laser: Pose,
+    grid: Grid,
+    walls: NDArray[np.int8],
+    cells: NDArray[np.int8],
+) -> None:
+    """Copy the occupied cells of ``walls`` (rows, cols) to ``cells`` in which beams of one scan ended.
+
+    ``ranges_m`` (beams,) are NaN without a return, ``directions`` (beams, 2) cosines and sines in the laser's frame.
+    """
+    hits_kernel.show_ends(ranges_m, directions, laser.as_array(), grid.lattice, walls, cells)
+
+
 def occupancy(grid: Grid) -> NDArray[np.int8]:
     """Tell free (0), occupied (100) and unknown (-1) cells apart, as nav_msgs/OccupancyGrid does; (rows, cols).
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
 
     from mavnav.config import Config
     from mavnav.motion import Motion
-    from mavnav.scan import LaserSpec, Scan
+    from mavnav.scan import Scan
 
 
 REGAIN_S = 0.5  # without a believed pose for longer, chance agreements are likely: more of the scan must agree
@@ -73,14 +72,6 @@ class Method(Protocol):
         """Match the scan as recorded against the finished map, close to an earlier match."""
 
 
-@lru_cache(maxsize=8)
-def _directions(spec: LaserSpec) -> NDArray[np.float64]:
-    angles = spec.angles_rad
-    directions = np.column_stack((np.cos(angles), np.sin(angles)))
-    directions.flags.writeable = False
-    return directions
-
-
 def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
     """Return where the laser should be: as predicted, by its velocity, or where it was."""
     return tuple(dict.fromkeys((predicted, motion.by_velocity(scan.stamp_ns), motion.map_T_laser)))
@@ -111,7 +102,7 @@ class Paper:
         if len(points) < paper.min_beams_share * scan.spec.beams:
             return no_match(predicted, len(points))
         far_m = paper.far_mm * MM
-        virtual_m = self.grid.virtual_scan(predicted, _directions(scan.spec), far_m, paper.cluster_gap_cells)
+        virtual_m = self.grid.virtual_scan(predicted, scan.spec.directions, far_m, paper.cluster_gap_cells)
         return match_polar(virtual_m, points, scan.spec, predicted, self.config)
 
     @timed("gate")
@@ -251,9 +242,7 @@ class Robust:
         twist, increment_s = np.zeros(3), 0.0
         if robust.deskew != "off" and motion and abs(spec.time_increment_s) * spec.beams <= 1.2 * motion.period_s:
             twist, increment_s = motion.twist_at(scan.stamp_ns), spec.time_increment_s
-        return scan_points(
-            scan.ranges_m, _directions(spec), twist, increment_s, robust.near_mm * MM, robust.far_mm * MM
-        )
+        return scan_points(scan.ranges_m, spec.directions, twist, increment_s, robust.near_mm * MM, robust.far_mm * MM)
 
 
 METHODS: dict[str, Callable[[Config], Method]] = {"robust": Robust, "paper": Paper}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,9 +35,22 @@ class LaserSpec:
         return self.angle_min_rad + self.angle_step_rad * np.arange(self.beams, dtype=np.float64)
 
     @property
+    def directions(self) -> NDArray[np.float64]:
+        """Cosines and sines of the bearings, shape (beams, 2); computed once, read-only."""
+        return _directions(self)
+
+    @property
     def field_of_view_rad(self) -> float:
         """Angle between the first beam and the last."""
         return abs(self.angle_step_rad) * max(self.beams - 1, 0)
+
+
+@lru_cache(maxsize=8)
+def _directions(spec: LaserSpec) -> NDArray[np.float64]:
+    angles = spec.angles_rad
+    directions = np.column_stack((np.cos(angles), np.sin(angles)))
+    directions.flags.writeable = False
+    return directions
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,5 +72,4 @@ class Scan:
     def points(self) -> NDArray[np.float64]:
         """Return the end points of the valid beams in the laser's frame, (n, 2) in metres."""
         good = np.isfinite(self.ranges_m)
-        r, angle = self.ranges_m[good], self.spec.angles_rad[good]
-        return np.column_stack((r * np.cos(angle), r * np.sin(angle)))
+        return self.ranges_m[good, None] * self.spec.directions[good]

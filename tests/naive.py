@@ -32,6 +32,18 @@ def add_scan(xy_map_m, laser_xy_m, lattice, hits, passes):
         hits[end] += 1
 
 
+def show_ends(ranges_m, directions, pose, lattice, walls, cells):
+    """Show the walls in which the beams of a scan end."""
+    (x, y, yaw), (ox, oy, cell) = pose, lattice
+    for r, (dx, dy) in zip(ranges_m, directions, strict=True):
+        if not math.isfinite(r):
+            continue
+        col = math.floor((x + math.cos(yaw) * r * dx - math.sin(yaw) * r * dy - ox) / cell)
+        row = math.floor((y + math.sin(yaw) * r * dx + math.cos(yaw) * r * dy - oy) / cell)
+        if 0 <= row < cells.shape[0] and 0 <= col < cells.shape[1] and walls[row, col] == 100:
+            cells[row, col] = 100
+
+
 def virtual_scan(hits, lattice, pose, directions, far_m, gap_cells):
     ox, oy, cell = lattice
     x, y, yaw = pose

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, types, uint64, void
+from numba import float64, int8, int32, types, uint64, void
 
 from mavnav.kernels._jit import kernel
 
@@ -14,6 +14,33 @@ if TYPE_CHECKING:
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
+_I2 = types.Array(int8, 2, "C", readonly=True)
+
+
+@kernel(void(_F1, _F2, _F1, _F1, _I2, int8[:, ::1]))
+def show_ends(
+    ranges_m: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    pose: NDArray[np.float64],
+    lattice: NDArray[np.float64],
+    walls: NDArray[np.int8],
+    cells: NDArray[np.int8],
+) -> None:
+    """Copy ``walls`` to ``cells``, both (rows, cols), where a beam of one scan ended in an occupied cell, 100.
+
+    ``ranges_m`` (beams,) are NaN without a return, ``directions`` (beams, 2) cosines and sines in the laser's frame,
+    ``pose`` (3,) x, y, yaw of the laser in the map, ``lattice`` as of ``add_scan``. Ends outside are passed over.
+    """
+    rows, cols = cells.shape
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    for k in range(len(ranges_m)):
+        if not np.isfinite(ranges_m[k]):
+            continue
+        x, y = ranges_m[k] * directions[k, 0], ranges_m[k] * directions[k, 1]
+        col = int(np.floor((pose[0] + c * x - s * y - lattice[0]) / lattice[2]))
+        row = int(np.floor((pose[1] + s * x + c * y - lattice[1]) / lattice[2]))
+        if 0 <= row < rows and 0 <= col < cols and walls[row, col] == 100:
+            cells[row, col] = 100
 
 
 @kernel(void(_F2, _F1, _F1, int32[:, ::1], int32[:, ::1]))

@@ -77,7 +77,10 @@ def _qos(channel: Channel) -> Qos:
 
 @contextmanager
 def write_mcap(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
-    """Write an MCAP file of ROS 2 messages with their definitions, chunks compressed with zstd."""
+    """Write an MCAP file of ROS 2 messages with their definitions, chunks compressed with zstd.
+
+    Its ``put`` takes messages that are serialised already (``cdr``) as well.
+    """
     with path.open("wb") as file:
         writer = McapWriter(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library=f"mavnav {__version__}")
@@ -93,7 +96,8 @@ def write_mcap(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
         }
 
         def put(topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
-            writer.add_message(numbers[topic], stamp_ns, ros.cdr(message), stamp_ns)
+            data = message if isinstance(message, bytes) else ros.cdr(message)
+            writer.add_message(numbers[topic], stamp_ns, data, stamp_ns)
 
         yield put
         writer.finish()

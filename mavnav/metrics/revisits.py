@@ -103,11 +103,11 @@ def long_pairs(trajectory: Trajectory) -> NDArray[np.intp]:
     t, (x, y, yaw) = trajectory.stamps_ns, trajectory.xyyaw.T
     pairs = []
     for k, i in enumerate(spread(len(t), PAIRS)):
-        near = np.hypot(x - x[i], y - y[i]) < LONG_DISTANCE_M
-        alike = np.cos(yaw - yaw[i]) > np.cos(LONG_TURN_RAD)
-        partners = np.flatnonzero(near & alike & (np.abs(t - t[i]) > LONG_GAP_NS))
+        near = np.flatnonzero((np.abs(x - x[i]) < LONG_DISTANCE_M) & (np.abs(t - t[i]) > LONG_GAP_NS))
+        near = near[np.hypot(x[near] - x[i], y[near] - y[i]) < LONG_DISTANCE_M]
+        partners = near[np.cos(yaw[near] - yaw[i]) > np.cos(LONG_TURN_RAD)]
         chosen = {int((_fraction(k) + part / PARTNERS) % 1.0 * len(partners)) for part in range(PARTNERS)}
-        pairs += [(i, partners[j]) for j in sorted(chosen) if len(partners)]
+        pairs += [(i, partners[j]) for j in sorted(chosen)] if len(partners) else []
     found = np.array(pairs, np.intp).reshape(-1, 2)
     return found[spread(len(found), PAIRS)]
 
@@ -127,12 +127,11 @@ def _distances(scans: PlacedScans, trajectory: Trajectory, pairs: NDArray[np.int
     numbers = order[np.minimum(there, len(order) - 1)]
     found = (scans.stamps_ns[numbers] == trajectory.stamps_ns[pairs]).all(axis=1)
     enough = (points[numbers[:, 0]] > EVERY * (LEAST_POINTS - 1)) & (points[numbers[:, 1]] >= LEAST_TARGETS)
-    angles = spec.angles_rad
     return scan_distances(
         scans.ranges_m,
         scans.poses,
         np.ascontiguousarray(numbers[found & enough], np.int64),
-        np.column_stack((np.cos(angles), np.sin(angles))),
+        spec.directions,
         np.array([spec.angle_min_rad, spec.angle_step_rad, NEAR_M, far_m]),
         CAP_M,
         EVERY,

@@ -10,8 +10,6 @@ from scipy import ndimage
 
 from mavnav.grid import OCCUPIED
 from mavnav.metrics.journey import spread
-from mavnav.pose import Pose, transform_points
-from mavnav.scan import Scan
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -80,12 +78,12 @@ def explained_share(grid: Grid, cells: NDArray[np.int8], scans: PlacedScans) -> 
     A part of the map that was cut away, or scans that were tracked but are not in the map, lower it.
     """
     near = np.pad(ndimage.binary_dilation(cells == OCCUPIED, np.ones((3, 3))), 1)
-    on_map = total = 0
-    for row in spread(len(scans.poses), SAMPLE_SCANS):
-        scan = Scan(int(scans.stamps_ns[row]), scans.ranges_m[row], scans.spec)
-        xy_m = transform_points(Pose(*scans.poses[row].tolist()), scan.points())
-        places = np.floor((xy_m - grid.origin_xy_m) / grid.cell_m).astype(np.int64) + 1
-        cols, rows = np.clip(places, 0, np.array(near.shape[::-1]) - 1).T
-        on_map += int(np.count_nonzero(near[rows, cols]))
-        total += len(xy_m)
-    return on_map / total if total else np.nan
+    sample = spread(len(scans.poses), SAMPLE_SCANS)
+    x, y = (scans.ranges_m[sample] * part for part in scans.spec.directions.T)
+    x_m, y_m, yaw = scans.poses[sample].T[:, :, None]
+    c, s = np.cos(yaw), np.sin(yaw)
+    seen = np.isfinite(x)
+    xy_m = np.stack(((x_m + c * x - s * y)[seen], (y_m + s * x + c * y)[seen]))
+    places = np.floor((xy_m - np.array(grid.origin_xy_m)[:, None]) / grid.cell_m).astype(np.int64) + 1
+    cols, rows = (np.clip(place, 0, size - 1) for place, size in zip(places, near.shape[::-1], strict=True))
+    return np.count_nonzero(near[rows, cols]) / len(rows) if len(rows) else np.nan

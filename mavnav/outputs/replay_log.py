@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav.grid import OCCUPIED, UNKNOWN
-from mavnav.logs import ros
+from mavnav.grid import UNKNOWN, show_ends
+from mavnav.logs import cdr, ros
 from mavnav.logs.containers import Channel, write_mcap
 from mavnav.outputs.run import base_frame
-from mavnav.pose import Pose, transform_points
+from mavnav.pose import Pose
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -49,11 +49,14 @@ def write(run: Run, path: Path) -> None:
         mounting = run.log.base_T_laser
         if mounting is not None:
             put("/tf_static", run.log.first_ns, ros.transform(run.log.first_ns, base_frame(run), laser, mounting))
-        walls = _GrowingMap(run)
+        walls, write_scan, write_pose = _GrowingMap(run), cdr.scans(laser), cdr.poses(MAP_FRAME)
+        write_placement = cdr.transforms(MAP_FRAME, laser if mounting is None else base_frame(run))
+        from_laser = Pose() if mounting is None else mounting.inverse()
         for scan, map_T_laser, mapped in placed_scans(run):
-            put("/tf", scan.stamp_ns, _placement(run, scan.stamp_ns, map_T_laser))
-            put("/scan", scan.stamp_ns, ros.laser_scan(scan, laser))
-            put("/pose", scan.stamp_ns, ros.pose_stamped(scan.stamp_ns, MAP_FRAME, map_T_laser))
+            placed = map_T_laser if mounting is None else map_T_laser @ from_laser
+            put("/tf", scan.stamp_ns, write_placement(scan.stamp_ns, placed))
+            put("/scan", scan.stamp_ns, write_scan(scan))
+            put("/pose", scan.stamp_ns, write_pose(scan.stamp_ns, map_T_laser))
             if walls.add(scan, map_T_laser, mapped=mapped):
                 put("/map", scan.stamp_ns, _map(walls.grid, walls.cells, scan.stamp_ns))
         put("/path", last_ns, _path(run))
@@ -76,14 +79,6 @@ def placed_scans(run: Run) -> Iterator[tuple[Scan, Pose, bool]]:
             yield scan, trajectory[row[scan.stamp_ns]], scan.stamp_ns in mapped
 
 
-def _placement(run: Run, stamp_ns: int, map_T_laser: Pose) -> Any:  # noqa: ANN401
-    """Return the transform from the map to the base, where its place is known, or else to the laser."""
-    mounting = run.log.base_T_laser
-    if mounting is None:
-        return ros.transform(stamp_ns, MAP_FRAME, laser_frame(run), map_T_laser)
-    return ros.transform(stamp_ns, MAP_FRAME, base_frame(run), map_T_laser @ mounting.inverse())
-
-
 def _path(run: Run) -> Any:  # noqa: ANN401
     trajectory = run.slam.trajectory
     stamps = trajectory.stamps_ns.tolist()
@@ -104,7 +99,7 @@ class _GrowingMap:
     def __init__(self, run: Run) -> None:
         self.grid = run.known
         self.cells: NDArray[np.int8] = np.full(self.grid.hits.shape, UNKNOWN, np.int8)
-        self._walls = run.cells == OCCUPIED
+        self._walls = run.cells
         maps = min(MAX_MAPS, MAX_MAP_BYTES // self.cells.size)
         span_ns = run.log.last_ns - run.log.first_ns
         self._period_ns = max(MAP_PERIOD_NS, span_ns // maps) if maps else None
@@ -113,16 +108,8 @@ class _GrowingMap:
     def add(self, scan: Scan, map_T_laser: Pose, *, mapped: bool) -> bool:
         """Show what a mapped scan saw; tell whether it is time to publish."""
         if mapped:
-            self._show(transform_points(map_T_laser, scan.points()))
+            show_ends(scan.ranges_m, scan.spec.directions, map_T_laser, self.grid, self._walls, self.cells)
         if self._period_ns is None or scan.stamp_ns < self._next_ns:
             return False
         self._next_ns = scan.stamp_ns + self._period_ns
         return True
-
-    def _show(self, xy_map_m: NDArray[np.float64]) -> None:
-        cell = np.floor((xy_map_m - self.grid.origin_xy_m) / self.grid.cell_m).astype(np.int64)
-        rows, cols = self.cells.shape
-        inside = cell[((cell >= 0) & (cell < (cols, rows))).all(axis=1)]
-        col, row = inside[:, 0], inside[:, 1]
-        seen = self._walls[row, col]
-        self.cells[row[seen], col[seen]] = OCCUPIED

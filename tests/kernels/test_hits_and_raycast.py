@@ -31,6 +31,19 @@ def test_add_scan_is_its_twin(seed: int) -> None:
     np.testing.assert_array_equal(fast, slow)
 
 
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_show_ends_is_its_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ranges = np.where(rng.random(90) < 0.1, np.nan, rng.uniform(0.1, 3.0, 90))
+    walls = rng.choice(np.array([-1, 0, 100], np.int8), (40, 80))
+    pose = rng.uniform((-0.9, -0.4, -3), (2.9, 1.4, 3))
+    fast, slow = np.full((2, 40, 80), -1, np.int8)
+    hits.show_ends(ranges, directions(), pose, LATTICE, walls, fast)
+    naive.show_ends(ranges, directions(), pose, LATTICE, walls, slow)
+    np.testing.assert_array_equal(fast, slow)
+
+
 def test_beams_along_the_axes_and_through_corners_end_where_they_end() -> None:
     fast = np.zeros((2, 40, 80), np.int32)
     ends = np.array([(0.025, 0.525), (0.525, 0.025), (-0.475, 0.025), (0.025, -0.475), (0.525, 0.525), (0.025, 0.025)])

@@ -1,0 +1,34 @@
+"""Messages written by their layout have the bytes of those written field by field."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from synthetic import URG_04LX
+
+from mavnav.logs import cdr, ros
+from mavnav.pose import Pose
+from mavnav.scan import Scan
+
+STAMP_NS = 1_282_836_370_971_000_123
+POSE = Pose(1.25, -0.5, 2.0)
+FRAMES = ["", "a", "map", "laser", "laser_", "laser_frame", "base_laser_link", "l\u00e4ser"]
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_poses(frame: str) -> None:
+    assert cdr.poses(frame)(STAMP_NS, POSE) == ros.cdr(ros.pose_stamped(STAMP_NS, frame, POSE))
+
+
+@pytest.mark.parametrize("child", FRAMES)
+@pytest.mark.parametrize("parent", FRAMES)
+def test_transforms(parent: str, child: str) -> None:
+    assert cdr.transforms(parent, child)(STAMP_NS, POSE) == ros.cdr(ros.transform(STAMP_NS, parent, child, POSE))
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_scans(frame: str) -> None:
+    ranges = np.linspace(0.1, 5.0, URG_04LX.beams)
+    ranges[::7] = np.nan
+    scan = Scan(STAMP_NS, ranges, URG_04LX)
+    assert cdr.scans(frame)(scan) == ros.cdr(ros.laser_scan(scan, frame))
