@@ -108,8 +108,37 @@ def test_crc_of_the_data_section_is_checked(tmp_path: Path) -> None:
     data[at] ^= 1
     path.write_bytes(data)
     log = open_log(path)
-    assert log.counts.usable == 5
+    assert (log.counts.usable, log.counts.suspect) == (5, 5)
     assert ["CRC of the data section" in d.what for d in log.damage] == [True]
+    with pytest.raises(NoScansError, match="5 suspect"):
+        open_log(path, strict=True)
+
+
+def test_crc_of_the_data_section_doubts_chunks_only_that_have_none(tmp_path: Path) -> None:
+    scans = [laser(k) for k in range(5)]
+    for guarded, suspect in ((True, 0), (False, 5)):
+        path = write_mcap(tmp_path / "a", scans, enable_data_crcs=True, enable_crcs=guarded)
+        path.write_bytes(path.read_bytes().replace(b"ros2", b"ros3", 1))  # of the profile, that nobody reads
+        log = open_log(path)
+        assert (log.counts.usable, log.counts.suspect) == (5, suspect)
+        assert log.damage
+
+
+def test_the_end_of_the_data_is_found_behind_a_loss(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", [laser(k) for k in range(5)], use_chunking=False, enable_data_crcs=True)
+    data = path.read_bytes()
+    at = data.index(serialized(laser(2), 2))
+    path.write_bytes(data[: at + 40] + data[at + 60 :])
+    log = open_log(path)
+    assert log.counts.suspect == log.counts.usable >= 3
+
+
+def test_a_small_file_whose_magic_is_broken_does_not_begin_at_its_end(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", [laser(k) for k in range(5)])
+    path.write_bytes(b"\x88" + path.read_bytes()[1:])
+    log = open_log(path)
+    assert log.counts.usable == 5
+    assert log.damage[0].what == "the file does not begin with the magic of MCAP"
 
 
 def test_chunk_whose_crc_does_not_match_is_suspect_and_left_out_if_strict(tmp_path: Path) -> None:
@@ -284,7 +313,7 @@ def test_types_of_others_are_left_alone() -> None:
 
 
 def test_a_message_that_runs_into_a_hole_of_zeros_is_suspect(tmp_path: Path) -> None:
-    path = WRITERS["mcap-unchunked"][1](tmp_path / "a.mcap", [laser(k, beams=300) for k in range(10)])
+    path = write_mcap(tmp_path / "a.mcap", [laser(k, beams=300) for k in range(10)], use_chunking=False)
     data = bytearray(path.read_bytes())
     middle = data.index(serialized(laser(5, beams=300), 2)) + 600
     data[middle : middle + 1300] = bytes(1300)
