@@ -122,24 +122,24 @@ def record_at(source: Source, offset: int, *, mend: bool = True) -> Record | Non
     stored = _chunk_length(content)
     known = _CHECKS.get(opcode, _never if opcode == 0 else _any)
     told = None if length > rest or not known(content, length) else Record(opcode, start, start + length)
-    lies = stored is not None and (opcode, length) != (Op.CHUNK, stored) and not _is_followed(source, told)
-    if mend and stored is not None and lies and _is_chunk_of(source, start, stored, opcode):
+    lies = mend and stored is not None and (opcode, length) != (Op.CHUNK, stored)
+    if lies and stored is not None and _is_chunk_instead(source, told, opcode, start + stored):
         return Record(Op.CHUNK, start, start + stored, f"the record says kind {opcode} and {length} bytes")
     if opcode == Op.CHUNK and stored == length > rest:
         return Record(Op.CHUNK, start, source.size, "the chunk is cut by the end of the file")
     return told
 
 
-def _is_followed(source: Source, told: Record | None) -> bool:
-    """Tell whether a record can be what its head says, because another follows; anything can be a private one."""
-    return told is not None and told.opcode < PRIVATE and is_boundary(source, told.end)
+def _is_chunk_instead(source: Source, told: Record | None, opcode: int, end: int) -> bool:
+    """Tell whether a chunk that ends there stands where a record's head says otherwise.
 
-
-def _is_chunk_of(source: Source, start: int, length: int, opcode: int) -> bool:
-    """Tell whether a chunk of this length stands there, although its record's head says otherwise."""
-    end = start + length
-    near = opcode == Op.CHUNK or (opcode ^ Op.CHUNK).bit_count() == 1
-    return near and (end == source.size or (end < source.size and is_boundary(source, end)))
+    A record that follows where the head says speaks for the head, but that anything can be a private one.
+    """
+    if opcode != Op.CHUNK and (opcode ^ Op.CHUNK).bit_count() != 1:
+        return False
+    if told is not None and told.opcode < PRIVATE and is_boundary(source, told.end):
+        return False
+    return end == source.size or (end < source.size and is_boundary(source, end))
 
 
 def _chunk_length(content: bytes) -> int | None:

@@ -193,6 +193,27 @@ def test_message_with_a_cut_array_is_undecodable(tmp_path: Path) -> None:
     assert len(log.damage) == 2
 
 
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_no_byte_before_a_break_is_lost(compression: str) -> None:
+    """A break right behind a block, where a decompressor that is given both returns neither."""
+    import lz4.frame
+    import zstandard
+
+    blocks = [np.random.default_rng(k).bytes(65536) for k in range(3)]
+    if compression == "zstd":
+        packer = zstandard.ZstdCompressor(write_content_size=False).compressobj()
+        packed = [packer.compress(block) + packer.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK) for block in blocks]
+    else:
+        writer = lz4.frame.LZ4FrameCompressor(
+            block_linked=False, auto_flush=True, block_size=lz4.frame.BLOCKSIZE_MAX64KB
+        )
+        packed = [writer.begin() + writer.compress(blocks[0]), *map(writer.compress, blocks[1:])]
+    broken = packed[0] + packed[1] + b"\xff" * 20 + packed[2]
+    part, problem = unpack(compression, broken)
+    assert part == blocks[0] + blocks[1]
+    assert problem is not None
+
+
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "bz2"])
 def test_what_comes_before_a_break_is_unpacked_and_bombs_are_refused(compression: str) -> None:
     import bz2
@@ -207,6 +228,8 @@ def test_what_comes_before_a_break_is_unpacked_and_bombs_are_refused(compression
     part, problem = unpack(compression, packed[: len(packed) // 2])
     assert content.startswith(part)
     assert len(part) > 0.4 * len(content) or compression == "bz2"
+    assert unpack(compression, packed + pack(b"more")) == (content + b"more", None)
+    assert unpack(compression, packed + b"no frame") == (content, None)
     assert problem is not None or compression == "zstd"  # told by the size and the CRC of the container
     assert unpack(compression, b"rubbish" * 20)[1] is not None
     if compression != "lz4":  # whose ratio is never above 255
