@@ -65,7 +65,7 @@ def _message(content: bytes, where: str, state: State) -> Iterator[RawMessage]:
     state.messages += 1
     data = content[MESSAGE_HEAD.size :]
     channel = state.channels.get(number) or _spare_channel(number, state)
-    if channel is not None and not channel.type and (encoding := laser_encoding(data)):
+    if channel is not None and _is_vague(channel) and (encoding := laser_encoding(data)):
         channel = _typed_channel(number, channel, encoding, where, state)
     if channel is not None:
         yield RawMessage(channel, log_ns, data)
@@ -91,11 +91,17 @@ def _stranger(number: int, log_ns: int, data: bytes, where: str, state: State) -
         yield RawMessage(channel, log_ns, data, suspect=True)
 
 
+def _is_vague(channel: Channel) -> bool:
+    """Tell whether a channel does not say what its messages are, or in an encoding that no scan has."""
+    return not channel.type or (channel.type == LASER and channel.encoding not in ("cdr", "ros1"))
+
+
 def _typed_channel(number: int, channel: Channel, encoding: str, where: str, state: State) -> Channel:
-    """Give a channel the type that its messages turn out to have."""
+    """Give a channel the type and encoding that its messages turn out to have."""
     typed = Channel(channel.topic, LASER, encoding)
     state.channels[number] = state.ledger.declare(typed)
-    state.ledger.damage(f"the type of {channel.topic} is told nowhere; its messages are scans by their bytes", where)
+    lacks = f"is in no encoding {channel.encoding!r}" if channel.type else "has a type that is told nowhere"
+    state.ledger.damage(f"{channel.topic} {lacks}; its messages are scans by their bytes", where)
     return typed
 
 

@@ -41,10 +41,10 @@ def chunked(records: bytes, compression: str, crc: bool, pad: bytes = b"") -> by
     return record(6, head + struct.pack("<Q", len(packed)) + packed, pad)
 
 
-def declarations(parts: set[str], schema_id: int) -> tuple[bytes, bytes]:
+def declarations(parts: set[str], schema_id: int, told: tuple[str, str]) -> tuple[bytes, bytes]:
     pad = PAD if "padding" in parts else b""
-    schema = record(3, struct.pack("<H", 1) + block(LASER) + block("ros2msg") + block(b"float32 x"), pad)
-    channel = record(4, struct.pack("<HH", 1, schema_id) + block("/scan") + block("cdr") + block(b""), pad)
+    schema = record(3, struct.pack("<H", 1) + block(told[0]) + block("ros2msg") + block(b"float32 x"), pad)
+    channel = record(4, struct.pack("<HH", 1, schema_id) + block("/scan") + block(told[1]) + block(b""), pad)
     return schema if schema_id else b"", channel
 
 
@@ -58,10 +58,10 @@ def extras(parts: set[str]) -> bytes:
     return extra + (record(0x90, b"anything") if "private" in parts else b"")
 
 
-def summary_records(parts: set[str], count: int, chunk: str | None, schema_id: int) -> bytes:
+def summary_records(parts: set[str], count: int, chunk: str | None, declared: tuple[bytes, bytes]) -> bytes:
     pad = PAD if "padding" in parts else b""
-    schema, channel = declarations(parts, schema_id)
-    counts = struct.pack("<QHIIIIQQ", count, bool(schema_id), 1, 0, 0, chunk is not None, 0, 9) + block(b"")
+    schema, channel = declared
+    counts = struct.pack("<QHIIIIQQ", count, bool(schema), 1, 0, 0, chunk is not None, 0, 9) + block(b"")
     kinds = {
         "schemas": schema,
         "channels": channel,
@@ -74,17 +74,25 @@ def summary_records(parts: set[str], count: int, chunk: str | None, schema_id: i
     return told + (record(14, struct.pack("<BQQ", 11, 0, 0), pad) if told and "offsets" in parts else b"")
 
 
-def mcap(messages: list[bytes], chunk: str | None, crc: bool, parts: set[str], schema_id: int = 1) -> bytes:
-    """Write a file of one channel; ``chunk`` is the compression, None for none at all."""
+def mcap(
+    messages: list[bytes],
+    chunk: str | None,
+    crc: bool,
+    parts: set[str],
+    schema_id: int = 1,
+    told: tuple[str, str] = (LASER, "cdr"),
+) -> bytes:
+    """Write a file of one channel; ``chunk`` is the compression, None for none at all; ``told`` type and encoding."""
+    declared = declarations(parts, schema_id, told)
     pad = PAD if "padding" in parts else b""
-    told = [record(5, struct.pack("<HIQQ", 1, k, k, k) + data) for k, data in enumerate(messages)]
-    runs = [b"".join(told[:1]), b"".join(told[1:])] if "two chunks" in parts else [b"".join(told)]
-    runs[0] = b"".join(declarations(parts, schema_id)) + runs[0]
+    stored = [record(5, struct.pack("<HIQQ", 1, k, k, k) + data) for k, data in enumerate(messages)]
+    runs = [b"".join(stored[:1]), b"".join(stored[1:])] if "two chunks" in parts else [b"".join(stored)]
+    runs[0] = b"".join(declared) + runs[0]
     index = record(7, struct.pack("<H", 1) + block(struct.pack("<QQ", 0, 0)), pad) if "index" in parts else b""
     body = b"".join(runs) if chunk is None else b"".join(chunked(run, chunk, crc, pad) + index for run in runs)
     data = MAGIC + record(1, block("ros2") + block("writer"), pad) + body + extras(parts)
     data += record(15, struct.pack("<I", zlib.crc32(data) if crc else 0), pad)
-    summary = summary_records(parts, len(messages), chunk, schema_id)
+    summary = summary_records(parts, len(messages), chunk, declared)
     footer = struct.pack("<BQQQ", 2, 20, len(data) if summary else 0, 0)
     checksum = zlib.crc32(summary + footer) if crc else 0
     return data + summary + footer + struct.pack("<I", checksum) + MAGIC
@@ -116,6 +124,19 @@ def test_a_channel_without_a_schema_is_told_by_its_messages(tmp_path: Path) -> N
     found = survey(path)
     assert found.scans["/scan"].total == 3
     assert any("told nowhere" in d.what for d in found.damage)
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding", "damaged"),
+    [(LASER, "ros2", True), (LASER, "CDR", True), ("sensor_msgs::msg::dds_::LaserScan_", "cdr", False)],
+)
+def test_types_and_encodings_by_other_names_are_scans(name: str, encoding: str, damaged: bool, tmp_path: Path) -> None:
+    messages = [serialized(laser(k), 2) for k in range(3)]
+    path = tmp_path / "a.mcap"
+    path.write_bytes(mcap(messages, None, False, set(), told=(name, encoding)))
+    found = survey(path)
+    assert found.scans["/scan"].total == 3
+    assert bool(found.damage) == damaged
 
 
 def test_two_files_one_behind_the_other_are_both_read(tmp_path: Path) -> None:
