@@ -8,12 +8,17 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from mavnav import staging
 from mavnav.staging import beside
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 WRITE = """
 import sys, time
@@ -99,14 +104,26 @@ def test_a_full_disk_leaves_the_old_output(old: Path) -> None:
     assert (names(old.parent), names(old)) == ({"run"}, {"old"})
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+@contextmanager
+def unprivileged() -> Iterator[None]:
+    """Be nobody for a while: root may write anywhere."""
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(user)
+
+
 def test_a_folder_without_permission_is_an_oserror(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
     try:
-        with pytest.raises(OSError, match="Permission"), beside(tmp_path / "run"):
+        with unprivileged(), pytest.raises(OSError, match="Permission"), beside(tmp_path / "run"):
             pass
     finally:
         tmp_path.chmod(0o700)
+    assert names(tmp_path) == set()
 
 
 def test_every_file_is_brought_to_the_disk_before_the_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

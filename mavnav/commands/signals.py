@@ -58,11 +58,20 @@ def listen() -> None:
 def keeping() -> Iterator[Callable[[], ExitCode | None]]:
     """Let the first signal only be asked for, so that what is done so far can be kept; the second ends the work.
 
-    Gives the function to ask: the exit code of the signal that arrived, None while there is none.
+    Gives the function to ask: the exit code of the signal that arrived, None while there is none. Where it was never
+    asked again, the signal came when the work was done: the result is whole, and is what counts.
     """
+    heard: list[ExitCode] = []
+
+    def ask() -> ExitCode | None:
+        heard.extend(reason.exit_code for reason in _ARRIVED[-1:])
+        return heard[-1] if heard else None
+
     _FORGIVEN[0] = 1
     try:
-        yield lambda: _ARRIVED[-1].exit_code if _ARRIVED else None
+        yield ask
+        if _ARRIVED and not heard:
+            os.write(2, b"mavnav: it came when all was done: nothing is missing\n")
     finally:
         _FORGIVEN[0] = 0
         _ARRIVED.clear()

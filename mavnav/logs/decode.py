@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from mavnav.logs.layout import laser_of
 from mavnav.logs.messages import DecodeError, LaserMessage, TransformMessage
 from mavnav.logs.unpack import UnpackError, unpack_message
 
@@ -71,6 +72,8 @@ def _ros(convert: Callable[[Any], Any], type_name: str) -> Callable[[Channel], C
             try:
                 return convert(deserialize(data, type_name))
             except (SerdeError, ValueError, IndexError) as error:
+                if type_name in LASER_TYPES and (scan := laser_of(data, channel.encoding)) is not None:
+                    return scan
                 raise DecodeError(str(error)) from error
 
         return decode

@@ -21,6 +21,13 @@ _HEAD_BYTES = 16
 _OLD_BAG = re.compile(rb"#ROS(?:BAG|RECORD|LOG) V(1\.[01])")
 _SEARCH_BYTES = 1 << 16
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_PACKERS = {
+    b"\x1f\x8b\x08": "gzip",
+    b"BZh": "bzip2",
+    b"\xfd7zXZ\0": "xz",
+    b"\x04\x22\x4d\x18": "lz4",
+    b"PK\x03\x04": "zip",
+}
 _STORAGES = {"rosbag2-sqlite3": "rosbag2-sqlite3", "mcap": "rosbag2-mcap"}
 
 
@@ -54,7 +61,7 @@ def _sniff_damaged(path: Path) -> str:
         head = file.read(_SEARCH_BYTES)
         file.seek(max(path.stat().st_size - _HEAD_BYTES, 0))
         tail = file.read()
-    if _OLD_BAG.match(head):
+    if _OLD_BAG.match(head) or _packer(head):
         return UNKNOWN
     for magic, name in MAGICS.items():
         wrong = sum(a != b for a, b in zip(magic, head, strict=False)) + max(len(magic) - len(head), 0)
@@ -123,9 +130,15 @@ def refusal(path: Path) -> str:
         return "the file is empty"
     if old := _OLD_BAG.match(head):
         return f"a ROS 1 bag of format {old[1].decode()}; only 1.2 and 2.0 are read, convert it with `rosbag fix`"
+    if packer := _packer(head):
+        return f"compressed with {packer}, which is not read (only zstd is); decompress it first"
     if head.startswith(ZSTD_MAGIC):
         return "compressed with zstd, but the start of what is inside is no log, or does not decompress"
     return "not an MCAP file, ROS 1 bag or ROS 2 bag"
+
+
+def _packer(head: bytes) -> str | None:
+    return next((name for magic, name in _PACKERS.items() if head.startswith(magic)), None)
 
 
 MAGICS: dict[bytes, str] = {

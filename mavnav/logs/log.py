@@ -248,8 +248,8 @@ def _no_scans(found: Survey) -> str:
     if not found.topics and found.damage:
         first = found.damage[0]
         return f"{found.path}: no usable scans; {first.what} ({first.where})"
-    kinds = ", ".join(f"{t.name} ({t.type or 'no type'}, {t.count})" for t in found.topics[:8]) or "none"
-    return f"{found.path}: no LaserScan messages; topics here: {kinds}"
+    kinds = [f"{t.name} ({t.type or 'no type'} in {t.encoding or 'no encoding'}, {t.count})" for t in found.topics[:8]]
+    return f"{found.path}: no LaserScan messages; topics here: {', '.join(kinds) or 'none'}"
 
 
 def _no_usable(found: Survey, name: str, scans: TopicScans, timeline: Timeline) -> str:

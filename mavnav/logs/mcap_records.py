@@ -15,7 +15,7 @@ import numpy as np
 from mavnav.logs.unpack import CODECS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from mavnav.logs.source import Source
 
@@ -111,7 +111,8 @@ def chunk_head(content: bytes) -> ChunkHead:
 def record_at(source: Source, offset: int, *, mend: bool = True) -> Record | None:
     """Read the record head at an offset; None where none is, or where its content cannot be what it says.
 
-    A chunk whose own fields tell its length is believed over a wrong length or opcode of the record (``mend``).
+    A chunk whose own fields tell its length is believed over a wrong length or opcode of the record (``mend``), unless
+    another record follows where the head says.
     """
     prefix = source.read(offset, HEAD.size + _PREFIX_BYTES)
     if len(prefix) < HEAD.size:
@@ -119,26 +120,26 @@ def record_at(source: Source, offset: int, *, mend: bool = True) -> Record | Non
     opcode, length = HEAD.unpack_from(prefix)
     start, rest, content = offset + HEAD.size, source.size - offset - HEAD.size, prefix[HEAD.size :]
     stored = _chunk_length(content)
-    if (
-        mend
-        and stored is not None
-        and (opcode, length) != (Op.CHUNK, stored)
-        and _is_mended(source, start, stored, opcode)
-    ):
+    known = _CHECKS.get(opcode, _never if opcode == 0 else _any)
+    told = None if length > rest or not known(content, length) else Record(opcode, start, start + length)
+    lies = mend and stored is not None and (opcode, length) != (Op.CHUNK, stored)
+    if lies and stored is not None and _is_chunk_instead(source, told, opcode, start + stored):
         return Record(Op.CHUNK, start, start + stored, f"the record says kind {opcode} and {length} bytes")
     if opcode == Op.CHUNK and stored == length > rest:
         return Record(Op.CHUNK, start, source.size, "the chunk is cut by the end of the file")
-    known = _CHECKS.get(opcode, _never if opcode == 0 else _any)
-    if length > rest or not known(content, length):
-        return None
-    return Record(opcode, start, start + length)
+    return told
 
 
-def _is_mended(source: Source, start: int, length: int, opcode: int) -> bool:
-    """Tell whether a chunk of this length stands there, although its record's head says otherwise."""
-    end = start + length
-    near = opcode == Op.CHUNK or (opcode ^ Op.CHUNK).bit_count() == 1
-    return near and (end == source.size or (end < source.size and is_boundary(source, end)))
+def _is_chunk_instead(source: Source, told: Record | None, opcode: int, end: int) -> bool:
+    """Tell whether a chunk that ends there stands where a record's head says otherwise.
+
+    A record that follows where the head says speaks for the head, but that anything can be a private one.
+    """
+    if opcode != Op.CHUNK and (opcode ^ Op.CHUNK).bit_count() != 1:
+        return False
+    if told is not None and told.opcode < PRIVATE and is_boundary(source, told.end):
+        return False
+    return end == source.size or (end < source.size and is_boundary(source, end))
 
 
 def _chunk_length(content: bytes) -> int | None:
@@ -148,6 +149,18 @@ def _chunk_length(content: bytes) -> int | None:
     except struct.error:
         return None
     return head.start + head.stored_bytes if head.compression in CODECS else None
+
+
+def plain_records(records: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of records in memory, up to the first that is cut."""
+    offset = 0
+    while len(records) - offset >= HEAD.size:
+        opcode, length = HEAD.unpack_from(records, offset)
+        start = offset + HEAD.size
+        if length > len(records) - start:
+            return
+        yield opcode, records[start : start + length]
+        offset = start + length
 
 
 def is_boundary(source: Source, offset: int) -> bool:

@@ -97,6 +97,11 @@ class Odometry:
 
 
 def ros_type(name: str) -> str:
-    """Spell a ROS 1 type name (``sensor_msgs/LaserScan``) as ROS 2 does; others are left alone."""
+    """Spell the type names of ROS 1 (``sensor_msgs/LaserScan``) and DDS (``sensor_msgs::msg::dds_::LaserScan_``).
+
+    As ROS 2 does; others are left alone.
+    """
+    if "::dds_::" in name:
+        return name.replace("::dds_::", "::").replace("::", "/").removesuffix("_")
     package, slash, kind = name.partition("/")
     return f"{package}/msg/{kind}" if slash and "/" not in kind else name

@@ -35,6 +35,9 @@ _MESSAGES = "SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED O
 _COUNT_AT = 28
 _JOURNALS = ("-wal", "-journal")
 _NO_END = 1 << 63
+_WAL_MAGIC = b"\x37\x7f\x06"
+_WAL_HEAD_BYTES = 32
+_FRAME_HEAD_BYTES = 24
 
 
 @dataclass
@@ -185,13 +188,34 @@ def _take_in(copy: Path, journal: Path, ledger: Ledger) -> None:
     shutil.copyfile(journal, copy.parent / journal.name)
     try:
         with closing(sqlite3.connect(copy)) as connection:
+            _, taken, _ = connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
             connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        if (written := _frames(journal)) > taken >= 0:
+            text = f"{written - taken} of the {written} pages in {journal.name} are broken, or of no finished write"
+            ledger.damage(f"{text}; they are left out", copy.name)
         ledger.warn(f"{copy.name}: {journal.name} beside it was read too (the recorder did not close the file)")
     except sqlite3.Error as error:
         ledger.damage(f"{journal.name} beside it cannot be read: {error}", copy.name)
         with suppress(OSError):
             (copy.parent / journal.name).unlink()
+
+
+def _frames(wal: Path) -> int:
+    """Return the number of pages, whole or cut, in a write-ahead log; 0 for another file (fileformat.html, 4).
+
+    Frames of an earlier turn of the log have other salts than its header.
+    """
+    with wal.open("rb") as file:
+        head = file.read(_WAL_HEAD_BYTES)
+        if head[:3] != _WAL_MAGIC or len(head) < _WAL_HEAD_BYTES:
+            return 0
+        frame_bytes = _FRAME_HEAD_BYTES + int.from_bytes(head[8:12], "big")
+        count = 0
+        while file.read(_FRAME_HEAD_BYTES)[8:16] == head[16:24]:
+            count += 1
+            file.seek(_WAL_HEAD_BYTES + count * frame_bytes)
+    return count
 
 
 def _keep_whole_pages(copy: Path, ledger: Ledger) -> None:
@@ -202,8 +226,6 @@ def _keep_whole_pages(copy: Path, ledger: Ledger) -> None:
         if size >= page_bytes * pages:
             return
         ledger.damage(f"the file is cut: {size} of {page_bytes * pages} bytes are there", copy.name)
-        whole = size // page_bytes
-        file.truncate(page_bytes * whole)
-        if whole:
+        if whole := size // page_bytes:
             file.seek(_COUNT_AT)
             file.write(whole.to_bytes(4, "big"))

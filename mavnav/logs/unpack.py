@@ -21,7 +21,7 @@ MAX_CHUNK_BYTES = 128 << 20
 _MAX_RATIO = 1000
 _FREE_BYTES = 1 << 20
 _BLOCK_BYTES = 1 << 20
-_CAREFUL_BYTES = 1 << 8
+_PIECE_BYTES = 1 << 8
 _MAX_WINDOW_BYTES = 1 << 27
 _MAX_FILE_RATIO = 200
 
@@ -30,12 +30,12 @@ class UnpackError(Exception):
     """Data cannot be decompressed, or to far more than any log would."""
 
 
-class _Incremental(Protocol):
+class _Decompressor(Protocol):
     @property
     def eof(self) -> bool: ...
     @property
-    def needs_input(self) -> bool: ...
-    def decompress(self, data: bytes, max_length: int) -> bytes: ...
+    def unused_data(self) -> bytes | None: ...
+    def decompress(self, data: bytes) -> bytes: ...
 
 
 def unpack(compression: str, data: bytes) -> tuple[bytes, str | None]:
@@ -52,7 +52,7 @@ def unpack(compression: str, data: bytes) -> tuple[bytes, str | None]:
     -------
     unpacked, problem
         What came before the data end or break, and in words why they do; None where they end well. A zstd frame that
-        is cut between two blocks ends well.
+        is cut between two blocks ends well. Bytes behind a frame that are no other are passed over.
 
     Raises
     ------
@@ -61,24 +61,60 @@ def unpack(compression: str, data: bytes) -> tuple[bytes, str | None]:
     """
     if compression not in CODECS:
         raise UnpackError(f"unknown compression {compression!r}")
-    unpacked, problem = _gather(compression, data, _BLOCK_BYTES)
-    # What a broken block held before its break is got only by asking for less at a time.
-    return (unpacked, None) if problem is None else _gather(compression, data, _CAREFUL_BYTES)
-
-
-def _gather(compression: str, data: bytes, block_bytes: int) -> tuple[bytes, str | None]:
+    if compression not in FRAMES:
+        return data, None
     limit = min(MAX_CHUNK_BYTES, _FREE_BYTES + _MAX_RATIO * len(data))
-    blocks: list[bytes] = []
-    size, problem = 0, None
     try:
-        for block in CODECS[compression](data, block_bytes):
-            blocks.append(block)
-            size += len(block)
+        return _gather(compression, data, limit), None
+    except (*_ERRORS, _zstd_error()):
+        return _carefully(compression, data, limit)
+
+
+def _gather(compression: str, data: bytes, limit: int) -> bytes:
+    """Decompress sound data of one frame, in large blocks."""
+    blocks: list[bytes] = []
+    size = 0
+    for block in CODECS[compression](data):
+        blocks.append(block)
+        size += len(block)
+        if size > limit:
+            raise UnpackError(f"{len(data)} bytes of {compression} decompress to more than {limit}")
+    return blocks[0] if len(blocks) == 1 else b"".join(blocks)
+
+
+def _carefully(compression: str, data: bytes, limit: int) -> tuple[bytes, str | None]:
+    """Decompress data of several frames, or broken ones: byte by byte where they break, so that nothing before is lost.
+
+    A decompressor that is given more at a time keeps to itself what came before the break.
+    """
+    unpacked, broken_at, problem = _in_pieces(compression, data, limit, len(data))
+    if problem and broken_at < len(data):
+        unpacked, _, problem = _in_pieces(compression, data, limit, broken_at)
+    return unpacked, problem and f"{compression} data cannot be decompressed to their end ({problem})"
+
+
+def _in_pieces(compression: str, data: bytes, limit: int, fine_from: int) -> tuple[bytes, int, str | None]:
+    """Return what the data hold, and the offset of the piece that breaks and why; single bytes from ``fine_from``."""
+    magics, make = FRAMES[compression]
+    decompressor, blocks, size, offset = make(), list[bytes](), 0, 0
+    try:
+        while offset < len(data):
+            if decompressor.eof:
+                if not data.startswith(magics, offset):
+                    break
+                decompressor = make()
+            piece = data[offset : offset + (_PIECE_BYTES if offset < fine_from else 1)]
+            blocks.append(decompressor.decompress(piece))
+            size += len(blocks[-1])
             if size > limit:
                 raise UnpackError(f"{len(data)} bytes of {compression} decompress to more than {limit}")
-    except (OSError, EOFError, RuntimeError, MemoryError, _zstd_error()) as error:
-        problem = f"{compression} data cannot be decompressed to their end ({error})"
-    return (blocks[0] if len(blocks) == 1 else b"".join(blocks)), problem
+            offset += len(piece) - len(decompressor.unused_data or b"")
+    except (*_ERRORS, _zstd_error()) as error:
+        return b"".join(blocks), offset, str(error)
+    return b"".join(blocks), offset, None if decompressor.eof else "the data end before the stream does"
+
+
+_ERRORS = (OSError, EOFError, RuntimeError, MemoryError)
 
 
 def _zstd_error() -> type[Exception]:
@@ -88,50 +124,69 @@ def _zstd_error() -> type[Exception]:
     return error
 
 
-def _plain(data: bytes, _block_bytes: int) -> Iterator[bytes]:
+def _plain(data: bytes) -> Iterator[bytes]:
     yield data
 
 
-def _zstd(data: bytes, block_bytes: int) -> Iterator[bytes]:
+def _zstd(data: bytes) -> Iterator[bytes]:
     import zstandard  # noqa: PLC0415
 
     decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
-    with decompressor.stream_reader(BytesIO(data), read_size=block_bytes, read_across_frames=True) as stream:
-        while block := stream.read(block_bytes):
+    with decompressor.stream_reader(BytesIO(data), read_size=_BLOCK_BYTES, read_across_frames=True) as stream:
+        while block := stream.read(_BLOCK_BYTES):
             yield block
 
 
-def _lz4(data: bytes, block_bytes: int) -> Iterator[bytes]:
+def _zstd_frame() -> _Decompressor:
+    import zstandard  # noqa: PLC0415
+
+    decompressor: _Decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES).decompressobj()
+    return decompressor
+
+
+def _lz4(data: bytes) -> Iterator[bytes]:
+    return _incremental(_lz4_frame(), data)
+
+
+def _lz4_frame() -> Any:  # noqa: ANN401  (lz4 is untyped here)
     import lz4.frame  # noqa: PLC0415
 
-    return _incremental(lz4.frame.LZ4FrameDecompressor(), data, block_bytes)
+    return lz4.frame.LZ4FrameDecompressor()
 
 
-def _bz2(data: bytes, block_bytes: int) -> Iterator[bytes]:
-    return _incremental(bz2.BZ2Decompressor(), data, block_bytes)
+def _bz2(data: bytes) -> Iterator[bytes]:
+    return _incremental(bz2.BZ2Decompressor(), data)
 
 
-def _incremental(decompressor: _Incremental, data: bytes, block_bytes: int) -> Iterator[bytes]:
-    offset = 0
+def _incremental(decompressor: Any, data: bytes) -> Iterator[bytes]:  # noqa: ANN401
+    """Yield blocks of one frame; raises EOFError where it is cut, or another follows."""
+    piece = data
     while not decompressor.eof:
-        piece = b""
-        if decompressor.needs_input:
-            piece = data[offset : offset + block_bytes]
-            offset += len(piece)
-            if not piece:
-                raise EOFError("the data end before the stream does")
-        if block := decompressor.decompress(piece, max_length=block_bytes):
+        if decompressor.needs_input and not piece:
+            raise EOFError("the data end before the stream does")
+        if block := decompressor.decompress(piece, max_length=_BLOCK_BYTES):
             yield block
+        piece = b""
+    if decompressor.unused_data:
+        raise EOFError("more follows")
 
 
-CODECS: dict[str, Callable[[bytes, int], Iterator[bytes]]] = {
+CODECS: dict[str, Callable[[bytes], Iterator[bytes]]] = {
     "": _plain,
     "none": _plain,
     "zstd": _zstd,
     "lz4": _lz4,
     "bz2": _bz2,
 }
-"""Name of a compression -> the function from the data, and a number of bytes to ask for at a time, to blocks."""
+"""Name of a compression -> the function from sound data to blocks."""
+
+_SKIPPABLE = tuple(bytes([kind]) + b"\x2a\x4d\x18" for kind in range(0x50, 0x60))
+FRAMES: dict[str, tuple[tuple[bytes, ...], Callable[[], Any]]] = {
+    "zstd": ((ZSTD_MAGIC, *_SKIPPABLE), _zstd_frame),
+    "lz4": ((b"\x04\x22\x4d\x18", *_SKIPPABLE), _lz4_frame),
+    "bz2": ((b"BZh",), bz2.BZ2Decompressor),
+}
+"""Name of a compression -> how its frames begin, and a new decompressor of one."""
 
 
 def unpack_message(data: bytes) -> bytes:
@@ -170,7 +225,7 @@ def unpacked_file(path: Path, ledger: Ledger) -> Iterator[Path]:
         size = 0
         with target.open("wb") as file, _file_stream(packed) as stream:
             try:
-                while size <= limit and (block := stream.read(_CAREFUL_BYTES)):
+                while size <= limit and (block := stream.read(_PIECE_BYTES)):
                     size += file.write(block)
             except (zstandard.ZstdError, MemoryError) as error:
                 ledger.damage(f"zstd data cannot be decompressed ({error})", f"{path.name}, after {size} bytes")

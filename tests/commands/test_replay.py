@@ -335,3 +335,46 @@ def test_a_second_signal_gives_up_and_leaves_nothing_half_written(
     assert out == ""
     assert err.splitlines()[-1] == "mavnav: interrupted"
     assert not (tmp_path / "out").exists() or list((tmp_path / "out").iterdir()) == []
+
+
+WHILE_WRITING = """
+import os, signal, sys, time
+from mavnav import outputs
+from mavnav.cli import main
+write = outputs.WRITERS["map.pgm"]
+
+def befallen(run, path):
+    for number in sys.argv.pop().split(","):
+        os.kill(os.getpid(), int(number))
+    write(run, path)
+
+outputs.WRITERS["map.pgm"] = befallen
+main(sys.argv[1:-1])
+"""
+
+
+def befallen(sample: Path, directory: Path, *numbers: int) -> subprocess.CompletedProcess[str]:
+    """Replay a second of a log, and get signals while the run is written."""
+    line = ["replay", str(sample), "-o", str(directory), "-q", "--end", "1", "--force", ",".join(map(str, numbers))]
+    command = [sys.executable, "-c", WHILE_WRITING, *line]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
+
+
+def test_a_signal_after_the_last_scan_comes_too_late_to_make_the_run_partial(sample: Path, tmp_path: Path) -> None:
+    done = befallen(sample, tmp_path / "run", signal.SIGTERM)
+    document = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert (done.returncode, document["exit_code"], document["partial"]) == (ExitCode.DONE, ExitCode.DONE, False)
+    assert done.stderr.splitlines()[-1] == "mavnav: it came when all was done: nothing is missing"
+
+
+@pytest.mark.parametrize("numbers", [(signal.SIGKILL,), (signal.SIGTERM, signal.SIGTERM)])
+def test_a_run_that_dies_while_it_is_written_leaves_the_old_one(
+    numbers: tuple[int, ...], sample: Path, tmp_path: Path
+) -> None:
+    directory = tmp_path / "run"
+    directory.mkdir()
+    (directory / "run.json").write_text("old")
+    done = befallen(sample, directory, *numbers)
+    assert done.returncode == (-signal.SIGKILL if signal.SIGKILL in numbers else ExitCode.TERMINATED)
+    assert {path.name: path.read_text() for path in directory.iterdir()} == {"run.json": "old"}
+    assert all(path.name.startswith(".run.") for path in tmp_path.iterdir() if path != directory)

@@ -108,8 +108,37 @@ def test_crc_of_the_data_section_is_checked(tmp_path: Path) -> None:
     data[at] ^= 1
     path.write_bytes(data)
     log = open_log(path)
-    assert log.counts.usable == 5
+    assert (log.counts.usable, log.counts.suspect) == (5, 5)
     assert ["CRC of the data section" in d.what for d in log.damage] == [True]
+    with pytest.raises(NoScansError, match="5 suspect"):
+        open_log(path, strict=True)
+
+
+def test_crc_of_the_data_section_doubts_chunks_only_that_have_none(tmp_path: Path) -> None:
+    scans = [laser(k) for k in range(5)]
+    for guarded, suspect in ((True, 0), (False, 5)):
+        path = write_mcap(tmp_path / "a", scans, enable_data_crcs=True, enable_crcs=guarded)
+        path.write_bytes(path.read_bytes().replace(b"ros2", b"ros3", 1))  # of the profile, that nobody reads
+        log = open_log(path)
+        assert (log.counts.usable, log.counts.suspect) == (5, suspect)
+        assert log.damage
+
+
+def test_the_end_of_the_data_is_found_behind_a_loss(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", [laser(k) for k in range(5)], use_chunking=False, enable_data_crcs=True)
+    data = path.read_bytes()
+    at = data.index(serialized(laser(2), 2))
+    path.write_bytes(data[: at + 40] + data[at + 60 :])
+    log = open_log(path)
+    assert log.counts.suspect == log.counts.usable >= 3
+
+
+def test_a_small_file_whose_magic_is_broken_does_not_begin_at_its_end(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", [laser(k) for k in range(5)])
+    path.write_bytes(b"\x88" + path.read_bytes()[1:])
+    log = open_log(path)
+    assert log.counts.usable == 5
+    assert log.damage[0].what == "the file does not begin with the magic of MCAP"
 
 
 def test_chunk_whose_crc_does_not_match_is_suspect_and_left_out_if_strict(tmp_path: Path) -> None:
@@ -164,6 +193,27 @@ def test_message_with_a_cut_array_is_undecodable(tmp_path: Path) -> None:
     assert len(log.damage) == 2
 
 
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_no_byte_before_a_break_is_lost(compression: str) -> None:
+    """A break right behind a block, where a decompressor that is given both returns neither."""
+    import lz4.frame
+    import zstandard
+
+    blocks = [np.random.default_rng(k).bytes(65536) for k in range(3)]
+    if compression == "zstd":
+        packer = zstandard.ZstdCompressor(write_content_size=False).compressobj()
+        packed = [packer.compress(block) + packer.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK) for block in blocks]
+    else:
+        writer = lz4.frame.LZ4FrameCompressor(
+            block_linked=False, auto_flush=True, block_size=lz4.frame.BLOCKSIZE_MAX64KB
+        )
+        packed = [writer.begin() + writer.compress(blocks[0]), *map(writer.compress, blocks[1:])]
+    broken = packed[0] + packed[1] + b"\xff" * 20 + packed[2]
+    part, problem = unpack(compression, broken)
+    assert part == blocks[0] + blocks[1]
+    assert problem is not None
+
+
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "bz2"])
 def test_what_comes_before_a_break_is_unpacked_and_bombs_are_refused(compression: str) -> None:
     import bz2
@@ -178,6 +228,8 @@ def test_what_comes_before_a_break_is_unpacked_and_bombs_are_refused(compression
     part, problem = unpack(compression, packed[: len(packed) // 2])
     assert content.startswith(part)
     assert len(part) > 0.4 * len(content) or compression == "bz2"
+    assert unpack(compression, packed + pack(b"more")) == (content + b"more", None)
+    assert unpack(compression, packed + b"no frame") == (content, None)
     assert problem is not None or compression == "zstd"  # told by the size and the CRC of the container
     assert unpack(compression, b"rubbish" * 20)[1] is not None
     if compression != "lz4":  # whose ratio is never above 255
@@ -284,7 +336,7 @@ def test_types_of_others_are_left_alone() -> None:
 
 
 def test_a_message_that_runs_into_a_hole_of_zeros_is_suspect(tmp_path: Path) -> None:
-    path = WRITERS["mcap-unchunked"][1](tmp_path / "a.mcap", [laser(k, beams=300) for k in range(10)])
+    path = write_mcap(tmp_path / "a.mcap", [laser(k, beams=300) for k in range(10)], use_chunking=False)
     data = bytearray(path.read_bytes())
     middle = data.index(serialized(laser(5, beams=300), 2)) + 600
     data[middle : middle + 1300] = bytes(1300)

@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 import shutil
+import struct
 import tracemalloc
 from typing import TYPE_CHECKING
 
+import log_files
 import numpy as np
 import pytest
-from log_files import START_NS, WRITERS, drive, foxglove_json, foxglove_protobuf, laser, write_bag2, write_mcap
+from log_files import (
+    START_NS,
+    WRITERS,
+    Message,
+    drive,
+    foxglove_json,
+    foxglove_protobuf,
+    laser,
+    serialized,
+    write_bag2,
+    write_mcap,
+)
 
 from mavnav.logs import open_log, survey
 from mavnav.pose import Pose
@@ -188,3 +201,27 @@ def test_a_name_that_no_file_can_have_is_told(tmp_path: Path) -> None:
         found = survey(folder)
         assert found.scans["/scan"].total == 3
         assert any("cannot be a file's name" in d.what for d in found.damage)
+
+
+STRINGS = {b"laser": "laser", b"": "", b"l\xff\0": "l\N{REPLACEMENT CHARACTER}", b"laser\0": "laser"}
+
+
+@pytest.mark.parametrize("frame", STRINGS)
+@pytest.mark.parametrize("head", [b"\0\1\0\0", b"\0\7\0\0", b"\0\x09\0\0\0\0\0\0"])
+def test_strings_and_encapsulations_that_no_library_takes_cost_no_scan(
+    frame: bytes, head: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def odd(message: Message, _ros: int) -> bytes:
+        whole = serialized(message, 2)
+        text = struct.pack("<I", len(frame)) + frame
+        return head + whole[4:12] + text + bytes(-len(text) % 4) + whole[24:]
+
+    scans = [laser(k) for k in range(3)]
+    monkeypatch.setattr(log_files, "serialized", odd)
+    log = open_log(log_files.write_mcap(tmp_path / "a.mcap", scans))
+    monkeypatch.undo()
+    assert (log.counts.usable, log.frame_id, log.damage) == (3, STRINGS[frame], ())
+    sound = open_log(log_files.write_mcap(tmp_path / "b.mcap", scans))
+    assert [(s.stamp_ns, s.ranges_m.tobytes()) for s in log.scans()] == [
+        (s.stamp_ns, s.ranges_m.tobytes()) for s in sound.scans()
+    ]

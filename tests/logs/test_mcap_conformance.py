@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from itertools import product
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import lz4.frame
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 PAD = b"\x01\x02\x03"
 CODECS: dict[str, Callable[[bytes], bytes]] = {"": bytes, "lz4": lz4.frame.compress, "zstd": zstandard.compress}
-PARTS = ("padding", "index", "metadata", "attachment", "repeat", "summary", "private")
+BETWEEN = ("padding", "index", "metadata", "attachment", "private", "two chunks")
+BEHIND = ("schemas", "channels", "statistics", "chunk index", "attachment index", "metadata index", "offsets")
 
 
 def record(opcode: int, content: bytes, pad: bytes = b"") -> bytes:
@@ -33,67 +34,115 @@ def block(content: bytes | str) -> bytes:
     return struct.pack("<I", len(content)) + content
 
 
-def chunked(records: bytes, compression: str, crc: bool) -> bytes:
+def chunked(records: bytes, compression: str, crc: bool, pad: bytes = b"") -> bytes:
     packed = CODECS[compression](records)
     checksum = zlib.crc32(records) if crc else 0
     head = struct.pack("<QQQI", 0, 0, len(records), checksum) + block(compression)
-    return record(6, head + struct.pack("<Q", len(packed)) + packed)
+    return record(6, head + struct.pack("<Q", len(packed)) + packed, pad)
 
 
-def mcap(messages: list[bytes], chunk: str | None, crc: bool, parts: set[str], schema_id: int = 1) -> bytes:
-    """Write a file of one channel; ``chunk`` is the compression, None for none at all."""
+def declarations(parts: set[str], schema_id: int, told: tuple[str, str]) -> tuple[bytes, bytes]:
     pad = PAD if "padding" in parts else b""
-    schema = record(3, struct.pack("<H", 1) + block(LASER) + block("ros2msg") + block(b"float32 x"), pad)
-    channel = record(4, struct.pack("<HH", 1, schema_id) + block("/scan") + block("cdr") + block(b""), pad)
-    declared = (schema if schema_id else b"") + channel
-    told = [record(5, struct.pack("<HIQQ", 1, k, k, k) + data) for k, data in enumerate(messages)]
-    index = record(7, struct.pack("<H", 1) + block(struct.pack("<QQ", 0, 0)), pad) if "index" in parts else b""
-    body = declared + b"".join(told) if chunk is None else chunked(declared + b"".join(told), chunk, crc) + index
+    schema = record(3, struct.pack("<H", 1) + block(told[0]) + block("ros2msg") + block(b"float32 x"), pad)
+    channel = record(4, struct.pack("<HH", 1, schema_id) + block("/scan") + block(told[1]) + block(b""), pad)
+    return schema if schema_id else b"", channel
+
+
+def extras(parts: set[str]) -> bytes:
+    pad = PAD if "padding" in parts else b""
     extra = b""
     if "attachment" in parts:
         content = struct.pack("<QQ", 1, 2) + block("name") + block("text/plain") + struct.pack("<Q", 3) + b"abc"
-        extra += record(9, content + struct.pack("<I", zlib.crc32(content)), b"")
+        extra += record(9, content + struct.pack("<I", zlib.crc32(content)), pad)
     extra += record(12, block("name") + block(block("key") + block("value")), pad) if "metadata" in parts else b""
-    extra += record(0x90, b"anything") if "private" in parts else b""
-    data = MAGIC + record(1, block("ros2") + block("writer"), pad) + body + extra
+    return extra + (record(0x90, b"anything") if "private" in parts else b"")
+
+
+def summary_records(parts: set[str], count: int, chunk: str | None, declared: tuple[bytes, bytes]) -> bytes:
+    pad = PAD if "padding" in parts else b""
+    schema, channel = declared
+    counts = struct.pack("<QHIIIIQQ", count, bool(schema), 1, 0, 0, chunk is not None, 0, 9) + block(b"")
+    kinds = {
+        "schemas": schema,
+        "channels": channel,
+        "statistics": record(11, counts, pad),
+        "chunk index": record(8, bytes(32) + block(b"") + bytes(8) + block(chunk or "") + bytes(16), pad),
+        "attachment index": record(10, bytes(40) + block("name") + block("text/plain"), pad),
+        "metadata index": record(13, bytes(16) + block("name"), pad),
+    }
+    told = b"".join(kinds[part] for part in BEHIND if part in parts and part in kinds)
+    return told + (record(14, struct.pack("<BQQ", 11, 0, 0), pad) if told and "offsets" in parts else b"")
+
+
+def mcap(
+    messages: list[bytes],
+    chunk: str | None,
+    crc: bool,
+    parts: set[str],
+    schema_id: int = 1,
+    told: tuple[str, str] = (LASER, "cdr"),
+) -> bytes:
+    """Write a file of one channel; ``chunk`` is the compression, None for none at all; ``told`` type and encoding."""
+    declared = declarations(parts, schema_id, told)
+    pad = PAD if "padding" in parts else b""
+    stored = [record(5, struct.pack("<HIQQ", 1, k, k, k) + data) for k, data in enumerate(messages)]
+    runs = [b"".join(stored[:1]), b"".join(stored[1:])] if "two chunks" in parts else [b"".join(stored)]
+    runs[0] = b"".join(declared) + runs[0]
+    index = record(7, struct.pack("<H", 1) + block(struct.pack("<QQ", 0, 0)), pad) if "index" in parts else b""
+    body = b"".join(runs) if chunk is None else b"".join(chunked(run, chunk, crc, pad) + index for run in runs)
+    data = MAGIC + record(1, block("ros2") + block("writer"), pad) + body + extras(parts)
     data += record(15, struct.pack("<I", zlib.crc32(data) if crc else 0), pad)
-    summary = b""
-    if "summary" in parts:
-        summary += declared if "repeat" in parts else b""
-        counts = struct.pack("<QHIIIIQQ", len(messages), bool(schema_id), 1, 0, 0, chunk is not None, 0, 9)
-        summary += record(11, counts + block(b""), pad)
+    summary = summary_records(parts, len(messages), chunk, declared)
     footer = struct.pack("<BQQQ", 2, 20, len(data) if summary else 0, 0)
     checksum = zlib.crc32(summary + footer) if crc else 0
     return data + summary + footer + struct.pack("<I", checksum) + MAGIC
 
 
 @pytest.mark.parametrize("chunk", [None, "", "lz4", "zstd"])
-@pytest.mark.parametrize("crc", [True, False])
-def test_every_combination_of_parts_is_read_whole(chunk: str | None, crc: bool, tmp_path: Path) -> None:
+def test_every_combination_of_parts_is_read_whole(chunk: str | None, tmp_path: Path) -> None:
+    """What stands between the messages, and what stands behind them; each alone, and with all of the other."""
     messages = [serialized(laser(k), 2) for k in range(3)]
     path = tmp_path / "a.mcap"
-    for chosen in product([True, False], repeat=len(PARTS)):
-        parts = {part for part, wanted in zip(PARTS, chosen, strict=True) if wanted}
-        for count in (0, 3):
-            path.write_bytes(mcap(messages[:count], chunk, crc, parts))
-            found = survey(path)
-            assert (found.damage, found.warnings) == ((), ()), parts
-            assert [(t.name, t.type, t.encoding, t.count) for t in found.topics] == [("/scan", LASER, "cdr", count)]
-            assert sum(scans.total for scans in found.scans.values()) == count
+    chosen = [(set(p), set(q)) for p in subsets(BETWEEN) for q in ((), BEHIND)]
+    chosen += [(set(p), set(q)) for p in subsets(BEHIND) for q in ((), BETWEEN)]
+    for number, (parts, more) in enumerate(chosen):
+        count = 0 if number % 7 == 0 else 3
+        path.write_bytes(mcap(messages[:count], chunk, number % 3 > 0, parts | more))
+        found = survey(path)
+        assert (found.damage, found.warnings) == ((), ()), parts | more
+        assert [(t.name, t.type, t.encoding, t.count) for t in found.topics] == [("/scan", LASER, "cdr", count)]
+        assert sum(scans.total for scans in found.scans.values()) == count
+
+
+def subsets(parts: tuple[str, ...]) -> list[tuple[str, ...]]:
+    return [chosen for size in range(len(parts) + 1) for chosen in combinations(parts, size)]
 
 
 def test_a_channel_without_a_schema_is_told_by_its_messages(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    path.write_bytes(mcap([serialized(laser(k), 2) for k in range(3)], "zstd", True, {"summary"}, schema_id=0))
+    path.write_bytes(mcap([serialized(laser(k), 2) for k in range(3)], "zstd", True, {"statistics"}, schema_id=0))
     found = survey(path)
     assert found.scans["/scan"].total == 3
     assert any("told nowhere" in d.what for d in found.damage)
 
 
+@pytest.mark.parametrize(
+    ("name", "encoding", "damaged"),
+    [(LASER, "ros2", True), (LASER, "CDR", True), ("sensor_msgs::msg::dds_::LaserScan_", "cdr", False)],
+)
+def test_types_and_encodings_by_other_names_are_scans(name: str, encoding: str, damaged: bool, tmp_path: Path) -> None:
+    messages = [serialized(laser(k), 2) for k in range(3)]
+    path = tmp_path / "a.mcap"
+    path.write_bytes(mcap(messages, None, False, set(), told=(name, encoding)))
+    found = survey(path)
+    assert found.scans["/scan"].total == 3
+    assert bool(found.damage) == damaged
+
+
 def test_two_files_one_behind_the_other_are_both_read(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     halves = [[serialized(laser(k), 2) for k in range(n, n + 3)] for n in (0, 3)]
-    path.write_bytes(b"".join(mcap(half, "zstd", True, {"summary"}) for half in halves))
+    path.write_bytes(b"".join(mcap(half, "zstd", True, {"statistics"}) for half in halves))
     found = survey(path)
     assert found.scans["/scan"].total == 6
     assert any("one behind the other" in w for w in found.warnings)
@@ -103,7 +152,7 @@ def test_two_files_one_behind_the_other_are_both_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize("at", ["kind", "length"])
 def test_a_chunk_whose_head_lies_is_read_by_its_own_fields(at: str, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    data = bytearray(mcap([serialized(laser(k), 2) for k in range(3)], "zstd", True, {"summary", "index"}))
+    data = bytearray(mcap([serialized(laser(k), 2) for k in range(3)], "zstd", True, {"statistics", "index"}))
     head = data.index(struct.pack("<QQ", 0, 0)) - 9
     data[head + (0 if at == "kind" else 7)] ^= 0x40
     path.write_bytes(data)
