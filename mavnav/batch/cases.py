@@ -33,7 +33,7 @@ class Case:
     """A log with a setting, and what must hold of it.
 
     ``cell`` is None for a log that cannot be read, which ``error`` and ``exit_code`` tell. ``source`` is the path or
-    the address of the log, ``log`` what people call it.
+    the address of the log, ``log`` what people call it; ``has_references`` says that its outcome is compared with some.
     """
 
     name: str
@@ -43,6 +43,7 @@ class Case:
     cell: Cell | None
     gates: tuple[Gate, ...] = ()
     accept: frozenset[int] = frozenset()
+    has_references: bool = False
     error: str = ""
     exit_code: ExitCode = ExitCode.DONE
 
@@ -70,11 +71,13 @@ def _cases(
 ) -> Iterator[Case]:
     source = log if is_address(log) else str(base / log)
     gates = tuple(parse_gate(text) for text in entry.gates if text != BASELINE_GATE)
+    files = _files(entry, base)
     shared: dict[str, Any] = {"log": log, "source": source, "gates": gates, "accept": frozenset(entry.accept)}
-    options = {**common, **_reading(entry), **_files(entry, base)}
+    shared["has_references"] = any(files.values())
+    options = {**common, **_reading(entry), **files}
     try:
         digest = _digest(source)
-        references = references_sha256(load_references(**_files(entry, base)))
+        references = references_sha256(load_references(**files))
     except MavnavError as error:
         failed: dict[str, Any] = {"cell": None, "error": str(error), "exit_code": error.exit_code}
         yield from (Case(_name(entry, log, setting), setting=setting, **shared, **failed) for setting in settings)
