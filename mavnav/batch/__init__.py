@@ -14,7 +14,6 @@ from mavnav.batch.baseline import write_baseline
 from mavnav.batch.cases import BASELINE_GATE, Case, make_cases
 from mavnav.batch.document import batch_document, batch_row, judged
 from mavnav.batch.files import BATCH_FILE, write_batch
-from mavnav.batch.gather import is_address
 from mavnav.batch.work import replay_fetched, replay_there
 from mavnav.cells import check_home, earlier
 from mavnav.config import Config
@@ -251,9 +250,7 @@ def _run_missing(plan: Plan, on_event: OnEvent, desk: _Desk, cluster: Cluster | 
 
 
 def _job(case: Case, request: replay.Request) -> Job:
-    if is_address(case.source):
-        return Job(case.name, replay_fetched, (request, case.source))
-    return Job(case.name, replay_there, (request,))
+    return Job(case.name, replay_fetched if request.address else replay_there, (request,))
 
 
 def _tidying(jobs: Sequence[Job], listen: OnEvent) -> OnEvent:

@@ -32,13 +32,12 @@ BASELINE_GATE = "baseline"
 class Case:
     """A log with a setting, and what must hold of it.
 
-    ``cell`` is None for a log that cannot be read, which ``error`` and ``exit_code`` tell. ``source`` is the path or
-    the address of the log, ``log`` what people call it; ``has_references`` says that its outcome is compared with some.
+    ``cell`` is None for a log that cannot be read, which ``error`` and ``exit_code`` tell. ``log`` is what people call
+    it; ``has_references`` says that its outcome is compared with some.
     """
 
     name: str
     log: str
-    source: str
     setting: Setting
     cell: Cell | None
     gates: tuple[Gate, ...] = ()
@@ -69,30 +68,31 @@ def make_cases(
 def _cases(
     entry: Entry, log: str, settings: Sequence[Setting], base: Path, common: Mapping[str, Any]
 ) -> Iterator[Case]:
-    source = log if is_address(log) else str(base / log)
+    address = log if is_address(log) else None
+    path = Path(log) if address else base / log
     gates = tuple(parse_gate(text) for text in entry.gates if text != BASELINE_GATE)
     files = _files(entry, base)
-    shared: dict[str, Any] = {"log": log, "source": source, "gates": gates, "accept": frozenset(entry.accept)}
+    shared: dict[str, Any] = {"log": log, "gates": gates, "accept": frozenset(entry.accept)}
     shared["has_references"] = any(files.values())
-    options = {**common, **_reading(entry), **files}
+    options = {**common, **_reading(entry), **files, "address": address}
     try:
-        digest = _digest(source)
+        digest = _digest(path, address)
         references = references_sha256(load_references(**files))
     except MavnavError as error:
         failed: dict[str, Any] = {"cell": None, "error": str(error), "exit_code": error.exit_code}
         yield from (Case(_name(entry, log, setting), setting=setting, **shared, **failed) for setting in settings)
         return
     for setting in settings:
-        request = replay.Request(Path(source), config=setting.config, **options)
+        request = replay.Request(path, config=setting.config, **options)
         yield Case(_name(entry, log, setting), setting=setting, cell=make_cell(request, digest, references), **shared)
 
 
-def _digest(source: str) -> str:
+def _digest(path: Path, address: str | None) -> str:
     """Return the hash of a log's content; one at an address is fetched for that."""
-    if not is_address(source):
-        return content_sha256(Path(source))
-    with fetched(source) as folder:
-        return content_sha256(folder / source)
+    if address is None:
+        return content_sha256(path)
+    with fetched(address) as folder:
+        return content_sha256(folder / path)
 
 
 def _name(entry: Entry, log: str, setting: Setting) -> str:

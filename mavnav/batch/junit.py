@@ -1,8 +1,8 @@
 """JUnit XML, as CI servers read it: a suite a log, a test case a run.
 
-After the schema that Jenkins' xUnit plugin publishes: ``testsuites`` of ``testsuite`` of ``testcase``, with at most one
-``failure`` or ``error`` each. A gate that does not hold, a lost track and a damaged log are failures; a run that could
-not be made is an error.
+After junit-10.xsd, the schema that Jenkins' xUnit plugin publishes: ``testsuites`` of ``testsuite`` of ``testcase``,
+with at most one ``failure`` or ``error`` each. A gate that does not hold, a lost track and a damaged log are failures,
+a run that could not be made is an error. Figures are the output of a case: the schema has properties for suites alone.
 """
 
 from __future__ import annotations
@@ -64,16 +64,13 @@ def _suite(log: str, rows: Sequence[Mapping[str, Any]]) -> XML.Element:
 def _case(log: str, row: Mapping[str, Any]) -> XML.Element:
     name = row["name"].removeprefix(log).strip() or row["name"]
     case = XML.Element("testcase", {"name": _text(name), "classname": _text(log), "time": f"{_seconds(row):.3f}"})
-    figures = [(name, figure(row["run"], name)) for name in FIGURES]
-    known = [{"name": name, "value": f"{number:.6g}"} for name, number in figures if number is not None]
-    if known:
-        properties = XML.SubElement(case, "properties")
-        for attributes in known:
-            XML.SubElement(properties, "property", attributes)
     kind, reasons = _kind(row), [_text(reason) for reason in why(row)]
     if kind:
         about = {"message": reasons[0], "type": f"exit code {row['verdict']}"}
         XML.SubElement(case, kind, about).text = "\n".join(reasons)
+    figures = ((name, figure(row["run"], name)) for name in FIGURES)
+    if known := [f"{name} {number:.6g}" for name, number in figures if number is not None]:
+        XML.SubElement(case, "system-out").text = "\n".join(known)
     return case
 
 

@@ -112,7 +112,8 @@ def _file(run: Run) -> Document:
     """Name what the user named: a log, or the scenario that the recorded mission follows from."""
     if run.mission is None:
         log = run.log
-        return {"path": str(log.path), "sha256": log.sha256, "size_bytes": log.size_bytes, "format": log.format}
+        path = run.address or str(log.path)
+        return {"path": path, "sha256": log.sha256, "size_bytes": log.size_bytes, "format": log.format}
     content = run.mission.path.read_bytes()
     return {
         "path": str(run.mission.path),
