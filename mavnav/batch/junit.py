@@ -11,9 +11,9 @@ import re
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree as XML  # noqa: N814  short, as it stands in every line
 
-from mavnav.batch.baseline import figure
 from mavnav.batch.document import why
 from mavnav.batch.files import FIGURES
+from mavnav.figures import number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -46,7 +46,7 @@ def _totals(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 
 def _seconds(row: Mapping[str, Any]) -> float:
     """Return what a run took, now or when it was made."""
-    return float(row["seconds"] or figure(row["run"], "timing.wall_s") or 0.0)
+    return float(row["seconds"] or number(row["run"], "timing.wall_s") or 0.0)
 
 
 def _kind(row: Mapping[str, Any]) -> str | None:
@@ -68,8 +68,8 @@ def _case(log: str, row: Mapping[str, Any]) -> XML.Element:
     if kind:
         about = {"message": reasons[0], "type": f"exit code {row['verdict']}"}
         XML.SubElement(case, kind, about).text = "\n".join(reasons)
-    figures = ((name, figure(row["run"], name)) for name in FIGURES)
-    if known := [f"{name} {number:.6g}" for name, number in figures if number is not None]:
+    figures = ((name, number(row["run"], name)) for name in FIGURES)
+    if known := [f"{name} {value:.6g}" for name, value in figures if value is not None]:
         XML.SubElement(case, "system-out").text = "\n".join(known)
     return case
 

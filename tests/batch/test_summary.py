@@ -30,7 +30,7 @@ def test_the_summary_is_a_headline_what_went_wrong_and_a_table(document: dict[st
     assert {len(row) for row in (head, rule, *rows)} == {6}
     assert [row[0] for row in rows] == ["❌", "❌", "❌", "✅"]
     assert rows[-1][1].startswith("logs/good.mcap robust")
-    assert rows[-1][2] == "100.0%"
+    assert rows[-1][2] == "100.0"
     assert rows[0][2:] == ["-"] * 4
 
 
