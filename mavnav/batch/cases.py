@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavnav import replay
-from mavnav.batch.gather import gather, is_address
+from mavnav.batch.gather import check_found, gather, is_address
 from mavnav.batch.remote import fetched
 from mavnav.batch.settings import told
 from mavnav.cells import Cell, make_cell, references_sha256
@@ -76,7 +76,7 @@ def _cases(
     shared["has_references"] = any(files.values())
     options = {**common, **_reading(entry), **files, "address": address}
     try:
-        digest = _digest(path, address)
+        digest = _digest(log, path, address)
         references = references_sha256(load_references(**files))
     except MavnavError as error:
         failed: dict[str, Any] = {"cell": None, "error": str(error), "exit_code": error.exit_code}
@@ -87,9 +87,10 @@ def _cases(
         yield Case(_name(entry, log, setting), setting=setting, cell=make_cell(request, digest, references), **shared)
 
 
-def _digest(path: Path, address: str | None) -> str:
+def _digest(log: str, path: Path, address: str | None) -> str:
     """Return the hash of a log's content; one at an address is fetched for that."""
     if address is None:
+        check_found(log, path)
         return content_sha256(path)
     with fetched(address) as folder:
         return content_sha256(folder / path)

@@ -73,7 +73,7 @@ def batch(
     scheduler: Annotated[
         str | None,
         typer.Option(
-            metavar="tcp://HOST:PORT|local", help="Run on a Dask cluster, mavnav[cluster].", show_default=False
+            metavar="tcp://HOST:PORT|local", help=r"Run on a Dask cluster, mavnav\[cluster].", show_default=False
         ),
     ] = None,
     part: Annotated[
