@@ -84,11 +84,12 @@ def _counts(words: Iterable[str]) -> dict[str, int]:
 def _line(row: dict[str, Any], directory: Path) -> Line:
     place = directory / row["directory"] if row["directory"] else None
     verdict = ExitCode(row["verdict"])
+    end = "passed" if not verdict else ENDS[verdict]
     return Line(
         name=row["name"],
         kind="passed" if not verdict else "failed" if row["run"] else "broken",
-        end="passed" if not verdict else ENDS[verdict],
-        reasons=tuple(why(row)),
+        end=end,
+        reasons=tuple(reason for reason in why(row) if reason != end),
         link=_link(place, row["directory"]) if place else None,
         picture=thumbnail(place) if place else None,
         change=str((row["baseline"] or {}).get("change") or ""),
