@@ -40,7 +40,7 @@ SECTIONS: Final = (
 REFERENCES = ("truth", "truth_map", "relations")
 """Of a request: the files to compare the outcome with."""
 
-_NOT_OPTIONS = {"log", "directory", "config", "force", "report", *REFERENCES}
+_NOT_OPTIONS = {"log", "address", "directory", "config", "force", "report", *REFERENCES}
 """Of a request: where things are, what does not change a result, and what enters the key by itself."""
 
 

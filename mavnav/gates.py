@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 OPERATORS: Final[dict[str, Callable[[Any, Any], bool]]] = {
     "<=": operator.le,
@@ -109,6 +109,25 @@ def _shown(value: Number) -> str:
     return str(value).lower() if isinstance(value, bool) else f"{value:.6g}"
 
 
+def check_names(names: Iterable[str], blank: Mapping[str, Any]) -> None:
+    """Raise UsageError for a name that no document has, before there is one.
+
+    ``blank`` is a document of nothing: what is null or empty there may hold any name.
+    """
+    for name in names:
+        if not _may_have(blank, _parts(name)):
+            raise UsageError(_unknown(name, blank))
+
+
+def _may_have(value: object, parts: Sequence[str]) -> bool:
+    """Follow a name down to a number, or to where it cannot be followed any more."""
+    for part in parts:
+        if value is None or value in ([], {}):
+            return True
+        value = _child(value, part)
+    return value is None or isinstance(value, Number)
+
+
 def find(document: Mapping[str, Any], name: str) -> Number | None:
     """Return the number of that name, None where it or what is around it is null.
 
@@ -118,15 +137,21 @@ def find(document: Mapping[str, Any], name: str) -> Number | None:
     for part in _parts(name):
         if value is None:
             return None
-        if isinstance(value, list) and part.isdecimal() and int(part) < len(value):
-            value = value[int(part)]
-        elif isinstance(value, dict) and part in value:
-            value = value[part]
-        else:
-            raise UsageError(_unknown(name, document))
+        value = _child(value, part)
     if value is None or isinstance(value, Number):
         return value
     raise UsageError(_unknown(name, document))
+
+
+_NOTHING: Final = object()
+"""What is under a name that there is not."""
+
+
+def _child(value: object, part: str) -> object:
+    """Return what lies one key or one place further down."""
+    if isinstance(value, list) and part.isdecimal() and int(part) < len(value):
+        return value[int(part)]
+    return value.get(part, _NOTHING) if isinstance(value, dict) else _NOTHING
 
 
 def _parts(name: str) -> list[str]:
@@ -157,13 +182,13 @@ def _leaves(value: object) -> Iterator[tuple[str, ...]]:
 
 def _unknown(name: str, document: Mapping[str, Any]) -> str:
     """Say that a name is unknown, and which the nearest is: within it, as a whole, or by its last part."""
+    if name.startswith("reference") and "reference" not in document:
+        return f"no number {name} in run.json; it needs --truth, --truth-map or --relations"
     known, full = names(document), ".".join(_parts(name))
     near = [k for k in known if k.startswith(f"{full}.")] or difflib.get_close_matches(full, known, n=1, cutoff=0.75)
     if not near:
         last = difflib.get_close_matches(name.rpartition(".")[2], {k.rpartition(".")[2] for k in known}, n=1)
         near = [k for k in known if last and k.rpartition(".")[2] == last[0]]
     if near:
-        return f"--gate: no number {name} in run.json; did you mean {near[0]}?"
-    if name.startswith("reference"):
-        return f"--gate: no number {name} in run.json; it needs --truth, --truth-map or --relations"
-    return f"--gate: no number {name} in run.json; the numbers of any run.json can be named, {_EXAMPLE}"
+        return f"no number {name} in run.json; did you mean {near[0]}?"
+    return f"no number {name} in run.json; the numbers of any run.json can be named, {_EXAMPLE}"

@@ -53,7 +53,8 @@ class Request:
     ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base;
     ``report`` asks for the page as well; ``truth``, ``truth_map`` and ``relations`` are files to compare the outcome
     with; ``strict`` leaves out scans from where a checksum does not match. ``map`` is a map to localise in instead of
-    making one, and ``start_pose`` about where in it the laser begins.
+    making one, and ``start_pose`` about where in it the laser begins. ``address`` is where the log was fetched from,
+    which run.json tells.
     """
 
     log: Path
@@ -71,6 +72,7 @@ class Request:
     strict: bool = False
     map: Path | None = None
     start_pose: Pose | None = None
+    address: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +185,7 @@ def _mapped(
         true_map=given.references.true_map,
         stopped=stopped,
         localisation=None if given.known is None else localisation(request, outcome),
+        address=request.address,
     )
     progress("writing", 0, None)
     return run, write_run(run, request.directory, force=request.force, report=request.report)

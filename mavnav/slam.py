@@ -37,6 +37,9 @@ LONG_LOST_SCANS, RARELY_SCANS = 8, 64
 ODOMETRY_GAP_NS = 500_000_000
 """Odometry is interpolated over gaps up to this."""
 
+LEAST_TRACKED_SHARE = 0.5
+"""With poses for fewer of its scans a log is lost for good: what is found again at its end by chance tracks no log."""
+
 SHORTEST_PERIOD_S = 1e-3
 """A log of one scan has no period."""
 
@@ -56,9 +59,15 @@ class Slam:
     warnings: tuple[str, ...] = ()
 
     @property
+    def tracked_share(self) -> float:
+        """The part of the scans that have a pose; 0 where there are no scans."""
+        return len(self.trajectory) / max(len(self.steps), 1)
+
+    @property
     def lost_for_good(self) -> bool:
-        """Whether the track ended before the log did."""
-        return bool(self.lost) and not self.lost[-1].recovered
+        """Whether the track ended before the log did, or has fewer than ``LEAST_TRACKED_SHARE`` of its scans."""
+        ended = bool(self.lost) and not self.lost[-1].recovered
+        return ended or (bool(self.steps) and self.tracked_share < LEAST_TRACKED_SHARE)
 
 
 def track(scans: Iterable[Scan], method: Method, motion: Motion) -> Iterator[Step]:

@@ -25,7 +25,7 @@ CORE = {"grid", "linemap", "matcher", "relocalise", "motion", "belief", "firing"
     "loop_closure",
     "redrawing",
 }
-RUNS = {"", "cells", "config_file", "gates", "jobs", "logs", "markdown", "outputs", "references", "replay"}
+RUNS = {"", "cells", "config_file", "figures", "gates", "jobs", "logs", "markdown", "outputs", "references", "replay"}
 ALLOWED: dict[str, set[str]] = {
     "": set(),
     "errors": set(),
@@ -36,6 +36,7 @@ ALLOWED: dict[str, set[str]] = {
     "stages": set(),
     "config": {"errors", "units"},
     "gates": {"errors"},
+    "figures": {"errors", "gates"},
     "jobs": {"errors"},
     "layers": {"errors"},
     "config_file": {"errors", "config", "layers"},
@@ -66,7 +67,7 @@ ALLOWED: dict[str, set[str]] = {
     "techniques": GROUND | {"kernels", "planner_config", "routes"},
     "planner": GROUND | {"kernels", "grid", "planner_config", "techniques"},
     "flight": GROUND | {"planner", "world"} | CORE,
-    "outputs": GROUND | {"", "logs", "metrics"} | CORE,
+    "outputs": GROUND | {"", "figures", "logs", "metrics"} | CORE,
     "evaluate": GROUND | {"", "grid", "logs", "metrics", "outputs", "references"},
     "replay": GROUND | {"logs", "metrics", "outputs", "references"} | CORE,
     "simulate": GROUND | {"flight", "logs", "metrics", "outputs", "references", "replay", "world"} | CORE,

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from mavnav.errors import ExitCode, UsageError, worst
-from mavnav.gates import Gate, find, judge, names, parse_gate
+from mavnav.gates import Gate, check_names, find, judge, names, parse_gate
 
 RUN: dict[str, Any] = {
     "grid": "10x10",
@@ -99,6 +99,14 @@ def test_unknown_names_are_usage_errors(name: str, nearest: str) -> None:
 def test_a_reference_that_was_not_given_is_said() -> None:
     with pytest.raises(UsageError, match="it needs --truth"):
         find(RUN, "reference.ate.rmse_m")
+
+
+def test_names_are_known_before_there_is_a_run() -> None:
+    blank = RUN | {"tracking": {"lost": False, "intervals": []}}
+    check_names(["wall_thickness.p95_cells", "tracking.intervals.3.scans", "map_quality.revisits.nn_l_mm"], blank)
+    for name in ("wall_thickness.p59_cells", "tracking.intervals", "tracking.lots", "grid", "reference.ate.rmse_m"):
+        with pytest.raises(UsageError, match=f"no number {name} in run.json"):
+            check_names([name], blank)
 
 
 def test_names_are_those_that_can_be_found() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started, run_with_retries
+from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Retried, Started, run_with_retries
 
 JOBS = [Job(name, print) for name in ("good", "unlucky", "hopeless", "refused")]
 
@@ -34,7 +34,7 @@ def test_only_the_dead_are_tried_again() -> None:
     ended = {event.index: event.outcome for event in events if isinstance(event, Ended)}
     assert [ended[k].fate for k in range(4)] == [Fate.DONE, Fate.DONE, Fate.DIED, Fate.FAILED]
     assert ended[2].error == "killed; given up after 3 tries"
-    assert [e.index for e in events if isinstance(e, Progressed)] == [1, 2, 2]
+    assert [e for e in events if isinstance(e, Retried)] == [Retried(k, "killed") for k in (1, 2, 2)]
     assert [e.index for e in events if isinstance(e, Started)] == [0, 1, 2, 3, 1, 2, 2]
 
 

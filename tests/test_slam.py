@@ -124,6 +124,15 @@ def test_blank_scans_are_no_poses(method: str) -> None:
     assert not outcome.lost_for_good
 
 
+@pytest.mark.parametrize(("blind", "lost"), [(5, False), (6, True)])
+def test_a_log_with_poses_for_fewer_than_half_of_its_scans_is_lost_though_it_ends_well(blind: int, lost: bool) -> None:
+    still = [scan_at(room(3.0, 2.4), Pose(1.0, 1.0), stamp_ns=k * 100_000_000) for k in range(10)]
+    outcome = replay([blank(scan) if 1 <= k <= blind else scan for k, scan in enumerate(still)])
+    assert [(found.scans, found.recovered) for found in outcome.lost] == [(blind, True)]
+    assert outcome.tracked_share == 1 - blind / 10
+    assert outcome.lost_for_good is lost
+
+
 def test_a_log_of_one_scan_has_no_period_and_one_pose() -> None:
     outcome = slam.replay(lambda: [scan_at(room(), Pose(1, 1))], Config(), 0.0)
     np.testing.assert_allclose(outcome.trajectory.xyyaw, [[0.0, 0.0, 0.0]], atol=0.005)  # the final pass may nudge it

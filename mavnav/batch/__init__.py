@@ -14,11 +14,13 @@ from mavnav.batch.baseline import write_baseline
 from mavnav.batch.cases import BASELINE_GATE, Case, make_cases
 from mavnav.batch.document import batch_document, batch_row, judged
 from mavnav.batch.files import BATCH_FILE, write_batch
-from mavnav.batch.gather import is_address
 from mavnav.batch.work import replay_fetched, replay_there
 from mavnav.cells import check_home, earlier
+from mavnav.config import Config
 from mavnav.errors import UsageError
+from mavnav.gates import check_names
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs, run_with_retries
+from mavnav.outputs.blank import blank_document
 from mavnav.staging import discard
 
 if TYPE_CHECKING:
@@ -123,22 +125,29 @@ class Plan:
 def plan(request: Request, progress: Progress) -> Plan:
     """Find out what is to be run and what is there.
 
-    Raises UsageError for no logs at all, for gates on unknown names and for folders that cannot be read, OutputError
-    where the directory cannot be used: before the work. A log that cannot be read fails alone.
+    Raises UsageError for no logs at all, for gates and tolerances on numbers that no run has, and for folders that
+    cannot be read, OutputError where the directory cannot be used: before the work. A log that cannot be read fails
+    alone.
     """
+    if not request.entries:
+        raise UsageError("no logs; name a manifest, or logs, patterns or folders")
     check_home(request.directory, _OURS)
     common = {"directory": request.directory, "report": request.report, "force": True}
     cases = make_cases(request.entries, request.settings, request.base, common, progress)
+    _check_names(cases, request.rules)
     if request.part:
         cases = cases[request.part.number - 1 :: request.part.of]
-    elif not cases:
-        raise UsageError("no logs; name a manifest, or logs, patterns or folders")
-    kept = set()
+    places = (case.cell.request.directory for case in cases if case.cell and not request.force and earlier(case.cell))
+    return Plan(request, tuple(cases), frozenset(places))
+
+
+def _check_names(cases: Sequence[Case], rules: Rules) -> None:
+    """Refuse gates and tolerances on numbers that no run has, and gates on references of logs that have none."""
+    blank = blank_document(Config())
+    compared = {**blank, "reference": {}}
+    check_names((tolerance.name for tolerance in rules.watched), compared)
     for case in cases:
-        if case.cell and not request.force and (run := earlier(case.cell)):
-            kept.add(case.cell.request.directory)
-            _row(request, case, None, run)
-    return Plan(request, tuple(cases), frozenset(kept))
+        check_names((gate.name for gate in (*rules.gates, *case.gates)), compared if case.has_references else blank)
 
 
 def run_batch(plan: Plan, on_event: OnEvent, on_row: OnRow, cluster: Cluster | None = None) -> dict[str, Any]:
@@ -157,8 +166,6 @@ def run_batch(plan: Plan, on_event: OnEvent, on_row: OnRow, cluster: Cluster | N
 
     Raises
     ------
-    UsageError
-        As soon as a result does not have a number that a gate names.
     OutputError
         Where the documents cannot be written. A part of a batch writes none: the whole does, when all parts are there.
     """
@@ -243,9 +250,7 @@ def _run_missing(plan: Plan, on_event: OnEvent, desk: _Desk, cluster: Cluster | 
 
 
 def _job(case: Case, request: replay.Request) -> Job:
-    if is_address(case.source):
-        return Job(case.name, replay_fetched, (request, case.source))
-    return Job(case.name, replay_there, (request,))
+    return Job(case.name, replay_fetched if request.address else replay_there, (request,))
 
 
 def _tidying(jobs: Sequence[Job], listen: OnEvent) -> OnEvent:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
 from mavnav.errors import SEVERITY, ExitCode, OutputError, UsageError
-from mavnav.gates import find
+from mavnav.figures import number
 from mavnav.outputs import to_json
 from mavnav.staging import beside
 
@@ -126,16 +126,8 @@ def write_baseline(rows: Sequence[Mapping[str, Any]], path: Path, watched: Seque
 
 
 def _kept(row: Mapping[str, Any], watched: Sequence[Tolerance]) -> dict[str, Any]:
-    figures = {tolerance.name: figure(row["run"], tolerance.name) for tolerance in watched}
+    figures = {tolerance.name: number(row["run"], tolerance.name) for tolerance in watched}
     return {"name": row["name"], "exit_code": row["exit_code"], "figures": figures}
-
-
-def figure(run: Mapping[str, Any] | None, name: str) -> float | None:
-    """Return a number of run.json, None where there is no such number."""
-    try:
-        return None if run is None else find(run, name)
-    except UsageError:
-        return None
 
 
 def changes(row: Mapping[str, Any], baseline: Baseline, watched: Sequence[Tolerance]) -> dict[str, Any]:
@@ -150,7 +142,7 @@ def changes(row: Mapping[str, Any], baseline: Baseline, watched: Sequence[Tolera
         return {"change": Change.NEW, "figures": []}
     found = [_code_change(before["exit_code"], row["exit_code"])]
     if row["run"]:
-        found += [_figure_change(t, _before(before, t.name), figure(row["run"], t.name)) for t in watched]
+        found += [_figure_change(t, _before(before, t.name), number(row["run"], t.name)) for t in watched]
     moved = [item for item in found if item["change"] != Change.SAME]
     kinds = {item["change"] for item in moved}
     whole = next((kind for kind in (Change.WORSE, Change.BETTER) if kind in kinds), Change.SAME)
@@ -158,8 +150,8 @@ def changes(row: Mapping[str, Any], baseline: Baseline, watched: Sequence[Tolera
 
 
 def _before(run: Mapping[str, Any], name: str) -> float | None:
-    number: float | None = run["figures"].get(name)
-    return figure(run["run"], name) if number is None else number
+    kept: float | None = run["figures"].get(name)
+    return number(run["run"], name) if kept is None else kept
 
 
 def _code_change(before: int, now: int) -> dict[str, Any]:

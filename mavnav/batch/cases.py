@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavnav import replay
-from mavnav.batch.gather import gather, is_address
+from mavnav.batch.gather import check_found, gather, is_address
 from mavnav.batch.remote import fetched
 from mavnav.batch.settings import told
 from mavnav.cells import Cell, make_cell, references_sha256
@@ -32,17 +32,17 @@ BASELINE_GATE = "baseline"
 class Case:
     """A log with a setting, and what must hold of it.
 
-    ``cell`` is None for a log that cannot be read, which ``error`` and ``exit_code`` tell. ``source`` is the path or
-    the address of the log, ``log`` what people call it.
+    ``cell`` is None for a log that cannot be read, which ``error`` and ``exit_code`` tell. ``log`` is what people call
+    it; ``has_references`` says that its outcome is compared with some.
     """
 
     name: str
     log: str
-    source: str
     setting: Setting
     cell: Cell | None
     gates: tuple[Gate, ...] = ()
     accept: frozenset[int] = frozenset()
+    has_references: bool = False
     error: str = ""
     exit_code: ExitCode = ExitCode.DONE
 
@@ -68,28 +68,32 @@ def make_cases(
 def _cases(
     entry: Entry, log: str, settings: Sequence[Setting], base: Path, common: Mapping[str, Any]
 ) -> Iterator[Case]:
-    source = log if is_address(log) else str(base / log)
+    address = log if is_address(log) else None
+    path = Path(log) if address else base / log
     gates = tuple(parse_gate(text) for text in entry.gates if text != BASELINE_GATE)
-    shared: dict[str, Any] = {"log": log, "source": source, "gates": gates, "accept": frozenset(entry.accept)}
-    options = {**common, **_reading(entry), **_files(entry, base)}
+    files = _files(entry, base)
+    shared: dict[str, Any] = {"log": log, "gates": gates, "accept": frozenset(entry.accept)}
+    shared["has_references"] = any(files.values())
+    options = {**common, **_reading(entry), **files, "address": address}
     try:
-        digest = _digest(source)
-        references = references_sha256(load_references(**_files(entry, base)))
+        digest = _digest(log, path, address)
+        references = references_sha256(load_references(**files))
     except MavnavError as error:
         failed: dict[str, Any] = {"cell": None, "error": str(error), "exit_code": error.exit_code}
         yield from (Case(_name(entry, log, setting), setting=setting, **shared, **failed) for setting in settings)
         return
     for setting in settings:
-        request = replay.Request(Path(source), config=setting.config, **options)
+        request = replay.Request(path, config=setting.config, **options)
         yield Case(_name(entry, log, setting), setting=setting, cell=make_cell(request, digest, references), **shared)
 
 
-def _digest(source: str) -> str:
+def _digest(log: str, path: Path, address: str | None) -> str:
     """Return the hash of a log's content; one at an address is fetched for that."""
-    if not is_address(source):
-        return content_sha256(Path(source))
-    with fetched(source) as folder:
-        return content_sha256(folder / source)
+    if address is None:
+        check_found(log, path)
+        return content_sha256(path)
+    with fetched(address) as folder:
+        return content_sha256(folder / path)
 
 
 def _name(entry: Entry, log: str, setting: Setting) -> str:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav import __version__
 from mavnav.batch.baseline import Change, changes, missing
 from mavnav.cells import cell_row
-from mavnav.errors import SEVERITY, ExitCode, worst
-from mavnav.gates import judge
+from mavnav.errors import SEVERITY, ExitCode, UsageError, worst
+from mavnav.gates import Verdict, judge
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -61,9 +61,9 @@ def judged(
     """Return a row with its ``gates``, its ``baseline`` (None without one), and ``verdict``, the exit code that counts.
 
     The verdict is the worst of the gates and of the run's own exit code, unless that is one of ``accept``. ``run`` is
-    the whole run.json. Raises UsageError for a gate on a number that it does not have.
+    the whole run.json; a gate on a number that it does not have fails.
     """
-    verdicts = [] if run is None else judge(gates, run)
+    verdicts = [] if run is None else [_verdict(gate, run) for gate in gates]
     found = None if baseline is None else changes(row, baseline, watched)
     told = [{"gate": v.gate.text, "value": v.value, "passed": v.passed, "why": v.why} for v in verdicts]
     if baseline_gate and found is not None:
@@ -71,6 +71,13 @@ def judged(
     codes = [] if row["exit_code"] in accept else [row["exit_code"]]
     codes += [ExitCode.GATE_FAILED for verdict in told if not verdict["passed"]]
     return row | {"gates": told, "baseline": found, "verdict": int(worst(codes))}
+
+
+def _verdict(gate: Gate, run: Mapping[str, Any]) -> Verdict:
+    try:
+        return judge([gate], run)[0]
+    except UsageError as error:
+        return Verdict(gate, None, str(error))
 
 
 def _baseline_verdict(found: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,9 +6,9 @@ import csv
 import io
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.batch.baseline import figure
 from mavnav.batch.page import to_page
 from mavnav.errors import OutputError
+from mavnav.figures import number
 from mavnav.outputs import to_json
 from mavnav.staging import beside
 
@@ -72,7 +72,7 @@ def to_csv(document: dict[str, Any]) -> str:
     for row in document["cells"]:
         failed = " ".join(gate["gate"] for gate in row["gates"] if not gate["passed"])
         more = [failed, (row["baseline"] or {}).get("change"), row["seconds"], row["directory"]]
-        table.writerow([*(row[key] for key in _HEAD), *more, *(figure(row["run"], name) for name in FIGURES)])
+        table.writerow([*(row[key] for key in _HEAD), *more, *(number(row["run"], name) for name in FIGURES)])
     return rows.getvalue()
 
 

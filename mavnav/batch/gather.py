@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from mavnav.errors import UsageError
+from mavnav.errors import NoScansError, UsageError
 from mavnav.outputs.directory import RUN_FILE
 
 if TYPE_CHECKING:
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 SUFFIXES: Final = (".mcap", ".bag", ".db3", ".active", ".zst", ".zstd")
 """How logs in a folder end; a log that is named itself may be called anything."""
+
+_PATTERN: Final = re.compile(r"[*?[]")
 
 _ADDRESS: Final = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 
@@ -42,6 +44,18 @@ def gather(patterns: Iterable[str], base: Path) -> list[str]:
     return list(found)
 
 
+def check_found(log: str, path: Path) -> None:
+    """Say of a folder and of a pattern that it stands for no log.
+
+    ``log`` is one of those that `gather` returns, ``path`` where it is. Raises NoScansError, UsageError.
+    """
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        kinds = ", ".join(SUFFIXES)
+        raise NoScansError(f"{log}: no logs in this folder ({kinds}; finished runs are left out); name another")
+    if _PATTERN.search(log) and not path.exists():
+        raise UsageError(f"{log}: nothing fits this pattern; ** in it stands for any folders")
+
+
 def _paths(pattern: str, base: Path) -> list[str]:
     return [_told(path, base) for place in _matches(pattern, base) for path in (list(_logs(place)) or [place])]
 
@@ -49,7 +63,7 @@ def _paths(pattern: str, base: Path) -> list[str]:
 def _matches(pattern: str, base: Path) -> list[Path]:
     """Return what a pattern stands for; a file may well have a bracket in its name."""
     whole = base / pattern
-    if whole.exists() or not re.search(r"[*?[]", pattern):
+    if whole.exists() or not _PATTERN.search(pattern):
         return [whole]
     anchor = Path(whole.anchor)
     return sorted(anchor.glob(str(whole.absolute().relative_to(anchor.absolute())))) or [whole]

@@ -1,8 +1,8 @@
 """JUnit XML, as CI servers read it: a suite a log, a test case a run.
 
-After the schema that Jenkins' xUnit plugin publishes: ``testsuites`` of ``testsuite`` of ``testcase``, with at most one
-``failure`` or ``error`` each. A gate that does not hold, a lost track and a damaged log are failures; a run that could
-not be made is an error.
+After junit-10.xsd, the schema that Jenkins' xUnit plugin publishes: ``testsuites`` of ``testsuite`` of ``testcase``,
+with at most one ``failure`` or ``error`` each. A gate that does not hold, a lost track and a damaged log are failures,
+a run that could not be made is an error. Figures are the output of a case: the schema has properties for suites alone.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import re
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree import ElementTree as XML  # noqa: N814  short, as it stands in every line
 
-from mavnav.batch.baseline import figure
 from mavnav.batch.document import why
 from mavnav.batch.files import FIGURES
+from mavnav.figures import number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -46,7 +46,7 @@ def _totals(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 
 def _seconds(row: Mapping[str, Any]) -> float:
     """Return what a run took, now or when it was made."""
-    return float(row["seconds"] or figure(row["run"], "timing.wall_s") or 0.0)
+    return float(row["seconds"] or number(row["run"], "timing.wall_s") or 0.0)
 
 
 def _kind(row: Mapping[str, Any]) -> str | None:
@@ -64,16 +64,13 @@ def _suite(log: str, rows: Sequence[Mapping[str, Any]]) -> XML.Element:
 def _case(log: str, row: Mapping[str, Any]) -> XML.Element:
     name = row["name"].removeprefix(log).strip() or row["name"]
     case = XML.Element("testcase", {"name": _text(name), "classname": _text(log), "time": f"{_seconds(row):.3f}"})
-    figures = [(name, figure(row["run"], name)) for name in FIGURES]
-    known = [{"name": name, "value": f"{number:.6g}"} for name, number in figures if number is not None]
-    if known:
-        properties = XML.SubElement(case, "properties")
-        for attributes in known:
-            XML.SubElement(properties, "property", attributes)
     kind, reasons = _kind(row), [_text(reason) for reason in why(row)]
     if kind:
         about = {"message": reasons[0], "type": f"exit code {row['verdict']}"}
         XML.SubElement(case, kind, about).text = "\n".join(reasons)
+    figures = ((name, number(row["run"], name)) for name in FIGURES)
+    if known := [f"{name} {value:.6g}" for name, value in figures if value is not None]:
+        XML.SubElement(case, "system-out").text = "\n".join(known)
     return case
 
 

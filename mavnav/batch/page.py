@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.batch.baseline import figure
 from mavnav.batch.document import ENDS, why, worst_first
 from mavnav.batch.summary import changed, headline
 from mavnav.batch.thumbnail import thumbnail
 from mavnav.errors import ExitCode
+from mavnav.figures import NAMED, TIME, WAY, Figure
 from mavnav.outputs import REPORT_FILE
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.html import environment, inlined
@@ -19,26 +19,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
-    """A figure of run.json, how it is headed and written, and what it is."""
-
-    name: str
-    title: str
-    unit: str
-    form: str
-    about: str
-
-
 COLUMNS: Final = (
-    Column("map.accepted_share", "mapped", "", "{:.1%}", "share of the usable scans that were put on the map"),
-    Column("tracking.path_length_m", "way", "m", "{:.1f}", "length of the way of the laser"),
-    Column("wall_thickness.2.p95_mm", "walls", "mm", "{:.0f}", "thickness that 95 % of the walls do not exceed"),
-    Column("map_quality.ghost_walls.length_m", "ghosts", "m", "{:.1f}", "length of walls that are there twice"),
-    Column(
-        "map_quality.revisits.nn_l_mm", "revisits", "mm", "{:.1f}", "how far walls seen again lie from the first time"
-    ),
-    Column("timing.wall_s", "time", "s", "{:.1f}", "seconds that the run took"),
+    NAMED["map.accepted_share"],
+    WAY,
+    NAMED["wall_thickness.2.p95_mm"],
+    NAMED["map_quality.ghost_walls.length_m"],
+    NAMED["map_quality.revisits.nn_l_mm"],
+    TIME,
 )
 
 
@@ -97,16 +84,17 @@ def _counts(words: Iterable[str]) -> dict[str, int]:
 def _line(row: dict[str, Any], directory: Path) -> Line:
     place = directory / row["directory"] if row["directory"] else None
     verdict = ExitCode(row["verdict"])
+    end = "passed" if not verdict else ENDS[verdict]
     return Line(
         name=row["name"],
         kind="passed" if not verdict else "failed" if row["run"] else "broken",
-        end="passed" if not verdict else ENDS[verdict],
-        reasons=tuple(why(row)),
+        end=end,
+        reasons=tuple(reason for reason in why(row) if reason != end),
         link=_link(place, row["directory"]) if place else None,
         picture=thumbnail(place) if place else None,
         change=str((row["baseline"] or {}).get("change") or ""),
         change_text=changed(row),
-        fields=tuple(_field(column, figure(row["run"], column.name)) for column in COLUMNS),
+        fields=tuple(_field(column, row["run"]) for column in COLUMNS),
     )
 
 
@@ -116,5 +104,6 @@ def _link(place: Path, told: str) -> str | None:
     return next((f"{told}/{name}" for name in there), None)
 
 
-def _field(column: Column, number: float | None) -> Field:
-    return Field("", "") if number is None else Field(column.form.format(number), f"{number:.9g}")
+def _field(column: Figure, run: Mapping[str, Any] | None) -> Field:
+    value = column.of(run)
+    return Field("", "") if value is None else Field(column.shown(run), f"{value:.9g}")

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.batch.baseline import Change, figure
+from mavnav.batch.baseline import Change
 from mavnav.batch.document import why, worst_first
+from mavnav.figures import NAMED, TIME
 from mavnav.markdown import escaped, table_row
 
 if TYPE_CHECKING:
@@ -15,12 +16,11 @@ MOST_ROWS: Final = 100
 """A summary shows so many runs, the worst; GitHub takes 1 MiB of them a step."""
 
 FIGURES: Final = (
-    ("mapped", "map.accepted_share", "{:.1%}"),
-    ("wall p95 mm", "wall_thickness.2.p95_mm", "{:.0f}"),
-    ("ghosts m", "map_quality.ghost_walls.length_m", "{:.1f}"),
-    ("s", "timing.wall_s", "{:.1f}"),
+    NAMED["map.accepted_share"],
+    NAMED["wall_thickness.2.p95_mm"],
+    NAMED["map_quality.ghost_walls.length_m"],
+    TIME,
 )
-"""Title, name in run.json, how it is written."""
 
 
 def headline(document: Mapping[str, Any]) -> str:
@@ -46,7 +46,12 @@ def to_summary(document: Mapping[str, Any]) -> str:
     lines += [f"- **{escaped(row['name'])}**: {escaped('; '.join(why(row)))}" for row in bad[:MOST_ROWS]]
     lines += [f"- **{escaped(name)}**: in the baseline, not in this batch" for name in _missing(document)[:MOST_ROWS]]
     lines += [""] if bad or _missing(document) else []
-    titles = ["", "run", *(title for title, _, _ in FIGURES), *(["since the baseline"] if document["baseline"] else [])]
+    titles = [
+        "",
+        "run",
+        *(figure.head for figure in FIGURES),
+        *(["since the baseline"] if document["baseline"] else []),
+    ]
     lines += [table_row(titles), table_row(["---"] * len(titles))]
     lines += [table_row(_cells(row, since=bool(document["baseline"]))) for row in rows[:MOST_ROWS]]
     if len(rows) > MOST_ROWS:
@@ -59,10 +64,7 @@ def _missing(document: Mapping[str, Any]) -> list[str]:
 
 
 def _cells(row: Mapping[str, Any], *, since: bool) -> list[str]:
-    texts = ["❌" if row["verdict"] else "✅", escaped(row["name"])]
-    for _, name, form in FIGURES:
-        number = figure(row["run"], name)
-        texts.append("-" if number is None else form.format(number))
+    texts = ["❌" if row["verdict"] else "✅", escaped(row["name"]), *(f.shown(row["run"]) for f in FIGURES)]
     return [*texts, changed(row)] if since else texts
 
 

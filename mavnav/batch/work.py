@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from mavnav import replay
 from mavnav.batch.remote import fetched
+from mavnav.errors import MavnavError
 
 if TYPE_CHECKING:
     from mavnav.jobs import Report
@@ -19,10 +20,15 @@ def replay_there(request: replay.Request, report: Report) -> None:
     replay.replay(request, report, compile_s=0.0)
 
 
-def replay_fetched(request: replay.Request, address: str, report: Report) -> None:
+def replay_fetched(request: replay.Request, report: Report) -> None:
     """Replay a log that is fetched first, and told of by its address."""
     report("fetching", 0, None)
+    address = str(request.address)
     paths = {field.name: getattr(request, field.name) for field in fields(request) if field.name != "log"}
     absolute: dict[str, Any] = {name: path.absolute() for name, path in paths.items() if isinstance(path, Path)}
     with fetched(address) as folder, chdir(folder):
-        replay_there(replace(request, **absolute), report)
+        try:
+            replay_there(replace(request, **absolute), report)
+        except MavnavError as error:
+            error.args = (str(error).replace(str(request.log), address),)
+            raise

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mavnav.commands import signals
 from mavnav.commands.batch_rows import print_verdict, telling
 from mavnav.commands.cell_progress import watching
 from mavnav.commands.gating import Gates
@@ -73,7 +74,7 @@ def batch(
     scheduler: Annotated[
         str | None,
         typer.Option(
-            metavar="tcp://HOST:PORT|local", help="Run on a Dask cluster, mavnav[cluster].", show_default=False
+            metavar="tcp://HOST:PORT|local", help=r"Run on a Dask cluster, mavnav\[cluster].", show_default=False
         ),
     ] = None,
     part: Annotated[
@@ -164,7 +165,11 @@ def batch(
         watching([case.name for case in plan.missing], quiet=quiet, lines=False) as listen,
         telling(len(plan.cases), json=json, quiet=quiet) as tell,
     ):
-        document = pipeline.run_batch(plan, listen, tell, cluster)
+        try:
+            document = pipeline.run_batch(plan, listen, tell, cluster)
+        except signals.Stopped:
+            note(f"mavnav: runs that are finished stay in {request.directory}; the same call makes the others")
+            raise
     _leave(document, junit, summary, annotations=annotations)
     print_verdict(document, request.directory, json=json)
     raise typer.Exit(document["exit_code"])

@@ -72,18 +72,16 @@ def _table(document: dict[str, Any]) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    from mavnav.batch.baseline import figure
     from mavnav.batch.document import why, worst_first
     from mavnav.batch.summary import FIGURES, changed
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("run", overflow="fold")
-    for title, _, _ in FIGURES:
-        table.add_column(title, justify="right", no_wrap=True)
+    for figure in FIGURES:
+        table.add_column(figure.head, justify="right", no_wrap=True)
     table.add_column("", overflow="fold")
     for row in worst_first(document["cells"])[:MOST_ROWS]:
-        numbers = [(figure(row["run"], name), form) for _, name, form in FIGURES]
-        texts = ["-" if number is None else form.format(number) for number, form in numbers]
+        texts = [figure.shown(row["run"]) for figure in FIGURES]
         remarks = [*why(row), changed(row), "from before" if row["status"] == "cached" else ""]
         end = Text(printable("; ".join(filter(None, remarks))), style="bold red" if row["verdict"] else "")
         table.add_row(Text(printable(row["name"])), *texts, end)

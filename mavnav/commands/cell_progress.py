@@ -13,7 +13,7 @@ from mavnav.commands.terminal import note, printable
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from mavnav.jobs import Event
+    from mavnav.jobs import Event, Retried
 
     Listener = Callable[[Event], None]
 
@@ -41,25 +41,31 @@ def _listener(names: Sequence[str], *, quiet: bool, lines: bool) -> Iterator[Lis
         with _bars(names) as listen:
             yield listen
     else:
-        yield _lines(names) if lines else _silent
+        yield _lines(names, ends=lines)
 
 
 def _silent(event: Event) -> None:
     """Report nothing."""
 
 
-def _lines(names: Sequence[str]) -> Listener:
-    from mavnav.jobs import Ended
+def _lines(names: Sequence[str], *, ends: bool) -> Listener:
+    from mavnav.jobs import Ended, Retried
 
     ended = 0
 
     def listen(event: Event) -> None:
         nonlocal ended
-        if isinstance(event, Ended):
+        if isinstance(event, Retried):
+            note(_again(names[event.index], event))
+        elif isinstance(event, Ended) and ends:
             ended += 1
             note(f"mavnav: {ended} of {len(names)}: {names[event.index]} {_fate(event)}")
 
     return listen
+
+
+def _again(name: str, event: Retried) -> str:
+    return f"mavnav: {name}: {event.error}; it is tried again at the end"
 
 
 def _fate(event: Event) -> str:
@@ -75,7 +81,7 @@ def _fate(event: Event) -> str:
 @contextmanager
 def _bars(names: Sequence[str]) -> Iterator[Listener]:
     """Show a bar for the whole, one for every cell that is being run, and a line that stays for one that failed."""
-    from mavnav.jobs import Ended, Fate, Progressed, Started
+    from mavnav.jobs import Ended, Fate, Progressed, Retried, Started
 
     with bars() as shown:
         failed = 0
@@ -86,12 +92,13 @@ def _bars(names: Sequence[str]) -> Iterator[Listener]:
             nonlocal failed
             match event:
                 case Started(index):
-                    if index in tasks:  # tried again
-                        shown.remove_task(tasks[index])  # type: ignore[arg-type]
                     tasks[index] = shown.add_task(printable(names[index]), total=None)
                 case Progressed(index, phase, done, total):
                     text = printable(f"{names[index]}: {phase}")
                     shown.update(tasks[index], description=text, completed=done, total=total)  # type: ignore[arg-type]
+                case Retried(index):
+                    shown.remove_task(tasks.pop(index))  # type: ignore[arg-type]
+                    note(_again(names[index], event))
                 case Ended(index, outcome):
                     shown.remove_task(tasks.pop(index))  # type: ignore[arg-type]
                     shown.advance(whole)

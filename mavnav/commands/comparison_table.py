@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-    from mavnav.compare.figures import Figure
+    from mavnav.figures import Figure
 
 BARRED = {"wall_thickness.2.p95_mm", "timing.cpu_s"}
 """Figures that are shown with a bar."""
@@ -58,7 +58,7 @@ def _table(document: dict[str, Any], left_out: set[str]) -> Table:
     several = len(document["logs"]) > 1
     for title in (*(["log"] if several else []), "method", "grid"):
         table.add_column(title, overflow="fold")
-    for title in (*(figure.title for figure in known), "evaluations", "cpu"):
+    for title in (*(figure.head for figure in known), "evaluations", "cpu"):
         table.add_column(title, justify="right", no_wrap=True)
     table.columns[-2].header, table.columns[-1].header = "evals x", "cpu x"
     table.add_column("", overflow="fold")
@@ -73,9 +73,9 @@ def _table(document: dict[str, Any], left_out: set[str]) -> Table:
 
 def _known(document: dict[str, Any]) -> list[Figure]:
     """Return the figures that any cell has."""
-    from mavnav.compare.figures import FIGURES
+    from mavnav.figures import FIGURES
 
-    return [figure for figure in FIGURES if any(_value(cell, figure) is not None for cell in document["cells"])]
+    return [figure for figure in FIGURES if any(figure.of(cell["run"]) is not None for cell in document["cells"])]
 
 
 def _text(text: str, style: str = "") -> Text:
@@ -84,21 +84,16 @@ def _text(text: str, style: str = "") -> Text:
     return Text(printable(text), style=style)
 
 
-def _value(cell: dict[str, Any], figure: Figure) -> float | None:
-    from mavnav.compare.figures import value
-
-    return value(cell["run"], figure.name)
-
-
 def _figure(document: dict[str, Any], k: int, figure: Figure) -> Text:
     """Write a figure, its bar before it, an asterisk behind the winner's."""
     from mavnav.compare.files import winning
 
-    number = _value(document["cells"][k], figure)
+    run = document["cells"][k]["run"]
+    number = figure.of(run)
     won = k in winning(document, figure.name)
-    text = figure.shown(number) + ("*" if won else " ")
+    text = figure.shown(run) + ("*" if won else " ")
     if figure.name in BARRED and number is not None:
-        largest = max(_value(cell, figure) or 0.0 for cell in document["cells"])
+        largest = max(figure.of(cell["run"]) or 0.0 for cell in document["cells"])
         text = f"{bar(number, largest)} {text}"
     return _text(text, "bold green" if won else "")
 

@@ -21,7 +21,8 @@ def quality_rows(quality: dict[str, Any]) -> Rows:
             )
         ]
     if revisits and revisits["nn_l_mm"] is not None:
-        rows.append(("revisits", f"{revisits['nn_l_mm']:.1f} mm apart, neighbours {revisits['nn_s_mm']:.1f} mm"))
+        near = "" if revisits["nn_s_mm"] is None else f", neighbours {revisits['nn_s_mm']:.1f} mm"
+        rows.append(("revisits", f"{revisits['nn_l_mm']:.1f} mm apart{near}"))
     rows.append(("walls", f"{support['wall_m']:.1f} m straight"))
     return rows + [("not meaningful", why) for why in quality["why"]]
 

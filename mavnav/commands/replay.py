@@ -193,19 +193,20 @@ def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
             f" {first['where']}; what is intact was used"
         )
     if document["exit_code"] == ExitCode.TRACKING_LOST:
-        note(_lost_line(document))
+        note(lost_line(document))
     if document["partial"]:
         scans = document["scans"]
         note(f"mavnav: stopped after {scans['processed']} of {scans['usable']} scans; the run is partial")
 
 
-def _lost_line(document: dict[str, Any]) -> str:
-    last = document["tracking"]["intervals"][-1]
-    share = 100 * document["tracking"]["tracked_share"]
+def lost_line(document: dict[str, Any]) -> str:
+    """Say that the track was lost for good: since when, for how much of the log, and what to try."""
+    poses = f"{100 * document['tracking']['tracked_share']:.0f} % of the scans have a pose"
+    since = _lost_since(document["tracking"]["intervals"])
     if "localisation" in document:
         return (
-            f"mavnav: error: the laser was lost for good in the map {last['start_s']:.1f} s after the first scan,"
-            f" {share:.0f} % of the scans have a pose; see whether the map is of this place, and try --start-pose"
+            f"mavnav: error: the laser was lost for good in the map{since}, {poses}; see whether the map is of this "
+            "place, and try --start-pose"
         )
     advice = "--method robust" if document["method"] == "paper" else "--odom auto or a finer --grid"
     beams = document["search"]["beams_used"]["median"] or 0
@@ -215,9 +216,16 @@ def _lost_line(document: dict[str, Any]) -> str:
             "what could be tracked is written, look at the ranges with 'mavnav info'"
         )
     return (
-        f"mavnav: error: tracking was lost for good {last['start_s']:.1f} s after the first scan, {share:.0f} % of the"
-        f" scans have a pose; what came before is written, try {advice}, and look at map.png"
+        f"mavnav: error: tracking was lost for good{since}, {poses}; what could be tracked is written, try {advice}, "
+        "and look at map.png"
     )
+
+
+def _lost_since(intervals: list[dict[str, Any]]) -> str:
+    """Say when the track ended; nothing where it came back, for too few of the scans."""
+    if not intervals or intervals[-1]["recovered"]:
+        return ""
+    return f" {intervals[-1]['start_s']:.1f} s after the first scan"
 
 
 def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]:

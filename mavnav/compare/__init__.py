@@ -15,10 +15,12 @@ from mavnav.cells import REFERENCES, Cell, check_home, earlier, make_cells, repl
 from mavnav.compare.document import NO_PRICE, comparison
 from mavnav.compare.files import COMPARISON_FILE, write_comparison
 from mavnav.compare.grids import settings
+from mavnav.config import Config
 from mavnav.errors import UsageError
-from mavnav.gates import judge
+from mavnav.gates import check_names, judge
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs
 from mavnav.outputs import REPORT_FILE, write_page
+from mavnav.outputs.blank import blank_document
 from mavnav.outputs.document import plain
 from mavnav.replay import log_name
 from mavnav.staging import discard
@@ -26,7 +28,6 @@ from mavnav.staging import discard
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from mavnav.config import Config
     from mavnav.gates import Gate
     from mavnav.replay import Progress
 
@@ -95,11 +96,16 @@ def plan(request: Request, progress: Progress) -> Plan:
         raise UsageError("--truth, --truth-map and --relations tell of one log; compare one log at a time with them")
     progress("reading", 0, None)
     found = make_cells(request.logs, request.configs, request.options, request.directory, force=True)
+    check_names((gate.name for gate in request.gates), _blank(request))
     documents = {} if request.force else {cell.key: document for cell in found if (document := earlier(cell))}
-    for document in documents.values():
-        judge(request.gates, document | NO_PRICE)
     drawn = len(documents) == len(found) and _drawn(request.directory, [cell.key for cell in found])
     return Plan(request, tuple(found), documents, drawn)
+
+
+def _blank(request: Request) -> dict[str, Any]:
+    """Return the names that gates may have; those of references depend on what is in them."""
+    known = blank_document(Config()) | NO_PRICE
+    return known | {"reference": {}} if any(request.options.get(name) for name in REFERENCES) else known
 
 
 def _drawn(directory: Path, keys: list[str]) -> bool:

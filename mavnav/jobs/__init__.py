@@ -6,7 +6,7 @@ that they share no state with their parent, and they follow it when it dies. Wha
 """
 
 from mavnav.jobs.crew import run_jobs, usable_cores
-from mavnav.jobs.records import Ended, Event, Fate, Job, Outcome, Progressed, Report, Started
+from mavnav.jobs.records import Ended, Event, Fate, Job, Outcome, Progressed, Report, Retried, Started
 from mavnav.jobs.retry import run_with_retries
 from mavnav.jobs.worker import attempt, failed
 
@@ -18,6 +18,7 @@ __all__ = [
     "Outcome",
     "Progressed",
     "Report",
+    "Retried",
     "Started",
     "attempt",
     "failed",

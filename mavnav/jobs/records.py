@@ -72,6 +72,14 @@ class Progressed:
 
 
 @dataclass(frozen=True, slots=True)
+class Retried:
+    """The process of job ``index`` died, which ``error`` tells; the job is run again later."""
+
+    index: int
+    error: str
+
+
+@dataclass(frozen=True, slots=True)
 class Ended:
     """Job ``index`` ended."""
 
@@ -79,4 +87,4 @@ class Ended:
     outcome: Outcome
 
 
-Event = Started | Progressed | Ended
+Event = Started | Progressed | Retried | Ended

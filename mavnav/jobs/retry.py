@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mavnav.jobs.records import Ended, Event, Fate, Job, Outcome, Progressed
+from mavnav.jobs.records import Ended, Event, Fate, Job, Outcome, Retried
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ def run_with_retries(jobs: Sequence[Job], run: Run, on_event: Listener, tries: i
     """Run jobs, and those whose process died again when all others are through, ``tries`` times in all.
 
     ``run`` runs some jobs, as `run_jobs` does. ``on_event`` hears the end of every job once, by its place in ``jobs``;
-    the end of a try that is not the last one is told as progress.
+    of a try that is not the last one it hears as `Retried`.
     """
     left = list(range(len(jobs)))
     for number in range(1, tries + 1):
@@ -44,6 +44,6 @@ def _renumbered(numbers: Sequence[int], on_event: Listener, number: int, tries: 
 def _retried(event: Ended, number: int, tries: int) -> Event:
     error = event.outcome.error
     if number < tries:
-        return Progressed(event.index, f"{error}; it is tried again at the end", 0, None)
+        return Retried(event.index, error)
     given_up = f"{error}; given up after {tries} tries" if tries > 1 else error
     return replace(event, outcome=replace(event.outcome, error=given_up))

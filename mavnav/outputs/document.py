@@ -111,7 +111,8 @@ def _file(run: Run) -> Document:
     """Name what the user named: a log, or the scenario that the recorded mission follows from."""
     if run.mission is None:
         log = run.log
-        return {"path": str(log.path), "sha256": log.sha256, "size_bytes": log.size_bytes, "format": log.format}
+        path = run.address or str(log.path)
+        return {"path": path, "sha256": log.sha256, "size_bytes": log.size_bytes, "format": log.format}
     content = run.mission.path.read_bytes()
     return {
         "path": str(run.mission.path),
@@ -137,7 +138,7 @@ def _scans(run: Run) -> Document:
 
 
 def _tracking(run: Run) -> Document:
-    """Say where the track was lost: seconds from the first scan's stamp; ``lost`` means it never came back."""
+    """Say where the track was lost: seconds from the first scan's stamp; ``lost`` means for good."""
     slam, first_ns = run.slam, run.log.first_ns
     return {
         "lost": slam.lost_for_good,
@@ -150,7 +151,7 @@ def _tracking(run: Run) -> Document:
             }
             for i in slam.lost
         ],
-        "tracked_share": sum(s.tracked for s in slam.steps) / max(len(slam.steps), 1),
+        "tracked_share": slam.tracked_share,
         "path_length_m": slam.trajectory.length_m,
         "frames": {"trajectory.tum": ["map", run.log.frame_id]}
         | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),

@@ -89,6 +89,7 @@ class Run:
     plain data for run.json, and ``true_map`` the one among them. ``stopped`` is the code of the signal that stopped
     the run before the log ended.
     ``localisation`` tells, where the laser was followed in a known map, of that map: plain data for run.json.
+    ``address`` is where the log was fetched from, if it was.
     """
 
     log: Log
@@ -103,6 +104,7 @@ class Run:
     true_map: TrueMap | None = None
     stopped: ExitCode | None = None
     localisation: dict[str, Any] | None = None
+    address: str | None = None
 
     @property
     def name(self) -> str:

@@ -14,8 +14,11 @@ from small_batch import NAME, batch
 
 from mavnav.batch import Part, plan
 from mavnav.batch.asked import Asked, request_of
+from mavnav.config import Config
 from mavnav.errors import ConfigError, ExitCode, OutputError, UsageError
+from mavnav.gates import check_names, names
 from mavnav.jobs import Ended, Event, Started
+from mavnav.outputs.blank import blank_document
 
 
 def rows(document: dict) -> dict[str, dict]:
@@ -80,9 +83,33 @@ def test_gates_pass_and_fail(home: Path) -> None:
     assert (row["exit_code"], row["verdict"], document["exit_code"]) == (0, 1, 1)
 
 
-def test_a_gate_on_an_unknown_number_stops_before_the_work(home: Path) -> None:
-    with pytest.raises(UsageError, match=r"did you mean scans.processed\?"):
-        batch(gates=("scans.procesed>=3",))
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"gates": ("scans.procesed>=3",)}, r"did you mean scans.processed\?"),
+        ({"tolerances": ("wall_thickness.p59_mm=5%",)}, r"did you mean wall_thickness.2.p95_mm\?"),
+        ({"gates": ("reference.ate.rmse_m<=0.1",)}, "it needs --truth"),
+    ],
+)
+def test_numbers_that_no_run_has_stop_before_the_work(home: Path, asked: dict, said: str) -> None:
+    """Nothing is there that could tell the names."""
+    with pytest.raises(UsageError, match=said):
+        batch(**asked, directory=Path("new"), listen=lambda event: pytest.fail("nothing is to be run"))
+
+
+def test_a_document_of_nothing_has_the_names_of_every_run(home: Path) -> None:
+    """What it does not name lies below something that is empty or null in it."""
+    runs = sorted(Path("runs/batch/cells").glob("*/run.json"))
+    assert len(runs) == 2
+    for run in runs:
+        check_names(names(json.loads(run.read_text())), blank_document(Config()))
+
+
+def test_a_number_that_one_run_lacks_fails_that_run_alone(home: Path) -> None:
+    document, _ = batch(gates=("tracking.intervals.7.scans<=3",))
+    found = rows(document)["logs/good.mcap"]
+    assert found["gates"][0]["why"].startswith("no number tracking.intervals.7.scans in run.json")
+    assert found["verdict"] == ExitCode.GATE_FAILED
 
 
 def test_a_gate_on_a_map_that_means_nothing(home: Path) -> None:

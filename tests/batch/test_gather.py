@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.batch.gather import gather, is_address
-from mavnav.errors import UsageError
+from mavnav.batch.gather import check_found, gather, is_address
+from mavnav.errors import NoScansError, UsageError
 
 
 @pytest.fixture
@@ -73,3 +73,17 @@ def test_a_folder_that_cannot_be_read(logs: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(Path, "iterdir", refuse)
     with pytest.raises(UsageError, match="logs cannot be read: Permission denied"):
         gather(["logs"], logs)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "error", "said"),
+    [
+        ("empty", NoScansError, "empty: no logs in this folder"),
+        ("*.mcapp", UsageError, "nothing fits this pattern"),
+    ],
+)
+def test_what_stands_for_no_log_says_so(logs: Path, pattern: str, error: type, said: str) -> None:
+    (logs / "empty").mkdir()
+    (found,) = gather([pattern], logs)
+    with pytest.raises(error, match=said):
+        check_found(found, logs / found)

@@ -67,6 +67,7 @@ def test_a_batch_leaves_its_page_worst_first(home: Path) -> None:
     ]
     assert "no such file" in page.rows[1]
     assert "passed" in page.rows[4]
+    assert page.rows[3].count("the log is damaged") == 1
 
 
 def test_links_lead_to_what_is_there(home: Path, document: dict[str, Any]) -> None:

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 
 import pytest
 from small_batch import batch
@@ -25,9 +29,59 @@ def test_a_log_at_an_address_is_the_log(home: Path) -> None:
     near = Path("runs/batch/cells") / far.name  # the same key
     for name in ("trajectory.tum", "map.pgm", "hits.npz", "result.mcap"):
         assert (far / name).read_bytes() == (near / name).read_bytes()
-    assert json.loads((far / "run.json").read_text())["input"]["path"] == address.replace("///", "/")
+    assert json.loads((far / "run.json").read_text())["input"]["path"] == address
     assert len(ran) == 1
     assert batch(sources=(address,), directory=Path("runs/far"))[1] == []
+
+
+@pytest.fixture
+def served(home: Path) -> Iterator[str]:
+    """Serve the logs over HTTP on the loopback, and return the address of their folder."""
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *words: object) -> None:
+            """Say nothing."""
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=home / "logs")) as server:
+        thread = Thread(target=server.serve_forever, args=(0.01,))
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+        thread.join()
+
+
+def test_a_log_on_a_web_server(served: str) -> None:
+    pytest.importorskip("aiohttp", reason="the extra mavnav[cluster]")
+    sources = tuple(f"{served}/{name}.mcap" for name in ("good", "empty", "gone"))
+    document, _ = batch(sources=sources, directory=Path("runs/far"))
+    assert [row["exit_code"] for row in document["cells"]] == [0, ExitCode.NO_SCANS, ExitCode.USAGE]
+    assert [row["error"] and row["error"].partition(": ")[0] for row in document["cells"]] == [None, *sources[1:]]
+    (far,) = Path("runs/far/cells").iterdir()
+    run = json.loads((far / "run.json").read_text())
+    assert run["input"]["path"] == sources[0]
+    assert (far / "map.pgm").read_bytes() == (Path("runs/batch/cells") / far.name / "map.pgm").read_bytes()
+
+
+def test_a_log_in_a_bucket(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs where s3fs and moto[server] are installed; development does not need them for anything else."""
+    s3fs, moto = pytest.importorskip("s3fs"), pytest.importorskip("moto.server")
+    server = moto.ThreadedMotoServer("127.0.0.1", 0, verbose=False)
+    server.start()
+    try:
+        for name, value in {"KEY_ID": "x", "SECRET_ACCESS_KEY": "x"}.items():
+            monkeypatch.setenv(f"AWS_ACCESS_{name}" if name == "KEY_ID" else f"AWS_{name}", value)
+        monkeypatch.setenv("AWS_ENDPOINT_URL", "http://{}:{}".format(*server.get_host_and_port()))
+        bucket = s3fs.S3FileSystem()
+        bucket.mkdir("drives")
+        bucket.put("logs/good.mcap", "drives/day 1/good.mcap")
+        sources = ("s3://drives/day 1/good.mcap", "s3://drives/gone.mcap", "s3://nobody/gone.mcap")
+        document, _ = batch(sources=sources, directory=Path("runs/far"))
+    finally:
+        server.stop()
+    assert [row["exit_code"] for row in document["cells"]] == [0, ExitCode.USAGE, ExitCode.USAGE]
+    (far,) = Path("runs/far/cells").iterdir()
+    assert json.loads((far / "run.json").read_text())["input"]["path"] == sources[0]
+    assert (far / "map.pgm").read_bytes() == (Path("runs/batch/cells") / far.name / "map.pgm").read_bytes()
 
 
 def test_memory_is_an_address_too() -> None:

@@ -15,7 +15,7 @@ from mavnav.commands.cell_progress import watching
 from mavnav.commands.comparison_table import bar, print_comparison
 from mavnav.commands.gating import gated_code, gates_of
 from mavnav.errors import ExitCode, UsageError
-from mavnav.jobs import Ended, Fate, Outcome, Started
+from mavnav.jobs import Ended, Fate, Outcome, Retried, Started
 
 
 @pytest.fixture
@@ -145,6 +145,16 @@ def test_bars() -> None:
     assert bar(0.5, 1) == "███   "
     assert bar(0, 1) == bar(0, 0) == "      "
     assert bar(1, 48) == "▏     "
+
+
+def test_a_run_that_is_tried_again_has_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """Where its end has none, because somebody else tells of it."""
+    with watching(["a.bag", "b.bag"], quiet=False, lines=False) as listen:
+        listen(Started(1, 4711))
+        listen(Retried(1, "its process was killed by SIGKILL"))
+        listen(Ended(1, Outcome(Fate.DONE, 4712, 1.0)))
+    said = "mavnav: b.bag: its process was killed by SIGKILL; it is tried again at the end\n"
+    assert capsys.readouterr().err == said
 
 
 def test_gates_of_a_single_run(mavnav: Callable, sample: Path, tmp_path: Path) -> None:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from mavnav.commands.quality_rows import quality_rows
+
 PARTS = {
     "profile", "meaningful", "why", "ghost_walls", "crispness", "revisits", "support", "occupied_share", "corners",
     "enclosed_areas", "walls",
@@ -133,3 +135,13 @@ def test_replay_takes_references(mavnav, sample, tmp_path) -> None:
     assert (code, out) == (2, "")
     assert "share no time" in err
     assert not (tmp_path / "s").exists()
+
+
+def test_places_seen_twice_but_never_by_neighbouring_scans_have_a_row() -> None:
+    quality = {
+        "ghost_walls": {"count": 0},
+        "revisits": {"nn_l_mm": 12.3, "nn_s_mm": None},
+        "support": {"wall_m": 3.0},
+        "why": [],
+    }
+    assert ("revisits", "12.3 mm apart") in quality_rows(quality)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from mavnav.commands.replay import lost_line
 from mavnav.errors import ExitCode
 
 FEW = ("--end", 2.0, "--quiet")
@@ -243,6 +244,18 @@ def test_a_track_lost_for_good_is_told(mavnav: Callable, make_log: Callable, tmp
     assert "lost for good 1.5 s after the first scan" in err
     assert err.count("\n") == 1
     assert len((tmp_path / "r" / "trajectory.tum").read_text().splitlines()) == 15
+
+
+def test_a_track_of_few_scans_is_told_without_the_time_of_an_end() -> None:
+    found_again = {"start_s": 0.1, "end_s": 13.2, "scans": 132, "recovered": True}
+    document = {
+        "tracking": {"tracked_share": 0.014, "intervals": [found_again]},
+        "method": "paper",
+        "search": {"beams_used": {"median": 500}},
+    }
+    assert "tracking was lost for good, 1 % of the scans have a pose" in lost_line(document)
+    document["tracking"]["intervals"] = []
+    assert "tracking was lost for good, 1 %" in lost_line(document)
 
 
 # --- in a known map -----------------------------------------------------------------------------------------------

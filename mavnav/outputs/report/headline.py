@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from mavnav.figures import FIGURES, NAMED, number, why_not_meaningful, winners
 from mavnav.outputs.report import columns
-from mavnav.outputs.report.columns import COLUMNS, lookup, value_of, why_not_meaningful
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mavnav.outputs.report.columns import Column
+    from mavnav.figures import Figure
     from mavnav.outputs.report.entry import Entry
 
-QUALITY: Final = tuple(c for c in COLUMNS if not c.price)
-P95: Final = next(c for c in COLUMNS if c.title == "wall p95")
-TIME: Final = next(c for c in COLUMNS if c.title == "time")
+QUALITY: Final = tuple(f for f in FIGURES if not f.price)
+P95: Final = NAMED["wall_thickness.2.p95_mm"]
+TIME: Final = NAMED["timing.cpu_s"]
 
 SMALL_SHARE: Final = 0.03
 """Maps that differ by less in every measure are as good as equal."""
@@ -27,7 +27,7 @@ def headline(entries: Sequence[Entry]) -> str:
         return "No run gave a map: each failed, for the reason below."
     if len(entries) == 1:
         return _of_one(entries[0])
-    sound = [e for e in entries if not why_not_meaningful(e)]
+    sound = [e for e in entries if not why_not_meaningful(e.document)]
     if not sound:
         return f"None of the {len(entries)} maps is worth comparing; the table says why."
     if len(sound) == 1:
@@ -43,10 +43,10 @@ def _runs(count: int) -> str:
 def _of_one(entry: Entry) -> str:
     scans = entry.document["scans"]
     mapped = f"{entry.name} put {scans['accepted']} of {scans['processed']} scans on the map"
-    why = why_not_meaningful(entry)
+    why = why_not_meaningful(entry.document)
     if why:
         return f"{mapped}; it is not worth trusting: {why}."
-    p95_mm = value_of(entry, P95)
+    p95_mm = P95.of(entry.document)
     thin = "" if p95_mm is None else f"95 % of its wall is at most {_mm(p95_mm)} thick"
     walls = thin or "there is no straight wall to measure"
     return f"{mapped}; {walls}{_ghosts(entry)}."
@@ -57,7 +57,7 @@ def _mm(value_mm: float) -> str:
 
 
 def _ghosts(entry: Entry) -> str:
-    count = lookup(entry.document, "map_quality.ghost_walls.count")
+    count = number(entry.document, "map_quality.ghost_walls.count")
     if count is None:
         return ""
     return ", and no wall stands there twice" if not count else f", and {count} of its walls stand there twice"
@@ -65,11 +65,11 @@ def _ghosts(entry: Entry) -> str:
 
 def _of_many(sound: Sequence[Entry]) -> str:
     """Name the run that is best at most measures, if there is one."""
-    won = {c.title: columns.winners(sound, c) for c in QUALITY}
+    won = {f.title: winners(f, [e.document for e in sound]) for f in QUALITY}
     contested = [title for title, best in won.items() if best]
     if not contested:
         return f"The maps of {_list([e.name for e in sound])} are equally good by every measure here{_cheapest(sound)}."
-    most = max(_spread(sound, c) for c in QUALITY if won[c.title])
+    most = max(_spread(sound, f) for f in QUALITY if won[f.title])
     if most < SMALL_SHARE:
         names = _list([e.name for e in sound])
         differ = f"no wall differs by a cell, no other measure by more than {100 * most:.1f} %"
@@ -85,9 +85,9 @@ def _of_many(sound: Sequence[Entry]) -> str:
     return f"{best.name} gives the best map, {lead} ({measures}){_thinner(sound, best)}. {_price(sound, best)}".rstrip()
 
 
-def _spread(sound: Sequence[Entry], column: Column) -> float:
+def _spread(sound: Sequence[Entry], figure: Figure) -> float:
     """Return by what share of the greatest value of a measure the runs differ."""
-    values = [v for e in sound if (v := value_of(e, column)) is not None]
+    values = [v for e in sound if (v := figure.of(e.document)) is not None]
     return (max(values) - min(values)) / max(*map(abs, values), 1e-12)
 
 
@@ -98,7 +98,7 @@ def _list(names: Sequence[str]) -> str:
 def _thinner(sound: Sequence[Entry], best: Entry) -> str:
     """Compare its walls with those of the coarsest grid of its method, and call small differences small."""
     coarse = columns.coarsest(sound, best)
-    ours, theirs = value_of(best, P95), value_of(coarse, P95)
+    ours, theirs = P95.of(best.document), P95.of(coarse.document)
     if coarse is best or ours is None or theirs is None:
         return ""
     cell_mm = best.grid.cell_m * 1e3
@@ -115,11 +115,11 @@ def _price(sound: Sequence[Entry], best: Entry) -> str:
     if coarse is best:
         finer = sum(e.document.get("method") == best.document.get("method") for e in sound) > 1
         return "It has the coarsest grid of its method: a finer one does not pay here." if finer else ""
-    seconds = value_of(best, TIME), value_of(coarse, TIME)
+    seconds = TIME.of(best.document), TIME.of(coarse.document)
     clock = "" if None in seconds else f" and {seconds[0]:.1f} s of processor time against {seconds[1]:.1f} s"
     return "" if times is None else f"It costs {times:.1f} times the evaluations of {coarse.name}{clock}."
 
 
 def _cheapest(sound: Sequence[Entry]) -> str:
-    cheapest = min(sound, key=lambda e: lookup(e.document, "search.evaluations_per_scan.mean") or float("inf"))
+    cheapest = min(sound, key=lambda e: number(e.document, "search.evaluations_per_scan.mean") or float("inf"))
     return f"; {cheapest.name} is the cheapest"

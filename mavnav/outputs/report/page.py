@@ -103,6 +103,7 @@ def _page(comparison: dict[str, Any], sections: list[Section]) -> str:
         sections=sections,
         details=details,
         style=style,
+        script=None,
         version=comparison.get("mavnav_version") or __version__,
         profile=comparison.get("profile"),
         data_uri=_remembering(most),

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from string import ascii_uppercase
 from typing import TYPE_CHECKING
 
+from mavnav.figures import why_not_meaningful
 from mavnav.outputs.drawing import Window
 from mavnav.outputs.report.closeups import LEAST_SIDE_M, differing_places
-from mavnav.outputs.report.columns import why_not_meaningful
 from mavnav.outputs.report.cost_panel import cost_panels
 from mavnav.outputs.report.map_panel import (
     closeup_panel,
@@ -74,7 +74,7 @@ def draw(entries: Sequence[Entry]) -> Pictures:
 
     Maps that mean nothing are drawn as well, but decide neither the scale nor the close-ups, if there are others.
     """
-    sound = [e for e in entries if not why_not_meaningful(e)] or entries
+    sound = [e for e in entries if not why_not_meaningful(e.document)] or entries
     window, top_hits = common_window(sound), most_hits(sound)
     places = differing_places([e.grid for e in sound], window) or _ghost_places(sound)
     boxes = list(zip(ascii_uppercase, places, strict=False))

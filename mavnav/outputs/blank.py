@@ -1,0 +1,67 @@
+"""The document of a run of nothing: it has the names that every run.json has, before there is one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mavnav.grid import Grid
+from mavnav.logs import Log, ScanCounts
+from mavnav.metrics.journey import Journey
+from mavnav.metrics.map_quality import map_quality
+from mavnav.metrics.wall_thickness import wall_thicknesses
+from mavnav.outputs.document import plain, run_document
+from mavnav.outputs.run import Run, Timing
+from mavnav.pose import Trajectory
+from mavnav.scan import LaserSpec
+from mavnav.slam import Slam
+
+if TYPE_CHECKING:
+    from mavnav.config import Config
+
+
+def blank_document(config: Config) -> dict[str, Any]:
+    """Return run.json as a log without scans would leave it: numbers are 0 or null, and lists are empty."""
+    grid, way = Grid(1.0), Trajectory.of([], [])
+    run = Run(
+        log=_blank_log(),
+        config=config,
+        slam=Slam((), way, grid, ()),
+        thickness=wall_thicknesses(grid.hits, grid.cell_m),
+        timing=Timing(0.0, 0.0, 0.0),
+        quality=map_quality(grid, Journey(way, lambda: iter(()), 0.0)),
+    )
+    document: dict[str, Any] = plain(run_document(run, {}))
+    return document
+
+
+def _blank_log() -> Log:
+    return Log(
+        path=Path(),
+        format="",
+        size_bytes=0,
+        sha256="",
+        topics=(),
+        topic="",
+        frame_id="",
+        sensor=LaserSpec(0.0, 0.0, 0, 0.0, 0.0),
+        counts=ScanCounts(0, 0, {}),
+        cleaning={},
+        first_ns=0,
+        last_ns=0,
+        period_s=0.0,
+        gaps=(),
+        stamp_source="header",
+        window_s=(None, None),
+        base_T_laser=None,
+        mounting_source=None,
+        base_frame=None,
+        odometry=None,
+        damage=(),
+        warnings=(),
+        strict=False,
+        _order=np.empty(0, np.int64),
+        _stamps_ns=np.empty(0, np.int64),
+    )

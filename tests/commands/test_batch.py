@@ -1,0 +1,70 @@
+"""mavnav batch: what it prints, and how it ends."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from mavnav import batch
+from mavnav.commands import signals
+from mavnav.errors import ExitCode
+
+
+@pytest.fixture
+def empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Be in a folder with an empty one."""
+    (tmp_path / "logs").mkdir()
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_table_on_stdout_and_a_line_a_run_on_stderr(mavnav: Callable, empty: Path) -> None:
+    code, out, err = mavnav("batch", "logs", "gone.bag")
+    assert code == ExitCode.USAGE
+    lines = out.splitlines()
+    assert [line.split()[0] for line in lines[:3]] == ["run", "gone.bag", "logs"]
+    assert lines[-1] == "0 of 2 runs passed, 2 could not be made; runs/batch/batch.html"
+    assert "mavnav: 1 of 2: logs robust 20/10x10: logs: no logs in this folder" in err
+    assert "mavnav: 2 of 2: gone.bag robust 20/10x10: gone.bag: no such file" in err
+
+
+def test_a_line_of_json_a_run_and_a_last_one(mavnav: Callable, empty: Path) -> None:
+    code, out, _ = mavnav("batch", "logs", "gone.bag", "--json", "-q")
+    events = [json.loads(line) for line in out.splitlines()]
+    assert [event["event"] for event in events] == ["run", "run", "batch"]
+    assert [event["exit_code"] for event in events] == [4, 2, code]
+    assert "cells" not in events[-1]
+
+
+def test_nothing_at_all_leaves_nothing(mavnav: Callable, empty: Path) -> None:
+    code, out, err = mavnav("batch", "-q")
+    assert (code, out) == (ExitCode.USAGE, "")
+    assert err == "mavnav: error: no logs; name a manifest, or logs, patterns or folders\n"
+    assert not Path("runs").exists()
+
+
+def test_an_interrupted_batch_says_what_stays(mavnav: Callable, empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise signals.Interrupted
+
+    monkeypatch.setattr(batch, "run_batch", interrupted)
+    code, out, err = mavnav("batch", "logs", "-q")
+    assert (code, out) == (ExitCode.INTERRUPTED, "")
+    assert err.splitlines() == [
+        "mavnav: runs that are finished stay in runs/batch; the same call makes the others",
+        "mavnav: interrupted",
+    ]
+
+
+def test_the_schema_of_manifests(mavnav: Callable) -> None:
+    code, out, _ = mavnav("batch", "--schema")
+    assert code == 0
+    assert {"logs", "runs", "gates", "baseline"} <= set(json.loads(out)["properties"])
+
+
+def test_help_names_the_extra(mavnav: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    assert "mavnav[cluster]" in mavnav("batch", "--help")[1]
