@@ -11,7 +11,7 @@ from mavnav.grid import Grid
 from mavnav.logs import Log, ScanCounts
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import map_quality
-from mavnav.metrics.wall_thickness import wall_thicknesses
+from mavnav.metrics.wall_thickness import sections_by_hits
 from mavnav.outputs.document import plain, run_document
 from mavnav.outputs.run import Run, Timing
 from mavnav.pose import Trajectory
@@ -25,13 +25,14 @@ if TYPE_CHECKING:
 def blank_document(config: Config) -> dict[str, Any]:
     """Return run.json as a log without scans would leave it: numbers are 0 or null, and lists are empty."""
     grid, way = Grid(1.0), Trajectory.of([], [])
+    sections = sections_by_hits(grid.hits, grid.cell_m)
     run = Run(
         log=_blank_log(),
         config=config,
         slam=Slam((), way, grid, ()),
-        thickness=wall_thicknesses(grid.hits, grid.cell_m),
+        sections=sections,
         timing=Timing(0.0, 0.0, 0.0),
-        quality=map_quality(grid, Journey(way, lambda: iter(()), 0.0)),
+        quality=map_quality(grid, Journey(way, lambda: iter(()), 0.0), sections=sections),
     )
     document: dict[str, Any] = plain(run_document(run, {}))
     return document
