@@ -54,7 +54,7 @@ def test_log_whose_scans_are_all_unusable_says_why(tmp_path: Path) -> None:
         (b"hello world", "not an MCAP file"),
         (b"#ROSRECORD V1.1\nxyz", "format 1.1"),
         (b"\x28\xb5\x2f\xfdrubbish", "compressed with zstd, but"),
-        (gzip.compress(b"\x89MCAP0\r\n"), "compressed with gzip, which is not read"),
+        (gzip.compress(b"\x89MCAP0\r\n", mtime=0), "compressed with gzip, which is not read"),
     ],
 )
 def test_files_that_are_no_logs_are_refused(content: bytes, what: str, tmp_path: Path) -> None:
