@@ -167,9 +167,11 @@ def search_lines(
                 ALTERNATIONS,
                 prior,
                 robust.hold_below_mm * MM,
+                robust.overlap_mm * MM,
             ]
         ),
         line_map.nearest,
+        line_map.squares,
         line_map.lines,
         line_map.geometry,
     )

@@ -23,7 +23,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types, uint64, void
+from numba import float64, int32, int64, types, uint8, uint64, void
 
 from mavnav.kernels._jit import kernel
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MAX_LEVELS = 40
+FEWEST_DRAWN = 0.3  # share of the points below which even those on new ground decide
 CHUNK = 32  # points between two looks at the bound
 RECTANGLE_COST = 3  # of a polynomial on a rectangle of candidates, in candidates summed point by point
 ARC_COST = 30  # of the polynomials along an arc of two cells, in azimuths summed point by point
@@ -39,6 +40,7 @@ ROUNDING_M2 = 1e-9  # above any difference between two orders of summation, as l
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 _I2 = types.Array(int32, 2, "C", readonly=True)
+_U2 = types.Array(uint8, 2, "C", readonly=True)
 
 
 @kernel(void(_F2, float64, float64[::1], float64[::1]))
@@ -485,13 +487,41 @@ def _least_of_form(form: NDArray[np.float64], window: NDArray[np.float64], azimu
 # ---- coarse to fine --------------------------------------------------------------------------------------------------
 
 
-@kernel(float64[::1](_F2, _F1, _F1, _F1, _I2, _F2, _F1))
+@kernel(float64[:, ::1](_F2, _F1, float64, _U2, _F1))
+def _drawn(
+    points: NDArray[np.float64],
+    at: NDArray[np.float64],
+    overlap_m: float,
+    squares: NDArray[np.uint8],
+    geometry: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the points (2, m) that have an occupied cell within ``overlap_m``; all, if those are too few."""
+    n, count, limit = points.shape[1], 0, (overlap_m / geometry[2]) ** 2 + 1e-9
+    kept = np.empty(n, np.int64)
+    x, y = np.empty(n), np.empty(n)
+    _rotate(points, at[2], x, y)
+    for k in range(n):
+        col, row = np.floor((x[k] + at[0] - geometry[0]) / geometry[2]), np.floor((y[k] + at[1] - geometry[1]) / geometry[2])
+        inside = 0 <= col < squares.shape[1] and 0 <= row < squares.shape[0]
+        if inside and squares[int64(row), int64(col)] <= limit:
+            kept[count] = k
+            count += 1
+    if count < FEWEST_DRAWN * n:
+        return points.copy()
+    out = np.empty((2, count))
+    for k in range(count):
+        out[0, k], out[1, k] = points[0, kept[k]], points[1, kept[k]]
+    return out
+
+
+@kernel(float64[::1](_F2, _F1, _F1, _F1, _I2, _U2, _F2, _F1))
 def search(
     points: NDArray[np.float64],
     start: NDArray[np.float64],
     grid: NDArray[np.float64],
     limits: NDArray[np.float64],
     nearest: NDArray[np.int32],
+    squares: NDArray[np.uint8],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> NDArray[np.float64]:
@@ -502,10 +532,11 @@ def search(
     points : (n, 2) points in the laser's frame, m, in an order that makes any prefix a fair sample
     start : (3,) predicted pose: x, y (m), yaw (rad)
     grid : (5,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most, 1 to prune
-    limits : (9,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
+    limits : (10,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
         points of the first level where it is wide, alternations a level, what a squared metre away from the start
-        costs a point, and the half-window (m) up to which, down to a cell, lines are held
-    nearest, lines, geometry : the map, see ``linemap``
+        costs a point, the half-window (m) up to which, down to a cell, lines are held, and how near (m) an occupied
+        cell must be to a point that decides the levels within a cell
+    nearest, squares, lines, geometry : the map, see ``linemap``
     """
     n = len(points)
     azimuths, nx, ny, extensions = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3])
@@ -519,11 +550,12 @@ def search(
     at = np.array([at_x, at_y, start[2], at_x, at_y])
     window = np.array([limits[0], limits[1], limits[7], truncate_m2, grid[4]])
 
+    deciding, settled = centred, limits[9] == 0
     evaluations, grids, converged, form = 0, 0, 0.0, np.zeros((5, 5))
     for level in range(MAX_LEVELS):
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
         held = geometry[2] < window[0] <= limits[8]
-        used = sample if level == 0 and not held else centred
+        used = sample if level == 0 and not held else deciding
         for turn in range(turns + extensions if held else 0):
             _form(used, at, window, form, nearest, lines, geometry)
             best = _least_of_form(form, window, azimuths, nx, ny)
@@ -552,6 +584,19 @@ def search(
                 grids += 1
                 if 0 < i < nx - 1 and 0 < j < ny - 1:
                     break
+        if window[0] <= geometry[2] and not settled:
+            # Points on new ground lower the cost by falling back onto the map: the others decide, from this level on.
+            settled, deciding = True, _drawn(centred, at, limits[9], squares, geometry)
+            right, up = deciding[0].mean(), deciding[1].mean()
+            pivot_x, pivot_y = pivot_x + right, pivot_y + up
+            for points_m in (centred, deciding):
+                points_m[0] -= right
+                points_m[1] -= up
+            at[0] += np.cos(at[2]) * right - np.sin(at[2]) * up
+            at[1] += np.sin(at[2]) * right + np.cos(at[2]) * up
+            at[3] += c * right - s * up
+            at[4] += s * right + c * up
+            continue
         if max(step_x, step_y) < stop_m and step_rad < stop_rad:
             converged = 1.0
             break
