@@ -21,7 +21,7 @@ from mavnav.matcher import (
 )
 from mavnav.motion import LONGEST_S
 from mavnav.pose import Pose, transform_points
-from mavnav.relocalise import FARTHEST_SURPRISE, best_of, candidates, everywhere, judged, within_reach
+from mavnav.relocalise import best_of, candidates, everywhere, judged, within_reach
 from mavnav.stages import timed
 from mavnav.units import DEG, MM, MM2
 
@@ -40,6 +40,10 @@ REGAIN_S = 0.5  # without a believed pose for longer, chance agreements are like
 
 INSIDE = 0.5
 """Share of the near window within which a match is believed: beyond, the laser may be outside of it."""
+
+
+REACHABLE = 1.0
+"""Farther from the expected place, in ``surprise``, no vehicle accelerates."""
 
 
 class Method(Protocol):
@@ -202,7 +206,9 @@ class Robust:
             return Verdict.REFUSED
         if match.conflicts > robust.conflicts_below and match.inliers < robust.retry_below:
             return Verdict.REFUSED
-        if motion.elapsed_s(scan.stamp_ns) <= longest_s and match.surprise <= FARTHEST_SURPRISE:
+        if match.surprise > REACHABLE and not self._convinces(match):
+            return Verdict.REFUSED
+        if motion.elapsed_s(scan.stamp_ns) <= longest_s and match.surprise <= REACHABLE:
             return Verdict.SURE
         return Verdict.PROBABLE if match.inliers >= robust.regain_above else Verdict.REFUSED
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mavnav.pose import Pose, Trajectory
-from mavnav.units import DEG
+from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,6 +18,9 @@ LOST_SCANS = 5
 
 JUMP_M, JUMP_RAD = 0.5, 45 * DEG
 """So much motion over scans without a believed pose is a gap in the track, however few they are."""
+
+FASTEST_M_S, FASTEST_RAD_S = 3.0, 300 * DEG
+"""A jump at more than this is a gap even where no scan is missing: the track was found again elsewhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +41,10 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class LostInterval:
-    """A stretch of scans without a believed pose, and whether the track was found again after it."""
+    """A stretch of scans without a believed pose, and whether the track was found again after it.
+
+    It has no scans where the track jumped from one scan to the next.
+    """
 
     start_ns: int
     end_ns: int
@@ -53,7 +59,10 @@ def tracked_way(steps: list[Step]) -> Trajectory:
 
 
 def lost_intervals(steps: list[Step]) -> Iterator[LostInterval]:
-    """Find the stretches without a believed pose: of ``LOST_SCANS`` or more scans, or with a jump across them."""
+    """Find the stretches without a believed pose: of ``LOST_SCANS`` or more scans, or with a jump across them.
+
+    A jump that no vehicle makes is one even where no scan is missing.
+    """
     run: list[Step] = []
     last: Step | None = None
     for step in steps:
@@ -62,6 +71,8 @@ def lost_intervals(steps: list[Step]) -> Iterator[LostInterval]:
             continue
         if len(run) >= LOST_SCANS or (run and last and jumped(last, step)):
             yield LostInterval(run[0].stamp_ns, run[-1].stamp_ns, len(run), recovered=True)
+        elif last and not run and leapt(last, step):
+            yield LostInterval(last.stamp_ns, step.stamp_ns, 0, recovered=True)
         run, last = [], step
     if run and len(run) >= min(LOST_SCANS, len(steps)):
         yield LostInterval(run[0].stamp_ns, run[-1].stamp_ns, len(run), recovered=False)
@@ -71,3 +82,13 @@ def jumped(before: Step, after: Step) -> bool:
     """Tell whether a reader of the trajectory would see a jump between two believed poses."""
     moved = before.match.map_T_laser.between(after.match.map_T_laser)
     return moved.distance_m > JUMP_M or abs(moved.yaw_rad) > JUMP_RAD
+
+
+def leapt(before: Step, after: Step) -> bool:
+    """Tell whether the way between two believed poses is a jump, and faster than any vehicle."""
+    moved, elapsed_s = (
+        before.match.map_T_laser.between(after.match.map_T_laser),
+        (after.stamp_ns - before.stamp_ns) * NS,
+    )
+    too_fast = moved.distance_m > FASTEST_M_S * elapsed_s or abs(moved.yaw_rad) > FASTEST_RAD_S * elapsed_s
+    return too_fast and jumped(before, after)

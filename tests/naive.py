@@ -184,6 +184,19 @@ def line_costs(points, pose, lines, cell_m, truncate_m, reach=8):
     return costs
 
 
+def drawn(points, pose, line_map, overlap_m):
+    """The points whose cell has an occupied one within ``overlap_m``; all, where those are under three in ten."""
+    occupied = line_map.cells[1 : line_map.count] + np.array(line_map.origin_cells)[::-1]
+    x, y, yaw = pose
+    kept = []
+    for px, py in points:
+        p = np.array([x + math.cos(yaw) * px - math.sin(yaw) * py, y + math.sin(yaw) * px + math.cos(yaw) * py])
+        away = min(((occupied - cell_of(p, line_map.cell_m)) ** 2).sum(axis=1))
+        if math.sqrt(away) * line_map.cell_m <= overlap_m + 1e-9:
+            kept.append((px, py))
+    return np.array(kept if len(kept) >= 0.3 * len(points) else points)
+
+
 def held_cost(points, at, motion, line_map, truncate_m):
     """Sum of the points' squared distances after a motion of their middle to the lines that they have before it.
 
@@ -214,44 +227,68 @@ def volume(points, xy_map_m, yaws_rad, lines, cell_m, truncate_m):
     return [[None if None in point else sum(point) / len(point) for point in row] for row in costs]
 
 
-def coarse_to_fine(cost, pivot, start, grid, limits, prior=0.0):
+def coarse_to_fine(terms, start, grid, limits, cell_m=0.0, settled=None):
     """The schedule of ``linesearch.search`` over any cost(x, y, yaw) of the pose, rotating about the pivot.
 
-    ``prior`` is added for a squared metre between the pivot and where it was expected.
+    ``terms`` are cost, pivot, and what is added for a squared metre between the pivot and where it was expected. The
+    first level within a cell is searched again with the terms that ``settled`` gives for the pose found, and so are
+    the next.
     """
-    azimuths, nx, ny, extensions = map(int, grid)
+    azimuths, nx, ny = map(int, grid[:3])
     half_m, half_rad, stop_m, stop_rad = limits[:4]
-
-    def pose(at, yaw):
-        c, s = math.cos(yaw), math.sin(yaw)
-        return at[0] - c * pivot[0] + s * pivot[1], at[1] - s * pivot[0] - c * pivot[1], yaw
-
-    c, s = math.cos(start[2]), math.sin(start[2])
-    at = np.array([start[0] + c * pivot[0] - s * pivot[1], start[1] + s * pivot[0] + c * pivot[1]])
-    expected, yaw = at, start[2]
+    pose = start
     while True:
         for _ in range(int(limits[6])):
-            for _ in range(extensions + 1):
-                offsets = np.linspace(-half_rad, half_rad, azimuths)
-                best = min(range(azimuths), key=lambda i: (cost(*pose(at, yaw + offsets[i])), i))
-                yaw += offsets[best]
-                if 0 < best < azimuths - 1:
-                    break
-            for _ in range(extensions + 1):
-                xs, ys = np.linspace(-half_m, half_m, nx), np.linspace(-half_m, half_m, ny)
-
-                def costs(ji, at=at, xs=xs, ys=ys, yaw=yaw):
-                    there = at + np.array([xs[ji[1]], ys[ji[0]]])
-                    return cost(*pose(there, yaw)) + prior * ((there - expected) ** 2).sum(), ji
-
-                j, i = min(((j, i) for j in range(ny) for i in range(nx)), key=costs)
-                at = at + np.array([xs[i], ys[j]])
-                if 0 < i < nx - 1 and 0 < j < ny - 1:
-                    break
+            pose = _best_turn(terms, pose, half_rad, grid)
+            pose = _best_shift(terms, pose, half_m, grid, start)
+        if settled and half_m <= cell_m:
+            terms, settled = settled(*pose), None
+            continue
         step_m, step_rad = 2 * half_m / (min(nx, ny) - 1), 2 * half_rad / (azimuths - 1)
         if step_m < stop_m and step_rad < stop_rad:
-            return pose(at, yaw)
+            return pose
         half_m, half_rad = min(1.5 * step_m, 0.9 * half_m), min(1.5 * step_rad, 0.9 * half_rad)
+
+
+def _turned(pose, pivot, turn):
+    """The pose after a turn about the pivot, given in the laser's frame."""
+    x, y, yaw = pose
+    (px, py), there = pivot, yaw + turn
+    at_x, at_y = x + math.cos(yaw) * px - math.sin(yaw) * py, y + math.sin(yaw) * px + math.cos(yaw) * py
+    return at_x - math.cos(there) * px + math.sin(there) * py, at_y - math.sin(there) * px - math.cos(there) * py, there
+
+
+def _best_turn(terms, pose, half_rad, grid):
+    cost, pivot, _ = terms
+    azimuths = int(grid[0])
+    for _ in range(int(grid[3]) + 1):
+        poses = [_turned(pose, pivot, turn) for turn in np.linspace(-half_rad, half_rad, azimuths)]
+        best = min(range(azimuths), key=lambda i: (cost(*poses[i]), i))
+        pose = poses[best]
+        if 0 < best < azimuths - 1:
+            break
+    return pose
+
+
+def _best_shift(terms, pose, half_m, grid, start):
+    cost, (px, py), prior = terms
+    nx, ny = int(grid[1]), int(grid[2])
+
+    def middle(x, y, yaw):
+        return np.array([x + math.cos(yaw) * px - math.sin(yaw) * py, y + math.sin(yaw) * px + math.cos(yaw) * py])
+
+    def costs(ji):
+        return cost(*poses[ji]) + prior * ((middle(*poses[ji]) - middle(*start)) ** 2).sum(), ji
+
+    for _ in range(int(grid[3]) + 1):
+        x, y, yaw = pose
+        rights, ups = np.linspace(-half_m, half_m, nx), np.linspace(-half_m, half_m, ny)
+        poses = {(j, i): (x + rights[i], y + ups[j], yaw) for j in range(ny) for i in range(nx)}
+        j, i = min(poses, key=costs)
+        pose = poses[j, i]
+        if 0 < i < nx - 1 and 0 < j < ny - 1:
+            break
+    return pose
 
 
 # ---- conflicts -----------------------------------------------------------------------------------------------------

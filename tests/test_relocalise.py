@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from synthetic import TOUR, along, furnished_rooms, polyline, record, room, scan_at
 
 from mavnav import slam
+from mavnav.belief import Verdict
 from mavnav.config import Config
-from mavnav.matcher import Match, no_match
+from mavnav.matcher import Match, first_match, no_match
 from mavnav.methods import Robust
 from mavnav.motion import Motion
 from mavnav.pose import Pose
@@ -117,3 +120,12 @@ def test_scans_that_wait_are_believed_once_the_track_goes_on() -> None:
     assert {s.index for s in settled.steps if not s.tracked} == set(gap)
     assert set(gap) <= {s.index for s in on_line.steps if not s.tracked}
     assert [s.accepted for s in settled.steps] == [s.tracked for s in settled.steps]
+
+
+def test_far_from_where_it_was_expected_a_match_must_convince() -> None:
+    method, here = Robust(Config()), Motion(0.1).started_at(Pose(), 0)
+    scan = scan_at(furnished_rooms(), Pose(3.0, 2.2, 1.0), stamp_ns=200_000_000)
+    match = replace(first_match(300), map_T_laser=Pose(0.3, 0.0, 0.3), inliers=0.76)
+    assert method.gate(replace(match, surprise=0.5), scan, here) is Verdict.SURE
+    assert method.gate(replace(match, surprise=3.4), scan, here) is Verdict.REFUSED
+    assert method.gate(replace(match, surprise=3.4, inliers=0.9), scan, here) is Verdict.PROBABLE

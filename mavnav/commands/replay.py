@@ -236,7 +236,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         ("scans", f"{scans['processed']} of {scans['total']}"),
         ("accepted", f"{100 * scans['accepted'] / max(scans['processed'], 1):.1f} %"),
         ("rejected", f"{scans['rejected'] - lost} scans"),
-        ("lost", f"{lost} scans in {len(tracking['intervals'])} stretch(es)" if lost else "never"),
+        ("lost", f"{lost} scans in {len(tracking['intervals'])} stretch(es)" if tracking["intervals"] else "never"),
         ("path", f"{tracking['path_length_m']:.2f} m"),
     ]
     if "localisation" in document:

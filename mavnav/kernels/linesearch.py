@@ -501,7 +501,10 @@ def _drawn(
     x, y = np.empty(n), np.empty(n)
     _rotate(points, at[2], x, y)
     for k in range(n):
-        col, row = np.floor((x[k] + at[0] - geometry[0]) / geometry[2]), np.floor((y[k] + at[1] - geometry[1]) / geometry[2])
+        col, row = (
+            np.floor((x[k] + at[0] - geometry[0]) / geometry[2]),
+            np.floor((y[k] + at[1] - geometry[1]) / geometry[2]),
+        )
         inside = 0 <= col < squares.shape[1] and 0 <= row < squares.shape[0]
         if inside and squares[int64(row), int64(col)] <= limit:
             kept[count] = k

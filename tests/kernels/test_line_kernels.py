@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import naive
 import numpy as np
@@ -16,6 +17,11 @@ from mavnav.kernels import linesearch
 from mavnav.kernels.points import extent, scan_points, voxel_means
 from mavnav.linemap import LineMap
 from mavnav.pose import Pose, transform_points
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    Terms = tuple[Callable[[float, float, float], float], np.ndarray, float]
 
 ANGLES = URG_04LX.angles_rad
 DIRECTIONS = np.column_stack((np.cos(ANGLES), np.sin(ANGLES)))
@@ -158,12 +164,8 @@ def test_cost_is_its_twin() -> None:
         assert fast == pytest.approx(sum(slow[k] for k in keep), rel=1e-9)
 
 
-@pytest.mark.parametrize(("grid", "prior"), [((7, 4, 5, 2), 0.0), ((6, 5, 5, 0), 0.0), ((6, 5, 5, 0), 0.5)])
-def test_search_is_its_twin(grid: tuple[int, ...], prior: float) -> None:
-    line_map, points = furnished_map()
-    start = np.array([3.06, 2.12, 1.1])
-    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, 1e9, 2, prior, 0.0, 0.0])
-    found = linesearch.search(points, start, np.array([*grid, 1.0]), limits, *arrays(line_map))
+def cost_of(points: np.ndarray, line_map: LineMap) -> Callable[[float, float, float], float]:
+    """Return the cost sum of the points at a pose."""
 
     def cost(x: float, y: float, yaw: float) -> float:
         placed = transform_points(Pose(x, y, yaw), points)
@@ -172,9 +174,42 @@ def test_search_is_its_twin(grid: tuple[int, ...], prior: float) -> None:
             line_map.geometry, np.inf,
         )  # fmt: skip
 
-    slow = naive.coarse_to_fine(cost, points.mean(axis=0), start, grid, limits, prior * len(points))
+    return cost
+
+
+@pytest.mark.parametrize("overlap_m", [0.0, 0.02])
+@pytest.mark.parametrize(("grid", "prior"), [((7, 4, 5, 2), 0.0), ((6, 5, 5, 0), 0.0), ((6, 5, 5, 0), 0.5)])
+def test_search_is_its_twin(grid: tuple[int, ...], prior: float, overlap_m: float) -> None:
+    line_map, points = furnished_map()
+    points = np.concatenate((points, np.random.default_rng(5).uniform(-3, 3, (8, 2))))
+    start = np.array([3.06, 2.12, 1.1])
+    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, 1e9, 2, prior, 0.0, overlap_m])
+    found = linesearch.search(points, start, np.array([*grid, 1.0]), limits, *arrays(line_map))
+
+    def terms(deciding: np.ndarray) -> Terms:
+        return cost_of(deciding, line_map), deciding.mean(axis=0), prior * len(deciding)
+
+    def settled(*pose: float) -> Terms:
+        deciding = naive.drawn(points, pose, line_map, overlap_m)
+        assert len(deciding) < len(points)
+        return terms(deciding)
+
+    cost = cost_of(points, line_map)
+    slow = naive.coarse_to_fine(terms(points), start, grid, limits, 0.02, settled if overlap_m else None)
     np.testing.assert_allclose(found[:3], slow, atol=1e-9)
     assert found[3] == pytest.approx(cost(*found[:3]) / len(points), rel=1e-9)
+
+
+@pytest.mark.parametrize("overlap_m", [0.0, 0.02, 0.1])
+@pytest.mark.parametrize("pose", [(3.0, 2.2, 1.0), (3.04, 2.17, 1.02), (8.0, 2.0, 0.0)])
+def test_drawn_points_are_their_twin(pose: tuple[float, float, float], overlap_m: float) -> None:
+    line_map, points = furnished_map()
+    placed = transform_points(Pose(*pose), points.mean(axis=0)[None])[0]
+    centred = np.ascontiguousarray((points - points.mean(axis=0)).T)
+    at = np.array([*placed, pose[2], *placed])
+    fast = linesearch._drawn(centred, at, overlap_m, line_map.squares, line_map.geometry)
+    slow = naive.drawn(points, pose, line_map, overlap_m)
+    np.testing.assert_allclose(fast.T + points.mean(axis=0), slow, atol=1e-9)
 
 
 def test_search_finds_the_pose_and_counts_its_work() -> None:
