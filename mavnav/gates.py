@@ -180,12 +180,19 @@ def _leaves(value: object) -> Iterator[tuple[str, ...]]:
             yield (str(key), *rest)
 
 
+def _short(known: Iterable[str]) -> list[str]:
+    """Return the names of wall thickness without the usual threshold."""
+    usual = f"wall_thickness.{DEFAULT_HITS}."
+    return [name.replace(usual, "wall_thickness.") for name in known if name.startswith(usual)]
+
+
 def _unknown(name: str, document: Mapping[str, Any]) -> str:
     """Say that a name is unknown, and which the nearest is: within it, as a whole, or by its last part."""
     if name.startswith("reference") and "reference" not in document:
         return f"no number {name} in run.json; it needs --truth, --truth-map or --relations"
     known, full = names(document), ".".join(_parts(name))
-    near = [k for k in known if k.startswith(f"{full}.")] or difflib.get_close_matches(full, known, n=1, cutoff=0.75)
+    near = [k for k in known if k.startswith(f"{full}.")]
+    near = near or difflib.get_close_matches(full, known + _short(known), n=1, cutoff=0.75)
     if not near:
         last = difflib.get_close_matches(name.rpartition(".")[2], {k.rpartition(".")[2] for k in known}, n=1)
         near = [k for k in known if last and k.rpartition(".")[2] == last[0]]

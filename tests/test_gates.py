@@ -80,6 +80,7 @@ def test_a_map_that_is_not_meaningful_fails_its_gates() -> None:
     [
         ("wall_thickness.p59_cells", "wall_thickness.2.p95_cells"),
         ("wall_thicknes.2.p95_cells", "wall_thickness.2.p95_cells"),
+        ("wall_thicknes.p95_cells", "wall_thickness.p95_cells"),
         ("accepted", "scans.accepted"),
         ("scans", "scans.accepted"),
         ("grid", ""),

@@ -76,8 +76,8 @@ def judged(
 def _verdict(gate: Gate, run: Mapping[str, Any]) -> Verdict:
     try:
         return judge([gate], run)[0]
-    except UsageError as error:
-        return Verdict(gate, None, str(error))
+    except UsageError:
+        return Verdict(gate, None, "this run has no such number")
 
 
 def _baseline_verdict(found: Mapping[str, Any]) -> dict[str, Any]:
