@@ -55,7 +55,7 @@ def first_match(beams: int) -> Match:
 
 
 HOPELESS = 2.5
-"""Times the gate: what costs more is in a wrong place, and no finer grid brings it under the gate. It brought none of 452."""
+"""Times the gate: what costs more is in a wrong place, and a finer grid brought none of 452 such under the gate."""
 
 # ---- the paper's method: radius differences against a virtual scan -------------------------------------------------
 

@@ -86,15 +86,14 @@ def _lay(
         start, ahead = beam[k - 1], beam[k] - beam[k - 1]
         if ahead < -0.5 * turn:
             ahead += turn
-        if not (0.0 < ahead) & (ahead < 0.25 * turn):
+        if not (ahead > 0.0) & (ahead < 0.25 * turn):
             continue
         from_r, slope = r[k - 1], (r[k] - r[k - 1]) / ahead
         for _ in range(2):
             end = min(int64(np.floor(start + ahead)), beams - 1)
             for j in range(max(int64(np.ceil(start)), 0), end + 1):
-                range_m = from_r + (j - start) * slope
                 at = uint64(j)
-                seen[at] = range_m if range_m < seen[at] else seen[at]
+                seen[at] = min(seen[at], from_r + (j - start) * slope)
             if start + ahead < turn:
                 break
             start -= turn  # a segment across the seam goes on at beam 0
