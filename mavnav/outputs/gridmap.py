@@ -34,12 +34,10 @@ def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:
 
     The arrays are views of the grid's.
     """
-    known = grid.hits > 0
-    if not hits_only:
-        known |= grid.passes > 0
-    if not np.any(known):
+    counts = [grid.hits] if hits_only else [grid.hits, grid.passes]
+    if not any(part.any() for part in counts):
         return Grid(grid.cell_m, grid.origin_xy_m, np.zeros((1, 1), np.int32), np.zeros((1, 1), np.int32))
-    rows, cols = (_extent(np.flatnonzero(np.any(known, axis=axis))) for axis in (1, 0))
+    rows, cols = (_extent(np.flatnonzero(sum(np.any(p, axis=axis) for p in counts))) for axis in (1, 0))
     origin = (grid.origin_xy_m[0] + cols.start * grid.cell_m, grid.origin_xy_m[1] + rows.start * grid.cell_m)
     return Grid(grid.cell_m, origin, grid.hits[rows, cols], grid.passes[rows, cols])
 
@@ -50,12 +48,14 @@ def _extent(known: NDArray[np.intp]) -> slice:
 
 def write_pgm(run: Run, path: Path) -> None:
     """Write the known part of the map as a binary PGM: 0 occupied, 254 free, 205 unknown, largest y on top."""
-    cells = run.cells[::-1]
-    pixels = np.full(cells.shape, _PIXELS[UNKNOWN], np.uint8)
-    pixels[cells == FREE] = _PIXELS[FREE]
-    pixels[cells == OCCUPIED] = _PIXELS[OCCUPIED]
+    cells, of_cell = run.cells[::-1], np.zeros(256, np.uint8)
+    for cell, pixel in _PIXELS.items():
+        of_cell[cell] = pixel
     rows, cols = cells.shape
-    path.write_bytes(f"P5\n{cols} {rows}\n255\n".encode() + pixels.tobytes())
+    with path.open("wb") as file:
+        file.write(f"P5\n{cols} {rows}\n255\n".encode())
+        for row in cells:
+            file.write(of_cell[row.view(np.uint8)].tobytes())
 
 
 def write_yaml(run: Run, path: Path) -> None:
