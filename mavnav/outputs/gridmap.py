@@ -38,8 +38,12 @@ def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:
     if not any(part.any() for part in counts):
         return Grid(grid.cell_m, grid.origin_xy_m, np.zeros((1, 1), np.int32), np.zeros((1, 1), np.int32))
     rows, cols = (_extent(np.flatnonzero(sum(np.any(p, axis=axis) for p in counts))) for axis in (1, 0))
-    origin = (grid.origin_xy_m[0] + cols.start * grid.cell_m, grid.origin_xy_m[1] + rows.start * grid.cell_m)
-    return Grid(grid.cell_m, origin, grid.hits[rows, cols], grid.passes[rows, cols])
+    # Whole numbers of cells: the same corner however far the grid reaches.
+    x_m, y_m = (
+        (round(at / grid.cell_m) + part.start) * grid.cell_m
+        for at, part in zip(grid.origin_xy_m, (cols, rows), strict=True)
+    )
+    return Grid(grid.cell_m, (x_m, y_m), grid.hits[rows, cols], grid.passes[rows, cols])
 
 
 def _extent(known: NDArray[np.intp]) -> slice:
