@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from mavnav.pose import Pose
 
-_BLOCK_CELLS, _BAND_ROWS = 64, 512
+BLOCK_CELLS, _BAND_ROWS = 64, 512
 MAX_CELLS = 1 << 28
 """Of 8 bytes: 2 GiB; 819 m x 819 m in cells of 50 mm."""
 
@@ -84,7 +84,7 @@ class Grid:
     def _cover(self, low: tuple[int, int], high: tuple[int, int]) -> None:
         """Grow until cells ``low`` to ``high`` (col, row) lie inside."""
         origin = (round(self.origin_xy_m[0] / self.cell_m), round(self.origin_xy_m[1] / self.cell_m))
-        grown = covering(low, high, self.hits.shape, origin, _BLOCK_CELLS)
+        grown = covering(low, high, self.hits.shape, origin, BLOCK_CELLS)
         if grown is None:
             return
         new_origin, shape = grown

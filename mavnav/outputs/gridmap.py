@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from mavnav.grid import BLOCK_CELLS, FREE, OCCUPIED, UNKNOWN, Grid
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -38,12 +38,39 @@ def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:
     if not any(part.any() for part in counts):
         return Grid(grid.cell_m, grid.origin_xy_m, np.zeros((1, 1), np.int32), np.zeros((1, 1), np.int32))
     rows, cols = (_extent(np.flatnonzero(sum(np.any(p, axis=axis) for p in counts))) for axis in (1, 0))
-    # Whole numbers of cells: the same corner however far the grid reaches.
-    x_m, y_m = (
-        (round(at / grid.cell_m) + part.start) * grid.cell_m
-        for at, part in zip(grid.origin_xy_m, (cols, rows), strict=True)
-    )
-    return Grid(grid.cell_m, (x_m, y_m), grid.hits[rows, cols], grid.passes[rows, cols])
+    return _part(grid, rows, cols)
+
+
+def measured_part(grid: Grid) -> Grid:
+    """Cut the grid to whole blocks of cells around the known ones, counted from the map's origin.
+
+    What is measured on it does not depend on how far the grid reaches beyond. The arrays are views of the grid's.
+    """
+    known = known_part(grid)
+    spans = [
+        _in_blocks(round((known.origin_xy_m[k] - grid.origin_xy_m[k]) / grid.cell_m), known.hits.shape[1 - k], size, at)
+        for k, (size, at) in enumerate(zip(grid.hits.shape[::-1], _corner(grid), strict=True))
+    ]
+    return _part(grid, spans[1], spans[0])
+
+
+def _in_blocks(first: int, count: int, size: int, at: int) -> slice:
+    """Widen a span of cells, less the outer one of its margin on either side, to whole blocks within the grid."""
+    start = (first + at + 1) // BLOCK_CELLS * BLOCK_CELLS - at
+    stop = ((first + at + count - 2) // BLOCK_CELLS + 1) * BLOCK_CELLS - at
+    return slice(max(start, 0), min(max(stop, start + 1), size))
+
+
+def _corner(grid: Grid) -> tuple[int, int]:
+    """Return column and row of cell [0, 0], counted from the map's origin."""
+    x_m, y_m = grid.origin_xy_m
+    return round(x_m / grid.cell_m), round(y_m / grid.cell_m)
+
+
+def _part(grid: Grid, rows: slice, cols: slice) -> Grid:
+    col, row = _corner(grid)
+    origin = ((col + cols.start) * grid.cell_m, (row + rows.start) * grid.cell_m)
+    return Grid(grid.cell_m, origin, grid.hits[rows, cols], grid.passes[rows, cols])
 
 
 def _extent(known: NDArray[np.intp]) -> slice:

@@ -83,7 +83,7 @@ class Mission:
 
 @dataclass(frozen=True)
 class Run:
-    """A log, how it was run, what came out, and the cuts through its known part's walls (hit threshold -> sections).
+    """A log, how it was run, what came out, and the cuts through its walls (hit threshold -> sections).
 
     A mission of the simulator knows the truth besides. ``reference`` is what a comparison with references told,
     plain data for run.json, and ``true_map`` the one among them. ``stopped`` is the code of the signal that stopped
