@@ -12,6 +12,7 @@ from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
 from mavnav.kernels import raycast
 from mavnav.kernels.points import extent
+from mavnav.lattice import covering, moved
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
     from mavnav.pose import Pose
 
-_BLOCK_CELLS = 64
+BLOCK_CELLS, _BAND_ROWS = 64, 512
 MAX_CELLS = 1 << 28
 """Of 8 bytes: 2 GiB; 819 m x 819 m in cells of 50 mm."""
 
@@ -27,23 +28,6 @@ OCCUPIED_SHARE: Final = 0.2
 """A cell is occupied where at least this share of the beams that reached it ended in it."""
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
-
-
-def covering(
-    low: tuple[int, int], high: tuple[int, int], shape: tuple[int, int], origin: tuple[int, int], block: int
-) -> tuple[tuple[int, int], tuple[int, int]] | None:
-    """Find the lattice of whole blocks that covers cells ``low`` to ``high`` (col, row) and the present one.
-
-    Returns the new origin (col, row) and shape (rows, cols), or None where the present lattice covers all.
-    """
-    end = (origin[0] + shape[1], origin[1] + shape[0])
-    if shape[0]:
-        if low[0] >= origin[0] and low[1] >= origin[1] and high[0] < end[0] and high[1] < end[1]:
-            return None
-        low = (min(low[0], origin[0]), min(low[1], origin[1]))
-        high = (max(high[0], end[0] - 1), max(high[1], end[1] - 1))
-    low = (low[0] // block * block, low[1] // block * block)
-    return low, ((high[1] // block + 1) * block - low[1], (high[0] // block + 1) * block - low[0])
 
 
 @dataclass(slots=True)
@@ -100,17 +84,13 @@ class Grid:
     def _cover(self, low: tuple[int, int], high: tuple[int, int]) -> None:
         """Grow until cells ``low`` to ``high`` (col, row) lie inside."""
         origin = (round(self.origin_xy_m[0] / self.cell_m), round(self.origin_xy_m[1] / self.cell_m))
-        grown = covering(low, high, self.hits.shape, origin, _BLOCK_CELLS)
+        grown = covering(low, high, self.hits.shape, origin, BLOCK_CELLS)
         if grown is None:
             return
         new_origin, shape = grown
         self._check_size(shape)
-        (dc, dr), (rows, cols) = (origin[0] - new_origin[0], origin[1] - new_origin[1]), self.hits.shape
-        for name in ("hits", "passes"):
-            array = np.zeros(shape, np.int32)
-            if rows:
-                array[dr : dr + rows, dc : dc + cols] = getattr(self, name)
-            setattr(self, name, array)
+        dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
+        self.hits, self.passes = moved(self.hits, shape, dr, dc), moved(self.passes, shape, dr, dc)
         self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))
 
 
@@ -135,7 +115,10 @@ def occupancy(grid: Grid) -> NDArray[np.int8]:
     Occupied: hit, by at least `OCCUPIED_SHARE` of the beams that ended in the cell or crossed it. Free: any other
     cell that a beam reached.
     """
-    seen = grid.hits.astype(np.int64) + grid.passes
-    out = np.where(seen > 0, FREE, UNKNOWN).astype(np.int8)
-    out[(grid.hits > 0) & (grid.hits >= OCCUPIED_SHARE * seen)] = OCCUPIED
+    out = np.empty(grid.hits.shape, np.int8)
+    for row in range(0, len(out), _BAND_ROWS):
+        band = slice(row, row + _BAND_ROWS)
+        hits, seen = grid.hits[band], grid.hits[band].astype(np.int64) + grid.passes[band]
+        out[band] = np.where(seen > 0, FREE, UNKNOWN)
+        out[band][(hits > 0) & (hits >= OCCUPIED_SHARE * seen)] = OCCUPIED
     return out

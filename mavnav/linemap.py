@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.grid import covering
-from mavnav.kernels.linemap import FAR, REACH_CELLS, insert_points
+from mavnav.kernels.linemap import REACH_CELLS, insert_points
 from mavnav.kernels.points import extent
+from mavnav.lattice import covering, moved
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class LineMap:
     origin_cells: tuple[int, int] = (0, 0)
     count: int = 1
     nearest: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 0), np.int32))
-    squares: NDArray[np.uint8] = field(default_factory=lambda: np.empty((0, 0), np.uint8))
+    closeness: NDArray[np.uint8] = field(default_factory=lambda: np.empty((0, 0), np.uint8))
     cells: NDArray[np.int32] = field(default_factory=lambda: np.empty((1, 2), np.int32))
     moments: NDArray[np.float64] = field(default_factory=lambda: np.empty((1, 12)))
     lines: NDArray[np.float64] = field(default_factory=lambda: np.array([NOWHERE]))
@@ -59,7 +59,7 @@ class LineMap:
             self.geometry,
             self.count,
             self.nearest,
-            self.squares,
+            self.closeness,
             self.cells,
             self.moments,
             self.lines,
@@ -76,13 +76,9 @@ class LineMap:
         if grown is None:
             return
         new_origin, shape = grown
-        (dc, dr), (rows, cols) = (origin[0] - new_origin[0], origin[1] - new_origin[1]), self.nearest.shape
-        nearest, squares = np.zeros(shape, np.int32), np.full(shape, FAR, np.uint8)
-        if rows:
-            nearest[dr : dr + rows, dc : dc + cols] = self.nearest
-            squares[dr : dr + rows, dc : dc + cols] = self.squares
-            self.cells[1 : self.count] += np.array([dr, dc], np.int32)
-        self.nearest, self.squares = nearest, squares
+        dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
+        self.nearest, self.closeness = moved(self.nearest, shape, dr, dc), moved(self.closeness, shape, dr, dc)
+        self.cells[1 : self.count] += np.array([dr, dc], np.int32)
         self.origin_cells = new_origin
 
     def _reserve(self, needed: int) -> None:

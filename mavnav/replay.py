@@ -19,6 +19,7 @@ from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import sections_by_hits
 from mavnav.outputs import Run, Timing, check_directory, write_run
+from mavnav.outputs.gridmap import measured_part
 from mavnav.references import check_times, compared, load_references, occupied_xy_m, read_map
 from mavnav.stages import account, timed
 from mavnav.units import DEG
@@ -193,8 +194,8 @@ def _mapped(
 
 @timed("measuring")
 def measured_sections(grid: Grid) -> dict[int, Sections]:
-    """Cut the walls across at each of the thresholds."""
-    return sections_by_hits(grid.hits, grid.cell_m)
+    """Cut the walls of the known part of the map across at each of the thresholds."""
+    return sections_by_hits(measured_part(grid).hits, grid.cell_m)
 
 
 @timed("measuring")
@@ -202,7 +203,7 @@ def measured_quality(outcome: slam.Slam, log: Log, sections: dict[int, Sections]
     """Measure the map of a run, with the scans behind it."""
     mapped = sum(step.accepted for step in outcome.steps) / max(len(outcome.steps), 1)
     journey = Journey(outcome.trajectory, log.scans, mapped, outcome.lost_for_good)
-    return map_quality(outcome.grid, journey, sections=sections)
+    return map_quality(measured_part(outcome.grid), journey, sections=sections)
 
 
 def _open(request: Request, progress: Progress) -> Log:

@@ -17,7 +17,7 @@ PACKAGE = ROOT / "mavnav"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 GROUND = {"errors", "units", "pose", "scan", "config", "staging", "stages"}
-CORE = {"grid", "linemap", "matcher", "relocalise", "motion", "belief", "firing", "methods", "slam"} | {
+CORE = {"lattice", "grid", "linemap", "matcher", "relocalise", "motion", "belief", "firing", "methods", "slam"} | {
     "steps",
     "pose_graph",
     "known_map",
@@ -43,8 +43,9 @@ ALLOWED: dict[str, set[str]] = {
     "kernels": set(),
     "logs": GROUND | {""},
     "world": GROUND | {"config_file", "layers", "planner_config"},
-    "grid": GROUND | {"kernels"},
-    "linemap": GROUND | {"kernels", "grid"},
+    "lattice": GROUND,
+    "grid": GROUND | {"kernels", "lattice"},
+    "linemap": GROUND | {"lattice", "kernels", "grid"},
     "matcher": GROUND | {"kernels", "grid", "linemap"},
     "motion": GROUND,
     "pose_graph": GROUND,
@@ -60,7 +61,7 @@ ALLOWED: dict[str, set[str]] = {
     "slam": GROUND
     | {"grid", "matcher", "relocalise", "motion", "belief", "firing", "methods", "steps", "loop_closure", "redrawing"}
     | {"known_map", "localise"},
-    "metrics": GROUND | {"kernels", "grid"},
+    "metrics": GROUND | {"kernels", "lattice", "grid"},
     "references": GROUND | {"grid", "layers", "metrics", "world"},
     "planner_config": GROUND,
     "routes": GROUND | {"kernels", "planner_config"},

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import boolean, float64, int32, int64, types
+from numba import boolean, float64, int32, int64, types, uint64
 
 from mavnav.kernels._jit import kernel
 
@@ -26,7 +26,7 @@ _I2 = types.Array(int32, 2, "C", readonly=True)
 def _in_the_open(row: int, col: int, hits: NDArray[np.int32], passes: NDArray[np.int32]) -> bool:
     """Tell whether a cell was seen empty, with no hit within reach."""
     rows, cols = hits.shape
-    if not (0 <= row < rows and 0 <= col < cols) or passes[row, col] < FREE_PASSES:
+    if not (0 <= row < rows and 0 <= col < cols) or passes[row, col] < FREE_PASSES or hits[row, col] > 0:
         return False
     for r in range(max(row - REACH_CELLS, 0), min(row + REACH_CELLS + 1, rows)):
         for c in range(max(col - REACH_CELLS, 0), min(col + REACH_CELLS + 1, cols)):
@@ -43,6 +43,12 @@ def _through_a_wall(
     rows, cols = hits.shape
     length = np.hypot(u1 - u0, v1 - v0)
     du, dv = (u1 - u0) / length, (v1 - v0) / length
+    if min(u0, v0, u1, v1) >= 1.0 and max(u0, u1) < cols - 1.0 and max(v0, v1) < rows - 1.0:
+        for i in range(2, int(length - GRAZE_CELLS)):  # all within: no need to look, nor to round down
+            r, c = uint64(int64(v0 + i * dv)), uint64(int64(u0 + i * du))
+            if hits[r, c] >= WALL_HITS and hits[r, c] >= passes[r, c]:
+                return True
+        return False
     for i in range(2, int(length - GRAZE_CELLS)):
         row, col = int(np.floor(v0 + i * dv)), int(np.floor(u0 + i * du))
         if 0 <= row < rows and 0 <= col < cols and hits[row, col] >= WALL_HITS and hits[row, col] >= passes[row, col]:

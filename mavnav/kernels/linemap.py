@@ -5,7 +5,7 @@ Layout shared by this file and ``linesearch``:
 ``nearest``  (rows, cols) int32   index of the nearest occupied cell within reach, 0 where none is
 ``cells``    (capacity, 2) int32  row, col of the occupied cells, in the order they were first hit; row 0 of this and
                                   the following is no cell, and its line lies beyond everything
-``squares``  (rows, cols) uint8   squared distance to it in cells, `FAR` beyond reach
+``closeness`` (rows, cols) uint8  1 more than `FAR` less the squared distance to it in cells; 0 beyond reach
 ``moments``  (capacity, 12) float64  n, sum x, sum y, sum xx, sum xy, sum yy of a cell's points, m in the map
                                   frame; then the same, summed over a window of neighbours with Gaussian weights
 ``lines``    (capacity, 8) float64   centroid x, y and the metric a_xx, a_xy, a_yy of the local line; then
@@ -34,14 +34,14 @@ _F2 = types.Array(float64, 2, "C", readonly=True)
 
 
 @kernel(void(int64, int64, int64, int32[:, ::1], uint8[:, ::1]))
-def _stamp(slot: int, row: int, col: int, nearest: NDArray[np.int32], squares: NDArray[np.uint8]) -> None:
+def _stamp(slot: int, row: int, col: int, nearest: NDArray[np.int32], closeness: NDArray[np.uint8]) -> None:
     """Make ``slot`` the nearest occupied cell wherever it is nearer than the present one (ties keep the older)."""
     for r in range(row - REACH_CELLS, row + REACH_CELLS + 1):
         for c in range(col - REACH_CELLS, col + REACH_CELLS + 1):
             d2 = (r - row) * (r - row) + (c - col) * (c - col)
-            if d2 < squares[r, c] or (d2 == FAR and nearest[r, c] == 0):
+            if d2 <= FAR and FAR + 1 - d2 > closeness[r, c]:
                 nearest[r, c] = slot
-                squares[r, c] = d2
+                closeness[r, c] = FAR + 1 - d2
 
 
 @kernel(void(int64, float64, float64[:, ::1], float64[:, ::1]))
@@ -78,7 +78,7 @@ def insert_points(
     geometry: NDArray[np.float64],
     count: int,
     nearest: NDArray[np.int32],
-    squares: NDArray[np.uint8],
+    closeness: NDArray[np.uint8],
     cells: NDArray[np.int32],
     moments: NDArray[np.float64],
     lines: NDArray[np.float64],
@@ -90,17 +90,17 @@ def insert_points(
     """
     ox, oy, cell, sigma, noise = geometry
     weight = _weights(cell, sigma)
-    wide, flat, flat_nearest = int64(squares.shape[1]), squares.ravel(), nearest.ravel()
+    wide, flat, flat_nearest = int64(closeness.shape[1]), closeness.ravel(), nearest.ravel()
     first, hit, n_hit = count, np.empty(len(xy_map_m), np.int64), 0
     added = np.zeros((len(xy_map_m), 6))  # moments of this scan, by the order in which its cells were hit
     for k in range(len(xy_map_m)):
         x, y = xy_map_m[k, 0], xy_map_m[k, 1]
         row, col = int(np.floor((y - oy) / cell)), int(np.floor((x - ox) / cell))
-        if squares[row, col]:  # nothing but the occupied cell itself is at no distance
+        if closeness[row, col] <= FAR:  # nothing but the occupied cell itself is at no distance
             cells[count, 0], cells[count, 1] = row, col
             moments[count, :] = 0.0
             lines[count, 6:] = 0.0
-            _stamp(count, row, col, nearest, squares)
+            _stamp(count, row, col, nearest, closeness)
             count += 1
         slot = int64(nearest[row, col])
         if lines[slot, 6] == 0.0:
@@ -121,7 +121,7 @@ def insert_points(
         for i in range(2 * WINDOW_CELLS + 1):
             for j in range(2 * WINDOW_CELLS + 1):
                 at = uint64((row + i) * wide + col + j)
-                if flat[at] == 0:
+                if flat[at] > FAR:
                     other = int64(flat_nearest[at])
                     for m in range(6):
                         moments[slot, 6 + m] += weight[i, j] * moments[other, m]
@@ -136,7 +136,7 @@ def insert_points(
         for i in range(2 * WINDOW_CELLS + 1):
             for j in range(2 * WINDOW_CELLS + 1):
                 at = uint64((row + i) * wide + col + j)
-                if flat[at] == 0:
+                if flat[at] > FAR:
                     other = int64(flat_nearest[at])
                     for m in range(6):
                         moments[other, 6 + m] += weight[i, j] * added[k, m]

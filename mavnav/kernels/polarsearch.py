@@ -79,20 +79,21 @@ def _lay(
     """
     seen[:] = np.inf
     beams = len(seen)
+    number, own = points[2], points[3]
     for k in range(1, len(r)):
-        if points[2, k] != points[2, k - 1] + 1.0 or abs(points[3, k] - points[3, k - 1]) >= edge:
+        if (number[k] != number[k - 1] + 1.0) | (abs(own[k] - own[k - 1]) >= edge):
             continue
         start, ahead = beam[k - 1], beam[k] - beam[k - 1]
         if ahead < -0.5 * turn:
             ahead += turn
-        if not 0.0 < ahead < 0.25 * turn:
+        if not (ahead > 0.0) & (ahead < 0.25 * turn):
             continue
-        slope = (r[k] - r[k - 1]) / ahead
+        from_r, slope = r[k - 1], (r[k] - r[k - 1]) / ahead
         for _ in range(2):
-            j = max(int64(np.ceil(start)), 0)
-            while j <= start + ahead and j < beams:
-                seen[uint64(j)] = min(seen[uint64(j)], r[k - 1] + (j - start) * slope)
-                j += 1
+            end = min(int64(np.floor(start + ahead)), beams - 1)
+            for j in range(max(int64(np.ceil(start)), 0), end + 1):
+                at = uint64(j)
+                seen[at] = min(seen[at], from_r + (j - start) * slope)
             if start + ahead < turn:
                 break
             start -= turn  # a segment across the seam goes on at beam 0

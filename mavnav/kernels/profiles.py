@@ -12,7 +12,7 @@ from mavnav.kernels._jit import kernel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_COUNTS = types.Array(int32, 2, "C", readonly=True)
+_COUNTS = types.Array(int32, 2, "A", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 
 

@@ -12,7 +12,7 @@ from mavnav.kernels._jit import kernel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_HITS = nb.types.Array(nb.int32, 2, "C", readonly=True)
+_HITS = nb.types.Array(nb.int32, 2, "A", readonly=True)
 _RUNS = nb.types.Array(nb.int64, 2, "C", readonly=True)
 
 
@@ -59,7 +59,7 @@ def run_moments(
     -------
     (runs, 4): cells; variance along the row, covariance and variance along the column, in cells squared.
     """
-    (rows, cols), flat = hits.shape, hits.ravel()
+    rows, cols = hits.shape
     reach, step, limit = np.int64(radius) + 1, max_gap + 1, 4.0 * radius * radius
     side = 2 * reach + 1
     seen = np.full(side * side, -1, np.int64)  # the last run that came by
@@ -89,7 +89,7 @@ def run_moments(
             for nr in range(max(r - step, r0, 0), min(r + step + 1, r0 + side, rows)):
                 for nc in range(max(c - step, c0, 0), min(c + step + 1, c0 + side, cols)):
                     at = nb.uint64((nr - r0) * side + nc - c0)
-                    if flat[nb.uint64(nr * cols + nc)] < min_hits or seen[at] == k:
+                    if hits[nb.uint64(nr), nb.uint64(nc)] < min_hits or seen[at] == k:
                         continue
                     if (2 * (nc - col)) ** 2 + (2 * nr - mid2) ** 2 <= limit:
                         seen[at] = k

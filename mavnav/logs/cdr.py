@@ -1,4 +1,4 @@
-"""The messages that come with every scan, written as CDR by their layout: quicker than from an object a field.
+"""The messages that hold something of every scan, written as CDR by their layout: quicker than from an object a field.
 
 The bytes are those of ``ros.cdr``. Strings are UTF-8 with a final zero, numbers little-endian, each at a multiple of
 its own size behind the four bytes that tell the encoding.
@@ -14,6 +14,8 @@ import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from numpy.typing import NDArray
 
     from mavnav.pose import Pose
     from mavnav.scan import Scan
@@ -68,3 +70,19 @@ def scans(frame: str) -> Callable[[Scan], bytes]:
         return b"".join((_LITTLE_ENDIAN, _stamp(scan.stamp_ns), name, head, ranges, none))
 
     return write
+
+
+def path(stamp_ns: int, frame: str, stamps_ns: NDArray[np.int64], xyyaw: NDArray[np.float64]) -> bytes:
+    """Write a Path of poses (n, 3), m and rad, with stamps (n,), all in one frame."""
+    head = _stamp(stamp_ns) + _text(8, frame, 4) + _COUNT.pack(len(stamps_ns))
+    if not len(stamps_ns):
+        return _LITTLE_ENDIAN + head
+    # Each begins where the one before ends, at a multiple of 8; only the first may begin in between.
+    first, name = _text(len(head) + 8, frame, 8), _text(8, frame, 8)
+    rows = np.zeros(len(stamps_ns), [("s", "<i4"), ("ns", "<u4"), ("name", f"V{len(name)}"), ("pose", "<f8", 7)])
+    rows["s"], rows["ns"] = np.divmod(stamps_ns, 1_000_000_000)
+    rows["name"] = np.void(name)
+    rows["pose"][:, :2] = xyyaw[:, :2]
+    rows["pose"][:, 5], rows["pose"][:, 6] = np.sin(xyyaw[:, 2] / 2.0), np.cos(xyyaw[:, 2] / 2.0)
+    body = rows.tobytes()
+    return b"".join((_LITTLE_ENDIAN, head, body[:8], first, body[8 + len(name) :]))

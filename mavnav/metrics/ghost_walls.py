@@ -91,8 +91,8 @@ def ghost_walls(grid: Grid, all_sections: Iterable[Sections]) -> GhostWalls:
     stations = _stations(all_sections)
     reach = int(np.ceil(max(MAX_OFFSET_CELLS, MAX_OFFSET_M / grid.cell_m) + OUTSIDE_CELLS[1]))
     half_length = max(round(STRETCH_M / grid.cell_m), 3)
-    hits = wall_profiles(np.ascontiguousarray(grid.hits), stations, half_length, reach)
-    passes = wall_profiles(np.ascontiguousarray(grid.passes), stations, half_length, reach)
+    hits = wall_profiles(grid.hits, stations, half_length, reach)
+    passes = wall_profiles(grid.passes, stations, half_length, reach)
     twins = [_twins(stations, hits, passes), _twins(_turned(stations), hits[:, ::-1, ::-1], passes[:, ::-1, ::-1])]
     places = _places(_joined(twins), grid)
     worst_mm = max((p.offset_mm for p in places), default=np.nan)

@@ -6,11 +6,13 @@ A profile never changes: another definition or threshold is another profile. Def
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil, sqrt
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.grid import occupancy
+from mavnav.grid import UNKNOWN, occupancy
+from mavnav.lattice import pooled
 from mavnav.metrics.crispness import Crispness, crispness
 from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
 from mavnav.metrics.journey import placed_scans, spread
@@ -28,6 +30,9 @@ if TYPE_CHECKING:
     from mavnav.metrics.wall_thickness import Sections
 
 PROFILE: Final = "map-quality/1"
+
+LARGEST_CELLS: Final = 16_000_000
+"""Of maps with more, corners and enclosed areas are counted in cells of twice the size, or thrice, ..."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +83,7 @@ def map_quality(
     found, scans = (None, None) if journey is None else _seen_again(journey)
     support = map_support(grid, cells, walls, journey, scans)
     why = reasons(support, lost_for_good=journey is not None and journey.lost_for_good)
+    shape = _at_most(cells, grid.cell_m)
     return MapQuality(
         profile=PROFILE,
         meaningful=not why,
@@ -87,8 +93,8 @@ def map_quality(
         revisits=found,
         support=support,
         occupied_share=occupied_share(cells),
-        corners=corners(cells, grid.cell_m),
-        enclosed_areas=enclosed_areas(cells, grid.cell_m),
+        corners=corners(*shape),
+        enclosed_areas=enclosed_areas(*shape),
         walls=straight_walls(walls, grid.cell_m, grid.origin_xy_m),
     )
 
@@ -99,6 +105,12 @@ def _seen_again(journey: Journey) -> tuple[Revisits, PlacedScans | None]:
     pairs = pairs_of(trajectory)
     scans = placed_scans(journey, np.union1d(pairs.rows, spread(len(trajectory), SAMPLE_SCANS)))
     return revisits(trajectory, pairs, scans), scans
+
+
+def _at_most(cells: NDArray[np.int8], cell_m: float) -> tuple[NDArray[np.int8], float]:
+    """Return occupancy and cell for what takes much memory a cell: larger cells where there are too many."""
+    factor = ceil(sqrt(cells.size / LARGEST_CELLS))
+    return (cells, cell_m) if factor <= 1 else (pooled(cells, factor, fill=UNKNOWN), cell_m * factor)
 
 
 def _occupied(cells: NDArray[np.int8]) -> NDArray[np.int32]:

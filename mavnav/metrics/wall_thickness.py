@@ -116,8 +116,9 @@ def wall_sections(hits: NDArray[np.int32], cell_m: float, min_hits: int) -> Sect
     if min_hits < 1:
         msg = f"a cell is occupied from 1 hit on, not {min_hits}"
         raise ValueError(msg)
-    down = _axis_cuts(np.ascontiguousarray(hits, np.int32), cell_m, min_hits, diagonal=True)
-    across = _axis_cuts(np.ascontiguousarray(hits.T, np.int32), cell_m, min_hits, diagonal=False)
+    hits = np.asarray(hits, np.int32)
+    down = _axis_cuts(hits, cell_m, min_hits, diagonal=True)
+    across = _axis_cuts(hits.T, cell_m, min_hits, diagonal=False)
     occupied = int(np.count_nonzero(hits >= min_hits))
     return Sections(
         row=np.concatenate((down[1], across[0])),

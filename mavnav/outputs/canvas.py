@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from mavnav.lattice import pooled
 from mavnav.outputs.window import (
     DPI,
     GOAL_RED,
@@ -26,7 +27,6 @@ from mavnav.outputs.window import (
     START_BLUE,
     TRUE_ORANGE,
     Window,
-    pooled,
 )
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from mavnav.grid import FREE, occupancy
+from mavnav.lattice import pooled
 from mavnav.outputs.window import (
     ARC_STEP_RAD,
     DPI,
@@ -28,7 +29,6 @@ from mavnav.outputs.window import (
     TRUE_ORANGE,
     WALL_GREY,
     Window,
-    pooled,
     wall_lines,
     window_around,
     window_of,

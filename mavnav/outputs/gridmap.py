@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from mavnav.grid import BLOCK_CELLS, FREE, OCCUPIED, UNKNOWN, Grid
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,13 +34,42 @@ def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:
 
     The arrays are views of the grid's.
     """
-    known = grid.hits > 0
-    if not hits_only:
-        known |= grid.passes > 0
-    if not np.any(known):
+    counts = [grid.hits] if hits_only else [grid.hits, grid.passes]
+    if not any(part.any() for part in counts):
         return Grid(grid.cell_m, grid.origin_xy_m, np.zeros((1, 1), np.int32), np.zeros((1, 1), np.int32))
-    rows, cols = (_extent(np.flatnonzero(np.any(known, axis=axis))) for axis in (1, 0))
-    origin = (grid.origin_xy_m[0] + cols.start * grid.cell_m, grid.origin_xy_m[1] + rows.start * grid.cell_m)
+    rows, cols = (_extent(np.flatnonzero(sum(np.any(p, axis=axis) for p in counts))) for axis in (1, 0))
+    return _part(grid, rows, cols)
+
+
+def measured_part(grid: Grid) -> Grid:
+    """Cut the grid to whole blocks of cells around the known ones, counted from the map's origin.
+
+    What is measured on it does not depend on how far the grid reaches beyond. The arrays are views of the grid's.
+    """
+    known = known_part(grid)
+    spans = [
+        _in_blocks(round((known.origin_xy_m[k] - grid.origin_xy_m[k]) / grid.cell_m), known.hits.shape[1 - k], size, at)
+        for k, (size, at) in enumerate(zip(grid.hits.shape[::-1], _corner(grid), strict=True))
+    ]
+    return _part(grid, spans[1], spans[0])
+
+
+def _in_blocks(first: int, count: int, size: int, at: int) -> slice:
+    """Widen a span of cells, less the outer one of its margin on either side, to whole blocks within the grid."""
+    start = (first + at + 1) // BLOCK_CELLS * BLOCK_CELLS - at
+    stop = ((first + at + count - 2) // BLOCK_CELLS + 1) * BLOCK_CELLS - at
+    return slice(max(start, 0), min(max(stop, start + 1), size))
+
+
+def _corner(grid: Grid) -> tuple[int, int]:
+    """Return column and row of cell [0, 0], counted from the map's origin."""
+    x_m, y_m = grid.origin_xy_m
+    return round(x_m / grid.cell_m), round(y_m / grid.cell_m)
+
+
+def _part(grid: Grid, rows: slice, cols: slice) -> Grid:
+    col, row = _corner(grid)
+    origin = ((col + cols.start) * grid.cell_m, (row + rows.start) * grid.cell_m)
     return Grid(grid.cell_m, origin, grid.hits[rows, cols], grid.passes[rows, cols])
 
 
@@ -50,12 +79,14 @@ def _extent(known: NDArray[np.intp]) -> slice:
 
 def write_pgm(run: Run, path: Path) -> None:
     """Write the known part of the map as a binary PGM: 0 occupied, 254 free, 205 unknown, largest y on top."""
-    cells = run.cells[::-1]
-    pixels = np.full(cells.shape, _PIXELS[UNKNOWN], np.uint8)
-    pixels[cells == FREE] = _PIXELS[FREE]
-    pixels[cells == OCCUPIED] = _PIXELS[OCCUPIED]
+    cells, of_cell = run.cells[::-1], np.zeros(256, np.uint8)
+    for cell, pixel in _PIXELS.items():
+        of_cell[cell] = pixel
     rows, cols = cells.shape
-    path.write_bytes(f"P5\n{cols} {rows}\n255\n".encode() + pixels.tobytes())
+    with path.open("wb") as file:
+        file.write(f"P5\n{cols} {rows}\n255\n".encode())
+        for row in cells:
+            file.write(of_cell[row.view(np.uint8)].tobytes())
 
 
 def write_yaml(run: Run, path: Path) -> None:

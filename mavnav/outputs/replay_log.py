@@ -7,11 +7,14 @@ Scans without a believed pose are left out: they have no place in the map.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from math import ceil, sqrt
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from mavnav.grid import UNKNOWN, show_ends
+from mavnav.lattice import pooled
 from mavnav.logs import cdr, ros
 from mavnav.logs.containers import Channel, write_mcap
 from mavnav.outputs.run import base_frame
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
 MAP_FRAME: Final = "map"
 MAX_MAPS: Final = 60
 MAX_MAP_BYTES: Final = 64_000_000
+LARGEST_MAP_BYTES: Final = 25_000_000
 MAP_PERIOD_NS: Final = 1_000_000_000
 
 CHANNELS: Final = {
@@ -59,8 +63,9 @@ def write(run: Run, path: Path) -> None:
             put("/pose", scan.stamp_ns, write_pose(scan.stamp_ns, map_T_laser))
             if walls.add(scan, map_T_laser, mapped=mapped):
                 put("/map", scan.stamp_ns, _map(walls.grid, walls.cells, scan.stamp_ns))
-        put("/path", last_ns, _path(run))
-        put("/map", last_ns, _map(walls.grid, run.cells, last_ns))
+        way = run.slam.trajectory
+        put("/path", last_ns, cdr.path(last_ns, MAP_FRAME, way.stamps_ns, way.xyyaw))
+        put("/map", last_ns, _map(walls.grid, walls.shown(run.cells), last_ns))
 
 
 def laser_frame(run: Run) -> str:
@@ -79,13 +84,6 @@ def placed_scans(run: Run) -> Iterator[tuple[Scan, Pose, bool]]:
             yield scan, trajectory[row[scan.stamp_ns]], scan.stamp_ns in mapped
 
 
-def _path(run: Run) -> Any:  # noqa: ANN401
-    trajectory = run.slam.trajectory
-    stamps = trajectory.stamps_ns.tolist()
-    poses = [ros.pose_stamped(stamp, MAP_FRAME, trajectory[k]) for k, stamp in enumerate(stamps)]
-    return ros.path(run.log.last_ns, MAP_FRAME, poses)
-
-
 def _map(grid: Grid, cells: NDArray[np.int8], stamp_ns: int) -> Any:  # noqa: ANN401
     return ros.occupancy_grid(stamp_ns, MAP_FRAME, cells, grid.cell_m, grid.origin_xy_m)
 
@@ -93,17 +91,24 @@ def _map(grid: Grid, cells: NDArray[np.int8], stamp_ns: int) -> Any:  # noqa: AN
 class _GrowingMap:
     """The walls of the finished map as they come into sight; free space is told by the finished map alone.
 
-    Shown at most `MAX_MAPS` times, and less often where the map is so large that the file would swell.
+    Shown at most `MAX_MAPS` times, and less often where the map is so large that the file would swell. A map that is
+    too large to be shown once is shown in larger cells, each the most of what it holds: occupied, free, unknown.
     """
 
     def __init__(self, run: Run) -> None:
-        self.grid = run.known
-        self.cells: NDArray[np.int8] = np.full(self.grid.hits.shape, UNKNOWN, np.int8)
-        self._walls = run.cells
+        (rows, cols), known = run.cells.shape, run.known
+        self._factor = max(1, ceil(sqrt(rows * cols / LARGEST_MAP_BYTES)))
+        self._walls = self.shown(run.cells)
+        self.grid = replace(known, cell_m=known.cell_m * self._factor)
+        self.cells: NDArray[np.int8] = np.full(self._walls.shape, UNKNOWN, np.int8)
         maps = min(MAX_MAPS, MAX_MAP_BYTES // self.cells.size)
         span_ns = run.log.last_ns - run.log.first_ns
         self._period_ns = max(MAP_PERIOD_NS, span_ns // maps) if maps else None
         self._next_ns = run.log.first_ns
+
+    def shown(self, cells: NDArray[np.int8]) -> NDArray[np.int8]:
+        """Return cells as large as they are shown."""
+        return pooled(cells, self._factor, fill=UNKNOWN) if self._factor > 1 else cells
 
     def add(self, scan: Scan, map_T_laser: Pose, *, mapped: bool) -> bool:
         """Show what a mapped scan saw; tell whether it is time to publish."""

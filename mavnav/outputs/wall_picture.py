@@ -8,6 +8,7 @@ import numpy as np
 from PIL import ImageDraw
 
 from mavnav.outputs import canvas
+from mavnav.outputs.gridmap import measured_part
 from mavnav.outputs.map_picture import draw_free
 from mavnav.outputs.window import DPI, INK, MUTED, WALL_GREY, window_of
 
@@ -57,7 +58,7 @@ def _draw_map(frame: Frame, run: Run, min_hits: int) -> None:
     bounds = np.arange(0.5, top + step, step)
     colours = canvas.ramp(canvas.TURBO, len(bounds) - 1)
     # drawn across the wall, and at least a few pixels long wherever the map is large
-    lines = section_lines(run.slam.grid, sections, 0.012 * max(frame.window.size_m))
+    lines = section_lines(measured_part(run.slam.grid), sections, 0.012 * max(frame.window.size_m))
     ends = np.hstack((frame.to_canvas(lines[:, 0]), frame.to_canvas(lines[:, 1]))).round().astype(int)
     level = np.clip(np.searchsorted(bounds, sections.thickness_cells) - 1, 0, len(colours) - 1)
     draw = ImageDraw.Draw(frame.canvas.image)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil, pi
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -77,15 +77,6 @@ def window_around(xy_m: NDArray[np.float64], least_margin_m: float) -> Window:
     (x0, y0), (x1, y1) = xy_m.min(axis=0), xy_m.max(axis=0)
     margin = max(0.04 * max(x1 - x0, y1 - y0), least_margin_m)
     return Window(float(x0 - margin), float(x1 + margin), float(y0 - margin), float(y1 + margin))
-
-
-def pooled(cells: NDArray[Any], factor: int) -> NDArray[Any]:
-    """Shrink by taking the largest of each ``factor`` x ``factor`` block, so that a wall of one cell stays visible."""
-    rows, cols = (-(-n // factor) for n in cells.shape)
-    padded = np.zeros((rows * factor, cols * factor), cells.dtype)
-    padded[: cells.shape[0], : cells.shape[1]] = cells
-    blocks: NDArray[Any] = padded.reshape(rows, factor, cols, factor).max(axis=(1, 3))
-    return blocks
 
 
 def wall_lines(walls: Walls) -> list[NDArray[np.float64]]:

@@ -11,7 +11,6 @@ from mavnav.errors import UsageError
 from mavnav.layers import read_yaml
 from mavnav.metrics.map_distance import TrueMap
 from mavnav.references.map_file import read_map
-from mavnav.world.scenario_file import load_scenario, scenario_path
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,6 +30,8 @@ def read_true_map(path: Path) -> TrueMap:
     the frame of the map that it is compared with. A shipped scenario may be named where no such file lies there. Raises
     UsageError.
     """
+    from mavnav.world.scenario_file import load_scenario, scenario_path  # noqa: PLC0415  models take time to build
+
     if not path.exists():
         path = scenario_path(path)
     keys = {key[0] for key in read_yaml(path).values}

@@ -105,7 +105,7 @@ def test_nearest_is_the_nearest_occupied_cell_within_reach() -> None:
     np.testing.assert_array_equal(grown.nearest > 0, within)
     chosen = np.take_along_axis(d2, np.maximum(grown.nearest - 1, 0)[..., None].astype(int), axis=-1)[..., 0]
     np.testing.assert_array_equal(chosen[within], d2.min(axis=-1)[within])
-    np.testing.assert_array_equal(grown.squares, np.minimum(d2.min(axis=-1), linemap_kernel.FAR))
+    np.testing.assert_array_equal(grown.closeness, np.maximum(linemap_kernel.FAR + 1 - d2.min(axis=-1), 0))
 
 
 @given(shift=st.tuples(st.integers(-900, 900), st.integers(-900, 900)))

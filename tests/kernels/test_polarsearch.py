@@ -13,7 +13,7 @@ from synthetic import furnished_rooms, room, scan_at
 
 from mavnav.config import Config
 from mavnav.kernels import polarsearch
-from mavnav.matcher import match_polar, polar_points
+from mavnav.matcher import HOPELESS, Match, match_polar, polar_points
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
 
@@ -71,20 +71,17 @@ def test_identical_shifted_scans_converge_to_the_motion(walls: np.ndarray, at: P
         assert 800 < np.mean(evaluations) < 1400
 
 
-def test_grid_is_refined_only_where_the_cost_stays_high() -> None:
+def test_grid_is_refined_only_where_the_cost_stays_high_and_not_where_it_is_hopeless() -> None:
     a = scan_at(room(), Pose(2.2, 1.7, 0.4))
     b = scan_at(furnished_rooms(), Pose(2.9, 2.2, 1.2))
-    config = Config(method="paper")
     points = polar_points(a.ranges_m, a.spec, 0.1)
-    easy = match_polar(a.ranges_m, points, a.spec, Pose(), config)
-    hard = match_polar(b.ranges_m, points, a.spec, Pose(), config)
-    coarse = match_polar(
-        b.ranges_m,
-        points,
-        a.spec,
-        Pose(),
-        config.model_copy(update={"paper": config.paper.model_copy(update={"refine_factor": 1})}),
-    )
+
+    def matched(ranges: np.ndarray, **paper: float) -> Match:
+        return match_polar(ranges, points, a.spec, Pose(), Config(method="paper", paper=paper))
+
+    easy, coarse = matched(a.ranges_m), matched(b.ranges_m, refine_factor=1)
+    hard = matched(b.ranges_m, gate_mm2=coarse.cost_m2 * 1e6 / HOPELESS + 1)
+    assert matched(b.ranges_m, gate_mm2=coarse.cost_m2 * 1e6 / HOPELESS - 1) == coarse
     assert easy.cost_m2 < 300e-6 < coarse.cost_m2
     assert easy.evaluations < 2000
     assert hard.evaluations > 3 * coarse.evaluations

@@ -32,3 +32,12 @@ def test_scans(frame: str) -> None:
     ranges[::7] = np.nan
     scan = Scan(STAMP_NS, ranges, URG_04LX)
     assert cdr.scans(frame)(scan) == ros.cdr(ros.laser_scan(scan, frame))
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+@pytest.mark.parametrize("frame", FRAMES)
+def test_paths(frame: str, count: int) -> None:
+    stamps = STAMP_NS + np.arange(count) * 100_000_000
+    xyyaw = np.random.default_rng(0).uniform(-3, 3, (count, 3))
+    poses = [ros.pose_stamped(int(t), frame, Pose(*p.tolist())) for t, p in zip(stamps, xyyaw, strict=True)]
+    assert cdr.path(STAMP_NS, frame, stamps, xyyaw) == ros.cdr(ros.path(STAMP_NS, frame, poses))

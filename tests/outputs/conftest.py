@@ -15,6 +15,7 @@ from mavnav.logs import Damage, Odometry, ScanCounts, Topic
 from mavnav.matcher import Match
 from mavnav.metrics.wall_thickness import sections_by_hits
 from mavnav.outputs import Run, Timing
+from mavnav.outputs.gridmap import measured_part
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam import Slam
 from mavnav.steps import LostInterval, Step
@@ -89,7 +90,7 @@ def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
     kept = [s for s in steps if s.tracked]
     trajectory = Trajectory.of([s.stamp_ns for s in kept], [s.match.map_T_laser for s in kept])
     lost = (LostInterval(recorded[LOST[0]].stamp_ns, recorded[LOST[-1]].stamp_ns, len(LOST), recovered=True),)
-    sections = sections_by_hits(grid.hits, grid.cell_m)
+    sections = sections_by_hits(measured_part(grid).hits, grid.cell_m)
     log = FabricatedLog(recorded, cleaning={"valid": 600, "zero": 7})
     return Run(log, Config(), Slam(tuple(steps), trajectory, grid, lost), sections, Timing(2.0, 1.5, 0.5))
 
