@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.grid import covering
-from mavnav.kernels.linemap import FAR, REACH_CELLS, insert_points
+from mavnav.kernels.linemap import FAR, REACH_CELLS, insert_points, rebuild
 from mavnav.kernels.points import extent
 from mavnav.stages import timed
 
@@ -64,6 +64,20 @@ class LineMap:
             self.moments,
             self.lines,
         )
+
+    @timed("field update")
+    def remove(self, xy_map_m: NDArray[np.float64]) -> None:
+        """Forget what the cells of some points (n, 2), in m, hold; cells that hold nothing may be among them."""
+        at = np.floor(xy_map_m / self.cell_m).astype(np.int64) - np.array(self.origin_cells)
+        inside = ((at >= 0) & (at < np.array(self.nearest.shape[::-1]))).all(axis=1)
+        col, row = at[inside].T
+        gone = self.nearest[row, col][self.squares[row, col] == 0]
+        if not len(gone):
+            return
+        kept = np.delete(np.arange(self.count), gone)
+        self.count, self.cells = len(kept), self.cells[kept]
+        self.moments, self.lines = self.moments[kept], self.lines[kept]
+        rebuild(self.geometry, self.nearest, self.squares, self.cells, self.moments, self.lines)
 
     def _cover(self, xy_map_m: NDArray[np.float64]) -> None:
         """Grow the lattice until the points and the reach around them lie inside."""

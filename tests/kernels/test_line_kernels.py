@@ -116,6 +116,23 @@ def test_map_grows_any_way_and_forgets_nothing(shift: tuple[int, int]) -> None:
     np.testing.assert_array_equal(grown.cells[1:n] + np.array(grown.origin_cells)[::-1], before[1])
 
 
+def test_without_some_cells_the_lines_are_those_of_the_other_points() -> None:
+    rng = np.random.default_rng(1)
+    wall, strays = wall_points(rng), rng.uniform((-0.2, 0.4), (0.4, 0.9), (20, 2))
+    line_map = LineMap(0.02, 0.06, 0.01)
+    line_map.insert(np.vstack((wall, strays)))
+    line_map.remove(np.vstack((strays, [(0.1, 0.8), (99.0, 99.0)])))
+    expected = naive.insert_points(wall, 0.02, 0.06, 0.01)
+    assert line_map.count - 1 == len(expected)
+    for slot, cell in enumerate(line_map.cells[1:], start=1):
+        mu, a = expected[tuple(cell + np.array(line_map.origin_cells)[::-1])]
+        assert line_map.nearest[tuple(cell)] == slot
+        np.testing.assert_allclose(line_map.lines[slot, :2], mu, atol=1e-9)
+        np.testing.assert_allclose(line_map.lines[slot, 2:5], (a[0, 0], a[0, 1], a[1, 1]), atol=1e-6)
+    strays_seen = line_map.squares[line_map.nearest > 0]
+    assert np.count_nonzero(strays_seen == 0) == len(expected)
+
+
 def arrays(line_map: LineMap) -> tuple[np.ndarray, ...]:
     return line_map.nearest, line_map.lines, line_map.geometry
 
