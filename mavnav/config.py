@@ -99,6 +99,7 @@ class RobustConfig(_Strict):
     window_deg: float = Field(20.0, gt=0, description="half-width of the first azimuth search")
     final_window_mm: float = Field(50.0, gt=0, description="half-width of the final pass in the plane")
     final_window_deg: float = Field(3.0, gt=0, description="half-width of the final pass in azimuth")
+    final_truncate_mm: float = Field(50.0, gt=0, description="distances are capped here in the final pass")
     stop_mm: float = Field(1.0, gt=0, description="search ends at this spacing in the plane")
     stop_deg: float = Field(0.02, gt=0, description="search ends at this spacing in azimuth")
     max_extensions: int = Field(3, ge=0, description="border extensions a level at most")

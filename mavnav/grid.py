@@ -10,7 +10,7 @@ import numpy as np
 
 from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
-from mavnav.kernels import raycast
+from mavnav.kernels import passing, raycast
 from mavnav.kernels.points import extent
 from mavnav.lattice import covering, moved
 from mavnav.stages import timed
@@ -34,15 +34,21 @@ FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 class Grid:
     """Hit counts on a square lattice; grows as scans come in.
 
-    ``hits[row, col]`` counts laser end points, ``passes[row, col]`` beams that crossed the cell on their way;
-    both (rows, cols) int32, row grows with +y. ``origin_xy_m`` is the corner of cell [0, 0] in the map frame,
-    always a whole number of cells.
+    ``hits[row, col]`` counts laser end points, ``passes[row, col]`` beams that crossed the cell on their way,
+    ``through[row, col]`` those of them that did so while nothing near it was hit; all (rows, cols) int32, row grows
+    with +y. ``origin_xy_m`` is the corner of cell [0, 0] in the map frame, always a whole number of cells.
     """
 
     cell_m: float
     origin_xy_m: tuple[float, float] = (0.0, 0.0)
     hits: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
     passes: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
+    through: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
+
+    def __post_init__(self) -> None:
+        """Take it that no beam went clear through where that is not known, as in a map file."""
+        if self.through.shape != self.hits.shape:
+            self.through = np.zeros_like(self.hits)
 
     @property
     def lattice(self) -> NDArray[np.float64]:
@@ -58,7 +64,14 @@ class Grid:
         low = (floor(min(x0, laser.x_m) / self.cell_m) - 1, floor(min(y0, laser.y_m) / self.cell_m) - 1)
         high = (floor(max(x1, laser.x_m) / self.cell_m) + 1, floor(max(y1, laser.y_m) / self.cell_m) + 1)
         self._cover(low, high)
-        hits_kernel.add_scan(xy_map_m, laser.as_array()[:2], self.lattice, self.hits, self.passes)
+        hits_kernel.add_scan(xy_map_m, laser.as_array()[:2], self.lattice, self.hits, self.passes, self.through)
+
+    def clear_passing(self) -> NDArray[np.float64]:
+        """Take back the hits of cells where nothing stayed; return their middles (n, 2), m."""
+        cells = passing.passing_cells(self.hits, self.through)
+        self.hits[cells] = 0
+        middles: NDArray[np.float64] = (np.argwhere(cells)[:, ::-1] + 0.5) * self.cell_m + np.array(self.origin_xy_m)
+        return middles
 
     @timed("virtual scan")
     def virtual_scan(
@@ -91,6 +104,7 @@ class Grid:
         self._check_size(shape)
         dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
         self.hits, self.passes = moved(self.hits, shape, dr, dc), moved(self.passes, shape, dr, dc)
+        self.through = moved(self.through, shape, dr, dc)
         self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))
 
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels.linemap import REACH_CELLS, insert_points
+from mavnav.kernels.linemap import FAR, REACH_CELLS, insert_points, rebuild
 from mavnav.kernels.points import extent
-from mavnav.lattice import covering, moved
+from mavnav.lattice import blank, covering, moved
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
@@ -64,6 +64,21 @@ class LineMap:
             self.moments,
             self.lines,
         )
+
+    @timed("field update")
+    def remove(self, xy_map_m: NDArray[np.float64]) -> None:
+        """Forget what the cells of some points (n, 2), in m, hold; cells that hold nothing may be among them."""
+        at = np.floor(xy_map_m / self.cell_m).astype(np.int64) - np.array(self.origin_cells)
+        inside = ((at >= 0) & (at < np.array(self.nearest.shape[::-1]))).all(axis=1)
+        col, row = at[inside].T
+        gone = self.nearest[row, col][self.closeness[row, col] > FAR]
+        if not len(gone):
+            return
+        kept = np.delete(np.arange(self.count), gone)
+        self.count, self.cells = len(kept), self.cells[kept]
+        self.moments, self.lines = self.moments[kept], self.lines[kept]
+        self.nearest, self.closeness = (blank(self.nearest.shape, kind) for kind in (np.int32, np.uint8))
+        rebuild(self.geometry, self.nearest, self.closeness, self.cells, self.moments, self.lines)
 
     def _cover(self, xy_map_m: NDArray[np.float64]) -> None:
         """Grow the lattice until the points and the reach around them lie inside."""

@@ -152,10 +152,12 @@ def search_lines(
     config: Config,
     refine: int = 1,
     prior: float = 0.0,
+    truncate_m: float | None = None,
 ) -> Match:
     """Search once, within ``window`` (half-widths, m and rad) of ``start``; ``refine`` multiplies the grid.
 
     ``prior`` is what a squared metre away from the start adds to the cost; it decides where the walls do not.
+    Distances are capped at ``truncate_m``, or as configured.
     """
     robust, grid = config.robust, config.grid.refined(refine)
     x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
@@ -167,7 +169,7 @@ def search_lines(
                 *window,
                 robust.stop_mm * MM,
                 robust.stop_deg * DEG,
-                robust.truncate_mm * MM,
+                truncate_m or robust.truncate_mm * MM,
                 robust.first_level_points,
                 ALTERNATIONS,
                 prior,
@@ -176,7 +178,7 @@ def search_lines(
             ]
         ),
         line_map.nearest,
-        line_map.squares,
+        line_map.closeness,
         line_map.lines,
         line_map.geometry,
     )

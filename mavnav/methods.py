@@ -72,6 +72,9 @@ class Method(Protocol):
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add the scan to the map."""
 
+    def clear_passing(self) -> None:
+        """Take out of the map what did not stay where it was seen."""
+
     def place(self, scan: Scan, match: Match) -> Match:
         """Match the scan as recorded against the finished map, close to an earlier match."""
 
@@ -125,6 +128,9 @@ class Paper:
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Count the hits of every valid beam."""
         self.grid.insert(map_T_laser, transform_points(map_T_laser, scan.points()))
+
+    def clear_passing(self) -> None:
+        """Leave the map: the paper works on line."""
 
     def place(self, scan: Scan, match: Match) -> Match:
         """Leave the match: the paper works on line."""
@@ -228,12 +234,17 @@ class Robust:
         self.lines.insert(xy_map_m)
         self.grid.insert(map_T_laser, xy_map_m)
 
+    def clear_passing(self) -> None:
+        """Take people who walked by, and the like, out of grid and lines."""
+        self.lines.remove(self.grid.clear_passing())
+
     def place(self, scan: Scan, match: Match) -> Match:
         """Place the scan as it was recorded, not de-skewed, so that pose and raw ranges fit together."""
         robust = self.config.robust
         points = self.match_points(scan)
         window = (robust.final_window_mm * MM, robust.final_window_deg * DEG)
-        placed = search_lines(points, self.lines, match.map_T_laser, window, self.config)
+        truncate_m = robust.final_truncate_mm * MM
+        placed = search_lines(points, self.lines, match.map_T_laser, window, self.config, truncate_m=truncate_m)
         return with_effort(placed, match, placed)
 
     @timed("cleaning")

@@ -274,6 +274,7 @@ def conclude(
     if config.final_pass and method.places:
         if config.loop_closure == "auto" and method.closes_loops:
             steps, method, loops = close(steps, log_scans, method, motion, config)
+        method.clear_passing()
         steps = list(_told(place(log_scans(), steps, method), "final pass", on_step))
     return Slam(tuple(steps), tracked_way(steps), method.grid, tuple(lost_intervals(steps)), loops)
 

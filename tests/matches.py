@@ -29,7 +29,7 @@ class Problem:
 
     @property
     def arrays(self) -> tuple[np.ndarray, ...]:
-        return self.line_map.nearest, self.line_map.squares, self.line_map.lines, self.line_map.geometry
+        return self.line_map.nearest, self.line_map.closeness, self.line_map.lines, self.line_map.geometry
 
     @property
     def centred(self) -> np.ndarray:

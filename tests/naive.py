@@ -22,13 +22,20 @@ def cells_on_the_way(u0, v0, u1, v1):
     return [(math.floor(v0 + t * (v1 - v0)), math.floor(u0 + t * (u1 - u0))) for t in middles]
 
 
-def add_scan(xy_map_m, laser_xy_m, lattice, hits, passes):
+def add_scan(xy_map_m, laser_xy_m, lattice, hits, passes, through, near=3):
     ox, oy, cell = lattice
     u0, v0 = (laser_xy_m[0] - ox) / cell, (laser_xy_m[1] - oy) / cell
+    shielded, last = set(), (-9, -9)
+    for point in xy_map_m:
+        row, col = cell_of(point - (ox, oy), cell)
+        if max(abs(row - last[0]), abs(col - last[1])) > 1:
+            last = (row, col)
+            shielded |= {(row + i, col + j) for i in range(-near, near + 1) for j in range(-near, near + 1)}
     for x, y in xy_map_m:
         *way, end = cells_on_the_way(u0, v0, (x - ox) / cell, (y - oy) / cell)
         for cell_on_way in way:
             passes[cell_on_way] += 1
+            through[cell_on_way] += cell_on_way not in shielded
         hits[end] += 1
 
 
@@ -42,6 +49,15 @@ def show_ends(ranges_m, directions, pose, lattice, walls, cells):
         row = math.floor((y + math.sin(yaw) * r * dx + math.cos(yaw) * r * dy - oy) / cell)
         if 0 <= row < cells.shape[0] and 0 <= col < cells.shape[1] and walls[row, col] == 100:
             cells[row, col] = 100
+
+
+def passing_cells(hits, through, clear=8, stays=0.15, wall=4, reach=7):
+    share = np.where(hits > 0, hits / np.maximum(hits + through, 1), 0.0)
+    walls = np.argwhere((hits >= wall) & (share >= stays))
+    out = np.zeros(hits.shape, bool)
+    for row, col in np.argwhere((hits > 0) & (through >= clear) & (share < stays)):
+        out[row, col] = not (np.abs(walls - (row, col)).max(axis=1, initial=0) <= reach).any()
+    return out
 
 
 def virtual_scan(hits, lattice, pose, directions, far_m, gap_cells):

@@ -222,6 +222,7 @@ def test_documented_options_exist() -> None:
 
 
 TWINS = {
+    "linemap.rebuild": "insert_points",
     "linesearch.search": "coarse_to_fine",
     "polarsearch.search": "coarse_to_fine",
     "thickness.column_runs": "naive_sections",

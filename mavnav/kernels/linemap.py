@@ -72,6 +72,46 @@ def _weights(cell_m: float, sigma_m: float) -> NDArray[np.float64]:
     return out
 
 
+@kernel(void(int64, _F2, int32[:, ::1], uint8[:, ::1], int32[:, ::1], float64[:, ::1]))
+def _gather(
+    slot: int,
+    weight: NDArray[np.float64],
+    nearest: NDArray[np.int32],
+    closeness: NDArray[np.uint8],
+    cells: NDArray[np.int32],
+    moments: NDArray[np.float64],
+) -> None:
+    """Add to the windowed moments of a cell what it and its neighbours hold."""
+    wide, flat, flat_nearest = int64(closeness.shape[1]), closeness.ravel(), nearest.ravel()
+    row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
+    for i in range(2 * WINDOW_CELLS + 1):
+        for j in range(2 * WINDOW_CELLS + 1):
+            at = uint64((row + i) * wide + col + j)
+            if flat[at] > FAR:
+                other = int64(flat_nearest[at])
+                for m in range(6):
+                    moments[slot, 6 + m] += weight[i, j] * moments[other, m]
+
+
+@kernel(void(_F1, int32[:, ::1], uint8[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
+def rebuild(
+    geometry: NDArray[np.float64],
+    nearest: NDArray[np.int32],
+    closeness: NDArray[np.uint8],
+    cells: NDArray[np.int32],
+    moments: NDArray[np.float64],
+    lines: NDArray[np.float64],
+) -> None:
+    """Draw the map anew, on blank ``nearest`` and ``closeness``, from its cells and their own moments."""
+    weight = _weights(geometry[2], geometry[3])
+    for slot in range(1, len(cells)):
+        _stamp(slot, cells[slot, 0], cells[slot, 1], nearest, closeness)
+    moments[1:, 6:] = 0.0
+    for slot in range(1, len(cells)):
+        _gather(slot, weight, nearest, closeness, cells, moments)
+        _fit(slot, geometry[4], moments, lines)
+
+
 @kernel(int64(_F2, _F1, int64, int32[:, ::1], uint8[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
 def insert_points(
     xy_map_m: NDArray[np.float64],
@@ -117,14 +157,7 @@ def insert_points(
 
     # A new cell starts from what its neighbours held before this scan.
     for slot in range(first, count):
-        row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
-        for i in range(2 * WINDOW_CELLS + 1):
-            for j in range(2 * WINDOW_CELLS + 1):
-                at = uint64((row + i) * wide + col + j)
-                if flat[at] > FAR:
-                    other = int64(flat_nearest[at])
-                    for m in range(6):
-                        moments[slot, 6 + m] += weight[i, j] * moments[other, m]
+        _gather(slot, weight, nearest, closeness, cells, moments)
 
     touched, n_touched = np.empty(n_hit * weight.size, np.int64), 0
     for k in range(n_hit):

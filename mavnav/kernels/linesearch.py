@@ -26,6 +26,7 @@ import numpy as np
 from numba import float64, int32, int64, types, uint8, uint64, void
 
 from mavnav.kernels._jit import kernel
+from mavnav.kernels.linemap import FAR
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -492,11 +493,11 @@ def _drawn(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
     overlap_m: float,
-    squares: NDArray[np.uint8],
+    closeness: NDArray[np.uint8],
     geometry: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return the points (2, m) that have an occupied cell within ``overlap_m``; all, if those are too few."""
-    n, count, limit = points.shape[1], 0, (overlap_m / geometry[2]) ** 2 + 1e-9
+    n, count, least = points.shape[1], 0, FAR + 1 - 1e-9 - (overlap_m / geometry[2]) ** 2
     kept = np.empty(n, np.int64)
     x, y = np.empty(n), np.empty(n)
     _rotate(points, at[2], x, y)
@@ -505,8 +506,8 @@ def _drawn(
             np.floor((x[k] + at[0] - geometry[0]) / geometry[2]),
             np.floor((y[k] + at[1] - geometry[1]) / geometry[2]),
         )
-        inside = 0 <= col < squares.shape[1] and 0 <= row < squares.shape[0]
-        if inside and squares[int64(row), int64(col)] <= limit:
+        inside = 0 <= col < closeness.shape[1] and 0 <= row < closeness.shape[0]
+        if inside and closeness[int64(row), int64(col)] >= least:
             kept[count] = k
             count += 1
     if count < FEWEST_DRAWN * n:
@@ -524,7 +525,7 @@ def search(
     grid: NDArray[np.float64],
     limits: NDArray[np.float64],
     nearest: NDArray[np.int32],
-    squares: NDArray[np.uint8],
+    closeness: NDArray[np.uint8],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> NDArray[np.float64]:
@@ -539,7 +540,7 @@ def search(
         points of the first level where it is wide, alternations a level, what a squared metre away from the start
         costs a point, the half-window (m) up to which, down to a cell, lines are held, and how near (m) an occupied
         cell must be to a point that decides the levels within a cell
-    nearest, squares, lines, geometry : the map, see ``linemap``
+    nearest, closeness, lines, geometry : the map, see ``linemap``
     """
     n = len(points)
     azimuths, nx, ny, extensions = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3])
@@ -589,7 +590,7 @@ def search(
                     break
         if window[0] <= geometry[2] and not settled:
             # Points on new ground lower the cost by falling back onto the map: the others decide, from this level on.
-            settled, deciding = True, _drawn(centred, at, limits[9], squares, geometry)
+            settled, deciding = True, _drawn(centred, at, limits[9], closeness, geometry)
             right, up = deciding[0].mean(), deciding[1].mean()
             pivot_x, pivot_y = pivot_x + right, pivot_y + up
             for points_m in (centred, deciding):

@@ -25,7 +25,7 @@ def directions(n: int = 90) -> np.ndarray:
 def test_add_scan_is_its_twin(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points, laser = rng.uniform((-0.9, -0.4), (2.9, 1.4), (20, 2)), rng.uniform(0, 1, 2)
-    fast, slow = np.zeros((2, 40, 80), np.int32), np.zeros((2, 40, 80), np.int32)
+    fast, slow = np.zeros((3, 40, 80), np.int32), np.zeros((3, 40, 80), np.int32)
     hits.add_scan(points, laser, LATTICE, *fast)
     naive.add_scan(points, laser, LATTICE, *slow)
     np.testing.assert_array_equal(fast, slow)
@@ -45,7 +45,7 @@ def test_show_ends_is_its_twin(seed: int) -> None:
 
 
 def test_beams_along_the_axes_and_through_corners_end_where_they_end() -> None:
-    fast = np.zeros((2, 40, 80), np.int32)
+    fast = np.zeros((3, 40, 80), np.int32)
     ends = np.array([(0.025, 0.525), (0.525, 0.025), (-0.475, 0.025), (0.025, -0.475), (0.525, 0.525), (0.025, 0.025)])
     hits.add_scan(ends, np.array([0.025, 0.025]), LATTICE, *fast)
     for x, y in ends:

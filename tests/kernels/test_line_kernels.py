@@ -122,8 +122,24 @@ def test_map_grows_any_way_and_forgets_nothing(shift: tuple[int, int]) -> None:
     np.testing.assert_array_equal(grown.cells[1:n] + np.array(grown.origin_cells)[::-1], before[1])
 
 
+def test_without_some_cells_the_lines_are_those_of_the_other_points() -> None:
+    rng = np.random.default_rng(1)
+    wall, strays = wall_points(rng), rng.uniform((-0.2, 0.4), (0.4, 0.9), (20, 2))
+    line_map = LineMap(0.02, 0.06, 0.01)
+    line_map.insert(np.vstack((wall, strays)))
+    line_map.remove(np.vstack((strays, [(0.1, 0.8), (99.0, 99.0)])))
+    expected = naive.insert_points(wall, 0.02, 0.06, 0.01)
+    assert line_map.count - 1 == len(expected)
+    for slot, cell in enumerate(line_map.cells[1:], start=1):
+        mu, a = expected[tuple(cell + np.array(line_map.origin_cells)[::-1])]
+        assert line_map.nearest[tuple(cell)] == slot
+        np.testing.assert_allclose(line_map.lines[slot, :2], mu, atol=1e-9)
+        np.testing.assert_allclose(line_map.lines[slot, 2:5], (a[0, 0], a[0, 1], a[1, 1]), atol=1e-6)
+    assert np.count_nonzero(line_map.closeness > linemap_kernel.FAR) == len(expected)
+
+
 def arrays(line_map: LineMap) -> tuple[np.ndarray, ...]:
-    return line_map.nearest, line_map.squares, line_map.lines, line_map.geometry
+    return line_map.nearest, line_map.closeness, line_map.lines, line_map.geometry
 
 
 def furnished_map() -> tuple[LineMap, np.ndarray]:
@@ -207,7 +223,7 @@ def test_drawn_points_are_their_twin(pose: tuple[float, float, float], overlap_m
     placed = transform_points(Pose(*pose), points.mean(axis=0)[None])[0]
     centred = np.ascontiguousarray((points - points.mean(axis=0)).T)
     at = np.array([*placed, pose[2], *placed])
-    fast = linesearch._drawn(centred, at, overlap_m, line_map.squares, line_map.geometry)
+    fast = linesearch._drawn(centred, at, overlap_m, line_map.closeness, line_map.geometry)
     slow = naive.drawn(points, pose, line_map, overlap_m)
     np.testing.assert_allclose(fast.T + points.mean(axis=0), slow, atol=1e-9)
 

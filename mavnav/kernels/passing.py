@@ -1,0 +1,45 @@
+"""What did not stay where it was seen, such as people walking by (docs/method.md)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import boolean, int32, int64, types
+
+from mavnav.kernels._jit import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+CLEAR_BEAMS = 8  # went clear through an open cell
+STAYS_SHARE = 0.15  # of the beams to a cell that holds something end in it
+WALL_HITS = 4  # fewer may be strays
+REACH_CELLS = 7  # a wall so near explains an end point
+
+_I2 = types.Array(int32, 2, "C", readonly=True)
+
+
+@kernel(boolean(int64, int64, _I2, _I2))
+def _is_open(row: int, col: int, hits: NDArray[np.int32], through: NDArray[np.int32]) -> bool:
+    """Tell whether beams went clear through a cell that hardly any ended in, with no wall within reach."""
+    rows, cols = hits.shape
+    ended, clear = hits[row, col], through[row, col]
+    if clear < CLEAR_BEAMS or ended >= STAYS_SHARE * (ended + clear):
+        return False
+    for r in range(max(row - REACH_CELLS, 0), min(row + REACH_CELLS + 1, rows)):
+        for c in range(max(col - REACH_CELLS, 0), min(col + REACH_CELLS + 1, cols)):
+            ended = hits[r, c]
+            if ended >= WALL_HITS and ended >= STAYS_SHARE * (ended + through[r, c]):
+                return False
+    return True
+
+
+@kernel(boolean[:, ::1](_I2, _I2))
+def passing_cells(hits: NDArray[np.int32], through: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Tell which cells (rows, cols) were hit and are open all the same; the counts are the grid's, see ``Grid``."""
+    out = np.zeros(hits.shape, np.bool_)
+    for row in range(hits.shape[0]):
+        for col in range(hits.shape[1]):
+            out[row, col] = hits[row, col] > 0 and _is_open(row, col, hits, through)
+    return out
