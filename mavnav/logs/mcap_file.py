@@ -52,7 +52,7 @@ def read_mcap(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
     with path.open("rb") as file:
         source = Source(file, path.stat().st_size)
         state.spare = summary_channels(source, ledger)
-        for record in _records(source, _begin(source, ledger), state):
+        for record in _records(source, _begin(source, state), state):
             ledger.at(record.start)
             if record.opcode == Op.CHUNK:
                 yield from _chunk_messages(source, record, state)
@@ -65,13 +65,16 @@ def read_mcap(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
             ledger.damage("the file ends without a footer; it was cut or not closed", source.where(source.size))
 
 
-def _begin(source: Source, ledger: Ledger) -> int:
+def _begin(source: Source, state: State) -> int:
     """Return where the file begins: with the magic, which may be broken or have other bytes before it."""
     at = source.read(0, _SEARCH_BYTES).find(MAGIC)
     if at == 0:
         return 0
-    ledger.damage("the file does not begin with the magic of MCAP", source.where(0))
-    return at if at > 0 and record_at(source, at + len(MAGIC)) is not None else 0
+    state.ledger.damage("the file does not begin with the magic of MCAP", source.where(0))
+    if at > 0 and record_at(source, at + len(MAGIC)) is not None:
+        return at
+    state.unsound = data_crc_fails(source, 0, state.ledger)
+    return 0
 
 
 def _records(source: Source, offset: int, state: State) -> Iterator[Record]:

@@ -24,8 +24,10 @@ from mavnav.logs import Log, choose, survey
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-CHECKED = {"mcap-none", "mcap-lz4", "mcap-zstd", "mcap-ros1", "bag1-bz2"}
+CHECKED = {"mcap-none", "mcap-lz4", "mcap-zstd", "mcap-unchunked", "mcap-ros1", "bag1-bz2"}
 """Logs whose chunks carry a checksum: no altered scan may pass unmarked."""
+
+DATA_END = b"\x0f" + (4).to_bytes(8, "little")
 
 FILES = [name for name in WRITERS if not name.startswith("bag2")]
 
@@ -109,6 +111,12 @@ def mutated(data: bytes, seed: int) -> bytes:
     return bytes(copy)
 
 
+def is_guarded(name: str, sound: bytes, damaged: bytes) -> bool:
+    """Tell whether a checksum speaks for every scan; without chunks it stands behind the data."""
+    at = sound.rfind(DATA_END)
+    return name in CHECKED and (name != "mcap-unchunked" or sound[at : at + 13] in damaged)
+
+
 def contents(log: Log) -> dict[int, bytes]:
     return {s.stamp_ns: s.ranges_m.tobytes() for s in log.scans()}
 
@@ -147,11 +155,12 @@ def main(cases: int, seed: int, named: list[str]) -> None:
         folder = Path(name)
         for format_, source in _seeds(folder, named).items():
             data, sound = source.read_bytes(), contents(choose(survey(source)))
-            guarded = format_ in CHECKED or source.suffix == ".mcap"
             worst, unmarked, kept = 0.0, 0, 0
             for case in range(cases):
                 path = folder / "case"
-                path.write_bytes(mutated(data, seed + case))
+                damaged = mutated(data, seed + case)
+                path.write_bytes(damaged)
+                guarded = source.suffix == ".mcap" or is_guarded(format_, data, damaged)
                 try:
                     result = verdict(path, sound)
                 except Exception as error:
