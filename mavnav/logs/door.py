@@ -31,6 +31,9 @@ FARTHEST_M: Final = 250.0
 _LOOKED_AT: Final = 20
 """So many scans decide on the unit of the ranges."""
 
+_MOST_BEAMS: Final = 1 << 15
+"""More than any planar laser has; what has more is thinned, so that no scan costs seconds."""
+
 _MOST_TURNS: Final = 1.1
 """A scan may overlap itself a little; one of several turns has a wrong increment."""
 
@@ -120,11 +123,24 @@ class Door:
                     " the angles look like degrees, and LaserScan is in radians"
                 )
             return reason
+        message = self._thinned(message)
         spec = self._spec_of(message)
         cleaned, counts = clean(message.ranges_m, spec.range_min_m, spec.range_max_m)
         if not counts[_VALID]:
             return "no_valid_beam"
         return spec, cleaned, counts
+
+    def _thinned(self, message: LaserMessage) -> LaserMessage:
+        """Take one of every so many beams where a scan has far too many."""
+        every = -(-len(message.ranges_m) // _MOST_BEAMS)
+        if every == 1:
+            return message
+        self._warn(f"{self._topic}: a scan has more than {_MOST_BEAMS} beams; one of {every} is used")
+        return message._replace(
+            angle_step_rad=message.angle_step_rad * every,
+            time_increment_s=message.time_increment_s * every,
+            ranges_m=message.ranges_m[::every],
+        )
 
     def _spec_of(self, message: LaserMessage) -> LaserSpec:
         # angle_min .. scan_time and the number of beams; frame and stamp are not geometry
