@@ -111,7 +111,7 @@ def _topic(log: Log | None) -> dict[str, Any]:
 def _warnings(found: Survey, logs: list[Log]) -> list[str]:
     texts = dict.fromkeys(text for log in logs for text in log.warnings) or dict.fromkeys(found.warnings)
     if len(logs) > 1:
-        names = ", ".join(log.topic for log in logs)
+        names = ", ".join([log.topic for log in logs[:_LISTED]] + ["..."] * (len(logs) > _LISTED))
         texts[f"several scan topics ({names}); a replay needs --topic"] = None
     return list(texts)
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from mavnav.logs import mcap_file, mcap_records, rosbag1, sqlite_file
+from mavnav.logs import mcap_file, mcap_records, rosbag1, rosbag1_records, sqlite_file, sqlite_pages
 from mavnav.logs.rosbag2 import METADATA, compare_count, read_metadata, storage_files
+from mavnav.logs.source import Source
 from mavnav.logs.unpack import ZSTD_MAGIC, first_bytes, unpacked_file
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ UNKNOWN = "unknown"
 _HEAD_BYTES = 16
 _OLD_BAG = re.compile(rb"#ROS(?:BAG|RECORD|LOG) V(1\.[01])")
 _SEARCH_BYTES = 1 << 16
+_HEADLESS_BYTES = 1 << 20
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _PACKERS = {
     b"\x1f\x8b\x08": "gzip",
@@ -68,6 +70,19 @@ def _sniff_damaged(path: Path) -> str:
         further = name != "rosbag2-sqlite3" and magic in head
         if wrong <= len(magic) // 4 or further or (name == "mcap" and tail.endswith(magic)):
             return name
+    return _sniff_headless(path, head)
+
+
+def _sniff_headless(path: Path, head: bytes) -> str:
+    """Recognise a log whose beginning is lost by what follows, where its name says what to look for."""
+    with path.open("rb") as file:
+        source = Source(file, min(path.stat().st_size, _HEADLESS_BYTES))
+        if path.suffix == ".mcap" and mcap_records.find_record(source, 0) < source.size:
+            return "mcap"
+        if path.suffix in (".bag", ".active") and rosbag1_records.OP_FIELD in head:
+            return "rosbag1"
+        if path.suffix == ".db3" and next(sqlite_pages.rows(source), None) is not None:
+            return "rosbag2-sqlite3"
     return UNKNOWN
 
 

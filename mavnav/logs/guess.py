@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 _MAX_FRAME = 256
 
 LASER = "sensor_msgs/msg/LaserScan"
+ENCODINGS = ("cdr", "ros1")
 
 
 def channel_of(data: bytes, name: str, ledger: Ledger) -> Channel | None:
@@ -33,9 +34,27 @@ def channel_of(data: bytes, name: str, ledger: Ledger) -> Channel | None:
     return known or ledger.declare(Channel(name, LASER, encoding))
 
 
+def typed(channel: Channel, data: bytes, where: str, ledger: Ledger) -> Channel:
+    """Return the channel with the type and encoding that a message of it turns out to have, told as damage.
+
+    Only of one that ``is_vague``.
+    """
+    encoding = laser_encoding(data)
+    if encoding is None:
+        return channel
+    lacks = f"is in no encoding {channel.encoding!r}" if channel.type else "has a type that is told nowhere"
+    ledger.damage(f"{channel.topic} {lacks}; its messages are scans by their bytes", where)
+    return ledger.declare(Channel(channel.topic, LASER, encoding))
+
+
+def is_vague(channel: Channel) -> bool:
+    """Tell whether a channel does not say what its messages are, or in an encoding that no scan has."""
+    return not channel.type or (channel.type == LASER and channel.encoding not in ENCODINGS)
+
+
 def laser_encoding(data: bytes) -> str | None:
     """Return the encoding (``cdr`` or ``ros1``) by which the bytes are a sensor_msgs/LaserScan; None if by neither."""
-    for encoding in ("cdr", "ros1"):
+    for encoding in ENCODINGS:
         scan = laser_of(data, encoding)
         if scan is not None and _is_likely(scan):
             return encoding

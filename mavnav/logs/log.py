@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from mavnav.logs.messages import LaserMessage
     from mavnav.logs.stamps import TopicScans
 
+_MOST_NAMED: Final = 8
 _MOST_WAITING: Final = 64
 _WAITING_BYTES: Final = 64 << 20
 _KEPT_BYTES: Final = 32 << 20
@@ -236,20 +237,25 @@ def _choose_topic(found: Survey, topic: str | None) -> str:
 
 
 def _counted(found: Survey) -> str:
-    return ", ".join(f"{name} ({scans.total} scans)" for name, scans in sorted(found.scans.items()))
+    return _some([f"{name} ({scans.total} scans)" for name, scans in sorted(found.scans.items())])
+
+
+def _some(names: list[str]) -> str:
+    """List names in a line that a person still reads."""
+    return ", ".join(names[:_MOST_NAMED]) + (f" and {len(names) - _MOST_NAMED} more" if names[_MOST_NAMED:] else "")
 
 
 def _listed(found: Survey) -> str:
     lasers = [f"{t.name} ({t.count} scans)" for t in found.topics if t.type.endswith("LaserScan")]
-    return f"scan topics here: {', '.join(lasers) or 'none'}"
+    return f"scan topics here: {_some(lasers) or 'none'}"
 
 
 def _no_scans(found: Survey) -> str:
     if not found.topics and found.damage:
         first = found.damage[0]
         return f"{found.path}: no usable scans; {first.what} ({first.where})"
-    kinds = [f"{t.name} ({t.type or 'no type'} in {t.encoding or 'no encoding'}, {t.count})" for t in found.topics[:8]]
-    return f"{found.path}: no LaserScan messages; topics here: {', '.join(kinds) or 'none'}"
+    kinds = [f"{t.name} ({t.type or 'no type'} in {t.encoding or 'no encoding'}, {t.count})" for t in found.topics]
+    return f"{found.path}: no LaserScan messages; topics here: {_some(kinds) or 'none'}"
 
 
 def _no_usable(found: Survey, name: str, scans: TopicScans, timeline: Timeline) -> str:

@@ -6,7 +6,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from mavnav.logs.guess import LASER, channel_of, laser_encoding
+from mavnav.logs.guess import channel_of, is_vague, typed
 from mavnav.logs.mcap_records import MESSAGE_HEAD, Fields, Op
 from mavnav.logs.records import Channel, RawMessage, Schema, ros_type
 
@@ -65,8 +65,8 @@ def _message(content: bytes, where: str, state: State) -> Iterator[RawMessage]:
     state.messages += 1
     data = content[MESSAGE_HEAD.size :]
     channel = state.channels.get(number) or _spare_channel(number, state)
-    if channel is not None and _is_vague(channel) and (encoding := laser_encoding(data)):
-        channel = _typed_channel(number, channel, encoding, where, state)
+    if channel is not None and is_vague(channel):
+        channel = state.channels[number] = typed(channel, data, where, state.ledger)
     if channel is not None:
         yield RawMessage(channel, log_ns, data)
     else:
@@ -89,20 +89,6 @@ def _stranger(number: int, log_ns: int, data: bytes, where: str, state: State) -
         state.ledger.damage(f"messages of channel {number}, which is declared nowhere before, are {fate}", where)
     if channel is not None:
         yield RawMessage(channel, log_ns, data, suspect=True)
-
-
-def _is_vague(channel: Channel) -> bool:
-    """Tell whether a channel does not say what its messages are, or in an encoding that no scan has."""
-    return not channel.type or (channel.type == LASER and channel.encoding not in ("cdr", "ros1"))
-
-
-def _typed_channel(number: int, channel: Channel, encoding: str, where: str, state: State) -> Channel:
-    """Give a channel the type and encoding that its messages turn out to have."""
-    typed = Channel(channel.topic, LASER, encoding)
-    state.channels[number] = state.ledger.declare(typed)
-    lacks = f"is in no encoding {channel.encoding!r}" if channel.type else "has a type that is told nowhere"
-    state.ledger.damage(f"{channel.topic} {lacks}; its messages are scans by their bytes", where)
-    return typed
 
 
 def _declare_schema(fields: Fields, where: str, state: State) -> None:

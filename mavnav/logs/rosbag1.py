@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from typing import TYPE_CHECKING
 
-from mavnav.logs.guess import channel_of
+from mavnav.logs.guess import channel_of, is_vague, typed
 from mavnav.logs.ledger import Ledger
 from mavnav.logs.records import Channel, RawMessage, Schema, ros_type
 from mavnav.logs.rosbag1_records import U32, Op, Record, is_flat, parse_fields, parse_header, sound_records
@@ -145,6 +145,9 @@ def _message(source: Source, record: Record, state: _State) -> Iterator[RawMessa
     state.messages += 1
     data = source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES))
     channel = _old_channel(record, state) if b"topic" in record.fields else _channel(record, state)
+    if channel is not None and is_vague(channel) and b"conn" in record.fields:
+        channel = typed(channel, data, source.where(record.start), state.ledger)
+        state.channels[U32.unpack(record.fields[b"conn"])[0]] = channel
     if channel is not None:
         yield RawMessage(channel, _time_ns(record), data, record.suspect)
     else:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mavnav.logs.ledger import Ledger
     from mavnav.logs.source import Source
 
-_OP_FIELD = b"\x04\x00\x00\x00op="
+OP_FIELD: Final = b"\x04\x00\x00\x00op="
 _MAX_HEADER_BYTES = 1 << 16
 _USUAL_HEADER_BYTES = 256
 _REACH_BYTES = 256
@@ -167,10 +167,10 @@ def _is_followed(source: Source, record: Record) -> bool:
 
 def _candidates(block: bytes) -> Iterator[int]:
     """Yield, each once, the places shortly before an ``op`` field where a header of fields may begin."""
-    tried, op_at = 0, block.find(_OP_FIELD)
+    tried, op_at = 0, block.find(OP_FIELD)
     while op_at >= 0:
         for at in range(max(tried, op_at - _REACH_BYTES), op_at - 3):
             if block[at + 2 : at + 4] == b"\0\0" == block[at + 6 : at + 8]:  # two lengths below 64 KiB
                 yield at
         tried = max(tried, op_at - 3)
-        op_at = block.find(_OP_FIELD, op_at + 1)
+        op_at = block.find(OP_FIELD, op_at + 1)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from mavnav.logs.guess import channel_of
+from mavnav.logs.guess import channel_of, is_vague, typed
 from mavnav.logs.records import Channel, RawMessage, ros_type
 from mavnav.logs.source import Source
 from mavnav.logs.sqlite_pages import page_size, rows
@@ -96,10 +96,13 @@ def _rows(path: Path, state: _State) -> Iterator[RawMessage]:
 
 
 def _message(topic_id: object, log_ns: object, data: object, state: _State) -> Iterator[RawMessage]:
-    channel = state.channels.get(topic_id) if isinstance(topic_id, int) else None
+    number = topic_id if isinstance(topic_id, int) else -1
+    channel = state.channels.get(number)
     suspect = channel is None
     if isinstance(data, bytes) and channel is None:
         channel = channel_of(data, f"/topic_{topic_id}", state.ledger)
+    elif isinstance(data, bytes) and channel is not None and is_vague(channel):
+        channel = state.channels[number] = typed(channel, data, state.path.name, state.ledger)
     if suspect or not isinstance(log_ns, int) or not isinstance(data, bytes):
         state.ledger.damage("a message row is broken, or of an undeclared topic", state.path.name)
     if channel is not None and isinstance(log_ns, int) and isinstance(data, bytes):

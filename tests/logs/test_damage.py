@@ -370,3 +370,18 @@ def test_suspect_scans_whose_times_differ_as_those_of_all_scans_do_are_kept(tmp_
     log = open_log(path)
     assert log.counts.usable == 40
     assert log.counts.suspect > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "suffix"), [("mcap-zstd", ".mcap"), ("bag1", ".bag"), ("bag1-bz2", ".bag"), ("db3", ".db3")]
+)
+def test_a_log_whose_first_page_is_lost_is_known_by_what_follows(name: str, suffix: str, tmp_path: Path) -> None:
+    scans = [laser(k, beams=300) for k in range(40)]
+    data = WRITERS[name][1](tmp_path / "source", scans).read_bytes()
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(bytes(4096) + data[4096:-200])  # nor does the end tell
+    log = open_log(path)
+    assert log.counts.usable > 30
+    assert log.damage
+    told = {k: v for k, v in ranges_by_stamp(log).items() if k not in {s.stamp_ns for s in scans}}
+    assert told == {}

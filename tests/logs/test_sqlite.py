@@ -66,3 +66,11 @@ def test_of_a_page_that_is_cut_the_rows_that_are_left_are_read(page_bytes: int, 
     log = open_log(sound)
     assert SCANS - 2 <= log.counts.usable < SCANS
     assert log.damage
+
+
+@pytest.mark.parametrize("change", ["serialization_format = 'CDR'", "type = ''"])
+def test_topics_that_do_not_tell_what_they_hold_are_scans_by_their_bytes(change: str, sound: Path) -> None:
+    with closing(sqlite3.connect(sound, isolation_level=None)) as connection:
+        connection.execute(f"UPDATE topics SET {change}")
+    log = open_log(sound)
+    assert (log.topic, log.counts.usable, len(log.damage)) == ("/scan", SCANS, 1)
