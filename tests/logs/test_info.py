@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,7 @@ import pytest
 from log_files import drive, foxglove_json, laser, write_mcap
 
 from mavnav.cli import run
+from mavnav.logs import survey
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -115,3 +117,13 @@ def test_table_shows_names_as_they_are_and_warns_on_stderr(tmp_path: Path, capsy
     assert "\x1b" not in out + err
     assert "2 usable of 3, 1 duplicate stamp" in out
     assert "1 of 3 scans skipped" in err
+
+
+def test_sha256_counts_the_zeros_of_holes(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        for text in (b"one", b"two"):
+            file.write(text)
+            file.seek(5_000_000, 1)
+        file.truncate()
+    assert survey(path).sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
