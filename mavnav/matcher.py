@@ -152,9 +152,11 @@ def search_lines(
     config: Config,
     refine: int = 1,
     prior: float = 0.0,
+    hold_above_m: float | None = None,
 ) -> Match:
     """Search once, within ``window`` (half-widths, m and rad) of ``start``; ``refine`` multiplies the grid.
 
+    Levels of a half-window above ``hold_above_m`` (a cell, unless told), up to the configured one, hold points' lines.
     ``prior`` is what a squared metre away from the start adds to the cost; it decides where the walls do not.
     """
     robust, grid = config.robust, config.grid.refined(refine)
@@ -172,6 +174,7 @@ def search_lines(
                 ALTERNATIONS,
                 prior,
                 robust.hold_below_mm * MM,
+                line_map.cell_m if hold_above_m is None else hold_above_m,
             ]
         ),
         line_map.nearest,

@@ -223,11 +223,14 @@ class Robust:
         self.grid.insert(map_T_laser, xy_map_m)
 
     def place(self, scan: Scan, match: Match) -> Match:
-        """Place the scan as it was recorded, not de-skewed, so that pose and raw ranges fit together."""
+        """Place the scan as it was recorded, not de-skewed, so that pose and raw ranges fit together.
+
+        The map is finished and the place nearly known: points hold their lines on every level.
+        """
         robust = self.config.robust
         points = self.match_points(scan)
         window = (robust.final_window_mm * MM, robust.final_window_deg * DEG)
-        placed = search_lines(points, self.lines, match.map_T_laser, window, self.config)
+        placed = search_lines(points, self.lines, match.map_T_laser, window, self.config, hold_above_m=0.0)
         return with_effort(placed, match, placed)
 
     @timed("cleaning")

@@ -502,9 +502,9 @@ def search(
     points : (n, 2) points in the laser's frame, m, in an order that makes any prefix a fair sample
     start : (3,) predicted pose: x, y (m), yaw (rad)
     grid : (5,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most, 1 to prune
-    limits : (9,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
+    limits : (10,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
         points of the first level where it is wide, alternations a level, what a squared metre away from the start
-        costs a point, and the half-window (m) up to which, down to a cell, lines are held
+        costs a point, and the half-windows (m) up to which and above which lines are held
     nearest, lines, geometry : the map, see ``linemap``
     """
     n = len(points)
@@ -522,7 +522,7 @@ def search(
     evaluations, grids, converged, form = 0, 0, 0.0, np.zeros((5, 5))
     for level in range(MAX_LEVELS):
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
-        held = geometry[2] < window[0] <= limits[8]
+        held = limits[9] < window[0] <= limits[8]
         used = sample if level == 0 and not held else centred
         for turn in range(turns + extensions if held else 0):
             _form(used, at, window, form, nearest, lines, geometry)

@@ -162,7 +162,7 @@ def test_cost_is_its_twin() -> None:
 def test_search_is_its_twin(grid: tuple[int, ...], prior: float) -> None:
     line_map, points = furnished_map()
     start = np.array([3.06, 2.12, 1.1])
-    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, 1e9, 2, prior, 0.0])
+    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, 1e9, 2, prior, 0.0, 0.0])
     found = linesearch.search(points, start, np.array([*grid, 1.0]), limits, *arrays(line_map))
 
     def cost(x: float, y: float, yaw: float) -> float:
