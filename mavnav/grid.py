@@ -103,7 +103,8 @@ class Grid:
         new_origin, shape = grown
         self._check_size(shape)
         dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
-        self.hits, self.passes = moved(self.hits, shape, dr, dc), moved(self.passes, shape, dr, dc)
+        self.hits = moved(self.hits, shape, dr, dc)  # one by one: the old array goes before the next is made
+        self.passes = moved(self.passes, shape, dr, dc)
         self.through = moved(self.through, shape, dr, dc)
         self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 SMALL_BYTES = 1 << 22
 """Below, memory is not worth the care; from there on numpy asks for pages of 2 MB, each of which counts as a whole."""
 
-STRIP_ROWS, STRIP_COLS = 64, 1024
+STRIP_ROWS, STRIP_COLS = 16, 1024
 MARGIN = 8
 """A lattice grows by an eighth of its extent at least: so it is copied rarely, and blank margins cost nothing."""
 

@@ -92,7 +92,8 @@ class LineMap:
             return
         new_origin, shape = grown
         dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
-        self.nearest, self.closeness = moved(self.nearest, shape, dr, dc), moved(self.closeness, shape, dr, dc)
+        self.nearest = moved(self.nearest, shape, dr, dc)
+        self.closeness = moved(self.closeness, shape, dr, dc)
         self.cells[1 : self.count] += np.array([dr, dc], np.int32)
         self.origin_cells = new_origin
 

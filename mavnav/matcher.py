@@ -152,12 +152,13 @@ def search_lines(
     config: Config,
     refine: int = 1,
     prior: float = 0.0,
-    truncate_m: float | None = None,
+    *,
+    final: bool = False,
 ) -> Match:
     """Search once, within ``window`` (half-widths, m and rad) of ``start``; ``refine`` multiplies the grid.
 
-    ``prior`` is what a squared metre away from the start adds to the cost; it decides where the walls do not.
-    Distances are capped at ``truncate_m``, or as configured.
+    ``prior`` is what a squared metre away from the start adds to the cost; it decides where the walls do not. In the
+    final pass, whose map is finished, points hold their lines on every level.
     """
     robust, grid = config.robust, config.grid.refined(refine)
     x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
@@ -169,12 +170,13 @@ def search_lines(
                 *window,
                 robust.stop_mm * MM,
                 robust.stop_deg * DEG,
-                truncate_m or robust.truncate_mm * MM,
+                (robust.final_truncate_mm if final else robust.truncate_mm) * MM,
                 robust.first_level_points,
                 ALTERNATIONS,
                 prior,
                 robust.hold_below_mm * MM,
-                robust.overlap_mm * MM,
+                0.0 if final else line_map.cell_m,
+                0.0 if final else robust.overlap_mm * MM,
             ]
         ),
         line_map.nearest,

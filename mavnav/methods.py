@@ -243,8 +243,7 @@ class Robust:
         robust = self.config.robust
         points = self.match_points(scan)
         window = (robust.final_window_mm * MM, robust.final_window_deg * DEG)
-        truncate_m = robust.final_truncate_mm * MM
-        placed = search_lines(points, self.lines, match.map_T_laser, window, self.config, truncate_m=truncate_m)
+        placed = search_lines(points, self.lines, match.map_T_laser, window, self.config, final=True)
         return with_effort(placed, match, placed)
 
     @timed("cleaning")

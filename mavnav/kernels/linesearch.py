@@ -536,10 +536,10 @@ def search(
     points : (n, 2) points in the laser's frame, m, in an order that makes any prefix a fair sample
     start : (3,) predicted pose: x, y (m), yaw (rad)
     grid : (5,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most, 1 to prune
-    limits : (10,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
+    limits : (11,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
         points of the first level where it is wide, alternations a level, what a squared metre away from the start
-        costs a point, the half-window (m) up to which, down to a cell, lines are held, and how near (m) an occupied
-        cell must be to a point that decides the levels within a cell
+        costs a point, the half-windows (m) up to which and above which lines are held, and how near (m) an occupied
+        cell must be to a point that decides the levels within a cell (0: all do)
     nearest, closeness, lines, geometry : the map, see ``linemap``
     """
     n = len(points)
@@ -554,11 +554,11 @@ def search(
     at = np.array([at_x, at_y, start[2], at_x, at_y])
     window = np.array([limits[0], limits[1], limits[7], truncate_m2, grid[4]])
 
-    deciding, settled = centred, limits[9] == 0
+    deciding, settled = centred, limits[10] == 0
     evaluations, grids, converged, form = 0, 0, 0.0, np.zeros((5, 5))
     for level in range(MAX_LEVELS):
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
-        held = geometry[2] < window[0] <= limits[8]
+        held = limits[9] < window[0] <= limits[8]
         used = sample if level == 0 and not held else deciding
         for turn in range(turns + extensions if held else 0):
             _form(used, at, window, form, nearest, lines, geometry)
@@ -590,7 +590,7 @@ def search(
                     break
         if window[0] <= geometry[2] and not settled:
             # Points on new ground lower the cost by falling back onto the map: the others decide, from this level on.
-            settled, deciding = True, _drawn(centred, at, limits[9], closeness, geometry)
+            settled, deciding = True, _drawn(centred, at, limits[10], closeness, geometry)
             right, up = deciding[0].mean(), deciding[1].mean()
             pivot_x, pivot_y = pivot_x + right, pivot_y + up
             for points_m in (centred, deciding):
