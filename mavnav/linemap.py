@@ -47,6 +47,10 @@ class LineMap:
         col, row = self.origin_cells
         return np.array([col * self.cell_m, row * self.cell_m, self.cell_m, self.line_sigma_m, self.line_noise_m])
 
+    def closeness_at(self, distance_m: float) -> float:
+        """Return the ``closeness`` of a cell whose nearest occupied one is so far away, m."""
+        return FAR + 1 - 1e-9 - (distance_m / self.cell_m) ** 2
+
     @timed("field update")
     def insert(self, xy_map_m: NDArray[np.float64]) -> None:
         """Add points (n, 2), in m, and refit the lines around them."""

@@ -176,7 +176,7 @@ def search_lines(
                 prior,
                 robust.hold_below_mm * MM,
                 0.0 if final else line_map.cell_m,
-                0.0 if final else robust.overlap_mm * MM,
+                line_map.closeness_at(robust.overlap_mm * MM) if robust.overlap_mm and not final else 0.0,
             ]
         ),
         line_map.nearest,

@@ -26,7 +26,6 @@ import numpy as np
 from numba import float64, int32, int64, types, uint8, uint64, void
 
 from mavnav.kernels._jit import kernel
-from mavnav.kernels.linemap import FAR
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -492,12 +491,12 @@ def _least_of_form(form: NDArray[np.float64], window: NDArray[np.float64], azimu
 def _drawn(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
-    overlap_m: float,
+    least: float,
     closeness: NDArray[np.uint8],
     geometry: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the points (2, m) that have an occupied cell within ``overlap_m``; all, if those are too few."""
-    n, count, least = points.shape[1], 0, FAR + 1 - 1e-9 - (overlap_m / geometry[2]) ** 2
+    """Return the points (2, m) that are at least so close to an occupied cell; all, if those are too few."""
+    n, count = points.shape[1], 0
     kept = np.empty(n, np.int64)
     x, y = np.empty(n), np.empty(n)
     _rotate(points, at[2], x, y)
@@ -538,8 +537,8 @@ def search(
     grid : (5,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most, 1 to prune
     limits : (11,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
         points of the first level where it is wide, alternations a level, what a squared metre away from the start
-        costs a point, the half-windows (m) up to which and above which lines are held, and how near (m) an occupied
-        cell must be to a point that decides the levels within a cell (0: all do)
+        costs a point, the half-windows (m) up to which and above which lines are held, and the closeness of the
+        points that decide the levels within a cell
     nearest, closeness, lines, geometry : the map, see ``linemap``
     """
     n = len(points)

@@ -199,7 +199,8 @@ def test_search_is_its_twin(grid: tuple[int, ...], prior: float, overlap_m: floa
     line_map, points = furnished_map()
     points = np.concatenate((points, np.random.default_rng(5).uniform(-3, 3, (8, 2))))
     start = np.array([3.06, 2.12, 1.1])
-    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, 1e9, 2, prior, 0.0, 0.0, overlap_m])
+    least = line_map.closeness_at(overlap_m) if overlap_m else 0.0
+    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, 1e9, 2, prior, 0.0, 0.0, least])
     found = linesearch.search(points, start, np.array([*grid, 1.0]), limits, *arrays(line_map))
 
     def terms(deciding: np.ndarray) -> Terms:
@@ -223,7 +224,7 @@ def test_drawn_points_are_their_twin(pose: tuple[float, float, float], overlap_m
     placed = transform_points(Pose(*pose), points.mean(axis=0)[None])[0]
     centred = np.ascontiguousarray((points - points.mean(axis=0)).T)
     at = np.array([*placed, pose[2], *placed])
-    fast = linesearch._drawn(centred, at, overlap_m, line_map.closeness, line_map.geometry)
+    fast = linesearch._drawn(centred, at, line_map.closeness_at(overlap_m), line_map.closeness, line_map.geometry)
     slow = naive.drawn(points, pose, line_map, overlap_m)
     np.testing.assert_allclose(fast.T + points.mean(axis=0), slow, atol=1e-9)
 
@@ -232,7 +233,7 @@ def test_search_finds_the_pose_and_counts_its_work() -> None:
     line_map, points = furnished_map()
     x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
         points, np.array([3.2, 2.0, 1.2]), np.array([20.0, 10, 10, 3, 1]),
-        np.array([0.35, 0.35, 0.001, math.radians(0.02), 0.15, 120, 2, 0, 0.0, 0.0, 0.04]), *arrays(line_map),
+        np.array([0.35, 0.35, 0.001, math.radians(0.02), 0.15, 120, 2, 0, 0.0, 0.0, 61.0]), *arrays(line_map),
     )  # fmt: skip
     assert math.hypot(x - 3.0, y - 2.2) < 0.01
     assert abs(yaw - 1.0) < 0.005
@@ -253,7 +254,7 @@ def test_points_off_the_map_cost_the_truncation() -> None:
     line_map, points = furnished_map()
     found = linesearch.search(
         points, np.array([-500.0, 800.0, 0.0]), np.array([4.0, 3, 3, 1, 1]),
-        np.array([0.1, 0.1, 0.05, 0.05, 0.15, 120, 1, 0, 0.0, 0.0, 0.04]), *arrays(line_map),
+        np.array([0.1, 0.1, 0.05, 0.05, 0.15, 120, 1, 0, 0.0, 0.0, 61.0]), *arrays(line_map),
     )  # fmt: skip
     assert found[3] == pytest.approx(0.15**2)
     assert found[4] == 0.0
