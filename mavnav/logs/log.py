@@ -13,7 +13,7 @@ from mavnav.logs.frames import BASE_FRAMES, mounting
 from mavnav.logs.ledger import Ledger
 from mavnav.logs.messages import DecodeError
 from mavnav.logs.records import Damage, Gap, Odometry, ScanCounts, Topic
-from mavnav.logs.stamps import StampSource, Timeline, period_and_gaps
+from mavnav.logs.stamps import KEPT_BYTES, StampSource, Timeline, period_and_gaps
 from mavnav.logs.survey import Survey, survey
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 _MOST_NAMED: Final = 8
 _MOST_WAITING: Final = 64
 _WAITING_BYTES: Final = 64 << 20
-_KEPT_BYTES: Final = 32 << 20
-"""Scans of shorter logs are kept once they have all been read: decoding costs more than the memory."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +68,7 @@ class Log:
     strict: bool
     _order: NDArray[np.int64] = field(repr=False, compare=False)
     _stamps_ns: NDArray[np.int64] = field(repr=False, compare=False)
+    _ranges: list[tuple[LaserSpec, NDArray[np.float64]]] | None = field(default=None, repr=False, compare=False)
     _kept: list[Scan] = field(default_factory=list, repr=False, compare=False)
 
     @property
@@ -82,7 +81,7 @@ class Log:
         if self._kept:
             return iter(self._kept)
         scans = each("reading", self._scans())
-        return self._keeping(scans) if 8 * self.sensor.beams * len(self._order) <= _KEPT_BYTES else scans
+        return self._keeping(scans) if 8 * self.sensor.beams * len(self._order) <= KEPT_BYTES else scans
 
     def _keeping(self, scans: Iterator[Scan]) -> Iterator[Scan]:
         read = []
@@ -113,6 +112,9 @@ class Log:
 
     def _admitted(self) -> Iterator[tuple[LaserSpec, NDArray[np.float64]]]:
         """Yield the scans that the door admits, in the order of the file."""
+        if self._ranges is not None:
+            yield from self._ranges
+            return
         ledger = Ledger()  # the survey told everything already
         door = Door(self.topic, ledger.warn)
         for message in _laser_messages(self.path, self.topic, ledger, strict=self.strict):
@@ -219,6 +221,7 @@ def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extri
         strict=found.strict,
         _order=timeline.order,
         _stamps_ns=timeline.stamps_ns,
+        _ranges=scans.ranges,
     )
     return _with_motion(log, found, odom, extrinsic)
 

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 StampSource = Literal["header", "log"]
 Window = tuple[float | None, float | None]
 
+KEPT_BYTES: Final = 32 << 20
+"""Scans of shorter logs are kept once they have been read: decoding costs more than the memory."""
+
 _LATEST_NS: Final = 1 << 62
 _GAP_PERIODS: Final = 3.0
 _SUSPECT_OFFSET_NS: Final = 10_000_000_000
@@ -90,18 +93,28 @@ class Timeline:
 class TopicScans:
     """The scans of one topic: those that the door admitted in the order of the file, and the number of all others.
 
-    Some 50 bytes a scan. ``doubt`` says why the whole topic cannot be what it claims, as where its unit is wrong.
+    Some 50 bytes a scan. ``ranges`` are the admitted scans themselves, so that a short log is read once; None where
+    they would take more than `KEPT_BYTES`. ``doubt`` says why the whole topic cannot be what it claims, as where its
+    unit is wrong.
     """
 
     total: int = 0
     refused: Counter[str] = field(default_factory=Counter)
     doubt: str = ""
+    ranges: list[tuple[LaserSpec, NDArray[np.float64]]] | None = field(default_factory=list)
     _header_ns: array[int] = field(default_factory=lambda: array("q"))
     _log_ns: array[int] = field(default_factory=lambda: array("q"))
     _kind: array[int] = field(default_factory=lambda: array("I"))
     _suspect: bytearray = field(default_factory=bytearray)
     _cleaning: array[int] = field(default_factory=lambda: array("I"))
     _kinds: list[tuple[LaserSpec, str]] = field(default_factory=list)
+
+    def keep(self, spec: LaserSpec, ranges_m: NDArray[np.float64]) -> None:
+        """Keep an admitted scan, as long as there are few."""
+        if self.ranges is not None:
+            self.ranges.append((spec, ranges_m))
+            if ranges_m.nbytes * len(self.ranges) > KEPT_BYTES:
+                self.ranges = None
 
     def add(
         self, stamps_ns: tuple[int, int], spec: LaserSpec, frame_id: str, counts: NDArray[np.int64], *, suspect: bool

@@ -116,7 +116,8 @@ class _Pass:
         if isinstance(admitted, str):
             scans.refused[admitted] += 1
             return
-        spec, _, counts = admitted
+        spec, ranges_m, counts = admitted
+        scans.keep(spec, ranges_m)
         scans.add((laser.stamp_ns, message.log_ns), spec, laser.frame_id, counts, suspect=message.suspect)
 
     def _refuse(self, channel: Channel, reason: str) -> None:
