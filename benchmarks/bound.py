@@ -1,0 +1,82 @@
+"""What bounds the search: nanoseconds a point of an evaluation, whole, without its arithmetic, without its look-ups.
+
+    python benchmarks/bound.py [LOG]
+
+An evaluation reads of each point its place (16 bytes), the number of the line of the cell (4) and the line (40), and
+does some 20 operations. Both parts are timed apart, on the same points of a finished map, in one run.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+from numba import njit
+
+from mavnav import slam
+from mavnav.config_file import load_config
+from mavnav.kernels import linesearch
+from mavnav.logs import open_log
+from mavnav.methods import Robust
+from mavnav.pose import transform_points
+
+SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
+REPEATS = 300
+
+
+@njit(error_model="numpy")
+def look_ups(slots: np.ndarray, lines: np.ndarray) -> float:
+    total = 0.0
+    for k in range(len(slots)):
+        line = np.uint64(slots[k])
+        total += lines[line, 0] + lines[line, 1] + lines[line, 2] + lines[line, 3] + lines[line, 4]
+    return total
+
+
+@njit(error_model="numpy")
+def arithmetic(x: np.ndarray, y: np.ndarray, line: np.ndarray, geometry: np.ndarray) -> float:
+    total, inverse = 0.0, 1.0 / geometry[2]
+    for k in range(len(x)):
+        fx, fy = (x[k] - geometry[0]) * inverse, (y[k] - geometry[1]) * inverse
+        dx, dy = x[k] - line[0], y[k] - line[1]
+        d2 = dx * dx * line[2] + 2.0 * dx * dy * line[3] + dy * dy * line[4]
+        total += min(d2, 0.0225) + 0.0 * (int(fx) + int(fy))
+    return total
+
+
+def nanoseconds(work: Callable[[], object], points: int) -> float:
+    """Return the least time of ten runs, a point."""
+    work()
+    best = np.inf
+    for _ in range(10):
+        began_s = process_time()
+        for _ in range(REPEATS):
+            work()
+        best = min(best, process_time() - began_s)
+    return best / REPEATS / points * 1e9
+
+
+def main() -> None:
+    """Time the parts on the last scan of a log."""
+    path = Path(sys.argv[1]) if len(sys.argv) > 1 else SAMPLE
+    log, config = open_log(path, odom="off"), load_config(None, [], {"odom": "off"})
+    method, steps = slam.Start(config, log.period_s, None).tracked(log.scans())
+    assert isinstance(method, Robust)
+    lines, scan = method.lines, list(log.scans())[-1]
+    xy = np.tile(transform_points(steps[-1].match.map_T_laser, method.match_points(scan)), (8, 1))
+    x, y = np.ascontiguousarray(xy.T)
+    cells = np.floor((xy - lines.geometry[:2]) / lines.cell_m).astype(int)
+    slots = lines.nearest[cells[:, 1], cells[:, 0]]
+    arrays = (lines.nearest, lines.lines, lines.geometry)
+    whole = nanoseconds(lambda: linesearch._cost_sum(x, y, np.zeros(2), 0.0225, *arrays, np.inf), len(x))  # noqa: SLF001
+    loads = nanoseconds(lambda: look_ups(slots, lines.lines), len(x))
+    sums = nanoseconds(lambda: arithmetic(x, y, lines.lines[slots[0]], lines.geometry), len(x))
+    print(f"{path.name}: {whole:.1f} ns a point; look-ups alone {loads:.1f}, arithmetic alone {sums:.1f}")
+    print(f"60 bytes a point: {60 / whole:.1f} GB/s")
+
+
+if __name__ == "__main__":
+    main()
