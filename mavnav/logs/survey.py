@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from mavnav.logs.messages import LaserMessage
 
 _PROGRESS_STEPS = 200
-_ZEROS = memoryview(bytes(1 << 20))
+_ZEROS = memoryview(bytes(1 << 16))
 
 
 @dataclass(frozen=True)
