@@ -95,8 +95,10 @@ class RobustConfig(_Strict):
         50.0, ge=0, description="half-width of the search about the prediction that often suffices; 0 leaves it out"
     )
     near_window_deg: float = Field(5.0, gt=0, description="half-width of that search in azimuth")
-    window_mm: float = Field(350.0, gt=0, description="half-width of the first search in the plane")
-    window_deg: float = Field(20.0, gt=0, description="half-width of the first azimuth search")
+    window_mm: float = Field(
+        350.0, gt=0, description="from the prediction, how far a search looks that nearer did not convince"
+    )
+    window_deg: float = Field(20.0, gt=0, description="how far that search looks in azimuth")
     final_window_mm: float = Field(50.0, gt=0, description="half-width of the final pass in the plane")
     final_window_deg: float = Field(3.0, gt=0, description="half-width of the final pass in azimuth")
     final_truncate_mm: float = Field(50.0, gt=0, description="distances are capped here in the final pass")

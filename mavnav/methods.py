@@ -21,7 +21,7 @@ from mavnav.matcher import (
 )
 from mavnav.motion import LONGEST_S
 from mavnav.pose import Pose, transform_points
-from mavnav.relocalise import best_of, candidates, everywhere, judged, within_reach
+from mavnav.relocalise import around, best_of, candidates, everywhere, judged, within_reach
 from mavnav.stages import timed
 from mavnav.units import DEG, MM, MM2
 
@@ -40,6 +40,10 @@ REGAIN_S = 0.5  # without a believed pose for longer, chance agreements are like
 
 INSIDE = 0.5
 """Share of the near window within which a match is believed: beyond, the laser may be outside of it."""
+
+
+NEAR_MINIMA = 3
+"""So many separate minima of the cost near the prediction are refined: the lowest of a coarse lattice may mislead."""
 
 
 REACHABLE = 1.0
@@ -153,9 +157,6 @@ class Robust:
         self.config = config
         self.known = self.grid = Grid(robust.cell_mm * MM)
         self.lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
-        near = (robust.near_window_mm * MM, robust.near_window_deg * DEG)
-        wide = (robust.window_mm * MM, robust.window_deg * DEG)
-        self._windows = [(near, INSIDE), (wide, np.inf)] if robust.near_window_mm else [(wide, np.inf)]
 
     def first(self, scan: Scan) -> Match:
         """Begin the map with any scan of enough points."""
@@ -168,16 +169,28 @@ class Robust:
         points = self.match_points(scan, motion)
         if len(points) < robust.min_points:
             return no_match(predicted, len(points))
-        prior = 0.0 if motion.odometry is None else robust.prior
-        tried: list[Match] = []
-        for window, believed in self._windows:
-            found = search_lines(points, self.lines, predicted, window, self.config, prior=prior)
-            tried.append(judged(found, points, self.known))
-            off = predicted.between(found.map_T_laser)
-            inside = off.distance_m <= believed * window[0] and abs(off.yaw_rad) <= believed * window[1]
-            if inside and self._convinces(tried[-1]) and self._possible(tried[-1], scan, motion):
-                return with_effort(tried[-1], *tried)
+        tried = self._look_near(points, predicted, motion) if robust.near_window_mm else []
+        if tried and self._inside(tried[0], predicted) and self._believable(tried[0], scan, motion):
+            return tried[0]
+        region = around(predicted, robust.window_mm * MM, robust.window_deg * DEG)
+        tried += candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
+        best = min(tried, key=lambda match: match.cost_m2)
+        if self._believable(best, scan, motion):
+            return with_effort(best, *tried)
         return self._match_wide(scan, predicted, motion, points, tried)
+
+    def _look_near(self, points: NDArray[np.float64], predicted: Pose, motion: Motion) -> list[Match]:
+        """Search close to the prediction."""
+        robust = self.config.robust
+        window = (robust.near_window_mm * MM, robust.near_window_deg * DEG)
+        prior = 0.0 if motion.odometry is None else robust.prior
+        found = search_lines(points, self.lines, predicted, window, self.config, prior=prior)
+        return [judged(found, points, self.known)]
+
+    def _inside(self, near: Match, predicted: Pose) -> bool:
+        robust, off = self.config.robust, predicted.between(near.map_T_laser)
+        half_m, half_rad = robust.near_window_mm * MM, robust.near_window_deg * DEG
+        return off.distance_m <= INSIDE * half_m and abs(off.yaw_rad) <= INSIDE * half_rad
 
     def _match_wide(
         self, scan: Scan, predicted: Pose, motion: Motion, points: NDArray[np.float64], tried: list[Match]
@@ -190,6 +203,9 @@ class Robust:
 
     def _convinces(self, match: Match) -> bool:
         return match.inliers >= self.config.robust.retry_below and match.conflicts <= self.config.robust.conflicts_below
+
+    def _believable(self, match: Match, scan: Scan, motion: Motion) -> bool:
+        return self._convinces(match) and self._possible(match, scan, motion)
 
     def _possible(self, match: Match, scan: Scan, motion: Motion) -> bool:
         """Tell whether a vehicle can have moved so far."""
