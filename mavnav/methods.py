@@ -188,6 +188,7 @@ class Robust:
         return [judged(found, points, self.known)]
 
     def _inside(self, near: Match, predicted: Pose) -> bool:
+        """Tell whether a match lies so far within the near window that the laser cannot be beyond it."""
         robust, off = self.config.robust, predicted.between(near.map_T_laser)
         half_m, half_rad = robust.near_window_mm * MM, robust.near_window_deg * DEG
         return off.distance_m <= INSIDE * half_m and abs(off.yaw_rad) <= INSIDE * half_rad

@@ -13,7 +13,19 @@ from mavnav.commands import signals
 from mavnav.commands.batch_rows import print_verdict, telling
 from mavnav.commands.cell_progress import watching
 from mavnav.commands.gating import Gates
-from mavnav.commands.options import ConfigFile, End, Extrinsic, Odom, Online, Quiet, Sets, Start, Strict, Topic
+from mavnav.commands.options import (
+    ConfigFile,
+    End,
+    Extrinsic,
+    Odom,
+    Online,
+    Quiet,
+    RunAgain,
+    Sets,
+    Start,
+    Strict,
+    Topic,
+)
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.replay import pose
 from mavnav.commands.terminal import emit, note
@@ -116,7 +128,7 @@ def batch(
     strict: Strict = False,
     pages: Annotated[bool, typer.Option("--report", help="Draw a page of every run too.")] = False,
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON Schema of manifests.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Run again what was run before.")] = False,
+    force: RunAgain = False,
     json: Annotated[
         bool, typer.Option("--json", help="A line of JSON a run on stdout, and a last one on all.")
     ] = False,

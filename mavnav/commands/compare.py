@@ -11,7 +11,7 @@ from mavnav.commands.cell_progress import watching
 from mavnav.commands.comparison_table import print_comparison
 from mavnav.commands.gating import Gates, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
-from mavnav.commands.options import ConfigFile, End, Extrinsic, Odom, Online, Quiet, Sets, Start, Topic
+from mavnav.commands.options import ConfigFile, End, Extrinsic, Odom, Online, Quiet, RunAgain, Sets, Start, Topic
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.references import RelationsFile, Truth, TruthMap
 from mavnav.commands.replay import pose
@@ -81,7 +81,7 @@ def compare(
     config: ConfigFile = None,
     sets: Sets = None,
     preview: Preview = False,
-    force: Annotated[bool, typer.Option("--force", help="Run again what was run before.")] = False,
+    force: RunAgain = False,
     json: Annotated[bool, typer.Option("--json", help="Print comparison.json on stdout and nothing else.")] = False,
     quiet: Quiet = False,
 ) -> None:

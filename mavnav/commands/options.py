@@ -25,4 +25,5 @@ Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of it.", show_default=False)
 ]
 Strict = Annotated[bool, typer.Option("--strict", help="Leave out scans from where a checksum does not match.")]
+RunAgain = Annotated[bool, typer.Option("--force", help="Run again what was run before.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]

@@ -501,10 +501,8 @@ def _drawn(
     x, y = np.empty(n), np.empty(n)
     _rotate(points, at[2], x, y)
     for k in range(n):
-        col, row = (
-            np.floor((x[k] + at[0] - geometry[0]) / geometry[2]),
-            np.floor((y[k] + at[1] - geometry[1]) / geometry[2]),
-        )
+        col = np.floor((x[k] + at[0] - geometry[0]) / geometry[2])
+        row = np.floor((y[k] + at[1] - geometry[1]) / geometry[2])
         inside = 0 <= col < closeness.shape[1] and 0 <= row < closeness.shape[0]
         if inside and closeness[int64(row), int64(col)] >= least:
             kept[count] = k
