@@ -17,6 +17,10 @@ SURELY = 10
 """A map file tells occupied from free and no counts: so many beams shall have said so of every cell."""
 
 
+TIE = 1e-9
+"""Of a cell, what rounding must not decide: a middle on an edge of the old cells belongs to the upper one."""
+
+
 @dataclass(frozen=True, slots=True)
 class KnownMap:
     """A map in its own frame: what is known of its cells, the middles of the occupied ones (n, 2), m.
@@ -45,8 +49,8 @@ def _upright(grid: Grid, map_T_grid: Pose) -> Grid:
     x, y = ((np.arange(low[k], high[k]) + 0.5) * cell_m for k in (0, 1))
     back = map_T_grid.inverse()
     c, s = np.cos(back.yaw_rad), np.sin(back.yaw_rad)
-    col = np.floor((back.x_m + c * x - s * y[:, None] - ox) / cell_m).astype(np.int64)
-    row = np.floor((back.y_m + s * x + c * y[:, None] - oy) / cell_m).astype(np.int64)
+    col = np.floor((back.x_m + c * x - s * y[:, None] - ox) / cell_m + TIE).astype(np.int64)
+    row = np.floor((back.y_m + s * x + c * y[:, None] - oy) / cell_m + TIE).astype(np.int64)
     inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
     row, col = np.where(inside, row, 0), np.where(inside, col, 0)
     hits, passes = (

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from synthetic import DEG, TOUR, Recording, Segments, along, box, furnished_rooms, polyline, record, room
 
@@ -121,6 +121,7 @@ def test_a_laser_that_is_somewhere_else_is_lost() -> None:
 
 
 @given(st.floats(-20.0, 20.0), st.floats(-20.0, 20.0), st.floats(-3.2, 3.2))
+@example(0.0, 0.65, 0.0)  # middles on the edges of old cells
 def test_a_grid_is_brought_to_its_map_frame(x_m: float, y_m: float, yaw_rad: float) -> None:
     rng = np.random.default_rng(0)
     hits = (rng.random((7, 11)) < 0.3).astype(np.int32)
