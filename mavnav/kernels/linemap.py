@@ -56,10 +56,13 @@ def _fit(slot: int, noise_m: float, moments: NDArray[np.float64], lines: NDArray
     l1 = half + np.sqrt(diff * diff + cxy * cxy)
     s2 = noise_m * noise_m
     scale = 1.0 / (l1 + s2)
-    lines[slot, 0], lines[slot, 1] = mx, my
-    lines[slot, 2] = (cyy + s2) * scale
-    lines[slot, 3] = -cxy * scale
-    lines[slot, 4] = (cxx + s2) * scale
+    axx, axy, ayy = (cyy + s2) * scale, -cxy * scale, (cxx + s2) * scale
+    # Along the wall the window's centroid lies where most points are: there the cell's own holds its place.
+    own_x, own_y = moments[slot, 1] / moments[slot, 0], moments[slot, 2] / moments[slot, 0]
+    dx, dy = mx - own_x, my - own_y
+    lines[slot, 0], lines[slot, 1] = own_x + axx * dx + axy * dy, own_y + axy * dx + ayy * dy
+    lines[slot, 2], lines[slot, 3], lines[slot, 4] = axx, axy, ayy
+    lines[slot, 5] = moments[slot, 6]
 
 
 @kernel(float64[:, ::1](float64, float64))

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MAX_LEVELS = 40
-FEWEST_DRAWN = 0.3  # share of the points below which even those on new ground decide
+FEWEST_DRAWN = 0.5  # share of the points below which even those on new ground decide
 CHUNK = 32  # points between two looks at the bound
 RECTANGLE_COST = 3  # of a polynomial on a rectangle of candidates, in candidates summed point by point
 ARC_COST = 30  # of the polynomials along an arc of two cells, in azimuths summed point by point
@@ -487,12 +487,15 @@ def _least_of_form(form: NDArray[np.float64], window: NDArray[np.float64], azimu
 # ---- coarse to fine --------------------------------------------------------------------------------------------------
 
 
-@kernel(float64[:, ::1](_F2, _F1, float64, _U2, _F1))
+@kernel(float64[:, ::1](_F2, _F1, float64, float64, _I2, _U2, _F2, _F1))
 def _drawn(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
     least: float,
+    most_n: float,
+    nearest: NDArray[np.int32],
     closeness: NDArray[np.uint8],
+    lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return the points (2, m) that are at least so close to an occupied cell; all, if those are too few."""
@@ -504,7 +507,7 @@ def _drawn(
         col = np.floor((x[k] + at[0] - geometry[0]) / geometry[2])
         row = np.floor((y[k] + at[1] - geometry[1]) / geometry[2])
         inside = 0 <= col < closeness.shape[1] and 0 <= row < closeness.shape[0]
-        if inside and closeness[int64(row), int64(col)] >= least:
+        if inside and closeness[int64(row), int64(col)] >= least and lines[nearest[int64(row), int64(col)], 5] >= most_n:
             kept[count] = k
             count += 1
     if count < FEWEST_DRAWN * n:
@@ -587,7 +590,7 @@ def search(
                     break
         if window[0] <= geometry[2] and not settled:
             # Points on new ground lower the cost by falling back onto the map: the others decide, from this level on.
-            settled, deciding = True, _drawn(centred, at, limits[10], closeness, geometry)
+            settled, deciding = True, _drawn(centred, at, limits[10], limits[11], nearest, closeness, lines, geometry)
             right, up = deciding[0].mean(), deciding[1].mean()
             pivot_x, pivot_y = pivot_x + right, pivot_y + up
             for points_m in (centred, deciding):
