@@ -27,12 +27,13 @@ class LineMap:
     """A growing map of local lines; see ``mavnav.kernels.linemap`` for the arrays.
 
     ``origin_cells`` is the lattice index (col, row) of cell [0, 0], so that the map frame's origin is a corner of
-    cells however the map grows.
+    cells however the map grows. Ground is known where a line rests on ``known_points`` points (``linesearch``).
     """
 
     cell_m: float
     line_sigma_m: float
     line_noise_m: float
+    known_points: float = 0.0
     origin_cells: tuple[int, int] = (0, 0)
     count: int = 1
     nearest: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 0), np.int32))

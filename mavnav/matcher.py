@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import os
 import numpy as np
 
 from mavnav.kernels import linesearch, polarsearch
@@ -178,7 +177,7 @@ def search_lines(
                 robust.hold_below_mm * MM,
                 0.0 if final else line_map.cell_m,
                 line_map.closeness_at(robust.overlap_mm * MM) if robust.overlap_mm and not final else 0.0,
-                float(os.environ.get("MOST_N","0")),
+                line_map.known_points,
             ]
         ),
         line_map.nearest,

@@ -156,7 +156,9 @@ class Robust:
         robust = config.robust
         self.config = config
         self.known = self.grid = Grid(robust.cell_mm * MM)
-        self.lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self.lines = LineMap(
+            robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM, robust.overlap_points
+        )
 
     def first(self, scan: Scan) -> Match:
         """Begin the map with any scan of enough points."""

@@ -8,8 +8,8 @@ Layout shared by this file and ``linesearch``:
 ``closeness`` (rows, cols) uint8  1 more than `FAR` less the squared distance to it in cells; 0 beyond reach
 ``moments``  (capacity, 12) float64  n, sum x, sum y, sum xx, sum xy, sum yy of a cell's points, m in the map
                                   frame; then the same, summed over a window of neighbours with Gaussian weights
-``lines``    (capacity, 8) float64   centroid x, y and the metric a_xx, a_xy, a_yy of the local line; then
-                                  scratch
+``lines``    (capacity, 8) float64   foot x, y and the metric a_xx, a_xy, a_yy of the local line, and the points that it
+                                  rests on; then scratch
 ``geometry`` (5,) float64        origin x, origin y, cell, line sigma, line noise, in m
 """
 
@@ -57,7 +57,7 @@ def _fit(slot: int, noise_m: float, moments: NDArray[np.float64], lines: NDArray
     s2 = noise_m * noise_m
     scale = 1.0 / (l1 + s2)
     axx, axy, ayy = (cyy + s2) * scale, -cxy * scale, (cxx + s2) * scale
-    # Along the wall the window's centroid lies where most points are: there the cell's own holds its place.
+    # Along a wall the window's centroid lies where most points are; there the cell's own centroid stands for it.
     own_x, own_y = moments[slot, 1] / moments[slot, 0], moments[slot, 2] / moments[slot, 0]
     dx, dy = mx - own_x, my - own_y
     lines[slot, 0], lines[slot, 1] = own_x + axx * dx + axy * dy, own_y + axy * dx + ayy * dy

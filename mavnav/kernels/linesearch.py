@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MAX_LEVELS = 40
-FEWEST_DRAWN = 0.5  # share of the points below which even those on new ground decide
+FEWEST_DRAWN = 0.5  # share of the points on known ground below which the others decide too
 CHUNK = 32  # points between two looks at the bound
 LANES = 32
 RECTANGLE_COST = 3  # of a polynomial on a rectangle of candidates, in candidates summed point by point
@@ -551,27 +551,30 @@ def _least_of_form(
 # ---- coarse to fine --------------------------------------------------------------------------------------------------
 
 
-@kernel(float64[:, ::1](_F2, _F1, float64, float64, _I2, _U2, _F2, _F1))
+@kernel(float64[:, ::1](_F2, _F1, _F1, _I2, _U2, _F2, _F1))
 def _drawn(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
-    least: float,
-    most_n: float,
+    known: NDArray[np.float64],
     nearest: NDArray[np.int32],
     closeness: NDArray[np.uint8],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the points (2, m) that are at least so close to an occupied cell; all, if those are too few."""
+    """Return the points (2, m) on known ground; all, if those are too few.
+
+    ``known`` (2,) are the least ``closeness`` of an occupied cell, and the points at least that its line rests on.
+    """
     n, count = points.shape[1], 0
     kept = np.empty(n, np.int64)
     x, y = np.empty(n), np.empty(n)
     _rotate(points, at[2], x, y)
     for k in range(n):
-        col = np.floor((x[k] + at[0] - geometry[0]) / geometry[2])
-        row = np.floor((y[k] + at[1] - geometry[1]) / geometry[2])
-        inside = 0 <= col < closeness.shape[1] and 0 <= row < closeness.shape[0]
-        if inside and closeness[int64(row), int64(col)] >= least and lines[nearest[int64(row), int64(col)], 5] >= most_n:
+        fx, fy = (x[k] + at[0] - geometry[0]) / geometry[2], (y[k] + at[1] - geometry[1]) / geometry[2]
+        if not (0 <= fx < closeness.shape[1] and 0 <= fy < closeness.shape[0]):
+            continue
+        row, col = uint64(fy), uint64(fx)
+        if closeness[row, col] >= known[0] and lines[uint64(nearest[row, col]), 5] >= known[1]:
             kept[count] = k
             count += 1
     if count < FEWEST_DRAWN * n:
@@ -600,10 +603,10 @@ def search(
     points : (n, 2) points in the laser's frame, m, in an order that makes any prefix a fair sample
     start : (3,) predicted pose: x, y (m), yaw (rad)
     grid : (5,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most, 1 to prune
-    limits : (11,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
-        points of a level that is not the last and holds no lines, alternations a level, what a squared metre away from
-        the start costs a point, the half-windows (m) up to which lines are held, and above which they are even when it
-        is settled which points decide, and the closeness of these points: within a cell the others are left out
+    limits : (12,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
+        points of the first level where it is wide, alternations a level, what a squared metre away from the start
+        costs a point, the half-windows (m) up to which lines are held, and above which they are even when it is settled
+        which points decide, and what known ground is (``_drawn``): within a cell the points elsewhere are left out
     nearest, closeness, lines, geometry : the map, see ``linemap``
     """
     n = len(points)
@@ -619,11 +622,11 @@ def search(
 
     deciding, settled, few, none = centred, limits[10] == 0, int(min(n, limits[5])), np.empty(0, np.int64)
     evaluations, grids, converged, form = 0, 0, 0.0, np.zeros((5, 5))
-    for _ in range(MAX_LEVELS):
+    for level in range(MAX_LEVELS):
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
         held = window[0] <= limits[8] and (window[0] > limits[9] or not settled)
         last = max(step_x, step_y) < stop_m and step_rad < stop_rad
-        used = deciding if held or last else deciding[:, :few].copy()
+        used = deciding if held or level > 0 else deciding[:, :few].copy()
         turned = _turns(window[1], azimuths)
         for turn in range(turns + extensions if held else 0):
             _form(used, at, window, form, none, nearest, lines, geometry)
@@ -655,7 +658,7 @@ def search(
                     break
         if window[0] <= geometry[2] and not settled:
             # Points on new ground lower the cost by falling back onto the map: the others decide, from this level on.
-            settled, deciding = True, _drawn(centred, at, limits[10], limits[11], nearest, closeness, lines, geometry)
+            settled, deciding = True, _drawn(centred, at, limits[10:], nearest, closeness, lines, geometry)
             right, up = deciding[0].mean(), deciding[1].mean()
             pivot_x, pivot_y = pivot_x + right, pivot_y + up
             for points_m in (centred, deciding):
