@@ -1,0 +1,32 @@
+"""Kernels come from the disk without the compiler."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import mavnav.kernels.hits
+import mavnav.kernels.points  # noqa: F401  compiled by now
+
+
+def test_machine_code_is_loaded_without_the_compiler() -> None:
+    code = (
+        "import sys, numba\nbefore = set(sys.modules)\nfrom mavnav.kernels.hits import add_scan\n"
+        "assert len(add_scan.overloads) == 1\n"
+        "print(*(set(sys.modules) - before))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"numba.np.polynomial.polynomial_core", "numba.cpython.randomimpl"} & set(done.stdout.split())
+
+
+def test_a_numba_that_keeps_its_code_elsewhere_loads_it_its_own_way() -> None:
+    code = (
+        "from numba.core.caching import Cache\nfrom unittest.mock import patch\nimport numpy as np\n"
+        "load = Cache.load_overload\n"
+        "with patch.object(Cache, 'load_overload', lambda self, *args: Cache._elsewhere(self, *args)):\n"
+        "    Cache._elsewhere = Cache._load_overload\n    del Cache._load_overload\n"
+        "    from mavnav.kernels.points import extent\n"
+        "assert sum(extent.stats.cache_hits.values()) == 1\n"
+        "extent(np.zeros((3, 2)))"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
