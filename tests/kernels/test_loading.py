@@ -16,7 +16,7 @@ def test_machine_code_is_loaded_without_the_compiler() -> None:
         "print(*(set(sys.modules) - before))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not {"numba.np.polynomial.polynomial_core", "numba.cpython.randomimpl"} & set(done.stdout.split())
+    assert "numba.np.polynomial.polynomial_core" not in done.stdout.split()
 
 
 def test_a_numba_that_keeps_its_code_elsewhere_loads_it_its_own_way() -> None:
