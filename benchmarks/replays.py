@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from mavnav.logs import cdr, open_log, ros
-from mavnav.logs.containers import Channel, write_mcap
+from mavnav.logs import cdr, definitions, open_log
+from mavnav.logs.mcap_writer import Channel, write_serialized
 
 HERE = Path(__file__).parent
 SAMPLE = HERE.parent / "sample_logs" / "corridor.mcap"
@@ -57,7 +57,7 @@ def run(log: Path, options: list[str], directory: str) -> tuple[float, float, di
 def cut(log: Path, path: Path) -> None:
     """Write a log of the scans of the first second."""
     found, write = open_log(log, odom="off", end_s=1.0), cdr.scans("laser")
-    with write_mcap(path, {"/scan": Channel(ros.SCAN)}) as put:
+    with write_serialized(path, {"/scan": Channel(definitions.SCAN)}) as put:
         for scan in found.scans():
             put("/scan", scan.stamp_ns, write(scan))
 

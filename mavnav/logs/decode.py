@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
     from mavnav.logs.records import Channel
 
-LASER_TYPES = frozenset({"sensor_msgs/msg/LaserScan", "foxglove.LaserScan"})
+_SCAN_TYPE = "sensor_msgs/msg/LaserScan"
+LASER_TYPES = frozenset({_SCAN_TYPE, "foxglove.LaserScan"})
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 TF_TYPE = "tf2_msgs/msg/TFMessage"
 _TF_TYPES = (TF_TYPE, "tf/msg/tfMessage")
@@ -62,23 +63,30 @@ def _deserializer(encoding: str) -> Callable[[bytes, str], Any]:
     return of_ros1
 
 
+def _deserialized(data: bytes, encoding: str, type_name: str) -> Any:  # noqa: ANN401
+    """Decode a message by its standard definition; raises DecodeError."""
+    from rosbags.serde import SerdeError  # noqa: PLC0415
+
+    try:
+        return _deserializer(encoding)(data, type_name)
+    except (SerdeError, ValueError, IndexError) as error:
+        raise DecodeError(str(error)) from error
+
+
 def _ros(convert: Callable[[Any], Any], type_name: str) -> Callable[[Channel], Callable[[bytes], Any]]:
     def make(channel: Channel) -> Callable[[bytes], Any]:
-        from rosbags.serde import SerdeError  # noqa: PLC0415
-
-        deserialize = _deserializer(channel.encoding)
-
-        def decode(data: bytes) -> Any:  # noqa: ANN401
-            try:
-                return convert(deserialize(data, type_name))
-            except (SerdeError, ValueError, IndexError) as error:
-                if type_name in LASER_TYPES and (scan := laser_of(data, channel.encoding)) is not None:
-                    return scan
-                raise DecodeError(str(error)) from error
-
-        return decode
+        return lambda data: convert(_deserialized(data, channel.encoding, type_name))
 
     return make
+
+
+def _ros_laser(channel: Channel) -> Callable[[bytes], LaserMessage]:
+    """Read scans by their layout: quicker than by definition, of which no scan has need."""
+
+    def decode(data: bytes) -> LaserMessage:
+        return laser_of(data, channel.encoding) or _laser(_deserialized(data, channel.encoding, _SCAN_TYPE))
+
+    return decode
 
 
 def _stamp_ns(stamp: Any) -> int:  # noqa: ANN401  (rosbags generates its classes)
@@ -135,13 +143,14 @@ def _foxglove_protobuf(channel: Channel) -> Callable[[bytes], LaserMessage]:
 
 
 _ROS_KINDS: dict[str, tuple[str, Callable[[Any], Any]]] = {
-    "sensor_msgs/msg/LaserScan": ("sensor_msgs/msg/LaserScan", _laser),
     ODOMETRY_TYPE: (ODOMETRY_TYPE, _odometry),
     **dict.fromkeys(_TF_TYPES, (TF_TYPE, _transforms)),
 }
 DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     ("json", "foxglove.LaserScan"): _foxglove_json,
     ("protobuf", "foxglove.LaserScan"): _foxglove_protobuf,
+    ("cdr", _SCAN_TYPE): _ros_laser,
+    ("ros1", _SCAN_TYPE): _ros_laser,
     **{
         (encoding, name): _ros(convert, decoded_as)
         for name, (decoded_as, convert) in _ROS_KINDS.items()
