@@ -69,13 +69,13 @@ def scan_distances(
                 continue
             px, py = ranges_m[a, i] * directions[i, 0], ranges_m[a, i] * directions[i, 1]
             x, y = ct * px - st * py + tx, st * px + ct * py + ty
-            r = np.hypot(x, y)
+            r = np.sqrt(x * x + y * y)  # a tenth of what hypot takes
             off = (np.arctan2(y, x) - centre + np.pi) % (2.0 * np.pi) - np.pi
             middle, nearest2 = round(off / step + 0.5 * (count - 1)), cap_m * cap_m
             for k in range(count + 2):
                 if r * r * aside2[k] > nearest2:
                     break
-                for beam in (middle - k, middle + k):
+                for beam in (middle - k, middle + k + 1):
                     if beam < 0:
                         beam += turn  # noqa: PLW2901
                     elif beam >= count:
