@@ -150,21 +150,20 @@ def search_lines(
     start: Pose,
     window: tuple[float, float],
     config: Config,
-    refine: int = 1,
     prior: float = 0.0,
     *,
     final: bool = False,
 ) -> Match:
-    """Search once, within ``window`` (half-widths, m and rad) of ``start``; ``refine`` multiplies the grid.
+    """Search once, within ``window`` (half-widths, m and rad) of ``start``.
 
     ``prior`` is what a squared metre away from the start adds to the cost; it decides where the walls do not. In the
     final pass, whose map is finished, points hold their lines on every level.
     """
-    robust, grid = config.robust, config.grid.refined(refine)
+    robust, grid = config.robust, config.grid
     x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
         points,
         start.as_array(),
-        np.array([config.azimuth * refine, grid.nx, grid.ny, robust.max_extensions, config.search == "pruned"], float),
+        np.array([config.azimuth, grid.nx, grid.ny, robust.max_extensions, config.search == "pruned"], float),
         np.array(
             [
                 *window,
