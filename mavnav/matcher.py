@@ -137,8 +137,8 @@ def polar_points(ranges_m: NDArray[np.float64], spec: LaserSpec, mixed_pixel_m: 
     return np.column_stack((r * np.cos(angle), r * np.sin(angle), beam, r, angle))
 
 
-ALTERNATIONS = 2
-"""Turns of azimuth and plane on a level of the robust search."""
+ALTERNATIONS, FINAL_ALTERNATIONS = 2, 1
+"""Turns of azimuth and plane on a level of the robust search; in the final pass it begins where it will end."""
 
 # ---- the robust method: distance to the map's local lines ----------------------------------------------------------
 
@@ -171,7 +171,7 @@ def search_lines(
                 robust.stop_deg * DEG,
                 (robust.final_truncate_mm if final else robust.truncate_mm) * MM,
                 robust.first_level_points,
-                ALTERNATIONS,
+                FINAL_ALTERNATIONS if final else ALTERNATIONS,
                 prior,
                 robust.hold_below_mm * MM,
                 0.0 if final else line_map.cell_m,

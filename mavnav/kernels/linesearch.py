@@ -127,9 +127,10 @@ def _fold(sums: NDArray[np.float64]) -> None:
 def _turns(half_rad: float, azimuths: int) -> NDArray[np.float64]:
     """Return cosine - 1 and sine of the turns of an azimuth grid from its middle, (2, azimuths)."""
     out = np.empty((2, azimuths))
-    for i in range(azimuths):
+    for i in range((azimuths + 1) // 2):
         turn = i * (2 * half_rad / (azimuths - 1)) - half_rad
-        out[0, i], out[1, i] = -2.0 * np.sin(0.5 * turn) ** 2, np.sin(turn)
+        out[0, i], out[1, azimuths - 1 - i] = -2.0 * np.sin(0.5 * turn) ** 2, -np.sin(turn)
+        out[0, azimuths - 1 - i], out[1, i] = out[0, i], np.sin(turn)
     return out
 
 
@@ -673,7 +674,9 @@ def search(
     _rotate(centred, at[2], x, y)
     total, inliers = 0.0, 0
     for k in range(n):
-        d2 = _cost_sum(x[k : k + 1], y[k : k + 1], at, truncate_m2, nearest, lines, geometry, np.inf)
+        px, py = x[k] + at[0], y[k] + at[1]
+        slot = _slot_at(px, py, geometry[0], geometry[1], 1.0 / geometry[2], nearest)
+        d2 = _distance2(px, py, truncate_m2, slot, lines)
         total += d2
         inliers += d2 < 0.25 * truncate_m2
     c, s = np.cos(at[2]), np.sin(at[2])
