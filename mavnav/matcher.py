@@ -92,10 +92,11 @@ def _search_polar(
     azimuth: int,
 ) -> Match:
     paper = config.paper
+    extensions = paper.max_extensions if paper.extend_border else 0
     x, y, yaw, cost, used, evaluations, iterations, converged = polarsearch.search(
         virtual_m,
         points,
-        np.array([azimuth, grid.nx, grid.ny, paper.max_extensions if paper.extend_border else 0], float),
+        np.array([azimuth, grid.nx, grid.ny, extensions, config.search == "pruned"], float),
         np.array(
             [
                 paper.window_mm * MM,
