@@ -10,7 +10,7 @@ import numpy as np
 
 from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
-from mavnav.kernels import passing, raycast
+from mavnav.kernels import passing
 from mavnav.kernels.points import extent
 from mavnav.lattice import covering, moved
 from mavnav.stages import timed
@@ -83,6 +83,8 @@ class Grid:
         to the centres of the cells seen, NaN where none lies within ``far_m``; a wall of several cells counts as its
         cell of most hits, and may contain ``gap_cells`` empty ones.
         """
+        from mavnav.kernels import raycast  # noqa: PLC0415  the paper's alone
+
         return raycast.virtual_scan(self.hits, self.lattice, laser.as_array(), directions, far_m, gap_cells)
 
     def _check_size(self, shape: tuple[int, int]) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels import linesearch, polarsearch
+from mavnav.kernels import linesearch
 from mavnav.pose import Pose, wrap_angle
 from mavnav.stages import timed
 from mavnav.units import DEG, MM, MM2
@@ -91,6 +91,8 @@ def _search_polar(
     grid: GridSize,
     azimuth: int,
 ) -> Match:
+    from mavnav.kernels import polarsearch  # noqa: PLC0415  takes 0.2 s to load, and is the paper's alone
+
     paper = config.paper
     extensions = paper.max_extensions if paper.extend_border else 0
     x, y, yaw, cost, used, evaluations, iterations, converged = polarsearch.search(
