@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from mavnav.logs.layout import laser_of
+from mavnav.logs.layout import laser_of, odometry_of, transforms_of
 from mavnav.logs.messages import DecodeError, LaserMessage, TransformMessage
 from mavnav.logs.unpack import UnpackError, unpack_message
 
@@ -73,20 +73,17 @@ def _deserialized(data: bytes, encoding: str, type_name: str) -> Any:  # noqa: A
         raise DecodeError(str(error)) from error
 
 
-def _ros(convert: Callable[[Any], Any], type_name: str) -> Callable[[Channel], Callable[[bytes], Any]]:
+def _ros(
+    by_layout: Callable[[bytes, str], Any], convert: Callable[[Any], Any], type_name: str
+) -> Callable[[Channel], Callable[[bytes], Any]]:
     def make(channel: Channel) -> Callable[[bytes], Any]:
-        return lambda data: convert(_deserialized(data, channel.encoding, type_name))
+        def decode(data: bytes) -> Any:  # noqa: ANN401
+            found = by_layout(data, channel.encoding)
+            return convert(_deserialized(data, channel.encoding, type_name)) if found is None else found
+
+        return decode
 
     return make
-
-
-def _ros_laser(channel: Channel) -> Callable[[bytes], LaserMessage]:
-    """Read scans by their layout: quicker than by definition, of which no scan has need."""
-
-    def decode(data: bytes) -> LaserMessage:
-        return laser_of(data, channel.encoding) or _laser(_deserialized(data, channel.encoding, _SCAN_TYPE))
-
-    return decode
 
 
 def _stamp_ns(stamp: Any) -> int:  # noqa: ANN401  (rosbags generates its classes)
@@ -142,18 +139,13 @@ def _foxglove_protobuf(channel: Channel) -> Callable[[bytes], LaserMessage]:
     return protobuf_decoder(channel)
 
 
-_ROS_KINDS: dict[str, tuple[str, Callable[[Any], Any]]] = {
-    ODOMETRY_TYPE: (ODOMETRY_TYPE, _odometry),
-    **dict.fromkeys(_TF_TYPES, (TF_TYPE, _transforms)),
+_ROS_KINDS: dict[str, Callable[[Channel], Callable[[bytes], Any]]] = {
+    _SCAN_TYPE: _ros(laser_of, _laser, _SCAN_TYPE),
+    ODOMETRY_TYPE: _ros(odometry_of, _odometry, ODOMETRY_TYPE),
+    **dict.fromkeys(_TF_TYPES, _ros(transforms_of, _transforms, TF_TYPE)),
 }
 DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     ("json", "foxglove.LaserScan"): _foxglove_json,
     ("protobuf", "foxglove.LaserScan"): _foxglove_protobuf,
-    ("cdr", _SCAN_TYPE): _ros_laser,
-    ("ros1", _SCAN_TYPE): _ros_laser,
-    **{
-        (encoding, name): _ros(convert, decoded_as)
-        for name, (decoded_as, convert) in _ROS_KINDS.items()
-        for encoding in ("cdr", "ros1")
-    },
+    **{(encoding, name): make for name, make in _ROS_KINDS.items() for encoding in ("cdr", "ros1")},
 }
