@@ -45,7 +45,7 @@ class GridSize(_Strict):
 
     def refined(self, factor: int) -> GridSize:
         """Return the grid with ``factor`` times the points on each axis."""
-        return self.model_copy(update={"nx": self.nx * factor, "ny": self.ny * factor})
+        return self if factor == 1 else self.model_copy(update={"nx": self.nx * factor, "ny": self.ny * factor})
 
     @property
     def points(self) -> int:

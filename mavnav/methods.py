@@ -8,7 +8,7 @@ import numpy as np
 
 from mavnav.belief import Verdict
 from mavnav.grid import Grid
-from mavnav.kernels.points import scan_points, voxel_means
+from mavnav.kernels.points import placed, scan_points, voxel_means
 from mavnav.linemap import LineMap
 from mavnav.matcher import (
     Match,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from mavnav.config import Config
     from mavnav.motion import Motion
-    from mavnav.scan import Scan
+    from mavnav.scan import LaserSpec, Scan
 
 
 REGAIN_S = 0.5  # without a believed pose for longer, chance agreements are likely: more of the scan must agree
@@ -99,6 +99,7 @@ class Paper:
         """Start with an empty map."""
         self.config = config
         self.grid = Grid(config.paper.cell_mm * MM)
+        self._seen: tuple[Pose, LaserSpec, NDArray[np.float64]] | None = None
 
     def first(self, scan: Scan) -> Match:
         """Begin the map with any scan that has enough beams to be matched later."""
@@ -112,9 +113,15 @@ class Paper:
         points = polar_points(scan.ranges_m, scan.spec, paper.mixed_pixel_mm * MM)
         if len(points) < paper.min_beams_share * scan.spec.beams:
             return no_match(predicted, len(points))
-        far_m = paper.far_mm * MM
-        virtual_m = self.grid.virtual_scan(predicted, scan.spec.directions, far_m, paper.cluster_gap_cells)
-        return match_polar(virtual_m, points, scan.spec, predicted, self.config)
+        return match_polar(self._virtual_scan(predicted, scan.spec), points, scan.spec, predicted, self.config)
+
+    def _virtual_scan(self, predicted: Pose, spec: LaserSpec) -> NDArray[np.float64]:
+        """Cast the virtual scan (beams,), m; while neither map nor prediction change, it is the one before."""
+        if self._seen is None or self._seen[:2] != (predicted, spec):
+            paper = self.config.paper
+            ranges_m = self.grid.virtual_scan(predicted, spec.directions, paper.far_mm * MM, paper.cluster_gap_cells)
+            self._seen = predicted, spec, ranges_m
+        return self._seen[2]
 
     @timed("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
@@ -131,6 +138,7 @@ class Paper:
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Count the hits of every valid beam."""
+        self._seen = None
         self.grid.insert(map_T_laser, transform_points(map_T_laser, scan.points()))
 
     def clear_passing(self) -> None:
@@ -159,6 +167,7 @@ class Robust:
         self.lines = LineMap(
             robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM, robust.overlap_points
         )
+        self._deskewed: tuple[Scan, Motion, NDArray[np.float64]] | None = None
 
     def first(self, scan: Scan) -> Match:
         """Begin the map with any scan of enough points."""
@@ -249,7 +258,7 @@ class Robust:
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add every point of the de-skewed scan."""
-        xy_map_m = transform_points(map_T_laser, self._points(scan, motion))
+        xy_map_m = placed(self._points(scan, motion), map_T_laser.as_array())
         self.lines.insert(xy_map_m)
         self.grid.insert(map_T_laser, xy_map_m)
 
@@ -272,12 +281,28 @@ class Robust:
 
     @timed("cleaning")
     def _points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
-        """Good points (n, 2) in the laser's frame, m; at mid-sweep if the motion is given."""
+        """Good points (n, 2) in the laser's frame, m; at mid-sweep if the motion is given.
+
+        Those of the last motion are kept: what is inserted was matched just before.
+        """
+        last = self._deskewed
+        if last and last[0] is scan and last[1] is motion:
+            return last[2]
         robust, spec = self.config.robust, scan.spec
         twist, increment_s = np.zeros(3), 0.0
         if robust.deskew != "off" and motion and abs(spec.time_increment_s) * spec.beams <= 1.2 * motion.period_s:
             twist, increment_s = motion.twist_at(scan.stamp_ns), spec.time_increment_s
-        return scan_points(scan.ranges_m, spec.directions, twist, increment_s, robust.near_mm * MM, robust.far_mm * MM)
+        near_m, far_m = robust.near_mm * MM, robust.far_mm * MM
+        points = scan_points(scan.ranges_m, spec.directions, twist, increment_s, near_m, far_m)
+        if motion:
+            self._deskewed = scan, motion, points
+        return points
 
 
 METHODS: dict[str, Callable[[Config], Method]] = {"robust": Robust, "paper": Paper}
+
+
+def load_kernels(config: Config) -> None:
+    """Load the kernels that only one of the methods has, and compile them the first time; others load on import."""
+    if config.method == "paper":
+        from mavnav.kernels import polarsearch, raycast  # noqa: F401, PLC0415

@@ -16,7 +16,7 @@ from mavnav.methods import METHODS
 from mavnav.motion import LONGEST_S, Motion, misleads
 from mavnav.redrawing import close
 from mavnav.relocalise import apart
-from mavnav.smoothing import steadied
+from mavnav.steadying import steadied
 from mavnav.steps import LostInterval, Step, lost_intervals, tracked_way
 from mavnav.units import NS
 

@@ -48,6 +48,28 @@ _I2 = types.Array(int32, 2, "C", readonly=True)
 _U2 = types.Array(uint8, 2, "C", readonly=True)
 
 
+@kernel(float64(types.Array(float64, 1, "A", readonly=True)))
+def _mean(values: NDArray[np.float64]) -> float:
+    """Return the mean; NumPy's own in a kernel costs 0.1 s of start-up, because it loads scipy with it."""
+    total = 0.0
+    for value in values:
+        total += value
+    return total / len(values)
+
+
+@kernel(types.Tuple((float64, int64))(_F1))
+def _least(sums: NDArray[np.float64]) -> tuple[float, int]:
+    """Return up to where rounding may hide the least, and its index where it is alone there, else -1."""
+    at = 0
+    for k in range(len(sums)):
+        if sums[k] < sums[at]:
+            at = k
+    near, within = sums[at] + 2.0 * ROUNDING_M2, 0
+    for value in sums:
+        within += value <= near
+    return near, at if within == 1 else -1
+
+
 @kernel(void(_F2, float64, float64[::1], float64[::1]))
 def _rotate(points: NDArray[np.float64], yaw: float, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
     c, s = np.cos(yaw), np.sin(yaw)
@@ -127,9 +149,10 @@ def _fold(sums: NDArray[np.float64]) -> None:
 def _turns(half_rad: float, azimuths: int) -> NDArray[np.float64]:
     """Return cosine - 1 and sine of the turns of an azimuth grid from its middle, (2, azimuths)."""
     out = np.empty((2, azimuths))
-    for i in range(azimuths):
+    for i in range((azimuths + 1) // 2):
         turn = i * (2 * half_rad / (azimuths - 1)) - half_rad
-        out[0, i], out[1, i] = -2.0 * np.sin(0.5 * turn) ** 2, np.sin(turn)
+        out[0, i], out[1, azimuths - 1 - i] = -2.0 * np.sin(0.5 * turn) ** 2, -np.sin(turn)
+        out[0, azimuths - 1 - i], out[1, i] = out[0, i], np.sin(turn)
     return out
 
 
@@ -324,12 +347,12 @@ def _turn_on_lines(
     azimuths = turns.shape[1]
     sums, step, near = np.zeros(azimuths), 2 * window[1] / (azimuths - 1), np.inf
     pruned = window[4] > 0
-    by_cells = pruned and ARC_COST * window[1] * np.abs(points).mean() < azimuths * geometry[2]
+    by_cells = pruned and ARC_COST * window[1] * _mean(np.abs(points).ravel()) < azimuths * geometry[2]
     if by_cells:
         _turn_sums(points, at, window, turns, sums, nearest, lines, geometry)
-        near = sums.min() + 2.0 * ROUNDING_M2
-        if np.count_nonzero(sums <= near) == 1:
-            return int(np.argmin(sums))
+        near, alone = _least(sums)
+        if alone >= 0:
+            return alone
     x, y = np.empty(points.shape[1]), np.empty(points.shape[1])
     best, best_i = np.inf, azimuths
     # Without sums the middle comes first: its cost is a bound that few others come under.
@@ -489,9 +512,9 @@ def _shift_on_lines(
     costs = sums.ravel()
     if by_cells:
         _shift_sums(points, at, window, sums, nearest, lines, geometry)
-        near = costs.min() + 2.0 * ROUNDING_M2
-        if np.count_nonzero(costs <= near) == 1:
-            return int(np.argmin(costs))
+        near, alone = _least(costs)
+        if alone >= 0:
+            return alone
     x, y, offset = np.empty(n), np.empty(n), np.empty(2)
     _rotate(points, at[2], x, y)
     best, best_ji = np.inf, -1
@@ -612,7 +635,7 @@ def search(
     n = len(points)
     azimuths, nx, ny, extensions = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3])
     stop_m, stop_rad, truncate_m2, turns = limits[2], limits[3], limits[4] * limits[4], int(limits[6])
-    pivot_x, pivot_y = points[:, 0].mean(), points[:, 1].mean()
+    pivot_x, pivot_y = _mean(points[:, 0]), _mean(points[:, 1])
     centred = np.empty((2, n))
     centred[0], centred[1] = points[:, 0] - pivot_x, points[:, 1] - pivot_y
     c, s = np.cos(start[2]), np.sin(start[2])
@@ -659,7 +682,7 @@ def search(
         if window[0] <= geometry[2] and not settled:
             # Points on new ground lower the cost by falling back onto the map: the others decide, from this level on.
             settled, deciding = True, _drawn(centred, at, limits[10:], nearest, closeness, lines, geometry)
-            right, up = deciding[0].mean(), deciding[1].mean()
+            right, up = _mean(deciding[0]), _mean(deciding[1])
             pivot_x, pivot_y = pivot_x + right, pivot_y + up
             for points_m in (centred, deciding):
                 points_m[0] -= right
@@ -679,7 +702,9 @@ def search(
     _rotate(centred, at[2], x, y)
     total, inliers = 0.0, 0
     for k in range(n):
-        d2 = _cost_sum(x[k : k + 1], y[k : k + 1], at, truncate_m2, nearest, lines, geometry, np.inf)
+        px, py = x[k] + at[0], y[k] + at[1]
+        slot = _slot_at(px, py, geometry[0], geometry[1], 1.0 / geometry[2], nearest)
+        d2 = _distance2(px, py, truncate_m2, slot, lines)
         total += d2
         inliers += d2 < 0.25 * truncate_m2
     c, s = np.cos(at[2]), np.sin(at[2])

@@ -1,11 +1,11 @@
-"""A way made smooth: positions as they were measured against a velocity that changes little (docs/method.md)."""
+"""An image smoothed, or its slope: two passes of one-dimensional weights."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, types
+from numba import float32, float64, types, void
 
 from mavnav.kernels._jit import kernel
 
@@ -13,54 +13,54 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
-_F2 = types.Array(float64, 2, "C", readonly=True)
+_IMAGE = types.Array(float32, 2, "C", readonly=True)
 
 
-@kernel(float64(_F2, _F1, float64, float64[:, ::1]))
-def smooth(xy: NDArray[np.float64], elapsed: NDArray[np.float64], stiffness: float, out: NDArray[np.float64]) -> float:
-    """Write the positions p that minimise sum |p - xy|^2 + stiffness * sum |acceleration|^2; returns how likely.
+@kernel(void(float64[::1], _F1, float64, float64, _F1))
+def _add(
+    total: NDArray[np.float64], after: NDArray[np.float64], weight: float, sign: float, before: NDArray[np.float64]
+) -> None:
+    """Add two neighbours of each cell (n,), weighed."""
+    for c in range(len(total)):
+        total[c] += (after[c] + sign * before[c]) * weight
 
-    Parameters
-    ----------
-    xy : (n, 2) positions, n >= 3
-    elapsed : (n - 1,) time from each to the next
-    stiffness : variance of a position over that of an acceleration, to the unit of time to the fourth
-    out : (n, 2) the smooth positions
 
-    The logarithm of the likelihood (but for a constant, and with the best variance of a position) compares values of
-    the stiffness: white noise on positions of a way whose velocity walks at random (Rauch, Tung and Striebel's smoother
-    as one banded system, solved by its LDL' factors).
+@kernel(float32[:, ::1](_IMAGE, _F1, _F1, float64, float64))
+def smoothed(
+    image: NDArray[np.float32],
+    down: NDArray[np.float64],
+    across: NDArray[np.float64],
+    down_sign: float,
+    across_sign: float,
+) -> NDArray[np.float32]:
+    """Weigh each cell of an image (rows, cols) and its neighbours, along the columns and then along the rows.
+
+    ``down`` and ``across`` hold the weights of the middle and of the neighbours after it; those before it weigh as
+    much times the sign, 1 or -1. Beyond its edges the image is its own reflection. Sums are float64, rounded to float32
+    after each pass.
     """
-    n = len(xy)
-    band = np.zeros((3, n))  # the diagonal of I + stiffness B'WB, and the two beside it
-    band[0] = 1.0
-    row = np.empty(3)
-    for k in range(n - 2):
-        before, after = elapsed[k], elapsed[k + 1]
-        row[0], row[1], row[2] = 1.0 / before, -1.0 / before - 1.0 / after, 1.0 / after
-        weight = stiffness * (2.0 / (before + after)) ** 2
-        for i in range(3):
-            for j in range(3 - i):
-                band[i, k + j] += weight * row[j] * row[j + i]
-    log_determinant = 0.0
-    out[:] = xy
-    for k in range(n):
-        for i in range(1, min(k, 2) + 1):
-            # Rows before hold d, l1, l2 of the factors already.
-            at = k - i
-            factor, pivot = band[i, at], band[0, at]
-            band[0, k] -= factor * factor * pivot
-            if i == 1 and at + 2 < n:
-                band[1, k] -= factor * band[2, at] * pivot
-            out[k] -= factor * out[at]
-        log_determinant += np.log(band[0, k])
-        band[1, k] /= band[0, k]
-        band[2, k] /= band[0, k]
-    for k in range(n - 1, -1, -1):
-        out[k] /= band[0, k]
-        for i in range(1, min(n - 1 - k, 2) + 1):
-            out[k] -= band[i, k] * out[k + i]
-    misfit = 1e-30
-    for k in range(n):
-        misfit += xy[k, 0] * (xy[k, 0] - out[k, 0]) + xy[k, 1] * (xy[k, 1] - out[k, 1])
-    return float((n - 2) * (np.log(stiffness) - np.log(misfit)) - log_determinant)
+    rows, cols = image.shape
+    far_down, far_across = len(down) - 1, len(across) - 1
+    wide = image.astype(np.float64)
+    out = np.empty((rows, cols), np.float32)
+    total, line = np.empty(cols), np.empty(cols + 2 * far_across)
+    for r in range(rows):
+        for c in range(cols):
+            total[c] = wide[r, c] * down[0]
+        for k in range(far_down, 0, -1):
+            before, after = (r - k) % (2 * rows), (r + k) % (2 * rows)
+            before, after = min(before, 2 * rows - 1 - before), min(after, 2 * rows - 1 - after)
+            _add(total, wide[after], down[k], down_sign, wide[before])
+        for c in range(cols):
+            line[far_across + c] = np.float32(total[c])
+        for k in range(far_across):
+            left, right = (-1 - k) % (2 * cols), (cols + k) % (2 * cols)
+            line[far_across - 1 - k] = line[far_across + min(left, 2 * cols - 1 - left)]
+            line[far_across + cols + k] = line[far_across + min(right, 2 * cols - 1 - right)]
+        for c in range(cols):
+            total[c] = line[far_across + c] * across[0]
+        for k in range(far_across, 0, -1):
+            _add(total, line[far_across + k :], across[k], across_sign, line[far_across - k :])
+        for c in range(cols):
+            out[r, c] = np.float32(total[c])
+    return out

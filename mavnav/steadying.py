@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels.smoothing import smooth
+from mavnav.kernels.steadying import smooth
 from mavnav.pose import Pose
 from mavnav.stages import timed
 from mavnav.steps import leapt
