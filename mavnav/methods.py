@@ -186,7 +186,7 @@ class Robust:
         window = (robust.near_window_mm * MM, robust.near_window_deg * DEG)
         prior = 0.0 if motion.odometry is None else robust.prior
         found = search_lines(points, self.lines, predicted, window, self.config, prior=prior)
-        return [judged(found, points, self.known)]
+        return [judged(found, points, self.lines, self.known)]
 
     def _inside(self, near: Match, predicted: Pose) -> bool:
         """Tell whether a match lies so far within the near window that the laser cannot be beyond it."""
