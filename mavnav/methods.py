@@ -269,7 +269,6 @@ class Robust:
         """Return the points (n, 2) that are matched, m, laser frame; de-skewed if the motion is given."""
         return voxel_means(self._points(scan, motion), self.config.robust.voxel_mm * MM)
 
-    @timed("cleaning")
     def _points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
         """Good points (n, 2) in the laser's frame, m; at mid-sweep if the motion is given.
 
