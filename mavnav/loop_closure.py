@@ -266,7 +266,7 @@ def measured(keys: Sequence[KeyFrame], j: int, match: Match, config: Config) -> 
     fine = search_lines(keys[j].points, part.lines, match.map_T_laser, window, config)
     window = (config.robust.final_window_mm * MM, config.robust.final_window_deg * DEG)
     placed = search_lines(keys[j].points, part.lines, fine.map_T_laser, window, config, final=True)
-    fine = judged(replace(fine, map_T_laser=placed.map_T_laser), keys[j].points, part.grid)
+    fine = judged(replace(fine, map_T_laser=placed.map_T_laser), keys[j].points, part.lines, part.grid)
     if apart(match.map_T_laser, fine.map_T_laser) or not fits(fine):
         return None
     if firmness(keys[j].points, fine.map_T_laser, part.lines, config) < LEAST_FIRMNESS:
