@@ -27,8 +27,8 @@ FEWEST = 10
 STIFFNESSES = 2.0 ** np.arange(-6, 32, 0.5)
 """That are tried, in periods to the fourth: from what leaves the way alone to a window of some 250 scans."""
 
-CANNOT_TELL = 1 / 8
-"""A scan tells its place to about this share of its points' distances from the walls, of which some 64 count."""
+CANNOT_TELL = 1 / 7
+"""A scan tells its place to about this share of its points' distances from the walls, of which some fifty count."""
 
 LONGEST_S = 1.2
 """A longer gap parts two stretches."""
