@@ -38,9 +38,9 @@ LONGEST_S = 1.2
 def steadied(steps: list[Step], period_s: float) -> list[Step]:
     """Return the steps with smooth positions: the jitter of the scans would lengthen every way, and move a rest.
 
-    How much of the motion is jitter is asked of each stretch itself: positions with white noise, of a way whose velocity
-    walks at random, with the likeliest share of both. Where the median scan would move farther than it can tell, less is
-    smoothed. Headings stay: scans tell them well.
+    How much of the motion is jitter is asked of each stretch itself: positions with white noise, of a way whose
+    velocity walks at random, with the likeliest share of both. Where the median scan would move farther than it can
+    tell, less is smoothed. Headings stay: scans tell them well.
     """
     out = list(steps)
     for stretch in stretches(steps):
