@@ -45,7 +45,7 @@ class GridSize(_Strict):
 
     def refined(self, factor: int) -> GridSize:
         """Return the grid with ``factor`` times the points on each axis."""
-        return self.model_copy(update={"nx": self.nx * factor, "ny": self.ny * factor})
+        return self if factor == 1 else self.model_copy(update={"nx": self.nx * factor, "ny": self.ny * factor})
 
     @property
     def points(self) -> int:
@@ -116,7 +116,9 @@ class RobustConfig(_Strict):
         description="within a cell only points this near to an occupied cell decide: others are on new ground; 0: all",
     )
     prior: float = Field(0.01, ge=0, description="cost of a squared metre away from what odometry predicts")
-    first_level_points: int = Field(120, ge=10, description="points of the first, widest level")
+    first_level_points: int = Field(
+        120, ge=10, description="points that decide levels before the last, unless lines are held"
+    )
     min_points: int = Field(30, ge=3, description="scans with fewer points are not matched")
     retry_below: float = Field(0.8, ge=0, le=1, description="search wider under this share of inliers")
     conflicts_below: float = Field(

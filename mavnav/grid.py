@@ -10,7 +10,7 @@ import numpy as np
 
 from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
-from mavnav.kernels import passing, raycast
+from mavnav.kernels import passing
 from mavnav.kernels.points import extent
 from mavnav.lattice import covering, moved
 from mavnav.stages import timed
@@ -35,20 +35,16 @@ class Grid:
     """Hit counts on a square lattice; grows as scans come in.
 
     ``hits[row, col]`` counts laser end points, ``passes[row, col]`` beams that crossed the cell on their way,
-    ``through[row, col]`` those of them that did so while nothing near it was hit; all (rows, cols) int32, row grows
-    with +y. ``origin_xy_m`` is the corner of cell [0, 0] in the map frame, always a whole number of cells.
+    ``shielded[row, col]`` those of them that did so while something near it was hit: the others went clear through.
+    All are (rows, cols) int32, row grows with +y; without ``shielded``, as from a map file, no crossing was clear.
+    ``origin_xy_m`` is the corner of cell [0, 0] in the map frame, always a whole number of cells.
     """
 
     cell_m: float
     origin_xy_m: tuple[float, float] = (0.0, 0.0)
     hits: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
     passes: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
-    through: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
-
-    def __post_init__(self) -> None:
-        """Take it that no beam went clear through where that is not known, as in a map file."""
-        if self.through.shape != self.hits.shape:
-            self.through = np.zeros_like(self.hits)
+    shielded: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
 
     @property
     def lattice(self) -> NDArray[np.float64]:
@@ -60,15 +56,19 @@ class Grid:
         """Count the end points (n, 2) of one scan, in m, and the cells that its beams crossed."""
         if len(xy_map_m) == 0:
             return
+        if self.shielded.shape != self.passes.shape:
+            self.shielded = self.passes.copy()
         x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m)).tolist()
         low = (floor(min(x0, laser.x_m) / self.cell_m) - 1, floor(min(y0, laser.y_m) / self.cell_m) - 1)
         high = (floor(max(x1, laser.x_m) / self.cell_m) + 1, floor(max(y1, laser.y_m) / self.cell_m) + 1)
         self._cover(low, high)
-        hits_kernel.add_scan(xy_map_m, laser.as_array()[:2], self.lattice, self.hits, self.passes, self.through)
+        hits_kernel.add_scan(xy_map_m, laser.as_array()[:2], self.lattice, self.hits, self.passes, self.shielded)
 
     def clear_passing(self) -> NDArray[np.float64]:
         """Take back the hits of cells where nothing stayed; return their middles (n, 2), m."""
-        cells = passing.passing_cells(self.hits, self.through)
+        if self.shielded.shape != self.passes.shape:
+            return np.empty((0, 2))
+        cells = passing.passing_cells(self.hits, self.passes, self.shielded)
         self.hits[cells] = 0
         middles: NDArray[np.float64] = (np.argwhere(cells)[:, ::-1] + 0.5) * self.cell_m + np.array(self.origin_xy_m)
         return middles
@@ -83,6 +83,8 @@ class Grid:
         to the centres of the cells seen, NaN where none lies within ``far_m``; a wall of several cells counts as its
         cell of most hits, and may contain ``gap_cells`` empty ones.
         """
+        from mavnav.kernels import raycast  # noqa: PLC0415  the paper's alone
+
         return raycast.virtual_scan(self.hits, self.lattice, laser.as_array(), directions, far_m, gap_cells)
 
     def _check_size(self, shape: tuple[int, int]) -> None:
@@ -105,7 +107,7 @@ class Grid:
         dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
         self.hits = moved(self.hits, shape, dr, dc)  # one by one: the old array goes before the next is made
         self.passes = moved(self.passes, shape, dr, dc)
-        self.through = moved(self.through, shape, dr, dc)
+        self.shielded = moved(self.shielded, shape, dr, dc)
         self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))
 
 

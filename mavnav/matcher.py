@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels import linesearch, polarsearch
+from mavnav.kernels import linesearch
 from mavnav.pose import Pose, wrap_angle
 from mavnav.stages import timed
 from mavnav.units import DEG, MM, MM2
@@ -91,6 +91,8 @@ def _search_polar(
     grid: GridSize,
     azimuth: int,
 ) -> Match:
+    from mavnav.kernels import polarsearch  # noqa: PLC0415  takes 0.2 s to load, and is the paper's alone
+
     paper = config.paper
     extensions = paper.max_extensions if paper.extend_border else 0
     x, y, yaw, cost, used, evaluations, iterations, converged = polarsearch.search(
@@ -138,8 +140,8 @@ def polar_points(ranges_m: NDArray[np.float64], spec: LaserSpec, mixed_pixel_m: 
     return np.column_stack((r * np.cos(angle), r * np.sin(angle), beam, r, angle))
 
 
-ALTERNATIONS = 2
-"""Turns of azimuth and plane on a level of the robust search."""
+ALTERNATIONS, FINAL_ALTERNATIONS = 2, 1
+"""Turns of azimuth and plane on a level of the robust search; in the final pass it begins where it will end."""
 
 # ---- the robust method: distance to the map's local lines ----------------------------------------------------------
 
@@ -151,21 +153,20 @@ def search_lines(
     start: Pose,
     window: tuple[float, float],
     config: Config,
-    refine: int = 1,
     prior: float = 0.0,
     *,
     final: bool = False,
 ) -> Match:
-    """Search once, within ``window`` (half-widths, m and rad) of ``start``; ``refine`` multiplies the grid.
+    """Search once, within ``window`` (half-widths, m and rad) of ``start``.
 
     ``prior`` is what a squared metre away from the start adds to the cost; it decides where the walls do not. In the
     final pass, whose map is finished, points hold their lines on every level.
     """
-    robust, grid = config.robust, config.grid.refined(refine)
+    robust, grid = config.robust, config.grid
     x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
         points,
         start.as_array(),
-        np.array([config.azimuth * refine, grid.nx, grid.ny, robust.max_extensions, config.search == "pruned"], float),
+        np.array([config.azimuth, grid.nx, grid.ny, robust.max_extensions, config.search == "pruned"], float),
         np.array(
             [
                 *window,
@@ -173,7 +174,7 @@ def search_lines(
                 robust.stop_deg * DEG,
                 (robust.final_truncate_mm if final else robust.truncate_mm) * MM,
                 robust.first_level_points,
-                ALTERNATIONS,
+                FINAL_ALTERNATIONS if final else ALTERNATIONS,
                 prior,
                 robust.hold_below_mm * MM,
                 0.0 if final else line_map.cell_m,

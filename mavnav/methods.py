@@ -8,7 +8,7 @@ import numpy as np
 
 from mavnav.belief import Verdict
 from mavnav.grid import Grid
-from mavnav.kernels.points import scan_points, voxel_means
+from mavnav.kernels.points import placed, scan_points, voxel_means
 from mavnav.linemap import LineMap
 from mavnav.matcher import (
     Match,
@@ -165,6 +165,7 @@ class Robust:
         self.config = config
         self.known = self.grid = Grid(robust.cell_mm * MM)
         self.lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self._deskewed: tuple[Scan, Motion, NDArray[np.float64]] | None = None
 
     def first(self, scan: Scan) -> Match:
         """Begin the map with any scan of enough points."""
@@ -255,7 +256,7 @@ class Robust:
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add every point of the de-skewed scan."""
-        xy_map_m = transform_points(map_T_laser, self._points(scan, motion))
+        xy_map_m = placed(self._points(scan, motion), map_T_laser.as_array())
         self.lines.insert(xy_map_m)
         self.grid.insert(map_T_laser, xy_map_m)
 
@@ -278,12 +279,28 @@ class Robust:
 
     @timed("cleaning")
     def _points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
-        """Good points (n, 2) in the laser's frame, m; at mid-sweep if the motion is given."""
+        """Good points (n, 2) in the laser's frame, m; at mid-sweep if the motion is given.
+
+        Those of the last motion are kept: what is inserted was matched just before.
+        """
+        last = self._deskewed
+        if last and last[0] is scan and last[1] is motion:
+            return last[2]
         robust, spec = self.config.robust, scan.spec
         twist, increment_s = np.zeros(3), 0.0
         if robust.deskew != "off" and motion and abs(spec.time_increment_s) * spec.beams <= 1.2 * motion.period_s:
             twist, increment_s = motion.twist_at(scan.stamp_ns), spec.time_increment_s
-        return scan_points(scan.ranges_m, spec.directions, twist, increment_s, robust.near_mm * MM, robust.far_mm * MM)
+        near_m, far_m = robust.near_mm * MM, robust.far_mm * MM
+        points = scan_points(scan.ranges_m, spec.directions, twist, increment_s, near_m, far_m)
+        if motion:
+            self._deskewed = scan, motion, points
+        return points
 
 
 METHODS: dict[str, Callable[[Config], Method]] = {"robust": Robust, "paper": Paper}
+
+
+def load_kernels(config: Config) -> None:
+    """Load the kernels that only one of the methods has, and compile them the first time; others load on import."""
+    if config.method == "paper":
+        from mavnav.kernels import polarsearch, raycast  # noqa: F401, PLC0415

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.conflicts import conflicts
+from mavnav.kernels.points import placed
 from mavnav.kernels.volume import volume
 from mavnav.matcher import Match, search_lines, with_effort
-from mavnav.pose import Pose, transform_points, wrap_angle
+from mavnav.pose import Pose, wrap_angle
 from mavnav.stages import timed
 from mavnav.units import DEG, MM
 
@@ -53,8 +54,8 @@ CLEAR_BY = 0.05
 @timed("gate")
 def judged(match: Match, points: NDArray[np.float64], grid: Grid) -> Match:
     """Return the match with the share of its points (n, 2), laser frame, that the map speaks against."""
-    xy_map_m = transform_points(match.map_T_laser, points)
-    count = conflicts(xy_map_m, match.map_T_laser.as_array()[:2], grid.lattice, grid.hits, grid.passes)
+    pose = match.map_T_laser.as_array()
+    count = conflicts(placed(points, pose), pose[:2], grid.lattice, grid.hits, grid.passes)
     return replace(match, conflicts=float(count) / max(len(points), 1))
 
 

@@ -43,7 +43,7 @@ class Problem:
 
     def form(self, at: np.ndarray, window: np.ndarray) -> np.ndarray:
         form = np.zeros((5, 5))
-        linesearch._form(self.centred, at, window, form, *self.lines)
+        linesearch._form(self.centred, at, window, form, np.empty(0, np.int64), *self.lines)
         return form
 
     def turned(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -75,10 +75,10 @@ def differences(problem: Problem, grid: int, half_m: float, half_rad: float, pri
     found = {}
     for pruned in (True, False):
         at, window = problem.grid(half_m, half_rad, prior, pruned=pruned)
-        args = problem.centred, at, window
+        args, turns = (problem.centred, at, window), linesearch._turns(half_rad, 2 * grid)
         found[pruned] = {
-            "joint with lines held": linesearch._least_of_form(problem.form(at, window), window, 2 * grid, grid, grid),
-            "azimuth on the lines": linesearch._turn_on_lines(*args, 2 * grid, *problem.lines),
+            "joint with lines held": linesearch._least_of_form(problem.form(at, window), window, turns, grid, grid),
+            "azimuth on the lines": linesearch._turn_on_lines(*args, turns, *problem.lines),
             "plane on the lines": linesearch._shift_on_lines(*args, grid, grid, *problem.lines),
         }
     return [name for name, index in found[True].items() if index != found[False][name]]

@@ -22,20 +22,20 @@ def cells_on_the_way(u0, v0, u1, v1):
     return [(math.floor(v0 + t * (v1 - v0)), math.floor(u0 + t * (u1 - u0))) for t in middles]
 
 
-def add_scan(xy_map_m, laser_xy_m, lattice, hits, passes, through, near=3):
+def add_scan(xy_map_m, laser_xy_m, lattice, hits, passes, shielded, near=3):
     ox, oy, cell = lattice
     u0, v0 = (laser_xy_m[0] - ox) / cell, (laser_xy_m[1] - oy) / cell
-    shielded, last = set(), (-9, -9)
+    near_ends, last = set(), (-9, -9)
     for point in xy_map_m:
         row, col = cell_of(point - (ox, oy), cell)
         if max(abs(row - last[0]), abs(col - last[1])) > 1:
             last = (row, col)
-            shielded |= {(row + i, col + j) for i in range(-near, near + 1) for j in range(-near, near + 1)}
+            near_ends |= {(row + i, col + j) for i in range(-near, near + 1) for j in range(-near, near + 1)}
     for x, y in xy_map_m:
         *way, end = cells_on_the_way(u0, v0, (x - ox) / cell, (y - oy) / cell)
         for cell_on_way in way:
             passes[cell_on_way] += 1
-            through[cell_on_way] += cell_on_way not in shielded
+            shielded[cell_on_way] += cell_on_way in near_ends
         hits[end] += 1
 
 
@@ -51,7 +51,8 @@ def show_ends(ranges_m, directions, pose, lattice, walls, cells):
             cells[row, col] = 100
 
 
-def passing_cells(hits, through, clear=8, stays=0.15, wall=4, reach=7):
+def passing_cells(hits, passes, shielded, clear=8, stays=0.15, wall=4, reach=7):
+    through = passes - shielded
     share = np.where(hits > 0, hits / np.maximum(hits + through, 1), 0.0)
     walls = np.argwhere((hits >= wall) & (share >= stays))
     out = np.zeros(hits.shape, bool)

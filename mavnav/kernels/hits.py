@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import boolean, float64, int8, int32, types, uint64, void
+from numba import float64, int8, int32, int64, types, uint64, void
 
 from mavnav.kernels._jit import kernel
 
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 NEAR_CELLS = 3
 """A beam does not go clear through a cell if one of the same scan ends so near to it."""
+
+BLOCK = 8  # cells of a beam that are found at once
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
@@ -46,23 +48,60 @@ def show_ends(
             cells[row, col] = 100
 
 
-@kernel(void(_F2, _F1, int32[:, ::1], boolean))
+@kernel(int64(_F2, _F1, int32[:, ::1], int32[:, ::1], int64[::1]))
 def _shield(
-    xy_map_m: NDArray[np.float64], lattice: NDArray[np.float64], through: NDArray[np.int32], shielded: bool
-) -> None:
-    """Turn the counts n near points (n, 2) to -1 - n, so that they can be told from the others, or back again."""
+    xy_map_m: NDArray[np.float64],
+    lattice: NDArray[np.float64],
+    passes: NDArray[np.int32],
+    shielded: NDArray[np.int32],
+    cells: NDArray[np.int64],
+) -> int:
+    """Take what was counted so far off the cells near points (n, 2), once each, and list them; returns how many.
+
+    Their counts are then below 0, so that they can be told from the others.
+    """
     ox, oy, cell = lattice
-    rows, cols = through.shape
-    at_row, at_col = -2, -2
+    rows, cols = passes.shape
+    flat, crossed = shielded.ravel(), passes.ravel()
+    at_row, at_col, n = -2, -2, 0
     for k in range(len(xy_map_m)):
         row, col = int(np.floor((xy_map_m[k, 1] - oy) / cell)), int(np.floor((xy_map_m[k, 0] - ox) / cell))
         if abs(row - at_row) <= 1 and abs(col - at_col) <= 1:
             continue  # the neighbour's square is enough
         at_row, at_col = row, col
+        first, end = max(col - NEAR_CELLS, 0), min(col + NEAR_CELLS + 1, cols)
         for r in range(max(row - NEAR_CELLS, 0), min(row + NEAR_CELLS + 1, rows)):
-            for c in range(max(col - NEAR_CELLS, 0), min(col + NEAR_CELLS + 1, cols)):
-                if (through[r, c] < 0) != shielded:
-                    through[r, c] = -1 - through[r, c]
+            for at in range(r * cols + first, r * cols + end):
+                count = flat[uint64(at)]
+                cells[uint64(n)] = at  # written over unless it is new
+                flat[uint64(at)] = count - crossed[uint64(at)] - 1 if count >= 0 else count
+                n += count >= 0
+    return n
+
+
+@kernel(int64(float64, float64, float64, float64, float64, _F1, int32[::1]))
+def _way(
+    u0: float, v0: float, u1: float, v1: float, wide: float, steps: NDArray[np.float64], cells: NDArray[np.int32]
+) -> int:
+    """List the cells that a beam from (u0, v0) to (u1, v1), in cells, enters, its last one too; returns how many.
+
+    It crosses the edges of columns and those of rows at even shares of its way (Amanatides and Woo 1987); how many of
+    the others it has crossed before tells the cell. ``steps`` count 0, 1, 2 ...; ``cells`` has room for a block more.
+    """
+    col, row, du, dv = np.floor(u0), np.floor(v0), u1 - u0, v1 - v0
+    cols, rows, at = abs(np.floor(u1) - col), abs(np.floor(v1) - row), row * wide + col
+    step_col, step_row = (1.0 if du > 0 else -1.0), (wide if dv > 0 else -wide)
+    per_u, per_v = abs(du), abs(dv)
+    each_u, each_v = (1.0 / per_u if per_u else 0.0), (1.0 / per_v if per_v else 0.0)
+    next_u, next_v = abs(col + (du > 0) - u0) * each_u, abs(row + (dv > 0) - v0) * each_v
+    for i in range((int(cols) + BLOCK - 1) // BLOCK * BLOCK):
+        before = np.floor((next_u + steps[i] * each_u - next_v) * per_v) + 1.0
+        cells[i] = int32(at + (steps[i] + 1.0) * step_col + min(max(before, 0.0), rows) * step_row)
+    others = cells[int(cols) :]
+    for i in range((int(rows) + BLOCK - 1) // BLOCK * BLOCK):
+        before = np.ceil((next_v + steps[i] * each_v - next_u) * per_u)
+        others[i] = int32(at + (steps[i] + 1.0) * step_row + min(max(before, 0.0), cols) * step_col)
+    return int(cols + rows)
 
 
 @kernel(void(_F2, _F1, _F1, int32[:, ::1], int32[:, ::1], int32[:, ::1]))
@@ -72,42 +111,27 @@ def add_scan(
     lattice: NDArray[np.float64],
     hits: NDArray[np.int32],
     passes: NDArray[np.int32],
-    through: NDArray[np.int32],
+    shielded: NDArray[np.int32],
 ) -> None:
     """Count every end point (n, 2) in ``hits`` and the cells between the laser and it in ``passes``.
 
-    ``through`` counts the same crossings, but for those of cells with an end point of this scan near by.
-    ``lattice`` is (3,): x and y of the corner of cell [0, 0], and the cell edge, in m. A beam walks from cell to cell
-    across their edges (Amanatides and Woo 1987). The caller sees to it that all lies inside.
+    ``shielded`` counts those of the crossings that were of cells with an end point of the same scan near by.
+    ``lattice`` is (3,): x and y of the corner of cell [0, 0], and the cell edge, in m. The caller sees to it that all
+    lies inside.
     """
     ox, oy, cell = lattice
     u0, v0 = (laser_xy_m[0] - ox) / cell, (laser_xy_m[1] - oy) / cell
-    wide, flat, clear = passes.shape[1], passes.ravel(), through.ravel()
-    _shield(xy_map_m, lattice, through, True)
+    (rows, cols), flat = passes.shape, passes.ravel()
+    near = np.empty((2 * NEAR_CELLS + 1) ** 2 * len(xy_map_m) + 1, np.int64)
+    n_near = _shield(xy_map_m, lattice, passes, shielded, near)
+    steps, way = np.arange(float(max(rows, cols) + BLOCK)), np.empty(rows + cols + BLOCK, np.int32)
     for k in range(len(xy_map_m)):
         u1, v1 = (xy_map_m[k, 0] - ox) / cell, (xy_map_m[k, 1] - oy) / cell
-        col, row = int(np.floor(u0)), int(np.floor(v0))
-        end_col, end_row = int(np.floor(u1)), int(np.floor(v1))
-        du, dv = u1 - u0, v1 - v0
-        step_col, step_row = (1 if du > 0 else -1), (wide if dv > 0 else -wide)
-        # Share of the beam at which the next column and the next row begin.
-        next_u = ((col + (du > 0)) - u0) / du if du != 0.0 else np.inf
-        next_v = ((row + (dv > 0)) - v0) / dv if dv != 0.0 else np.inf
-        each_u = abs(1.0 / du) if du != 0.0 else np.inf
-        each_v = abs(1.0 / dv) if dv != 0.0 else np.inf
-        # The number of steps is known beforehand: rounding can then neither overshoot the end nor miss it.
-        cols, rows, at = abs(end_col - col), abs(end_row - row), row * wide + col
-        for _ in range(cols + rows):
-            flat[uint64(at)] += 1
-            if clear[uint64(at)] >= 0:
-                clear[uint64(at)] += 1
-            if (next_u < next_v and cols > 0) or rows == 0:
-                at += step_col
-                cols -= 1
-                next_u += each_u
-            else:
-                at += step_row
-                rows -= 1
-                next_v += each_v
-        hits[end_row, end_col] += 1
-    _shield(xy_map_m, lattice, through, False)
+        passes[int(np.floor(v0)), int(np.floor(u0))] += 1
+        for i in range(_way(u0, v0, u1, v1, float64(cols), steps, way)):
+            flat[uint64(way[uint64(i)])] += 1
+        passes[int(np.floor(v1)), int(np.floor(u1))] -= 1  # it ends there
+        hits[int(np.floor(v1)), int(np.floor(u1))] += 1
+    flat_shielded = shielded.ravel()
+    for i in range(n_near):
+        flat_shielded[uint64(near[uint64(i)])] += flat[uint64(near[uint64(i)])] + 1

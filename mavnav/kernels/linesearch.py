@@ -2,8 +2,9 @@
 
 Grids are searched in turn as in the paper's minimisation, steps i-v: azimuth with the position fixed, then the plane
 with the azimuth fixed; the scan turns about its points' centroid. A point costs its squared distance to the line of the
-cell that it falls into (arrays of ``linemap``). In between, while the window is a few cells wide, every point holds
-the line that it has in the middle: then one quadratic form stands for a joint grid of azimuth and plane.
+cell that it falls into (arrays of ``linemap``). Where the window is a few cells wide, until it is settled which points
+decide, every point holds the line that it has in the middle: then one quadratic form stands for a joint grid of azimuth
+and plane. Of the other levels only the last takes all the points: a sample finds a minimum that the last one will mend.
 
 Every grid has an exhaustive and a pruned form with the same minimum: the same index, the lowest of equals, and the
 same cost, bit for bit. Pruning rests on three facts:
@@ -11,7 +12,10 @@ same cost, bit for bit. Pruning rests on three facts:
 * a sum of squares that exceeds the best total so far only grows: the rest of that candidate is left out;
 * while a point stays in one cell its cost is a polynomial of the motion, so that a few sums over the points stand for
   all candidates: nearly, but for rounding, and what comes within `ROUNDING_M2` of the best is summed point by point;
-* a metric's eigenvalues are 1 at most, so that the distance to a line's centroid tells where nothing is truncated.
+* a metric's eigenvalues are 1 at most, so that a cost tells how far its point may move before it is truncated, or after
+  it was.
+
+Sums over points run in `LANES` lanes, so that the compiler adds several at once without changing their order.
 
 Shared arguments of the grids: ``points`` (2, n) about their centroid, m; ``at`` (5,) centroid x, y (m) and yaw (rad) in
 the middle of the grid, and where the centroid was expected; ``window`` (5,) half-windows (m, rad), cost of a squared
@@ -33,6 +37,7 @@ if TYPE_CHECKING:
 MAX_LEVELS = 40
 FEWEST_DRAWN = 0.3  # share of the points below which even those on new ground decide
 CHUNK = 32  # points between two looks at the bound
+LANES = 32
 RECTANGLE_COST = 3  # of a polynomial on a rectangle of candidates, in candidates summed point by point
 ARC_COST = 30  # of the polynomials along an arc of two cells, in azimuths summed point by point
 ROUNDING_M2 = 1e-9  # above any difference between two orders of summation, as long as maps are smaller than 100 km
@@ -41,6 +46,28 @@ _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 _I2 = types.Array(int32, 2, "C", readonly=True)
 _U2 = types.Array(uint8, 2, "C", readonly=True)
+
+
+@kernel(float64(types.Array(float64, 1, "A", readonly=True)))
+def _mean(values: NDArray[np.float64]) -> float:
+    """Return the mean; NumPy's own in a kernel costs 0.1 s of start-up, because it loads scipy with it."""
+    total = 0.0
+    for value in values:
+        total += value
+    return total / len(values)
+
+
+@kernel(types.Tuple((float64, int64))(_F1))
+def _least(sums: NDArray[np.float64]) -> tuple[float, int]:
+    """Return up to where rounding may hide the least, and its index where it is alone there, else -1."""
+    at = 0
+    for k in range(len(sums)):
+        if sums[k] < sums[at]:
+            at = k
+    near, within = sums[at] + 2.0 * ROUNDING_M2, 0
+    for value in sums:
+        within += value <= near
+    return near, at if within == 1 else -1
 
 
 @kernel(void(_F2, float64, float64[::1], float64[::1]))
@@ -107,6 +134,116 @@ def _cost_sum(
     return total
 
 
+@kernel(void(float64[:, ::1]))
+def _fold(sums: NDArray[np.float64]) -> None:
+    """Add up the lanes of each row in its first one."""
+    half = LANES // 2
+    while half:
+        for row in range(len(sums)):
+            for k in range(half):
+                sums[row, k] += sums[row, k + half]
+        half //= 2
+
+
+@kernel(float64[:, ::1](float64, int64))
+def _turns(half_rad: float, azimuths: int) -> NDArray[np.float64]:
+    """Return cosine - 1 and sine of the turns of an azimuth grid from its middle, (2, azimuths)."""
+    out = np.empty((2, azimuths))
+    for i in range((azimuths + 1) // 2):
+        turn = i * (2 * half_rad / (azimuths - 1)) - half_rad
+        out[0, i], out[1, azimuths - 1 - i] = -2.0 * np.sin(0.5 * turn) ** 2, -np.sin(turn)
+        out[0, azimuths - 1 - i], out[1, i] = out[0, i], np.sin(turn)
+    return out
+
+
+@kernel(int64(_F2, _F1, _F1, float64[:, ::1], int64[::1], _I2, _F2, _F1))
+def _form(
+    points: NDArray[np.float64],
+    at: NDArray[np.float64],
+    window: NDArray[np.float64],
+    form: NDArray[np.float64],
+    loose: NDArray[np.int64],
+    nearest: NDArray[np.int32],
+    lines: NDArray[np.float64],
+    geometry: NDArray[np.float64],
+) -> int:
+    """Write the quadratic form (5, 5) of the cost sum in (1, cos - 1, sin, right, up) of a motion from the middle.
+
+    Every point keeps the line that it has there; one that is truncated there stays so. But points that the window
+    brings to another cell, or to and from truncation, are left out and listed in ``loose`` (n,), if that has room;
+    returns how many.
+    """
+    n, holds_all, found = points.shape[1], len(loose) == 0, 0
+    ox, oy, cell, inverse = geometry[0], geometry[1], geometry[2], 1.0 / geometry[2]
+    half_m, half_rad, truncate_m2, truncate_m = window[0], window[1], window[3], np.sqrt(window[3])
+    flat, wide = nearest.ravel(), float64(nearest.shape[1])
+    last_col, last_row = nearest.shape[1] - 1.0, nearest.shape[0] - 1.0
+    at_x, at_y, c, s, from_x, from_y = at[0], at[1], np.cos(at[2]), np.sin(at[2]), points[0], points[1]
+    where, p, g = np.empty(LANES, np.int32), np.empty((9, LANES)), np.zeros((15, LANES))
+    for first in range(0, n, LANES):
+        block = min(LANES, n - first)
+        for k in range(block):
+            x, y = from_x[first + k], from_y[first + k]
+            ex, ey = c * x - s * y, s * x + c * y
+            fx, fy = (at_x + ex - ox) * inverse, (at_y + ey - oy) * inverse
+            col, row = np.floor(fx), np.floor(fy)
+            p[0, k], p[1, k] = ex, ey
+            p[7, k] = min(fx - col, 1.0 - (fx - col), fy - row, 1.0 - (fy - row)) * cell
+            where[k] = int32(min(max(row, 0.0), last_row) * wide + min(max(col, 0.0), last_col))
+        for k in range(block):
+            line = uint64(flat[uint64(where[k])])
+            p[2, k], p[3, k] = lines[line, 0], lines[line, 1]
+            p[4, k], p[5, k], p[6, k] = lines[line, 2], lines[line, 3], lines[line, 4]
+        for k in range(block):
+            ex, ey = p[0, k], p[1, k]
+            dx, dy = at_x + ex - p[2, k], at_y + ey - p[3, k]
+            a, b, d = p[4, k], p[5, k], p[6, k]
+            hx, hy = a * dx + b * dy, b * dx + d * dy
+            d2 = dx * hx + dy * hy
+            # Eigenvalues are 1 at most: a point that moves so far is no farther from its line, nor nearer, than that.
+            move = half_m + half_rad * (abs(ex) + abs(ey)) + 1e-9
+            near, far = max(truncate_m - 1.5 * move, 0.0), truncate_m + 1.5 * move
+            stays = 1.0 if holds_all or (p[7, k] > move and (d2 < near * near or d2 >= far * far)) else 0.0
+            p[8, k] = stays
+            kept = stays if d2 < truncate_m2 else 0.0
+            a, b, d, hx, hy = kept * a, kept * b, kept * d, kept * hx, kept * hy
+            # The point moves by (cos - 1) e + sin e' + (right, up), e' at right angles to e.
+            ax, ay = a * ex + b * ey, b * ex + d * ey
+            bx, by = b * ex - a * ey, d * ex - b * ey
+            g[0, k] += stays * min(d2, truncate_m2)
+            g[1, k] += ex * hx + ey * hy
+            g[2, k] += ex * hy - ey * hx
+            g[3, k] += hx
+            g[4, k] += hy
+            g[5, k] += ex * ax + ey * ay
+            g[6, k] += ex * bx + ey * by
+            g[7, k] += ax
+            g[8, k] += ay
+            g[9, k] += ex * by - ey * bx
+            g[10, k] += bx
+            g[11, k] += by
+            g[12, k] += a
+            g[13, k] += b
+            g[14, k] += d
+        if not holds_all:
+            for k in range(block):
+                loose[uint64(found)] = first + k  # written over unless the point is loose
+                found += p[8, k] == 0.0
+    _fold(g)
+    m = 0
+    for i in range(5):
+        for j in range(i, 5):
+            form[i, j] = g[m, 0]
+            m += 1
+    prior, ux, uy = n * window[2], at_x - at[3], at_y - at[4]
+    form[0, 0] += prior * (ux * ux + uy * uy)
+    form[0, 3] += prior * ux
+    form[0, 4] += prior * uy
+    form[3, 3] += prior
+    form[4, 4] += prior
+    return found
+
+
 @kernel(int64(float64[::1], int64[::1]))
 def _runs(cells: NDArray[np.float64], starts: NDArray[np.int64]) -> int:
     """Write where runs of equal cells start, and behind them the number of cells; returns how many runs there are."""
@@ -119,54 +256,51 @@ def _runs(cells: NDArray[np.float64], starts: NDArray[np.int64]) -> int:
     return n + 1
 
 
-@kernel(void(_F2, _F1, _F1, float64[::1], _I2, _F2, _F1))
+@kernel(void(_F2, _F1, _F1, _F2, float64[::1], _I2, _F2, _F1))
 def _turn_sums(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
     window: NDArray[np.float64],
+    turns: NDArray[np.float64],
     sums: NDArray[np.float64],
     nearest: NDArray[np.int32],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> None:
-    """Sum the costs of all azimuths into ``sums`` (azimuths,), right but for rounding.
+    """Add the costs of all azimuths to ``sums`` (azimuths,), right but for rounding.
 
-    While a point is in one cell its cost is quadratic in the cosine - 1 and the sine of the turn from the middle.
-    ``bends`` hold by how much the sum of these polynomials changes from one azimuth to the next.
+    Points that stay in their cells make one form. For each of the others the polynomial changes from cell to cell
+    along its arc: ``bends`` hold by how much the sum of them changes from one azimuth to the next.
     """
-    azimuths, step, truncate_m2 = len(sums), 2 * window[1] / (len(sums) - 1), window[3]
-    cos, sin, less_1, turn = np.empty(azimuths), np.empty(azimuths), np.empty(azimuths), np.empty(azimuths)
-    for i in range(azimuths):
-        yaw, by = at[2] - window[1] + i * step, i * step - window[1]
-        cos[i], sin[i], less_1[i], turn[i] = np.cos(yaw), np.sin(yaw), -2.0 * np.sin(0.5 * by) ** 2, np.sin(by)
+    azimuths, truncate_m2, truncate_m = len(sums), window[3], np.sqrt(window[3])
+    form, loose, reach = np.zeros((5, 5)), np.empty(points.shape[1], np.int64), window.copy()
+    reach[0] = 0.0
+    found = _form(points, at, reach, form, loose, nearest, lines, geometry)
+    cos, sin, less_1, turn = np.empty(azimuths), np.empty(azimuths), turns[0], turns[1]
+    for i in range(azimuths if found else 0):
+        yaw = at[2] - window[1] + i * (2 * window[1] / (azimuths - 1))
+        cos[i], sin[i] = np.cos(yaw), np.sin(yaw)
     at_x, at_y, ox, oy, inverse = at[0], at[1], geometry[0], geometry[1], 1.0 / geometry[2]
-    wide = uint64(nearest.shape[1])
-    c, s = np.cos(at[2]), np.sin(at[2])
+    c, s, wide = np.cos(at[2]), np.sin(at[2]), float64(nearest.shape[1])
     flat, last_col, last_row = nearest.ravel(), nearest.shape[1] - 1.0, nearest.shape[0] - 1.0
-    bends, cells, starts = np.zeros((azimuths, 6)), np.empty(azimuths), np.empty(azimuths + 1, np.int64)
-    starts[0] = 0
-    for k in range(points.shape[1]):
+    bends, cells, starts = np.zeros((azimuths + 1, 6)), np.empty(azimuths), np.empty(azimuths + 1, np.int64)
+    bends[0] = (form[0, 0], form[0, 1], form[0, 2], form[1, 1], form[1, 2], form[2, 2])
+    for n in range(found):
+        k = uint64(loose[uint64(n)])
         from_x, from_y = points[0, k], points[1, k]
-        ex, ey = c * from_x - s * from_y, s * from_x + c * from_y
-        px, py, size, runs = at_x + ex, at_y + ey, abs(ex) + abs(ey), 1
-        fx, fy, swept = (px - ox) * inverse, (py - oy) * inverse, (window[1] * size + 1e-9) * inverse
-        col, row = np.floor(fx), np.floor(fy)
-        fx, fy = fx - col, fy - row
-        cells[0] = min(max(row, 0.0), last_row) * wide + min(max(col, 0.0), last_col)
-        if min(fx, 1.0 - fx, fy, 1.0 - fy) <= swept:
+        for i in range(azimuths):
             # The sums are those of ``_slot_at``, so that both agree on every candidate.
-            for i in range(azimuths):
-                fx = np.floor((cos[i] * from_x - sin[i] * from_y + at_x - ox) * inverse)
-                fy = np.floor((sin[i] * from_x + cos[i] * from_y + at_y - oy) * inverse)
-                cells[i] = min(max(fy, 0.0), last_row) * wide + min(max(fx, 0.0), last_col)
-            runs = _runs(cells, starts)
+            fx = np.floor((cos[i] * from_x - sin[i] * from_y + at_x - ox) * inverse)
+            fy = np.floor((sin[i] * from_x + cos[i] * from_y + at_y - oy) * inverse)
+            cells[i] = min(max(fy, 0.0), last_row) * wide + min(max(fx, 0.0), last_col)
+        ex, ey = c * from_x - s * from_y, s * from_x + c * from_y
+        move = 1.5 * window[1] * (abs(ex) + abs(ey)) + 1e-9
+        near, far = max(truncate_m - move, 0.0) ** 2, (truncate_m + move) ** 2
         b0 = b_c = b_s = b_cc = b_cs = b_ss = 0.0
-        for run in range(runs):
-            i0, i1 = uint64(starts[run]), uint64(starts[run + 1] if runs > 1 else azimuths)
-            line = uint64(flat[uint64(cells[i0])])
-            dx, dy = px - lines[line, 0], py - lines[line, 1]
-            reach = size * (max(abs(turn[i0]), abs(turn[i1 - uint64(1)])) + step)
-            far_x, far_y = abs(dx) + reach, abs(dy) + reach
+        for run in range(_runs(cells, starts)):
+            i0, i1 = uint64(starts[uint64(run)]), uint64(starts[uint64(run + 1)])
+            line = uint64(flat[uint64(int64(cells[i0]))])
+            dx, dy = at_x + ex - lines[line, 0], at_y + ey - lines[line, 1]
             a, b, d = lines[line, 2], lines[line, 3], lines[line, 4]
             # The turned point is d + (cos - 1) e + sin e', e' at right angles to e.
             gx, gy = a * dx + b * dy, b * dx + d * dy
@@ -174,14 +308,12 @@ def _turn_sums(
             p0, p_c, p_s = dx * gx + dy * gy, ex * gx + ey * gy, ex * gy - ey * gx
             p_cc, p_cs = ex * hx + ey * hy, ex * hy - ey * hx
             p_ss = a * ey * ey - 2.0 * b * ex * ey + d * ex * ex
-            if far_x * far_x + far_y * far_y >= truncate_m2:
-                p0 = p_c = p_s = p_cc = p_cs = p_ss = 0.0
-                if line == 0:
-                    p0 = truncate_m2
-                else:
-                    for i in range(i0, i1):
-                        qx, qy = px + less_1[i] * ex - turn[i] * ey, py + less_1[i] * ey + turn[i] * ex
-                        sums[i] += _distance2(qx, qy, truncate_m2, int64(line), lines)
+            if p0 >= near:
+                always = p0 >= far
+                p0, p_c, p_s, p_cc, p_cs, p_ss = (truncate_m2 if always else 0.0), 0.0, 0.0, 0.0, 0.0, 0.0
+                for i in range(i0, i0 if always else i1):
+                    qx, qy = dx + less_1[i] * ex - turn[i] * ey, dy + less_1[i] * ey + turn[i] * ex
+                    sums[i] += min(qx * qx * a + 2.0 * qx * qy * b + qy * qy * d, truncate_m2)
             bends[i0, 0] += p0 - b0
             bends[i0, 1] += p_c - b_c
             bends[i0, 2] += p_s - b_s
@@ -201,25 +333,26 @@ def _turn_sums(
         sums[i] += k0 + 2.0 * (u * k_c + v * k_s) + u * u * k_cc + 2.0 * u * v * k_cs + v * v * k_ss
 
 
-@kernel(int64(_F2, _F1, _F1, int64, _I2, _F2, _F1))
+@kernel(int64(_F2, _F1, _F1, _F2, _I2, _F2, _F1))
 def _turn_on_lines(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
     window: NDArray[np.float64],
-    azimuths: int,
+    turns: NDArray[np.float64],
     nearest: NDArray[np.int32],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> int:
     """Search the azimuth grid on the lines; returns the index of the least cost."""
+    azimuths = turns.shape[1]
     sums, step, near = np.zeros(azimuths), 2 * window[1] / (azimuths - 1), np.inf
     pruned = window[4] > 0
-    by_cells = pruned and ARC_COST * window[1] * np.abs(points).mean() < azimuths * geometry[2]
+    by_cells = pruned and ARC_COST * window[1] * _mean(np.abs(points).ravel()) < azimuths * geometry[2]
     if by_cells:
-        _turn_sums(points, at, window, sums, nearest, lines, geometry)
-        near = sums.min() + 2.0 * ROUNDING_M2
-        if np.count_nonzero(sums <= near) == 1:
-            return int(np.argmin(sums))
+        _turn_sums(points, at, window, turns, sums, nearest, lines, geometry)
+        near, alone = _least(sums)
+        if alone >= 0:
+            return alone
     x, y = np.empty(points.shape[1]), np.empty(points.shape[1])
     best, best_i = np.inf, azimuths
     # Without sums the middle comes first: its cost is a bound that few others come under.
@@ -231,7 +364,7 @@ def _turn_on_lines(
         cost = _cost_sum(x, y, at, window[3], nearest, lines, geometry, best if pruned else np.inf)
         if cost < best or (cost == best and i < best_i):
             best, best_i = cost, i
-    return best_i
+    return int(best_i)
 
 
 @kernel(void(float64[:, :, ::1], float64[::1], float64[::1], float64[:, ::1]))
@@ -256,10 +389,39 @@ def _integrate(
             sums[j, i] += p0 + u * (p_u + u * p_uu + v * p_uv) + v * (p_v + v * p_vv)
 
 
-@kernel(void(float64[::1], float64[::1], _F1, _F1, float64[:, ::1], _I2, _F2, _F1))
+@kernel(int64(float64, float64, float64, _F1, int64[::1], int64[::1]))
+def _spans(
+    p: float,
+    origin: float,
+    inverse: float,
+    to: NDArray[np.float64],
+    cells: NDArray[np.int64],
+    starts: NDArray[np.int64],
+) -> int:
+    """Write which cells a point comes to by evenly spaced moves along an axis, and the first move to each.
+
+    The number of moves stands behind them. The sums are those of ``_slot_at``. Returns how many cells there are.
+    """
+    last = len(to) - 1
+    first, end = (p + to[0] - origin) * inverse, np.floor((p + to[last] - origin) * inverse)
+    per_cell, at, i, n = last / ((to[last] - to[0]) * inverse), np.floor(first), 0, 1
+    cells[0], starts[0] = int64(at), 0
+    while at < end:
+        i = max(i, int64((at + 1.0 - first) * per_cell - 1e-6))
+        there = at
+        while there == at:
+            i += 1
+            there = np.floor((p + to[uint64(i)] - origin) * inverse)
+        at = there
+        cells[uint64(n)], starts[uint64(n)] = int64(at), i
+        n += 1
+    starts[uint64(n)] = last + 1
+    return n
+
+
+@kernel(void(_F2, _F1, _F1, float64[:, ::1], _I2, _F2, _F1))
 def _shift_sums(
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
+    points: NDArray[np.float64],
     at: NDArray[np.float64],
     window: NDArray[np.float64],
     sums: NDArray[np.float64],
@@ -267,90 +429,67 @@ def _shift_sums(
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> None:
-    """Sum the costs of all shifts of the turned points into ``sums`` (ny, nx), right but for rounding.
+    """Add the costs of all shifts of the turned points to ``sums`` (ny, nx), right but for rounding.
 
-    Candidates that put a point into one cell form a rectangle, over which its cost is one polynomial of the shift.
-    ``bends`` hold the second differences of the sum of these polynomials; each rectangle adds what it differs by at its
-    first corner, ``steps`` what the rectangles of the rows before did along theirs.
+    Points that stay in their cells make one form. For each of the others candidates that put it into one cell form a
+    rectangle, over which its cost is one polynomial of the shift. ``bends`` hold the second differences of the sum of
+    these polynomials; each rectangle adds what it differs by at its first corner, ``steps`` what the rectangles of the
+    row before did along theirs.
     """
     ny, nx = sums.shape
-    half_m, truncate_m2 = window[0], window[3]
+    half_m, truncate_m2, truncate_m = window[0], window[3], np.sqrt(window[3])
     to_x, to_y = np.empty(nx), np.empty(ny)
     for i in range(nx):
         to_x[i] = at[0] - half_m + i * (2 * half_m / (nx - 1))
     for j in range(ny):
         to_y[j] = at[1] - half_m + j * (2 * half_m / (ny - 1))
     right, up = to_x - at[0], to_y - at[1]
+    form, loose, reach = np.zeros((5, 5)), np.empty(points.shape[1], np.int64), window.copy()
+    reach[1] = 0.0
+    found = _form(points, at, reach, form, loose, nearest, lines, geometry)
+    bends, steps = np.zeros((ny, nx, 6)), np.zeros((nx, 6))
+    bends[0, 0] = (form[0, 0], 2.0 * form[0, 3], 2.0 * form[0, 4], form[3, 3], 2.0 * form[3, 4], form[4, 4])
     at_x, at_y, ox, oy, inverse = at[0], at[1], geometry[0], geometry[1], 1.0 / geometry[2]
-    last_x, last_y = to_x[nx - 1], to_y[ny - 1]
-    flat, wide, high = nearest.ravel(), nearest.shape[1], nearest.shape[0]
-    bends, steps, cols, rows = np.zeros((ny, nx, 6)), np.zeros((nx, 6)), np.empty(nx), np.empty(ny)
+    c, s = np.cos(at[2]), np.sin(at[2])
+    near, far = max(truncate_m - 1.5 * half_m, 0.0) ** 2, (truncate_m + 1.5 * half_m) ** 2
+    flat, wide, last_col, last_row = nearest.ravel(), nearest.shape[1], nearest.shape[1] - 1, nearest.shape[0] - 1
     starts_i, starts_j = np.empty(nx + 1, np.int64), np.empty(ny + 1, np.int64)
-    k0 = k_u = k_v = k_uu = k_uv = k_vv = 0.0
-    for k in range(len(x)):
-        px, py = x[k], y[k]
-        col, row = np.floor((px + to_x[0] - ox) * inverse), np.floor((py + to_y[0] - oy) * inverse)
-        n_i = n_j = 1
-        starts_i[0], starts_i[1], starts_j[0], starts_j[1], cols[0], rows[0] = 0, nx, 0, ny, col, row
-        if col != np.floor((px + last_x - ox) * inverse):
-            for i in range(nx):
-                cols[i] = np.floor((px + to_x[i] - ox) * inverse)
-            n_i = _runs(cols, starts_i)
-        if row != np.floor((py + last_y - oy) * inverse):
-            for j in range(ny):
-                rows[j] = np.floor((py + to_y[j] - oy) * inverse)
-            n_j = _runs(rows, starts_j)
+    cols, rows = np.empty(nx, np.int64), np.empty(ny, np.int64)
+    for m in range(found):
+        k = uint64(loose[uint64(m)])
+        px, py = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
+        n_i = _spans(px, ox, inverse, to_x, cols, starts_i)
+        n_j = _spans(py, oy, inverse, to_y, rows, starts_j)
         for r in range(n_j):
-            j0, j1 = starts_j[r], starts_j[r + 1]
-            row = rows[uint64(j0)]
+            j0, base = uint64(starts_j[uint64(r)]), min(max(rows[uint64(r)], 0), last_row) * wide
             l0 = l_u = l_v = l_uu = l_uv = l_vv = 0.0
-            for n in range(n_i):
-                i0, i1 = starts_i[n], starts_i[n + 1]
-                col = cols[uint64(i0)]
-                slot = int64(0)
-                if 0 <= col < wide and 0 <= row < high:
-                    slot = int64(flat[uint64(row * wide + col)])
-                line = uint64(slot)
+            for q in range(n_i):
+                i0 = uint64(starts_i[uint64(q)])
+                line = uint64(flat[uint64(base + min(max(cols[uint64(q)], 0), last_col))])
                 dx, dy = px + at_x - lines[line, 0], py + at_y - lines[line, 1]
-                far_x = max(abs(dx + right[uint64(i0)]), abs(dx + right[uint64(i1 - 1)]))
-                far_y = max(abs(dy + up[uint64(j0)]), abs(dy + up[uint64(j1 - 1)]))
                 p_uu, b, p_vv = lines[line, 2], lines[line, 3], lines[line, 4]
                 gx, gy = p_uu * dx + b * dy, b * dx + p_vv * dy
                 p0, p_u, p_v, p_uv = dx * gx + dy * gy, 2.0 * gx, 2.0 * gy, 2.0 * b
-                if (far_x * far_x + far_y * far_y) * (1.0 + 1e-9) >= truncate_m2:
-                    p0 = p_u = p_v = p_uu = p_uv = p_vv = 0.0
-                    if slot == 0:
-                        p0 = truncate_m2
-                    else:
-                        for j in range(j0, j1):
-                            for i in range(i0, i1):
-                                sums[j, i] += _distance2(px + to_x[i], py + to_y[j], truncate_m2, slot, lines)
-                if n == 0 and r == 0:
-                    k0 += p0
-                    k_u += p_u
-                    k_v += p_v
-                    k_uu += p_uu
-                    k_uv += p_uv
-                    k_vv += p_vv
-                else:
-                    bends[uint64(j0), uint64(i0), 0] += p0 - l0
-                    bends[uint64(j0), uint64(i0), 1] += p_u - l_u
-                    bends[uint64(j0), uint64(i0), 2] += p_v - l_v
-                    bends[uint64(j0), uint64(i0), 3] += p_uu - l_uu
-                    bends[uint64(j0), uint64(i0), 4] += p_uv - l_uv
-                    bends[uint64(j0), uint64(i0), 5] += p_vv - l_vv
-                if n_j > 1:
-                    if r > 0:
-                        for m in range(6):
-                            bends[uint64(j0), uint64(i0), m] -= steps[uint64(n), m]
-                    steps[uint64(n), 0], steps[uint64(n), 1], steps[uint64(n), 2] = p0 - l0, p_u - l_u, p_v - l_v
-                    steps[uint64(n), 3], steps[uint64(n), 4], steps[uint64(n), 5] = (
-                        p_uu - l_uu,
-                        p_uv - l_uv,
-                        p_vv - l_vv,
-                    )
+                if p0 >= near:
+                    always, a, d = p0 >= far, p_uu, p_vv
+                    p0, p_u, p_v, p_uu, p_uv, p_vv = (truncate_m2 if always else 0.0), 0.0, 0.0, 0.0, 0.0, 0.0
+                    for j in range(j0, j0 if always else uint64(starts_j[uint64(r + 1)])):
+                        y = dy + up[j]
+                        for i in range(i0, uint64(starts_i[uint64(q + 1)])):
+                            x = dx + right[i]
+                            sums[j, i] += min(x * x * a + 2.0 * x * y * b + y * y * d, truncate_m2)
+                d0, d_u, d_v, d_uu, d_uv, d_vv = p0 - l0, p_u - l_u, p_v - l_v, p_uu - l_uu, p_uv - l_uv, p_vv - l_vv
                 l0, l_u, l_v, l_uu, l_uv, l_vv = p0, p_u, p_v, p_uu, p_uv, p_vv
-    bends[0, 0] += np.array([k0, k_u, k_v, k_uu, k_uv, k_vv])
+                before, bend = steps[uint64(q)], bends[j0, i0]
+                bend[0] += d0 - before[0]
+                bend[1] += d_u - before[1]
+                bend[2] += d_v - before[2]
+                bend[3] += d_uu - before[3]
+                bend[4] += d_uv - before[4]
+                bend[5] += d_vv - before[5]
+                before[0], before[1], before[2], before[3], before[4], before[5] = d0, d_u, d_v, d_uu, d_uv, d_vv
+        for q in range(n_i):
+            steps[uint64(q)] = 0.0
     _integrate(bends, right, up, sums)
 
 
@@ -367,20 +506,17 @@ def _shift_on_lines(
 ) -> int:
     """Search the plane on the lines; returns the index j nx + i of the least cost."""
     n = points.shape[1]
-    x, y, offset = np.empty(n), np.empty(n), np.empty(2)
-    _rotate(points, at[2], x, y)
     pruned = window[4] > 0
     by_cells = pruned and RECTANGLE_COST * (2 * window[0] / geometry[2] + 1) ** 2 < nx * ny
     sums, near = np.zeros((ny, nx)), np.inf
     costs = sums.ravel()
     if by_cells:
-        _shift_sums(x, y, at, window, sums, nearest, lines, geometry)
-        if window[2] > 0.0:
-            for ji in range(nx * ny):
-                costs[ji] += n * _place(ji, nx, ny, at, window, offset)
-        near = costs.min() + 2.0 * ROUNDING_M2
-        if np.count_nonzero(costs <= near) == 1:
-            return int(np.argmin(costs))
+        _shift_sums(points, at, window, sums, nearest, lines, geometry)
+        near, alone = _least(costs)
+        if alone >= 0:
+            return alone
+    x, y, offset = np.empty(n), np.empty(n), np.empty(2)
+    _rotate(points, at[2], x, y)
     best, best_ji = np.inf, -1
     for turn in range(-1 if pruned and not by_cells else 0, nx * ny):
         ji = (ny // 2) * nx + nx // 2 if turn < 0 else turn
@@ -397,90 +533,41 @@ def _shift_on_lines(
 # ---- lines held fast -------------------------------------------------------------------------------------------------
 
 
-@kernel(void(_F2, _F1, _F1, float64[:, ::1], _I2, _F2, _F1))
-def _form(
-    points: NDArray[np.float64],
-    at: NDArray[np.float64],
-    window: NDArray[np.float64],
-    form: NDArray[np.float64],
-    nearest: NDArray[np.int32],
-    lines: NDArray[np.float64],
-    geometry: NDArray[np.float64],
-) -> None:
-    """Write the quadratic form (5, 5) of the cost sum in (1, cos - 1, sin, right, up) of a motion from the middle.
-
-    Every point keeps the line that it has there; one that is truncated there stays so.
-    """
-    truncate_m2, ox, oy, inverse = window[3], geometry[0], geometry[1], 1.0 / geometry[2]
-    c, s = np.cos(at[2]), np.sin(at[2])
-    g00 = g01 = g02 = g03 = g04 = g11 = g12 = g13 = g14 = g22 = g23 = g24 = g33 = g34 = g44 = 0.0
-    for k in range(points.shape[1]):
-        ex, ey = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
-        px, py = at[0] + ex, at[1] + ey
-        line = uint64(_slot_at(px, py, ox, oy, inverse, nearest))
-        dx, dy = px - lines[line, 0], py - lines[line, 1]
-        a, b, d = lines[line, 2], lines[line, 3], lines[line, 4]
-        hx, hy = a * dx + b * dy, b * dx + d * dy
-        d2 = dx * hx + dy * hy
-        if d2 >= truncate_m2:
-            g00 += truncate_m2
-            continue
-        # The point moves by (cos - 1) e + sin e' + (right, up), e' at right angles to e.
-        ax, ay = a * ex + b * ey, b * ex + d * ey
-        bx, by = b * ex - a * ey, d * ex - b * ey
-        g00 += d2
-        g01 += ex * hx + ey * hy
-        g02 += ex * hy - ey * hx
-        g03 += hx
-        g04 += hy
-        g11 += ex * ax + ey * ay
-        g12 += ex * bx + ey * by
-        g13 += ax
-        g14 += ay
-        g22 += ex * by - ey * bx
-        g23 += bx
-        g24 += by
-        g33 += a
-        g34 += b
-        g44 += d
-    prior = points.shape[1] * window[2]
-    ux, uy = at[0] - at[3], at[1] - at[4]
-    form[0, 0], form[0, 1], form[0, 2] = g00 + prior * (ux * ux + uy * uy), g01, g02
-    form[0, 3], form[0, 4] = g03 + prior * ux, g04 + prior * uy
-    form[1, 1], form[1, 2], form[1, 3], form[1, 4] = g11, g12, g13, g14
-    form[2, 2], form[2, 3], form[2, 4] = g22, g23, g24
-    form[3, 3], form[3, 4], form[4, 4] = g33 + prior, g34, g44 + prior
-
-
-@kernel(int64(_F2, _F1, int64, int64, int64))
-def _least_of_form(form: NDArray[np.float64], window: NDArray[np.float64], azimuths: int, nx: int, ny: int) -> int:
+@kernel(int64(_F2, _F1, _F2, int64, int64))
+def _least_of_form(
+    form: NDArray[np.float64], window: NDArray[np.float64], turns: NDArray[np.float64], nx: int, ny: int
+) -> int:
     """Return the index (a ny + j) nx + i of the least value over azimuths, ups and rights.
 
     Along a row the form is a parabola, least at one of the two nodes about its vertex.
     """
-    half_m, half_rad = window[0], window[1]
-    step_x, step_y, step_rad = 2 * half_m / (nx - 1), 2 * half_m / (ny - 1), 2 * half_rad / (azimuths - 1)
-    a = form[3, 3]
-    best, best_at = np.inf, 0
+    half_m, azimuths, a, best, best_at = window[0], turns.shape[1], form[3, 3], np.inf, 0
+    step_x, step_y, last = 2 * half_m / (nx - 1), 2 * half_m / (ny - 1), nx - 1.0
+    by_vertex, per_a = window[4] > 0 and a > 0.0, 1.0 / a
+    k0, kx, ky = np.empty(azimuths), np.empty(azimuths), np.empty(azimuths)
     for turn in range(azimuths):
-        angle = turn * step_rad - half_rad
-        c, s = -2.0 * np.sin(0.5 * angle) ** 2, np.sin(angle)
-        k0 = form[0, 0] + 2.0 * (c * form[0, 1] + s * form[0, 2] + c * s * form[1, 2])
-        k0 += c * c * form[1, 1] + s * s * form[2, 2]
-        kx = form[0, 3] + c * form[1, 3] + s * form[2, 3]
-        ky = form[0, 4] + c * form[1, 4] + s * form[2, 4]
-        for j in range(ny):
-            y = j * step_y - half_m
-            low, b = k0 + y * (2.0 * ky + y * form[4, 4]), kx + y * form[3, 4]
-            first, last = 0, nx - 1
-            if window[4] > 0 and a > 0.0:
-                vertex = min(max((half_m - b / a) / step_x, 0.0), nx - 1.0)
-                first, last = int(vertex), min(int(vertex) + 1, nx - 1)
-            for i in range(first, last + 1):
-                x = i * step_x - half_m
+        c, s = turns[0, turn], turns[1, turn]
+        k0[turn] = form[0, 0] + 2.0 * (c * form[0, 1] + s * form[0, 2] + c * s * form[1, 2])
+        k0[turn] += c * c * form[1, 1] + s * s * form[2, 2]
+        kx[turn] = form[0, 3] + c * form[1, 3] + s * form[2, 3]
+        ky[turn] = form[0, 4] + c * form[1, 4] + s * form[2, 4]
+    values, first = np.empty(azimuths), np.empty(azimuths)
+    for j in range(ny):
+        y = j * step_y - half_m
+        for i in range(1 if by_vertex else nx):
+            for turn in range(azimuths):
+                low, b = k0[turn] + y * (2.0 * ky[turn] + y * form[4, 4]), kx[turn] + y * form[3, 4]
+                left = np.floor(min(max((half_m - b * per_a) / step_x, 0.0), last)) if by_vertex else float64(i)
+                x = left * step_x - half_m
                 value = low + x * (2.0 * b + x * a)
-                if value < best:
-                    best, best_at = value, (turn * ny + j) * nx + i
+                x = min(left + 1.0, last) * step_x - half_m
+                other = low + x * (2.0 * b + x * a)
+                values[turn] = min(value, other)
+                first[turn] = left if value <= other else min(left + 1.0, last)
+            for turn in range(azimuths):
+                index = (turn * ny + j) * nx + int64(first[turn])
+                if values[turn] < best or (values[turn] == best and index < best_at):
+                    best, best_at = values[turn], index
     return best_at
 
 
@@ -534,32 +621,33 @@ def search(
     start : (3,) predicted pose: x, y (m), yaw (rad)
     grid : (5,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most, 1 to prune
     limits : (11,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
-        points of the first level where it is wide, alternations a level, what a squared metre away from the start
-        costs a point, the half-windows (m) up to which and above which lines are held, and the closeness of the
-        points that decide the levels within a cell
+        points of a level that is not the last and holds no lines, alternations a level, what a squared metre away from
+        the start costs a point, the half-windows (m) up to which lines are held, and above which they are even when it
+        is settled which points decide, and the closeness of these points: within a cell the others are left out
     nearest, closeness, lines, geometry : the map, see ``linemap``
     """
     n = len(points)
     azimuths, nx, ny, extensions = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3])
     stop_m, stop_rad, truncate_m2, turns = limits[2], limits[3], limits[4] * limits[4], int(limits[6])
-    pivot_x, pivot_y = points[:, 0].mean(), points[:, 1].mean()
+    pivot_x, pivot_y = _mean(points[:, 0]), _mean(points[:, 1])
     centred = np.empty((2, n))
     centred[0], centred[1] = points[:, 0] - pivot_x, points[:, 1] - pivot_y
-    sample = centred[:, : min(n, int(limits[5]))].copy()
     c, s = np.cos(start[2]), np.sin(start[2])
     at_x, at_y = start[0] + c * pivot_x - s * pivot_y, start[1] + s * pivot_x + c * pivot_y
     at = np.array([at_x, at_y, start[2], at_x, at_y])
     window = np.array([limits[0], limits[1], limits[7], truncate_m2, grid[4]])
 
-    deciding, settled = centred, limits[10] == 0
+    deciding, settled, few, none = centred, limits[10] == 0, int(min(n, limits[5])), np.empty(0, np.int64)
     evaluations, grids, converged, form = 0, 0, 0.0, np.zeros((5, 5))
-    for level in range(MAX_LEVELS):
+    for _ in range(MAX_LEVELS):
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
-        held = limits[9] < window[0] <= limits[8]
-        used = sample if level == 0 and not held else deciding
+        held = window[0] <= limits[8] and (window[0] > limits[9] or not settled)
+        last = max(step_x, step_y) < stop_m and step_rad < stop_rad
+        used = deciding if held or last else deciding[:, :few].copy()
+        turned = _turns(window[1], azimuths)
         for turn in range(turns + extensions if held else 0):
-            _form(used, at, window, form, nearest, lines, geometry)
-            best = _least_of_form(form, window, azimuths, nx, ny)
+            _form(used, at, window, form, none, nearest, lines, geometry)
+            best = _least_of_form(form, window, turned, nx, ny)
             i, j, a = best % nx, (best // nx) % ny, best // (nx * ny)
             at[0] += i * step_x - window[0]
             at[1] += j * step_y - window[0]
@@ -570,7 +658,7 @@ def search(
                 break
         for _ in range(0 if held else turns):
             for _ in range(extensions + 1):
-                i = _turn_on_lines(used, at, window, azimuths, nearest, lines, geometry)
+                i = _turn_on_lines(used, at, window, turned, nearest, lines, geometry)
                 at[2] += i * step_rad - window[1]
                 evaluations += azimuths
                 grids += 1
@@ -588,7 +676,7 @@ def search(
         if window[0] <= geometry[2] and not settled:
             # Points on new ground lower the cost by falling back onto the map: the others decide, from this level on.
             settled, deciding = True, _drawn(centred, at, limits[10], closeness, geometry)
-            right, up = deciding[0].mean(), deciding[1].mean()
+            right, up = _mean(deciding[0]), _mean(deciding[1])
             pivot_x, pivot_y = pivot_x + right, pivot_y + up
             for points_m in (centred, deciding):
                 points_m[0] -= right
@@ -598,7 +686,7 @@ def search(
             at[3] += c * right - s * up
             at[4] += s * right + c * up
             continue
-        if max(step_x, step_y) < stop_m and step_rad < stop_rad:
+        if last:
             converged = 1.0
             break
         window[0] = min(1.5 * max(step_x, step_y), 0.9 * window[0])
@@ -608,7 +696,9 @@ def search(
     _rotate(centred, at[2], x, y)
     total, inliers = 0.0, 0
     for k in range(n):
-        d2 = _cost_sum(x[k : k + 1], y[k : k + 1], at, truncate_m2, nearest, lines, geometry, np.inf)
+        px, py = x[k] + at[0], y[k] + at[1]
+        slot = _slot_at(px, py, geometry[0], geometry[1], 1.0 / geometry[2], nearest)
+        d2 = _distance2(px, py, truncate_m2, slot, lines)
         total += d2
         inliers += d2 < 0.25 * truncate_m2
     c, s = np.cos(at[2]), np.sin(at[2])

@@ -20,26 +20,28 @@ REACH_CELLS = 7  # a wall so near explains an end point
 _I2 = types.Array(int32, 2, "C", readonly=True)
 
 
-@kernel(boolean(int64, int64, _I2, _I2))
-def _is_open(row: int, col: int, hits: NDArray[np.int32], through: NDArray[np.int32]) -> bool:
+@kernel(boolean(int64, int64, _I2, _I2, _I2))
+def _is_open(
+    row: int, col: int, hits: NDArray[np.int32], passes: NDArray[np.int32], shielded: NDArray[np.int32]
+) -> bool:
     """Tell whether beams went clear through a cell that hardly any ended in, with no wall within reach."""
     rows, cols = hits.shape
-    ended, clear = hits[row, col], through[row, col]
+    ended, clear = hits[row, col], passes[row, col] - shielded[row, col]
     if clear < CLEAR_BEAMS or ended >= STAYS_SHARE * (ended + clear):
         return False
     for r in range(max(row - REACH_CELLS, 0), min(row + REACH_CELLS + 1, rows)):
         for c in range(max(col - REACH_CELLS, 0), min(col + REACH_CELLS + 1, cols)):
             ended = hits[r, c]
-            if ended >= WALL_HITS and ended >= STAYS_SHARE * (ended + through[r, c]):
+            if ended >= WALL_HITS and ended >= STAYS_SHARE * (ended + passes[r, c] - shielded[r, c]):
                 return False
     return True
 
 
-@kernel(boolean[:, ::1](_I2, _I2))
-def passing_cells(hits: NDArray[np.int32], through: NDArray[np.int32]) -> NDArray[np.bool_]:
+@kernel(boolean[:, ::1](_I2, _I2, _I2))
+def passing_cells(hits: NDArray[np.int32], passes: NDArray[np.int32], shielded: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Tell which cells (rows, cols) were hit and are open all the same; the counts are the grid's, see ``Grid``."""
     out = np.zeros(hits.shape, np.bool_)
     for row in range(hits.shape[0]):
         for col in range(hits.shape[1]):
-            out[row, col] = hits[row, col] > 0 and _is_open(row, col, hits, through)
+            out[row, col] = hits[row, col] > 0 and _is_open(row, col, hits, passes, shielded)
     return out

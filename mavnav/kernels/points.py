@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, types, uint64
+from numba import float64, int32, types, uint64
 
 from mavnav.kernels._jit import kernel
 
@@ -43,7 +43,7 @@ def scan_points(
             continue
         late_s = time_increment_s * (i - 0.5 * (n - 1))
         x, y, turn = r * directions[i, 0], r * directions[i, 1], twist[2] * late_s
-        c, s = np.cos(turn), np.sin(turn)
+        c, s = (np.cos(turn), np.sin(turn)) if turn != 0.0 else (1.0, 0.0)
         out[used, 0] = c * x - s * y + twist[0] * late_s
         out[used, 1] = s * x + c * y + twist[1] * late_s
         used += 1
@@ -54,28 +54,49 @@ def scan_points(
 def voxel_means(points: NDArray[np.float64], voxel_m: float) -> NDArray[np.float64]:
     """Average points (n, 2) in square voxels; returns (m, 2) in a scrambled order, the same for the same points.
 
-    Any prefix of the result is a fair sample of the whole, which lets a search judge on few points first.
+    Any prefix of the result is a fair sample of the whole, which lets a search judge on few points first. Voxels are
+    filed in the order of their keys, with gaps: ``places`` hold their numbers, those of a key from its first bits on.
     """
-    n = len(points)
-    key = np.empty(n, np.uint64)
+    n, m, bits = len(points), 0, 1
+    while 1 << bits < 2 * n:
+        bits += 1
+    places, keys, sums = np.zeros((1 << bits) + n, np.int32), np.empty(n + 1, np.uint64), np.zeros((n + 1, 3))
     for k in range(n):
-        col = uint64(int(np.floor(points[k, 0] / voxel_m)) + (1 << 31))
-        row = uint64(int(np.floor(points[k, 1] / voxel_m)) + (1 << 31))
-        # An odd factor permutes the 64-bit numbers: voxels stay distinct, and sorting scrambles and groups at once.
-        key[k] = ((row << uint64(32)) | col) * uint64(0x9E3779B97F4A7C15)
-    order = np.argsort(key, kind="mergesort")
-    out = np.empty((n, 2))
-    m, k = 0, 0
-    while k < n:
-        first = k
-        x, y = 0.0, 0.0
-        while k < n and key[order[k]] == key[order[first]]:
-            x += points[order[k], 0]
-            y += points[order[k], 1]
+        x, y = points[k, 0], points[k, 1]
+        col = uint64(int(np.floor(x / voxel_m)) + (1 << 31))
+        row = uint64(int(np.floor(y / voxel_m)) + (1 << 31))
+        # An odd factor permutes the 64-bit numbers: voxels stay distinct, and their order is scrambled.
+        key = ((row << uint64(32)) | col) * uint64(0x9E3779B97F4A7C15)
+        at = key >> uint64(64 - bits)
+        while places[at] and keys[places[at]] < key:
+            at += uint64(1)
+        voxel = places[at]
+        if voxel == 0 or keys[voxel] != key:
+            m += 1
+            keys[m] = key
+            voxel = moved = int32(m)
+            while moved:
+                moved, places[at] = places[at], moved
+                at += uint64(1)
+        sums[voxel, 0] += x
+        sums[voxel, 1] += y
+        sums[voxel, 2] += 1.0
+    out, k = np.empty((m, 2)), 0
+    for voxel in places:
+        if voxel:
+            out[k, 0], out[k, 1] = sums[voxel, 0] / sums[voxel, 2], sums[voxel, 1] / sums[voxel, 2]
             k += 1
-        out[m, 0], out[m, 1] = x / (k - first), y / (k - first)
-        m += 1
-    return out[:m].copy()
+    return out
+
+
+@kernel(float64[:, ::1](_F2, _F1))
+def placed(points: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bring points (n, 2), m, from a frame to that in which its ``pose`` (3,) is given: x, y (m), yaw (rad)."""
+    out, c, s = np.empty_like(points), np.cos(pose[2]), np.sin(pose[2])
+    for k in range(len(points)):
+        x, y = points[k, 0], points[k, 1]
+        out[k, 0], out[k, 1] = pose[0] + c * x - s * y, pose[1] + s * x + c * y
+    return out
 
 
 @kernel(float64[::1](_F2))

@@ -391,3 +391,13 @@ def test_a_run_that_dies_while_it_is_written_leaves_the_old_one(
     assert done.returncode == (-signal.SIGKILL if signal.SIGKILL in numbers else ExitCode.TERMINATED)
     assert {path.name: path.read_text() for path in directory.iterdir()} == {"run.json": "old"}
     assert all(path.name.startswith(".run.") for path in tmp_path.iterdir() if path != directory)
+
+
+def test_a_warm_run_loads_neither_scipy_nor_message_definitions(tmp_path) -> None:
+    log, run = Path(__file__).parents[2] / "sample_logs/corridor.mcap", tmp_path / "run"
+    code = "import sys\nfrom mavnav.cli import run\nassert run(sys.argv[1:]) == 0\nprint(*sys.modules, file=sys.stderr)"
+    command = [sys.executable, "-c", code, "replay", log, "--end", "0.5", "-q", "-o", run]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    heavy = {"scipy.linalg", "scipy.ndimage", "scipy.spatial", "rosbags", "mcap", "matplotlib", "jinja2"}
+    heavy |= {"numba.np.arraymath", "mavnav.kernels.polarsearch", "mavnav.kernels.raycast"}
+    assert not heavy & set(done.stderr.split())

@@ -54,7 +54,7 @@ def test_sums_by_cells_are_the_sums_by_points(seed: int, half_m: float, grid: in
     at, window = problem.grid(half_m, 0.1, 0.0, pruned=True)
     x, y = problem.turned(at)
     sums = np.zeros((grid, grid))
-    linesearch._shift_sums(x, y, at, window, sums, *problem.lines)
+    linesearch._shift_sums(problem.centred, at, window, sums, *problem.lines)
     offsets = -half_m + np.arange(grid) * (2 * half_m / (grid - 1))
     slow = [[problem.cost(x, y, at[:2] + np.array((right, up))) for right in offsets] for up in offsets]
     np.testing.assert_allclose(sums, slow, atol=0.01 * linesearch.ROUNDING_M2)
@@ -67,7 +67,7 @@ def test_sums_over_turns_are_the_sums_by_points(seed: int, half_rad: float, azim
     at, window = problem.grid(0.05, half_rad, 0.0, pruned=True)
     turns = np.linspace(-half_rad, half_rad, azimuths)
     sums = np.zeros(azimuths)
-    linesearch._turn_sums(problem.centred, at, window, sums, *problem.lines)
+    linesearch._turn_sums(problem.centred, at, window, linesearch._turns(half_rad, azimuths), sums, *problem.lines)
     slow = []
     for turn in turns:
         x, y = problem.turned(at + np.array([0, 0, turn, 0, 0]))
@@ -96,7 +96,7 @@ def test_ties_go_to_the_lowest_index() -> None:
     problem = random_problem(0)
     far = Problem(problem.line_map, problem.points, problem.start + np.array([500.0, 0, 0]))
     for pruned in (True, False):
-        at, window = far.grid(0.1, 0.1, 0.0, pruned=pruned)
-        assert linesearch._least_of_form(far.form(at, window), window, 7, 5, 5) == 0
-        assert linesearch._turn_on_lines(far.centred, at, window, 7, *far.lines) == 0
+        (at, window), turns = far.grid(0.1, 0.1, 0.0, pruned=pruned), linesearch._turns(0.1, 7)
+        assert linesearch._least_of_form(far.form(at, window), window, turns, 5, 5) == 0
+        assert linesearch._turn_on_lines(far.centred, at, window, turns, *far.lines) == 0
         assert linesearch._shift_on_lines(far.centred, at, window, 5, 5, *far.lines) == 0

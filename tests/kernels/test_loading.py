@@ -1,0 +1,30 @@
+"""Kernels come from the disk without the compiler."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import mavnav.kernels.hits
+import mavnav.kernels.points  # noqa: F401  compiled by now
+
+
+def test_machine_code_is_loaded_without_the_compiler() -> None:
+    code = (
+        "import sys, numba\nbefore = set(sys.modules)\nfrom mavnav.kernels.hits import add_scan\n"
+        "assert len(add_scan.overloads) == 1\n"
+        "print(*(set(sys.modules) - before))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "numba.np.polynomial.polynomial_core" not in done.stdout.split()
+
+
+def test_a_numba_that_keeps_its_code_in_another_way_loads_it_as_it_does() -> None:
+    code = (
+        "from unittest.mock import patch\nimport mavnav.kernels._jit as jit, numpy as np\n"
+        "with patch.object(jit, 'rtsys', None):\n"
+        "    from mavnav.kernels.points import extent\n"
+        "assert sum(extent.stats.cache_hits.values()) == 1\n"
+        "assert extent(np.ones((3, 2))).tolist() == [1.0, 1.0, 1.0, 1.0]"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
