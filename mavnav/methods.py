@@ -194,7 +194,7 @@ class Robust:
         window = (robust.near_window_mm * MM, robust.near_window_deg * DEG)
         prior = 0.0 if motion.odometry is None else robust.prior
         found = search_lines(points, self.lines, predicted, window, self.config, prior=prior)
-        return [judged(found, points, self.known)]
+        return [judged(found, points, self.lines, self.known)]
 
     def _inside(self, near: Match, predicted: Pose) -> bool:
         """Tell whether a match lies so far within the near window that the laser cannot be beyond it."""
@@ -277,7 +277,6 @@ class Robust:
         """Return the points (n, 2) that are matched, m, laser frame; de-skewed if the motion is given."""
         return voxel_means(self._points(scan, motion), self.config.robust.voxel_mm * MM)
 
-    @timed("cleaning")
     def _points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
         """Good points (n, 2) in the laser's frame, m; at mid-sweep if the motion is given.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels.conflicts import conflicts
+from mavnav.kernels.conflicts import CLEAR_CELLS, conflicts
 from mavnav.kernels.points import placed
 from mavnav.kernels.volume import volume
 from mavnav.matcher import Match, search_lines, with_effort
@@ -52,10 +52,12 @@ CLEAR_BY = 0.05
 
 
 @timed("gate")
-def judged(match: Match, points: NDArray[np.float64], grid: Grid) -> Match:
+def judged(match: Match, points: NDArray[np.float64], line_map: LineMap, grid: Grid) -> Match:
     """Return the match with the share of its points (n, 2), laser frame, that the map speaks against."""
-    pose = match.map_T_laser.as_array()
-    count = conflicts(placed(points, pose), pose[:2], grid.lattice, grid.hits, grid.passes)
+    pose, lattice = match.map_T_laser.as_array(), grid.lattice
+    off_cells = (lattice[:2] - line_map.geometry[:2]) / grid.cell_m
+    clear = np.array([*off_cells, line_map.closeness_at(CLEAR_CELLS * grid.cell_m)])
+    count = conflicts(placed(points, pose), pose[:2], lattice, grid.hits, grid.passes, line_map.closeness, clear)
     return replace(match, conflicts=float(count) / max(len(points), 1))
 
 
@@ -106,7 +108,7 @@ def candidates(
     costs = volume(few, xy_m, yaws_rad, robust.truncate_mm * MM, line_map.nearest, line_map.lines, line_map.geometry)
     window = (1.5 * STEP_M, 1.5 * STEP_RAD)
     starts = minima(costs, xy_m, yaws_rad, most)
-    return [judged(search_lines(points, line_map, start, window, config), points, grid) for start in starts]
+    return [judged(search_lines(points, line_map, start, window, config), points, line_map, grid) for start in starts]
 
 
 def best_of(found: list[Match], expected: tuple[Pose, ...], elapsed_s: float, config: Config) -> Match:

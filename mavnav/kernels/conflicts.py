@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import boolean, float64, int32, int64, types, uint64
+from numba import boolean, float64, int32, int64, types, uint8
 
 from mavnav.kernels._jit import kernel
 
@@ -16,10 +16,13 @@ WALL_HITS = 4  # fewer may be strays
 FREE_PASSES = 3  # beams that crossed an open cell
 REACH_CELLS = 7  # a hit so near explains an end point
 GRAZE_CELLS = 10  # a beam may run along the wall that it ends on
+STRIDE = 8  # cells of a beam that one look may clear
+CLEAR_CELLS = 7.0  # from the middle of a stride to what it meets: half of it, 2 ** 0.5 for two cells, 1.5 to spare
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 _I2 = types.Array(int32, 2, "C", readonly=True)
+_U2 = types.Array(uint8, 2, "C", readonly=True)
 
 
 @kernel(boolean(int64, int64, _I2, _I2))
@@ -35,40 +38,54 @@ def _in_the_open(row: int, col: int, hits: NDArray[np.int32], passes: NDArray[np
     return True
 
 
-@kernel(boolean(float64, float64, float64, float64, _I2, _I2))
+@kernel(boolean(float64, float64, float64, float64, _I2, _I2, _U2, _F1))
 def _through_a_wall(
-    u0: float, v0: float, u1: float, v1: float, hits: NDArray[np.int32], passes: NDArray[np.int32]
+    u0: float,
+    v0: float,
+    u1: float,
+    v1: float,
+    hits: NDArray[np.int32],
+    passes: NDArray[np.int32],
+    closeness: NDArray[np.uint8],
+    clear: NDArray[np.float64],
 ) -> bool:
-    """Tell whether the beam from (u0, v0) to (u1, v1), in cells, meets a wall well before its end."""
+    """Tell whether the beam from (u0, v0) to (u1, v1), in cells, meets a wall well before its end.
+
+    ``clear`` are column and row of the grid's cell [0, 0] in ``closeness``, and its least value that may mean a hit
+    cell within half a stride.
+    """
     rows, cols = hits.shape
     length = np.hypot(u1 - u0, v1 - v0)
-    du, dv = (u1 - u0) / length, (v1 - v0) / length
-    if min(u0, v0, u1, v1) >= 1.0 and max(u0, u1) < cols - 1.0 and max(v0, v1) < rows - 1.0:
-        for i in range(2, int(length - GRAZE_CELLS)):  # all within: no need to look, nor to round down
-            r, c = uint64(int64(v0 + i * dv)), uint64(int64(u0 + i * du))
-            if hits[r, c] >= WALL_HITS and hits[r, c] >= passes[r, c]:
+    du, dv, last = (u1 - u0) / length, (v1 - v0) / length, int(length - GRAZE_CELLS)
+    for start in range(2, last, STRIDE):
+        middle = start + STRIDE // 2
+        row, col = int(v0 + middle * dv + clear[1]), int(u0 + middle * du + clear[0])
+        inside = 0 <= row < closeness.shape[0] and 0 <= col < closeness.shape[1]
+        if not inside or closeness[row, col] < clear[2]:
+            continue
+        for i in range(start, min(start + STRIDE, last)):
+            row, col = int(np.floor(v0 + i * dv)), int(np.floor(u0 + i * du))
+            if 0 <= row < rows and 0 <= col < cols and hits[row, col] >= max(WALL_HITS, passes[row, col]):
                 return True
-        return False
-    for i in range(2, int(length - GRAZE_CELLS)):
-        row, col = int(np.floor(v0 + i * dv)), int(np.floor(u0 + i * du))
-        if 0 <= row < rows and 0 <= col < cols and hits[row, col] >= WALL_HITS and hits[row, col] >= passes[row, col]:
-            return True
     return False
 
 
-@kernel(int64(_F2, _F1, _F1, _I2, _I2))
+@kernel(int64(_F2, _F1, _F1, _I2, _I2, _U2, _F1))
 def conflicts(
     xy_map_m: NDArray[np.float64],
     laser_xy_m: NDArray[np.float64],
     lattice: NDArray[np.float64],
     hits: NDArray[np.int32],
     passes: NDArray[np.int32],
+    closeness: NDArray[np.uint8],
+    clear: NDArray[np.float64],
 ) -> int:
     """Count the points (n, 2) that the map speaks against.
 
     Either the point lies in the open: its cell was crossed by beams and no hit is near; or the beam from the laser to
     it meets a wall, a cell hit ``WALL_HITS`` times and at least as often as crossed. ``lattice``, ``hits`` and
-    ``passes`` are the grid's, see ``Grid``.
+    ``passes`` are the grid's, see ``Grid``. ``closeness`` is that of a line map of the same cells: what it has to be
+    where a hit cell may be within `CLEAR_CELLS`, stands in ``clear`` (3,) behind the column and the row of cell [0, 0].
     """
     ox, oy, cell = lattice
     u0, v0 = (laser_xy_m[0] - ox) / cell, (laser_xy_m[1] - oy) / cell
@@ -76,7 +93,7 @@ def conflicts(
     for k in range(len(xy_map_m)):
         u1, v1 = (xy_map_m[k, 0] - ox) / cell, (xy_map_m[k, 1] - oy) / cell
         if _in_the_open(int(np.floor(v1)), int(np.floor(u1)), hits, passes) or _through_a_wall(
-            u0, v0, u1, v1, hits, passes
+            u0, v0, u1, v1, hits, passes, closeness, clear
         ):
             count += 1
     return count

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 WINDOW_CELLS = 4  # half-width of the line fit's window: 9x9 cells
 REACH_CELLS = 8  # nearest occupied cells are known this far
 FAR = REACH_CELLS * REACH_CELLS
+BLOCK = 64  # lines that are fitted at once
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
@@ -44,22 +45,33 @@ def _stamp(slot: int, row: int, col: int, nearest: NDArray[np.int32], closeness:
                 closeness[r, c] = FAR + 1 - d2
 
 
-@kernel(void(int64, float64, float64[:, ::1], float64[:, ::1]))
-def _fit(slot: int, noise_m: float, moments: NDArray[np.float64], lines: NDArray[np.float64]) -> None:
-    """Refit one line: A = ((tr C + s0^2) I - C) / (l1 + s0^2), 1 along the normal and small along the wall."""
-    per_n = 1.0 / moments[slot, 6]
-    mx, my = moments[slot, 7] * per_n, moments[slot, 8] * per_n
-    cxx = max(moments[slot, 9] * per_n - mx * mx, 0.0)
-    cyy = max(moments[slot, 11] * per_n - my * my, 0.0)
-    cxy = moments[slot, 10] * per_n - mx * my
-    half, diff = 0.5 * (cxx + cyy), 0.5 * (cxx - cyy)
-    l1 = half + np.sqrt(diff * diff + cxy * cxy)
-    s2 = noise_m * noise_m
-    scale = 1.0 / (l1 + s2)
-    lines[slot, 0], lines[slot, 1] = mx, my
-    lines[slot, 2] = (cyy + s2) * scale
-    lines[slot, 3] = -cxy * scale
-    lines[slot, 4] = (cxx + s2) * scale
+@kernel(void(int64[::1], float64, float64[:, ::1], float64[:, ::1]))
+def _fit(slots: NDArray[np.int64], noise_m: float, moments: NDArray[np.float64], lines: NDArray[np.float64]) -> None:
+    """Refit some lines: A = ((tr C + s0^2) I - C) / (l1 + s0^2), 1 along the normal and small along the wall.
+
+    A block of them is laid side by side, so that the compiler does several at once.
+    """
+    s2, m = noise_m * noise_m, np.empty((6, BLOCK))
+    for first in range(0, len(slots), BLOCK):
+        block = min(BLOCK, len(slots) - first)
+        for k in range(block):
+            slot = uint64(slots[first + k])
+            m[0, k], m[1, k], m[2, k] = moments[slot, 6], moments[slot, 7], moments[slot, 8]
+            m[3, k], m[4, k], m[5, k] = moments[slot, 9], moments[slot, 10], moments[slot, 11]
+        for k in range(block):
+            per_n = 1.0 / m[0, k]
+            mx, my = m[1, k] * per_n, m[2, k] * per_n
+            cxx = max(m[3, k] * per_n - mx * mx, 0.0)
+            cyy = max(m[5, k] * per_n - my * my, 0.0)
+            cxy = m[4, k] * per_n - mx * my
+            half, diff = 0.5 * (cxx + cyy), 0.5 * (cxx - cyy)
+            scale = 1.0 / (half + np.sqrt(diff * diff + cxy * cxy) + s2)
+            m[0, k], m[1, k] = mx, my
+            m[2, k], m[3, k], m[4, k] = (cyy + s2) * scale, -cxy * scale, (cxx + s2) * scale
+        for k in range(block):
+            slot = uint64(slots[first + k])
+            lines[slot, 0], lines[slot, 1] = m[0, k], m[1, k]
+            lines[slot, 2], lines[slot, 3], lines[slot, 4] = m[2, k], m[3, k], m[4, k]
 
 
 @kernel(float64[:, ::1](float64, float64))
@@ -109,7 +121,7 @@ def rebuild(
     moments[1:, 6:] = 0.0
     for slot in range(1, len(cells)):
         _gather(slot, weight, nearest, closeness, cells, moments)
-        _fit(slot, geometry[4], moments, lines)
+    _fit(np.arange(1, len(cells)), geometry[4], moments, lines)
 
 
 @kernel(int64(_F2, _F1, int64, int32[:, ::1], uint8[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
@@ -159,25 +171,33 @@ def insert_points(
     for slot in range(first, count):
         _gather(slot, weight, nearest, closeness, cells, moments)
 
-    touched, n_touched = np.empty(n_hit * weight.size, np.int64), 0
+    touched, n_touched = np.empty(n_hit * weight.size + 1, np.int64), 0
     for k in range(n_hit):
         slot = hit[k]
         lines[slot, 6] = 0.0
-        for m in range(6):
-            moments[slot, m] += added[k, m]
+        n, x, y, xx, xy, yy = added[k, 0], added[k, 1], added[k, 2], added[k, 3], added[k, 4], added[k, 5]
+        moments[slot, 0] += n
+        moments[slot, 1] += x
+        moments[slot, 2] += y
+        moments[slot, 3] += xx
+        moments[slot, 4] += xy
+        moments[slot, 5] += yy
         row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
         for i in range(2 * WINDOW_CELLS + 1):
             for j in range(2 * WINDOW_CELLS + 1):
                 at = uint64((row + i) * wide + col + j)
                 if flat[at] > FAR:
-                    other = int64(flat_nearest[at])
-                    for m in range(6):
-                        moments[other, 6 + m] += weight[i, j] * added[k, m]
-                    if lines[other, 7] == 0.0:
-                        lines[other, 7] = 1.0
-                        touched[n_touched] = other
-                        n_touched += 1
+                    other, w = uint64(flat_nearest[at]), weight[uint64(i), uint64(j)]
+                    moments[other, 6] += w * n
+                    moments[other, 7] += w * x
+                    moments[other, 8] += w * y
+                    moments[other, 9] += w * xx
+                    moments[other, 10] += w * xy
+                    moments[other, 11] += w * yy
+                    touched[uint64(n_touched)] = other  # written over unless it is new
+                    n_touched += lines[other, 7] == 0.0
+                    lines[other, 7] = 1.0
     for t in range(n_touched):
-        _fit(touched[t], noise, moments, lines)
         lines[touched[t], 7] = 0.0
+    _fit(touched[:n_touched], noise, moments, lines)
     return count

@@ -674,7 +674,7 @@ def search(
                 if 0 < i < nx - 1 and 0 < j < ny - 1:
                     break
         if window[0] <= geometry[2] and not settled:
-            # Points on new ground lower the cost by falling back onto the map: the others decide, from this level on.
+            # Points on new ground lower the cost by falling back onto the map: from now on the others decide.
             settled, deciding = True, _drawn(centred, at, limits[10], closeness, geometry)
             right, up = _mean(deciding[0]), _mean(deciding[1])
             pivot_x, pivot_y = pivot_x + right, pivot_y + up
@@ -685,8 +685,9 @@ def search(
             at[1] += np.sin(at[2]) * right + np.cos(at[2]) * up
             at[3] += c * right - s * up
             at[4] += s * right + c * up
-            continue
-        if last:
+            if last:
+                continue
+        elif last:
             converged = 1.0
             break
         window[0] = min(1.5 * max(step_x, step_y), 0.9 * window[0])
