@@ -102,11 +102,11 @@ class LineMap:
         self.origin_cells = new_origin
 
     def _reserve(self, needed: int) -> None:
-        """Make room for ``needed`` cells, doubling so that the cost a cell stays constant."""
+        """Make room for ``needed`` cells, four times as many as now at least: room takes memory once it is used."""
         capacity = len(self.cells)
         if needed <= capacity:
             return
-        capacity = max(needed, 2 * capacity, 4096)
+        capacity = max(needed, 4 * capacity, 4096)
         cells = np.zeros((capacity, 2), np.int32)
         cells[: self.count] = self.cells[: self.count]
         self.cells = cells

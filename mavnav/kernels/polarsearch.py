@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 MAX_ITERATIONS = 60
 HELD_SHARE = 1.0 / 16.0
 """Of a point's range, and of a segment's width, that motion within a small grid may change."""
-HELD_BEAMS = 0.6
-"""Of a grid on which points pass more beams than this on average, too few beams keep their segments."""
+HELD_BEAMS, TRIMMED_BEAMS, WORTH_TRIMMING = 0.6, 6.0, 40
+"""Where points pass more beams on average, too few beams keep their segments, or are of no use on the whole grid; it
+takes as long to find these as to bound some ten candidates."""
 HIDDEN_M = 0.05
 """So far behind another a surface stays hidden within a small grid; beams whose range may change more are not held."""
 SUM_M2 = 1e-11
@@ -59,7 +60,6 @@ _S1 = types.Array(float32, 1, "C", readonly=True)
 _S2 = types.Array(float32, 2, "C", readonly=True)
 _SCAN = types.Tuple((_F1, _F2, _F1))
 _WORK = types.Tuple((float64[:, ::1], int32[:, ::1]))
-_STATE = types.Tuple((float64[:, ::1], float64[::1], int64[::1]))
 
 # ---- the cost -------------------------------------------------------------------------------------------------------
 
@@ -110,12 +110,43 @@ def _see_far(
         beam[k] = at - turn * np.floor(at * (1.0 / turn))
 
 
+@kernel(void(_F2, _F1, _F1, float64[::1], float64[::1]))
+def _see_about(
+    points: NDArray[np.float64],
+    motion: NDArray[np.float64],
+    limits: NDArray[np.float64],
+    r: NDArray[np.float64],
+    beam: NDArray[np.float64],
+) -> None:
+    """Write range and beam number of the moved points, wherever they turn to, right but for rounding.
+
+    Half the turn has the tangent cross / (product of the ranges + dot); halved twice more it suits a short series.
+    """
+    c, s, x, y, yaw = motion
+    per_step, turn = 1.0 / limits[1], 2.0 * np.pi / abs(limits[1])
+    for k in range(len(r)):
+        px, py = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
+        qx, qy = px + x, py + y
+        r[k] = np.sqrt(qx * qx + qy * qy)
+        cross, ahead = px * qy - py * qx, points[6, k] * r[k] + px * qx + py * qy
+        aside = abs(cross)
+        t = min(aside, ahead) / max(aside, ahead)
+        t = t / (1.0 + np.sqrt(1.0 + t * t))
+        t = t / (1.0 + np.sqrt(1.0 + t * t))
+        u = t * t
+        tail = 1 / 11 - u * (1 / 13 - u * (1 / 15 - u * (1 / 17)))
+        half = 4.0 * t * (1.0 - u * (1 / 3 - u * (1 / 5 - u * (1 / 7 - u * (1 / 9 - u * tail)))))
+        half = 0.5 * np.pi - half if aside > ahead else half
+        at = (points[4, k] + yaw + (2.0 * half if cross > 0.0 else -2.0 * half) - limits[0]) * per_step
+        beam[k] = at - turn * np.floor(at * (1.0 / turn))
+
+
 @kernel(void(_SCAN, _WORK))
 def _span(scan: Scan, work: Work) -> None:
     """Write what the first virtual beam that meets the segment before each point sees there, and the segment's slope.
 
     Only between neighbouring beams of one surface, where it turns its front to the virtual laser (step iv). The
-    integers are that beam's number, and whether others meet the segment as well.
+    integers are that beam's number and how many more meet the segment, -1 where it lies across the seam.
     """
     r, beam, value, slope = work[0][0], work[0][1], work[0][2], work[0][3]
     first, more, joined = work[1][0], work[1][1], scan[1][5]
@@ -126,9 +157,10 @@ def _span(scan: Scan, work: Work) -> None:
         front = (joined[k] > 0.0) & (ahead > 0.0) & (ahead < 0.25 * turn)
         at, end = max(np.ceil(start), 0.0), min(np.floor(start + ahead), last)
         slope[k] = (r[k] - r[k - 1]) / ahead
-        value[k] = r[k - 1] + (at - start) * slope[k] if front & (at <= end) else np.inf
+        meets = front & (at <= end)
+        value[k] = r[k - 1] + (at - start) * slope[k] if meets else np.inf
         first[k] = int32(min(at, last))
-        more[k] = int32(front & ((at < end) | (start + ahead >= turn)))
+        more[k] = int32(-1) if front & (start + ahead >= turn) else int32(end - at if meets else 0.0)
 
 
 @kernel(void(_SCAN, _WORK, float64[::1]))
@@ -138,19 +170,17 @@ def _lay(scan: Scan, work: Work, seen: NDArray[np.float64]) -> None:
     first, more, beams, turn = work[1][0], work[1][1], len(seen), 2.0 * np.pi / abs(scan[2][1])
     seen[:] = np.inf
     for k in range(1, scan[1].shape[1]):
-        at = uint64(first[k])
-        seen[at] = min(seen[at], value[k])
-        if more[k] == 0:
+        at, from_r, start = first[k], r[k - 1], beam[k - 1]
+        seen[uint64(at)] = min(seen[uint64(at)], value[k])
+        for j in range(at + 1, at + more[k] + 1):
+            seen[uint64(j)] = min(seen[uint64(j)], from_r + (j - start) * slope[k])
+        if more[k] >= 0:
             continue
-        start, ahead = beam[k - 1], beam[k] - beam[k - 1]
-        ahead = ahead + turn if ahead < -0.5 * turn else ahead
+        ahead = beam[k] - start + (turn if beam[k] < start else 0.0)
         for _ in range(2):
-            end = min(int64(np.floor(start + ahead)), beams - 1)
-            for j in range(max(int64(np.ceil(start)), 0), end + 1):
-                seen[uint64(j)] = min(seen[uint64(j)], r[k - 1] + (j - start) * slope[k])
-            if start + ahead < turn:
-                break
-            start -= turn  # a segment across the seam goes on at beam 0
+            for j in range(max(int64(np.ceil(start)), 0), min(int64(np.floor(start + ahead)), beams - 1) + 1):
+                seen[uint64(j)] = min(seen[uint64(j)], from_r + (j - start) * slope[k])
+            start -= turn  # it goes on at beam 0
 
 
 @kernel(types.UniTuple(float64, 2)(_F1, _F1, float64[::1], float64[::1]))
@@ -171,22 +201,34 @@ def _compare(
     return total, float(used)
 
 
-@kernel(types.UniTuple(float64, 2)(_SCAN, _F1, _WORK))
-def _evaluate(scan: Scan, motion: NDArray[np.float64], work: Work) -> tuple[float, float]:
-    """Return cost and number of beams in it, see ``polar_cost``."""
-    virtual, points, limits = scan
-    n, beams, scratch = points.shape[1], len(virtual), work[0]
-    # Cost function, step iii
-    if not _see(points, motion, limits, scratch[0, :n], scratch[1, :n]):
-        _see_far(points, motion, limits, scratch[1, :n])
-    # Step iv
+@kernel(types.UniTuple(float64, 2)(_SCAN, _WORK))
+def _mean(scan: Scan, work: Work) -> tuple[float, float]:
+    """Return cost and number of beams in it, from ranges and beam numbers of the moved points."""
+    virtual, _, limits = scan
+    # Cost function, step iv
+    seen = work[0][4, : len(virtual)]
     _span(scan, work)
-    _lay(scan, work, scratch[4, :beams])
-    total, used = _compare(virtual, limits, scratch[4, :beams], scratch[5, :beams])
+    _lay(scan, work, seen)
+    total, used = _compare(virtual, limits, seen, work[0][5, : len(virtual)])
     # Steps x and xi
     if used < limits[6] or used == 0.0:
         return np.inf, used
     return total / used, used
+
+
+@kernel(types.UniTuple(float64, 2)(_SCAN, _F1, _WORK, float64))
+def _evaluate(scan: Scan, motion: NDArray[np.float64], work: Work, most: float) -> tuple[float, float]:
+    """Return cost and number of beams in it, see ``polar_cost``; what plainly costs more than ``most`` may be inf."""
+    points, limits = scan[1], scan[2]
+    r, beam = work[0][0, : points.shape[1]], work[0][1, : points.shape[1]]
+    # Cost function, step iii
+    if not _see(points, motion, limits, r, beam):
+        if most < np.inf:  # the arc tangent takes three times as long as all else
+            _see_about(points, motion, limits, r, beam)
+            if _mean(scan, work)[0] - SUM_M2 > most:
+                return np.inf, 0.0
+        _see_far(points, motion, limits, beam)
+    return _mean(scan, work)
 
 
 @kernel(_F2(_F2, float64))
@@ -223,7 +265,7 @@ def polar_cost(
     n = points.shape[1]
     motion = np.array([np.cos(yaw), np.sin(yaw), x, y, yaw])
     work = np.empty((6, max(n, len(virtual)))), np.empty((2, n), np.int32)
-    return _evaluate((virtual, _joined(points, limits[5]), limits), motion, work)
+    return _evaluate((virtual, _joined(points, limits[5]), limits), motion, work, np.inf)
 
 
 # ---- wide grids: bounds in single precision -------------------------------------------------------------------------
@@ -276,7 +318,8 @@ def _span_glance(
         moved[2, k] = value if inside & (not across) else NOTHING
         moved[3, k] = slope
         spans[0, k] = int32(min(max(number + low, ZERO), last)) if inside else int32(0)
-        spans[1, k] = int32(joined & ((meets & ((low < high) | across)) | np.isnan(ahead)))
+        special = joined & ((meets & across) | np.isnan(ahead))
+        spans[1, k] = int32(-1) if special else int32(min(number + high, last) - (number + low) if inside else ZERO)
 
 
 @kernel(boolean(_S2, _S1, float32[:, ::1], int32[:, ::1], float32[::1]))
@@ -291,18 +334,16 @@ def _lay_glance(
     seen[:] = NOTHING
     turn, last = widths[0], len(seen) - 1
     for k in range(1, points.shape[1]):
-        first = uint64(spans[0, k])
+        first, more = uint64(spans[0, k]), spans[1, k]
         seen[first] = min(seen[first], moved[2, k])
-        if spans[1, k] == 0:
+        for i in range(1, more + 1):
+            at = first + uint64(i)
+            seen[at] = min(seen[at], moved[2, k] + np.float32(i) * moved[3, k])
+        if more >= 0:
             continue
         start, end = points[2, k - 1] + moved[1, k - 1], points[2, k - 1] + moved[1, k] + ONE
         if not end - start <= turn:
             return False
-        if start >= ONE and end <= turn - ONE:
-            for j in range(spans[0, k], min(int64(np.floor(end + widths[1])), last) + 1):
-                value = moved[2, k] + np.float32(j - spans[0, k]) * moved[3, k]
-                seen[uint64(j)] = min(seen[uint64(j)], value if moved[2, k] > ZERO else DOUBT)
-            continue
         for around in range(-1, 2):
             low, high = np.floor(start + around * turn), np.ceil(end + around * turn)
             for j in range(max(int64(low), 0), min(int64(high), last) + 1):
@@ -339,7 +380,7 @@ def _bound_wide(
     virtual, points, limits = scan
     n, beams, per_step = points.shape[1], len(virtual), 1.0 / limits[1]
     small, motion, moved = points.astype(np.float32), np.empty(6, np.float32), np.empty((4, n), np.float32)
-    expected, seen, squares = np.empty((3, beams), np.float32)
+    expected, seen, squares = np.empty(beams, np.float32), np.empty(beams, np.float32), np.empty(beams, np.float32)
     small[4] = (points[4] - limits[0]) * per_step - points[2]
     for j in range(beams):
         expected[j] = virtual[j] if limits[2] < virtual[j] < limits[3] else np.nan
@@ -347,7 +388,9 @@ def _bound_wide(
     widths[0], widths[1], widths[2], widths[3] = 2.0 * np.pi * abs(per_step), close, 0.5 * RANGE_M / close, beams - 1
     widths[4:7], widths[7], widths[8] = limits[2:5], RANGE_M, limits[6]
     for i in range(len(bounds)):
-        motion[:4], motion[4], motion[5] = motions[i, :4], motions[i, 4] * per_step, per_step
+        for j in range(5):
+            motion[j] = motions[i, j]
+        motion[4], motion[5] = motions[i, 4] * per_step, per_step
         _glance(small, motion, moved)
         _span_glance(small, widths, moved, spans)
         known = _lay_glance(small, widths, moved, spans, seen)
@@ -357,52 +400,21 @@ def _bound_wide(
 # ---- small grids: the sum of most beams is a polynomial of the motion -----------------------------------------------
 
 
-@kernel(void(_F2, _F1, _F1, float64[::1], float64[::1]))
-def _see_about(
-    points: NDArray[np.float64],
-    motion: NDArray[np.float64],
-    limits: NDArray[np.float64],
-    r: NDArray[np.float64],
-    beam: NDArray[np.float64],
-) -> None:
-    """Write range and beam number of the moved points, wherever they turn to, right but for rounding.
-
-    Half the turn has the tangent cross / (product of the ranges + dot); halved twice more it suits a short series.
-    """
-    c, s, x, y, yaw = motion
-    per_step, turn = 1.0 / limits[1], 2.0 * np.pi / abs(limits[1])
-    for k in range(len(r)):
-        px, py = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
-        qx, qy = px + x, py + y
-        r[k] = np.sqrt(qx * qx + qy * qy)
-        cross, ahead = px * qy - py * qx, points[6, k] * r[k] + px * qx + py * qy
-        aside = abs(cross)
-        t = min(aside, ahead) / max(aside, ahead)
-        t = t / (1.0 + np.sqrt(1.0 + t * t))
-        t = t / (1.0 + np.sqrt(1.0 + t * t))
-        u = t * t
-        tail = 1 / 11 - u * (1 / 13 - u * (1 / 15 - u * (1 / 17)))
-        half = 4.0 * t * (1.0 - u * (1 / 3 - u * (1 / 5 - u * (1 / 7 - u * (1 / 9 - u * tail)))))
-        half = 0.5 * np.pi - half if aside > ahead else half
-        at = (points[4, k] + yaw + (2.0 * half if cross > 0.0 else -2.0 * half) - limits[0]) * per_step
-        beam[k] = at - turn * np.floor(at * (1.0 / turn))
-
-
-@kernel(boolean(_SCAN, _F1, _F1, float64[:, ::1], float64[:, ::1]))
+@kernel(types.UniTuple(float64, 2)(_SCAN, _F1, _F1, float64[:, ::1], float64[:, ::1]))
 def _reach(
     scan: Scan,
     motion: NDArray[np.float64],
     window: NDArray[np.float64],
     scratch: NDArray[np.float64],
     reach: NDArray[np.float64],
-) -> bool:
+) -> tuple[float, float]:
     """Write how far each point comes on the grid: in m, in beams, and in beams more than the one before it.
 
-    False where that is too far for the following.
+    Returns the beams on average, and the largest share of a point's range.
     """
     points, (c, s, x, y, _), (shift, turn, pivot_x, pivot_y) = scan[1], motion, window
     r, per_step, shear = scratch[0], 1.0 / abs(scan[2][1]), shift + turn * np.hypot(pivot_x, pivot_y)
-    n, beams = points.shape[1], 0.0
+    n, beams, largest = points.shape[1], 0.0, 0.0
     for k in range(n):
         qx, qy = c * points[0, k] - s * points[1, k] + x, s * points[0, k] + c * points[1, k] + y
         reach[0, k] = shift + turn * np.sqrt((qx - pivot_x) * (qx - pivot_x) + (qy - pivot_y) * (qy - pivot_y))
@@ -411,10 +423,8 @@ def _reach(
         dx, dy = points[0, k] - points[0, before], points[1, k] - points[1, before]
         reach[2, k] = 1.2 * shear * np.sqrt(dx * dx + dy * dy) * per_step / (r[k] * r[before])
     for k in range(n):
-        beams += reach[1, k]
-        if reach[0, k] > HELD_SHARE * r[k]:
-            return False
-    return bool(beams <= HELD_BEAMS * n)
+        beams, largest = beams + reach[1, k], max(largest, reach[0, k] / r[k])
+    return beams / n, largest
 
 
 @kernel(types.UniTuple(float64, 3)(int64, _SCAN, float64[:, ::1], float64[:, ::1]))
@@ -431,61 +441,67 @@ def _swept(k: int, scan: Scan, scratch: NDArray[np.float64], reach: NDArray[np.f
     return start - less, start + ahead + more, start
 
 
-@kernel(void(_SCAN, _WORK, float64[:, ::1], _STATE))
+@kernel(void(_SCAN, _WORK, float64[:, ::1], float64[:, ::1], int64[::1]))
 def _hold(
-    scan: Scan, work: Work, reach: NDArray[np.float64], seen: NDArray[np.float64], held: NDArray[np.int64]
+    scan: Scan, work: Work, reach: NDArray[np.float64], sight: NDArray[np.float64], held: NDArray[np.int64]
 ) -> None:
-    """Write what each beam sees and which segment it meets all over the grid: 0 for none, -1 where that may change."""
-    beam, value, slope, last = work[0][1], work[0][2], work[0][3], len(seen) - 1
-    turn = 2.0 * np.pi / abs(scan[2][1])
-    seen[:], held[:] = np.inf, 0
+    """Write what each beam sees and which segment it meets all over the grid: 0 for none, -1 where that may change.
+
+    ``sight`` (3, beams) is what a beam sees in the middle, and the least and the most that it can see anywhere.
+    """
+    r, beam, value, slope, last = work[0][0], work[0][1], work[0][2], work[0][3], len(held) - 1
+    seen, turn = sight[0], 2.0 * np.pi / abs(scan[2][1])
+    sight[:2], sight[2], held[:] = np.inf, 0.0, 0
     for k in range(1, scan[1].shape[1]):
         if value[k] == np.inf or beam[k] < beam[k - 1]:
             continue  # across the seam: loose in any case
-        first = int64(work[1][0, k])
-        for j in range(first, min(int64(np.floor(beam[k])), last) + 1):
+        first = work[1][0, k]
+        for j in range(first, first + work[1][1, k] + 1):
             at = value[k] + (j - first) * slope[k]
             if at < seen[j]:
                 seen[j], held[j] = at, k
     for k in range(1, scan[1].shape[1]):
         low, high, start = _swept(k, scan, work[0], reach)
-        near = min(work[0][0, k - 1] - reach[0, k - 1], work[0][0, k] - reach[0, k]) - HIDDEN_M
+        near = min(r[k - 1] - reach[0, k - 1], r[k] - reach[0, k])
+        far = max(r[k - 1] + reach[0, k - 1], r[k] + reach[0, k])
         seam = low < 0.0 or high >= turn
         for around in range(-1 if seam else 0, 2 if seam else 1):
             by = around * turn
             for j in range(max(int64(np.ceil(low + by)), 0), min(int64(np.floor(high + by)), last) + 1):
                 mine = held[j] == k
                 sure = mine and j >= start + reach[1, k - 1] and j <= beam[k] - reach[1, k] and not seam
-                if not sure and (mine or near <= seen[j]):
+                sight[1, j], sight[2, j] = min(sight[1, j], near), max(sight[2, j], far)
+                if not sure and (mine or near <= seen[j] + HIDDEN_M):
                     held[j] = -1
 
 
-@kernel(void(_SCAN, float64[:, ::1], float64[:, ::1], float64[::1], int64[::1]))
+@kernel(void(_SCAN, float64[:, ::1], float64[:, ::1], float64[:, ::1], int64[::1], boolean))
 def _let_go(
     scan: Scan,
     scratch: NDArray[np.float64],
     reach: NDArray[np.float64],
-    seen: NDArray[np.float64],
+    sight: NDArray[np.float64],
     held: NDArray[np.int64],
+    small: bool,
 ) -> None:
-    """Set to 0 which beams contribute nowhere on the grid, to -1 which may or may not."""
+    """Set to 0 which beams contribute nowhere on the grid, to -1 which may or may not: the others, if not small."""
     virtual, (near, far, occlusion) = scan[0], (scan[2][2], scan[2][3], scan[2][4])
     r, beam = scratch[0], scratch[1]
     for j in range(len(virtual)):
-        k = held[j]
-        if k == 0 or not near < virtual[j] < far:
-            held[j] = 0
-            continue
-        if k > 0:
+        k, at, least, most = held[j], sight[0, j], sight[1, j], sight[2, j]
+        if k > 0 and not small:
+            held[j] = -1
+        elif k > 0:
             wide = beam[k] - beam[k - 1]
             share = (reach[1, k - 1] + reach[2, k]) / max(wide - reach[2, k], 1e-9)
             change = max(reach[0, k - 1], reach[0, k]) + share * abs(r[k] - r[k - 1])
-            off, at = abs(seen[j] - virtual[j]), seen[j]
-            stays = off + change < occlusion and near < at - change and at + change < far
-            if off - change > occlusion or at + change < near or at - change > far:
-                held[j] = 0
-            elif not stays or change > HIDDEN_M or reach[2, k] > HELD_SHARE * wide:
+            least, most = max(least, at - change), min(most, at + change)
+            stays = near < least and most < far and abs(at - virtual[j]) + change < occlusion
+            if not stays or change > HIDDEN_M or reach[2, k] > HELD_SHARE * wide:
                 held[j] = -1
+        apart = least > virtual[j] + occlusion or most < virtual[j] - occlusion or most < near or least > far
+        if apart or not near < virtual[j] < far:
+            held[j] = 0
 
 
 @kernel(_F2(_SCAN, float64[:, ::1], float64[:, ::1], int64[::1]))
@@ -639,14 +655,20 @@ def _bound(
     n, beams, scratch, middle = points.shape[1], len(virtual), work[0], motions[-1]
     if not _see(points, middle, limits, scratch[0, :n], scratch[1, :n]):
         _see_about(points, middle, limits, scratch[0, :n], scratch[1, :n])
-    reach, seen, held = np.empty((3, n)), np.empty(beams), np.empty(beams, np.int64)
-    if not _reach(scan, middle, window, scratch, reach):
+    reach, sight, held = np.empty((3, n)), np.empty((3, beams)), np.empty(beams, np.int64)
+    passed, share = _reach(scan, middle, window, scratch, reach)
+    small = passed <= HELD_BEAMS and share <= HELD_SHARE
+    if not small and (passed > TRIMMED_BEAMS or share > 0.5 or len(bounds) < WORTH_TRIMMING):
         _bound_wide(scan, motions, work[1], bounds)
         return
     _span(scan, work)
-    _hold(scan, work, reach, seen, held)
-    _let_go(scan, scratch, reach, seen, held)
-    form, rest = _form(scan, middle, window, scratch, seen, held), _rest(scan, scratch, reach, held)
+    _hold(scan, work, reach, sight, held)
+    _let_go(scan, scratch, reach, sight, held, small)
+    rest = _rest(scan, scratch, reach, held)
+    if not small:
+        _bound_wide((np.where(held < 0, virtual, np.nan), rest, limits), motions, work[1], bounds)
+        return
+    form = _form(scan, middle, window, scratch, sight[0], held)
     loose, holding = np.flatnonzero(held < 0), float(np.count_nonzero(held > 0))
     for i in range(len(bounds)):
         u, v = offsets[i]
@@ -665,12 +687,12 @@ def _least(
 ) -> tuple[int, float, float]:
     """Return the first candidate of least cost (-1 where all are inf), its cost and its beams."""
     promising = int64(np.argmin(bounds))
-    best, used = _evaluate(scan, motions[promising], work)
+    best, used = _evaluate(scan, motions[promising], work, np.inf)
     best_i = promising if best < np.inf else -1
     for i in range(len(bounds)):
         if bounds[i] > best or bounds[i] == np.inf or i == promising:
             continue
-        cost, n = _evaluate(scan, motions[i], work)
+        cost, n = _evaluate(scan, motions[i], work, best if bounds[i] > -np.inf else np.inf)
         if cost < best or (cost == best and i < best_i):
             best, used, best_i = cost, n, i
     return best_i, best, used

@@ -14,6 +14,7 @@ import numpy as np
 from mavnav.grid import OCCUPIED, UNKNOWN
 from mavnav.kernels.regions import region_sizes
 from mavnav.kernels.smoothing import smoothed
+from mavnav.lattice import bands, blank
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -58,20 +59,29 @@ def corners(cells: NDArray[np.int8], cell_m: float) -> int:
     The smaller eigenvalue of the structure tensor (Shi and Tomasi 1994) has a local maximum there, compared with the
     larger one along the walls of the same map.
     """
-    occupied = cells == OCCUPIED
+    radius = max(CORNER_RADIUS_M / cell_m, 2.0)
+    occupied = np.pad(cells == OCCUPIED, int(2 * radius))
     if not occupied.any():
         return 0
-    radius = max(CORNER_RADIUS_M / cell_m, 2.0)
-    image = np.pad(occupied.astype(np.float32), int(2 * radius))
+    heights, peaks, walls = blank((len(occupied), occupied.shape[1]), np.float32), np.zeros_like(occupied), []
+    reach = int(4.0 * SLOPE_CELLS + 0.5) + int(2.0 * radius + 0.5) + int(radius)
+    for around, inside, band in bands(occupied.shape, margin=reach):
+        weak, strong = edges(occupied[around].astype(np.float32), radius)
+        peaks[band] = (weak == highest(weak, int(radius)))[inside]
+        some = peaks[band] & (weak[inside] != 0.0)
+        heights[band][some] = weak[inside][some]
+        walls.append(strong[inside][occupied[band]])
+    return len(region_sizes(peaks & (heights >= CORNER_SHARE * float(np.median(np.concatenate(walls)))), True))
+
+
+def edges(image: NDArray[np.float32], radius: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the eigenvalues of an image's structure tensor (rows, cols): across the strongest direction, and along."""
     steep, wide = gaussian(SLOPE_CELLS), gaussian(radius / 2.0)
     slope = np.arange(len(steep)) / SLOPE_CELLS**2 * steep
     gx, gy = smoothed(image, steep, slope, 1.0, -1.0), smoothed(image, slope, steep, -1.0, 1.0)
     xx, xy, yy = (smoothed(g, wide, wide, 1.0, 1.0) for g in (gx * gx, gx * gy, gy * gy))
     mean, half = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
-    weak, strong = mean - half, mean + half
-    typical = float(np.median(strong[image > 0]))
-    peaks = (weak == highest(weak, int(radius))) & (weak >= CORNER_SHARE * typical)
-    return len(region_sizes(peaks, True))
+    return mean - half, mean + half
 
 
 def gaussian(sigma_cells: float) -> NDArray[np.float64]:
