@@ -23,7 +23,7 @@ def kernel(signature: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:  # noq
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         compiled = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
-        if not function.__name__.startswith("_"):
+        if not (function.__name__.startswith("_") or numba.config.DISABLE_JIT):
             if not _on_disk(compiled, signature):
                 compiled.compile(signature)
             compiled.disable_compile()

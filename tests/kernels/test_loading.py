@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -28,3 +29,12 @@ def test_a_numba_that_keeps_its_code_in_another_way_loads_it_as_it_does() -> Non
         "assert extent(np.ones((3, 2))).tolist() == [1.0, 1.0, 1.0, 1.0]"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_kernels_are_plain_functions_where_nothing_is_compiled() -> None:
+    code = (
+        "import numpy as np\nfrom mavnav.kernels.points import extent\n"
+        "assert extent(np.ones((3, 2))).tolist() == [1.0, 1.0, 1.0, 1.0]\nassert not hasattr(extent, 'overloads')"
+    )
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment)
