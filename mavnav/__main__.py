@@ -12,6 +12,7 @@ import sys  # noqa: E402
 from typing import NoReturn  # noqa: E402
 
 gc.set_threshold(20_000, 20, 20)  # what is loaded stays: looking through it for garbage takes 10 ms
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # looking for some in all that is installed takes as long
 
 from mavnav import cli  # noqa: E402
 

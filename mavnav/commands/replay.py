@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Annotated, Any
@@ -288,7 +289,11 @@ def _thickness(wall: dict[str, Any]) -> str:
 
 
 def print_table(rows: list[tuple[str, str]]) -> None:
-    """Print names and values on stdout."""
+    """Print names and values on stdout: on a terminal as a table, else in plain lines, for which nothing is loaded."""
+    if not sys.stdout.isatty():
+        width = max((len(name) for name, _ in rows), default=0)
+        emit("\n".join(f"{name:<{width}}  {printable(value)}" for name, value in rows))
+        return
     from rich.table import Table
     from rich.text import Text
 
