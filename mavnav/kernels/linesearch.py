@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MAX_LEVELS = 40
+AGAIN = 0.5  # of a level's window, where it is searched again by the points that decide
 FEWEST_DRAWN = 0.3  # share of the points below which even those on new ground decide
 CHUNK = 32  # points between two looks at the bound
 LANES = 32
@@ -652,7 +653,7 @@ def search(
                 if 0 < i < nx - 1 and 0 < j < ny - 1:
                     break
         if window[0] <= geometry[2] and not settled:
-            # Points on new ground lower the cost by falling back onto the map: from now on the others decide.
+            # Points on new ground lower the cost by falling back onto the map: the others decide, from this level on.
             settled, deciding = True, _drawn(centred, at, limits[10], closeness, geometry)
             right, up = deciding[0].mean(), deciding[1].mean()
             pivot_x, pivot_y = pivot_x + right, pivot_y + up
@@ -663,9 +664,10 @@ def search(
             at[1] += np.sin(at[2]) * right + np.cos(at[2]) * up
             at[3] += c * right - s * up
             at[4] += s * right + c * up
-            if last:
-                continue
-        elif last:
+            window[0] *= AGAIN
+            window[1] *= AGAIN
+            continue
+        if last:
             converged = 1.0
             break
         window[0] = min(1.5 * max(step_x, step_y), 0.9 * window[0])
