@@ -272,8 +272,8 @@ def coarse_to_fine(terms, start, grid, limits, cell_m=0.0, settled=None):
     """The schedule of ``linesearch.search`` over any cost(x, y, yaw) of the pose, rotating about the pivot.
 
     ``terms`` are cost, pivot, and what is added for a squared metre between the pivot and where it was expected. The
-    first level within a cell is searched again, over half its window, with the terms that ``settled`` gives for the
-    pose found, and so are the next.
+    first level within a cell is searched again with the terms that ``settled`` gives for the pose found, and so are
+    the next.
     """
     azimuths, nx, ny = map(int, grid[:3])
     half_m, half_rad, stop_m, stop_rad = limits[:4]
@@ -284,7 +284,6 @@ def coarse_to_fine(terms, start, grid, limits, cell_m=0.0, settled=None):
             pose = _best_shift(terms, pose, half_m, grid, start)
         if settled and half_m <= cell_m:
             terms, settled = settled(*pose), None
-            half_m, half_rad = 0.5 * half_m, 0.5 * half_rad
             continue
         step_m, step_rad = 2 * half_m / (min(nx, ny) - 1), 2 * half_rad / (azimuths - 1)
         if step_m < stop_m and step_rad < stop_rad:

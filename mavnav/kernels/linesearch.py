@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MAX_LEVELS = 40
-AGAIN = 0.5  # of a level's window, where it is searched again by the points that decide
 FEWEST_DRAWN = 0.5  # share of the points on known ground below which the others decide too
 CHUNK = 32  # points between two looks at the bound
 LANES = 32
@@ -692,8 +691,6 @@ def search(
             at[1] += np.sin(at[2]) * right + np.cos(at[2]) * up
             at[3] += c * right - s * up
             at[4] += s * right + c * up
-            window[0] *= AGAIN
-            window[1] *= AGAIN
             continue
         if last:
             converged = 1.0
