@@ -20,7 +20,7 @@ from mcap.writer import CompressionType, Writer
 from numba import njit
 
 from mavnav.config_file import load_config
-from mavnav.logs import cdr, ros
+from mavnav.logs import cdr, definitions
 from mavnav.pose import Pose
 from mavnav.replay import Request, replay
 from mavnav.scan import LaserSpec, Scan
@@ -96,7 +96,7 @@ def make(path: Path, scans: int) -> None:
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.NONE)
         writer.start(profile="ros2", library="benchmark")
-        laser = writer.register_schema(ros.SCAN, "ros2msg", ros.definition(ros.SCAN).encode())
+        laser = writer.register_schema(definitions.SCAN, "ros2msg", definitions.definition(definitions.SCAN).encode())
         blob = writer.register_schema("std_msgs/msg/UInt8MultiArray", "ros2msg", b"uint8[] data")
         channels = [writer.register_channel(t, "cdr", s) for t, s in (("/scan", laser), ("/blob", blob))]
         for k, pose in enumerate(drive(scans)):

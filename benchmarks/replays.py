@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from mavnav.logs import cdr, open_log, ros
-from mavnav.logs.containers import Channel, write_mcap
+from mavnav.logs import cdr, definitions, open_log
+from mavnav.logs.mcap_writer import Channel, write_serialized
 
 HERE = Path(__file__).parent
 SAMPLE = HERE.parent / "sample_logs" / "corridor.mcap"
@@ -44,7 +44,7 @@ def run(log: Path, options: list[str], directory: str) -> tuple[float, float, di
     process = os.posix_spawn(
         sys.executable,
         [*command, *options],
-        {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        environment(),
         file_actions=[(os.POSIX_SPAWN_OPEN, fd, os.devnull, os.O_WRONLY, 0) for fd in (1, 2)],
     )
     _, status, usage = os.wait4(process, 0)
@@ -54,10 +54,16 @@ def run(log: Path, options: list[str], directory: str) -> tuple[float, float, di
     return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024, document
 
 
+def environment() -> dict[str, str]:
+    """Return the variables of a process on one core, which keeps its modules compiled as an installed program does."""
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return {**kept, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
 def cut(log: Path, path: Path) -> None:
     """Write a log of the scans of the first second."""
     found, write = open_log(log, odom="off", end_s=1.0), cdr.scans("laser")
-    with write_mcap(path, {"/scan": Channel(ros.SCAN)}) as put:
+    with write_serialized(path, {"/scan": Channel(definitions.SCAN)}) as put:
         for scan in found.scans():
             put("/scan", scan.stamp_ns, write(scan))
 
@@ -65,7 +71,7 @@ def cut(log: Path, path: Path) -> None:
 def imports_s() -> float:
     """Return the processor time of a process that loads the program and does nothing."""
     command = [sys.executable, "-c", "import mavnav.cli, mavnav.replay, mavnav.outputs.map_picture"]
-    _, _, usage = os.wait4(os.posix_spawn(sys.executable, command, os.environ), 0)
+    _, _, usage = os.wait4(os.posix_spawn(sys.executable, command, environment()), 0)
     return usage.ru_utime + usage.ru_stime
 
 

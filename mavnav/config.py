@@ -111,14 +111,13 @@ class RobustConfig(_Strict):
         description="levels from here down to a cell keep each point's line, and search azimuth and plane jointly",
     )
     overlap_mm: float = Field(
-        40.0,
+        120.0,
         ge=0,
         description="within a cell only points this near to an occupied cell decide: others are on new ground; 0: all",
     )
+    overlap_points: float = Field(8.0, ge=0, description="and only if the line there rests on so many points")
     prior: float = Field(0.01, ge=0, description="cost of a squared metre away from what odometry predicts")
-    first_level_points: int = Field(
-        120, ge=10, description="points that decide levels before the last, unless lines are held"
-    )
+    first_level_points: int = Field(120, ge=10, description="points of the first, widest level")
     min_points: int = Field(30, ge=3, description="scans with fewer points are not matched")
     retry_below: float = Field(0.8, ge=0, le=1, description="search wider under this share of inliers")
     conflicts_below: float = Field(

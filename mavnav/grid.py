@@ -10,9 +10,9 @@ import numpy as np
 
 from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
-from mavnav.kernels import passing, raycast
+from mavnav.kernels import passing
 from mavnav.kernels.points import extent
-from mavnav.lattice import covering, moved
+from mavnav.lattice import bands, covering, moved
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from mavnav.pose import Pose
 
-BLOCK_CELLS, _BAND_ROWS = 64, 512
+BLOCK_CELLS = 64
 MAX_CELLS = 1 << 28
 """Of 8 bytes: 2 GiB; 819 m x 819 m in cells of 50 mm."""
 
@@ -83,6 +83,8 @@ class Grid:
         to the centres of the cells seen, NaN where none lies within ``far_m``; a wall of several cells counts as its
         cell of most hits, and may contain ``gap_cells`` empty ones.
         """
+        from mavnav.kernels import raycast  # noqa: PLC0415  the paper's alone
+
         return raycast.virtual_scan(self.hits, self.lattice, laser.as_array(), directions, far_m, gap_cells)
 
     def _check_size(self, shape: tuple[int, int]) -> None:
@@ -131,9 +133,17 @@ def occupancy(grid: Grid) -> NDArray[np.int8]:
     cell that a beam reached.
     """
     out = np.empty(grid.hits.shape, np.int8)
-    for row in range(0, len(out), _BAND_ROWS):
-        band = slice(row, row + _BAND_ROWS)
+    for _, _, band in bands(out.shape):
         hits, seen = grid.hits[band], grid.hits[band].astype(np.int64) + grid.passes[band]
         out[band] = np.where(seen > 0, FREE, UNKNOWN)
         out[band][(hits > 0) & (hits >= OCCUPIED_SHARE * seen)] = OCCUPIED
     return out
+
+
+def occupied_cells(grid: Grid) -> NDArray[np.int64]:
+    """Return row and column of the occupied cells, (n, 2), without a copy of the whole map."""
+    found = [np.zeros((0, 2), np.int64)]
+    for _, _, band in bands(grid.hits.shape):
+        part = Grid(grid.cell_m, grid.origin_xy_m, grid.hits[band], grid.passes[band])
+        found.append(np.argwhere(occupancy(part) == OCCUPIED) + np.array([band.start, 0]))
+    return np.concatenate(found)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     Cell = tuple[int, int]
@@ -16,6 +18,8 @@ SMALL_BYTES = 1 << 22
 """Below, memory is not worth the care; from there on numpy asks for pages of 2 MB, each of which counts as a whole."""
 
 STRIP_ROWS, STRIP_COLS = 16, 1024
+BAND_CELLS, LEAST_ROWS = 1 << 20, 64
+"""What takes much memory a cell is done for so many cells at a time, and for so many rows at least."""
 MARGIN = 8
 """A lattice grows by an eighth of its extent at least: so it is copied rarely, and blank margins cost nothing."""
 
@@ -25,7 +29,10 @@ def blank(shape: tuple[int, int], dtype: Any) -> NDArray[Any]:  # noqa: ANN401
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     if size < SMALL_BYTES or not hasattr(mmap, "MAP_PRIVATE"):
         return np.zeros(shape, dtype)
-    return np.frombuffer(mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS), dtype).reshape(shape)
+    pages = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    if hasattr(mmap, "MADV_NOHUGEPAGE"):
+        pages.madvise(mmap.MADV_NOHUGEPAGE)
+    return np.frombuffer(pages, dtype).reshape(shape)
 
 
 def moved(array: NDArray[Any], shape: tuple[int, int], row: int, col: int) -> NDArray[Any]:
@@ -37,6 +44,14 @@ def moved(array: NDArray[Any], shape: tuple[int, int], row: int, col: int) -> ND
             if part.any():
                 out[row + r : row + r + part.shape[0], col + c : col + c + part.shape[1]] = part
     return out
+
+
+def bands(shape: tuple[int, ...], margin: int = 0) -> Iterator[tuple[slice, slice, slice]]:
+    """Divide the rows of an array: those of a band with a margin on both sides, the band in these, and in all."""
+    rows, step = shape[0], max(LEAST_ROWS, BAND_CELLS // max(shape[1], 1))
+    for first in range(0, rows, step):
+        end, start = min(first + step, rows), max(first - margin, 0)
+        yield slice(start, min(end + margin, rows)), slice(first - start, end - start), slice(first, end)
 
 
 def covering(low: Cell, high: Cell, shape: Cell, origin: Cell, block: int) -> tuple[Cell, Cell] | None:

@@ -27,12 +27,13 @@ class LineMap:
     """A growing map of local lines; see ``mavnav.kernels.linemap`` for the arrays.
 
     ``origin_cells`` is the lattice index (col, row) of cell [0, 0], so that the map frame's origin is a corner of
-    cells however the map grows.
+    cells however the map grows. Ground is known where a line rests on ``known_points`` points (``linesearch``).
     """
 
     cell_m: float
     line_sigma_m: float
     line_noise_m: float
+    known_points: float = 0.0
     origin_cells: tuple[int, int] = (0, 0)
     count: int = 1
     nearest: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 0), np.int32))
@@ -102,11 +103,11 @@ class LineMap:
         self.origin_cells = new_origin
 
     def _reserve(self, needed: int) -> None:
-        """Make room for ``needed`` cells, doubling so that the cost a cell stays constant."""
+        """Make room for ``needed`` cells, four times as many as now at least: room takes memory once it is used."""
         capacity = len(self.cells)
         if needed <= capacity:
             return
-        capacity = max(needed, 2 * capacity, 4096)
+        capacity = max(needed, 4 * capacity, 4096)
         cells = np.zeros((capacity, 2), np.int32)
         cells[: self.count] = self.cells[: self.count]
         self.cells = cells

@@ -264,7 +264,9 @@ def measured(keys: Sequence[KeyFrame], j: int, match: Match, config: Config) -> 
     part.grow([keys[k] for k in old if abs(keys[k].way_m - keys[i].way_m) <= PART_M], len(old))
     window = (config.robust.truncate_mm * MM, DRIFT_RAD[0])
     fine = search_lines(keys[j].points, part.lines, match.map_T_laser, window, config)
-    fine = judged(fine, keys[j].points, part.lines, part.grid)
+    window = (config.robust.final_window_mm * MM, config.robust.final_window_deg * DEG)
+    placed = search_lines(keys[j].points, part.lines, fine.map_T_laser, window, config, final=True)
+    fine = judged(replace(fine, map_T_laser=placed.map_T_laser), keys[j].points, part.lines, part.grid)
     if apart(match.map_T_laser, fine.map_T_laser) or not fits(fine):
         return None
     if firmness(keys[j].points, fine.map_T_laser, part.lines, config) < LEAST_FIRMNESS:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels import linesearch, polarsearch
+from mavnav.kernels import linesearch
 from mavnav.pose import Pose, wrap_angle
 from mavnav.stages import timed
 from mavnav.units import DEG, MM, MM2
@@ -91,11 +91,14 @@ def _search_polar(
     grid: GridSize,
     azimuth: int,
 ) -> Match:
+    from mavnav.kernels import polarsearch  # noqa: PLC0415  takes 0.2 s to load, and is the paper's alone
+
     paper = config.paper
+    extensions = paper.max_extensions if paper.extend_border else 0
     x, y, yaw, cost, used, evaluations, iterations, converged = polarsearch.search(
         virtual_m,
         points,
-        np.array([azimuth, grid.nx, grid.ny, paper.max_extensions if paper.extend_border else 0], float),
+        np.array([azimuth, grid.nx, grid.ny, extensions, config.search == "pruned"], float),
         np.array(
             [
                 paper.window_mm * MM,
@@ -176,6 +179,7 @@ def search_lines(
                 robust.hold_below_mm * MM,
                 0.0 if final else line_map.cell_m,
                 line_map.closeness_at(robust.overlap_mm * MM) if robust.overlap_mm and not final else 0.0,
+                line_map.known_points,
             ]
         ),
         line_map.nearest,

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from mavnav.config import Config
     from mavnav.motion import Motion
-    from mavnav.scan import Scan
+    from mavnav.scan import LaserSpec, Scan
 
 
 REGAIN_S = 0.5  # without a believed pose for longer, chance agreements are likely: more of the scan must agree
@@ -99,6 +99,7 @@ class Paper:
         """Start with an empty map."""
         self.config = config
         self.grid = Grid(config.paper.cell_mm * MM)
+        self._seen: tuple[Pose, LaserSpec, NDArray[np.float64]] | None = None
 
     def first(self, scan: Scan) -> Match:
         """Begin the map with any scan that has enough beams to be matched later."""
@@ -112,9 +113,15 @@ class Paper:
         points = polar_points(scan.ranges_m, scan.spec, paper.mixed_pixel_mm * MM)
         if len(points) < paper.min_beams_share * scan.spec.beams:
             return no_match(predicted, len(points))
-        far_m = paper.far_mm * MM
-        virtual_m = self.grid.virtual_scan(predicted, scan.spec.directions, far_m, paper.cluster_gap_cells)
-        return match_polar(virtual_m, points, scan.spec, predicted, self.config)
+        return match_polar(self._virtual_scan(predicted, scan.spec), points, scan.spec, predicted, self.config)
+
+    def _virtual_scan(self, predicted: Pose, spec: LaserSpec) -> NDArray[np.float64]:
+        """Cast the virtual scan (beams,), m; while neither map nor prediction change, it is the one before."""
+        if self._seen is None or self._seen[:2] != (predicted, spec):
+            paper = self.config.paper
+            ranges_m = self.grid.virtual_scan(predicted, spec.directions, paper.far_mm * MM, paper.cluster_gap_cells)
+            self._seen = predicted, spec, ranges_m
+        return self._seen[2]
 
     @timed("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
@@ -131,6 +138,7 @@ class Paper:
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Count the hits of every valid beam."""
+        self._seen = None
         self.grid.insert(map_T_laser, transform_points(map_T_laser, scan.points()))
 
     def clear_passing(self) -> None:
@@ -156,7 +164,9 @@ class Robust:
         robust = config.robust
         self.config = config
         self.known = self.grid = Grid(robust.cell_mm * MM)
-        self.lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self.lines = LineMap(
+            robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM, robust.overlap_points
+        )
         self._deskewed: tuple[Scan, Motion, NDArray[np.float64]] | None = None
 
     def first(self, scan: Scan) -> Match:
@@ -289,3 +299,9 @@ class Robust:
 
 
 METHODS: dict[str, Callable[[Config], Method]] = {"robust": Robust, "paper": Paper}
+
+
+def load_kernels(config: Config) -> None:
+    """Load the kernels that only one of the methods has, and compile them the first time; others load on import."""
+    if config.method == "paper":
+        from mavnav.kernels import polarsearch, raycast  # noqa: F401, PLC0415

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import csr_matrix, diags
-from scipy.sparse.linalg import spsolve
 
 from mavnav.pose import Pose, wrap_angle
 
@@ -20,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
+    from scipy.sparse import csr_matrix
 
 OUTLIER_SIGMAS = 3.0
 """Errors beyond this count linearly instead of squared, so that one wrong edge cannot bend the rest."""
@@ -88,6 +87,9 @@ class _Graph:
 
     def step(self, poses: NDArray[np.float64], damping: float) -> NDArray[np.float64]:
         """Return the damped Gauss-Newton step from here, (n, 3); outliers weigh less the farther they are off."""
+        from scipy.sparse import diags  # noqa: PLC0415  takes 0.2 s to load, and few logs have a loop
+        from scipy.sparse.linalg import spsolve  # noqa: PLC0415
+
         errors, jacobian = self.errors(poses), self.jacobian(poses)
         size = np.linalg.norm(errors, axis=1)
         trust = np.repeat(OUTLIER_SIGMAS / np.maximum(size, OUTLIER_SIGMAS), 3)
@@ -99,6 +101,8 @@ class _Graph:
 
     def jacobian(self, poses: NDArray[np.float64]) -> csr_matrix:
         """Return how the errors change with all poses but the first, (3 edges, 3 (n - 1))."""
+        from scipy.sparse import csr_matrix  # noqa: PLC0415
+
         a, b = poses[self.start], poses[self.end]
         c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
         dx, dy = (b - a)[:, :2].T

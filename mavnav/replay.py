@@ -141,18 +141,20 @@ def replay(
     progress: Progress,
     compile_s: float,
     stoppable: Callable[[], AbstractContextManager[Stop]] = _unstoppable,
+    startup_s: float = 0.0,
 ) -> tuple[Run, dict[str, Any]]:
     """Run the whole job and return the run with its document (run.json).
 
-    ``compile_s`` is what it took to import this module: kernels compile on import. Whether the run directory can be
-    written is asked before the work. Within ``stoppable`` there are scans to keep: when its function gives a code, the
+    ``compile_s`` is what it took to import this module: kernels compile on import; ``startup_s`` is what the process
+    took before, of which the account of stages tells. Whether the run directory can be written is asked before the
+    work. Within ``stoppable`` there are scans to keep: when its function gives a code, the
     run ends there, and is written and marked as partial. Raises what the rooms raise: TopicError, NoScansError,
     UsageError, OutputError; and StoppedError where nothing was tracked yet.
     """
     check_log(request.log, request.start_s, request.end_s)
     check_directory(request.directory, force=request.force)
     given = Given(load_references(request.truth, request.truth_map, request.relations), known_map_of(request))
-    wall_s, cpu_s, stages = perf_counter(), process_time(), account()
+    wall_s, cpu_s, stages = perf_counter(), process_time(), account(loading=compile_s, starting=startup_s)
     log = _open(request, progress)
     check_times(given.references, log.first_ns, log.last_ns)
     with stoppable() as stop:

@@ -16,6 +16,7 @@ from mavnav.methods import METHODS
 from mavnav.motion import LONGEST_S, Motion, misleads
 from mavnav.redrawing import close
 from mavnav.relocalise import apart
+from mavnav.steadying import steadied
 from mavnav.steps import LostInterval, Step, lost_intervals, tracked_way
 from mavnav.units import NS
 
@@ -275,7 +276,7 @@ def conclude(
         if config.loop_closure == "auto" and method.closes_loops:
             steps, method, loops = close(steps, log_scans, method, motion, config)
         method.clear_passing()
-        steps = list(_told(place(log_scans(), steps, method), "final pass", on_step))
+        steps = steadied(list(_told(place(log_scans(), steps, method), "final pass", on_step)), motion.period_s)
     return Slam(tuple(steps), tracked_way(steps), method.grid, tuple(lost_intervals(steps)), loops)
 
 

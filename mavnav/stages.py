@@ -24,10 +24,13 @@ _open: list[str] = [OTHER]
 _since_s = 0.0
 
 
-def account() -> dict[str, float]:
-    """Begin a new account and return it: stage -> seconds, kept up to date whenever a stage begins or ends."""
+def account(**before_s: float) -> dict[str, float]:
+    """Begin a new account and return it: stage -> seconds, kept up to date whenever a stage begins or ends.
+
+    ``before_s`` is what stages took that are over.
+    """
     global _spent_s, _since_s
-    _spent_s, _since_s = {}, perf_counter()
+    _spent_s, _since_s = before_s, perf_counter()
     return _spent_s
 
 
@@ -66,12 +69,15 @@ def timed(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a function whose every call is a stage."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        stage = Stage(name)
-
         @wraps(function)
         def within(*args: P.args, **kwargs: P.kwargs) -> R:
-            with stage:
+            _turn_over()
+            _open.append(name)
+            try:
                 return function(*args, **kwargs)
+            finally:
+                _turn_over()
+                _open.pop()
 
         return within
 

@@ -159,7 +159,10 @@ def cell_of(point, cell_m):
 
 
 def insert_points(points, cell_m, sigma_m, noise_m, window=4):
-    """Lines of all occupied cells from all points at once: cell (row, col) -> centroid and metric A."""
+    """Lines of all occupied cells from all points at once: cell (row, col) -> foot, metric A, points it rests on.
+
+    The foot is the window's centroid across the wall, and the cell's own along it.
+    """
     cells = defaultdict(list)
     for p in points:
         cells[cell_of(p, cell_m)].append(p)
@@ -176,9 +179,11 @@ def insert_points(points, cell_m, sigma_m, noise_m, window=4):
         mu = (w[:, None] * q).sum(0) / w.sum()
         cov = np.einsum("k,ki,kj->ij", w, q - mu, q - mu) / w.sum()
         (l2, l1), vectors = np.linalg.eigh(cov)
-        normal = vectors[:, 0]
+        normal, along = vectors.T
         beta = (l2 + noise_m**2) / (l1 + noise_m**2)
-        lines[row, col] = (mu, beta * np.eye(2) + (1 - beta) * np.outer(normal, normal))
+        own = np.mean(cells[row, col], axis=0)
+        foot = own + normal * (normal @ (mu - own)) + along * beta * (along @ (mu - own))
+        lines[row, col] = (foot, beta * np.eye(2) + (1 - beta) * np.outer(normal, normal), w.sum())
     return lines
 
 
@@ -196,22 +201,41 @@ def line_costs(points, pose, lines, cell_m, truncate_m, reach=8):
         elif len(distance) > 1 and distance[1][0] == d2:
             costs.append(None)
         else:
-            mu, a = lines[distance[0][1]]
+            mu, a = lines[distance[0][1]][:2]
             costs.append(min((p - mu) @ a @ (p - mu), truncate_m**2))
     return costs
 
 
-def drawn(points, pose, line_map, overlap_m):
-    """The points whose cell has an occupied one within ``overlap_m``; all, where those are under three in ten."""
+def drawn(points, pose, line_map, overlap_m, known_points):
+    """The points whose cell has an occupied one within ``overlap_m``, and there a line that rests on ``known_points``.
+
+    All points, where those are fewer than half. Of occupied cells that are as near, the one first hit counts.
+    """
     occupied = line_map.cells[1 : line_map.count] + np.array(line_map.origin_cells)[::-1]
+    counts, window = line_map.moments[1 : line_map.count, 0], 4
     x, y, yaw = pose
     kept = []
     for px, py in points:
         p = np.array([x + math.cos(yaw) * px - math.sin(yaw) * py, y + math.sin(yaw) * px + math.cos(yaw) * py])
-        away = min(((occupied - cell_of(p, line_map.cell_m)) ** 2).sum(axis=1))
-        if math.sqrt(away) * line_map.cell_m <= overlap_m + 1e-9:
+        away = ((occupied - cell_of(p, line_map.cell_m)) ** 2).sum(axis=1)
+        apart = occupied - occupied[away.argmin()]
+        weights = np.exp(-0.5 * (apart**2).sum(axis=1) * (line_map.cell_m / line_map.line_sigma_m) ** 2)
+        rests_on = (weights * counts)[(abs(apart) <= window).all(axis=1)].sum()
+        if math.sqrt(away.min()) * line_map.cell_m <= overlap_m + 1e-9 and rests_on >= known_points:
             kept.append((px, py))
-    return np.array(kept if len(kept) >= 0.3 * len(points) else points)
+    return np.array(kept if len(kept) >= 0.5 * len(points) else points)
+
+
+def smooth(xy, elapsed, stiffness):
+    """Positions by the dense system; how likely the accelerations are under white noise of the positions, best scaled."""
+    n = len(xy)
+    rates = np.diff(np.eye(n), axis=0) / elapsed[:, None]
+    accelerations = np.diff(rates, axis=0) * 2 / (elapsed[1:] + elapsed[:-1])[:, None]
+    noise = accelerations @ accelerations.T + np.eye(n - 2) / stiffness
+    seen = accelerations @ xy
+    misfit = (seen * np.linalg.solve(noise, seen)).sum()
+    likely = -(n - 2) * np.log(misfit) - np.linalg.slogdet(noise)[1]
+    return np.linalg.solve(np.eye(n) + stiffness * accelerations.T @ accelerations, xy), likely
 
 
 def held_cost(points, at, motion, line_map, truncate_m):
@@ -248,8 +272,8 @@ def coarse_to_fine(terms, start, grid, limits, cell_m=0.0, settled=None):
     """The schedule of ``linesearch.search`` over any cost(x, y, yaw) of the pose, rotating about the pivot.
 
     ``terms`` are cost, pivot, and what is added for a squared metre between the pivot and where it was expected. The
-    first level within a cell is searched again, over half its window, with the terms that ``settled`` gives for the
-    pose found, and so are the next.
+    first level within a cell is searched again with the terms that ``settled`` gives for the pose found, and so are
+    the next.
     """
     azimuths, nx, ny = map(int, grid[:3])
     half_m, half_rad, stop_m, stop_rad = limits[:4]
@@ -260,7 +284,6 @@ def coarse_to_fine(terms, start, grid, limits, cell_m=0.0, settled=None):
             pose = _best_shift(terms, pose, half_m, grid, start)
         if settled and half_m <= cell_m:
             terms, settled = settled(*pose), None
-            half_m, half_rad = 0.5 * half_m, 0.5 * half_rad
             continue
         step_m, step_rad = 2 * half_m / (min(nx, ny) - 1), 2 * half_rad / (azimuths - 1)
         if step_m < stop_m and step_rad < stop_rad:

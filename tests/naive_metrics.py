@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy import ndimage
+from scipy.sparse.csgraph import connected_components
 
 
 def wall_profiles(counts, stations, half_length, reach):
@@ -49,3 +51,23 @@ def scan_distances(ranges_m, poses, pairs, directions, beams, cap_m, every):
 def placed(pose, xy_m):
     c, s = math.cos(pose[2]), math.sin(pose[2])
     return np.column_stack((c * xy_m[:, 0] - s * xy_m[:, 1], s * xy_m[:, 0] + c * xy_m[:, 1])) + pose[:2]
+
+
+def region_sizes(mask, diagonal):
+    labels, _ = ndimage.label(mask, np.ones((3, 3)) if diagonal else None)
+    return np.bincount(labels.ravel())[1:]
+
+
+def smoothed(image, down, across, down_sign, across_sign):
+    for axis, weights, sign in ((0, down, down_sign), (1, across, across_sign)):
+        image = ndimage.correlate1d(image, np.concatenate((sign * weights[:0:-1], weights)), axis)
+    return image
+
+
+def link_groups(xy_m, directions, reach_m, across_m, sin_turn):
+    """Compare every point with every point."""
+    dx, dy = (xy_m[None] - xy_m[:, None]).transpose(2, 0, 1)
+    (c, s) = directions.T
+    turned, beside = np.abs(np.outer(c, s) - np.outer(s, c)), np.abs(c[:, None] * dy - s[:, None] * dx)
+    linked = (np.hypot(dx, dy) <= reach_m) & (turned <= sin_turn) & (np.maximum(beside, beside.T) <= across_m)
+    return connected_components(linked, directed=False)[1]

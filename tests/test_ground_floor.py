@@ -38,6 +38,7 @@ def test_composition_is_the_product_of_matrices(a: Pose, b: Pose) -> None:
 def test_inverse_and_between(a: Pose, b: Pose) -> None:
     assert close(a @ a.inverse(), Pose())
     assert close(a @ a.between(b), b)
+    assert a.between(b) == a.inverse() @ b
 
 
 @given(st.floats(-100, 100))

@@ -5,9 +5,11 @@ from __future__ import annotations
 import resource
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mavnav import lattice
 from mavnav.lattice import SMALL_BYTES, blank, covering, moved, pooled
 
 cells = st.tuples(st.integers(-500, 500), st.integers(-500, 500))
@@ -53,3 +55,18 @@ def test_blank_cells_take_no_memory() -> None:
 def test_pooling_keeps_the_largest_and_fills_up() -> None:
     small = pooled(np.array([[-1, -1, 0], [-1, 100, -1], [-1, -1, -1]], np.int8), 2, fill=-1)
     np.testing.assert_array_equal(small, [[100, 0], [-1, -1]])
+
+
+@pytest.mark.parametrize("rows", [1, 63, 64, 65, 300])
+@pytest.mark.parametrize("margin", [0, 5, 100])
+def test_bands_are_all_rows_once_each_with_its_neighbours(
+    rows: int, margin: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lattice, "BAND_CELLS", 70 * 10)
+    values, done = np.arange(rows), []
+    for around, inside, band in lattice.bands((rows, 10), margin):
+        np.testing.assert_array_equal(values[around][inside], values[band])
+        assert around.start == max(band.start - margin, 0)
+        assert around.stop == min(band.stop + margin, rows)
+        done += values[band].tolist()
+    assert done == values.tolist()

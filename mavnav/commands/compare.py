@@ -108,11 +108,15 @@ def compare(
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
             from mavnav import compare as pipeline
+            from mavnav.methods import load_kernels
         target = directory or pipeline.default_directory(logs or ())
         if not logs:
             logs, true_map = _sample(target, report)
             options["truth_map"] = truth_map or true_map
         configs = pipeline.settings(config, sets or (), methods or (), grids or (), azimuths or (), shared)
+        with loading_kernels(report):
+            for chosen in configs:
+                load_kernels(chosen)
         request = pipeline.Request(
             logs=tuple(logs),
             configs=tuple(configs),

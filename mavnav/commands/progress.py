@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import threading
 from contextlib import contextmanager
@@ -68,10 +69,18 @@ def reporting(*, quiet: bool) -> Iterator[Report]:
 
 @contextmanager
 def loading_kernels(report: Report) -> Iterator[None]:
-    """Import within it what compiles kernels: the first time that takes a while, and no exception may interrupt it."""
+    """Import within it what compiles kernels: the first time that takes a while, and no exception may interrupt it.
+
+    What is imported stays: garbage is not looked for in it, now or later, which would take 0.1 s.
+    """
     report("loading kernels, compiled once after installation", 0, None)
-    with signals.at_once():
-        yield
+    gc.disable()
+    try:
+        with signals.at_once():
+            yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @contextmanager

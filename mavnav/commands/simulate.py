@@ -86,7 +86,10 @@ def simulate(
         started_s = perf_counter()
         with loading_kernels(progress):
             from mavnav import simulate as pipeline
+            from mavnav.methods import load_kernels
             from mavnav.world.scenario_file import scenario_path
+
+            load_kernels(chosen.slam)
         compile_s = perf_counter() - started_s
         target = directory or pipeline.default_directory(chosen)
         request = pipeline.Request(chosen, scenario_path(scenario), target, record, animate, force, report)

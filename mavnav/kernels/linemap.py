@@ -8,8 +8,8 @@ Layout shared by this file and ``linesearch``:
 ``closeness`` (rows, cols) uint8  1 more than `FAR` less the squared distance to it in cells; 0 beyond reach
 ``moments``  (capacity, 12) float64  n, sum x, sum y, sum xx, sum xy, sum yy of a cell's points, m in the map
                                   frame; then the same, summed over a window of neighbours with Gaussian weights
-``lines``    (capacity, 8) float64   centroid x, y and the metric a_xx, a_xy, a_yy of the local line; then
-                                  scratch
+``lines``    (capacity, 8) float64   foot x, y and the metric a_xx, a_xy, a_yy of the local line, and the points that it
+                                  rests on; then scratch
 ``geometry`` (5,) float64        origin x, origin y, cell, line sigma, line noise, in m
 """
 
@@ -51,13 +51,15 @@ def _fit(slots: NDArray[np.int64], noise_m: float, moments: NDArray[np.float64],
 
     A block of them is laid side by side, so that the compiler does several at once.
     """
-    s2, m = noise_m * noise_m, np.empty((6, BLOCK))
+    s2, m = noise_m * noise_m, np.empty((8, BLOCK))
     for first in range(0, len(slots), BLOCK):
         block = min(BLOCK, len(slots) - first)
         for k in range(block):
             slot = uint64(slots[first + k])
             m[0, k], m[1, k], m[2, k] = moments[slot, 6], moments[slot, 7], moments[slot, 8]
             m[3, k], m[4, k], m[5, k] = moments[slot, 9], moments[slot, 10], moments[slot, 11]
+            m[6, k], m[7, k] = moments[slot, 1] / moments[slot, 0], moments[slot, 2] / moments[slot, 0]
+            lines[slot, 5] = moments[slot, 6]
         for k in range(block):
             per_n = 1.0 / m[0, k]
             mx, my = m[1, k] * per_n, m[2, k] * per_n
@@ -66,8 +68,11 @@ def _fit(slots: NDArray[np.int64], noise_m: float, moments: NDArray[np.float64],
             cxy = m[4, k] * per_n - mx * my
             half, diff = 0.5 * (cxx + cyy), 0.5 * (cxx - cyy)
             scale = 1.0 / (half + np.sqrt(diff * diff + cxy * cxy) + s2)
-            m[0, k], m[1, k] = mx, my
-            m[2, k], m[3, k], m[4, k] = (cyy + s2) * scale, -cxy * scale, (cxx + s2) * scale
+            axx, axy, ayy = (cyy + s2) * scale, -cxy * scale, (cxx + s2) * scale
+            m[2, k], m[3, k], m[4, k] = axx, axy, ayy
+            # Along a wall the window's centroid lies where most points are; there the cell's own stands for it.
+            dx, dy = mx - m[6, k], my - m[7, k]
+            m[0, k], m[1, k] = m[6, k] + axx * dx + axy * dy, m[7, k] + axy * dx + ayy * dy
         for k in range(block):
             slot = uint64(slots[first + k])
             lines[slot, 0], lines[slot, 1] = m[0, k], m[1, k]

@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MAX_LEVELS = 40
-AGAIN = 0.5  # of a level's window, where it is searched again by the points that decide
-FEWEST_DRAWN = 0.3  # share of the points below which even those on new ground decide
+FEWEST_DRAWN = 0.5  # share of the points on known ground below which the others decide too
 CHUNK = 32  # points between two looks at the bound
 LANES = 32
 RECTANGLE_COST = 3  # of a polynomial on a rectangle of candidates, in candidates summed point by point
@@ -47,6 +46,28 @@ _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 _I2 = types.Array(int32, 2, "C", readonly=True)
 _U2 = types.Array(uint8, 2, "C", readonly=True)
+
+
+@kernel(float64(types.Array(float64, 1, "A", readonly=True)))
+def _mean(values: NDArray[np.float64]) -> float:
+    """Return the mean; NumPy's own in a kernel costs 0.1 s of start-up, because it loads scipy with it."""
+    total = 0.0
+    for value in values:
+        total += value
+    return total / len(values)
+
+
+@kernel(types.Tuple((float64, int64))(_F1))
+def _least(sums: NDArray[np.float64]) -> tuple[float, int]:
+    """Return up to where rounding may hide the least, and its index where it is alone there, else -1."""
+    at = 0
+    for k in range(len(sums)):
+        if sums[k] < sums[at]:
+            at = k
+    near, within = sums[at] + 2.0 * ROUNDING_M2, 0
+    for value in sums:
+        within += value <= near
+    return near, at if within == 1 else -1
 
 
 @kernel(void(_F2, float64, float64[::1], float64[::1]))
@@ -326,12 +347,12 @@ def _turn_on_lines(
     azimuths = turns.shape[1]
     sums, step, near = np.zeros(azimuths), 2 * window[1] / (azimuths - 1), np.inf
     pruned = window[4] > 0
-    by_cells = pruned and ARC_COST * window[1] * np.abs(points).mean() < azimuths * geometry[2]
+    by_cells = pruned and ARC_COST * window[1] * _mean(np.abs(points).ravel()) < azimuths * geometry[2]
     if by_cells:
         _turn_sums(points, at, window, turns, sums, nearest, lines, geometry)
-        near = sums.min() + 2.0 * ROUNDING_M2
-        if np.count_nonzero(sums <= near) == 1:
-            return int(np.argmin(sums))
+        near, alone = _least(sums)
+        if alone >= 0:
+            return alone
     x, y = np.empty(points.shape[1]), np.empty(points.shape[1])
     best, best_i = np.inf, azimuths
     # Without sums the middle comes first: its cost is a bound that few others come under.
@@ -491,9 +512,9 @@ def _shift_on_lines(
     costs = sums.ravel()
     if by_cells:
         _shift_sums(points, at, window, sums, nearest, lines, geometry)
-        near = costs.min() + 2.0 * ROUNDING_M2
-        if np.count_nonzero(costs <= near) == 1:
-            return int(np.argmin(costs))
+        near, alone = _least(costs)
+        if alone >= 0:
+            return alone
     x, y, offset = np.empty(n), np.empty(n), np.empty(2)
     _rotate(points, at[2], x, y)
     best, best_ji = np.inf, -1
@@ -553,24 +574,30 @@ def _least_of_form(
 # ---- coarse to fine --------------------------------------------------------------------------------------------------
 
 
-@kernel(float64[:, ::1](_F2, _F1, float64, _U2, _F1))
+@kernel(float64[:, ::1](_F2, _F1, _F1, _I2, _U2, _F2, _F1))
 def _drawn(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
-    least: float,
+    known: NDArray[np.float64],
+    nearest: NDArray[np.int32],
     closeness: NDArray[np.uint8],
+    lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the points (2, m) that are at least so close to an occupied cell; all, if those are too few."""
+    """Return the points (2, m) on known ground; all, if those are too few.
+
+    ``known`` (2,) are the least ``closeness`` of an occupied cell, and the points at least that its line rests on.
+    """
     n, count = points.shape[1], 0
     kept = np.empty(n, np.int64)
     x, y = np.empty(n), np.empty(n)
     _rotate(points, at[2], x, y)
     for k in range(n):
-        col = np.floor((x[k] + at[0] - geometry[0]) / geometry[2])
-        row = np.floor((y[k] + at[1] - geometry[1]) / geometry[2])
-        inside = 0 <= col < closeness.shape[1] and 0 <= row < closeness.shape[0]
-        if inside and closeness[int64(row), int64(col)] >= least:
+        fx, fy = (x[k] + at[0] - geometry[0]) / geometry[2], (y[k] + at[1] - geometry[1]) / geometry[2]
+        if not (0 <= fx < closeness.shape[1] and 0 <= fy < closeness.shape[0]):
+            continue
+        row, col = uint64(fy), uint64(fx)
+        if closeness[row, col] >= known[0] and lines[uint64(nearest[row, col]), 5] >= known[1]:
             kept[count] = k
             count += 1
     if count < FEWEST_DRAWN * n:
@@ -599,16 +626,16 @@ def search(
     points : (n, 2) points in the laser's frame, m, in an order that makes any prefix a fair sample
     start : (3,) predicted pose: x, y (m), yaw (rad)
     grid : (5,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most, 1 to prune
-    limits : (11,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
-        points of a level that is not the last and holds no lines, alternations a level, what a squared metre away from
-        the start costs a point, the half-windows (m) up to which lines are held, and above which they are even when it
-        is settled which points decide, and the closeness of these points: within a cell the others are left out
+    limits : (12,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
+        points of the first level where it is wide, alternations a level, what a squared metre away from the start
+        costs a point, the half-windows (m) up to which lines are held, and above which they are even when it is settled
+        which points decide, and what known ground is (``_drawn``): within a cell the points elsewhere are left out
     nearest, closeness, lines, geometry : the map, see ``linemap``
     """
     n = len(points)
     azimuths, nx, ny, extensions = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3])
     stop_m, stop_rad, truncate_m2, turns = limits[2], limits[3], limits[4] * limits[4], int(limits[6])
-    pivot_x, pivot_y = points[:, 0].mean(), points[:, 1].mean()
+    pivot_x, pivot_y = _mean(points[:, 0]), _mean(points[:, 1])
     centred = np.empty((2, n))
     centred[0], centred[1] = points[:, 0] - pivot_x, points[:, 1] - pivot_y
     c, s = np.cos(start[2]), np.sin(start[2])
@@ -618,11 +645,11 @@ def search(
 
     deciding, settled, few, none = centred, limits[10] == 0, int(min(n, limits[5])), np.empty(0, np.int64)
     evaluations, grids, converged, form = 0, 0, 0.0, np.zeros((5, 5))
-    for _ in range(MAX_LEVELS):
+    for level in range(MAX_LEVELS):
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
         held = window[0] <= limits[8] and (window[0] > limits[9] or not settled)
         last = max(step_x, step_y) < stop_m and step_rad < stop_rad
-        used = deciding if held or last else deciding[:, :few].copy()
+        used = deciding if held or level > 0 else deciding[:, :few].copy()
         turned = _turns(window[1], azimuths)
         for turn in range(turns + extensions if held else 0):
             _form(used, at, window, form, none, nearest, lines, geometry)
@@ -654,8 +681,8 @@ def search(
                     break
         if window[0] <= geometry[2] and not settled:
             # Points on new ground lower the cost by falling back onto the map: the others decide, from this level on.
-            settled, deciding = True, _drawn(centred, at, limits[10], closeness, geometry)
-            right, up = deciding[0].mean(), deciding[1].mean()
+            settled, deciding = True, _drawn(centred, at, limits[10:], nearest, closeness, lines, geometry)
+            right, up = _mean(deciding[0]), _mean(deciding[1])
             pivot_x, pivot_y = pivot_x + right, pivot_y + up
             for points_m in (centred, deciding):
                 points_m[0] -= right
@@ -664,8 +691,6 @@ def search(
             at[1] += np.sin(at[2]) * right + np.cos(at[2]) * up
             at[3] += c * right - s * up
             at[4] += s * right + c * up
-            window[0] *= AGAIN
-            window[1] *= AGAIN
             continue
         if last:
             converged = 1.0

@@ -28,7 +28,11 @@ def column_runs(hits: NDArray[np.int32], min_hits: int, max_gap: int) -> NDArray
     """
     rows, cols = hits.shape
     open_run = np.full(cols, -1, np.int64)
-    runs = np.empty((np.count_nonzero(hits >= min_hits), 4), np.int64)
+    occupied = 0
+    for r in range(rows):
+        for c in range(cols):
+            occupied += hits[r, c] >= min_hits
+    runs = np.empty((occupied, 4), np.int64)
     n = 0
     for r in range(rows):
         for c in range(cols):
@@ -42,6 +46,77 @@ def column_runs(hits: NDArray[np.int32], min_hits: int, max_gap: int) -> NDArray
             runs[k, 2] = r
             runs[k, 3] += 1
     return runs[:n].copy()
+
+
+@kernel(nb.void(nb.uint8[::1], nb.uint8[::1], nb.uint8[::1]))
+def _keep_both(out: NDArray[np.uint8], a: NDArray[np.uint8], b: NDArray[np.uint8]) -> None:
+    """Tell where both are set (n,)."""
+    for c in range(len(out)):
+        out[c] = a[c] & b[c]
+
+
+@kernel(nb.int64(nb.uint8[:, ::1], nb.int64, nb.int64, nb.int64[:, ::1], nb.int64))
+def _push_stretch(free: NDArray[np.uint8], row: int, col: int, stack: NDArray[np.int64], depth: int) -> int:
+    """Put the stretch of free cells of a row about one of them on the stack, and take it; returns the new depth."""
+    low, high = col, col
+    while free[row, low - 1]:
+        low -= 1
+    while free[row, high + 1]:
+        high += 1
+    for c in range(low, high + 1):
+        free[row, c] = 0
+    stack[depth, 0], stack[depth, 1], stack[depth, 2] = row, low, high
+    return depth + 1
+
+
+@kernel(nb.uint8[:, :, ::1](nb.int64, nb.int64, nb.float64))
+def _discs(reach: int, border: int, limit: float) -> NDArray[np.uint8]:
+    """Make the discs about a middle that lies on a cell, and about one on the edge to the next row; in half cells."""
+    discs = np.zeros((2, 2 * border + 1, 2 * border + 1), np.uint8)
+    for half in range(2):
+        for r in range(-reach, reach + 1):
+            for c in range(-reach, reach + 1):
+                discs[half, border + r, border + c] = (2 * c) ** 2 + (2 * r - half) ** 2 <= limit
+    return discs
+
+
+@kernel(
+    nb.void(_HITS, nb.int64, nb.int64, nb.int64, nb.uint8[:, ::1], nb.int64[:, ::1], nb.int64, nb.int64, nb.int64[::1])
+)
+def _sum_up(
+    hits: NDArray[np.int32],
+    first_row: int,
+    first_col: int,
+    half: int,
+    free: NDArray[np.uint8],
+    stack: NDArray[np.int64],
+    depth: int,
+    step: int,
+    sums: NDArray[np.int64],
+) -> None:
+    """Sum over the cells of the stretches on the stack, and of all that hang together with them.
+
+    ``sums`` (7,): cells; hits, and by hits x, y, xx, xy, yy from the middle of the window, in half cells.
+    """
+    middle = len(free) // 2
+    sums[:] = 0
+    while depth > 0:
+        depth -= 1
+        row, low, high = stack[depth]
+        y2 = 2 * (row - middle) - half
+        for c in range(low, high + 1):
+            h, x2 = np.int64(hits[first_row + row, first_col + c]), 2 * (c - middle)
+            sums[0] += 1
+            sums[1] += h
+            sums[2] += h * x2
+            sums[3] += h * y2
+            sums[4] += h * x2 * x2
+            sums[5] += h * x2 * y2
+            sums[6] += h * y2 * y2
+        for near in range(row - step, row + step + 1):
+            for c in range(low - step, high + step + 1):
+                if free[near, c]:
+                    depth = _push_stretch(free, near, c, stack, depth)
 
 
 @kernel(nb.float64[:, ::1](_HITS, _RUNS, nb.int64, nb.int64, nb.float64))
@@ -60,45 +135,30 @@ def run_moments(
     (runs, 4): cells; variance along the row, covariance and variance along the column, in cells squared.
     """
     rows, cols = hits.shape
-    reach, step, limit = np.int64(radius) + 1, max_gap + 1, 4.0 * radius * radius
-    side = 2 * reach + 1
-    seen = np.full(side * side, -1, np.int64)  # the last run that came by
-    stack = np.empty((side * side, 2), np.int64)
+    reach, step = int(radius) + 1, max_gap + 1
+    border = reach + step
+    occupied = np.zeros((rows + 2 * border, cols + 2 * border), np.uint8)
+    for r in range(rows):
+        for c in range(cols):
+            occupied[border + r, border + c] = hits[r, c] >= min_hits
+    discs = _discs(reach, border, 4.0 * radius * radius)
+    free = np.empty(discs.shape[1:], np.uint8)  # cells about the run that no stretch holds yet
+    stack, sums = np.empty((free.size, 3), np.int64), np.empty(7, np.int64)
     out = np.zeros((len(runs), 4))
     for k in range(len(runs)):
-        col, mid2 = runs[k, 0], runs[k, 1] + runs[k, 2]
-        r0, c0 = mid2 // 2 - reach + 1, col - reach
+        col, half = runs[k, 0], (runs[k, 1] + runs[k, 2]) % 2
+        row, top = (runs[k, 1] + runs[k, 2]) // 2, runs[k, 1] - (runs[k, 1] + runs[k, 2]) // 2 + border
+        for r in range(len(free)):
+            _keep_both(free[r], occupied[row + r, col : col + len(free)], discs[half, r])
         depth = 0
-        for r in range(max(runs[k, 1], r0), min(runs[k, 2] + 1, r0 + side)):
-            if hits[r, col] >= min_hits and (2 * r - mid2) ** 2 <= limit:
-                seen[(r - r0) * side + reach] = k
-                stack[depth, 0], stack[depth, 1] = r, col
-                depth += 1
-        cells = weight = s_x = s_y = s_xx = s_xy = s_yy = 0
-        while depth > 0:
-            depth -= 1
-            r, c = stack[depth, 0], stack[depth, 1]
-            h, x2, y2 = int(hits[r, c]), 2 * (c - col), 2 * r - mid2
-            cells += 1
-            weight += h
-            s_x += h * x2
-            s_y += h * y2
-            s_xx += h * x2 * x2
-            s_xy += h * x2 * y2
-            s_yy += h * y2 * y2
-            for nr in range(max(r - step, r0, 0), min(r + step + 1, r0 + side, rows)):
-                for nc in range(max(c - step, c0, 0), min(c + step + 1, c0 + side, cols)):
-                    at = nb.uint64((nr - r0) * side + nc - c0)
-                    if hits[nb.uint64(nr), nb.uint64(nc)] < min_hits or seen[at] == k:
-                        continue
-                    if (2 * (nc - col)) ** 2 + (2 * nr - mid2) ** 2 <= limit:
-                        seen[at] = k
-                        stack[depth, 0], stack[depth, 1] = nr, nc
-                        depth += 1
+        for r in range(max(top, 0), min(top + runs[k, 2] - runs[k, 1] + 1, len(free))):
+            if free[r, border]:
+                depth = _push_stretch(free, r, border, stack, depth)
+        _sum_up(hits, row - border, col - border, half, free, stack, depth, step, sums)
+        cells, w, s_x, s_y, s_xx, s_xy, s_yy = sums
         if cells:
-            w = np.float64(weight)
             out[k, 0] = cells
-            out[k, 1] = (w * s_xx - np.float64(s_x) * s_x) / (4.0 * w * w)
-            out[k, 2] = (w * s_xy - np.float64(s_x) * s_y) / (4.0 * w * w)
-            out[k, 3] = (w * s_yy - np.float64(s_y) * s_y) / (4.0 * w * w)
+            out[k, 1] = (np.float64(w) * s_xx - np.float64(s_x) * s_x) / (4.0 * w * w)
+            out[k, 2] = (np.float64(w) * s_xy - np.float64(s_x) * s_y) / (4.0 * w * w)
+            out[k, 3] = (np.float64(w) * s_yy - np.float64(s_y) * s_y) / (4.0 * w * w)
     return out

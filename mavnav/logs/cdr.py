@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mavnav.pose import Pose
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from mavnav.pose import Pose
     from mavnav.scan import Scan
 
 _LITTLE_ENDIAN: Final = b"\0\1\0\0"
@@ -86,3 +87,14 @@ def path(stamp_ns: int, frame: str, stamps_ns: NDArray[np.int64], xyyaw: NDArray
     rows["pose"][:, 5], rows["pose"][:, 6] = np.sin(xyyaw[:, 2] / 2.0), np.cos(xyyaw[:, 2] / 2.0)
     body = rows.tobytes()
     return b"".join((_LITTLE_ENDIAN, head, body[:8], first, body[8 + len(name) :]))
+
+
+def occupancy_grid(
+    stamp_ns: int, frame: str, cells: NDArray[np.int8], cell_m: float, origin_xy_m: tuple[float, float]
+) -> bytes:
+    """Write an OccupancyGrid of ``cells`` (rows, cols), whose cell [0, 0] has its corner at ``origin_xy_m``."""
+    rows, cols = cells.shape
+    stamp = _stamp(stamp_ns)
+    head = stamp + _text(8, frame, 4) + stamp + struct.pack("<fII", cell_m, cols, rows)
+    gap = b"\0" * (-len(head) % 8)
+    return b"".join((_LITTLE_ENDIAN, head, gap, _pose(Pose(*origin_xy_m)), _COUNT.pack(cells.size), cells.tobytes()))

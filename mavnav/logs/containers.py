@@ -8,57 +8,27 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 
-from mavnav import __version__
 from mavnav.logs import ros
+from mavnav.logs.mcap_writer import write_serialized
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from contextlib import AbstractContextManager
     from pathlib import Path
 
+    from mavnav.logs.mcap_writer import Channel
+
     Put = Callable[[str, int, Any], None]
 
 
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """The type of a topic's messages, and whether a late subscriber gets the last one (latched, transient local)."""
-
-    type: str
-    latched: bool = False
-
-
-CHUNK_BYTES: Final = 128 * 1024
-"""Of an MCAP file: a file that is cut keeps all chunks before the cut, some four seconds of scans each."""
-
 _FOREVER = QosTime(9223372036, 854775807)
-_QOS: Final = """\
-- history: keep_last
-  depth: {depth}
-  reliability: reliable
-  durability: {durability}
-  deadline: {{sec: 9223372036, nsec: 854775807}}
-  lifespan: {{sec: 9223372036, nsec: 854775807}}
-  liveliness: automatic
-  liveliness_lease_duration: {{sec: 9223372036, nsec: 854775807}}
-  avoid_ros_namespace_conventions: false
-"""
-
-
-def qos_text(channel: Channel) -> str:
-    """Return the quality of service of a channel as rosbag2 writes it into the metadata."""
-    return _QOS.format(
-        depth=1 if channel.latched else 10, durability="transient_local" if channel.latched else "volatile"
-    )
 
 
 def _qos(channel: Channel) -> Qos:
@@ -81,26 +51,12 @@ def write_mcap(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
 
     Its ``put`` takes messages that are serialised already (``cdr``) as well.
     """
-    with path.open("wb") as file:
-        writer = McapWriter(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        writer.start(profile="ros2", library=f"mavnav {__version__}")
-        schemas = {
-            name: writer.register_schema(name, "ros2msg", ros.definition(name).encode())
-            for name in dict.fromkeys(channel.type for channel in channels.values())
-        }
-        numbers = {
-            topic: writer.register_channel(
-                topic, "cdr", schemas[channel.type], {"offered_qos_profiles": qos_text(channel)}
-            )
-            for topic, channel in channels.items()
-        }
+    with write_serialized(path, channels) as put_bytes:
 
         def put(topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
-            data = message if isinstance(message, bytes) else ros.cdr(message)
-            writer.add_message(numbers[topic], stamp_ns, data, stamp_ns)
+            put_bytes(topic, stamp_ns, message if isinstance(message, bytes) else ros.cdr(message))
 
         yield put
-        writer.finish()
 
 
 @contextmanager

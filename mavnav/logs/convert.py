@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.logs import formats, ros
-from mavnav.logs.containers import CHUNK_BYTES, qos_text
-from mavnav.logs.containers import Channel as Written
 from mavnav.logs.decode import TF_TYPE, decoder
 from mavnav.logs.ledger import Ledger
+from mavnav.logs.mcap_writer import CHUNK_BYTES, qos_text
+from mavnav.logs.mcap_writer import Channel as Written
 from mavnav.logs.messages import DecodeError
 from mavnav.logs.records import Channel, Damage, RawMessage, Schema, Topic
 from mavnav.logs.unpack import UnpackError, unpack_message

@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from mavnav.logs.layout import laser_of
+from mavnav.logs.layout import laser_of, odometry_of, transforms_of
 from mavnav.logs.messages import DecodeError, LaserMessage, TransformMessage
 from mavnav.logs.unpack import UnpackError, unpack_message
 
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
     from mavnav.logs.records import Channel
 
-LASER_TYPES = frozenset({"sensor_msgs/msg/LaserScan", "foxglove.LaserScan"})
+_SCAN_TYPE = "sensor_msgs/msg/LaserScan"
+LASER_TYPES = frozenset({_SCAN_TYPE, "foxglove.LaserScan"})
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 TF_TYPE = "tf2_msgs/msg/TFMessage"
 _TF_TYPES = (TF_TYPE, "tf/msg/tfMessage")
@@ -62,19 +63,23 @@ def _deserializer(encoding: str) -> Callable[[bytes, str], Any]:
     return of_ros1
 
 
-def _ros(convert: Callable[[Any], Any], type_name: str) -> Callable[[Channel], Callable[[bytes], Any]]:
+def _deserialized(data: bytes, encoding: str, type_name: str) -> Any:  # noqa: ANN401
+    """Decode a message by its standard definition; raises DecodeError."""
+    from rosbags.serde import SerdeError  # noqa: PLC0415
+
+    try:
+        return _deserializer(encoding)(data, type_name)
+    except (SerdeError, ValueError, IndexError) as error:
+        raise DecodeError(str(error)) from error
+
+
+def _ros(
+    by_layout: Callable[[bytes, str], Any], convert: Callable[[Any], Any], type_name: str
+) -> Callable[[Channel], Callable[[bytes], Any]]:
     def make(channel: Channel) -> Callable[[bytes], Any]:
-        from rosbags.serde import SerdeError  # noqa: PLC0415
-
-        deserialize = _deserializer(channel.encoding)
-
         def decode(data: bytes) -> Any:  # noqa: ANN401
-            try:
-                return convert(deserialize(data, type_name))
-            except (SerdeError, ValueError, IndexError) as error:
-                if type_name in LASER_TYPES and (scan := laser_of(data, channel.encoding)) is not None:
-                    return scan
-                raise DecodeError(str(error)) from error
+            found = by_layout(data, channel.encoding)
+            return convert(_deserialized(data, channel.encoding, type_name)) if found is None else found
 
         return decode
 
@@ -134,17 +139,13 @@ def _foxglove_protobuf(channel: Channel) -> Callable[[bytes], LaserMessage]:
     return protobuf_decoder(channel)
 
 
-_ROS_KINDS: dict[str, tuple[str, Callable[[Any], Any]]] = {
-    "sensor_msgs/msg/LaserScan": ("sensor_msgs/msg/LaserScan", _laser),
-    ODOMETRY_TYPE: (ODOMETRY_TYPE, _odometry),
-    **dict.fromkeys(_TF_TYPES, (TF_TYPE, _transforms)),
+_ROS_KINDS: dict[str, Callable[[Channel], Callable[[bytes], Any]]] = {
+    _SCAN_TYPE: _ros(laser_of, _laser, _SCAN_TYPE),
+    ODOMETRY_TYPE: _ros(odometry_of, _odometry, ODOMETRY_TYPE),
+    **dict.fromkeys(_TF_TYPES, _ros(transforms_of, _transforms, TF_TYPE)),
 }
 DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     ("json", "foxglove.LaserScan"): _foxglove_json,
     ("protobuf", "foxglove.LaserScan"): _foxglove_protobuf,
-    **{
-        (encoding, name): _ros(convert, decoded_as)
-        for name, (decoded_as, convert) in _ROS_KINDS.items()
-        for encoding in ("cdr", "ros1")
-    },
+    **{(encoding, name): make for name, make in _ROS_KINDS.items() for encoding in ("cdr", "ros1")},
 }

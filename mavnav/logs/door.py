@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from mavnav.logs.messages import LaserMessage
 
 KINDS: Final = ("valid", "zero", "below_min", "above_max", "nan", "plus_inf", "minus_inf", "negative")
-_VALID, _ZERO, _BELOW, _ABOVE, _NAN, _PLUS, _MINUS, _NEGATIVE = range(len(KINDS))
 
+_LEAST_M: Final = -1.7976931348623157e308
 _SMALLEST_M: Final = 5e-324
 FARTHEST_M: Final = 250.0
 """No planar laser sees farther; a reading beyond is no return, whatever the limits say."""
@@ -58,26 +58,20 @@ def clean(
     with np.errstate(invalid="ignore"):  # a signalling NaN, as damage may leave it
         cleaned = ranges_m.astype(np.float64)
     lowest, highest = max(range_min_m, _SMALLEST_M), min(range_max_m, FARTHEST_M)
-    odd = ~((cleaned >= lowest) & (cleaned <= highest))
+    odd = np.flatnonzero(~((cleaned >= lowest) & (cleaned <= highest)))
     counts = _count(cleaned[odd], lowest, len(cleaned))
     cleaned[odd] = np.nan
     return cleaned, counts
 
 
 def _count(odd_m: NDArray[np.float64], lowest_m: float, beams: int) -> NDArray[np.int64]:
-    """Count the kinds of ranges that are not valid; only these are looked at one by one."""
-    counts = np.zeros(len(KINDS), dtype=np.int64)
-    counts[_VALID] = beams - len(odd_m)
-    finite = odd_m[np.isfinite(odd_m)]
-    counts[_ZERO] = np.count_nonzero(finite == 0.0)
-    counts[_NEGATIVE] = np.count_nonzero(finite < 0.0)
-    counts[_BELOW] = np.count_nonzero(finite < lowest_m) - counts[_ZERO] - counts[_NEGATIVE]
-    counts[_ABOVE] = len(finite) - counts[_ZERO] - counts[_NEGATIVE] - counts[_BELOW]
-    if len(finite) < len(odd_m):
-        counts[_NAN] = np.count_nonzero(np.isnan(odd_m))
-        counts[_PLUS] = np.count_nonzero(odd_m == np.inf)
-        counts[_MINUS] = np.count_nonzero(odd_m == -np.inf)
-    return counts
+    """Count the kinds of ranges that are not valid: sorted, NaN last, they lie between these edges."""
+    odd_m.sort()
+    minus, zero, small, low, plus, nan = odd_m.searchsorted(
+        np.array((_LEAST_M, 0.0, _SMALLEST_M, lowest_m, np.inf, np.nan))
+    ).tolist()
+    valid, n = beams - len(odd_m), len(odd_m)
+    return np.array((valid, small - zero, low - small, plus - low, n - nan, nan - plus, minus, zero - minus))
 
 
 class Door:
@@ -126,7 +120,7 @@ class Door:
         message = self._thinned(message)
         spec = self._spec_of(message)
         cleaned, counts = clean(message.ranges_m, spec.range_min_m, spec.range_max_m)
-        if not counts[_VALID]:
+        if not counts[0]:
             return "no_valid_beam"
         return spec, cleaned, counts
 

@@ -22,8 +22,9 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.errors import OutputError, UsageError
-from mavnav.logs import ros
-from mavnav.logs.containers import CONTAINERS, Channel
+from mavnav.logs import definitions, ros
+from mavnav.logs.containers import CONTAINERS
+from mavnav.logs.mcap_writer import Channel
 from mavnav.logs.rosbag2 import METADATA
 from mavnav.pose import Pose
 from mavnav.staging import beside
@@ -36,11 +37,11 @@ if TYPE_CHECKING:
     from mavnav.scan import Scan
 
 CHANNELS: Final = {
-    "/tf_static": Channel(ros.TF, latched=True),
-    "/tf": Channel(ros.TF),
-    "/odom": Channel(ros.ODOMETRY),
-    "/ground_truth": Channel(ros.POSE),
-    "/scan": Channel(ros.SCAN),
+    "/tf_static": Channel(definitions.TF, latched=True),
+    "/tf": Channel(definitions.TF),
+    "/odom": Channel(definitions.ODOMETRY),
+    "/ground_truth": Channel(definitions.POSE),
+    "/scan": Channel(definitions.SCAN),
 }
 NO_RETURN_M: Final = 0.0
 

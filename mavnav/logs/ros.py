@@ -4,24 +4,18 @@ from __future__ import annotations
 
 from functools import cache
 from math import cos, sin
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from mavnav.logs.definitions import MAP, ODOMETRY, PATH, POSE, SCAN, TF
 from mavnav.pose import Pose
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.scan import Scan
-
-TF: Final = "tf2_msgs/msg/TFMessage"
-SCAN: Final = "sensor_msgs/msg/LaserScan"
-POSE: Final = "geometry_msgs/msg/PoseStamped"
-PATH: Final = "nav_msgs/msg/Path"
-MAP: Final = "nav_msgs/msg/OccupancyGrid"
-ODOMETRY: Final = "nav_msgs/msg/Odometry"
 
 
 @cache

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections import Counter
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import TYPE_CHECKING, Any
@@ -53,6 +52,15 @@ class Survey:
     strict: bool = False
 
 
+@dataclass(slots=True)
+class _Kind:
+    """What there is to know of a channel's messages; ``decode`` is None where there is no use for them."""
+
+    decode: Callable[[bytes], Any] | None
+    is_laser: bool
+    count: int = 0
+
+
 @dataclass
 class _Pass:
     """The state of the pass."""
@@ -60,8 +68,7 @@ class _Pass:
     topic: str | None
     strict: bool
     ledger: Ledger
-    counts: Counter[Channel] = field(default_factory=Counter)
-    decoders: dict[Channel, Callable[[bytes], Any] | None] = field(default_factory=dict)
+    kinds: dict[Channel, _Kind] = field(default_factory=dict)
     doors: dict[str, Door] = field(default_factory=dict)
     scans: dict[str, TopicScans] = field(default_factory=dict)
     odometry: OdometryTracks = field(default_factory=OdometryTracks)
@@ -70,22 +77,27 @@ class _Pass:
     def take(self, message: RawMessage) -> None:
         """Take in one message; one that does not decode is noted and counted."""
         channel = message.channel
-        self.counts[channel] += 1
-        if channel not in self.decoders:
-            self.decoders[channel] = self._decoder(channel)
-        decode = self.decoders[channel]
-        if decode is None:
+        kind = self.kinds.get(channel) or self._meet(channel)
+        kind.count += 1
+        if kind.decode is None:
             return
         if self.strict and message.suspect:
             self._refuse(channel, "suspect")
             return
         try:
-            decoded = decode(message.data)
+            decoded = kind.decode(message.data)
         except DecodeError as error:
             self.ledger.damage(f"a message does not decode ({error})", f"{channel.topic}, {message.log_ns} ns")
             self._refuse(channel, "undecodable")
             return
-        self._take_decoded(message, decoded)
+        if kind.is_laser:
+            self._take_scan(message, decoded)
+        else:
+            self._take_motion(message, decoded)
+
+    def _meet(self, channel: Channel) -> _Kind:
+        self.kinds[channel] = _Kind(self._decoder(channel), is_laser(channel))
+        return self.kinds[channel]
 
     def _decoder(self, channel: Channel) -> Callable[[bytes], Any] | None:
         if is_laser(channel) and self.topic not in (None, channel.topic):
@@ -96,11 +108,9 @@ class _Pass:
             self.ledger.damage(str(error), channel.topic)
             return None
 
-    def _take_decoded(self, message: RawMessage, decoded: Any) -> None:  # noqa: ANN401
+    def _take_motion(self, message: RawMessage, decoded: Any) -> None:  # noqa: ANN401
         channel, log_ns = message.channel, message.log_ns
-        if is_laser(channel):
-            self._take_scan(message, decoded)
-        elif channel.type == ODOMETRY_TYPE:
+        if channel.type == ODOMETRY_TYPE:
             self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
         else:
             static = channel.topic.endswith("tf_static")
@@ -190,7 +200,7 @@ def survey(
         name,
         size_bytes,
         sha256,
-        _topics(ledger, state.counts),
+        _topics(ledger, state.kinds),
         state.scans,
         state.odometry,
         state.frames,
@@ -245,9 +255,10 @@ def _run(path: Path, state: _Pass, progress: Callable[[int, int], None] | None) 
             progress(done, total)
 
 
-def _topics(ledger: Ledger, counts: Counter[Channel]) -> tuple[Topic, ...]:
+def _topics(ledger: Ledger, kinds: dict[Channel, _Kind]) -> tuple[Topic, ...]:
     channels = sorted(ledger.channels.values(), key=lambda c: (c.topic, c.type))
-    return tuple(Topic(c.topic, c.type, c.encoding, counts[c]) for c in channels)
+    counts = {channel: kind.count for channel, kind in kinds.items()}
+    return tuple(Topic(c.topic, c.type, c.encoding, counts.get(c, 0)) for c in channels)
 
 
 def _identity(path: Path) -> tuple[int, str]:

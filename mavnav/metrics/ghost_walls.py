@@ -106,10 +106,14 @@ def ghost_walls(grid: Grid, all_sections: Iterable[Sections]) -> GhostWalls:
 
 
 def _stations(all_sections: Iterable[Sections]) -> NDArray[np.float64]:
-    """Return column, row and direction of sections, (n, 3), thinned to one in a few cells."""
+    """Return column, row and direction of sections, (n, 3), thinned to one in a few cells.
+
+    These are counted from the outermost sections, so that nothing depends on how the map was cut out.
+    """
     found = [np.column_stack((s.col, s.row, s.direction_rad)) for s in all_sections]
     every = np.concatenate(found) if found else np.zeros((0, 3))
-    _, first = np.unique(np.floor(every[:, :2] / SPACING_CELLS), axis=0, return_index=True)
+    first_cell = np.floor(every[:, :2].min(axis=0, initial=np.inf))
+    _, first = np.unique(np.floor((every[:, :2] - first_cell) / SPACING_CELLS), axis=0, return_index=True)
     return np.ascontiguousarray(every[np.sort(first)])
 
 

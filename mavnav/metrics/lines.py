@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+
+from mavnav.kernels.links import link_groups
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,17 +37,24 @@ def linked(
     Two points are linked within ``reach_m`` where their directions differ by no more than ``turn_rad`` (modulo pi) and
     neither lies more than ``across_m`` beside the line through the other.
     """
-    n = len(xy_m)
-    if n == 0:
+    if len(xy_m) == 0:
         return np.zeros(0, np.int32)
-    a, b = cKDTree(xy_m).query_pairs(reach_m, output_type="ndarray").T
-    c, s = np.cos(direction_rad), np.sin(direction_rad)
-    dx, dy = (xy_m[b] - xy_m[a]).T
-    beside = np.maximum(np.abs(c[a] * dy - s[a] * dx), np.abs(c[b] * dy - s[b] * dx))
-    together = (np.abs(c[a] * s[b] - s[a] * c[b]) <= np.sin(turn_rad)) & (beside <= across_m)
-    links = coo_matrix((np.ones(together.sum(), np.int8), (a[together], b[together])), (n, n))
-    labels: NDArray[np.int32] = connected_components(links, directed=False)[1]
-    return labels
+    col, row = np.floor((xy_m - xy_m.min(axis=0)) / reach_m).astype(np.int64).T
+    width = col.max() + 3  # so that nobody's neighbour is in the row before
+    squares = row * width + col
+    order = np.argsort(squares, kind="stable")
+    below = squares[:, None] + width * np.arange(2)  # a pair in two rows is found from the one below
+    first = np.searchsorted(squares[order], below - 1)
+    last = np.searchsorted(squares[order], below + 1, side="right")
+    return link_groups(
+        np.ascontiguousarray(xy_m),
+        np.column_stack((np.cos(direction_rad), np.sin(direction_rad))),
+        order,
+        np.stack((first, last), axis=2),
+        reach_m,
+        across_m,
+        float(np.sin(turn_rad)),
+    )
 
 
 def half_turn(angle_rad: float) -> float:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mavnav.units import MM
 
@@ -52,6 +51,8 @@ class MapDistance:
 
 def map_distance(occupied_xy_m: NDArray[np.float64], truth: TrueMap) -> MapDistance:
     """Compare the middles of the occupied cells (n, 2), in the map frame, with the true walls."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415  takes 0.3 s to load
+
     n = len(occupied_xy_m)
     if n == 0:
         return MapDistance(truth.alignment, 0, np.nan, np.nan, np.nan, np.nan, 0.0)

@@ -35,6 +35,9 @@ PARTNERS: Final = 4
 
 EVERY: Final = 5
 LEAST_POINTS, LEAST_TARGETS = 5, 20
+_BLOCK: Final = 50_000
+"""So many pairs are looked at at a time."""
+
 _GOLDEN: Final = 0.6180339887498949
 
 
@@ -88,33 +91,49 @@ def revisits(trajectory: Trajectory, pairs: Pairs, scans: PlacedScans | None) ->
 
 def short_pairs(stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
     """Pair scans with one that is 0.3 to 3 s older or younger, evenly over the run, (n, 2)."""
-    pairs = []
-    for k, i in enumerate(spread(len(stamps_ns), PAIRS)):
-        lows = np.searchsorted(stamps_ns, stamps_ns[i] + np.array([-SHORT_GAP_NS[1], SHORT_GAP_NS[0]]), side="right")
-        highs = np.searchsorted(stamps_ns, stamps_ns[i] + np.array([-SHORT_GAP_NS[0], SHORT_GAP_NS[1]]))
-        partners = np.concatenate([np.arange(low, high) for low, high in zip(lows, highs, strict=True)])
-        if len(partners):
-            pairs.append((i, partners[int(_fraction(k) * len(partners))]))
-    return np.array(pairs, np.intp).reshape(-1, 2)
+    rows = spread(len(stamps_ns), PAIRS)
+    near, far = SHORT_GAP_NS
+    older, younger = (stamps_ns[rows] + gap for gap in (-far, near))
+    first, later = (np.searchsorted(stamps_ns, ends, side="right") for ends in (older, younger))
+    counts, more = (
+        np.searchsorted(stamps_ns, stamps_ns[rows] + gap) - start for gap, start in ((-near, first), (far, later))
+    )
+    number = (_fractions(len(rows)) * (counts + more)).astype(np.intp)
+    partners = np.where(number < counts, first + number, later + number - counts)
+    return np.column_stack((rows, partners))[counts + more > 0]
 
 
 def long_pairs(trajectory: Trajectory) -> NDArray[np.intp]:
     """Pair scans with others of the same place and heading, 10 s or more apart, evenly over the run, (n, 2)."""
-    t, (x, y, yaw) = trajectory.stamps_ns, trajectory.xyyaw.T
-    pairs = []
-    for k, i in enumerate(spread(len(t), PAIRS)):
-        near = np.flatnonzero((np.abs(x - x[i]) < LONG_DISTANCE_M) & (np.abs(t - t[i]) > LONG_GAP_NS))
-        near = near[np.hypot(x[near] - x[i], y[near] - y[i]) < LONG_DISTANCE_M]
-        partners = near[np.cos(yaw[near] - yaw[i]) > np.cos(LONG_TURN_RAD)]
-        chosen = {int((_fraction(k) + part / PARTNERS) % 1.0 * len(partners)) for part in range(PARTNERS)}
-        pairs += [(i, partners[j]) for j in sorted(chosen)] if len(partners) else []
-    found = np.array(pairs, np.intp).reshape(-1, 2)
+    rows, pairs = spread(len(trajectory), PAIRS), [np.zeros((0, 2), np.intp)]
+    band = max(1, _BLOCK // max(len(trajectory), 1))
+    for first in range(0, len(rows), band):
+        here = slice(first, first + band)
+        pairs.append(_partners(trajectory, rows[here], _fractions(len(rows))[here]))
+    found = np.concatenate(pairs)
     return found[spread(len(found), PAIRS)]
 
 
-def _fraction(k: int) -> float:
-    """Return the k-th of a sequence that fills 0 to 1 evenly: choices without a random number."""
-    return (k * _GOLDEN) % 1.0
+def _partners(trajectory: Trajectory, rows: NDArray[np.intp], fractions: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Pair rows with up to ``PARTNERS`` of their revisits, (n, 2); the fractions (rows,) tell which."""
+    t, (x, y, yaw) = trajectory.stamps_ns, trajectory.xyyaw.T
+    c, s = np.cos(yaw), np.sin(yaw)
+    dx, dy = x - x[rows, None], y - y[rows, None]
+    close = dx * dx + dy * dy < LONG_DISTANCE_M**2
+    close &= c * c[rows, None] + s * s[rows, None] > np.cos(LONG_TURN_RAD)
+    close &= np.abs(t - t[rows, None]) > LONG_GAP_NS
+    at, near = np.nonzero(close)
+    counts = np.bincount(at, minlength=len(rows))
+    parts = (fractions[:, None] + np.arange(PARTNERS) / PARTNERS) % 1.0
+    chosen = np.sort((parts * counts[:, None]).astype(np.intp), axis=1)
+    fresh = (counts > 0)[:, None] & (np.diff(chosen, axis=1, prepend=-1) > 0)
+    places = (np.cumsum(counts) - counts)[:, None] + chosen
+    return np.column_stack((np.broadcast_to(rows[:, None], chosen.shape)[fresh], near[places[fresh]]))
+
+
+def _fractions(n: int) -> NDArray[np.float64]:
+    """Return a sequence that fills 0 to 1 evenly, (n,): choices without a random number."""
+    return np.arange(n) * _GOLDEN % np.float64(1.0)
 
 
 def _distances(scans: PlacedScans, trajectory: Trajectory, pairs: NDArray[np.intp]) -> NDArray[np.float64]:

@@ -10,9 +10,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy import ndimage
 
 from mavnav.grid import OCCUPIED, UNKNOWN
+from mavnav.kernels.regions import region_sizes
+from mavnav.kernels.smoothing import smoothed
+from mavnav.lattice import bands, blank
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,6 +24,9 @@ CORNER_RADIUS_M: Final = 0.15
 
 CORNER_SHARE: Final = 0.35
 """A corner has edges across its strongest direction, this strong compared to the walls of the map."""
+
+SLOPE_CELLS: Final = 1.5
+"""Slopes are those of the image smoothed by so much."""
 
 LEAST_AREA_M2: Final = 0.01
 
@@ -42,10 +47,9 @@ def occupied_share(cells: NDArray[np.int8]) -> float:
 
 def enclosed_areas(cells: NDArray[np.int8], cell_m: float) -> EnclosedAreas:
     """Count the areas of `LEAST_AREA_M2` or more from which no way leads out but across occupied cells."""
-    labels, _ = ndimage.label(np.pad(cells != OCCUPIED, 1, constant_values=True))
-    sizes_m2 = np.bincount(labels.ravel())[1:] * cell_m**2
-    enclosed = np.delete(sizes_m2, labels[0, 0] - 1)
-    enclosed = enclosed[enclosed >= LEAST_AREA_M2 - 1e-12]
+    sizes = region_sizes(np.pad(cells != OCCUPIED, 1, constant_values=True), False)
+    areas_m2 = sizes[1:] * cell_m**2  # the first one is what lies around the map
+    enclosed = areas_m2[areas_m2 >= LEAST_AREA_M2 - 1e-12]
     return EnclosedAreas(len(enclosed), float(enclosed.sum()))
 
 
@@ -55,15 +59,45 @@ def corners(cells: NDArray[np.int8], cell_m: float) -> int:
     The smaller eigenvalue of the structure tensor (Shi and Tomasi 1994) has a local maximum there, compared with the
     larger one along the walls of the same map.
     """
-    occupied = cells == OCCUPIED
+    radius = max(CORNER_RADIUS_M / cell_m, 2.0)
+    occupied = np.pad(cells == OCCUPIED, int(2 * radius))
     if not occupied.any():
         return 0
-    radius = max(CORNER_RADIUS_M / cell_m, 2.0)
-    image = np.pad(occupied.astype(np.float32), int(2 * radius))
-    gx, gy = (ndimage.gaussian_filter(image, 1.5, order=order) for order in ((0, 1), (1, 0)))
-    xx, xy, yy = (ndimage.gaussian_filter(g, radius / 2.0) for g in (gx * gx, gx * gy, gy * gy))
+    heights, peaks, walls = blank((len(occupied), occupied.shape[1]), np.float32), np.zeros_like(occupied), []
+    reach = int(4.0 * SLOPE_CELLS + 0.5) + int(2.0 * radius + 0.5) + int(radius)
+    for around, inside, band in bands(occupied.shape, margin=reach):
+        weak, strong = edges(occupied[around].astype(np.float32), radius)
+        peaks[band] = (weak == highest(weak, int(radius)))[inside]
+        some = peaks[band] & (weak[inside] != 0.0)
+        heights[band][some] = weak[inside][some]
+        walls.append(strong[inside][occupied[band]])
+    return len(region_sizes(peaks & (heights >= CORNER_SHARE * float(np.median(np.concatenate(walls)))), True))
+
+
+def edges(image: NDArray[np.float32], radius: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the eigenvalues of an image's structure tensor (rows, cols): across the strongest direction, and along."""
+    steep, wide = gaussian(SLOPE_CELLS), gaussian(radius / 2.0)
+    slope = np.arange(len(steep)) / SLOPE_CELLS**2 * steep
+    gx, gy = smoothed(image, steep, slope, 1.0, -1.0), smoothed(image, slope, steep, -1.0, 1.0)
+    xx, xy, yy = (smoothed(g, wide, wide, 1.0, 1.0) for g in (gx * gx, gx * gy, gy * gy))
     mean, half = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
-    weak, strong = mean - half, mean + half
-    typical = float(np.median(strong[image > 0]))
-    peaks = (weak == ndimage.maximum_filter(weak, 2 * int(radius) + 1)) & (weak >= CORNER_SHARE * typical)
-    return int(ndimage.label(peaks, np.ones((3, 3)))[1])
+    return mean - half, mean + half
+
+
+def gaussian(sigma_cells: float) -> NDArray[np.float64]:
+    """Return the weights of a normal distribution, from the middle on to four sigma; both sides together weigh 1."""
+    far = int(4.0 * sigma_cells + 0.5)
+    weights = np.exp(-0.5 / sigma_cells**2 * np.arange(-far, far + 1) ** 2)
+    half: NDArray[np.float64] = (weights / weights.sum())[far:]
+    return half
+
+
+def highest(image: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
+    """Return the greatest value within ``reach`` cells of each cell (rows, cols), along the rows and the columns."""
+    for _ in range(2):
+        span, size = np.pad(image, ((reach, reach), (0, 0)), constant_values=-np.inf), 1
+        while 2 * size <= 2 * reach + 1:
+            span, size = np.maximum(span[:-size], span[size:]), 2 * size
+        shift = 2 * reach + 1 - size
+        image = (np.maximum(span[: len(image)], span[shift : shift + len(image)])).T
+    return image

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy import ndimage
 
 from mavnav.grid import OCCUPIED
+from mavnav.lattice import bands, blank
 from mavnav.metrics.journey import spread
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def explained_share(grid: Grid, cells: NDArray[np.int8], scans: PlacedScans) -> 
 
     A part of the map that was cut away, or scans that were tracked but are not in the map, lower it.
     """
-    near = np.pad(ndimage.binary_dilation(cells == OCCUPIED, np.ones((3, 3))), 1)
+    near = near_walls(cells)
     sample = spread(len(scans.poses), SAMPLE_SCANS)
     x, y = (scans.ranges_m[sample] * part for part in scans.spec.directions.T)
     x_m, y_m, yaw = scans.poses[sample].T[:, :, None]
@@ -87,3 +87,24 @@ def explained_share(grid: Grid, cells: NDArray[np.int8], scans: PlacedScans) -> 
     places = np.floor((xy_m - np.array(grid.origin_xy_m)[:, None]) / grid.cell_m).astype(np.int64) + 1
     cols, rows = (np.clip(place, 0, size - 1) for place, size in zip(places, near.shape[::-1], strict=True))
     return np.count_nonzero(near[rows, cols]) / len(rows) if len(rows) else np.nan
+
+
+def near_walls(cells: NDArray[np.int8]) -> NDArray[np.bool_]:
+    """Tell which cells (rows + 2, cols + 2), one more on each side, are occupied or have an occupied neighbour.
+
+    Those on the edge do not count. Where there are none, the answer takes no memory.
+    """
+    rows, cols = cells.shape
+    near = blank((rows + 2, cols + 2), np.bool_)
+    for around, inside, band in bands(cells.shape, margin=1):
+        wide = widened(cells[around] == OCCUPIED)[inside]
+        near[1:-1, 1:-1][band][wide] = True
+    return near
+
+
+def widened(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a mask (rows, cols) with the eight neighbours of its cells."""
+    around = np.pad(mask, 1)
+    rows = around[:-2] | around[1:-1] | around[2:]
+    wide: NDArray[np.bool_] = rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
+    return wide

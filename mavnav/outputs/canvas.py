@@ -17,6 +17,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from mavnav.lattice import pooled
+from mavnav.outputs.png import png
 from mavnav.outputs.window import (
     DPI,
     GOAL_RED,
@@ -113,7 +114,7 @@ class Canvas:
 
     def save(self, path: Path) -> None:
         """Write a PNG; the bytes follow from the picture alone."""
-        self.image.save(path, format="PNG", compress_level=2)
+        path.write_bytes(png(np.asarray(self.image)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
 
 _PIXELS: Final = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
 _MARGIN_CELLS: Final = 2
+
+_PACKED: Final = 3
+"""Of zlib's levels: a third of the time of 6, a tenth larger."""
 
 _YAML = """\
 image: map.pgm
@@ -109,11 +113,13 @@ def write_npz(run: Run, path: Path) -> None:
     Row and column grow with y and x; cell [0, 0] is the lower left pixel of ``map.pgm``.
     """
     grid = run.known
-    with path.open("wb") as file:
-        np.savez_compressed(
-            file,
-            counts=grid.hits,
-            passes=grid.passes,
-            cell_m=np.float64(grid.cell_m),
-            origin_xy_m=np.array(grid.origin_xy_m, np.float64),
-        )
+    arrays = {
+        "counts": grid.hits,
+        "passes": grid.passes,
+        "cell_m": np.float64(grid.cell_m),
+        "origin_xy_m": np.array(grid.origin_xy_m, np.float64),
+    }
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=_PACKED) as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, np.asanyarray(array))

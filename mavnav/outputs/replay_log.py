@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import ceil, sqrt
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from mavnav.grid import UNKNOWN, show_ends
 from mavnav.lattice import pooled
-from mavnav.logs import cdr, ros
-from mavnav.logs.containers import Channel, write_mcap
+from mavnav.logs import cdr, definitions
+from mavnav.logs.mcap_writer import Channel, write_serialized
 from mavnav.outputs.run import base_frame
 from mavnav.pose import Pose
 
@@ -37,22 +37,22 @@ LARGEST_MAP_BYTES: Final = 25_000_000
 MAP_PERIOD_NS: Final = 1_000_000_000
 
 CHANNELS: Final = {
-    "/tf_static": Channel(ros.TF, latched=True),
-    "/tf": Channel(ros.TF),
-    "/scan": Channel(ros.SCAN),
-    "/pose": Channel(ros.POSE),
-    "/path": Channel(ros.PATH, latched=True),
-    "/map": Channel(ros.MAP, latched=True),
+    "/tf_static": Channel(definitions.TF, latched=True),
+    "/tf": Channel(definitions.TF),
+    "/scan": Channel(definitions.SCAN),
+    "/pose": Channel(definitions.POSE),
+    "/path": Channel(definitions.PATH, latched=True),
+    "/map": Channel(definitions.MAP, latched=True),
 }
 
 
 def write(run: Run, path: Path) -> None:
     """Write the run as a ROS 2 log. The scans are read from the log once more."""
-    with write_mcap(path, CHANNELS) as put:
+    with write_serialized(path, CHANNELS) as put:
         laser, last_ns = laser_frame(run), run.log.last_ns
         mounting = run.log.base_T_laser
         if mounting is not None:
-            put("/tf_static", run.log.first_ns, ros.transform(run.log.first_ns, base_frame(run), laser, mounting))
+            put("/tf_static", run.log.first_ns, cdr.transforms(base_frame(run), laser)(run.log.first_ns, mounting))
         walls, write_scan, write_pose = _GrowingMap(run), cdr.scans(laser), cdr.poses(MAP_FRAME)
         write_placement = cdr.transforms(MAP_FRAME, laser if mounting is None else base_frame(run))
         from_laser = Pose() if mounting is None else mounting.inverse()
@@ -84,8 +84,8 @@ def placed_scans(run: Run) -> Iterator[tuple[Scan, Pose, bool]]:
             yield scan, trajectory[row[scan.stamp_ns]], scan.stamp_ns in mapped
 
 
-def _map(grid: Grid, cells: NDArray[np.int8], stamp_ns: int) -> Any:  # noqa: ANN401
-    return ros.occupancy_grid(stamp_ns, MAP_FRAME, cells, grid.cell_m, grid.origin_xy_m)
+def _map(grid: Grid, cells: NDArray[np.int8], stamp_ns: int) -> bytes:
+    return cdr.occupancy_grid(stamp_ns, MAP_FRAME, cells, grid.cell_m, grid.origin_xy_m)
 
 
 class _GrowingMap:

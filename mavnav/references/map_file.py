@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from mavnav.errors import UsageError
-from mavnav.grid import OCCUPIED, Grid, occupancy
+from mavnav.grid import Grid, occupied_cells
 from mavnav.layers import read_yaml
 from mavnav.pose import Pose, transform_points
 
@@ -51,7 +51,7 @@ class MapFile:
 
 def occupied_xy_m(grid: Grid) -> NDArray[np.float64]:
     """Return the middles of the occupied cells of a grid, (n, 2) in m, in its frame."""
-    row, col = np.nonzero(occupancy(grid) == OCCUPIED)
+    row, col = occupied_cells(grid).T
     xy_m: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
     return xy_m
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from mavnav.errors import UsageError
 from mavnav.layers import read_yaml
@@ -51,6 +50,8 @@ def of_scenario(scenario: Scenario, world_T_map: Pose) -> TrueMap:
 
 
 def _of_map(path: Path) -> TrueMap:
+    from scipy.spatial import cKDTree  # noqa: PLC0415  takes 0.3 s to load
+
     xy_m = read_map(path).occupied_xy_m()
     if not len(xy_m):
         raise UsageError(f"{path} has no occupied cell; name a map with walls")

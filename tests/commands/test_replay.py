@@ -46,13 +46,28 @@ def test_again_gives_the_same_bytes(mavnav: Callable, sample: Path, finished: Pa
     assert digest(tmp_path / "again") == digest(finished)
 
 
+def scans_in(run: Path) -> int:
+    """Return how many scans the log of a run has."""
+    return json.loads((run / "run.json").read_text())["scans"]["total"]
+
+
 def test_summary_on_stdout(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
     code, out, err = mavnav("replay", sample, "-o", tmp_path / "r", *FEW, "--report")
     assert code == 0
     assert err == ""
     assert "report.html" in out
     assert "21 of 21 scans" in (tmp_path / "r" / "report.html").read_text(encoding="utf-8")
-    for word in ("scans", "21 of 136", "accepted", "lost", "never", "path", "wall thickness", "scans/s", "map.png"):
+    for word in (
+        "scans",
+        f"21 of {scans_in(tmp_path / 'r')}",
+        "accepted",
+        "lost",
+        "never",
+        "path",
+        "wall thickness",
+        "scans/s",
+        "map.png",
+    ):
         assert word in out
 
 
@@ -158,9 +173,10 @@ def test_no_scan_topic(mavnav: Callable, make_log: Callable, tmp_path: Path) -> 
     expect(mavnav("replay", log, "-o", tmp_path / "r", "-q"), ExitCode.NO_SCANS, "no LaserScan", "/odom")
 
 
-def test_two_scan_topics(mavnav: Callable, make_log: Callable, tmp_path: Path) -> None:
+def test_two_scan_topics(mavnav: Callable, make_log: Callable, finished: Path, tmp_path: Path) -> None:
     log = make_log("two.mcap", scan=["/front", "/rear"])
-    expect(mavnav("replay", log, "-o", tmp_path / "r", "-q"), ExitCode.USAGE, "/front (136", "/rear", "--topic")
+    front = f"/front ({scans_in(finished)} scans)"
+    expect(mavnav("replay", log, "-o", tmp_path / "r", "-q"), ExitCode.USAGE, front, "/rear", "--topic")
     assert mavnav("replay", log, "-o", tmp_path / "r", *FEW, "--topic", "/rear")[0] == 0
 
 
@@ -391,3 +407,13 @@ def test_a_run_that_dies_while_it_is_written_leaves_the_old_one(
     assert done.returncode == (-signal.SIGKILL if signal.SIGKILL in numbers else ExitCode.TERMINATED)
     assert {path.name: path.read_text() for path in directory.iterdir()} == {"run.json": "old"}
     assert all(path.name.startswith(".run.") for path in tmp_path.iterdir() if path != directory)
+
+
+def test_a_warm_run_loads_neither_scipy_nor_message_definitions(tmp_path) -> None:
+    log, run = Path(__file__).parents[2] / "sample_logs/corridor.mcap", tmp_path / "run"
+    code = "import sys\nfrom mavnav.cli import run\nassert run(sys.argv[1:]) == 0\nprint(*sys.modules, file=sys.stderr)"
+    command = [sys.executable, "-c", code, "replay", log, "--end", "0.5", "-q", "-o", run]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    heavy = {"scipy.linalg", "scipy.ndimage", "scipy.spatial", "rosbags", "mcap", "matplotlib", "jinja2"}
+    heavy |= {"numba.np.arraymath", "mavnav.kernels.polarsearch", "mavnav.kernels.raycast"}
+    assert not heavy & set(done.stderr.split())

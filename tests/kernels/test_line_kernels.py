@@ -89,9 +89,10 @@ def test_lines_grown_scan_by_scan_are_those_of_all_points_at_once(seed: int) -> 
     col0, row0 = grown.origin_cells
     for slot in range(1, grown.count):
         row, col = grown.cells[slot] + (row0, col0)
-        mu, a = expected[row, col]
+        foot, a, rests_on = expected[row, col]
         assert grown.nearest[tuple(grown.cells[slot])] == slot
-        np.testing.assert_allclose(grown.lines[slot, :2], mu, atol=1e-9)
+        np.testing.assert_allclose(grown.lines[slot, :2], foot, atol=1e-9)
+        assert grown.lines[slot, 5] == pytest.approx(rests_on)
         np.testing.assert_allclose(grown.lines[slot, 2:5], (a[0, 0], a[0, 1], a[1, 1]), atol=1e-6)
 
 
@@ -131,9 +132,9 @@ def test_without_some_cells_the_lines_are_those_of_the_other_points() -> None:
     expected = naive.insert_points(wall, 0.02, 0.06, 0.01)
     assert line_map.count - 1 == len(expected)
     for slot, cell in enumerate(line_map.cells[1:], start=1):
-        mu, a = expected[tuple(cell + np.array(line_map.origin_cells)[::-1])]
+        foot, a, _ = expected[tuple(cell + np.array(line_map.origin_cells)[::-1])]
         assert line_map.nearest[tuple(cell)] == slot
-        np.testing.assert_allclose(line_map.lines[slot, :2], mu, atol=1e-9)
+        np.testing.assert_allclose(line_map.lines[slot, :2], foot, atol=1e-9)
         np.testing.assert_allclose(line_map.lines[slot, 2:5], (a[0, 0], a[0, 1], a[1, 1]), atol=1e-6)
     assert np.count_nonzero(line_map.closeness > linemap_kernel.FAR) == len(expected)
 
@@ -193,21 +194,21 @@ def cost_of(points: np.ndarray, line_map: LineMap) -> Callable[[float, float, fl
     return cost
 
 
-@pytest.mark.parametrize("overlap_m", [0.0, 0.02])
+@pytest.mark.parametrize(("overlap_m", "known_points"), [(0.0, 0.0), (0.02, 0.0), (0.1, 6.0)])
 @pytest.mark.parametrize(("grid", "prior"), [((7, 4, 5, 2), 0.0), ((6, 5, 5, 0), 0.0), ((6, 5, 5, 0), 0.5)])
-def test_search_is_its_twin(grid: tuple[int, ...], prior: float, overlap_m: float) -> None:
+def test_search_is_its_twin(grid: tuple[int, ...], prior: float, overlap_m: float, known_points: float) -> None:
     line_map, points = furnished_map()
     points = np.concatenate((points, np.random.default_rng(5).uniform(-3, 3, (8, 2))))
     start = np.array([3.06, 2.12, 1.1])
     least = line_map.closeness_at(overlap_m) if overlap_m else 0.0
-    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, 1e9, 2, prior, 0.0, 0.0, least])
+    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, 1e9, 2, prior, 0.0, 0.0, least, known_points])
     found = linesearch.search(points, start, np.array([*grid, 1.0]), limits, *arrays(line_map))
 
     def terms(deciding: np.ndarray) -> Terms:
         return cost_of(deciding, line_map), deciding.mean(axis=0), prior * len(deciding)
 
     def settled(*pose: float) -> Terms:
-        deciding = naive.drawn(points, pose, line_map, overlap_m)
+        deciding = naive.drawn(points, pose, line_map, overlap_m, known_points)
         assert len(deciding) < len(points)
         return terms(deciding)
 
@@ -217,15 +218,16 @@ def test_search_is_its_twin(grid: tuple[int, ...], prior: float, overlap_m: floa
     assert found[3] == pytest.approx(cost(*found[:3]) / len(points), rel=1e-9)
 
 
-@pytest.mark.parametrize("overlap_m", [0.0, 0.02, 0.1])
+@pytest.mark.parametrize(("overlap_m", "known_points"), [(0.0, 0.0), (0.02, 0.0), (0.1, 0.0), (0.1, 6.0), (0.1, 1e9)])
 @pytest.mark.parametrize("pose", [(3.0, 2.2, 1.0), (3.04, 2.17, 1.02), (8.0, 2.0, 0.0)])
-def test_drawn_points_are_their_twin(pose: tuple[float, float, float], overlap_m: float) -> None:
+def test_drawn_points_are_their_twin(pose: tuple[float, float, float], overlap_m: float, known_points: float) -> None:
     line_map, points = furnished_map()
     placed = transform_points(Pose(*pose), points.mean(axis=0)[None])[0]
     centred = np.ascontiguousarray((points - points.mean(axis=0)).T)
     at = np.array([*placed, pose[2], *placed])
-    fast = linesearch._drawn(centred, at, line_map.closeness_at(overlap_m), line_map.closeness, line_map.geometry)
-    slow = naive.drawn(points, pose, line_map, overlap_m)
+    known = np.array([line_map.closeness_at(overlap_m), known_points])
+    fast = linesearch._drawn(centred, at, known, *arrays(line_map))
+    slow = naive.drawn(points, pose, line_map, overlap_m, known_points)
     np.testing.assert_allclose(fast.T + points.mean(axis=0), slow, atol=1e-9)
 
 
@@ -233,7 +235,7 @@ def test_search_finds_the_pose_and_counts_its_work() -> None:
     line_map, points = furnished_map()
     x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
         points, np.array([3.2, 2.0, 1.2]), np.array([20.0, 10, 10, 3, 1]),
-        np.array([0.35, 0.35, 0.001, math.radians(0.02), 0.15, 120, 2, 0, 0.0, 0.0, 61.0]), *arrays(line_map),
+        np.array([0.35, 0.35, 0.001, math.radians(0.02), 0.15, 120, 2, 0, 0.0, 0.0, 61.0, 0.0]), *arrays(line_map),
     )  # fmt: skip
     assert math.hypot(x - 3.0, y - 2.2) < 0.01
     assert abs(yaw - 1.0) < 0.005
@@ -254,7 +256,7 @@ def test_points_off_the_map_cost_the_truncation() -> None:
     line_map, points = furnished_map()
     found = linesearch.search(
         points, np.array([-500.0, 800.0, 0.0]), np.array([4.0, 3, 3, 1, 1]),
-        np.array([0.1, 0.1, 0.05, 0.05, 0.15, 120, 1, 0, 0.0, 0.0, 61.0]), *arrays(line_map),
+        np.array([0.1, 0.1, 0.05, 0.05, 0.15, 120, 1, 0, 0.0, 0.0, 61.0, 0.0]), *arrays(line_map),
     )  # fmt: skip
     assert found[3] == pytest.approx(0.15**2)
     assert found[4] == 0.0

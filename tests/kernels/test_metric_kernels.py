@@ -5,10 +5,15 @@ from __future__ import annotations
 import naive_metrics as naive
 import numpy as np
 import pytest
+from scipy import ndimage
 from synthetic import LDS_01, URG_04LX, furnished_rooms, scan_at
 
 from mavnav.kernels.overlap import scan_distances
 from mavnav.kernels.profiles import wall_profiles
+from mavnav.kernels.regions import region_sizes
+from mavnav.kernels.smoothing import smoothed
+from mavnav.metrics.lines import linked
+from mavnav.metrics.shape import gaussian, highest
 from mavnav.pose import Pose
 
 
@@ -51,3 +56,37 @@ def test_a_laser_that_counts_clockwise() -> None:
         np.array([angles[0], -spec.angle_step_rad, 0.1, 4.0]), 0.15, 3,
     )  # fmt: skip
     np.testing.assert_allclose(scan_distances(*arguments), naive.scan_distances(*arguments), atol=1e-9)
+
+
+@pytest.mark.parametrize("diagonal", [False, True])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.5, 0.6, 0.8, 1.0])
+def test_sizes_of_regions(share, diagonal) -> None:
+    masks = [np.random.default_rng(seed).random(shape) < share for seed, shape in enumerate([(40, 60), (1, 9), (9, 1)])]
+    for mask in masks:
+        np.testing.assert_array_equal(region_sizes(mask, diagonal), naive.region_sizes(mask, diagonal))
+
+
+@pytest.mark.parametrize("shape", [(60, 40), (3, 50), (50, 2)])
+def test_smoothing_and_slopes(shape) -> None:
+    image = np.random.default_rng(2).random(shape).astype(np.float32)
+    wide, steep = gaussian(3.75), gaussian(1.5)
+    slope = np.arange(len(steep)) * steep
+    for arguments in ((wide, wide, 1.0, 1.0), (slope, steep, -1.0, 1.0), (steep, slope, 1.0, -1.0)):
+        np.testing.assert_array_equal(smoothed(image, *arguments), naive.smoothed(image, *arguments))
+    np.testing.assert_allclose(smoothed(image, wide, wide, 1.0, 1.0), ndimage.gaussian_filter(image, 3.75), atol=1e-6)
+
+
+@pytest.mark.parametrize("reach", [1, 2, 7])
+def test_highest_within_reach(reach) -> None:
+    image = np.random.default_rng(3).random((30, 20)).astype(np.float32)
+    np.testing.assert_array_equal(highest(image, reach), ndimage.maximum_filter(image, 2 * reach + 1))
+
+
+@pytest.mark.parametrize("n", [1, 2, 300])
+def test_groups_of_linked_points(n) -> None:
+    rng = np.random.default_rng(4)
+    xy_m, angles = rng.uniform(-1.0, 1.0, (n, 2)), rng.uniform(-4.0, 4.0, n)
+    found = linked(xy_m, angles, reach_m=0.2, across_m=0.1, turn_rad=0.5)
+    directions = np.column_stack((np.cos(angles), np.sin(angles)))
+    np.testing.assert_array_equal(found, naive.link_groups(xy_m, directions, 0.2, 0.1, np.sin(0.5)))
+    assert n < 3 or 1 < found.max() < n - 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic import URG_04LX
 
-from mavnav.logs import cdr, ros
+from mavnav.logs import cdr, definitions, ros
 from mavnav.pose import Pose
 from mavnav.scan import Scan
 
@@ -41,3 +41,16 @@ def test_paths(frame: str, count: int) -> None:
     xyyaw = np.random.default_rng(0).uniform(-3, 3, (count, 3))
     poses = [ros.pose_stamped(int(t), frame, Pose(*p.tolist())) for t, p in zip(stamps, xyyaw, strict=True)]
     assert cdr.path(STAMP_NS, frame, stamps, xyyaw) == ros.cdr(ros.path(STAMP_NS, frame, poses))
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_maps(frame: str) -> None:
+    cells = np.random.default_rng(0).integers(-1, 101, (3, 5)).astype(np.int8)
+    told = STAMP_NS, frame, cells, 0.02, (-1.5, 2.25)
+    assert cdr.occupancy_grid(*told) == ros.cdr(ros.occupancy_grid(*told))
+
+
+@pytest.mark.parametrize("name", definitions.FIELDS)
+def test_definitions(name: str) -> None:
+    msgtype = name.replace("/", "/msg/")
+    assert definitions.definition(msgtype) == ros.definition(msgtype)

@@ -62,3 +62,15 @@ def test_no_map_no_ghosts(shape: tuple[int, int]) -> None:
     assert (walls.count, walls.length_m, walls.places) == (0, 0.0, ())
     assert np.isnan(walls.worst_offset_mm)
     assert np.isnan(walls.worst_offset_cells)
+
+
+@pytest.mark.parametrize("margin", [1, 2])
+def test_nothing_depends_on_how_a_map_was_cut_out(margin: int) -> None:
+    for seed in range(6):
+        grid = map_of(ghost, 5, 30.0, 0.01, seed)
+        x_m, y_m = grid.origin_xy_m
+        corner = (x_m - margin * CELL_M, y_m - 2 * margin * CELL_M)
+        wide = [np.pad(part, ((2 * margin, 3), (margin, 0))) for part in (grid.hits, grid.passes)]
+        a, b = ghosts_of(grid), ghosts_of(Grid(CELL_M, corner, *wide))
+        assert (a.count, a.worst_offset_mm) == (b.count, b.worst_offset_mm)
+        assert a.length_m == pytest.approx(b.length_m, abs=1e-9)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavnav.grid import FREE, OCCUPIED, UNKNOWN
+from mavnav import lattice
+from mavnav.grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy
 from mavnav.metrics.shape import corners, enclosed_areas, occupied_share
+from mavnav.metrics.support import near_walls
 from mavnav.metrics.wall_thickness import wall_sections
 from mavnav.metrics.walls import straight_walls
+from mavnav.references import occupied_xy_m
 
 CELL_M = 0.02
 
@@ -100,3 +103,24 @@ def test_occupied_share() -> None:
     assert occupied_share(cells) == 0.15
     assert corners(canvas(10), CELL_M) == 0
     assert enclosed_areas(np.zeros((0, 0), np.int8), CELL_M).count == 0
+
+
+def test_a_map_measured_in_bands_is_the_map_measured_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Corners, what lies near walls and where walls are do not depend on how much is looked at at a time."""
+    rng = np.random.default_rng(0)
+    hits = np.zeros((700, 150), np.int32)
+    for row, col, length in zip(
+        rng.integers(0, 650, 40), rng.integers(0, 120, 40), rng.integers(5, 60, 40), strict=True
+    ):
+        hits[row : row + length, col : col + 2] = hits[row : row + 2, col : col + length] = 3
+    grid = Grid(CELL_M, (0.0, 0.0), hits, np.zeros_like(hits))
+
+    def measured() -> list[np.ndarray]:
+        cells = occupancy(grid)
+        return [np.array(corners(cells, CELL_M)), near_walls(cells), occupied_xy_m(grid)]
+
+    whole = measured()
+    monkeypatch.setattr(lattice, "BAND_CELLS", 1)
+    for banded, at_once in zip(measured(), whole, strict=True):
+        np.testing.assert_array_equal(banded, at_once)
+    assert whole[0] > 5

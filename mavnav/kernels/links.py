@@ -1,0 +1,72 @@
+"""Points that follow one another along their direction."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import float64, int32, int64, types
+
+from mavnav.kernels._jit import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_F2 = types.Array(float64, 2, "C", readonly=True)
+_I1 = types.Array(int64, 1, "C", readonly=True)
+_I3 = types.Array(int64, 3, "C", readonly=True)
+
+
+@kernel(int64(int32[::1], int64))
+def _root(parent: NDArray[np.int32], k: int) -> int:
+    """Return the first of the points that hang together with one, and shorten the way to it."""
+    while parent[k] != k:
+        parent[k] = parent[parent[k]]
+        k = parent[k]
+    return k
+
+
+@kernel(int32[::1](_F2, _F2, _I1, _I3, float64, float64, float64))
+def link_groups(
+    xy_m: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    order: NDArray[np.int64],
+    spans: NDArray[np.int64],
+    reach_m: float,
+    across_m: float,
+    sin_turn: float,
+) -> NDArray[np.int32]:
+    """Tell the group of each point (n, 2), (n,); linked ones share one, and groups count in the order of first points.
+
+    ``directions`` (n, 2) are cosines and sines. Links are looked for among ``order[first:last]``, the stretches
+    ``spans`` (n, stretches, 2) of each point, in which each pair must occur from one side at least. Two points are
+    linked within ``reach_m``, where the sine between their directions is no more than ``sin_turn`` and neither lies
+    more than ``across_m`` beside the line through the other.
+    """
+    n, reach_m2 = len(xy_m), reach_m * reach_m
+    parent = np.arange(n).astype(np.int32)
+    for a in range(n):
+        ca, sa = directions[a]
+        for k in range(spans.shape[1]):
+            for at in range(spans[a, k, 0], spans[a, k, 1]):
+                b = order[at]
+                dx, dy = xy_m[b, 0] - xy_m[a, 0], xy_m[b, 1] - xy_m[a, 1]
+                cb, sb = directions[b]
+                if (
+                    dx * dx + dy * dy > reach_m2
+                    or abs(ca * sb - sa * cb) > sin_turn
+                    or max(abs(ca * dy - sa * dx), abs(cb * dy - sb * dx)) > across_m
+                ):
+                    continue
+                first, second = _root(parent, a), _root(parent, b)
+                parent[max(first, second)] = min(first, second)
+    groups = np.empty(n, np.int32)
+    count = np.int32(0)
+    for k in range(n):
+        root = _root(parent, k)
+        if root == k:
+            groups[k] = count
+            count += np.int32(1)
+        else:
+            groups[k] = groups[root]
+    return groups

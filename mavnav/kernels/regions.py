@@ -1,0 +1,74 @@
+"""Cells that hang together."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import boolean, int32, int64, types
+
+from mavnav.kernels._jit import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_MASK = types.Array(boolean, 2, "C", readonly=True)
+
+
+@kernel(int32(int32[::1], int32))
+def _root(parent: NDArray[np.int32], label: int) -> int:
+    """Return the first label of those that were found to be one, and shorten the way to it."""
+    while parent[label] != label:
+        parent[label] = parent[parent[label]]
+        label = parent[label]
+    return label
+
+
+@kernel(int32(int32[::1], int32, int32))
+def _joined(parent: NDArray[np.int32], a: int, b: int) -> int:
+    """Make two labels one and return it; -1 is none."""
+    if a < 0 or b < 0:
+        return max(a, b)
+    a, b = _root(parent, a), _root(parent, b)
+    first = min(a, b)
+    parent[max(a, b)] = first
+    return first
+
+
+@kernel(int64[::1](_MASK, boolean))
+def region_sizes(mask: NDArray[np.bool_], diagonal: bool) -> NDArray[np.int64]:
+    """Count the cells of each region of a mask (rows, cols), (regions,); the order is that of their first cells.
+
+    Cells of a region touch at an edge, where ``diagonal`` is set at a corner too. Only the labels of two rows are held.
+    """
+    rows, cols = mask.shape
+    parent = np.empty(rows * ((cols + 1) // 2), np.int32)
+    sizes = np.zeros(len(parent), np.int64)
+    above, here = np.full(cols + 2, -1, np.int32), np.full(cols + 2, -1, np.int32)
+    labels = 0
+    for r in range(rows):
+        for c in range(cols):
+            here[c + 1] = -1
+            if not mask[r, c]:
+                continue
+            label = _joined(parent, here[c], above[c + 1])
+            if diagonal:
+                label = _joined(parent, _joined(parent, label, above[c]), above[c + 2])
+            if label < 0:
+                label = labels
+                parent[labels] = labels
+                labels += 1
+            here[c + 1] = label
+            sizes[label] += 1
+        above, here = here, above
+    regions = 0
+    for label in range(labels):  # a region's first label is the least of its labels
+        root = _root(parent, label)
+        if root != label:
+            sizes[root] += sizes[label]
+            sizes[label] = 0
+    for label in range(labels):
+        if sizes[label]:
+            sizes[regions] = sizes[label]
+            regions += 1
+    return sizes[:regions].copy()

@@ -1,0 +1,66 @@
+"""An image smoothed, or its slope: two passes of one-dimensional weights."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import float32, float64, types, void
+
+from mavnav.kernels._jit import kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_F1 = types.Array(float64, 1, "C", readonly=True)
+_IMAGE = types.Array(float32, 2, "C", readonly=True)
+
+
+@kernel(void(float64[::1], _F1, float64, float64, _F1))
+def _add(
+    total: NDArray[np.float64], after: NDArray[np.float64], weight: float, sign: float, before: NDArray[np.float64]
+) -> None:
+    """Add two neighbours of each cell (n,), weighed."""
+    for c in range(len(total)):
+        total[c] += (after[c] + sign * before[c]) * weight
+
+
+@kernel(float32[:, ::1](_IMAGE, _F1, _F1, float64, float64))
+def smoothed(
+    image: NDArray[np.float32],
+    down: NDArray[np.float64],
+    across: NDArray[np.float64],
+    down_sign: float,
+    across_sign: float,
+) -> NDArray[np.float32]:
+    """Weigh each cell of an image (rows, cols) and its neighbours, along the columns and then along the rows.
+
+    ``down`` and ``across`` hold the weights of the middle and of the neighbours after it; those before it weigh as
+    much times the sign, 1 or -1. Beyond its edges the image is its own reflection. Sums are float64, rounded to float32
+    after each pass.
+    """
+    rows, cols = image.shape
+    far_down, far_across = len(down) - 1, len(across) - 1
+    wide = image.astype(np.float64)
+    out = np.empty((rows, cols), np.float32)
+    total, line = np.empty(cols), np.empty(cols + 2 * far_across)
+    for r in range(rows):
+        for c in range(cols):
+            total[c] = wide[r, c] * down[0]
+        for k in range(far_down, 0, -1):
+            before, after = (r - k) % (2 * rows), (r + k) % (2 * rows)
+            before, after = min(before, 2 * rows - 1 - before), min(after, 2 * rows - 1 - after)
+            _add(total, wide[after], down[k], down_sign, wide[before])
+        for c in range(cols):
+            line[far_across + c] = np.float32(total[c])
+        for k in range(far_across):
+            left, right = (-1 - k) % (2 * cols), (cols + k) % (2 * cols)
+            line[far_across - 1 - k] = line[far_across + min(left, 2 * cols - 1 - left)]
+            line[far_across + cols + k] = line[far_across + min(right, 2 * cols - 1 - right)]
+        for c in range(cols):
+            total[c] = line[far_across + c] * across[0]
+        for k in range(far_across, 0, -1):
+            _add(total, line[far_across + k :], across[k], across_sign, line[far_across - k :])
+        for c in range(cols):
+            out[r, c] = np.float32(total[c])
+    return out

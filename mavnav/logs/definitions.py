@@ -1,0 +1,66 @@
+"""The ROS messages that mavnav writes, by their standard definitions; those of other types are looked up by ``ros``."""
+
+from __future__ import annotations
+
+from typing import Final
+
+TF: Final = "tf2_msgs/msg/TFMessage"
+SCAN: Final = "sensor_msgs/msg/LaserScan"
+POSE: Final = "geometry_msgs/msg/PoseStamped"
+PATH: Final = "nav_msgs/msg/Path"
+MAP: Final = "nav_msgs/msg/OccupancyGrid"
+ODOMETRY: Final = "nav_msgs/msg/Odometry"
+
+_XYZ: Final = ("float64 x", "float64 y", "float64 z")
+_LASER: Final = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
+FIELDS: Final[dict[str, tuple[str, ...]]] = {
+    "builtin_interfaces/Time": ("int32 sec", "uint32 nanosec"),
+    "std_msgs/Header": ("builtin_interfaces/Time stamp", "string frame_id"),
+    "geometry_msgs/Point": _XYZ,
+    "geometry_msgs/Vector3": _XYZ,
+    "geometry_msgs/Quaternion": (*_XYZ, "float64 w"),
+    "geometry_msgs/Pose": ("geometry_msgs/Point position", "geometry_msgs/Quaternion orientation"),
+    "geometry_msgs/PoseStamped": ("std_msgs/Header header", "geometry_msgs/Pose pose"),
+    "geometry_msgs/PoseWithCovariance": ("geometry_msgs/Pose pose", "float64[36] covariance"),
+    "geometry_msgs/Transform": ("geometry_msgs/Vector3 translation", "geometry_msgs/Quaternion rotation"),
+    "geometry_msgs/TransformStamped": (
+        "std_msgs/Header header", "string child_frame_id", "geometry_msgs/Transform transform",
+    ),
+    "geometry_msgs/Twist": ("geometry_msgs/Vector3 linear", "geometry_msgs/Vector3 angular"),
+    "geometry_msgs/TwistWithCovariance": ("geometry_msgs/Twist twist", "float64[36] covariance"),
+    "nav_msgs/MapMetaData": (
+        "builtin_interfaces/Time map_load_time", "float32 resolution", "uint32 width", "uint32 height",
+        "geometry_msgs/Pose origin",
+    ),
+    "nav_msgs/OccupancyGrid": ("std_msgs/Header header", "nav_msgs/MapMetaData info", "int8[] data"),
+    "nav_msgs/Odometry": (
+        "std_msgs/Header header", "string child_frame_id", "geometry_msgs/PoseWithCovariance pose",
+        "geometry_msgs/TwistWithCovariance twist",
+    ),
+    "nav_msgs/Path": ("std_msgs/Header header", "geometry_msgs/PoseStamped[] poses"),
+    "sensor_msgs/LaserScan": (
+        "std_msgs/Header header", *(f"float32 {name}" for name in _LASER), "float32[] ranges", "float32[] intensities",
+    ),
+    "tf2_msgs/TFMessage": ("geometry_msgs/TransformStamped[] transforms",),
+}  # fmt: skip
+"""Type, without its ``msg``, -> fields."""
+
+
+def definition(msgtype: str) -> str:
+    """Return the definition of one of these types with all that it contains (MCAP's ``ros2msg``)."""
+    first, *others = _contained(msgtype.replace("/msg/", "/"))
+    line = "=" * 80
+    return _text(first) + "".join(f"{line}\nMSG: {name}\n{_text(name)}" for name in others)
+
+
+def _text(name: str) -> str:
+    return "\n".join(FIELDS[name]) + "\n"
+
+
+def _contained(name: str) -> list[str]:
+    """Return a type and those of its fields, each once, in the order in which they are met."""
+    found = {name: None}
+    for field in FIELDS[name]:
+        kind = field.partition(" ")[0].partition("[")[0]
+        found |= dict.fromkeys(_contained(kind)) if kind in FIELDS else {}
+    return list(found)

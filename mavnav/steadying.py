@@ -1,0 +1,91 @@
+"""The jitter of the scans taken out of the finished trajectory, as far as the scans cannot tell (docs/method.md)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import hypot
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.kernels.steadying import smooth
+from mavnav.pose import Pose
+from mavnav.stages import timed
+from mavnav.steps import leapt
+from mavnav.units import NS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from mavnav.steps import Step
+
+FEWEST = 10
+"""Poses in a row from which a stretch tells how much of its motion is jitter."""
+
+STIFFNESSES = 2.0 ** np.arange(-6, 32, 0.5)
+"""That are tried, in periods to the fourth: from what leaves the way alone to a window of some 250 scans."""
+
+CANNOT_TELL = 1 / 7
+"""A scan tells its place to about this share of its points' distances from the walls, of which some fifty count."""
+
+LONGEST_S = 1.2
+"""A longer gap parts two stretches."""
+
+
+@timed("smoothing")
+def steadied(steps: list[Step], period_s: float) -> list[Step]:
+    """Return the steps with smooth positions: the jitter of the scans would lengthen every way, and move a rest.
+
+    How much of the motion is jitter is asked of each stretch itself: positions with white noise, of a way whose
+    velocity walks at random, with the likeliest share of both. Where the median scan would move farther than it can
+    tell, less is smoothed. Headings stay: scans tell them well.
+    """
+    out = list(steps)
+    for stretch in stretches(steps):
+        for step, (x, y) in zip(stretch, _steady(stretch, period_s), strict=True):
+            pose = Pose(float(x), float(y), step.match.map_T_laser.yaw_rad)
+            out[step.index] = replace(step, match=replace(step.match, map_T_laser=pose))
+    return out
+
+
+def stretches(steps: list[Step]) -> Iterator[list[Step]]:
+    """Give the tracked steps that follow each other without a long gap or a leap, ``FEWEST`` or more."""
+    run: list[Step] = []
+    for step in [s for s in steps if s.tracked]:
+        if run and ((step.stamp_ns - run[-1].stamp_ns) * NS > LONGEST_S or leapt(run[-1], step)):
+            yield from [run] if len(run) >= FEWEST else []
+            run = []
+        run.append(step)
+    yield from [run] if len(run) >= FEWEST else []
+
+
+def _steady(stretch: list[Step], period_s: float) -> NDArray[np.float64]:
+    xy_m = np.array([(s.match.map_T_laser.x_m, s.match.map_T_laser.y_m) for s in stretch])
+    periods = np.maximum(np.round(np.diff([s.stamp_ns for s in stretch]) * NS / period_s), 1.0)
+    middle = xy_m.mean(axis=0)
+    smoothed = np.empty((len(STIFFNESSES), *xy_m.shape))
+    likely = [smooth(xy_m - middle, periods, k, out) for k, out in zip(STIFFNESSES, smoothed, strict=True)]
+    moved_m = np.median(np.linalg.norm(smoothed + middle - xy_m, axis=2), axis=1)
+    told_m = CANNOT_TELL * np.sqrt(np.median([s.match.cost_m2 for s in stretch]))
+    best = int(np.argmax(likely))
+    while best >= 0 and moved_m[best] > told_m:
+        best -= 1
+    way_m = xy_m if best < 0 else smoothed[best] + middle
+    for rest in rests(way_m, told_m):
+        way_m[rest] = xy_m[rest].mean(axis=0)
+    return way_m
+
+
+def rests(xy_m: NDArray[np.float64], within_m: float) -> Iterator[slice]:
+    """Give the stretches of ``FEWEST`` positions (n, 2) or more that stay in a box of this half diagonal, m."""
+    first = 0
+    low_x = low_y = np.inf
+    high_x = high_y = -np.inf
+    for k, (x, y) in enumerate([*xy_m.tolist(), (np.inf, np.inf)]):
+        low_x, high_x, low_y, high_y = min(low_x, x), max(high_x, x), min(low_y, y), max(high_y, y)
+        if hypot(high_x - low_x, high_y - low_y) > 2 * within_m:
+            if k - first >= FEWEST:
+                yield slice(first, k)
+            first, low_x, high_x, low_y, high_y = k, x, x, y, y
