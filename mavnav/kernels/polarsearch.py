@@ -42,6 +42,9 @@ HIDDEN_M = 0.05
 SUM_M2 = 1e-11
 """More than the series of the bearings, and another order of summation, change a cost."""
 
+CLOSE = 1e-8
+"""So near to the end of a segment, in beams, or to a threshold, in m, rounding and series decide what contributes."""
+
 BEARING_RAD, RANGE_M = 1e-6, 1e-4
 """In single precision bearings are better than this, and ranges where the surface is not too steep."""
 TOO_NEAR_M = np.float32(0.05)
@@ -216,16 +219,35 @@ def _mean(scan: Scan, work: Work) -> tuple[float, float]:
     return total / used, used
 
 
+@kernel(boolean(_SCAN, float64[::1]))
+def _is_sure(scan: Scan, beam: NDArray[np.float64]) -> bool:
+    """Tell whether no point lies so close to a beam that its segment might, but for rounding, not meet it."""
+    close = 0
+    for k in range(scan[1].shape[1]):
+        close += abs(beam[k] - np.rint(beam[k])) < CLOSE
+    return bool(close == 0)
+
+
+@kernel(boolean(float64, float64, _F1))
+def _is_plain(at: float, off: float, limits: NDArray[np.float64]) -> bool:
+    """Tell whether a range, so far off the expected one, is not close to a threshold."""
+    return bool(min(abs(at - limits[2]), abs(at - limits[3]), abs(off - limits[4])) > CLOSE)
+
+
 @kernel(types.UniTuple(float64, 2)(_SCAN, _F1, _WORK, float64))
 def _evaluate(scan: Scan, motion: NDArray[np.float64], work: Work, most: float) -> tuple[float, float]:
     """Return cost and number of beams in it, see ``polar_cost``; what plainly costs more than ``most`` may be inf."""
-    points, limits = scan[1], scan[2]
+    virtual, points, limits = scan
     r, beam = work[0][0, : points.shape[1]], work[0][1, : points.shape[1]]
     # Cost function, step iii
     if not _see(points, motion, limits, r, beam):
         if most < np.inf:  # the arc tangent takes three times as long as all else
             _see_about(points, motion, limits, r, beam)
-            if _mean(scan, work)[0] - SUM_M2 > most:
+            plainly = _is_sure(scan, beam) and _mean(scan, work)[0] - SUM_M2 > most
+            for j in range(len(virtual) if plainly else 0):
+                at = work[0][4, j]
+                plainly &= not at < np.inf or _is_plain(at, abs(at - virtual[j]), limits)
+            if plainly:
                 return np.inf, 0.0
         _see_far(points, motion, limits, beam)
     return _mean(scan, work)
@@ -419,7 +441,7 @@ def _reach(
         qx, qy = c * points[0, k] - s * points[1, k] + x, s * points[0, k] + c * points[1, k] + y
         reach[0, k] = shift + turn * np.sqrt((qx - pivot_x) * (qx - pivot_x) + (qy - pivot_y) * (qy - pivot_y))
         share, before = reach[0, k] / r[k], max(k - 1, 0)
-        reach[1, k] = share * per_step * (1.0 + share) + 1e-9
+        reach[1, k] = share * per_step * (1.0 + share) + CLOSE
         dx, dy = points[0, k] - points[0, before], points[1, k] - points[1, before]
         reach[2, k] = 1.2 * shear * np.sqrt(dx * dx + dy * dy) * per_step / (r[k] * r[before])
     for k in range(n):
@@ -494,12 +516,12 @@ def _let_go(
         elif k > 0:
             wide = beam[k] - beam[k - 1]
             share = (reach[1, k - 1] + reach[2, k]) / max(wide - reach[2, k], 1e-9)
-            change = max(reach[0, k - 1], reach[0, k]) + share * abs(r[k] - r[k - 1])
+            change = max(reach[0, k - 1], reach[0, k]) + share * abs(r[k] - r[k - 1]) + CLOSE
             least, most = max(least, at - change), min(most, at + change)
             stays = near < least and most < far and abs(at - virtual[j]) + change < occlusion
             if not stays or change > HIDDEN_M or reach[2, k] > HELD_SHARE * wide:
                 held[j] = -1
-        apart = least > virtual[j] + occlusion or most < virtual[j] - occlusion or most < near or least > far
+        apart = max(least - virtual[j], virtual[j] - most) > occlusion + CLOSE or most < near or least > far
         if apart or not near < virtual[j] < far:
             held[j] = 0
 
@@ -620,7 +642,10 @@ def _form(
 
 @kernel(types.UniTuple(float64, 2)(_SCAN, _F1, _F1, _WORK))
 def _sum_rest(scan: Scan, loose: NDArray[np.int64], motion: NDArray[np.float64], work: Work) -> tuple[float, float]:
-    """Sum the squared differences of loose beams for one candidate; returns how many contribute as well."""
+    """Sum the squared differences of loose beams for one candidate; returns how many contribute as well.
+
+    The sum is -inf where rounding may decide what contributes.
+    """
     virtual, points, limits = scan
     scratch, n, total, used = work[0], points.shape[1], 0.0, 0.0
     if len(loose) == 0:
@@ -628,10 +653,14 @@ def _sum_rest(scan: Scan, loose: NDArray[np.int64], motion: NDArray[np.float64],
     if not _see(points, motion, limits, scratch[0, :n], scratch[1, :n]):
         _see_about(points, motion, limits, scratch[0, :n], scratch[1, :n])
     seen = scratch[4, : len(virtual)]
+    if not _is_sure(scan, scratch[1, :n]):
+        return -np.inf, used
     _span(scan, work)
     _lay(scan, work, seen)
     for i in range(len(loose)):
         at, d = seen[loose[i]], seen[loose[i]] - virtual[loose[i]]
+        if at < np.inf and not _is_plain(at, abs(d), limits):
+            return -np.inf, used
         if limits[2] < at < limits[3] and abs(d) < limits[4]:
             total += d * d
             used += 1.0
@@ -676,6 +705,8 @@ def _bound(
         total += form[0] + u * (form[1] + u * form[3] + v * form[4]) + v * (form[2] + v * form[5])
         used += holding
         bounds[i] = total / used - SUM_M2 if used >= max(limits[6], 1.0) else np.inf
+        if total == -np.inf:
+            bounds[i] = total
 
 
 # ---- the minimisation -----------------------------------------------------------------------------------------------
