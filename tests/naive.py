@@ -227,7 +227,7 @@ def drawn(points, pose, line_map, overlap_m, known_points):
 
 
 def smooth(xy, elapsed, stiffness):
-    """Positions by the dense system; how likely the accelerations are under white noise of the positions, best scaled."""
+    """Positions by the dense system; how likely the accelerations are under white noise of positions, best scaled."""
     n = len(xy)
     rates = np.diff(np.eye(n), axis=0) / elapsed[:, None]
     accelerations = np.diff(rates, axis=0) * 2 / (elapsed[1:] + elapsed[:-1])[:, None]
