@@ -44,6 +44,9 @@ LEAST_SHARE: Final = 0.08
 FREE_SHARE: Final = 0.5
 """Beams that crossed a cell of free space, compared with the hits a cell of the ridge that they ended on."""
 
+AT_A_TIME: Final = 10_000
+"""Stations whose profiles are in memory."""
+
 OUTSIDE_CELLS: Final = (2.0, 5.0)
 REACH_M, ACROSS_CELLS, TURN_RAD = 0.15, 3.0, 12.0 * DEG
 
@@ -91,10 +94,13 @@ def ghost_walls(grid: Grid, all_sections: Iterable[Sections]) -> GhostWalls:
     stations = _stations(all_sections)
     reach = int(np.ceil(max(MAX_OFFSET_CELLS, MAX_OFFSET_M / grid.cell_m) + OUTSIDE_CELLS[1]))
     half_length = max(round(STRETCH_M / grid.cell_m), 3)
-    hits = wall_profiles(grid.hits, stations, half_length, reach)
-    passes = wall_profiles(grid.passes, stations, half_length, reach)
-    twins = [_twins(stations, hits, passes), _twins(_turned(stations), hits[:, ::-1, ::-1], passes[:, ::-1, ::-1])]
-    places = _places(_joined(twins), grid)
+    left, right = [], []
+    for first in range(0, max(len(stations), 1), AT_A_TIME):
+        some = stations[first : first + AT_A_TIME]
+        hits, passes = (wall_profiles(counts, some, half_length, reach) for counts in (grid.hits, grid.passes))
+        left.append(_twins(some, hits, passes))
+        right.append(_twins(_turned(some), hits[:, ::-1, ::-1], passes[:, ::-1, ::-1]))
+    places = _places(_joined(left + right), grid)
     worst_mm = max((p.offset_mm for p in places), default=np.nan)
     return GhostWalls(
         count=len(places),
