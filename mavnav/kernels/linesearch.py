@@ -647,7 +647,7 @@ def search(
     evaluations, grids, converged, form = 0, 0, 0.0, np.zeros((5, 5))
     for level in range(MAX_LEVELS):
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
-        held = window[0] <= limits[8] and (window[0] > limits[9] or not settled)
+        held = limits[9] < window[0] <= limits[8]
         last = max(step_x, step_y) < stop_m and step_rad < stop_rad
         used = deciding if held or level > 0 else deciding[:, :few].copy()
         turned = _turns(window[1], azimuths)
