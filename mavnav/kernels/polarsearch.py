@@ -340,7 +340,8 @@ def _span_glance(
         moved[2, k] = value if inside & (not across) else NOTHING
         moved[3, k] = slope
         spans[0, k] = int32(min(max(number + low, ZERO), last)) if inside else int32(0)
-        special = joined & ((meets & across) | np.isnan(ahead))
+        # A turn is no whole number of beams: across the seam others meet a segment than before it.
+        special = joined & ((across & (ahead > -close) & (ahead < quarter + ONE)) | np.isnan(ahead))
         spans[1, k] = int32(-1) if special else int32(min(number + high, last) - (number + low) if inside else ZERO)
 
 
