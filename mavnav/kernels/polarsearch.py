@@ -131,8 +131,8 @@ def _see_about(
         px, py = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
         qx, qy = px + x, py + y
         r[k] = np.sqrt(qx * qx + qy * qy)
-        cross, ahead = px * qy - py * qx, points[6, k] * r[k] + px * qx + py * qy
-        aside = abs(cross)
+        cross, ahead = px * qy - py * qx, max(points[6, k] * r[k] + px * qx + py * qy, 0.0)
+        aside = max(abs(cross), 1e-300)  # straight behind, both are 0
         t = min(aside, ahead) / max(aside, ahead)
         t = t / (1.0 + np.sqrt(1.0 + t * t))
         t = t / (1.0 + np.sqrt(1.0 + t * t))
@@ -158,7 +158,7 @@ def _span(scan: Scan, work: Work) -> None:
         start, ahead = beam[k - 1], beam[k] - beam[k - 1]
         ahead = ahead + turn if ahead < -0.5 * turn else ahead
         front = (joined[k] > 0.0) & (ahead > 0.0) & (ahead < 0.25 * turn)
-        at, end = max(np.ceil(start), 0.0), min(np.floor(start + ahead), last)
+        at, end = np.ceil(start) if start > 0.0 else 0.0, min(np.floor(start + ahead), last)  # 0 for NaN as well
         slope[k] = (r[k] - r[k - 1]) / ahead
         meets = front & (at <= end)
         value[k] = r[k - 1] + (at - start) * slope[k] if meets else np.inf
@@ -340,7 +340,8 @@ def _span_glance(
         moved[2, k] = value if inside & (not across) else NOTHING
         moved[3, k] = slope
         spans[0, k] = int32(min(max(number + low, ZERO), last)) if inside else int32(0)
-        special = joined & ((meets & across) | np.isnan(ahead))
+        # A turn is no whole number of beams: across the seam others meet a segment than before it.
+        special = joined & ((across & (ahead > -close) & (ahead < quarter + ONE)) | np.isnan(ahead))
         spans[1, k] = int32(-1) if special else int32(min(number + high, last) - (number + low) if inside else ZERO)
 
 

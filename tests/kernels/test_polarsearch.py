@@ -7,7 +7,7 @@ import math
 import naive
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from synthetic import furnished_rooms, room, scan_at
 
@@ -55,6 +55,7 @@ def test_cost_is_its_twin(spec: LaserSpec, seed: int) -> None:
     half_m=st.sampled_from((0.3, 0.05, 0.005, 0.0005)),
     half_rad=st.sampled_from((0.3, 0.02, 0.002, 0.0002)),
 )
+@example(seed=170, grid=5, half_m=3.0, half_rad=0.02)  # moves a point straight behind the laser
 def test_pruned_search_is_the_exhaustive_one(
     spec: LaserSpec, seed: int, grid: int, half_m: float, half_rad: float
 ) -> None:
