@@ -6,7 +6,6 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -356,9 +355,11 @@ def test_the_first_signal_keeps_what_is_done_and_marks_it(
 def test_a_second_signal_gives_up_and_leaves_nothing_half_written(
     tracking: subprocess.Popen[str], tmp_path: Path
 ) -> None:
-    for _ in range(2):
-        tracking.send_signal(signal.SIGINT)
-        time.sleep(0.2)
+    assert tracking.stderr is not None
+    tracking.send_signal(signal.SIGINT)
+    while "is being kept" not in tracking.stderr.readline():
+        pass
+    tracking.send_signal(signal.SIGINT)
     out, err = tracking.communicate(timeout=100)
     assert tracking.returncode == ExitCode.INTERRUPTED
     assert out == ""
