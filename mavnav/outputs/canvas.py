@@ -17,7 +17,6 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from mavnav.lattice import pooled
-from mavnav.outputs.png import png
 from mavnav.outputs.window import (
     DPI,
     GOAL_RED,
@@ -114,7 +113,7 @@ class Canvas:
 
     def save(self, path: Path) -> None:
         """Write a PNG; the bytes follow from the picture alone."""
-        path.write_bytes(png(np.asarray(self.image)))
+        self.image.save(path, format="PNG", compress_level=2)
 
 
 @dataclass(frozen=True, slots=True)

@@ -415,6 +415,6 @@ def test_a_warm_run_loads_neither_scipy_nor_message_definitions(tmp_path) -> Non
     code = "import sys\nfrom mavnav.cli import run\nassert run(sys.argv[1:]) == 0\nprint(*sys.modules, file=sys.stderr)"
     command = [sys.executable, "-c", code, "replay", log, "--end", "0.5", "-q", "-o", run]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    heavy = {"scipy.linalg", "scipy.ndimage", "scipy.spatial", "rosbags", "mcap", "matplotlib", "jinja2"}
+    heavy = {"scipy.linalg", "scipy.ndimage", "scipy.spatial", "rosbags", "matplotlib", "jinja2"}
     heavy |= {"numba.np.arraymath", "mavnav.kernels.polarsearch", "mavnav.kernels.raycast"}
     assert not heavy & set(done.stderr.split())
