@@ -16,7 +16,7 @@ from mavnav.pose import wrap_angle
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -43,7 +43,7 @@ def backwards(scan: Scan) -> Scan:
     return replace(scan, spec=replace(scan.spec, time_increment_s=-scan.spec.time_increment_s))
 
 
-def turning_stretch(matches: Sequence[Match]) -> range:
+def turning_stretch(matches: Iterable[Match]) -> range:
     """Find the ``STRETCH_SCANS`` scans over which the laser turns most; empty where it hardly turns."""
     yaws = [m.map_T_laser.yaw_rad for m in matches]
     turns = np.array([abs(wrap_angle(b - a)) for a, b in pairwise(yaws)])

@@ -69,8 +69,8 @@ class Grid:
         if self.shielded.shape != self.passes.shape:
             return np.empty((0, 2))
         cells = passing.passing_cells(self.hits, self.passes, self.shielded)
-        self.hits[cells] = 0
-        middles: NDArray[np.float64] = (np.argwhere(cells)[:, ::-1] + 0.5) * self.cell_m + np.array(self.origin_xy_m)
+        self.hits[cells[:, 0], cells[:, 1]] = 0
+        middles: NDArray[np.float64] = (cells[:, ::-1] + 0.5) * self.cell_m + np.array(self.origin_xy_m)
         return middles
 
     @timed("virtual scan")

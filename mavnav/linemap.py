@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _BLOCK_CELLS = 256
+_AT_ONCE = 1 << 14
+"""Lines that are moved at once."""
 
 NOWHERE = (1e9, 1e9, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 """The line of index 0: so far away that the cost of every point is truncated."""
@@ -80,10 +82,13 @@ class LineMap:
         if not len(gone):
             return
         kept = np.delete(np.arange(self.count), gone)
-        self.count, self.cells = len(kept), self.cells[kept]
-        self.moments, self.lines = self.moments[kept], self.lines[kept]
+        self.count = n = len(kept)
+        for first in range(0, n, _AT_ONCE):  # in place: a copy of a large map would not fit beside it
+            band = slice(first, min(first + _AT_ONCE, n))
+            for held in (self.cells, self.moments, self.lines):
+                held[band] = held[kept[band]]
         self.nearest, self.closeness = (blank(self.nearest.shape, kind) for kind in (np.int32, np.uint8))
-        rebuild(self.geometry, self.nearest, self.closeness, self.cells, self.moments, self.lines)
+        rebuild(self.geometry, self.nearest, self.closeness, self.cells[:n], self.moments[:n], self.lines[:n])
 
     def _cover(self, xy_map_m: NDArray[np.float64]) -> None:
         """Grow the lattice until the points and the reach around them lie inside."""

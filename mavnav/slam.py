@@ -17,11 +17,11 @@ from mavnav.motion import LONGEST_S, Motion, misleads
 from mavnav.redrawing import close
 from mavnav.relocalise import apart
 from mavnav.steadying import steadied
-from mavnav.steps import LostInterval, Step, lost_intervals, tracked_way
+from mavnav.steps import LostInterval, Step, Steps, lost_intervals, tracked_way
 from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from mavnav.config import Config
     from mavnav.grid import Grid
@@ -52,7 +52,7 @@ class Slam:
     ``warnings`` are lines for the user: what of the log was not taken as it stands there.
     """
 
-    steps: tuple[Step, ...]
+    steps: Sequence[Step]
     trajectory: Trajectory
     grid: Grid
     lost: tuple[LostInterval, ...]
@@ -113,7 +113,7 @@ def worth_a_look(verdict: Verdict, missed: int) -> bool:
     return verdict is not Verdict.SURE and (missed.bit_count() == 1 or missed % RARELY_SCANS == 0)
 
 
-def settle(log_scans: Callable[[], Iterable[Scan]], steps: list[Step], method: Method, motion: Motion) -> list[Step]:
+def settle(log_scans: Callable[[], Iterable[Scan]], steps: Steps, method: Method, motion: Motion) -> Steps:
     """Look again at the scans that were not believed, now that it is known where the track went on after them.
 
     From the next believed pose backwards, each is expected between its neighbours; one that convinces then enters
@@ -123,7 +123,7 @@ def settle(log_scans: Callable[[], Iterable[Scan]], steps: list[Step], method: M
     if not before:
         return steps
     scans = {index: scan for index, scan in enumerate(log_scans()) if index in before}
-    settled, after = list(steps), steps[-1]
+    settled, after = Steps(steps), steps[-1]
     for step in reversed(steps):
         if step.index in scans and (after.stamp_ns - step.stamp_ns) * NS <= LONGEST_S:
             settled[step.index] = second_look(scans[step.index], step, before[step.index], after, method, motion)
@@ -131,7 +131,7 @@ def settle(log_scans: Callable[[], Iterable[Scan]], steps: list[Step], method: M
     return settled
 
 
-def waiting(steps: list[Step]) -> dict[int, Step]:
+def waiting(steps: Iterable[Step]) -> dict[int, Step]:
     """Return the believed step before each scan that was not believed and lies between two that were."""
     before: dict[int, Step] = {}
     between: dict[int, Step] = {}
@@ -223,23 +223,21 @@ class Start:
         """The laser at rest at the origin."""
         return Motion(self.period_s, self.odometry, METHODS[self.config.method](self.config).expects_rest)
 
-    def tracked(
-        self, scans: Iterable[Scan], on_step: Callable[[str, int], None] | None = None
-    ) -> tuple[Method, list[Step]]:
+    def tracked(self, scans: Iterable[Scan], on_step: Callable[[str, int], None] | None = None) -> tuple[Method, Steps]:
         """Track scans from an empty map on, or in the known one."""
         method = Localised(self.config, self.known) if self.known else METHODS[self.config.method](self.config)
-        return method, list(_told(track(scans, method, self.motion), "track", on_step))
+        return method, Steps(_told(track(scans, method, self.motion), "track", on_step))
 
 
 def _backwards(log_scans: Callable[[], Iterable[Scan]]) -> Iterator[Scan]:
     return map(backwards, log_scans())
 
 
-def fires_backwards(log_scans: Callable[[], Iterable[Scan]], steps: list[Step], start: Start, method: Method) -> bool:
+def fires_backwards(log_scans: Callable[[], Iterable[Scan]], steps: Steps, start: Start, method: Method) -> bool:
     """Try both orders of firing where the laser turned most, each on a map of its own, unless a glance tells enough."""
     if start.config.method == "paper" or start.config.robust.deskew != "auto":
         return False
-    stretch = turning_stretch([s.match for s in steps])
+    stretch = turning_stretch(s.match for s in steps)
     scans = list(islice(log_scans(), stretch.start, stretch.stop))
     if not any(scan.spec.time_increment_s for scan in scans):
         return False
@@ -263,7 +261,7 @@ def glance(scans: list[Scan], steps: list[Step], motion: Motion, method: Method)
 
 
 def conclude(
-    steps: list[Step],
+    steps: Steps,
     log_scans: Callable[[], Iterable[Scan]],
     method: Method,
     motion: Motion,
@@ -276,8 +274,8 @@ def conclude(
         if config.loop_closure == "auto" and method.closes_loops:
             steps, method, loops = close(steps, log_scans, method, motion, config)
         method.clear_passing()
-        steps = steadied(list(_told(place(log_scans(), steps, method), "final pass", on_step)), motion.period_s)
-    return Slam(tuple(steps), tracked_way(steps), method.grid, tuple(lost_intervals(steps)), loops)
+        steps = steadied(_told(place(log_scans(), steps, method), "final pass", on_step), motion.period_s)
+    return Slam(steps, tracked_way(steps), method.grid, tuple(lost_intervals(steps)), loops)
 
 
 def _told(steps: Iterable[Step], name: str, on_step: Callable[[str, int], None] | None) -> Iterator[Step]:

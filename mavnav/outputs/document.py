@@ -188,14 +188,14 @@ def _loop_closure(run: Run) -> Document:
 
 
 def _search(run: Run) -> Document:
-    matches = [s.match for s in run.slam.steps]
+    steps = run.slam.steps
     return {
-        "evaluations_per_scan": _spread([m.evaluations for m in matches]),
-        "iterations_per_scan": _spread([m.iterations for m in matches]),
-        "converged_share": sum(m.converged for m in matches) / max(len(matches), 1),
-        "cost_m2": _spread([m.cost_m2 for m in matches if isfinite(m.cost_m2)]),
-        "beams_used": _spread([m.beams_used for m in matches]),
-        "inliers": _spread([m.inliers for m in matches]),
+        "evaluations_per_scan": _spread([s.match.evaluations for s in steps]),
+        "iterations_per_scan": _spread([s.match.iterations for s in steps]),
+        "converged_share": sum(s.match.converged for s in steps) / max(len(steps), 1),
+        "cost_m2": _spread([s.match.cost_m2 for s in steps if isfinite(s.match.cost_m2)]),
+        "beams_used": _spread([s.match.beams_used for s in steps]),
+        "inliers": _spread([s.match.inliers for s in steps]),
     }
 
 

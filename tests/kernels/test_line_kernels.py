@@ -131,7 +131,7 @@ def test_without_some_cells_the_lines_are_those_of_the_other_points() -> None:
     line_map.remove(np.vstack((strays, [(0.1, 0.8), (99.0, 99.0)])))
     expected = naive.insert_points(wall, 0.02, 0.06, 0.01)
     assert line_map.count - 1 == len(expected)
-    for slot, cell in enumerate(line_map.cells[1:], start=1):
+    for slot, cell in enumerate(line_map.cells[1 : line_map.count], start=1):
         foot, a, _ = expected[tuple(cell + np.array(line_map.origin_cells)[::-1])]
         assert line_map.nearest[tuple(cell)] == slot
         np.testing.assert_allclose(line_map.lines[slot, :2], foot, atol=1e-9)
