@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from mavnav.belief import Verdict
-from mavnav.grid import Grid
+from mavnav.grid import Tally
 from mavnav.kernels.points import placed, scan_points, voxel_means
 from mavnav.linemap import LineMap
 from mavnav.matcher import (
@@ -53,7 +53,7 @@ REACHABLE = 1.0
 class Method(Protocol):
     """What ``slam.track`` asks of a method; ``grid`` is the map that it builds."""
 
-    grid: Grid
+    grid: Tally
     expects_rest: bool
     places: bool
     closes_loops: bool
@@ -98,7 +98,7 @@ class Paper:
     def __init__(self, config: Config) -> None:
         """Start with an empty map."""
         self.config = config
-        self.grid = Grid(config.paper.cell_mm * MM)
+        self.grid = Tally(config.paper.cell_mm * MM)
         self._seen: tuple[Pose, LaserSpec, NDArray[np.float64]] | None = None
 
     def first(self, scan: Scan) -> Match:
@@ -163,7 +163,7 @@ class Robust:
         """Start with an empty map."""
         robust = config.robust
         self.config = config
-        self.known = self.grid = Grid(robust.cell_mm * MM)
+        self.known = self.grid = Tally(robust.cell_mm * MM)
         self.lines = LineMap(
             robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM, robust.overlap_points
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import boolean, float64, int32, int64, types, uint8
+from numba import boolean, float64, int16, int64, types, uint8
 
 from mavnav.kernels._jit import kernel
 
@@ -19,33 +19,36 @@ GRAZE_CELLS = 10  # a beam may run along the wall that it ends on
 STRIDE = 8  # cells of a beam that one look may clear
 CLEAR_CELLS = 7.0  # from the middle of a stride to what it meets: half of it, 2 ** 0.5 for two cells, 1.5 to spare
 
+WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its logarithm
+
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
-_I2 = types.Array(int32, 2, "C", readonly=True)
-_U2 = types.Array(uint8, 2, "C", readonly=True)
+_I2 = types.Array(int16, 2, "C", readonly=True)
+_I3 = types.Array(int16, 3, "C", readonly=True)
+_U3 = types.Array(uint8, 3, "C", readonly=True)
 
 
-@kernel(boolean(int64, int64, _I2, _I2))
-def _in_the_open(row: int, col: int, hits: NDArray[np.int32], passes: NDArray[np.int32]) -> bool:
+@kernel(boolean(int64, int64, _I3, _I2))
+def _in_the_open(row: int, col: int, hits: NDArray[np.int16], passes: NDArray[np.int16]) -> bool:
     """Tell whether a cell was seen empty, with no hit within reach."""
-    rows, cols = hits.shape
-    if not (0 <= row < rows and 0 <= col < cols) or passes[row, col] < FREE_PASSES or hits[row, col] > 0:
+    rows, cols = passes.shape
+    if not (0 <= row < rows and 0 <= col < cols) or passes[row, col] < FREE_PASSES:
         return False
     for r in range(max(row - REACH_CELLS, 0), min(row + REACH_CELLS + 1, rows)):
         for c in range(max(col - REACH_CELLS, 0), min(col + REACH_CELLS + 1, cols)):
-            if hits[r, c] > 0:
+            if hits[c >> SHIFT, r, c & (WIDE - 1)] > 0:
                 return False
     return True
 
 
-@kernel(boolean(float64, float64, float64, float64, _I2, _I2, _U2, _F1))
+@kernel(boolean(float64, float64, float64, float64, _I3, _I2, _U3, _F1))
 def _through_a_wall(
     u0: float,
     v0: float,
     u1: float,
     v1: float,
-    hits: NDArray[np.int32],
-    passes: NDArray[np.int32],
+    hits: NDArray[np.int16],
+    passes: NDArray[np.int16],
     closeness: NDArray[np.uint8],
     clear: NDArray[np.float64],
 ) -> bool:
@@ -54,29 +57,30 @@ def _through_a_wall(
     ``clear`` are column and row of the grid's cell [0, 0] in ``closeness``, and its least value that may mean a hit
     cell within half a stride.
     """
-    rows, cols = hits.shape
+    rows, cols = passes.shape
     length = np.hypot(u1 - u0, v1 - v0)
     du, dv, last = (u1 - u0) / length, (v1 - v0) / length, int(length - GRAZE_CELLS)
     for start in range(2, last, STRIDE):
         middle = start + STRIDE // 2
         row, col = int(v0 + middle * dv + clear[1]), int(u0 + middle * du + clear[0])
-        inside = 0 <= row < closeness.shape[0] and 0 <= col < closeness.shape[1]
-        if not inside or closeness[row, col] < clear[2]:
+        inside = 0 <= row < closeness.shape[1] and 0 <= col < closeness.shape[0] * WIDE
+        if not inside or closeness[col >> SHIFT, row, col & (WIDE - 1)] < clear[2]:
             continue
         for i in range(start, min(start + STRIDE, last)):
             row, col = int(np.floor(v0 + i * dv)), int(np.floor(u0 + i * du))
-            if 0 <= row < rows and 0 <= col < cols and hits[row, col] >= max(WALL_HITS, passes[row, col]):
+            inside = 0 <= row < rows and 0 <= col < cols
+            if inside and hits[col >> SHIFT, row, col & (WIDE - 1)] >= max(WALL_HITS, passes[row, col]):
                 return True
     return False
 
 
-@kernel(int64(_F2, _F1, _F1, _I2, _I2, _U2, _F1))
+@kernel(int64(_F2, _F1, _F1, _I3, _I2, _U3, _F1))
 def conflicts(
     xy_map_m: NDArray[np.float64],
     laser_xy_m: NDArray[np.float64],
     lattice: NDArray[np.float64],
-    hits: NDArray[np.int32],
-    passes: NDArray[np.int32],
+    hits: NDArray[np.int16],
+    passes: NDArray[np.int16],
     closeness: NDArray[np.uint8],
     clear: NDArray[np.float64],
 ) -> int:
@@ -84,7 +88,7 @@ def conflicts(
 
     Either the point lies in the open: its cell was crossed by beams and no hit is near; or the beam from the laser to
     it meets a wall, a cell hit ``WALL_HITS`` times and at least as often as crossed. ``lattice``, ``hits`` and
-    ``passes`` are the grid's, see ``Grid``. ``closeness`` is that of a line map of the same cells: what it has to be
+    ``passes`` are the map's, see ``Tally``. ``closeness`` is that of a line map of the same cells: what it has to be
     where a hit cell may be within `CLEAR_CELLS`, stands in ``clear`` (3,) behind the column and the row of cell [0, 0].
     """
     ox, oy, cell = lattice
