@@ -67,10 +67,9 @@ def _steady(stretch: list[Step], period_s: float) -> NDArray[np.float64]:
     middle = xy_m.mean(axis=0)
     smoothed = np.empty((len(STIFFNESSES), *xy_m.shape))
     likely = [smooth(xy_m - middle, periods, k, out) for k, out in zip(STIFFNESSES, smoothed, strict=True)]
-    moved_m = np.median(np.linalg.norm(smoothed + middle - xy_m, axis=2), axis=1)
     told_m = CANNOT_TELL * np.sqrt(np.median([s.match.cost_m2 for s in stretch]))
     best = int(np.argmax(likely))
-    while best >= 0 and moved_m[best] > told_m:
+    while best >= 0 and np.median(np.linalg.norm(smoothed[best] + middle - xy_m, axis=1)) > told_m:
         best -= 1
     way_m = xy_m if best < 0 else smoothed[best] + middle
     for rest in rests(way_m, told_m):
