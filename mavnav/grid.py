@@ -58,7 +58,7 @@ class Grid:
             return
         if self.shielded.shape != self.passes.shape:
             self.shielded = self.passes.copy()
-        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m)).tolist()
+        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m))
         low = (floor(min(x0, laser.x_m) / self.cell_m) - 1, floor(min(y0, laser.y_m) / self.cell_m) - 1)
         high = (floor(max(x1, laser.x_m) / self.cell_m) + 1, floor(max(y1, laser.y_m) / self.cell_m) + 1)
         self._cover(low, high)
