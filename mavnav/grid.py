@@ -86,7 +86,7 @@ class Tally:
         """Count the end points (n, 2) of one scan, in m, and the cells that its beams crossed."""
         if len(xy_map_m) == 0:
             return
-        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m)).tolist()
+        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m))
         low = (floor(min(x0, laser.x_m) / self.cell_m) - 1, floor(min(y0, laser.y_m) / self.cell_m) - 1)
         high = (floor(max(x1, laser.x_m) / self.cell_m) + 1, floor(max(y1, laser.y_m) / self.cell_m) + 1)
         self._cover(low, high)

@@ -45,10 +45,15 @@ class LineMap:
     lines: NDArray[np.float64] = field(default_factory=lambda: np.array([NOWHERE]))
 
     @property
+    def origin_xy_m(self) -> tuple[float, float]:
+        """Corner of cell [0, 0] in the map frame."""
+        col, row = self.origin_cells
+        return col * self.cell_m, row * self.cell_m
+
+    @property
     def geometry(self) -> NDArray[np.float64]:
         """Origin x, origin y, cell, line sigma, line noise in m, shape (5,)."""
-        col, row = self.origin_cells
-        return np.array([col * self.cell_m, row * self.cell_m, self.cell_m, self.line_sigma_m, self.line_noise_m])
+        return np.array([*self.origin_xy_m, self.cell_m, self.line_sigma_m, self.line_noise_m])
 
     def closeness_at(self, distance_m: float) -> float:
         """Return the ``closeness`` of a cell whose nearest occupied one is so far away, m."""
@@ -93,7 +98,7 @@ class LineMap:
 
     def _cover(self, xy_map_m: NDArray[np.float64]) -> None:
         """Grow the lattice until the points and the reach around them lie inside."""
-        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m)).tolist()
+        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m))
         beyond = REACH_CELLS + 2
         low = (floor(x0 / self.cell_m) - beyond, floor(y0 / self.cell_m) - beyond)
         high = (floor(x1 / self.cell_m) + beyond, floor(y1 / self.cell_m) + beyond)

@@ -48,7 +48,7 @@ def points_of(
     """Give the points (n, 2) of some tracked scans, numbered as in the trajectory; m, laser frame."""
     tracked = [s.index for s in steps if s.tracked]
     wanted = {tracked[row] for row in rows}
-    return (method.match_points(scan) for index, scan in enumerate(log_scans()) if index in wanted)
+    return (method.match_points(scan).copy() for index, scan in enumerate(log_scans()) if index in wanted)
 
 
 def redraw(

@@ -72,16 +72,13 @@ def stretches(steps: Steps) -> Iterator[list[int]]:
 def _steady(xy_m: NDArray[np.float64], periods: NDArray[np.float64], told_m: float) -> NDArray[np.float64]:
     """Return positions (n, 2) smoothed as much as they ask for, but by no more than the scans can tell."""
     middle, out = xy_m.mean(axis=0), np.empty(xy_m.shape)
-    likely, moved_m = np.empty((2, len(STIFFNESSES)))
-    for k, stiffness in enumerate(STIFFNESSES):
-        likely[k] = smooth(xy_m - middle, periods, stiffness, out)
-        moved_m[k] = np.median(np.linalg.norm(out + middle - xy_m, axis=1))
-    best = int(np.argmax(likely))
-    while best >= 0 and moved_m[best] > told_m:
-        best -= 1
-    if best >= 0:
-        smooth(xy_m - middle, periods, STIFFNESSES[best], out)
-    way_m = xy_m if best < 0 else out + middle
+    likely = [smooth(xy_m - middle, periods, stiffness, out) for stiffness in STIFFNESSES]
+    way_m = xy_m
+    for stiffness in reversed(STIFFNESSES[: int(np.argmax(likely)) + 1]):
+        smooth(xy_m - middle, periods, stiffness, out)
+        if np.median(np.linalg.norm(out + middle - xy_m, axis=1)) <= told_m:
+            way_m = out + middle
+            break
     for rest in rests(way_m, told_m):
         way_m[rest] = xy_m[rest].mean(axis=0)
     return way_m

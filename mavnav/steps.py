@@ -153,15 +153,14 @@ def lost_intervals(steps: Sequence[Step]) -> Iterator[LostInterval]:
 
 def jumped(before: Step, after: Step) -> bool:
     """Tell whether a reader of the trajectory would see a jump between two believed poses."""
-    moved = before.match.map_T_laser.between(after.match.map_T_laser)
-    return moved.distance_m > JUMP_M or abs(moved.yaw_rad) > JUMP_RAD
+    moved_m, turned_rad = before.match.map_T_laser.gap(after.match.map_T_laser)
+    return moved_m > JUMP_M or turned_rad > JUMP_RAD
 
 
 def leapt(before: Step, after: Step) -> bool:
     """Tell whether the way between two believed poses is a jump, and faster than any vehicle."""
-    moved, elapsed_s = (
-        before.match.map_T_laser.between(after.match.map_T_laser),
-        (after.stamp_ns - before.stamp_ns) * NS,
-    )
-    too_fast = moved.distance_m > FASTEST_M_S * elapsed_s or abs(moved.yaw_rad) > FASTEST_RAD_S * elapsed_s
-    return too_fast and jumped(before, after)
+    if not jumped(before, after):
+        return False
+    moved_m, turned_rad = before.match.map_T_laser.gap(after.match.map_T_laser)
+    elapsed_s = (after.stamp_ns - before.stamp_ns) * NS
+    return moved_m > FASTEST_M_S * elapsed_s or turned_rad > FASTEST_RAD_S * elapsed_s

@@ -9,11 +9,11 @@ from math import hypot
 
 import numpy as np
 import pytest
+from matches import voxel_means
 from synthetic import DEG, Segments, along, box, polyline, scan_at
 
 from mavnav import redrawing, slam
 from mavnav.config import Config
-from mavnav.kernels.points import voxel_means
 from mavnav.loop_closure import LOOP_M, KeyFrame, Loop, Loops, close_loops, drift_bound, key_rows, witness
 from mavnav.matcher import first_match
 from mavnav.methods import Robust

@@ -27,7 +27,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types, uint8, uint64, void
+from numba import boolean, float64, int32, int64, types, uint8, uint64, void
 
 from mavnav.kernels._jit import kernel
 
@@ -614,7 +614,7 @@ def _drawn(
     return out
 
 
-@kernel(float64[::1](_F2, _F1, _F1, _F1, _I3, _U3, _F2, _F1))
+@kernel(types.Tuple((*(5 * [float64]), int64, int64, boolean))(_F2, _F1, _F1, _F1, _I3, _U3, _F2, _F1))
 def search(
     points: NDArray[np.float64],
     start: NDArray[np.float64],
@@ -624,8 +624,8 @@ def search(
     closeness: NDArray[np.uint8],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Find the pose of the scan in the map; returns [x, y, yaw, cost_m2, inliers, evaluations, grids, converged].
+) -> tuple[float, float, float, float, float, int, int, bool]:
+    """Find the pose of the scan in the map; returns x, y, yaw, cost_m2, inliers, evaluations, grids, converged.
 
     Parameters
     ----------
@@ -650,7 +650,7 @@ def search(
     window = np.array([limits[0], limits[1], limits[7], truncate_m2, grid[4]])
 
     deciding, settled, few, none = centred, limits[10] == 0, int(min(n, limits[5])), np.empty(0, np.int64)
-    evaluations, grids, converged, form = 0, 0, 0.0, np.zeros((5, 5))
+    evaluations, grids, converged, form = 0, 0, False, np.zeros((5, 5))
     for level in range(MAX_LEVELS):
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
         held = window[0] <= limits[8] and (window[0] > limits[9] or not settled)
@@ -699,7 +699,7 @@ def search(
             at[4] += s * right + c * up
             continue
         if last:
-            converged = 1.0
+            converged = True
             break
         window[0] = min(1.5 * max(step_x, step_y), 0.9 * window[0])
         window[1] = min(1.5 * step_rad, 0.9 * window[1])
@@ -715,4 +715,4 @@ def search(
         inliers += d2 < 0.25 * truncate_m2
     c, s = np.cos(at[2]), np.sin(at[2])
     to_x, to_y = at[0] - c * pivot_x + s * pivot_y, at[1] - s * pivot_x - c * pivot_y
-    return np.array([to_x, to_y, at[2], total / n, inliers / n, evaluations, grids, converged])
+    return to_x, to_y, at[2], total / n, inliers / n, evaluations, grids, converged
