@@ -12,7 +12,7 @@ from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
 from mavnav.kernels import passing
 from mavnav.kernels.points import extent
-from mavnav.lattice import WIDE, bands, blank, covering, in_strips, moved, pages, plain
+from mavnav.lattice import WIDE, bands, blank, blank_strips, covering, in_strips, moved, plain
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
@@ -60,9 +60,9 @@ class Tally:
 
     cell_m: float
     origin_xy_m: tuple[float, float] = (0.0, 0.0)
-    hits: NDArray[np.int16] = field(default_factory=lambda: blank((0, 0), np.int16))
+    hits: NDArray[np.int16] = field(default_factory=lambda: blank_strips((0, 0), np.int16))
     passes: NDArray[np.int16] = field(default_factory=lambda: np.zeros((0, 0), np.int16))
-    shielded: NDArray[np.int16] = field(default_factory=lambda: blank((0, 0), np.int16))
+    shielded: NDArray[np.int16] = field(default_factory=lambda: blank_strips((0, 0), np.int16))
 
     @classmethod
     def of(cls, grid: Grid) -> Tally:
@@ -72,8 +72,9 @@ class Tally:
 
     def by_rows(self) -> Grid:
         """Return the counts by rows and columns."""
-        passes = pages(self.passes.shape, np.int32)
-        np.copyto(passes, self.passes, where=self.passes > 0)
+        passes = blank(self.passes.shape, np.int32)
+        for _, _, band in bands(passes.shape):
+            np.copyto(passes[band], self.passes[band], where=self.passes[band] > 0)
         return Grid(self.cell_m, self.origin_xy_m, plain(self.hits, np.int32), passes)
 
     @property

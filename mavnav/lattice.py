@@ -34,12 +34,12 @@ MARGIN = 8
 """A lattice grows by an eighth of its extent at least: so it is copied rarely, and blank margins cost nothing."""
 
 
-def blank(cells: Cell, dtype: Any) -> NDArray[Any]:  # noqa: ANN401
+def blank_strips(cells: Cell, dtype: Any) -> NDArray[Any]:  # noqa: ANN401
     """Return strips of zeros for (rows, cols)."""
-    return pages((cells[1] // WIDE, cells[0], WIDE), dtype)
+    return blank((cells[1] // WIDE, cells[0], WIDE), dtype)
 
 
-def pages(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:  # noqa: ANN401
+def blank(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:  # noqa: ANN401
     """Return zeros whose pages take memory once they are written to."""
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     if size < SMALL_BYTES or not hasattr(mmap, "MAP_PRIVATE"):
@@ -56,7 +56,7 @@ def moved(cells: NDArray[Any], extent: Cell, row: int, col: int) -> NDArray[Any]
     All columns are whole strips. What is blank stays untouched.
     """
     in_strips = cells.ndim == 3
-    grown = blank(extent, cells.dtype) if in_strips else pages(extent, cells.dtype)
+    grown = blank_strips(extent, cells.dtype) if in_strips else blank(extent, cells.dtype)
     first, along = (col // WIDE, row) if in_strips else (row, col // WIDE)
     new, old = _runs(grown)[first:], _runs(cells)
     for at in range(0, len(old), AT_ONCE):
@@ -75,10 +75,10 @@ def extent_of(strips: NDArray[Any]) -> Cell:
     return strips.shape[1], strips.shape[0] * WIDE
 
 
-def plain(strips: NDArray[Any], dtype: Any) -> NDArray[Any]:  # noqa: ANN401
+def plain(strips: NDArray[Any], dtype: Any = None) -> NDArray[Any]:  # noqa: ANN401
     """Return a copy by rows and columns, (rows, cols); what is blank stays untouched here, too."""
     rows, cols = extent_of(strips)
-    out = pages((rows, cols), dtype)
+    out = blank((rows, cols), dtype or strips.dtype)
     by_rows = strips.transpose(1, 0, 2)
     for first in range(0, rows, WIDE):
         band = by_rows[first : first + WIDE]
@@ -90,7 +90,7 @@ def plain(strips: NDArray[Any], dtype: Any) -> NDArray[Any]:  # noqa: ANN401
 def in_strips(cells: NDArray[Any]) -> NDArray[Any]:
     """Lay cells (rows, cols) in strips, with blank columns up to a whole one."""
     rows, cols = cells.shape
-    out = blank((rows, -(-cols // WIDE) * WIDE), cells.dtype)
+    out = blank_strips((rows, -(-cols // WIDE) * WIDE), cells.dtype)
     for strip, first in zip(out, range(0, cols, WIDE), strict=False):
         part = cells[:, first : first + WIDE]
         strip[:, : part.shape[1]] = part

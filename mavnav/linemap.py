@@ -10,7 +10,7 @@ import numpy as np
 
 from mavnav.kernels.linemap import FAR, REACH_CELLS, insert_points, rebuild
 from mavnav.kernels.points import extent
-from mavnav.lattice import WIDE, blank, covering, extent_of, moved
+from mavnav.lattice import WIDE, blank_strips, covering, extent_of, moved
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
@@ -38,8 +38,8 @@ class LineMap:
     known_points: float = 0.0
     origin_cells: tuple[int, int] = (0, 0)
     count: int = 1
-    nearest: NDArray[np.int32] = field(default_factory=lambda: blank((0, 0), np.int32))
-    closeness: NDArray[np.uint8] = field(default_factory=lambda: blank((0, 0), np.uint8))
+    nearest: NDArray[np.int32] = field(default_factory=lambda: blank_strips((0, 0), np.int32))
+    closeness: NDArray[np.uint8] = field(default_factory=lambda: blank_strips((0, 0), np.uint8))
     cells: NDArray[np.int32] = field(default_factory=lambda: np.empty((1, 2), np.int32))
     moments: NDArray[np.float64] = field(default_factory=lambda: np.empty((1, 12)))
     lines: NDArray[np.float64] = field(default_factory=lambda: np.array([NOWHERE]))
@@ -93,7 +93,7 @@ class LineMap:
             band = slice(first, min(first + _AT_ONCE, n))
             for held in (self.cells, self.moments, self.lines):
                 held[band] = held[kept[band]]
-        self.nearest, self.closeness = (blank(extent_of(self.nearest), kind) for kind in (np.int32, np.uint8))
+        self.nearest, self.closeness = (blank_strips(extent_of(self.nearest), kind) for kind in (np.int32, np.uint8))
         rebuild(self.geometry, self.nearest, self.closeness, self.cells[:n], self.moments[:n], self.lines[:n])
 
     def _cover(self, xy_map_m: NDArray[np.float64]) -> None:

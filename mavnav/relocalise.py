@@ -85,7 +85,7 @@ def around(pose: Pose, radius_m: float, half_rad: float) -> Region:
 
 def everywhere(grid: Tally) -> Region:
     """Return the positions (p, 2) where the map was seen free, and yaws (q,) all round, in m and rad."""
-    hits = plain(grid.hits, np.int16)[:, : grid.passes.shape[1]]
+    hits = plain(grid.hits)[:, : grid.passes.shape[1]]
     rows, cols = np.nonzero((grid.passes > 0) & (grid.passes > hits))
     free_m = np.array(grid.origin_xy_m) + (np.column_stack((cols, rows)) + 0.5) * grid.cell_m
     places = np.unique(np.round(free_m / STEP_M).astype(np.int64), axis=0) * STEP_M

@@ -34,6 +34,8 @@ def _in_the_open(row: int, col: int, hits: NDArray[np.int16], passes: NDArray[np
     rows, cols = passes.shape
     if not (0 <= row < rows and 0 <= col < cols) or passes[row, col] < FREE_PASSES:
         return False
+    if hits[col >> SHIFT, row, col & (WIDE - 1)] > 0:
+        return False
     for r in range(max(row - REACH_CELLS, 0), min(row + REACH_CELLS + 1, rows)):
         for c in range(max(col - REACH_CELLS, 0), min(col + REACH_CELLS + 1, cols)):
             if hits[c >> SHIFT, r, c & (WIDE - 1)] > 0:

@@ -39,10 +39,9 @@ _F2 = types.Array(float64, 2, "C", readonly=True)
 def _stamp(slot: int, row: int, col: int, nearest: NDArray[np.int32], closeness: NDArray[np.uint8]) -> None:
     """Make ``slot`` the nearest occupied cell wherever it is nearer than the present one (ties keep the older)."""
     across, flat, flat_nearest = (closeness.shape[1] - 1) * WIDE, closeness.ravel(), nearest.ravel()
-    for c in range(col - REACH_CELLS, col + REACH_CELLS + 1):
-        first = c + (c >> SHIFT) * across
-        for r in range(row - REACH_CELLS, row + REACH_CELLS + 1):
-            d2, at = (r - row) * (r - row) + (c - col) * (c - col), uint64(first + WIDE * r)
+    for r in range(row - REACH_CELLS, row + REACH_CELLS + 1):
+        for c in range(col - REACH_CELLS, col + REACH_CELLS + 1):
+            d2, at = (r - row) * (r - row) + (c - col) * (c - col), uint64(c + (c >> SHIFT) * across + WIDE * r)
             if d2 <= FAR and FAR + 1 - d2 > flat[at]:
                 flat_nearest[at] = slot
                 flat[at] = FAR + 1 - d2
@@ -158,14 +157,14 @@ def insert_points(
     have space for one new cell a point.
     """
     ox, oy, cell, sigma, noise = geometry
-    weight, places = _weights(cell, sigma), np.empty(2 * WINDOW_CELLS + 1, np.int64)
-    rows, flat, flat_nearest = closeness.shape[1], closeness.ravel(), nearest.ravel()
+    weight = _weights(cell, sigma)
+    across, flat, flat_nearest = (closeness.shape[1] - 1) * WIDE, closeness.ravel(), nearest.ravel()
     first, hit, n_hit = count, np.empty(len(xy_map_m), np.int64), 0
     added = np.zeros((len(xy_map_m), 6))  # moments of this scan, by the order in which its cells were hit
     for k in range(len(xy_map_m)):
         x, y = xy_map_m[k, 0], xy_map_m[k, 1]
         row, col = int(np.floor((y - oy) / cell)), int(np.floor((x - ox) / cell))
-        at = uint64(col + (col >> SHIFT) * (rows - 1) * WIDE + WIDE * row)
+        at = uint64(col + (col >> SHIFT) * across + WIDE * row)
         if flat[at] <= FAR:  # nothing but the occupied cell itself is at no distance
             cells[count, 0], cells[count, 1] = row, col
             moments[count, :] = 0.0
@@ -200,11 +199,10 @@ def insert_points(
         moments[slot, 3] += xx
         moments[slot, 4] += xy
         moments[slot, 5] += yy
-        row = cells[slot, 0] - WINDOW_CELLS
-        _window(cells[slot, 1], rows, places)
+        row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
         for i in range(2 * WINDOW_CELLS + 1):
             for j in range(2 * WINDOW_CELLS + 1):
-                at = uint64((row + i) * WIDE + places[uint64(j)])
+                at = uint64((row + i) * WIDE + col + j + ((col + j) >> SHIFT) * across)
                 if flat[at] > FAR:
                     other, w = uint64(flat_nearest[at]), weight[uint64(i), uint64(j)]
                     moments[other, 6] += w * n

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mavnav.grid import UNKNOWN, occupancy
-from mavnav.lattice import bands, pages, pooled
+from mavnav.lattice import bands, blank, pooled
 from mavnav.metrics.crispness import Crispness, crispness
 from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
 from mavnav.metrics.journey import placed_scans, spread
@@ -115,7 +115,7 @@ def _at_most(cells: NDArray[np.int8], cell_m: float) -> tuple[NDArray[np.int8], 
 
 def _occupied(cells: NDArray[np.int8]) -> NDArray[np.int32]:
     """Return a map of one hit where a cell is occupied; the rest of it takes no memory."""
-    out = pages(cells.shape, np.int32)
+    out = blank((cells.shape[0], cells.shape[1]), np.int32)
     for _, _, band in bands(cells.shape):
         out[band][cells[band] > 0] = 1
     return out
