@@ -23,8 +23,8 @@ PERIOD_S = 0.1
 
 
 def thinned(scan: Scan) -> Scan:
-    """Keep every tenth beam: at most 69 points are left to match."""
-    return replace(scan, ranges_m=np.where(np.arange(scan.spec.beams) % 10 == 0, scan.ranges_m, np.nan))
+    """Look through seven slits: some fifty points are left to match."""
+    return replace(scan, ranges_m=np.where(np.arange(scan.spec.beams) % 100 < 16, scan.ranges_m, np.nan))
 
 
 @pytest.fixture(scope="module")
