@@ -58,6 +58,10 @@ REACHABLE = 1.0
 """Farther from the expected place, in ``surprise``, no vehicle accelerates."""
 
 
+EXPECTED = 0.01
+"""So near to the expected place, in ``surprise``, less of a scan must agree after a gap."""
+
+
 class Method(Protocol):
     """What ``slam.track`` asks of a method; ``grid`` is the map that it builds."""
 
@@ -274,7 +278,8 @@ class Robust:
             return Verdict.REFUSED
         if motion.elapsed_s(scan.stamp_ns) <= longest_s and match.surprise <= REACHABLE:
             return Verdict.SURE
-        return Verdict.PROBABLE if match.inliers >= robust.regain_above else Verdict.REFUSED
+        expected = match.surprise <= EXPECTED
+        return Verdict.PROBABLE if expected or match.inliers >= robust.regain_above else Verdict.REFUSED
 
     def relocalise(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
         """Find the scan anywhere in the map; None unless one place, and no other, explains it."""

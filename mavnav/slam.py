@@ -16,6 +16,7 @@ from mavnav.methods import METHODS
 from mavnav.motion import LONGEST_S, Motion, misleads
 from mavnav.redrawing import close
 from mavnav.relocalise import apart
+from mavnav.second_opinion import blur, coarser, in_doubt
 from mavnav.steadying import steadied
 from mavnav.steps import LostInterval, Step, Steps, lost_intervals, tracked_way
 from mavnav.units import NS
@@ -49,7 +50,8 @@ SHORTEST_PERIOD_S = 1e-3
 class Slam:
     """The outcome: a step for every scan, the poses of the tracked ones (map_T_laser), map, lost stretches, loops.
 
-    ``warnings`` are lines for the user: what of the log was not taken as it stands there.
+    ``warnings`` are lines for the user: what of the log was not taken as it stands there. ``opinions`` counts the
+    tracks of which the crispest was kept.
     """
 
     steps: Sequence[Step]
@@ -58,6 +60,7 @@ class Slam:
     lost: tuple[LostInterval, ...]
     loops: Loops = field(default_factory=Loops)
     warnings: tuple[str, ...] = ()
+    opinions: int = 1
 
     @property
     def tracked_share(self) -> float:
@@ -188,25 +191,38 @@ def replay(
     known : localise in this map, and leave it as it is, instead of making one
     """
     odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
-    start, warnings = Start(config, max(period_s, SHORTEST_PERIOD_S), odometry, known), []
+    start, warnings, opinions = Start(config, max(period_s, SHORTEST_PERIOD_S), odometry, known), [], 1
     method, steps = start.tracked(log_scans(), on_step)
+
+    def again(start: Start) -> tuple[Method, Steps] | None:
+        """Track once more; None if the run is being stopped: the longer track is kept."""
+        track = start.tracked(log_scans(), on_step)
+        return track if len(track[1]) == len(steps) else None
+
     if start.odometry and misleads(start.odometry, tracked_way(steps)):
         alone = replace(start, odometry=None)
-        again = alone.tracked(log_scans(), on_step)
-        if len(again[1]) == len(steps):  # else the run is being stopped, and the longer track is kept
-            start, (method, steps) = alone, again
+        if other := again(alone):
+            start, (method, steps) = alone, other
             warnings.append("odometry contradicts the scans and is not used; check its scale, axes and clock")
     if fires_backwards(log_scans, steps, start, method):
-        turned = partial(_backwards, log_scans)
-        again = start.tracked(turned(), on_step)
-        if len(again[1]) == len(steps):
-            log_scans, (method, steps) = turned, again
+        told, log_scans = log_scans, partial(_backwards, log_scans)
+        if other := again(start):
+            method, steps = other
             warnings.append(
                 "beams were fired in the reverse of the listed order, judged by the turns, and are de-skewed so"
             )
+        else:
+            log_scans = told
+    if config.final_pass and method.closes_loops and in_doubt(steps):
+        second = replace(start, config=coarser(config))
+        if other := again(second):
+            opinions = 2
+            if blur(*other) < blur(method, steps):
+                start, (method, steps) = second, other
     if config.final_pass and method.places:
         steps = settle(log_scans, steps, method, start.motion)
-    return replace(conclude(steps, log_scans, method, start.motion, config, on_step), warnings=tuple(warnings))
+    outcome = conclude(steps, log_scans, method, start.motion, start.config, on_step)
+    return replace(outcome, warnings=tuple(warnings), opinions=opinions)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,8 @@
 
 Grids are searched in turn as in the paper's minimisation, steps i-v: azimuth with the position fixed, then the plane
 with the azimuth fixed; the scan turns about its points' centroid. A point costs its squared distance to the line of the
-cell that it falls into (arrays of ``linemap``). Where the window is a few cells wide, until it is settled which points
-decide, every point holds the line that it has in the middle: then one quadratic form stands for a joint grid of azimuth
-and plane.
+cell that it falls into (arrays of ``linemap``). Where the window is a few cells wide every point holds the line that it
+has in the middle: then one quadratic form stands for a joint grid of azimuth and plane.
 
 Every grid has an exhaustive and a pruned form with the same minimum: the same index, the lowest of equals, and the
 same cost, bit for bit. Pruning rests on three facts:
@@ -634,8 +633,8 @@ def search(
     grid : (5,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most, 1 to prune
     limits : (12,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
         points of the first level where it is wide, alternations a level, what a squared metre away from the start
-        costs a point, the half-windows (m) up to which lines are held, and above which they are even when it is settled
-        which points decide, and what known ground is (``_drawn``): within a cell the points elsewhere are left out
+        costs a point, the half-windows (m) up to which lines are held, and above which they are, and what known ground
+        is (``_drawn``): within a cell the points elsewhere are left out
     nearest, closeness, lines, geometry : the map, see ``linemap``
     """
     n = len(points)
@@ -653,7 +652,7 @@ def search(
     evaluations, grids, converged, form = 0, 0, False, np.zeros((5, 5))
     for level in range(MAX_LEVELS):
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
-        held = window[0] <= limits[8] and (window[0] > limits[9] or not settled)
+        held = limits[9] < window[0] <= limits[8]
         last = max(step_x, step_y) < stop_m and step_rad < stop_rad
         used = deciding if held or level > 0 else deciding[:, :few].copy()
         turned = _turns(window[1], azimuths)
