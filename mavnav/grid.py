@@ -52,7 +52,7 @@ class Grid:
 
 @dataclass(slots=True)
 class Tally:
-    """The counts of a `Grid` while it grows, int16: they end at 32767.
+    """The counts of a `Grid` while it grows, in two bytes each: they end at 65535, ``shielded`` at 32767.
 
     ``passes`` are (rows, cols). ``hits``, and ``shielded``, which counts those of the crossings during which something
     near the cell was hit (the others went clear through), are blank but near walls, and in strips (``mavnav.lattice``).
@@ -60,15 +60,16 @@ class Tally:
 
     cell_m: float
     origin_xy_m: tuple[float, float] = (0.0, 0.0)
-    hits: NDArray[np.int16] = field(default_factory=lambda: blank_strips((0, 0), np.int16))
-    passes: NDArray[np.int16] = field(default_factory=lambda: np.zeros((0, 0), np.int16))
+    hits: NDArray[np.uint16] = field(default_factory=lambda: blank_strips((0, 0), np.uint16))
+    passes: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
     shielded: NDArray[np.int16] = field(default_factory=lambda: blank_strips((0, 0), np.int16))
 
     @classmethod
     def of(cls, grid: Grid) -> Tally:
         """Lay a grid in strips, to be looked up; of its crossings none was clear."""
-        hits, passes = (np.minimum(part, hits_kernel.MOST).astype(np.int16) for part in (grid.hits, grid.passes))
-        return cls(grid.cell_m, grid.origin_xy_m, in_strips(hits), passes, in_strips(passes))
+        hits, passes = (np.minimum(part, hits_kernel.MOST).astype(np.uint16) for part in (grid.hits, grid.passes))
+        shielded = in_strips(np.minimum(passes, hits_kernel.MOST_SHIELDED).astype(np.int16))
+        return cls(grid.cell_m, grid.origin_xy_m, in_strips(hits), passes, shielded)
 
     def by_rows(self) -> Grid:
         """Return the counts by rows and columns."""

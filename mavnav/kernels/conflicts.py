@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import boolean, float64, int16, int64, types, uint8
+from numba import boolean, float64, int64, types, uint8, uint16
 
 from mavnav.kernels._jit import kernel
 
@@ -23,13 +23,13 @@ WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
-_I2 = types.Array(int16, 2, "C", readonly=True)
-_I3 = types.Array(int16, 3, "C", readonly=True)
+_I2 = types.Array(uint16, 2, "C", readonly=True)
+_I3 = types.Array(uint16, 3, "C", readonly=True)
 _U3 = types.Array(uint8, 3, "C", readonly=True)
 
 
 @kernel(boolean(int64, int64, _I3, _I2))
-def _in_the_open(row: int, col: int, hits: NDArray[np.int16], passes: NDArray[np.int16]) -> bool:
+def _in_the_open(row: int, col: int, hits: NDArray[np.uint16], passes: NDArray[np.uint16]) -> bool:
     """Tell whether a cell was seen empty, with no hit within reach."""
     rows, cols = passes.shape
     if not (0 <= row < rows and 0 <= col < cols) or passes[row, col] < FREE_PASSES:
@@ -49,8 +49,8 @@ def _through_a_wall(
     v0: float,
     u1: float,
     v1: float,
-    hits: NDArray[np.int16],
-    passes: NDArray[np.int16],
+    hits: NDArray[np.uint16],
+    passes: NDArray[np.uint16],
     closeness: NDArray[np.uint8],
     clear: NDArray[np.float64],
 ) -> bool:
@@ -81,8 +81,8 @@ def conflicts(
     points: NDArray[np.float64],
     pose: NDArray[np.float64],
     lattice: NDArray[np.float64],
-    hits: NDArray[np.int16],
-    passes: NDArray[np.int16],
+    hits: NDArray[np.uint16],
+    passes: NDArray[np.uint16],
     closeness: NDArray[np.uint8],
     clear: NDArray[np.float64],
 ) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int8, int16, int32, int64, types, uint64, void
+from numba import float64, int8, int16, int32, int64, types, uint16, uint64, void
 
 from mavnav.kernels._jit import kernel
 
@@ -16,7 +16,7 @@ NEAR_CELLS = 3
 """A beam does not go clear through a cell if one of the same scan ends so near to it."""
 
 BLOCK = 8  # cells of a beam that are found at once
-MOST = 32767  # a count ends there
+MOST, MOST_SHIELDED = 65535, 32767  # a count ends there
 WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its logarithm
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
@@ -50,18 +50,18 @@ def show_ends(
             cells[row, col] = 100
 
 
-@kernel(int64(_F2, _F1, int16[:, ::1], int16[:, :, ::1], int64[:, ::1]))
+@kernel(int64(_F2, _F1, uint16[:, ::1], int16[:, :, ::1], int64[:, ::1]))
 def _shield(
     xy_map_m: NDArray[np.float64],
     lattice: NDArray[np.float64],
-    passes: NDArray[np.int16],
+    passes: NDArray[np.uint16],
     shielded: NDArray[np.int16],
     cells: NDArray[np.int64],
 ) -> int:
-    """Take what was counted so far off the cells near points (n, 2), once each, and list them; returns how many.
+    """List the cells near points (n, 2), once each; returns how many.
 
-    ``cells`` tell where they are in ``shielded`` and in ``passes``. Their counts are then below 0, so that they can be
-    told from the others.
+    ``cells`` tell where they are in ``shielded`` and in ``passes``, and how often they were crossed before. Their
+    counts are turned below 0, so that they can be told from the others.
     """
     ox, oy, cell = lattice
     rows, cols = passes.shape
@@ -77,8 +77,9 @@ def _shield(
             for c in range(first, end):
                 at, way = uint64(c + (c >> SHIFT) * across + WIDE * r), uint64(r * cols + c)
                 count = flat[at]
-                cells[0, uint64(n)], cells[1, uint64(n)] = at, way  # written over unless it is new
-                flat[at] = count - crossed[way] - 1 if count >= 0 else count
+                # Written over unless it is new.
+                cells[0, uint64(n)], cells[1, uint64(n)], cells[2, uint64(n)] = at, way, crossed[way]
+                flat[at] = -1 - count if count >= 0 else count
                 n += count >= 0
     return n
 
@@ -108,13 +109,13 @@ def _way(
     return int(cols + rows)
 
 
-@kernel(void(_F2, _F1, _F1, int16[:, :, ::1], int16[:, ::1], int16[:, :, ::1]))
+@kernel(void(_F2, _F1, _F1, uint16[:, :, ::1], uint16[:, ::1], int16[:, :, ::1]))
 def add_scan(
     xy_map_m: NDArray[np.float64],
     laser_xy_m: NDArray[np.float64],
     lattice: NDArray[np.float64],
-    hits: NDArray[np.int16],
-    passes: NDArray[np.int16],
+    hits: NDArray[np.uint16],
+    passes: NDArray[np.uint16],
     shielded: NDArray[np.int16],
 ) -> None:
     """Count every end point (n, 2) in ``hits`` and the cells between the laser and it in ``passes``, up to `MOST`.
@@ -127,7 +128,7 @@ def add_scan(
     ox, oy, cell = lattice
     u0, v0 = (laser_xy_m[0] - ox) / cell, (laser_xy_m[1] - oy) / cell
     (rows, cols), flat = passes.shape, passes.ravel()
-    near = np.empty((2, (2 * NEAR_CELLS + 1) ** 2 * len(xy_map_m) + 1), np.int64)
+    near = np.empty((3, (2 * NEAR_CELLS + 1) ** 2 * len(xy_map_m) + 1), np.int64)
     n_near = _shield(xy_map_m, lattice, passes, shielded, near)
     steps, way = np.arange(float(max(rows, cols) + BLOCK)), np.empty(rows + cols + BLOCK, np.int32)
     begin = uint64(int(np.floor(v0)) * cols + int(np.floor(u0)))
@@ -144,4 +145,5 @@ def add_scan(
         ended[col & (WIDE - 1)] += ended[col & (WIDE - 1)] < MOST
     flat_shielded = shielded.ravel()
     for i in range(n_near):
-        flat_shielded[uint64(near[0, uint64(i)])] += flat[uint64(near[1, uint64(i)])] + 1
+        at, way_at, before = uint64(near[0, uint64(i)]), uint64(near[1, uint64(i)]), near[2, uint64(i)]
+        flat_shielded[at] = min(int64(flat[way_at]) - before - 1 - flat_shielded[at], MOST_SHIELDED)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int16, int64, types
+from numba import float64, int64, types, uint16
 
 from mavnav.kernels._jit import kernel
 
@@ -16,12 +16,12 @@ WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
-_I3 = types.Array(int16, 3, "C", readonly=True)
+_U3 = types.Array(uint16, 3, "C", readonly=True)
 
 
-@kernel(float64[::1](_I3, _F1, _F1, _F2, float64, int64))
+@kernel(float64[::1](_U3, _F1, _F1, _F2, float64, int64))
 def virtual_scan(
-    hits: NDArray[np.int16],
+    hits: NDArray[np.uint16],
     lattice: NDArray[np.float64],
     pose: NDArray[np.float64],
     directions: NDArray[np.float64],

@@ -17,7 +17,7 @@ LATTICE = np.array([-1.0, -0.5, 0.05])
 
 
 def blanks() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return blank_strips((40, 128), np.int16), np.zeros((40, 80), np.int16), blank_strips((40, 128), np.int16)
+    return blank_strips((40, 128), np.uint16), np.zeros((40, 80), np.uint16), blank_strips((40, 128), np.int16)
 
 
 def by_rows(counts: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
@@ -71,7 +71,7 @@ def test_virtual_scan_is_its_twin(seed: int, gap: int) -> None:
     rng = np.random.default_rng(seed)
     counts = np.where(rng.random((40, 80)) < 0.06, rng.integers(1, 5, (40, 80)), 0).astype(np.int32)
     pose = rng.uniform((-0.9, -0.4, -3), (2.9, 1.4, 3))
-    fast = raycast.virtual_scan(in_strips(counts.astype(np.int16)), LATTICE, pose, directions(), 1.7, gap)
+    fast = raycast.virtual_scan(in_strips(counts.astype(np.uint16)), LATTICE, pose, directions(), 1.7, gap)
     slow = naive.virtual_scan(counts, LATTICE, pose, directions(), 1.7, gap)
     # The last cell within reach is a matter of rounding; nothing else is.
     edge = np.isnan(fast) != np.isnan(slow)

@@ -21,8 +21,8 @@ def test_passing_cells_are_the_twins(seed: int) -> None:
     passes = rng.integers(0, 80, hits.shape).astype(np.int32)
     shielded = np.minimum(passes, rng.integers(0, 20, hits.shape)).astype(np.int32)
     slow = naive.passing_cells(hits, passes, shielded)
-    hits, passes, shielded = (counts.astype(np.int16) for counts in (hits, passes, shielded))
-    fast = passing.passing_cells(in_strips(hits), passes, in_strips(shielded))
+    ended, passed = (counts.astype(np.uint16) for counts in (hits, passes))
+    fast = passing.passing_cells(in_strips(ended), passed, in_strips(shielded.astype(np.int16)))
     np.testing.assert_array_equal(fast, np.argwhere(slow))
 
 

@@ -16,7 +16,7 @@ few = settings(max_examples=30, deadline=None)
 
 
 def stored(hits: np.ndarray, passes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return in_strips(hits.astype(np.int16)), passes.astype(np.int16)
+    return in_strips(hits.astype(np.uint16)), passes.astype(np.uint16)
 
 
 @few

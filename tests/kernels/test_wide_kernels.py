@@ -25,7 +25,7 @@ def counted(points: np.ndarray, laser: Pose, lattice: np.ndarray, hits: np.ndarr
     off_cells = np.round((lattice[:2] - line_map.geometry[:2]) / lattice[2])
     clear = np.array([*off_cells, line_map.closeness_at(CLEAR_CELLS * lattice[2])])
     seen = transform_points(laser.inverse(), points)
-    counts = in_strips(hits.astype(np.int16)), passes.astype(np.int16)
+    counts = in_strips(hits.astype(np.uint16)), passes.astype(np.uint16)
     return conflicts(seen, laser.as_array(), lattice, *counts, line_map.closeness, clear)
 
 
