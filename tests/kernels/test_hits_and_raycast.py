@@ -65,6 +65,17 @@ def test_beams_along_the_axes_and_through_corners_end_where_they_end() -> None:
     assert fast[1].sum() == 10 * 4 + 20
 
 
+def test_counts_that_have_ended_stay() -> None:
+    counts = blanks()
+    for full, most in zip(counts, (hits.MOST, hits.MOST, hits.MOST_SHIELDED), strict=True):
+        full[:] = most - 2
+    ends = np.array([(0.525, 0.025 + 0.01 * k) for k in range(20)] * 3)
+    for _ in range(2):
+        hits.add_scan(ends, np.array([0.025, 0.025]), LATTICE, *counts)
+        assert [full.max() for full in counts] == [hits.MOST, hits.MOST, hits.MOST_SHIELDED]
+        assert all(full.min() >= most - 2 for full, most in zip(counts, (65535, 65535, 32767), strict=True))
+
+
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), gap=st.integers(0, 3))
 def test_virtual_scan_is_its_twin(seed: int, gap: int) -> None:
