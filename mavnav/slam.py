@@ -22,7 +22,7 @@ from mavnav.steps import LostInterval, Step, Steps, lost_intervals, tracked_way
 from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator
 
     from mavnav.config import Config
     from mavnav.grid import Grid
@@ -54,7 +54,7 @@ class Slam:
     tracks of which the crispest was kept.
     """
 
-    steps: Sequence[Step]
+    steps: Steps
     trajectory: Trajectory
     grid: Grid
     lost: tuple[LostInterval, ...]
@@ -122,7 +122,7 @@ def settle(log_scans: Callable[[], Iterable[Scan]], steps: Steps, method: Method
     From the next believed pose backwards, each is expected between its neighbours; one that convinces then enters
     trajectory and map, the others are left out for good.
     """
-    before = waiting(steps)
+    before = {} if steps.column("tracked").all() else waiting(steps)
     if not before:
         return steps
     scans = {index: scan for index, scan in enumerate(log_scans()) if index in before}
@@ -255,7 +255,7 @@ def fires_backwards(log_scans: Callable[[], Iterable[Scan]], steps: Steps, start
     """Try both orders of firing where the laser turned most, each on a map of its own, unless a glance tells enough."""
     if start.config.method == "paper" or start.config.robust.deskew != "auto":
         return False
-    stretch = turning_stretch(s.match for s in steps)
+    stretch = turning_stretch(steps.column("map_T_laser")[:, 2])
     scans = list(islice(log_scans(), stretch.start, stretch.stop))
     if not any(scan.spec.time_increment_s for scan in scans):
         return False
