@@ -46,7 +46,7 @@ def points_of(
     log_scans: Callable[[], Iterable[Scan]], steps: Steps, method: Method, rows: list[int]
 ) -> Iterator[NDArray[np.float64]]:
     """Give the points (n, 2) of some tracked scans, numbered as in the trajectory; m, laser frame."""
-    tracked = [s.index for s in steps if s.tracked]
+    tracked = steps.column("index")[steps.column("tracked")].tolist()
     wanted = {tracked[row] for row in rows}
     return (method.match_points(scan).copy() for index, scan in enumerate(log_scans()) if index in wanted)
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import hypot
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mavnav.kernels.steadying import smooth
-from mavnav.pose import Pose
 from mavnav.stages import timed
-from mavnav.steps import Steps, leapt
+from mavnav.steps import Steps, jumps, tracked_way
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -47,26 +45,16 @@ def steadied(steps: Iterable[Step], period_s: float) -> Steps:
     for stretch in stretches(out):
         periods = np.maximum(np.round(np.diff(stamps_ns[stretch]) * NS / period_s), 1.0)
         told_m = CANNOT_TELL * np.sqrt(np.median(costs_m2[stretch]))
-        for k, (x, y) in zip(stretch, _steady(poses[stretch, :2], periods, told_m), strict=True):
-            match = out[k].match
-            pose = Pose(float(x), float(y), match.map_T_laser.yaw_rad)
-            out[k] = replace(out[k], match=replace(match, map_T_laser=pose))
+        out.move(stretch, _steady(poses[stretch, :2], periods, told_m))
     return out
 
 
-def stretches(steps: Steps) -> Iterator[list[int]]:
-    """Give the numbers of tracked steps that follow each other without a long gap or a leap, ``FEWEST`` or more."""
-    run: list[int] = []
-    last = None
-    for k, step in enumerate(steps):
-        if not step.tracked:
-            continue
-        if last and ((step.stamp_ns - last.stamp_ns) * NS > LONGEST_S or leapt(last, step)):
-            yield from [run] if len(run) >= FEWEST else []
-            run = []
-        run.append(k)
-        last = step
-    yield from [run] if len(run) >= FEWEST else []
+def stretches(steps: Steps) -> list[NDArray[np.intp]]:
+    """Return the numbers of tracked steps that follow each other without a long gap or a leap, ``FEWEST`` or more."""
+    tracked, way = np.flatnonzero(steps.column("tracked")), tracked_way(steps)
+    parted = (np.diff(way.stamps_ns) * NS > LONGEST_S) | jumps(way)[1]
+    runs = np.split(tracked, np.flatnonzero(parted) + 1)
+    return [run for run in runs if len(run) >= FEWEST]
 
 
 def _steady(xy_m: NDArray[np.float64], periods: NDArray[np.float64], told_m: float) -> NDArray[np.float64]:

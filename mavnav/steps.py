@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import pi
 from struct import Struct
 from typing import TYPE_CHECKING, Any, overload
 
@@ -73,6 +74,14 @@ class Steps(Sequence[Step]):
         """Return what a field of the steps or of their matches is, (n,); of poses x, y (m) and yaw (rad), (n, 3)."""
         return np.frombuffer(bytes(self._rows), _COLUMNS)[name]
 
+    def share(self, name: str) -> float:
+        """Return the share of the steps of which something is true; 0 where there are none."""
+        return np.count_nonzero(self.column(name)) / max(len(self), 1)
+
+    def move(self, where: NDArray[np.intp], xy_m: NDArray[np.float64]) -> None:
+        """Put the poses of some steps elsewhere: to positions (n, 2), m."""
+        np.frombuffer(self._rows, _COLUMNS)["map_T_laser"][where, :2] = xy_m
+
     def __len__(self) -> int:
         """Count the steps."""
         return len(self._rows) // _PACKED.size
@@ -131,36 +140,26 @@ def tracked_way(steps: Steps) -> Trajectory:
     return Trajectory(steps.column("stamp_ns")[tracked], steps.column("map_T_laser")[tracked])
 
 
-def lost_intervals(steps: Sequence[Step]) -> Iterator[LostInterval]:
+def lost_intervals(steps: Steps) -> Iterator[LostInterval]:
     """Find the stretches without a believed pose: of ``LOST_SCANS`` or more scans, or with a jump across them.
 
     A jump that no vehicle makes is one even where no scan is missing.
     """
-    run: list[Step] = []
-    last: Step | None = None
-    for step in steps:
-        if not step.tracked:
-            run.append(step)
-            continue
-        if len(run) >= LOST_SCANS or (run and last and jumped(last, step)):
-            yield LostInterval(run[0].stamp_ns, run[-1].stamp_ns, len(run), recovered=True)
-        elif last and not run and leapt(last, step):
-            yield LostInterval(last.stamp_ns, step.stamp_ns, 0, recovered=True)
-        run, last = [], step
-    if run and len(run) >= min(LOST_SCANS, len(steps)):
-        yield LostInterval(run[0].stamp_ns, run[-1].stamp_ns, len(run), recovered=False)
+    stamps_ns, tracked = steps.column("stamp_ns").tolist(), np.flatnonzero(steps.column("tracked"))
+    jumped, leapt = (np.pad(found, 1) for found in jumps(tracked_way(steps)))
+    starts, ends = np.append(0, tracked + 1), np.append(tracked, len(steps))  # of what is between tracked steps
+    for k in np.flatnonzero((ends > starts) | leapt[: len(ends)]).tolist():
+        start, end, recovered = int(starts[k]), int(ends[k]), k < len(tracked)
+        many = LOST_SCANS if recovered else min(LOST_SCANS, len(steps))
+        if end == start:
+            yield LostInterval(stamps_ns[start - 1], stamps_ns[end], 0, recovered=True)
+        elif end - start >= many or jumped[k]:
+            yield LostInterval(stamps_ns[start], stamps_ns[end - 1], end - start, recovered=recovered)
 
 
-def jumped(before: Step, after: Step) -> bool:
-    """Tell whether a reader of the trajectory would see a jump between two believed poses."""
-    moved_m, turned_rad = before.match.map_T_laser.gap(after.match.map_T_laser)
-    return moved_m > JUMP_M or turned_rad > JUMP_RAD
-
-
-def leapt(before: Step, after: Step) -> bool:
-    """Tell whether the way between two believed poses is a jump, and faster than any vehicle."""
-    if not jumped(before, after):
-        return False
-    moved_m, turned_rad = before.match.map_T_laser.gap(after.match.map_T_laser)
-    elapsed_s = (after.stamp_ns - before.stamp_ns) * NS
-    return moved_m > FASTEST_M_S * elapsed_s or turned_rad > FASTEST_RAD_S * elapsed_s
+def jumps(way: Trajectory) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell where a reader would see a jump from one pose to the next, and where none that a vehicle makes; (n - 1,)."""
+    moved, elapsed_s = np.diff(way.xyyaw, axis=0), np.diff(way.stamps_ns) * NS
+    moved_m, turned_rad = np.hypot(moved[:, 0], moved[:, 1]), np.abs((moved[:, 2] + pi) % (2.0 * pi) - pi)
+    jumped = (moved_m > JUMP_M) | (turned_rad > JUMP_RAD)
+    return jumped, jumped & ((moved_m > FASTEST_M_S * elapsed_s) | (turned_rad > FASTEST_RAD_S * elapsed_s))
