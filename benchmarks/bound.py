@@ -19,7 +19,6 @@ from numba import njit
 from mavnav import slam
 from mavnav.config_file import load_config
 from mavnav.kernels import linesearch
-from mavnav.lattice import WIDE
 from mavnav.logs import open_log
 from mavnav.methods import Robust
 from mavnav.pose import transform_points
@@ -70,7 +69,7 @@ def main() -> None:
     xy = np.tile(transform_points(steps[-1].match.map_T_laser, method.match_points(scan)), (8, 1))
     x, y = np.ascontiguousarray(xy.T)
     cells = np.floor((xy - lines.geometry[:2]) / lines.cell_m).astype(int)
-    slots = lines.nearest[cells[:, 0] // WIDE, cells[:, 1], cells[:, 0] % WIDE]
+    slots = lines.nearest[cells[:, 1], cells[:, 0]]
     arrays = (lines.nearest, lines.lines, lines.geometry)
     whole = nanoseconds(lambda: linesearch._cost_sum(x, y, np.zeros(2), 0.0225, *arrays, np.inf), len(x))  # noqa: SLF001
     loads = nanoseconds(lambda: look_ups(slots, lines.lines), len(x))

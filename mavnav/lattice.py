@@ -1,6 +1,6 @@
 """Arrays over a lattice of cells that grows: memory goes with the cells that were touched, not with the extent.
 
-What is blank but near walls is kept in strips, (cols / `WIDE`, rows, `WIDE`): cell (row, col) is
+Counts that are blank but near walls are kept in strips, (cols / `WIDE`, rows, `WIDE`): cell (row, col) is
 ``[col // WIDE, row, col % WIDE]``. A page of memory then holds a block of some 64 x 32 cells; of a plain array it holds
 a stretch of one row, and a wall across the rows touches a page for each of its cells. The place in memory is a sum of
 the column's and the row's part, ``col + col // WIDE * WIDE * (rows - 1) + WIDE * row``.
@@ -70,14 +70,9 @@ def _runs(cells: NDArray[Any]) -> NDArray[Any]:
     return cells.reshape(len(cells), cells.size // max(len(cells), 1) // WIDE, WIDE)
 
 
-def extent_of(strips: NDArray[Any]) -> Cell:
-    """Return how many rows and columns there are."""
-    return strips.shape[1], strips.shape[0] * WIDE
-
-
 def plain(strips: NDArray[Any], dtype: Any = None) -> NDArray[Any]:  # noqa: ANN401
     """Return a copy by rows and columns, (rows, cols); what is blank stays untouched here, too."""
-    rows, cols = extent_of(strips)
+    rows, cols = strips.shape[1], strips.shape[0] * WIDE
     out = blank((rows, cols), dtype or strips.dtype)
     by_rows = strips.transpose(1, 0, 2)
     for first in range(0, rows, WIDE):

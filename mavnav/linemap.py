@@ -10,7 +10,7 @@ import numpy as np
 
 from mavnav.kernels.linemap import FAR, REACH_CELLS, insert_points, rebuild
 from mavnav.kernels.points import extent
-from mavnav.lattice import WIDE, blank_strips, covering, extent_of, moved
+from mavnav.lattice import blank, covering, moved
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
@@ -38,8 +38,8 @@ class LineMap:
     known_points: float = 0.0
     origin_cells: tuple[int, int] = (0, 0)
     count: int = 1
-    nearest: NDArray[np.int32] = field(default_factory=lambda: blank_strips((0, 0), np.int32))
-    closeness: NDArray[np.uint8] = field(default_factory=lambda: blank_strips((0, 0), np.uint8))
+    nearest: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 0), np.int32))
+    closeness: NDArray[np.uint8] = field(default_factory=lambda: np.empty((0, 0), np.uint8))
     cells: NDArray[np.int32] = field(default_factory=lambda: np.empty((1, 2), np.int32))
     moments: NDArray[np.float64] = field(default_factory=lambda: np.empty((1, 12)))
     lines: NDArray[np.float64] = field(default_factory=lambda: np.array([NOWHERE]))
@@ -81,10 +81,9 @@ class LineMap:
     def remove(self, xy_map_m: NDArray[np.float64]) -> None:
         """Forget what the cells of some points (n, 2), in m, hold; cells that hold nothing may be among them."""
         at = np.floor(xy_map_m / self.cell_m).astype(np.int64) - np.array(self.origin_cells)
-        inside = ((at >= 0) & (at < np.array(extent_of(self.nearest)[::-1]))).all(axis=1)
+        inside = ((at >= 0) & (at < np.array(self.nearest.shape[::-1]))).all(axis=1)
         col, row = at[inside].T
-        where = col // WIDE, row, col % WIDE
-        gone = self.nearest[where][self.closeness[where] > FAR]
+        gone = self.nearest[row, col][self.closeness[row, col] > FAR]
         if not len(gone):
             return
         kept = np.delete(np.arange(self.count), gone)
@@ -93,7 +92,7 @@ class LineMap:
             band = slice(first, min(first + _AT_ONCE, n))
             for held in (self.cells, self.moments, self.lines):
                 held[band] = held[kept[band]]
-        self.nearest, self.closeness = (blank_strips(extent_of(self.nearest), kind) for kind in (np.int32, np.uint8))
+        self.nearest, self.closeness = (blank(self.nearest.shape, kind) for kind in (np.int32, np.uint8))
         rebuild(self.geometry, self.nearest, self.closeness, self.cells[:n], self.moments[:n], self.lines[:n])
 
     def _cover(self, xy_map_m: NDArray[np.float64]) -> None:
@@ -103,7 +102,7 @@ class LineMap:
         low = (floor(x0 / self.cell_m) - beyond, floor(y0 / self.cell_m) - beyond)
         high = (floor(x1 / self.cell_m) + beyond, floor(y1 / self.cell_m) + beyond)
         origin = self.origin_cells
-        grown = covering(low, high, extent_of(self.nearest), origin, _BLOCK_CELLS)
+        grown = covering(low, high, self.nearest.shape, origin, _BLOCK_CELLS)
         if grown is None:
             return
         new_origin, shape = grown

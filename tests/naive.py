@@ -253,9 +253,8 @@ def held_cost(points, at, motion, line_map, truncate_m):
             y + up + math.sin(there) * px + math.cos(there) * py,
         )
         row, col = np.array(cell_of(before, line_map.cell_m)) - line_map.origin_cells[::-1]
-        strips, rows, wide = line_map.nearest.shape
-        inside = 0 <= row < rows and 0 <= col < strips * wide
-        mu_x, mu_y, xx, xy, yy = line_map.lines[line_map.nearest[col // wide, row, col % wide] if inside else 0, :5]
+        inside = 0 <= row < line_map.nearest.shape[0] and 0 <= col < line_map.nearest.shape[1]
+        mu_x, mu_y, xx, xy, yy = line_map.lines[line_map.nearest[row, col] if inside else 0, :5]
         d2 = [
             (u - mu_x) ** 2 * xx + 2 * (u - mu_x) * (v - mu_y) * xy + (v - mu_y) ** 2 * yy for u, v in (before, after)
         ]

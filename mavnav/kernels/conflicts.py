@@ -23,12 +23,12 @@ WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
-_I2 = types.Array(uint16, 2, "C", readonly=True)
-_I3 = types.Array(uint16, 3, "C", readonly=True)
-_U3 = types.Array(uint8, 3, "C", readonly=True)
+_U2 = types.Array(uint16, 2, "C", readonly=True)
+_U3 = types.Array(uint16, 3, "C", readonly=True)
+_B2 = types.Array(uint8, 2, "C", readonly=True)
 
 
-@kernel(boolean(int64, int64, _I3, _I2))
+@kernel(boolean(int64, int64, _U3, _U2))
 def _in_the_open(row: int, col: int, hits: NDArray[np.uint16], passes: NDArray[np.uint16]) -> bool:
     """Tell whether a cell was seen empty, with no hit within reach."""
     rows, cols = passes.shape
@@ -43,7 +43,7 @@ def _in_the_open(row: int, col: int, hits: NDArray[np.uint16], passes: NDArray[n
     return True
 
 
-@kernel(boolean(float64, float64, float64, float64, _I3, _I2, _U3, _F1))
+@kernel(boolean(float64, float64, float64, float64, _U3, _U2, _B2, _F1))
 def _through_a_wall(
     u0: float,
     v0: float,
@@ -65,8 +65,8 @@ def _through_a_wall(
     for start in range(2, last, STRIDE):
         middle = start + STRIDE // 2
         row, col = int(v0 + middle * dv + clear[1]), int(u0 + middle * du + clear[0])
-        inside = 0 <= row < closeness.shape[1] and 0 <= col < closeness.shape[0] * WIDE
-        if not inside or closeness[col >> SHIFT, row, col & (WIDE - 1)] < clear[2]:
+        inside = 0 <= row < closeness.shape[0] and 0 <= col < closeness.shape[1]
+        if not inside or closeness[row, col] < clear[2]:
             continue
         for i in range(start, min(start + STRIDE, last)):
             row, col = int(np.floor(v0 + i * dv)), int(np.floor(u0 + i * du))
@@ -76,7 +76,7 @@ def _through_a_wall(
     return False
 
 
-@kernel(int64(_F2, _F1, _F1, _I3, _I2, _U3, _F1))
+@kernel(int64(_F2, _F1, _F1, _U3, _U2, _B2, _F1))
 def conflicts(
     points: NDArray[np.float64],
     pose: NDArray[np.float64],

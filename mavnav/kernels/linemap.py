@@ -1,11 +1,11 @@
 """Occupied cells with the moments of their points, and the local line through each (docs/method.md).
 
-Layout shared by this file and ``linesearch``, lattices in strips (``mavnav.lattice``):
+Layout shared by this file and ``linesearch``:
 
-``nearest``  (strips, rows, 64) int32   index of the nearest occupied cell within reach, 0 where none is
+``nearest``  (rows, cols) int32   index of the nearest occupied cell within reach, 0 where none is
 ``cells``    (capacity, 2) int32  row, col of the occupied cells, in the order they were first hit; row 0 of this and
                                   the following is no cell, and its line lies beyond everything
-``closeness`` (strips, rows, 64) uint8  1 more than `FAR` less the squared distance to it in cells; 0 beyond reach
+``closeness`` (rows, cols) uint8  1 more than `FAR` less the squared distance to it in cells; 0 beyond reach
 ``moments``  (capacity, 12) float64  n, sum x, sum y, sum xx, sum xy, sum yy of a cell's points, m in the map
                                   frame; then the same, summed over a window of neighbours with Gaussian weights
 ``lines``    (capacity, 8) float64   foot x, y and the metric a_xx, a_xy, a_yy of the local line, and the points that it
@@ -29,30 +29,20 @@ WINDOW_CELLS = 4  # half-width of the line fit's window: 9x9 cells
 REACH_CELLS = 8  # nearest occupied cells are known this far
 FAR = REACH_CELLS * REACH_CELLS
 BLOCK = 64  # lines that are fitted at once
-WIDE, SHIFT = 64, 6  # cells of a strip, and its logarithm
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 
 
-@kernel(void(int64, int64, int64, int32[:, :, ::1], uint8[:, :, ::1]))
+@kernel(void(int64, int64, int64, int32[:, ::1], uint8[:, ::1]))
 def _stamp(slot: int, row: int, col: int, nearest: NDArray[np.int32], closeness: NDArray[np.uint8]) -> None:
     """Make ``slot`` the nearest occupied cell wherever it is nearer than the present one (ties keep the older)."""
-    across, flat, flat_nearest = (closeness.shape[1] - 1) * WIDE, closeness.ravel(), nearest.ravel()
     for r in range(row - REACH_CELLS, row + REACH_CELLS + 1):
         for c in range(col - REACH_CELLS, col + REACH_CELLS + 1):
-            d2, at = (r - row) * (r - row) + (c - col) * (c - col), uint64(c + (c >> SHIFT) * across + WIDE * r)
-            if d2 <= FAR and FAR + 1 - d2 > flat[at]:
-                flat_nearest[at] = slot
-                flat[at] = FAR + 1 - d2
-
-
-@kernel(void(int64, int64, int64[::1]))
-def _window(col: int, rows: int, places: NDArray[np.int64]) -> None:
-    """Write where the columns of a line's window about ``col`` begin in memory."""
-    for j in range(2 * WINDOW_CELLS + 1):
-        c = col - WINDOW_CELLS + j
-        places[j] = c + (c >> SHIFT) * (rows - 1) * WIDE
+            d2 = (r - row) * (r - row) + (c - col) * (c - col)
+            if d2 <= FAR and FAR + 1 - d2 > closeness[r, c]:
+                nearest[r, c] = slot
+                closeness[r, c] = FAR + 1 - d2
 
 
 @kernel(void(int64[::1], float64, float64[:, ::1], float64[:, ::1]))
@@ -99,7 +89,7 @@ def _weights(cell_m: float, sigma_m: float) -> NDArray[np.float64]:
     return out
 
 
-@kernel(void(int64, _F2, int32[:, :, ::1], uint8[:, :, ::1], int32[:, ::1], float64[:, ::1]))
+@kernel(void(int64, _F2, int32[:, ::1], uint8[:, ::1], int32[:, ::1], float64[:, ::1]))
 def _gather(
     slot: int,
     weight: NDArray[np.float64],
@@ -109,19 +99,18 @@ def _gather(
     moments: NDArray[np.float64],
 ) -> None:
     """Add to the windowed moments of a cell what it and its neighbours hold."""
-    flat, flat_nearest, places = closeness.ravel(), nearest.ravel(), np.empty(2 * WINDOW_CELLS + 1, np.int64)
-    row = cells[slot, 0] - WINDOW_CELLS
-    _window(cells[slot, 1], closeness.shape[1], places)
+    wide, flat, flat_nearest = int64(closeness.shape[1]), closeness.ravel(), nearest.ravel()
+    row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
     for i in range(2 * WINDOW_CELLS + 1):
         for j in range(2 * WINDOW_CELLS + 1):
-            at = uint64((row + i) * WIDE + places[uint64(j)])
+            at = uint64((row + i) * wide + col + j)
             if flat[at] > FAR:
                 other = int64(flat_nearest[at])
                 for m in range(6):
                     moments[slot, 6 + m] += weight[i, j] * moments[other, m]
 
 
-@kernel(void(_F1, int32[:, :, ::1], uint8[:, :, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
+@kernel(void(_F1, int32[:, ::1], uint8[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
 def rebuild(
     geometry: NDArray[np.float64],
     nearest: NDArray[np.int32],
@@ -140,7 +129,7 @@ def rebuild(
     _fit(np.arange(1, len(cells)), geometry[4], moments, lines)
 
 
-@kernel(int64(_F2, _F1, int64, int32[:, :, ::1], uint8[:, :, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
+@kernel(int64(_F2, _F1, int64, int32[:, ::1], uint8[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
 def insert_points(
     xy_map_m: NDArray[np.float64],
     geometry: NDArray[np.float64],
@@ -158,20 +147,19 @@ def insert_points(
     """
     ox, oy, cell, sigma, noise = geometry
     weight = _weights(cell, sigma)
-    across, flat, flat_nearest = (closeness.shape[1] - 1) * WIDE, closeness.ravel(), nearest.ravel()
+    wide, flat, flat_nearest = int64(closeness.shape[1]), closeness.ravel(), nearest.ravel()
     first, hit, n_hit = count, np.empty(len(xy_map_m), np.int64), 0
     added = np.zeros((len(xy_map_m), 6))  # moments of this scan, by the order in which its cells were hit
     for k in range(len(xy_map_m)):
         x, y = xy_map_m[k, 0], xy_map_m[k, 1]
         row, col = int(np.floor((y - oy) / cell)), int(np.floor((x - ox) / cell))
-        at = uint64(col + (col >> SHIFT) * across + WIDE * row)
-        if flat[at] <= FAR:  # nothing but the occupied cell itself is at no distance
+        if closeness[row, col] <= FAR:  # nothing but the occupied cell itself is at no distance
             cells[count, 0], cells[count, 1] = row, col
             moments[count, :] = 0.0
             lines[count, 6:] = 0.0
             _stamp(count, row, col, nearest, closeness)
             count += 1
-        slot = int64(flat_nearest[at])
+        slot = int64(nearest[row, col])
         if lines[slot, 6] == 0.0:
             hit[n_hit] = slot
             n_hit += 1
@@ -202,7 +190,7 @@ def insert_points(
         row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
         for i in range(2 * WINDOW_CELLS + 1):
             for j in range(2 * WINDOW_CELLS + 1):
-                at = uint64((row + i) * WIDE + col + j + ((col + j) >> SHIFT) * across)
+                at = uint64((row + i) * wide + col + j)
                 if flat[at] > FAR:
                     other, w = uint64(flat_nearest[at]), weight[uint64(i), uint64(j)]
                     moments[other, 6] += w * n

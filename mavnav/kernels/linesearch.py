@@ -37,15 +37,14 @@ MAX_LEVELS = 40
 FEWEST_DRAWN = 0.5  # share of the points on known ground below which the others decide too
 CHUNK = 32  # points between two looks at the bound
 LANES = 32
-WIDE = 64.0  # cells of a strip, as ``mavnav.lattice`` has them
 RECTANGLE_COST = 3  # of a polynomial on a rectangle of candidates, in candidates summed point by point
 ARC_COST = 30  # of the polynomials along an arc of two cells, in azimuths summed point by point
 ROUNDING_M2 = 1e-9  # above any difference between two orders of summation, as long as maps are smaller than 100 km
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
-_I3 = types.Array(int32, 3, "C", readonly=True)
-_U3 = types.Array(uint8, 3, "C", readonly=True)
+_I2 = types.Array(int32, 2, "C", readonly=True)
+_U2 = types.Array(uint8, 2, "C", readonly=True)
 
 
 @kernel(float64(types.Array(float64, 1, "A", readonly=True)))
@@ -102,16 +101,16 @@ def _distance2(px: float, py: float, truncate_m2: float, slot: int, lines: NDArr
     return float(min(d2, truncate_m2))
 
 
-@kernel(int64(float64, float64, float64, float64, float64, _I3))
+@kernel(int64(float64, float64, float64, float64, float64, _I2))
 def _slot_at(px: float, py: float, ox: float, oy: float, inverse: float, nearest: NDArray[np.int32]) -> int:
     """Return the line that a point of the map frame belongs to; beyond the edge what is there: 0, nowhere."""
     fx, fy = (px - ox) * inverse, (py - oy) * inverse
-    col = uint64(min(max(fx, 0.0), nearest.shape[0] * WIDE - 1.0))
-    row = uint64(min(max(fy, 0.0), nearest.shape[1] - 1.0))
-    return int(nearest[col // uint64(WIDE), row, col % uint64(WIDE)])
+    col = int64(min(max(fx, 0.0), nearest.shape[1] - 1.0))
+    row = int64(min(max(fy, 0.0), nearest.shape[0] - 1.0))
+    return int(nearest[uint64(row), uint64(col)])
 
 
-@kernel(float64(float64[::1], float64[::1], _F1, float64, _I3, _F2, _F1, float64))
+@kernel(float64(float64[::1], float64[::1], _F1, float64, _I2, _F2, _F1, float64))
 def _cost_sum(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
@@ -156,7 +155,7 @@ def _turns(half_rad: float, azimuths: int) -> NDArray[np.float64]:
     return out
 
 
-@kernel(int64(_F2, _F1, _F1, float64[:, ::1], int64[::1], _I3, _F2, _F1))
+@kernel(int64(_F2, _F1, _F1, float64[:, ::1], int64[::1], _I2, _F2, _F1))
 def _form(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
@@ -176,7 +175,8 @@ def _form(
     n, holds_all, found = points.shape[1], len(loose) == 0, 0
     ox, oy, cell, inverse = geometry[0], geometry[1], geometry[2], 1.0 / geometry[2]
     half_m, half_rad, truncate_m2, truncate_m = window[0], window[1], window[3], np.sqrt(window[3])
-    flat, last_col, last_row = nearest.ravel(), nearest.shape[0] * WIDE - 1.0, nearest.shape[1] - 1.0
+    flat, wide = nearest.ravel(), float64(nearest.shape[1])
+    last_col, last_row = nearest.shape[1] - 1.0, nearest.shape[0] - 1.0
     at_x, at_y, c, s, from_x, from_y = at[0], at[1], np.cos(at[2]), np.sin(at[2]), points[0], points[1]
     where, p, g = np.empty(LANES, np.int32), np.empty((9, LANES)), np.zeros((15, LANES))
     for first in range(0, n, LANES):
@@ -188,8 +188,7 @@ def _form(
             col, row = np.floor(fx), np.floor(fy)
             p[0, k], p[1, k] = ex, ey
             p[7, k] = min(fx - col, 1.0 - (fx - col), fy - row, 1.0 - (fy - row)) * cell
-            row, col = min(max(row, 0.0), last_row), min(max(col, 0.0), last_col)
-            where[k] = int32(col + np.floor(col / WIDE) * (WIDE * last_row) + WIDE * row)
+            where[k] = int32(min(max(row, 0.0), last_row) * wide + min(max(col, 0.0), last_col))
         for k in range(block):
             line = uint64(flat[uint64(where[k])])
             p[2, k], p[3, k] = lines[line, 0], lines[line, 1]
@@ -256,7 +255,7 @@ def _runs(cells: NDArray[np.float64], starts: NDArray[np.int64]) -> int:
     return n + 1
 
 
-@kernel(void(_F2, _F1, _F1, _F2, float64[::1], _I3, _F2, _F1))
+@kernel(void(_F2, _F1, _F1, _F2, float64[::1], _I2, _F2, _F1))
 def _turn_sums(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
@@ -281,8 +280,8 @@ def _turn_sums(
         yaw = at[2] - window[1] + i * (2 * window[1] / (azimuths - 1))
         cos[i], sin[i] = np.cos(yaw), np.sin(yaw)
     at_x, at_y, ox, oy, inverse = at[0], at[1], geometry[0], geometry[1], 1.0 / geometry[2]
-    c, s, flat = np.cos(at[2]), np.sin(at[2]), nearest.ravel()
-    last_col, last_row = nearest.shape[0] * WIDE - 1.0, nearest.shape[1] - 1.0
+    c, s, wide = np.cos(at[2]), np.sin(at[2]), float64(nearest.shape[1])
+    flat, last_col, last_row = nearest.ravel(), nearest.shape[1] - 1.0, nearest.shape[0] - 1.0
     bends, cells, starts = np.zeros((azimuths + 1, 6)), np.empty(azimuths), np.empty(azimuths + 1, np.int64)
     bends[0] = (form[0, 0], form[0, 1], form[0, 2], form[1, 1], form[1, 2], form[2, 2])
     for n in range(found):
@@ -292,8 +291,7 @@ def _turn_sums(
             # The sums are those of ``_slot_at``, so that both agree on every candidate.
             fx = np.floor((cos[i] * from_x - sin[i] * from_y + at_x - ox) * inverse)
             fy = np.floor((sin[i] * from_x + cos[i] * from_y + at_y - oy) * inverse)
-            row, col = min(max(fy, 0.0), last_row), min(max(fx, 0.0), last_col)
-            cells[i] = col + np.floor(col / WIDE) * (WIDE * last_row) + WIDE * row
+            cells[i] = min(max(fy, 0.0), last_row) * wide + min(max(fx, 0.0), last_col)
         ex, ey = c * from_x - s * from_y, s * from_x + c * from_y
         move = 1.5 * window[1] * (abs(ex) + abs(ey)) + 1e-9
         near, far = max(truncate_m - move, 0.0) ** 2, (truncate_m + move) ** 2
@@ -334,7 +332,7 @@ def _turn_sums(
         sums[i] += k0 + 2.0 * (u * k_c + v * k_s) + u * u * k_cc + 2.0 * u * v * k_cs + v * v * k_ss
 
 
-@kernel(int64(_F2, _F1, _F1, _F2, _I3, _F2, _F1))
+@kernel(int64(_F2, _F1, _F1, _F2, _I2, _F2, _F1))
 def _turn_on_lines(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
@@ -420,7 +418,7 @@ def _spans(
     return n
 
 
-@kernel(void(_F2, _F1, _F1, float64[:, ::1], _I3, _F2, _F1))
+@kernel(void(_F2, _F1, _F1, float64[:, ::1], _I2, _F2, _F1))
 def _shift_sums(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
@@ -453,8 +451,7 @@ def _shift_sums(
     at_x, at_y, ox, oy, inverse = at[0], at[1], geometry[0], geometry[1], 1.0 / geometry[2]
     c, s = np.cos(at[2]), np.sin(at[2])
     near, far = max(truncate_m - 1.5 * half_m, 0.0) ** 2, (truncate_m + 1.5 * half_m) ** 2
-    flat, wide = nearest.ravel(), int64(WIDE)
-    last_col, last_row = nearest.shape[0] * wide - 1, nearest.shape[1] - 1
+    flat, wide, last_col, last_row = nearest.ravel(), nearest.shape[1], nearest.shape[1] - 1, nearest.shape[0] - 1
     starts_i, starts_j = np.empty(nx + 1, np.int64), np.empty(ny + 1, np.int64)
     cols, rows = np.empty(nx, np.int64), np.empty(ny, np.int64)
     for m in range(found):
@@ -462,15 +459,12 @@ def _shift_sums(
         px, py = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
         n_i = _spans(px, ox, inverse, to_x, cols, starts_i)
         n_j = _spans(py, oy, inverse, to_y, rows, starts_j)
-        for q in range(n_i):
-            col = min(max(cols[uint64(q)], 0), last_col)
-            cols[uint64(q)] = col + col // wide * wide * last_row
         for r in range(n_j):
             j0, base = uint64(starts_j[uint64(r)]), min(max(rows[uint64(r)], 0), last_row) * wide
             l0 = l_u = l_v = l_uu = l_uv = l_vv = 0.0
             for q in range(n_i):
                 i0 = uint64(starts_i[uint64(q)])
-                line = uint64(flat[uint64(base + cols[uint64(q)])])
+                line = uint64(flat[uint64(base + min(max(cols[uint64(q)], 0), last_col))])
                 dx, dy = px + at_x - lines[line, 0], py + at_y - lines[line, 1]
                 p_uu, b, p_vv = lines[line, 2], lines[line, 3], lines[line, 4]
                 gx, gy = p_uu * dx + b * dy, b * dx + p_vv * dy
@@ -498,7 +492,7 @@ def _shift_sums(
     _integrate(bends, right, up, sums)
 
 
-@kernel(int64(_F2, _F1, _F1, int64, int64, _I3, _F2, _F1))
+@kernel(int64(_F2, _F1, _F1, int64, int64, _I2, _F2, _F1))
 def _shift_on_lines(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
@@ -579,7 +573,7 @@ def _least_of_form(
 # ---- coarse to fine --------------------------------------------------------------------------------------------------
 
 
-@kernel(float64[:, ::1](_F2, _F1, _F1, _I3, _U3, _F2, _F1))
+@kernel(float64[:, ::1](_F2, _F1, _F1, _I2, _U2, _F2, _F1))
 def _drawn(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
@@ -599,10 +593,10 @@ def _drawn(
     _rotate(points, at[2], x, y)
     for k in range(n):
         fx, fy = (x[k] + at[0] - geometry[0]) / geometry[2], (y[k] + at[1] - geometry[1]) / geometry[2]
-        if not (0 <= fx < closeness.shape[0] * WIDE and 0 <= fy < closeness.shape[1]):
+        if not (0 <= fx < closeness.shape[1] and 0 <= fy < closeness.shape[0]):
             continue
-        strip, row, col = uint64(fx / WIDE), uint64(fy), uint64(fx) % uint64(WIDE)
-        if closeness[strip, row, col] >= known[0] and lines[uint64(nearest[strip, row, col]), 5] >= known[1]:
+        row, col = uint64(fy), uint64(fx)
+        if closeness[row, col] >= known[0] and lines[uint64(nearest[row, col]), 5] >= known[1]:
             kept[count] = k
             count += 1
     if count < FEWEST_DRAWN * n:
@@ -613,7 +607,7 @@ def _drawn(
     return out
 
 
-@kernel(types.Tuple((*(5 * [float64]), int64, int64, boolean))(_F2, _F1, _F1, _F1, _I3, _U3, _F2, _F1))
+@kernel(types.Tuple((*(5 * [float64]), int64, int64, boolean))(_F2, _F1, _F1, _F1, _I2, _U2, _F2, _F1))
 def search(
     points: NDArray[np.float64],
     start: NDArray[np.float64],

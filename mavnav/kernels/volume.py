@@ -12,14 +12,12 @@ from mavnav.kernels._jit import kernel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its logarithm
-
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
-_I3 = types.Array(int32, 3, "C", readonly=True)
+_I2 = types.Array(int32, 2, "C", readonly=True)
 
 
-@kernel(float64[:, ::1](_F2, _F2, _F1, float64, _I3, _F2, _F1))
+@kernel(float64[:, ::1](_F2, _F2, _F1, float64, _I2, _F2, _F1))
 def volume(
     points: NDArray[np.float64],
     xy_map_m: NDArray[np.float64],
@@ -33,7 +31,7 @@ def volume(
 
     ``points`` (n, 2) lie in the laser's frame; the map's arrays are described in ``linemap``.
     """
-    rows, cols = nearest.shape[1], nearest.shape[0] * WIDE
+    rows, cols = nearest.shape
     ox, oy, inverse = geometry[0], geometry[1], 1.0 / geometry[2]
     n, truncate_m2 = len(points), truncate_m * truncate_m
     out = np.empty((len(yaws_rad), len(xy_map_m)))
@@ -49,7 +47,7 @@ def volume(
                 fx, fy = (px - ox) * inverse, (py - oy) * inverse
                 d2 = truncate_m2
                 if fx >= 0.0 and fy >= 0.0 and fx < cols and fy < rows:
-                    slot = nearest[int64(fx) >> SHIFT, int64(fy), int64(fx) & (WIDE - 1)]
+                    slot = nearest[int64(fy), int64(fx)]
                     dx, dy = px - lines[slot, 0], py - lines[slot, 1]
                     xx, xy, yy = lines[slot, 2], lines[slot, 3], lines[slot, 4]
                     d2 = min(dx * dx * xx + 2.0 * dx * dy * xy + dy * dy * yy, truncate_m2)

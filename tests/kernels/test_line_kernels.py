@@ -16,7 +16,6 @@ from synthetic import URG_04LX, furnished_rooms, scan_at
 from mavnav.kernels import linemap as linemap_kernel
 from mavnav.kernels import linesearch
 from mavnav.kernels.points import extent, scan_points
-from mavnav.lattice import plain
 from mavnav.linemap import LineMap
 from mavnav.pose import Pose, transform_points
 
@@ -103,7 +102,7 @@ def test_lines_grown_scan_by_scan_are_those_of_all_points_at_once(seed: int) -> 
     for slot in range(1, grown.count):
         row, col = grown.cells[slot] + (row0, col0)
         foot, a, rests_on = expected[row, col]
-        assert plain(grown.nearest)[tuple(grown.cells[slot])] == slot
+        assert grown.nearest[tuple(grown.cells[slot])] == slot
         np.testing.assert_allclose(grown.lines[slot, :2], foot, atol=1e-9)
         assert grown.lines[slot, 5] == pytest.approx(rests_on)
         np.testing.assert_allclose(grown.lines[slot, 2:5], (a[0, 0], a[0, 1], a[1, 1]), atol=1e-6)
@@ -113,14 +112,13 @@ def test_nearest_is_the_nearest_occupied_cell_within_reach() -> None:
     grown = LineMap(0.02, 0.06, 0.01)
     grown.insert(wall_points(np.random.default_rng(5), 12))
     occupied = grown.cells[1 : grown.count].astype(int)
-    nearest = plain(grown.nearest)
-    rows, cols = np.indices(nearest.shape)
+    rows, cols = np.indices(grown.nearest.shape)
     d2 = (rows[..., None] - occupied[:, 0]) ** 2 + (cols[..., None] - occupied[:, 1]) ** 2
     within = d2.min(axis=-1) <= linemap_kernel.REACH_CELLS**2
-    np.testing.assert_array_equal(nearest > 0, within)
-    chosen = np.take_along_axis(d2, np.maximum(nearest - 1, 0)[..., None].astype(int), axis=-1)[..., 0]
+    np.testing.assert_array_equal(grown.nearest > 0, within)
+    chosen = np.take_along_axis(d2, np.maximum(grown.nearest - 1, 0)[..., None].astype(int), axis=-1)[..., 0]
     np.testing.assert_array_equal(chosen[within], d2.min(axis=-1)[within])
-    np.testing.assert_array_equal(plain(grown.closeness), np.maximum(linemap_kernel.FAR + 1 - d2.min(axis=-1), 0))
+    np.testing.assert_array_equal(grown.closeness, np.maximum(linemap_kernel.FAR + 1 - d2.min(axis=-1), 0))
 
 
 @given(shift=st.tuples(st.integers(-900, 900), st.integers(-900, 900)))
@@ -147,7 +145,7 @@ def test_without_some_cells_the_lines_are_those_of_the_other_points() -> None:
     assert line_map.count - 1 == len(expected)
     for slot, cell in enumerate(line_map.cells[1 : line_map.count], start=1):
         foot, a, _ = expected[tuple(cell + np.array(line_map.origin_cells)[::-1])]
-        assert plain(line_map.nearest)[tuple(cell)] == slot
+        assert line_map.nearest[tuple(cell)] == slot
         np.testing.assert_allclose(line_map.lines[slot, :2], foot, atol=1e-9)
         np.testing.assert_allclose(line_map.lines[slot, 2:5], (a[0, 0], a[0, 1], a[1, 1]), atol=1e-6)
     assert np.count_nonzero(line_map.closeness > linemap_kernel.FAR) == len(expected)
