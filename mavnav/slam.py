@@ -187,7 +187,7 @@ def replay(
     config : the method, its grids and its numbers
     period_s : the sensor's time between scans, 0 if unknown
     odom_T_laser : odometry of the laser, used as the prediction
-    on_step : called with the name of the pass ("track", "final pass") and the number of scans done
+    on_step : called with the name of the pass ("track", "track again", "final pass") and the number of scans done
     known : localise in this map, and leave it as it is, instead of making one
     """
     odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
@@ -196,7 +196,7 @@ def replay(
 
     def again(start: Start) -> tuple[Method, Steps] | None:
         """Track once more; None if the run is being stopped: the longer track is kept."""
-        track = start.tracked(log_scans(), on_step)
+        track = start.tracked(log_scans(), on_step, "track again")
         return track if len(track[1]) == len(steps) else None
 
     if start.odometry and misleads(start.odometry, tracked_way(steps)):
@@ -239,10 +239,12 @@ class Start:
         """The laser at rest at the origin."""
         return Motion(self.period_s, self.odometry, METHODS[self.config.method](self.config).expects_rest)
 
-    def tracked(self, scans: Iterable[Scan], on_step: Callable[[str, int], None] | None = None) -> tuple[Method, Steps]:
+    def tracked(
+        self, scans: Iterable[Scan], on_step: Callable[[str, int], None] | None = None, told_as: str = "track"
+    ) -> tuple[Method, Steps]:
         """Track scans from an empty map on, or in the known one."""
         method = Localised(self.config, self.known) if self.known else METHODS[self.config.method](self.config)
-        return method, Steps(_told(track(scans, method, self.motion), "track", on_step))
+        return method, Steps(_told(track(scans, method, self.motion), told_as, on_step))
 
 
 def _backwards(log_scans: Callable[[], Iterable[Scan]]) -> Iterator[Scan]:
