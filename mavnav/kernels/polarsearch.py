@@ -67,18 +67,18 @@ _WORK = types.Tuple((float64[:, ::1], int32[:, ::1]))
 # ---- the cost -------------------------------------------------------------------------------------------------------
 
 
-@kernel(types.boolean(_F2, _F1, _F1, float64[::1], float64[::1]))
+@kernel(void(_F2, _F1, _F1, float64[::1], float64[::1]))
 def _see(
     points: NDArray[np.float64],
     motion: NDArray[np.float64],
     limits: NDArray[np.float64],
     r: NDArray[np.float64],
     beam: NDArray[np.float64],
-) -> bool:
-    """Write range and beam number of the moved points; False where one turns too far for the series.
+) -> None:
+    """Write range and beam number of the moved points.
 
     Between neighbouring poses a point's bearing changes little: a series of the tangent is then good to 1e-11. Without
-    branches the loop works on four points at a time.
+    branches the loop works on four points at a time; those that turn farther are seen to afterwards.
     """
     c, s, x, y, yaw = motion
     per_step, turn = 1.0 / limits[1], 2.0 * np.pi / abs(limits[1])
@@ -91,57 +91,17 @@ def _see(
         cross, dot = px * qy - py * qx, px * qx + py * qy
         t = cross / dot
         u = t * t
-        wide += (u >= 0.04) | (dot <= 0.0)
+        far = (u >= 0.04) | (dot <= 0.0)
+        wide += far
         between = t * (1.0 - u * (1 / 3 - u * (1 / 5 - u * (1 / 7 - u * (1 / 9 - u * (1 / 11 - u * (1 / 13)))))))
         at = (bearing[k] + yaw + between - first) * per_step
-        beam[k] = at - turn * np.floor(at * per_turn)
-    return bool(wide == 0)
-
-
-@kernel(void(_F2, _F1, _F1, float64[::1]))
-def _see_far(
-    points: NDArray[np.float64], motion: NDArray[np.float64], limits: NDArray[np.float64], beam: NDArray[np.float64]
-) -> None:
-    """Write the beam numbers of points some of which turn far."""
-    c, s, x, y, yaw = motion
-    per_step, turn = 1.0 / limits[1], 2.0 * np.pi / abs(limits[1])
-    for k in range(len(beam)):
-        px, py = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
-        qx, qy = px + x, py + y
-        between = np.arctan2(px * qy - py * qx, px * qx + py * qy)
-        at = (points[4, k] + yaw + between - limits[0]) * per_step
-        beam[k] = at - turn * np.floor(at * (1.0 / turn))
-
-
-@kernel(void(_F2, _F1, _F1, float64[::1], float64[::1]))
-def _see_about(
-    points: NDArray[np.float64],
-    motion: NDArray[np.float64],
-    limits: NDArray[np.float64],
-    r: NDArray[np.float64],
-    beam: NDArray[np.float64],
-) -> None:
-    """Write range and beam number of the moved points, wherever they turn to, right but for rounding.
-
-    Half the turn has the tangent cross / (product of the ranges + dot); halved twice more it suits a short series.
-    """
-    c, s, x, y, yaw = motion
-    per_step, turn = 1.0 / limits[1], 2.0 * np.pi / abs(limits[1])
-    for k in range(len(r)):
-        px, py = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
-        qx, qy = px + x, py + y
-        r[k] = np.sqrt(qx * qx + qy * qy)
-        cross, ahead = px * qy - py * qx, max(points[6, k] * r[k] + px * qx + py * qy, 0.0)
-        aside = max(abs(cross), 1e-300)  # straight behind, both are 0
-        t = min(aside, ahead) / max(aside, ahead)
-        t = t / (1.0 + np.sqrt(1.0 + t * t))
-        t = t / (1.0 + np.sqrt(1.0 + t * t))
-        u = t * t
-        tail = 1 / 11 - u * (1 / 13 - u * (1 / 15 - u * (1 / 17)))
-        half = 4.0 * t * (1.0 - u * (1 / 3 - u * (1 / 5 - u * (1 / 7 - u * (1 / 9 - u * tail)))))
-        half = 0.5 * np.pi - half if aside > ahead else half
-        at = (points[4, k] + yaw + (2.0 * half if cross > 0.0 else -2.0 * half) - limits[0]) * per_step
-        beam[k] = at - turn * np.floor(at * (1.0 / turn))
+        beam[k] = np.nan if far else at - turn * np.floor(at * per_turn)
+    for k in range(len(r) if wide else 0):
+        if np.isnan(beam[k]):
+            px, py = c * from_x[k] - s * from_y[k], s * from_x[k] + c * from_y[k]
+            qx, qy = px + x, py + y
+            at = (bearing[k] + yaw + np.arctan2(px * qy - py * qx, px * qx + py * qy) - first) * per_step
+            beam[k] = at - turn * np.floor(at * per_turn)
 
 
 @kernel(void(_SCAN, _WORK))
@@ -219,37 +179,12 @@ def _mean(scan: Scan, work: Work) -> tuple[float, float]:
     return total / used, used
 
 
-@kernel(boolean(_SCAN, float64[::1]))
-def _is_sure(scan: Scan, beam: NDArray[np.float64]) -> bool:
-    """Tell whether no point lies so close to a beam that its segment might, but for rounding, not meet it."""
-    close = 0
-    for k in range(scan[1].shape[1]):
-        close += abs(beam[k] - np.rint(beam[k])) < CLOSE
-    return bool(close == 0)
-
-
-@kernel(boolean(float64, float64, _F1))
-def _is_plain(at: float, off: float, limits: NDArray[np.float64]) -> bool:
-    """Tell whether a range, so far off the expected one, is not close to a threshold."""
-    return bool(min(abs(at - limits[2]), abs(at - limits[3]), abs(off - limits[4])) > CLOSE)
-
-
-@kernel(types.UniTuple(float64, 2)(_SCAN, _F1, _WORK, float64))
-def _evaluate(scan: Scan, motion: NDArray[np.float64], work: Work, most: float) -> tuple[float, float]:
-    """Return cost and number of beams in it, see ``polar_cost``; what plainly costs more than ``most`` may be inf."""
-    virtual, points, limits = scan
-    r, beam = work[0][0, : points.shape[1]], work[0][1, : points.shape[1]]
+@kernel(types.UniTuple(float64, 2)(_SCAN, _F1, _WORK))
+def _evaluate(scan: Scan, motion: NDArray[np.float64], work: Work) -> tuple[float, float]:
+    """Return cost and number of beams in it, see ``polar_cost``."""
+    n = scan[1].shape[1]
     # Cost function, step iii
-    if not _see(points, motion, limits, r, beam):
-        if most < np.inf:  # the arc tangent takes three times as long as all else
-            _see_about(points, motion, limits, r, beam)
-            plainly = _is_sure(scan, beam) and _mean(scan, work)[0] - SUM_M2 > most
-            for j in range(len(virtual) if plainly else 0):
-                at = work[0][4, j]
-                plainly &= not at < np.inf or _is_plain(at, abs(at - virtual[j]), limits)
-            if plainly:
-                return np.inf, 0.0
-        _see_far(points, motion, limits, beam)
+    _see(scan[1], motion, scan[2], work[0][0, :n], work[0][1, :n])
     return _mean(scan, work)
 
 
@@ -287,7 +222,7 @@ def polar_cost(
     n = points.shape[1]
     motion = np.array([np.cos(yaw), np.sin(yaw), x, y, yaw])
     work = np.empty((6, max(n, len(virtual)))), np.empty((2, n), np.int32)
-    return _evaluate((virtual, _joined(points, limits[5]), limits), motion, work, np.inf)
+    return _evaluate((virtual, _joined(points, limits[5]), limits), motion, work)
 
 
 # ---- wide grids: bounds in single precision -------------------------------------------------------------------------
@@ -643,25 +578,17 @@ def _form(
 
 @kernel(types.UniTuple(float64, 2)(_SCAN, _F1, _F1, _WORK))
 def _sum_rest(scan: Scan, loose: NDArray[np.int64], motion: NDArray[np.float64], work: Work) -> tuple[float, float]:
-    """Sum the squared differences of loose beams for one candidate; returns how many contribute as well.
-
-    The sum is -inf where rounding may decide what contributes.
-    """
+    """Sum the squared differences of loose beams for one candidate; returns how many contribute as well."""
     virtual, points, limits = scan
     scratch, n, total, used = work[0], points.shape[1], 0.0, 0.0
     if len(loose) == 0:
         return total, used
-    if not _see(points, motion, limits, scratch[0, :n], scratch[1, :n]):
-        _see_about(points, motion, limits, scratch[0, :n], scratch[1, :n])
+    _see(points, motion, limits, scratch[0, :n], scratch[1, :n])
     seen = scratch[4, : len(virtual)]
-    if not _is_sure(scan, scratch[1, :n]):
-        return -np.inf, used
     _span(scan, work)
     _lay(scan, work, seen)
     for i in range(len(loose)):
         at, d = seen[loose[i]], seen[loose[i]] - virtual[loose[i]]
-        if at < np.inf and not _is_plain(at, abs(d), limits):
-            return -np.inf, used
         if limits[2] < at < limits[3] and abs(d) < limits[4]:
             total += d * d
             used += 1.0
@@ -683,8 +610,7 @@ def _bound(
     """
     virtual, points, limits = scan
     n, beams, scratch, middle = points.shape[1], len(virtual), work[0], motions[-1]
-    if not _see(points, middle, limits, scratch[0, :n], scratch[1, :n]):
-        _see_about(points, middle, limits, scratch[0, :n], scratch[1, :n])
+    _see(points, middle, limits, scratch[0, :n], scratch[1, :n])
     reach, sight, held = np.empty((3, n)), np.empty((3, beams)), np.empty(beams, np.int64)
     passed, share = _reach(scan, middle, window, scratch, reach)
     small = passed <= HELD_BEAMS and share <= HELD_SHARE
@@ -706,8 +632,6 @@ def _bound(
         total += form[0] + u * (form[1] + u * form[3] + v * form[4]) + v * (form[2] + v * form[5])
         used += holding
         bounds[i] = total / used - SUM_M2 if used >= max(limits[6], 1.0) else np.inf
-        if total == -np.inf:
-            bounds[i] = total
 
 
 # ---- the minimisation -----------------------------------------------------------------------------------------------
@@ -719,12 +643,12 @@ def _least(
 ) -> tuple[int, float, float]:
     """Return the first candidate of least cost (-1 where all are inf), its cost and its beams."""
     promising = int64(np.argmin(bounds))
-    best, used = _evaluate(scan, motions[promising], work, np.inf)
+    best, used = _evaluate(scan, motions[promising], work)
     best_i = promising if best < np.inf else -1
     for i in range(len(bounds)):
         if bounds[i] > best or bounds[i] == np.inf or i == promising:
             continue
-        cost, n = _evaluate(scan, motions[i], work, best if bounds[i] > -np.inf else np.inf)
+        cost, n = _evaluate(scan, motions[i], work)
         if cost < best or (cost == best and i < best_i):
             best, used, best_i = cost, n, i
     return best_i, best, used
