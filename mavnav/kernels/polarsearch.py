@@ -49,13 +49,11 @@ BEARING_RAD, RANGE_M = 1e-6, 1e-4
 """In single precision bearings are better than this, and ranges where the surface is not too steep."""
 TOO_NEAR_M = np.float32(0.05)
 """Bearings of nearer points are not known as well in single precision."""
-STRAIGHT_BEHIND = np.float32(14.0)
-"""Tangent of half the turn beyond which it is not."""
 DOUBT, NOTHING = np.float32(-1e30), np.float32(np.inf)
-ZERO, ONE, TWO, QUARTER_TURN = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(np.pi / 2.0)
-A0, A1, A2, A3 = np.float32(0.999999898), np.float32(-0.333319597), np.float32(0.199692354), np.float32(-0.14016585)
-A4, A5, A6, A7 = np.float32(0.09906097), np.float32(-0.059367101), np.float32(0.02416619), np.float32(-0.004668773)
-"""The arc tangent up to 1, good to 1e-7: fitted at the Chebyshev points of the square."""
+ZERO, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
+THIRD, FIFTH, SEVENTH, NINTH = (np.float32(1.0 / n) for n in (3.0, 5.0, 7.0, 9.0))
+LITTLE = np.float32(0.2)
+"""Of a point's squared range: shifts up to here turn it so little that the series is good to 1e-7."""
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
@@ -128,10 +126,9 @@ def _span(scan: Scan, work: Work) -> None:
 
 @kernel(void(_SCAN, _WORK, float64[::1]))
 def _lay(scan: Scan, work: Work, seen: NDArray[np.float64]) -> None:
-    """Write what each virtual beam sees of the moved points: nearer surfaces hide farther ones."""
+    """Lower what each virtual beam sees to the moved points: nearer surfaces hide farther ones."""
     r, beam, value, slope = work[0][0], work[0][1], work[0][2], work[0][3]
     first, more, beams, turn = work[1][0], work[1][1], len(seen), 2.0 * np.pi / abs(scan[2][1])
-    seen[:] = np.inf
     for k in range(1, scan[1].shape[1]):
         at, from_r, start = first[k], r[k - 1], beam[k - 1]
         seen[uint64(at)] = min(seen[uint64(at)], value[k])
@@ -170,6 +167,7 @@ def _mean(scan: Scan, work: Work) -> tuple[float, float]:
     virtual, _, limits = scan
     # Cost function, step iv
     seen = work[0][4, : len(virtual)]
+    seen[:] = np.inf
     _span(scan, work)
     _lay(scan, work, seen)
     total, used = _compare(virtual, limits, seen, work[0][5, : len(virtual)])
@@ -232,24 +230,25 @@ def polar_cost(
 def _glance(points: NDArray[np.float32], motion: NDArray[np.float32], moved: NDArray[np.float32]) -> None:
     """Write range and turn in beams of the moved points; the turn is NaN where it is not known well.
 
-    Half the turn has the tangent cross / (product of the ranges + dot). In place of bearings, ``points`` has how many
-    beams they lie off their beam.
+    Half the turn has the tangent cross / (product of the ranges + dot). Of points that turn little a short series is
+    good to 1e-7; the others are seen to afterwards.
     """
-    c, s, x, y, turned, per_step = motion
+    x, y, turned, per_step = motion
+    shift2, wide = x * x + y * y, int32(0)
     for k in range(points.shape[1]):
-        px, py = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
-        qx, qy = px + x, py + y
-        r = np.sqrt(qx * qx + qy * qy)
-        cross, ahead = px * y - py * x, points[6, k] * r + px * qx + py * qy
-        aside = abs(cross)
-        t = min(aside, ahead) / max(aside, ahead)
+        along, cross = points[0, k] * x + points[1, k] * y, points[0, k] * y - points[1, k] * x
+        r = np.sqrt(points[3, k] + (along + along + shift2))
+        t = cross / (points[6, k] * r + (points[3, k] + along))
         u = t * t
-        half = t * (A0 + u * (A1 + u * (A2 + u * (A3 + u * (A4 + u * (A5 + u * (A6 + u * A7)))))))
-        half = QUARTER_TURN - half if aside > ahead else half
-        known = (aside < STRAIGHT_BEHIND * ahead) & (r > TOO_NEAR_M)
+        near = (LITTLE * points[3, k] < shift2) | (r <= TOO_NEAR_M)
+        wide = int32(wide + int32(near))  # 32 bits wide, or half as many points are done at a time
+        half = t * (ONE - u * (THIRD - u * (FIFTH - u * (SEVENTH - u * NINTH))))
         moved[0, k] = r
-        between = TWO * half if cross > ZERO else -TWO * half
-        moved[1, k] = points[4, k] + turned + per_step * between if known else NOTHING - NOTHING
+        moved[1, k] = NOTHING - NOTHING if near else points[4, k] + turned + per_step * (half + half)
+    for k in range(points.shape[1] if wide else 0):
+        if moved[0, k] > TOO_NEAR_M and np.isnan(moved[1, k]):
+            along, cross = points[0, k] * x + points[1, k] * y, points[0, k] * y - points[1, k] * x
+            moved[1, k] = points[4, k] + turned + per_step * np.float32(np.arctan2(cross, points[3, k] + along))
 
 
 @kernel(void(_S2, _S1, float32[:, ::1], int32[:, ::1]))
@@ -315,13 +314,13 @@ def _least_mean(
 ) -> float:
     """Return what the cost is at least: the sum of what contributes for sure, by the beams that may contribute."""
     near, far, occlusion, off_by = widths[4], widths[5], widths[6], widths[7]
-    n, most = len(virtual), 0
+    n, most = len(virtual), int32(0)
     for j in range(n):
         at, off = seen[j], abs(seen[j] - virtual[j])
         sure = (near + off_by < at) & (at < far - off_by) & (off_by < off) & (off < occlusion - off_by)
         may = (near - off_by < at) & (at < far + off_by) & (off < occlusion + off_by)
         squares[j] = (off - off_by) * (off - off_by) if sure else ZERO
-        most += int32(may | ((at < -ONE) & (virtual[j] > ZERO)))
+        most = int32(most + int32(may | ((at < -ONE) & (virtual[j] > ZERO))))
     while n > 1:  # pairs in parallel: the order of summation does not matter here
         half = (n + 1) // 2
         for j in range(n - half):
@@ -330,28 +329,48 @@ def _least_mean(
     return squares[0] * (1.0 - 1e-5) / most if most >= max(widths[8], ONE) else np.inf
 
 
-@kernel(void(_SCAN, _F2, int32[:, ::1], float64[::1]))
-def _bound_wide(
-    scan: Scan, motions: NDArray[np.float64], spans: NDArray[np.int32], bounds: NDArray[np.float64]
-) -> None:
-    """Write a lower bound of each candidate's cost, -inf where none is known."""
-    virtual, points, limits = scan
+@kernel(_S2(_SCAN, _F1, float64[:, ::1]))
+def _at_middle(scan: Scan, middle: NDArray[np.float64], scratch: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the points as they lie in the middle of a grid (7, n): x, y, beam number as measured, squared range, beams.
+
+    The beams are those that a point has moved on from the number, not back at the seam; then whether it hangs together
+    with the point before, and the range.
+    """
+    points, (c, s, x, y, yaw), per_step = scan[1], middle, 1.0 / scan[2][1]
+    out, turn = np.empty(points.shape, np.float32), 2.0 * np.pi * abs(per_step)
+    for k in range(points.shape[1]):
+        r, beam, at = scratch[0, k], scratch[1, k], (points[4, k] + yaw - scan[2][0]) * per_step
+        out[0, k] = c * points[0, k] - s * points[1, k] + x
+        out[1, k] = s * points[0, k] + c * points[1, k] + y
+        out[2, k], out[3, k], out[5, k], out[6, k] = points[2, k], r * r, points[5, k], r
+        out[4, k] = beam + turn * np.rint((at - beam) / turn) - points[2, k]
+    return out
+
+
+@kernel(void(_SCAN, _F2, _WORK, float64[::1]))
+def _bound_wide(scan: Scan, motions: NDArray[np.float64], work: Work, bounds: NDArray[np.float64]) -> None:
+    """Write a lower bound of each candidate's cost, -inf where none is known.
+
+    ``work`` holds the points as they are seen from the grid's middle, the last of the ``motions``; the candidates are
+    taken for shifts from there and then turns.
+    """
+    (virtual, points, limits), (_, _, x, y, yaw) = scan, motions[-1]
     n, beams, per_step = points.shape[1], len(virtual), 1.0 / limits[1]
-    small, motion, moved = points.astype(np.float32), np.empty(6, np.float32), np.empty((4, n), np.float32)
+    small, motion, moved = _at_middle(scan, motions[-1], work[0]), np.empty(4, np.float32), np.empty((4, n), np.float32)
     expected, seen, squares = np.empty(beams, np.float32), np.empty(beams, np.float32), np.empty(beams, np.float32)
-    small[4] = (points[4] - limits[0]) * per_step - points[2]
     for j in range(beams):
         expected[j] = virtual[j] if limits[2] < virtual[j] < limits[3] else np.nan
     widths, close = np.empty(9, np.float32), BEARING_RAD * abs(per_step)
     widths[0], widths[1], widths[2], widths[3] = 2.0 * np.pi * abs(per_step), close, 0.5 * RANGE_M / close, beams - 1
     widths[4:7], widths[7], widths[8] = limits[2:5], RANGE_M, limits[6]
     for i in range(len(bounds)):
-        for j in range(5):
-            motion[j] = motions[i, j]
-        motion[4], motion[5] = motions[i, 4] * per_step, per_step
+        turn = motions[i, 4] - yaw
+        c, s = np.cos(turn), np.sin(turn)
+        motion[0], motion[1] = c * motions[i, 2] + s * motions[i, 3] - x, c * motions[i, 3] - s * motions[i, 2] - y
+        motion[2], motion[3] = turn * per_step, per_step
         _glance(small, motion, moved)
-        _span_glance(small, widths, moved, spans)
-        known = _lay_glance(small, widths, moved, spans, seen)
+        _span_glance(small, widths, moved, work[1])
+        known = _lay_glance(small, widths, moved, work[1], seen)
         bounds[i] = _least_mean(expected, widths, seen, squares) if known else -np.inf
 
 
@@ -385,23 +404,29 @@ def _reach(
     return beams / n, largest
 
 
-@kernel(types.UniTuple(float64, 3)(int64, _SCAN, float64[:, ::1], float64[:, ::1]))
-def _swept(k: int, scan: Scan, scratch: NDArray[np.float64], reach: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Return the beams that a segment may meet somewhere on the grid, from and to, and where it begins in the middle.
+@kernel(void(_SCAN, float64[:, ::1], float64[:, ::1], float64[:, ::1]))
+def _sweep(scan: Scan, scratch: NDArray[np.float64], reach: NDArray[np.float64], swept: NDArray[np.float64]) -> None:
+    """Write the beams that each segment may meet somewhere on the grid, from and to.
 
     An empty range where it meets none, beyond 0 or a whole turn where it may cross the seam.
     """
-    turn, start, ahead = 2.0 * np.pi / abs(scan[2][1]), scratch[1, k - 1], scratch[1, k] - scratch[1, k - 1]
-    ahead = ahead + turn if ahead < -0.5 * turn else ahead
-    less, more = reach[1, k - 1], reach[1, k]
-    if scan[1][5, k] == 0.0 or ahead < -more - less or ahead > 0.25 * turn + more + less:
-        return 1.0, 0.0, start
-    return start - less, start + ahead + more, start
+    beam, joined, turn = scratch[1], scan[1][5], 2.0 * np.pi / abs(scan[2][1])
+    for k in range(1, len(joined)):
+        start, ahead, less, more = beam[k - 1], beam[k] - beam[k - 1], reach[1, k - 1], reach[1, k]
+        ahead = ahead + turn if ahead < -0.5 * turn else ahead
+        none = (joined[k] == 0.0) | (ahead < -more - less) | (ahead > 0.25 * turn + more + less)
+        swept[0, k] = 1.0 if none else start - less
+        swept[1, k] = 0.0 if none else start + ahead + more
 
 
-@kernel(void(_SCAN, _WORK, float64[:, ::1], float64[:, ::1], int64[::1]))
+@kernel(void(_SCAN, _WORK, float64[:, ::1], float64[:, ::1], float64[:, ::1], int64[::1]))
 def _hold(
-    scan: Scan, work: Work, reach: NDArray[np.float64], sight: NDArray[np.float64], held: NDArray[np.int64]
+    scan: Scan,
+    work: Work,
+    reach: NDArray[np.float64],
+    swept: NDArray[np.float64],
+    sight: NDArray[np.float64],
+    held: NDArray[np.int64],
 ) -> None:
     """Write what each beam sees and which segment it meets all over the grid: 0 for none, -1 where that may change.
 
@@ -419,7 +444,9 @@ def _hold(
             if at < seen[j]:
                 seen[j], held[j] = at, k
     for k in range(1, scan[1].shape[1]):
-        low, high, start = _swept(k, scan, work[0], reach)
+        low, high = swept[0, k], swept[1, k]
+        if low > high:
+            continue
         near = min(r[k - 1] - reach[0, k - 1], r[k] - reach[0, k])
         far = max(r[k - 1] + reach[0, k - 1], r[k] + reach[0, k])
         seam = low < 0.0 or high >= turn
@@ -427,7 +454,7 @@ def _hold(
             by = around * turn
             for j in range(max(int64(np.ceil(low + by)), 0), min(int64(np.floor(high + by)), last) + 1):
                 mine = held[j] == k
-                sure = mine and j >= start + reach[1, k - 1] and j <= beam[k] - reach[1, k] and not seam
+                sure = mine and j >= beam[k - 1] + reach[1, k - 1] and j <= beam[k] - reach[1, k] and not seam
                 sight[1, j], sight[2, j] = min(sight[1, j], near), max(sight[2, j], far)
                 if not sure and (mine or near <= seen[j] + HIDDEN_M):
                     held[j] = -1
@@ -462,27 +489,25 @@ def _let_go(
             held[j] = 0
 
 
-@kernel(_F2(_SCAN, float64[:, ::1], float64[:, ::1], int64[::1]))
-def _rest(
-    scan: Scan, scratch: NDArray[np.float64], reach: NDArray[np.float64], held: NDArray[np.int64]
-) -> NDArray[np.float64]:
+@kernel(_F2(_SCAN, float64[:, ::1], int64[::1]))
+def _rest(scan: Scan, swept: NDArray[np.float64], held: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the points (7, m) of the segments that loose beams may meet."""
     points, last, turn, count, before = scan[1], len(held) - 1, 2.0 * np.pi / abs(scan[2][1]), 0, 0
-    out = np.empty((2 * points.shape[1], 7))
+    out, loose = np.empty((7, 2 * points.shape[1])), np.zeros(len(held) + 1, np.int64)
+    for j in range(len(held)):
+        loose[j + 1] = loose[j] + (held[j] < 0)
     for k in range(1, points.shape[1]):
-        low, high, _ = _swept(k, scan, scratch, reach)
-        wanted = low < 0.0 or high >= turn
-        for j in range(max(int64(np.ceil(low)), 0), min(int64(np.floor(high)), last) + 1):
-            wanted |= held[j] < 0
-        if not wanted:
+        low, high = swept[0, k], swept[1, k]
+        first, end = max(int64(np.ceil(low)), 0), min(int64(np.floor(high)), last) + 1
+        if not (low < 0.0 or high >= turn or (first < end and loose[end] > loose[first])):
             continue
         if before != k - 1 or count == 0:
-            out[count] = points[:, k - 1]
-            out[count, 5] = 0.0
+            out[:, count] = points[:, k - 1]
+            out[5, count] = 0.0
             count += 1
-        out[count] = points[:, k]
+        out[:, count] = points[:, k]
         count, before = count + 1, k
-    return np.ascontiguousarray(out[:count].T)
+    return out[:, :count].copy()
 
 
 @kernel(void(_SCAN, _F1, _F1, _F1, _F1, float64[:, ::1]))
@@ -513,37 +538,47 @@ def _derive(
         rates[3, k], rates[4, k], rates[5, k] = per_step * b, per_step * b2, per_step * b3
 
 
-@kernel(types.UniTuple(float64, 4)(_F1, float64[:, ::1], float64[::1], int64[::1], float64[:, ::1]))
+@kernel(void(float64[:, ::1], float64[:, ::1], int64[::1], float64[:, ::1], float64[:, ::1]))
 def _expand(
-    virtual: NDArray[np.float64],
     scratch: NDArray[np.float64],
-    seen: NDArray[np.float64],
+    beams: NDArray[np.float64],
     held: NDArray[np.int64],
     rates: NDArray[np.float64],
-) -> tuple[float, float, float, float]:
-    """Sum the squared differences of the held beams, their first and second derivative, and the third's amounts."""
+    terms: NDArray[np.float64],
+) -> None:
+    """Write the squared differences of held beams, their first and second derivative, and the third's amounts.
+
+    ``beams`` (2, m) are the numbers of the held beams and their differences, ``held`` (m,) the segments that they meet.
+    """
     r, beam = scratch[0], scratch[1]
-    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
-    for j in range(len(virtual)):
-        k = held[j]
-        if k <= 0:
-            continue
-        v, per, u = r[k] - r[k - 1], 1.0 / (beam[k] - beam[k - 1]), j - beam[k - 1]
-        a1, a2, a3 = rates[0, k - 1], rates[1, k - 1], rates[2, k - 1]
-        b1, b2, b3 = rates[3, k - 1], rates[4, k - 1], rates[5, k - 1]
+    for i in range(len(held)):
+        k = uint64(held[i])
+        b = uint64(held[i] - 1)
+        v, per, d = r[k] - r[b], 1.0 / (beam[k] - beam[b]), beams[1, i]
+        a1, a2, a3, b1, b2, b3 = rates[0, b], rates[1, b], rates[2, b], rates[3, b], rates[4, b], rates[5, b]
         v1, v2, v3 = rates[0, k] - a1, rates[1, k] - a2, rates[2, k] - a3
         w1, w2, w3 = rates[3, k] - b1, rates[4, k] - b2, rates[5, k] - b3
-        u *= per  # the share of the segment's way at which the beam meets it, (j - b) / w
+        u = (beams[0, i] - beam[b]) * per  # the share of the segment's way at which the beam meets it, (j - b) / w
         u1 = -(b1 + u * w1) * per
         u2 = -(b2 + u * w2 + 2.0 * u1 * w1) * per
         u3 = -(b3 + u * w3 + 3.0 * (u1 * w2 + u2 * w1)) * per
-        d, d1, d2 = seen[j] - virtual[j], a1 + u1 * v + u * v1, a2 + u2 * v + 2.0 * u1 * v1 + u * v2
+        d1, d2 = a1 + u1 * v + u * v1, a2 + u2 * v + 2.0 * u1 * v1 + u * v2
         d3 = a3 + u3 * v + 3.0 * (u2 * v1 + u1 * v2) + u * v3
-        s0 += d * d
-        s1 += 2.0 * d * d1
-        s2 += 2.0 * (d1 * d1 + d * d2)
-        s3 += 2.0 * abs(3.0 * d1 * d2 + d * d3)
-    return s0, s1, s2, s3
+        terms[0, i], terms[1, i] = d * d, 2.0 * d * d1
+        terms[2, i], terms[3, i] = 2.0 * (d1 * d1 + d * d2), 2.0 * abs(3.0 * d1 * d2 + d * d3)
+
+
+@kernel(void(float64[:, ::1], float64[::1]))
+def _sum_up(terms: NDArray[np.float64], sums: NDArray[np.float64]) -> None:
+    """Sum rows (4, m), halves in parallel."""
+    for i in range(len(terms)):
+        row, n = terms[i], terms.shape[1]
+        while n > 1:
+            half = (n + 1) // 2
+            for j in range(n - half):
+                row[j] += row[half + j]
+            n = half
+        sums[i] = row[0] if terms.shape[1] else 0.0
 
 
 @kernel(float64[::1](_SCAN, _F1, _F1, float64[:, ::1], float64[::1], int64[::1]))
@@ -561,12 +596,19 @@ def _form(
     it is largest of four ways to the edge of the grid.
     """
     rates, out, widest, diagonal = np.empty((6, scan[1].shape[1])), np.zeros(6), 0.0, np.sqrt(0.5)
+    at = np.flatnonzero(held > 0)
+    meets, terms, sums = held[at], np.empty((4, len(at))), np.empty(4)
+    beams = np.empty((2, len(at)))
+    for i in range(len(at)):
+        beams[0, i], beams[1, i] = at[i], seen[at[i]] - scan[0][at[i]]
     ways = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [diagonal, diagonal, 0.0], [diagonal, -diagonal, 0.0]])
     if window[1] > 0.0:
         ways = np.array([[0.0, 0.0, 1.0]])
     for i in range(len(ways)):
         _derive(scan, motion, window[2:], ways[i], scratch[0], rates)
-        s0, s1, s2, s3 = _expand(scan[0], scratch, seen, held, rates)
+        _expand(scratch, beams, meets, rates, terms)
+        _sum_up(terms, sums)
+        s0, s1, s2, s3 = sums
         out[0], widest = s0, max(widest, s3)
         if i < 2:
             out[1 + i], out[3 + 2 * i] = s1, 0.5 * s2
@@ -585,6 +627,8 @@ def _sum_rest(scan: Scan, loose: NDArray[np.int64], motion: NDArray[np.float64],
         return total, used
     _see(points, motion, limits, scratch[0, :n], scratch[1, :n])
     seen = scratch[4, : len(virtual)]
+    for i in range(len(loose)):
+        seen[loose[i]] = np.inf
     _span(scan, work)
     _lay(scan, work, seen)
     for i in range(len(loose)):
@@ -611,18 +655,20 @@ def _bound(
     virtual, points, limits = scan
     n, beams, scratch, middle = points.shape[1], len(virtual), work[0], motions[-1]
     _see(points, middle, limits, scratch[0, :n], scratch[1, :n])
-    reach, sight, held = np.empty((3, n)), np.empty((3, beams)), np.empty(beams, np.int64)
+    reach, swept, sight, held = np.empty((3, n)), np.empty((2, n)), np.empty((3, beams)), np.empty(beams, np.int64)
     passed, share = _reach(scan, middle, window, scratch, reach)
     small = passed <= HELD_BEAMS and share <= HELD_SHARE
     if not small and (passed > TRIMMED_BEAMS or share > 0.5 or len(bounds) < WORTH_TRIMMING):
-        _bound_wide(scan, motions, work[1], bounds)
+        _bound_wide(scan, motions, work, bounds)
         return
     _span(scan, work)
-    _hold(scan, work, reach, sight, held)
+    _sweep(scan, scratch, reach, swept)
+    _hold(scan, work, reach, swept, sight, held)
     _let_go(scan, scratch, reach, sight, held, small)
-    rest = _rest(scan, scratch, reach, held)
+    rest = _rest(scan, swept, held)
     if not small:
-        _bound_wide((np.where(held < 0, virtual, np.nan), rest, limits), motions, work[1], bounds)
+        _see(rest, middle, limits, scratch[0, : rest.shape[1]], scratch[1, : rest.shape[1]])
+        _bound_wide((np.where(held < 0, virtual, np.nan), rest, limits), motions, work, bounds)
         return
     form = _form(scan, middle, window, scratch, sight[0], held)
     loose, holding = np.flatnonzero(held < 0), float(np.count_nonzero(held > 0))
