@@ -45,15 +45,15 @@ SUM_M2 = 1e-11
 CLOSE = 1e-8
 """So near to the end of a segment, in beams, or to a threshold, in m, rounding and series decide what contributes."""
 
-BEARING_RAD, RANGE_M = 1e-6, 1e-4
-"""In single precision bearings are better than this, and ranges where the surface is not too steep."""
-TOO_NEAR_M = np.float32(0.05)
-"""Bearings of nearer points are not known as well in single precision."""
+BEARING_RAD, RANGE_M, RANGE_SHARE = 5e-7, 3e-5, 1e-6
+"""In single precision bearings are better than this, and ranges where the surface is not too steep: in m, or of the
+farthest."""
 DOUBT, NOTHING = np.float32(-1e30), np.float32(np.inf)
 ZERO, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 THIRD, FIFTH, SEVENTH, NINTH = (np.float32(1.0 / n) for n in (3.0, 5.0, 7.0, 9.0))
-LITTLE = np.float32(0.2)
-"""Of a point's squared range: shifts up to here turn it so little that the series is good to 1e-7."""
+LITTLE, TOO_NEAR = np.float32(0.2), np.float32(0.2)
+"""Of a point's squared range: shifts up to here turn it so little that the series is good to 3e-8. Of its range: points
+that come nearer than this are not known as well in single precision."""
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
@@ -240,15 +240,16 @@ def _glance(points: NDArray[np.float32], motion: NDArray[np.float32], moved: NDA
         r = np.sqrt(points[3, k] + (along + along + shift2))
         t = cross / (points[6, k] * r + (points[3, k] + along))
         u = t * t
-        near = (LITTLE * points[3, k] < shift2) | (r <= TOO_NEAR_M)
-        wide = int32(wide + int32(near))  # 32 bits wide, or half as many points are done at a time
+        far = LITTLE * points[3, k] < shift2
+        wide = int32(wide + int32(far))  # 32 bits wide, or half as many points are done at a time
         half = t * (ONE - u * (THIRD - u * (FIFTH - u * (SEVENTH - u * NINTH))))
         moved[0, k] = r
-        moved[1, k] = NOTHING - NOTHING if near else points[4, k] + turned + per_step * (half + half)
+        moved[1, k] = NOTHING - NOTHING if far else points[4, k] + turned + per_step * (half + half)
     for k in range(points.shape[1] if wide else 0):
-        if moved[0, k] > TOO_NEAR_M and np.isnan(moved[1, k]):
-            along, cross = points[0, k] * x + points[1, k] * y, points[0, k] * y - points[1, k] * x
-            moved[1, k] = points[4, k] + turned + per_step * np.float32(np.arctan2(cross, points[3, k] + along))
+        if LITTLE * points[3, k] < shift2 and moved[0, k] > TOO_NEAR * points[6, k]:
+            px, py, dx, dy = float64(points[0, k]), float64(points[1, k]), float64(x), float64(y)
+            between = np.arctan2(px * dy - py * dx, px * (px + dx) + py * (py + dy))
+            moved[1, k] = points[4, k] + turned + per_step * between
 
 
 @kernel(void(_S2, _S1, float32[:, ::1], int32[:, ::1]))
@@ -331,10 +332,10 @@ def _least_mean(
 
 @kernel(_S2(_SCAN, _F1, float64[:, ::1]))
 def _at_middle(scan: Scan, middle: NDArray[np.float64], scratch: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the points as they lie in the middle of a grid (7, n): x, y, beam number as measured, squared range, beams.
+    """Return the points as they lie in the middle of a grid, (7, n).
 
-    The beams are those that a point has moved on from the number, not back at the seam; then whether it hangs together
-    with the point before, and the range.
+    Their x, y, beam number as measured, squared range, how many beams they have moved on from there (not back at the
+    seam), whether they hang together with the point before, and range.
     """
     points, (c, s, x, y, yaw), per_step = scan[1], middle, 1.0 / scan[2][1]
     out, turn = np.empty(points.shape, np.float32), 2.0 * np.pi * abs(per_step)
@@ -360,9 +361,9 @@ def _bound_wide(scan: Scan, motions: NDArray[np.float64], work: Work, bounds: ND
     expected, seen, squares = np.empty(beams, np.float32), np.empty(beams, np.float32), np.empty(beams, np.float32)
     for j in range(beams):
         expected[j] = virtual[j] if limits[2] < virtual[j] < limits[3] else np.nan
-    widths, close = np.empty(9, np.float32), BEARING_RAD * abs(per_step)
-    widths[0], widths[1], widths[2], widths[3] = 2.0 * np.pi * abs(per_step), close, 0.5 * RANGE_M / close, beams - 1
-    widths[4:7], widths[7], widths[8] = limits[2:5], RANGE_M, limits[6]
+    widths, close, off_by = np.empty(9, np.float32), BEARING_RAD * abs(per_step), max(RANGE_M, RANGE_SHARE * limits[3])
+    widths[0], widths[1], widths[2], widths[3] = 2.0 * np.pi * abs(per_step), close, 0.5 * off_by / close, beams - 1
+    widths[4:7], widths[7], widths[8] = limits[2:5], off_by, limits[6]
     for i in range(len(bounds)):
         turn = motions[i, 4] - yaw
         c, s = np.cos(turn), np.sin(turn)
