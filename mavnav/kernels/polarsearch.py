@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 MAX_ITERATIONS = 60
 HELD_SHARE = 1.0 / 16.0
 """Of a point's range, and of a segment's width, that motion within a small grid may change."""
-HELD_BEAMS, TRIMMED_BEAMS, WORTH_TRIMMING = 0.25, 6.0, 40
+HELD_BEAMS, TRIMMED_BEAMS, WORTH_TRIMMING = 0.25, 6.0, 15
 """Where points pass more beams on average, too few beams keep their segments, or are of no use on the whole grid; it
 takes as long to find these as to bound some ten candidates."""
 HIDDEN_M = 0.05
