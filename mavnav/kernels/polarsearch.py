@@ -45,7 +45,7 @@ SUM_M2 = 1e-11
 CLOSE = 1e-8
 """So near to the end of a segment, in beams, or to a threshold, in m, rounding and series decide what contributes."""
 
-BEARING_RAD, RANGE_M, RANGE_SHARE = 5e-7, 3e-5, 1e-6
+BEARING_RAD, RANGE_M, RANGE_SHARE = 6e-7, 3e-5, 1e-6
 """In single precision bearings are better than this, and ranges where the surface is not too steep: in m, or of the
 farthest."""
 DOUBT, NOTHING = np.float32(-1e30), np.float32(np.inf)
@@ -54,6 +54,8 @@ THIRD, FIFTH, SEVENTH, NINTH = (np.float32(1.0 / n) for n in (3.0, 5.0, 7.0, 9.0
 LITTLE, TOO_NEAR = np.float32(0.2), np.float32(0.2)
 """Of a point's squared range: shifts up to here turn it so little that the series is good to 3e-8. Of its range: points
 that come nearer than this are not known as well in single precision."""
+NEARLY_BEHIND_RAD = 3.0
+"""Beyond, a neighbour may have turned the other way round."""
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
@@ -244,12 +246,13 @@ def _glance(points: NDArray[np.float32], motion: NDArray[np.float32], moved: NDA
         wide = int32(wide + int32(far))  # 32 bits wide, or half as many points are done at a time
         half = t * (ONE - u * (THIRD - u * (FIFTH - u * (SEVENTH - u * NINTH))))
         moved[0, k] = r
-        moved[1, k] = NOTHING - NOTHING if far else points[4, k] + turned + per_step * (half + half)
+        moved[1, k] = NOTHING - NOTHING if far else points[4, k] + (turned + per_step * (half + half))
     for k in range(points.shape[1] if wide else 0):
         if LITTLE * points[3, k] < shift2 and moved[0, k] > TOO_NEAR * points[6, k]:
             px, py, dx, dy = float64(points[0, k]), float64(points[1, k]), float64(x), float64(y)
             between = np.arctan2(px * dy - py * dx, px * (px + dx) + py * (py + dy))
-            moved[1, k] = points[4, k] + turned + per_step * between
+            if abs(between) < NEARLY_BEHIND_RAD:
+                moved[1, k] = points[4, k] + (turned + per_step * between)
 
 
 @kernel(void(_S2, _S1, float32[:, ::1], int32[:, ::1]))
@@ -276,7 +279,8 @@ def _span_glance(
         moved[3, k] = slope
         spans[0, k] = int32(min(max(number + low, ZERO), last)) if inside else int32(0)
         # A turn is no whole number of beams: across the seam others meet a segment than before it.
-        special = joined & ((across & (ahead > -close) & (ahead < quarter + ONE)) | np.isnan(ahead))
+        special = across & (ahead > -close) & (ahead < quarter + ONE)
+        special = joined & (special | (abs(ahead) > TWO * quarter) | np.isnan(ahead))
         spans[1, k] = int32(-1) if special else int32(min(number + high, last) - (number + low) if inside else ZERO)
 
 
@@ -300,9 +304,9 @@ def _lay_glance(
         if more >= 0:
             continue
         start, end = points[2, k - 1] + moved[1, k - 1], points[2, k - 1] + moved[1, k] + ONE
-        if not end - start <= turn:
+        if not -ONE <= end - start <= turn:  # not known, or the laser has gone through it
             return False
-        for around in range(-1, 2):
+        for around in range(int64(np.floor(-end / turn)), int64(np.ceil((last - start) / turn)) + 1):
             low, high = np.floor(start + around * turn), np.ceil(end + around * turn)
             for j in range(max(int64(low), 0), min(int64(high), last) + 1):
                 seen[j] = DOUBT
@@ -338,13 +342,15 @@ def _at_middle(scan: Scan, middle: NDArray[np.float64], scratch: NDArray[np.floa
     seam), whether they hang together with the point before, and range.
     """
     points, (c, s, x, y, yaw), per_step = scan[1], middle, 1.0 / scan[2][1]
-    out, turn = np.empty(points.shape, np.float32), 2.0 * np.pi * abs(per_step)
+    out, turn, before = np.empty(points.shape, np.float32), 2.0 * np.pi * abs(per_step), 0.0
     for k in range(points.shape[1]):
-        r, beam, at = scratch[0, k], scratch[1, k], (points[4, k] + yaw - scan[2][0]) * per_step
+        r, beam, number = scratch[0, k], scratch[1, k], points[2, k]
+        at = before if points[5, k] > 0.0 else (points[4, k] + yaw - scan[2][0]) * per_step
+        before = beam + turn * np.rint((at - beam) / turn)
         out[0, k] = c * points[0, k] - s * points[1, k] + x
         out[1, k] = s * points[0, k] + c * points[1, k] + y
-        out[2, k], out[3, k], out[5, k], out[6, k] = points[2, k], r * r, points[5, k], r
-        out[4, k] = beam + turn * np.rint((at - beam) / turn) - points[2, k]
+        out[2, k], out[3, k], out[5, k], out[6, k] = number, r * r, points[5, k], r
+        out[4, k] = before - number if abs(before - number) < 0.55 * turn else np.nan
     return out
 
 
