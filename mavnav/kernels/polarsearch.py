@@ -4,13 +4,13 @@ A pruned grid has the minimum of the exhaustive one: the same index, the lowest 
 bit. Every candidate gets a lower bound of its cost; that of the least bound is evaluated, then those whose bounds leave
 them a chance. The bounds come
 
-* on wide grids from the cost in single precision: beams that may be off by more than `RANGE_M`, or may not contribute,
-  are counted but not summed;
+* on wide grids from the cost in single precision, of points as they are seen from the grid's middle: beams that may be
+  off by more than `RANGE_M`, or may not contribute, are counted but not summed;
 * on small ones, where most beams keep the segment that they meet and contribute throughout or nowhere, from the
   polynomial of second order of their sum, less twice its third-order term; the others are summed for each candidate.
 
 Shared arguments: ``scan`` is the virtual ranges, the points as rows x, y, beam number, range, bearing, whether they
-hang together with the point before, and distance, (7, n), and the limits of ``polar_cost``; ``work`` is scratch,
+hang together with the point before, (6, n), and the limits of ``polar_cost``; ``work`` is scratch,
 (6, 2 n or beams) and (2, 2 n): ranges, beam numbers, what segments show and their slopes. ``motion`` (5,) is cosine and
 sine of the turn, shift in x and y (m) and turn (rad). ``window`` (4,) is half-window in m and rad, one of them 0, and
 the point (m) that turns are about.
@@ -190,9 +190,9 @@ def _evaluate(scan: Scan, motion: NDArray[np.float64], work: Work) -> tuple[floa
 
 @kernel(_F2(_F2, float64))
 def _joined(points: NDArray[np.float64], edge: float) -> NDArray[np.float64]:
-    """Return points (5, n) with two rows more: 1 where a point and the one before are of one surface; the distance."""
-    out = np.zeros((7, points.shape[1]))
-    out[:5], out[6] = points, np.sqrt(points[0] ** 2 + points[1] ** 2)
+    """Return points (5, n) with a row more: 1 where a point and the one before are of one surface."""
+    out = np.zeros((6, points.shape[1]))
+    out[:5] = points
     for k in range(1, points.shape[1]):
         out[5, k] = (points[2, k] == points[2, k - 1] + 1.0) & (abs(points[3, k] - points[3, k - 1]) < edge)
     return out
@@ -342,7 +342,7 @@ def _at_middle(scan: Scan, middle: NDArray[np.float64], scratch: NDArray[np.floa
     seam), whether they hang together with the point before, and range.
     """
     points, (c, s, x, y, yaw), per_step = scan[1], middle, 1.0 / scan[2][1]
-    out, turn, before = np.empty(points.shape, np.float32), 2.0 * np.pi * abs(per_step), 0.0
+    out, turn, before = np.empty((7, points.shape[1]), np.float32), 2.0 * np.pi * abs(per_step), 0.0
     for k in range(points.shape[1]):
         r, beam, number = scratch[0, k], scratch[1, k], points[2, k]
         at = before if points[5, k] > 0.0 else (points[4, k] + yaw - scan[2][0]) * per_step
@@ -498,9 +498,9 @@ def _let_go(
 
 @kernel(_F2(_SCAN, float64[:, ::1], int64[::1]))
 def _rest(scan: Scan, swept: NDArray[np.float64], held: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the points (7, m) of the segments that loose beams may meet."""
+    """Return the points (6, m) of the segments that loose beams may meet."""
     points, last, turn, count, before = scan[1], len(held) - 1, 2.0 * np.pi / abs(scan[2][1]), 0, 0
-    out, loose = np.empty((7, 2 * points.shape[1])), np.zeros(len(held) + 1, np.int64)
+    out, loose = np.empty((6, 2 * points.shape[1])), np.zeros(len(held) + 1, np.int64)
     for j in range(len(held)):
         loose[j + 1] = loose[j] + (held[j] < 0)
     for k in range(1, points.shape[1]):
