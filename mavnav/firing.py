@@ -7,12 +7,11 @@ the wrong way round then blurs every turn twice over.
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
+from math import pi
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.pose import wrap_angle
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -43,10 +42,9 @@ def backwards(scan: Scan) -> Scan:
     return replace(scan, spec=replace(scan.spec, time_increment_s=-scan.spec.time_increment_s))
 
 
-def turning_stretch(matches: Sequence[Match]) -> range:
-    """Find the ``STRETCH_SCANS`` scans over which the laser turns most; empty where it hardly turns."""
-    yaws = [m.map_T_laser.yaw_rad for m in matches]
-    turns = np.array([abs(wrap_angle(b - a)) for a, b in pairwise(yaws)])
+def turning_stretch(yaws_rad: NDArray[np.float64]) -> range:
+    """Find the ``STRETCH_SCANS`` scans over which the headings (n,) turn most; empty where they hardly do."""
+    turns = np.abs((np.diff(yaws_rad) + pi) % (2.0 * pi) - pi)
     length = min(STRETCH_SCANS, len(turns))
     if length == 0:
         return range(0)

@@ -14,6 +14,7 @@ from mavnav.methods import METHODS
 from mavnav.motion import Motion
 from mavnav.planner import Command, make_planner
 from mavnav.pose import Pose, Trajectory
+from mavnav.steps import Steps
 from mavnav.units import DEG, MM, NS
 from mavnav.world import LaserModel, Scenario, World, laser_model, take_scan
 
@@ -118,7 +119,7 @@ def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -
     method = METHODS[config.method](config)
     motion = Motion(laser.spec.scan_time_s, vehicle.odometry, method.expects_rest)
     scans: list[Scan] = []
-    steps: list[Step] = []
+    steps = Steps()
     end = End.STEP_LIMIT
     for step in slam.track(_scans(scenario, vehicle, scans), method, motion):
         steps.append(step)

@@ -58,7 +58,7 @@ class Grid:
             return
         if self.shielded.shape != self.passes.shape:
             self.shielded = self.passes.copy()
-        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m)).tolist()
+        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m))
         low = (floor(min(x0, laser.x_m) / self.cell_m) - 1, floor(min(y0, laser.y_m) / self.cell_m) - 1)
         high = (floor(max(x1, laser.x_m) / self.cell_m) + 1, floor(max(y1, laser.y_m) / self.cell_m) + 1)
         self._cover(low, high)
@@ -69,8 +69,8 @@ class Grid:
         if self.shielded.shape != self.passes.shape:
             return np.empty((0, 2))
         cells = passing.passing_cells(self.hits, self.passes, self.shielded)
-        self.hits[cells] = 0
-        middles: NDArray[np.float64] = (np.argwhere(cells)[:, ::-1] + 0.5) * self.cell_m + np.array(self.origin_xy_m)
+        self.hits[cells[:, 0], cells[:, 1]] = 0
+        middles: NDArray[np.float64] = (cells[:, ::-1] + 0.5) * self.cell_m + np.array(self.origin_xy_m)
         return middles
 
     @timed("virtual scan")

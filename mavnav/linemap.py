@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _BLOCK_CELLS = 256
+_AT_ONCE = 1 << 14
+"""Lines that are moved at once."""
 
 NOWHERE = (1e9, 1e9, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 """The line of index 0: so far away that the cost of every point is truncated."""
@@ -43,10 +45,15 @@ class LineMap:
     lines: NDArray[np.float64] = field(default_factory=lambda: np.array([NOWHERE]))
 
     @property
+    def origin_xy_m(self) -> tuple[float, float]:
+        """Corner of cell [0, 0] in the map frame."""
+        col, row = self.origin_cells
+        return col * self.cell_m, row * self.cell_m
+
+    @property
     def geometry(self) -> NDArray[np.float64]:
         """Origin x, origin y, cell, line sigma, line noise in m, shape (5,)."""
-        col, row = self.origin_cells
-        return np.array([col * self.cell_m, row * self.cell_m, self.cell_m, self.line_sigma_m, self.line_noise_m])
+        return np.array([*self.origin_xy_m, self.cell_m, self.line_sigma_m, self.line_noise_m])
 
     def closeness_at(self, distance_m: float) -> float:
         """Return the ``closeness`` of a cell whose nearest occupied one is so far away, m."""
@@ -80,14 +87,17 @@ class LineMap:
         if not len(gone):
             return
         kept = np.delete(np.arange(self.count), gone)
-        self.count, self.cells = len(kept), self.cells[kept]
-        self.moments, self.lines = self.moments[kept], self.lines[kept]
+        self.count = n = len(kept)
+        for first in range(0, n, _AT_ONCE):  # in place: a copy of a large map would not fit beside it
+            band = slice(first, min(first + _AT_ONCE, n))
+            for held in (self.cells, self.moments, self.lines):
+                held[band] = held[kept[band]]
         self.nearest, self.closeness = (blank(self.nearest.shape, kind) for kind in (np.int32, np.uint8))
-        rebuild(self.geometry, self.nearest, self.closeness, self.cells, self.moments, self.lines)
+        rebuild(self.geometry, self.nearest, self.closeness, self.cells[:n], self.moments[:n], self.lines[:n])
 
     def _cover(self, xy_map_m: NDArray[np.float64]) -> None:
         """Grow the lattice until the points and the reach around them lie inside."""
-        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m)).tolist()
+        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m))
         beyond = REACH_CELLS + 2
         low = (floor(x0 / self.cell_m) - beyond, floor(y0 / self.cell_m) - beyond)
         high = (floor(x1 / self.cell_m) + beyond, floor(y1 / self.cell_m) + beyond)

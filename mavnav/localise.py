@@ -62,7 +62,7 @@ class Localised(Robust):
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Count what the scan saw; the map that is matched against stays."""
-        self.grid.insert(map_T_laser, transform_points(map_T_laser, self._points(scan, motion)))
+        self.grid.insert(map_T_laser, transform_points(map_T_laser, self._points(scan, motion)[0]))
 
     def clear_passing(self) -> None:
         """Take back what did not stay; the map that is matched against stays."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from mavnav.grid import Grid
 from mavnav.linemap import LineMap
-from mavnav.matcher import search_lines
+from mavnav.matcher import Schedule, search_lines
 from mavnav.pose import Pose, Trajectory, blend, transform_points, wrap_angle
 from mavnav.pose_graph import Edge, optimised
 from mavnav.relocalise import apart, around, candidates, firmness, judged, unrivalled
@@ -262,14 +262,15 @@ def measured(keys: Sequence[KeyFrame], j: int, match: Match, config: Config) -> 
     i = witness(keys, old, replace(keys[j], map_T_laser=match.map_T_laser))
     part = Part(config)
     part.grow([keys[k] for k in old if abs(keys[k].way_m - keys[i].way_m) <= PART_M], len(old))
-    window = (config.robust.truncate_mm * MM, DRIFT_RAD[0])
-    fine = search_lines(keys[j].points, part.lines, match.map_T_laser, window, config)
-    window = (config.robust.final_window_mm * MM, config.robust.final_window_deg * DEG)
-    placed = search_lines(keys[j].points, part.lines, fine.map_T_laser, window, config, final=True)
-    fine = judged(replace(fine, map_T_laser=placed.map_T_laser), keys[j].points, part.lines, part.grid)
+    robust, points = config.robust, keys[j].points
+    first = Schedule.of(config, part.lines, (robust.truncate_mm * MM, DRIFT_RAD[0]))
+    fine = search_lines(points, part.lines, match.map_T_laser, first)
+    last = Schedule.of(config, part.lines, (robust.final_window_mm * MM, robust.final_window_deg * DEG), final=True)
+    placed = search_lines(points, part.lines, fine.map_T_laser, last)
+    fine = judged(replace(fine, map_T_laser=placed.map_T_laser), points, part.lines, part.grid)
     if apart(match.map_T_laser, fine.map_T_laser) or not fits(fine):
         return None
-    if firmness(keys[j].points, fine.map_T_laser, part.lines, config) < LEAST_FIRMNESS:
+    if firmness(points, fine.map_T_laser, part.lines, config) < LEAST_FIRMNESS:
         return None
     return Closure(i, j, keys[i].map_T_laser.between(fine.map_T_laser), fine)
 

@@ -149,49 +149,60 @@ ALTERNATIONS, FINAL_ALTERNATIONS = 2, 1
 # ---- the robust method: distance to the map's local lines ----------------------------------------------------------
 
 
-@timed("search")
-def search_lines(
-    points: NDArray[np.float64],
-    line_map: LineMap,
-    start: Pose,
-    window: tuple[float, float],
-    config: Config,
-    prior: float = 0.0,
-    *,
-    final: bool = False,
-) -> Match:
-    """Search once, within ``window`` (half-widths, m and rad) of ``start``.
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """How a window of a line map is searched, level by level: ``grid`` and ``limits`` of ``linesearch.search``."""
 
-    ``prior`` is what a squared metre away from the start adds to the cost; it decides where the walls do not. In the
-    final pass, whose map is finished, points hold their lines on every level.
-    """
-    robust, grid = config.robust, config.grid
+    grid: NDArray[np.float64]
+    limits: NDArray[np.float64]
+
+    @classmethod
+    def of(
+        cls,
+        config: Config,
+        line_map: LineMap,
+        window: tuple[float, float],
+        *,
+        prior: float = 0.0,
+        final: bool = False,
+    ) -> Schedule:
+        """Schedule a search within ``window``: half-widths, m and rad.
+
+        ``prior`` is what a squared metre away from the start adds to the cost; it decides where the walls do not. In
+        the final pass, whose map is finished, points hold their lines on every level.
+        """
+        robust, grid = config.robust, config.grid
+        limits = [
+            *window,
+            robust.stop_mm * MM,
+            robust.stop_deg * DEG,
+            (robust.final_truncate_mm if final else robust.truncate_mm) * MM,
+            robust.first_level_points,
+            FINAL_ALTERNATIONS if final else ALTERNATIONS,
+            prior,
+            robust.hold_below_mm * MM,
+            0.0 if final else line_map.cell_m,
+            line_map.closeness_at(robust.overlap_mm * MM) if robust.overlap_mm and not final else 0.0,
+            line_map.known_points,
+        ]
+        points = [config.azimuth, grid.nx, grid.ny, robust.max_extensions, config.search == "pruned"]
+        return cls(np.array(points, float), np.array(limits))
+
+
+@timed("search")
+def search_lines(points: NDArray[np.float64], line_map: LineMap, start: Pose, schedule: Schedule) -> Match:
+    """Search once around ``start`` for the place of points (n, 2), laser frame, m."""
     x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
         points,
         start.as_array(),
-        np.array([config.azimuth, grid.nx, grid.ny, robust.max_extensions, config.search == "pruned"], float),
-        np.array(
-            [
-                *window,
-                robust.stop_mm * MM,
-                robust.stop_deg * DEG,
-                (robust.final_truncate_mm if final else robust.truncate_mm) * MM,
-                robust.first_level_points,
-                FINAL_ALTERNATIONS if final else ALTERNATIONS,
-                prior,
-                robust.hold_below_mm * MM,
-                0.0 if final else line_map.cell_m,
-                line_map.closeness_at(robust.overlap_mm * MM) if robust.overlap_mm and not final else 0.0,
-                line_map.known_points,
-            ]
-        ),
+        schedule.grid,
+        schedule.limits,
         line_map.nearest,
         line_map.closeness,
         line_map.lines,
         line_map.geometry,
     )
-    pose = Pose(float(x), float(y), wrap_angle(float(yaw)))
-    return Match(pose, float(cost), len(points), float(inliers), int(evaluations), int(grids), bool(converged))
+    return Match(Pose(x, y, wrap_angle(yaw)), cost, len(points), inliers, evaluations, grids, converged)
 
 
 def with_effort(best: Match, *tried: Match) -> Match:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from mavnav.belief import Verdict
 from mavnav.grid import Grid
-from mavnav.kernels.points import placed, scan_points, voxel_means
+from mavnav.kernels.points import placed, scan_points
 from mavnav.linemap import LineMap
 from mavnav.matcher import (
     Match,
+    Schedule,
     first_match,
     match_polar,
     no_match,
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
     from mavnav.motion import Motion
     from mavnav.scan import LaserSpec, Scan
 
+    Points = tuple[NDArray[np.float64], NDArray[np.float64]]
+    """The good end points (n, 2) of a scan and their means (m, 2), m, laser frame."""
 
 REGAIN_S = 0.5  # without a believed pose for longer, chance agreements are likely: more of the scan must agree
 
@@ -46,8 +50,16 @@ NEAR_MINIMA = 3
 """So many separate minima of the cost near the prediction are refined: the lowest of a coarse lattice may mislead."""
 
 
+AT_REST = np.zeros(3)
+"""No motion to undo."""
+
+
 REACHABLE = 1.0
 """Farther from the expected place, in ``surprise``, no vehicle accelerates."""
+
+
+EXPECTED = 0.01
+"""So near to the expected place, in ``surprise``, less of a scan must agree after a gap."""
 
 
 class Method(Protocol):
@@ -167,11 +179,27 @@ class Robust:
         self.lines = LineMap(
             robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM, robust.overlap_points
         )
-        self._deskewed: tuple[Scan, Motion, NDArray[np.float64]] | None = None
+        self._limits_m = np.array([robust.near_mm * MM, robust.far_mm * MM, robust.voxel_mm * MM])
+        self._deskewed: tuple[Scan, Motion, Points] | None = None
+
+    @cached_property
+    def _near(self) -> tuple[Schedule, Schedule]:
+        """The search close to the prediction: without odometry, and with it."""
+        robust = self.config.robust
+        window = (robust.near_window_mm * MM, robust.near_window_deg * DEG)
+        return Schedule.of(self.config, self.lines, window), Schedule.of(
+            self.config, self.lines, window, prior=robust.prior
+        )
+
+    @cached_property
+    def _final(self) -> Schedule:
+        """The search of the final pass."""
+        window = (self.config.robust.final_window_mm * MM, self.config.robust.final_window_deg * DEG)
+        return Schedule.of(self.config, self.lines, window, final=True)
 
     def first(self, scan: Scan) -> Match:
         """Begin the map with any scan of enough points."""
-        n = len(self._points(scan))
+        n = len(self._points(scan)[0])
         return first_match(n) if n >= self.config.robust.min_points else no_match(Pose(), n)
 
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
@@ -192,17 +220,14 @@ class Robust:
 
     def _look_near(self, points: NDArray[np.float64], predicted: Pose, motion: Motion) -> list[Match]:
         """Search close to the prediction."""
-        robust = self.config.robust
-        window = (robust.near_window_mm * MM, robust.near_window_deg * DEG)
-        prior = 0.0 if motion.odometry is None else robust.prior
-        found = search_lines(points, self.lines, predicted, window, self.config, prior=prior)
+        found = search_lines(points, self.lines, predicted, self._near[motion.odometry is not None])
         return [judged(found, points, self.lines, self.known)]
 
     def _inside(self, near: Match, predicted: Pose) -> bool:
         """Tell whether a match lies so far within the near window that the laser cannot be beyond it."""
-        robust, off = self.config.robust, predicted.between(near.map_T_laser)
+        robust, (off_m, off_rad) = self.config.robust, predicted.gap(near.map_T_laser)
         half_m, half_rad = robust.near_window_mm * MM, robust.near_window_deg * DEG
-        return off.distance_m <= INSIDE * half_m and abs(off.yaw_rad) <= INSIDE * half_rad
+        return off_m <= INSIDE * half_m and off_rad <= INSIDE * half_rad
 
     def _match_wide(
         self, scan: Scan, predicted: Pose, motion: Motion, points: NDArray[np.float64], tried: list[Match]
@@ -222,11 +247,8 @@ class Robust:
     def _possible(self, match: Match, scan: Scan, motion: Motion) -> bool:
         """Tell whether a vehicle can have moved so far."""
         robust, elapsed_s = self.config.robust, motion.elapsed_s(scan.stamp_ns)
-        moved = motion.map_T_laser.between(match.map_T_laser)
-        return (
-            moved.distance_m <= robust.max_speed_m_s * elapsed_s
-            and abs(moved.yaw_rad) <= robust.max_turn_deg_s * DEG * elapsed_s
-        )
+        moved_m, turned_rad = motion.map_T_laser.gap(match.map_T_laser)
+        return moved_m <= robust.max_speed_m_s * elapsed_s and turned_rad <= robust.max_turn_deg_s * DEG * elapsed_s
 
     @timed("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
@@ -244,7 +266,8 @@ class Robust:
             return Verdict.REFUSED
         if motion.elapsed_s(scan.stamp_ns) <= longest_s and match.surprise <= REACHABLE:
             return Verdict.SURE
-        return Verdict.PROBABLE if match.inliers >= robust.regain_above else Verdict.REFUSED
+        expected = match.surprise <= EXPECTED
+        return Verdict.PROBABLE if expected or match.inliers >= robust.regain_above else Verdict.REFUSED
 
     def relocalise(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
         """Find the scan anywhere in the map; None unless one place, and no other, explains it."""
@@ -258,7 +281,7 @@ class Robust:
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add every point of the de-skewed scan."""
-        xy_map_m = placed(self._points(scan, motion), map_T_laser.as_array())
+        xy_map_m = placed(self._points(scan, motion)[0], map_T_laser.as_array())
         self.lines.insert(xy_map_m)
         self.grid.insert(map_T_laser, xy_map_m)
 
@@ -268,31 +291,29 @@ class Robust:
 
     def place(self, scan: Scan, match: Match) -> Match:
         """Place the scan as it was recorded, not de-skewed, so that pose and raw ranges fit together."""
-        robust = self.config.robust
-        points = self.match_points(scan)
-        window = (robust.final_window_mm * MM, robust.final_window_deg * DEG)
-        placed = search_lines(points, self.lines, match.map_T_laser, window, self.config, final=True)
+        placed = search_lines(self.match_points(scan), self.lines, match.map_T_laser, self._final)
         return with_effort(placed, match, placed)
 
     @timed("cleaning")
     def match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
         """Return the points (n, 2) that are matched, m, laser frame; de-skewed if the motion is given."""
-        return voxel_means(self._points(scan, motion), self.config.robust.voxel_mm * MM)
+        return self._points(scan, motion)[1]
 
-    def _points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
-        """Good points (n, 2) in the laser's frame, m; at mid-sweep if the motion is given.
+    def _points(self, scan: Scan, motion: Motion | None = None) -> Points:
+        """Good points (n, 2) in the laser's frame, m, and their means; at mid-sweep if the motion is given.
 
         Those of the last motion are kept: what is inserted was matched just before.
         """
         last = self._deskewed
         if last and last[0] is scan and last[1] is motion:
             return last[2]
-        robust, spec = self.config.robust, scan.spec
-        twist, increment_s = np.zeros(3), 0.0
-        if robust.deskew != "off" and motion and abs(spec.time_increment_s) * spec.beams <= 1.2 * motion.period_s:
-            twist, increment_s = motion.twist_at(scan.stamp_ns), spec.time_increment_s
-        near_m, far_m = robust.near_mm * MM, robust.far_mm * MM
-        points = scan_points(scan.ranges_m, spec.directions, twist, increment_s, near_m, far_m)
+        spec, twist, increment_s = scan.spec, AT_REST, 0.0
+        sweep_s = abs(spec.time_increment_s) * spec.beams
+        if self.config.robust.deskew != "off" and motion and sweep_s <= 1.2 * motion.period_s:
+            twist, increment_s = np.array(motion.twist_at(scan.stamp_ns)), spec.time_increment_s
+        ends, means = np.empty((2, len(scan.ranges_m), 2))
+        n, m = scan_points(scan.ranges_m, spec.directions, twist, increment_s, self._limits_m, ends, means)
+        points = ends[:n], means[:m]
         if motion:
             self._deskewed = scan, motion, points
         return points

@@ -51,6 +51,11 @@ class Pose:
             x + c * other.x_m - s * other.y_m, y + s * other.x_m + c * other.y_m, wrap_angle(back + other.yaw_rad)
         )
 
+    def gap(self, other: Pose) -> tuple[float, float]:
+        """Return how far another pose of the same frame is from here, m, and how far it is turned, rad, 0 or more."""
+        away_m = abs(complex(other.x_m - self.x_m, other.y_m - self.y_m))
+        return away_m, abs(wrap_angle(other.yaw_rad - self.yaw_rad))
+
     @property
     def distance_m(self) -> float:
         """Length of the translation."""

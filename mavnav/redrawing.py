@@ -10,7 +10,7 @@ import numpy as np
 
 from mavnav.loop_closure import Loops, close_loops
 from mavnav.methods import METHODS
-from mavnav.steps import tracked_way
+from mavnav.steps import Steps, tracked_way
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 
 def close(
-    steps: list[Step], log_scans: Callable[[], Iterable[Scan]], method: Method, motion: Motion, config: Config
-) -> tuple[list[Step], Method, Loops]:
+    steps: Steps, log_scans: Callable[[], Iterable[Scan]], method: Method, motion: Motion, config: Config
+) -> tuple[Steps, Method, Loops]:
     """Close loops and draw the map anew; all stays where there are none, or where the new map is no crisper.
 
     It stays as well where scans do not come, because the run is being stopped.
@@ -36,23 +36,23 @@ def close(
     if loops.map_T_laser is None:
         return steps, method, loops
     fresh = METHODS[config.method](config)
-    redrawn = list(redraw(log_scans(), steps, loops.map_T_laser, fresh, motion))
+    redrawn = Steps(redraw(log_scans(), steps, loops.map_T_laser, fresh, motion))
     if len(redrawn) < len(steps) or np.count_nonzero(fresh.grid.hits) >= np.count_nonzero(method.grid.hits):
         return steps, method, loops.dropped()
     return redrawn, fresh, loops
 
 
 def points_of(
-    log_scans: Callable[[], Iterable[Scan]], steps: list[Step], method: Method, rows: list[int]
+    log_scans: Callable[[], Iterable[Scan]], steps: Steps, method: Method, rows: list[int]
 ) -> Iterator[NDArray[np.float64]]:
     """Give the points (n, 2) of some tracked scans, numbered as in the trajectory; m, laser frame."""
-    tracked = [s.index for s in steps if s.tracked]
+    tracked = steps.column("index")[steps.column("tracked")].tolist()
     wanted = {tracked[row] for row in rows}
-    return (method.match_points(scan) for index, scan in enumerate(log_scans()) if index in wanted)
+    return (method.match_points(scan).copy() for index, scan in enumerate(log_scans()) if index in wanted)
 
 
 def redraw(
-    scans: Iterable[Scan], steps: list[Step], map_T_laser: Trajectory, method: Method, motion: Motion
+    scans: Iterable[Scan], steps: Steps, map_T_laser: Trajectory, method: Method, motion: Motion
 ) -> Iterator[Step]:
     """Draw a new map with every tracked scan at its corrected pose: a row of ``map_T_laser`` for each of them."""
     poses = iter([map_T_laser[row] for row in range(len(map_T_laser))])

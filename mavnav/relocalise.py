@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.conflicts import CLEAR_CELLS, conflicts
-from mavnav.kernels.points import placed
 from mavnav.kernels.volume import volume
-from mavnav.matcher import Match, search_lines, with_effort
+from mavnav.matcher import Match, Schedule, search_lines, with_effort
 from mavnav.pose import Pose, wrap_angle
 from mavnav.stages import timed
 from mavnav.units import DEG, MM
@@ -54,11 +53,12 @@ CLEAR_BY = 0.05
 @timed("gate")
 def judged(match: Match, points: NDArray[np.float64], line_map: LineMap, grid: Grid) -> Match:
     """Return the match with the share of its points (n, 2), laser frame, that the map speaks against."""
-    pose, lattice = match.map_T_laser.as_array(), grid.lattice
-    off_cells = (lattice[:2] - line_map.geometry[:2]) / grid.cell_m
-    clear = np.array([*off_cells, line_map.closeness_at(CLEAR_CELLS * grid.cell_m)])
-    count = conflicts(placed(points, pose), pose[:2], lattice, grid.hits, grid.passes, line_map.closeness, clear)
-    return replace(match, conflicts=float(count) / max(len(points), 1))
+    pose, lattice, (x, y) = match.map_T_laser.as_array(), grid.lattice, grid.origin_xy_m
+    lines_x, lines_y = line_map.origin_xy_m
+    within = line_map.closeness_at(CLEAR_CELLS * grid.cell_m)
+    clear = np.array([(x - lines_x) / grid.cell_m, (y - lines_y) / grid.cell_m, within])
+    count = conflicts(points, pose, lattice, grid.hits, grid.passes, line_map.closeness, clear)
+    return replace(match, conflicts=count / max(len(points), 1))
 
 
 def disagreement(match: Match, config: Config) -> float:
@@ -106,9 +106,9 @@ def candidates(
     robust, (xy_m, yaws_rad) = config.robust, region
     few = points[: robust.first_level_points]
     costs = volume(few, xy_m, yaws_rad, robust.truncate_mm * MM, line_map.nearest, line_map.lines, line_map.geometry)
-    window = (1.5 * STEP_M, 1.5 * STEP_RAD)
+    schedule = Schedule.of(config, line_map, (1.5 * STEP_M, 1.5 * STEP_RAD))
     starts = minima(costs, xy_m, yaws_rad, most)
-    return [judged(search_lines(points, line_map, start, window, config), points, line_map, grid) for start in starts]
+    return [judged(search_lines(points, line_map, start, schedule), points, line_map, grid) for start in starts]
 
 
 def best_of(found: list[Match], expected: tuple[Pose, ...], elapsed_s: float, config: Config) -> Match:

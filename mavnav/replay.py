@@ -203,7 +203,7 @@ def measured_sections(grid: Grid) -> dict[int, Sections]:
 @timed("measuring")
 def measured_quality(outcome: slam.Slam, log: Log, sections: dict[int, Sections]) -> MapQuality:
     """Measure the map of a run, with the scans behind it."""
-    mapped = sum(step.accepted for step in outcome.steps) / max(len(outcome.steps), 1)
+    mapped = outcome.steps.share("accepted")
     journey = Journey(outcome.trajectory, log.scans, mapped, outcome.lost_for_good)
     return map_quality(measured_part(outcome.grid), journey, sections=sections)
 

@@ -16,8 +16,9 @@ from mavnav.methods import METHODS
 from mavnav.motion import LONGEST_S, Motion, misleads
 from mavnav.redrawing import close
 from mavnav.relocalise import apart
+from mavnav.second_opinion import blur, coarser, in_doubt
 from mavnav.steadying import steadied
-from mavnav.steps import LostInterval, Step, lost_intervals, tracked_way
+from mavnav.steps import LostInterval, Step, Steps, lost_intervals, tracked_way
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -49,15 +50,17 @@ SHORTEST_PERIOD_S = 1e-3
 class Slam:
     """The outcome: a step for every scan, the poses of the tracked ones (map_T_laser), map, lost stretches, loops.
 
-    ``warnings`` are lines for the user: what of the log was not taken as it stands there.
+    ``warnings`` are lines for the user: what of the log was not taken as it stands there. ``opinions`` counts the
+    tracks of which the crispest was kept.
     """
 
-    steps: tuple[Step, ...]
+    steps: Steps
     trajectory: Trajectory
     grid: Grid
     lost: tuple[LostInterval, ...]
     loops: Loops = field(default_factory=Loops)
     warnings: tuple[str, ...] = ()
+    opinions: int = 1
 
     @property
     def tracked_share(self) -> float:
@@ -113,17 +116,17 @@ def worth_a_look(verdict: Verdict, missed: int) -> bool:
     return verdict is not Verdict.SURE and (missed.bit_count() == 1 or missed % RARELY_SCANS == 0)
 
 
-def settle(log_scans: Callable[[], Iterable[Scan]], steps: list[Step], method: Method, motion: Motion) -> list[Step]:
+def settle(log_scans: Callable[[], Iterable[Scan]], steps: Steps, method: Method, motion: Motion) -> Steps:
     """Look again at the scans that were not believed, now that it is known where the track went on after them.
 
     From the next believed pose backwards, each is expected between its neighbours; one that convinces then enters
     trajectory and map, the others are left out for good.
     """
-    before = waiting(steps)
+    before = {} if steps.column("tracked").all() else waiting(steps)
     if not before:
         return steps
     scans = {index: scan for index, scan in enumerate(log_scans()) if index in before}
-    settled, after = list(steps), steps[-1]
+    settled, after = Steps(steps), steps[-1]
     for step in reversed(steps):
         if step.index in scans and (after.stamp_ns - step.stamp_ns) * NS <= LONGEST_S:
             settled[step.index] = second_look(scans[step.index], step, before[step.index], after, method, motion)
@@ -131,7 +134,7 @@ def settle(log_scans: Callable[[], Iterable[Scan]], steps: list[Step], method: M
     return settled
 
 
-def waiting(steps: list[Step]) -> dict[int, Step]:
+def waiting(steps: Iterable[Step]) -> dict[int, Step]:
     """Return the believed step before each scan that was not believed and lies between two that were."""
     before: dict[int, Step] = {}
     between: dict[int, Step] = {}
@@ -184,29 +187,42 @@ def replay(
     config : the method, its grids and its numbers
     period_s : the sensor's time between scans, 0 if unknown
     odom_T_laser : odometry of the laser, used as the prediction
-    on_step : called with the name of the pass ("track", "final pass") and the number of scans done
+    on_step : called with the name of the pass ("track", "track again", "final pass") and the number of scans done
     known : localise in this map, and leave it as it is, instead of making one
     """
     odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
-    start, warnings = Start(config, max(period_s, SHORTEST_PERIOD_S), odometry, known), []
+    start, warnings, opinions = Start(config, max(period_s, SHORTEST_PERIOD_S), odometry, known), [], 1
     method, steps = start.tracked(log_scans(), on_step)
+
+    def again(start: Start) -> tuple[Method, Steps] | None:
+        """Track once more; None if the run is being stopped: the longer track is kept."""
+        track = start.tracked(log_scans(), on_step, "track again")
+        return track if len(track[1]) == len(steps) else None
+
     if start.odometry and misleads(start.odometry, tracked_way(steps)):
         alone = replace(start, odometry=None)
-        again = alone.tracked(log_scans(), on_step)
-        if len(again[1]) == len(steps):  # else the run is being stopped, and the longer track is kept
-            start, (method, steps) = alone, again
+        if other := again(alone):
+            start, (method, steps) = alone, other
             warnings.append("odometry contradicts the scans and is not used; check its scale, axes and clock")
     if fires_backwards(log_scans, steps, start, method):
-        turned = partial(_backwards, log_scans)
-        again = start.tracked(turned(), on_step)
-        if len(again[1]) == len(steps):
-            log_scans, (method, steps) = turned, again
+        told, log_scans = log_scans, partial(_backwards, log_scans)
+        if other := again(start):
+            method, steps = other
             warnings.append(
                 "beams were fired in the reverse of the listed order, judged by the turns, and are de-skewed so"
             )
+        else:
+            log_scans = told
+    if config.final_pass and method.closes_loops and in_doubt(steps):
+        second = replace(start, config=coarser(config))
+        if other := again(second):
+            opinions = 2
+            if blur(*other) < blur(method, steps):
+                start, (method, steps) = second, other
     if config.final_pass and method.places:
         steps = settle(log_scans, steps, method, start.motion)
-    return replace(conclude(steps, log_scans, method, start.motion, config, on_step), warnings=tuple(warnings))
+    outcome = conclude(steps, log_scans, method, start.motion, start.config, on_step)
+    return replace(outcome, warnings=tuple(warnings), opinions=opinions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,22 +240,22 @@ class Start:
         return Motion(self.period_s, self.odometry, METHODS[self.config.method](self.config).expects_rest)
 
     def tracked(
-        self, scans: Iterable[Scan], on_step: Callable[[str, int], None] | None = None
-    ) -> tuple[Method, list[Step]]:
+        self, scans: Iterable[Scan], on_step: Callable[[str, int], None] | None = None, told_as: str = "track"
+    ) -> tuple[Method, Steps]:
         """Track scans from an empty map on, or in the known one."""
         method = Localised(self.config, self.known) if self.known else METHODS[self.config.method](self.config)
-        return method, list(_told(track(scans, method, self.motion), "track", on_step))
+        return method, Steps(_told(track(scans, method, self.motion), told_as, on_step))
 
 
 def _backwards(log_scans: Callable[[], Iterable[Scan]]) -> Iterator[Scan]:
     return map(backwards, log_scans())
 
 
-def fires_backwards(log_scans: Callable[[], Iterable[Scan]], steps: list[Step], start: Start, method: Method) -> bool:
+def fires_backwards(log_scans: Callable[[], Iterable[Scan]], steps: Steps, start: Start, method: Method) -> bool:
     """Try both orders of firing where the laser turned most, each on a map of its own, unless a glance tells enough."""
     if start.config.method == "paper" or start.config.robust.deskew != "auto":
         return False
-    stretch = turning_stretch([s.match for s in steps])
+    stretch = turning_stretch(steps.column("map_T_laser")[:, 2])
     scans = list(islice(log_scans(), stretch.start, stretch.stop))
     if not any(scan.spec.time_increment_s for scan in scans):
         return False
@@ -263,7 +279,7 @@ def glance(scans: list[Scan], steps: list[Step], motion: Motion, method: Method)
 
 
 def conclude(
-    steps: list[Step],
+    steps: Steps,
     log_scans: Callable[[], Iterable[Scan]],
     method: Method,
     motion: Motion,
@@ -276,8 +292,8 @@ def conclude(
         if config.loop_closure == "auto" and method.closes_loops:
             steps, method, loops = close(steps, log_scans, method, motion, config)
         method.clear_passing()
-        steps = steadied(list(_told(place(log_scans(), steps, method), "final pass", on_step)), motion.period_s)
-    return Slam(tuple(steps), tracked_way(steps), method.grid, tuple(lost_intervals(steps)), loops)
+        steps = steadied(_told(place(log_scans(), steps, method), "final pass", on_step), motion.period_s)
+    return Slam(steps, tracked_way(steps), method.grid, tuple(lost_intervals(steps)), loops)
 
 
 def _told(steps: Iterable[Step], name: str, on_step: Callable[[str, int], None] | None) -> Iterator[Step]:

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import hypot
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mavnav.kernels.steadying import smooth
-from mavnav.pose import Pose
 from mavnav.stages import timed
-from mavnav.steps import leapt
+from mavnav.steps import Steps, jumps, tracked_way
 from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -35,44 +33,40 @@ LONGEST_S = 1.2
 
 
 @timed("smoothing")
-def steadied(steps: list[Step], period_s: float) -> list[Step]:
+def steadied(steps: Iterable[Step], period_s: float) -> Steps:
     """Return the steps with smooth positions: the jitter of the scans would lengthen every way, and move a rest.
 
     How much of the motion is jitter is asked of each stretch itself: positions with white noise, of a way whose
     velocity walks at random, with the likeliest share of both. Where the median scan would move farther than it can
     tell, less is smoothed. Headings stay: scans tell them well.
     """
-    out = list(steps)
-    for stretch in stretches(steps):
-        for step, (x, y) in zip(stretch, _steady(stretch, period_s), strict=True):
-            pose = Pose(float(x), float(y), step.match.map_T_laser.yaw_rad)
-            out[step.index] = replace(step, match=replace(step.match, map_T_laser=pose))
+    out = Steps(steps)
+    poses, stamps_ns, costs_m2 = (out.column(name) for name in ("map_T_laser", "stamp_ns", "cost_m2"))
+    for stretch in stretches(out):
+        periods = np.maximum(np.round(np.diff(stamps_ns[stretch]) * NS / period_s), 1.0)
+        told_m = CANNOT_TELL * np.sqrt(np.median(costs_m2[stretch]))
+        out.move(stretch, _steady(poses[stretch, :2], periods, told_m))
     return out
 
 
-def stretches(steps: list[Step]) -> Iterator[list[Step]]:
-    """Give the tracked steps that follow each other without a long gap or a leap, ``FEWEST`` or more."""
-    run: list[Step] = []
-    for step in [s for s in steps if s.tracked]:
-        if run and ((step.stamp_ns - run[-1].stamp_ns) * NS > LONGEST_S or leapt(run[-1], step)):
-            yield from [run] if len(run) >= FEWEST else []
-            run = []
-        run.append(step)
-    yield from [run] if len(run) >= FEWEST else []
+def stretches(steps: Steps) -> list[NDArray[np.intp]]:
+    """Return the numbers of tracked steps that follow each other without a long gap or a leap, ``FEWEST`` or more."""
+    tracked, way = np.flatnonzero(steps.column("tracked")), tracked_way(steps)
+    parted = (np.diff(way.stamps_ns) * NS > LONGEST_S) | jumps(way)[1]
+    runs = np.split(tracked, np.flatnonzero(parted) + 1)
+    return [run for run in runs if len(run) >= FEWEST]
 
 
-def _steady(stretch: list[Step], period_s: float) -> NDArray[np.float64]:
-    xy_m = np.array([(s.match.map_T_laser.x_m, s.match.map_T_laser.y_m) for s in stretch])
-    periods = np.maximum(np.round(np.diff([s.stamp_ns for s in stretch]) * NS / period_s), 1.0)
-    middle = xy_m.mean(axis=0)
-    smoothed = np.empty((len(STIFFNESSES), *xy_m.shape))
-    likely = [smooth(xy_m - middle, periods, k, out) for k, out in zip(STIFFNESSES, smoothed, strict=True)]
-    moved_m = np.median(np.linalg.norm(smoothed + middle - xy_m, axis=2), axis=1)
-    told_m = CANNOT_TELL * np.sqrt(np.median([s.match.cost_m2 for s in stretch]))
-    best = int(np.argmax(likely))
-    while best >= 0 and moved_m[best] > told_m:
-        best -= 1
-    way_m = xy_m if best < 0 else smoothed[best] + middle
+def _steady(xy_m: NDArray[np.float64], periods: NDArray[np.float64], told_m: float) -> NDArray[np.float64]:
+    """Return positions (n, 2) smoothed as much as they ask for, but by no more than the scans can tell."""
+    middle, out = xy_m.mean(axis=0), np.empty(xy_m.shape)
+    likely = [smooth(xy_m - middle, periods, stiffness, out) for stiffness in STIFFNESSES]
+    way_m = xy_m
+    for stiffness in reversed(STIFFNESSES[: int(np.argmax(likely)) + 1]):
+        smooth(xy_m - middle, periods, stiffness, out)
+        if np.median(np.linalg.norm(out + middle - xy_m, axis=1)) <= told_m:
+            way_m = out + middle
+            break
     for rest in rests(way_m, told_m):
         way_m[rest] = xy_m[rest].mean(axis=0)
     return way_m

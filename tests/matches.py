@@ -7,12 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from synthetic import furnished_rooms, scan_at
 
-from mavnav.kernels import linesearch
-from mavnav.kernels.points import voxel_means
+from mavnav.kernels import linesearch, points
 from mavnav.linemap import LineMap
 from mavnav.pose import Pose, transform_points
 
 GRIDS = (5, 10, 20, 40)
+
+
+def voxel_means(xy_m: np.ndarray, voxel_m: float) -> np.ndarray:
+    """Return the means (m, 2) of points (n, 2) in voxels, as scans are matched."""
+    out = np.empty_like(xy_m)
+    return out[: points._voxel_means(np.ascontiguousarray(xy_m), voxel_m, out)]
 
 
 @dataclass(frozen=True)
@@ -65,9 +70,9 @@ def random_problem(seed: int) -> Problem:
         seen = scan_at(furnished_rooms(), here, noise=noise, rng=rng).points()
         line_map.insert(transform_points(here, seen))
     line_map.insert(rng.uniform(-1, 6, (int(rng.integers(1, 200)), 2)))
-    points = scan_at(furnished_rooms(), here, noise=noise, rng=rng).points()
-    points = voxel_means(np.ascontiguousarray(points[:: int(rng.choice((1, 3, 9)))]), 0.03)
-    return Problem(line_map, points, here.as_array() + rng.normal(0, (0.05, 0.05, 0.03)))
+    seen = scan_at(furnished_rooms(), here, noise=noise, rng=rng).points()
+    means = voxel_means(seen[:: int(rng.choice((1, 3, 9)))], 0.03)
+    return Problem(line_map, means, here.as_array() + rng.normal(0, (0.05, 0.05, 0.03)))
 
 
 def differences(problem: Problem, grid: int, half_m: float, half_rad: float, prior: float) -> list[str]:

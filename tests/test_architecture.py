@@ -24,6 +24,7 @@ CORE = {"lattice", "grid", "linemap", "matcher", "relocalise", "motion", "belief
     "localise",
     "loop_closure",
     "redrawing",
+    "second_opinion",
     "steadying",
 }
 RUNS = {"", "cells", "config_file", "figures", "gates", "jobs", "logs", "markdown", "outputs", "references", "replay"}
@@ -59,10 +60,11 @@ ALLOWED: dict[str, set[str]] = {
     "localise": GROUND | {"linemap", "matcher", "relocalise", "motion", "methods", "known_map"},
     "loop_closure": GROUND | {"grid", "linemap", "matcher", "relocalise", "pose_graph"},
     "steadying": GROUND | {"kernels", "steps"},
+    "second_opinion": GROUND | {"methods", "steps"},
     "redrawing": GROUND | {"motion", "methods", "steps", "loop_closure"},
     "slam": GROUND
     | {"grid", "matcher", "relocalise", "motion", "belief", "firing", "methods", "steps", "loop_closure", "redrawing"}
-    | {"known_map", "localise", "steadying"},
+    | {"known_map", "localise", "second_opinion", "steadying"},
     "metrics": GROUND | {"kernels", "lattice", "grid"},
     "references": GROUND | {"grid", "layers", "metrics", "world"},
     "planner_config": GROUND,

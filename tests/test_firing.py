@@ -71,15 +71,15 @@ def test_only_auto_tries_both_orders(sweeps: list[Scan], deskew: str) -> None:
 
 
 def test_the_stretch_is_where_the_laser_turns() -> None:
-    straight, turning = [at(0.0)] * 100, [at(0.0, 0.1 * k) for k in range(STRETCH_SCANS)]
-    stretch = turning_stretch([*straight, *turning, *[turning[-1]] * 50])
+    turning = 0.1 * np.arange(STRETCH_SCANS)
+    stretch = turning_stretch(np.pad(turning, (100, 50), "edge"))
     assert len(stretch) == STRETCH_SCANS
     assert set(range(102, 175)) <= set(stretch)
 
 
 @pytest.mark.parametrize("yaws", [[], [0.0], [0.0] * 200, [0.01 * k for k in range(100)]], ids=len)
 def test_a_laser_that_hardly_turns_tells_nothing(yaws: list[float]) -> None:
-    assert len(turning_stretch([at(0.0, yaw) for yaw in yaws])) == 0
+    assert len(turning_stretch(np.array(yaws))) == 0
 
 
 def test_the_other_order_must_be_clearly_better() -> None:

@@ -9,18 +9,18 @@ from math import hypot
 
 import numpy as np
 import pytest
+from matches import voxel_means
 from synthetic import DEG, Segments, along, box, polyline, scan_at
 
 from mavnav import redrawing, slam
 from mavnav.config import Config
-from mavnav.kernels.points import voxel_means
 from mavnav.loop_closure import LOOP_M, KeyFrame, Loop, Loops, close_loops, drift_bound, key_rows, witness
 from mavnav.matcher import first_match
 from mavnav.methods import Robust
 from mavnav.motion import Motion
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
-from mavnav.steps import Step
+from mavnav.steps import Step, Steps
 
 LASER = LaserSpec(-120 * DEG, DEG, 241, 0.05, 5.6)
 WRONG_M = 0.3
@@ -213,7 +213,7 @@ def track_of(walk: Walk, tracked: Trajectory, rows: range) -> tuple[list[Scan], 
     """Draw a map of scans at the poses of a trajectory, as a tracker that drifted would have."""
     method = Robust(Config())
     scans = [scan_at(walk.walls, walk.world_T_laser[k], LASER, stamp_ns=int(tracked.stamps_ns[k])) for k in rows]
-    steps = []
+    steps = Steps()
     for index, (row, scan) in enumerate(zip(rows, scans, strict=True)):
         method.insert(scan, tracked[row], Motion(0.4))
         match = replace(first_match(241), map_T_laser=tracked[row])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import naive
 import numpy as np
 import pytest
@@ -27,7 +29,7 @@ def steps_of(xy_m: np.ndarray, cost_m2: float = 0.02**2, untracked: tuple[int, .
     return [step(k) for k in range(len(xy_m))]
 
 
-def positions(steps: list[Step]) -> np.ndarray:
+def positions(steps: Iterable[Step]) -> np.ndarray:
     return np.array([(s.match.map_T_laser.x_m, s.match.map_T_laser.y_m) for s in steps])
 
 

@@ -72,15 +72,15 @@ def _through_a_wall(
 
 @kernel(int64(_F2, _F1, _F1, _I2, _I2, _U2, _F1))
 def conflicts(
-    xy_map_m: NDArray[np.float64],
-    laser_xy_m: NDArray[np.float64],
+    points: NDArray[np.float64],
+    pose: NDArray[np.float64],
     lattice: NDArray[np.float64],
     hits: NDArray[np.int32],
     passes: NDArray[np.int32],
     closeness: NDArray[np.uint8],
     clear: NDArray[np.float64],
 ) -> int:
-    """Count the points (n, 2) that the map speaks against.
+    """Count the points (n, 2), laser frame, m, that the map speaks against if the laser is at ``pose``: x, y (m), yaw.
 
     Either the point lies in the open: its cell was crossed by beams and no hit is near; or the beam from the laser to
     it meets a wall, a cell hit ``WALL_HITS`` times and at least as often as crossed. ``lattice``, ``hits`` and
@@ -88,10 +88,11 @@ def conflicts(
     where a hit cell may be within `CLEAR_CELLS`, stands in ``clear`` (3,) behind the column and the row of cell [0, 0].
     """
     ox, oy, cell = lattice
-    u0, v0 = (laser_xy_m[0] - ox) / cell, (laser_xy_m[1] - oy) / cell
+    u0, v0, c, s = (pose[0] - ox) / cell, (pose[1] - oy) / cell, np.cos(pose[2]), np.sin(pose[2])
     count = 0
-    for k in range(len(xy_map_m)):
-        u1, v1 = (xy_map_m[k, 0] - ox) / cell, (xy_map_m[k, 1] - oy) / cell
+    for k in range(len(points)):
+        x, y = points[k, 0], points[k, 1]
+        u1, v1 = (pose[0] + c * x - s * y - ox) / cell, (pose[1] + s * x + c * y - oy) / cell
         if _in_the_open(int(np.floor(v1)), int(np.floor(u1)), hits, passes) or _through_a_wall(
             u0, v0, u1, v1, hits, passes, closeness, clear
         ):

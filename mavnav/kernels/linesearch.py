@@ -2,9 +2,8 @@
 
 Grids are searched in turn as in the paper's minimisation, steps i-v: azimuth with the position fixed, then the plane
 with the azimuth fixed; the scan turns about its points' centroid. A point costs its squared distance to the line of the
-cell that it falls into (arrays of ``linemap``). Where the window is a few cells wide, until it is settled which points
-decide, every point holds the line that it has in the middle: then one quadratic form stands for a joint grid of azimuth
-and plane.
+cell that it falls into (arrays of ``linemap``). Where the window is a few cells wide every point holds the line that it
+has in the middle: then one quadratic form stands for a joint grid of azimuth and plane.
 
 Every grid has an exhaustive and a pruned form with the same minimum: the same index, the lowest of equals, and the
 same cost, bit for bit. Pruning rests on three facts:
@@ -27,7 +26,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types, uint8, uint64, void
+from numba import boolean, float64, int32, int64, types, uint8, uint64, void
 
 from mavnav.kernels._jit import kernel
 
@@ -608,7 +607,7 @@ def _drawn(
     return out
 
 
-@kernel(float64[::1](_F2, _F1, _F1, _F1, _I2, _U2, _F2, _F1))
+@kernel(types.Tuple((*(5 * [float64]), int64, int64, boolean))(_F2, _F1, _F1, _F1, _I2, _U2, _F2, _F1))
 def search(
     points: NDArray[np.float64],
     start: NDArray[np.float64],
@@ -618,8 +617,8 @@ def search(
     closeness: NDArray[np.uint8],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Find the pose of the scan in the map; returns [x, y, yaw, cost_m2, inliers, evaluations, grids, converged].
+) -> tuple[float, float, float, float, float, int, int, bool]:
+    """Find the pose of the scan in the map; returns x, y, yaw, cost_m2, inliers, evaluations, grids, converged.
 
     Parameters
     ----------
@@ -628,8 +627,8 @@ def search(
     grid : (5,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most, 1 to prune
     limits : (12,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
         points of the first level where it is wide, alternations a level, what a squared metre away from the start
-        costs a point, the half-windows (m) up to which lines are held, and above which they are even when it is settled
-        which points decide, and what known ground is (``_drawn``): within a cell the points elsewhere are left out
+        costs a point, the half-windows (m) up to which lines are held, and above which they are, and what known ground
+        is (``_drawn``): within a cell the points elsewhere are left out
     nearest, closeness, lines, geometry : the map, see ``linemap``
     """
     n = len(points)
@@ -644,10 +643,10 @@ def search(
     window = np.array([limits[0], limits[1], limits[7], truncate_m2, grid[4]])
 
     deciding, settled, few, none = centred, limits[10] == 0, int(min(n, limits[5])), np.empty(0, np.int64)
-    evaluations, grids, converged, form = 0, 0, 0.0, np.zeros((5, 5))
+    evaluations, grids, converged, form = 0, 0, False, np.zeros((5, 5))
     for level in range(MAX_LEVELS):
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
-        held = window[0] <= limits[8] and (window[0] > limits[9] or not settled)
+        held = limits[9] < window[0] <= limits[8]
         last = max(step_x, step_y) < stop_m and step_rad < stop_rad
         used = deciding if held or level > 0 else deciding[:, :few].copy()
         turned = _turns(window[1], azimuths)
@@ -693,7 +692,7 @@ def search(
             at[4] += s * right + c * up
             continue
         if last:
-            converged = 1.0
+            converged = True
             break
         window[0] = min(1.5 * max(step_x, step_y), 0.9 * window[0])
         window[1] = min(1.5 * step_rad, 0.9 * window[1])
@@ -709,4 +708,4 @@ def search(
         inliers += d2 < 0.25 * truncate_m2
     c, s = np.cos(at[2]), np.sin(at[2])
     to_x, to_y = at[0] - c * pivot_x + s * pivot_y, at[1] - s * pivot_x - c * pivot_y
-    return np.array([to_x, to_y, at[2], total / n, inliers / n, evaluations, grids, converged])
+    return to_x, to_y, at[2], total / n, inliers / n, evaluations, grids, converged

@@ -37,11 +37,16 @@ def _is_open(
     return True
 
 
-@kernel(boolean[:, ::1](_I2, _I2, _I2))
-def passing_cells(hits: NDArray[np.int32], passes: NDArray[np.int32], shielded: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Tell which cells (rows, cols) were hit and are open all the same; the counts are the grid's, see ``Grid``."""
-    out = np.zeros(hits.shape, np.bool_)
+@kernel(int64[:, ::1](_I2, _I2, _I2))
+def passing_cells(hits: NDArray[np.int32], passes: NDArray[np.int32], shielded: NDArray[np.int32]) -> NDArray[np.int64]:
+    """List row and column (n, 2) of the cells that were hit and are open all the same; the counts are ``Grid``'s."""
+    hit, n = 0, 0
+    for count in hits.ravel():
+        hit += 1 if count > 0 else 0
+    out = np.empty((hit, 2), np.int64)
     for row in range(hits.shape[0]):
         for col in range(hits.shape[1]):
-            out[row, col] = hits[row, col] > 0 and _is_open(row, col, hits, passes, shielded)
-    return out
+            if hits[row, col] > 0 and _is_open(row, col, hits, passes, shielded):
+                out[n, 0], out[n, 1] = row, col
+                n += 1
+    return out[:n]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, types, uint64
+from numba import float64, int32, int64, types, uint64
 
 from mavnav.kernels._jit import kernel
 
@@ -16,24 +16,18 @@ _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 
 
-@kernel(float64[:, ::1](_F1, _F2, _F1, float64, float64, float64))
-def scan_points(
+@kernel(int64(_F1, _F2, _F1, float64, float64, float64, float64[:, ::1]))
+def _end_points(
     ranges_m: NDArray[np.float64],
     directions: NDArray[np.float64],
     twist: NDArray[np.float64],
     time_increment_s: float,
     near_m: float,
     far_m: float,
-) -> NDArray[np.float64]:
-    """Return the end points (n, 2), in m, of the good beams in the laser's frame at mid-sweep.
-
-    Left out are beams without a return, nearer or farther than the limits, and mixed pixels: beams that differ from
-    both neighbours by more than 0.1 m and 5 % of their range. ``directions`` (beams, 2) are cosines and sines,
-    ``twist`` (3,) the laser's motion in its own frame, m/s, m/s, rad/s.
-    """
-    n = len(ranges_m)
-    out = np.empty((n, 2))
-    used = 0
+    out: NDArray[np.float64],
+) -> int:
+    """Write the end points (n, 2), m, of the good beams in the laser's frame at mid-sweep; returns how many."""
+    n, used = len(ranges_m), 0
     for i in range(n):
         r = ranges_m[i]
         if not near_m < r < far_m:
@@ -47,15 +41,15 @@ def scan_points(
         out[used, 0] = c * x - s * y + twist[0] * late_s
         out[used, 1] = s * x + c * y + twist[1] * late_s
         used += 1
-    return out[:used].copy()
+    return used
 
 
-@kernel(float64[:, ::1](_F2, float64))
-def voxel_means(points: NDArray[np.float64], voxel_m: float) -> NDArray[np.float64]:
-    """Average points (n, 2) in square voxels; returns (m, 2) in a scrambled order, the same for the same points.
+@kernel(int64(_F2, float64, float64[:, ::1]))
+def _voxel_means(points: NDArray[np.float64], voxel_m: float, out: NDArray[np.float64]) -> int:
+    """Write the means (m, 2) of points (n, 2) in square voxels, in a scrambled order, the same for the same points.
 
-    Any prefix of the result is a fair sample of the whole, which lets a search judge on few points first. Voxels are
-    filed in the order of their keys, with gaps: ``places`` hold their numbers, those of a key from its first bits on.
+    Returns how many there are. Voxels are filed in the order of their keys, with gaps: ``places`` hold their numbers,
+    those of a key from its first bits on.
     """
     n, m, bits = len(points), 0, 1
     while 1 << bits < 2 * n:
@@ -81,12 +75,38 @@ def voxel_means(points: NDArray[np.float64], voxel_m: float) -> NDArray[np.float
         sums[voxel, 0] += x
         sums[voxel, 1] += y
         sums[voxel, 2] += 1.0
-    out, k = np.empty((m, 2)), 0
+    k = 0
     for voxel in places:
         if voxel:
             out[k, 0], out[k, 1] = sums[voxel, 0] / sums[voxel, 2], sums[voxel, 1] / sums[voxel, 2]
             k += 1
-    return out
+    return k
+
+
+@kernel(types.UniTuple(int64, 2)(_F1, _F2, _F1, float64, _F1, float64[:, ::1], float64[:, ::1]))
+def scan_points(
+    ranges_m: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    twist: NDArray[np.float64],
+    time_increment_s: float,
+    limits_m: NDArray[np.float64],
+    ends: NDArray[np.float64],
+    means: NDArray[np.float64],
+) -> tuple[int, int]:
+    """Write the end points of the good beams in the laser's frame at mid-sweep, and their means in square voxels.
+
+    Parameters
+    ----------
+    ranges_m, directions : (beams,) m, NaN without a return, and (beams, 2) cosines and sines
+    twist, time_increment_s : (3,) the laser's motion in its own frame, m/s, m/s, rad/s, and the time between two beams
+    limits_m : (3,) beams from the first to the second are used; then the edge of a voxel
+    ends, means : (beams, 2) are written, m; returns how many of each
+
+    Left out are mixed pixels as well: beams that differ from both neighbours by more than 0.1 m and 5 % of their range.
+    The means are in a scrambled order: any prefix is a fair sample of the whole, so that a search may judge on few.
+    """
+    n = _end_points(ranges_m, directions, twist, time_increment_s, limits_m[0], limits_m[1], ends)
+    return n, _voxel_means(ends[:n], limits_m[2], means)
 
 
 @kernel(float64[:, ::1](_F2, _F1))
@@ -99,11 +119,11 @@ def placed(points: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np
     return out
 
 
-@kernel(float64[::1](_F2))
-def extent(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return least x, least y, largest x and largest y of points (n, 2), n > 0; shape (4,)."""
+@kernel(types.UniTuple(float64, 4)(_F2))
+def extent(points: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """Return least x, least y, largest x and largest y of points (n, 2), n > 0."""
     low_x, low_y = high_x, high_y = points[0, 0], points[0, 1]
     for k in range(1, len(points)):
         low_x, high_x = min(low_x, points[k, 0]), max(high_x, points[k, 0])
         low_y, high_y = min(low_y, points[k, 1]), max(high_y, points[k, 1])
-    return np.array([low_x, low_y, high_x, high_y])
+    return low_x, low_y, high_x, high_y

@@ -32,34 +32,30 @@ def smooth(xy: NDArray[np.float64], elapsed: NDArray[np.float64], stiffness: flo
     as one banded system, solved by its LDL' factors).
     """
     n = len(xy)
-    band = np.zeros((3, n))  # the diagonal of I + stiffness B'WB, and the two beside it
-    band[0] = 1.0
-    row = np.empty(3)
+    d, l1, l2 = np.ones(n), np.zeros(n), np.zeros(n)  # the diagonal of I + stiffness B'WB, and the two beside it
     for k in range(n - 2):
         before, after = elapsed[k], elapsed[k + 1]
-        row[0], row[1], row[2] = 1.0 / before, -1.0 / before - 1.0 / after, 1.0 / after
+        r0, r1, r2 = 1.0 / before, -1.0 / before - 1.0 / after, 1.0 / after
         weight = stiffness * (2.0 / (before + after)) ** 2
-        for i in range(3):
-            for j in range(3 - i):
-                band[i, k + j] += weight * row[j] * row[j + i]
-    log_determinant = 0.0
-    out[:] = xy
+        d[k] += weight * r0 * r0
+        d[k + 1] += weight * r1 * r1
+        d[k + 2] += weight * r2 * r2
+        l1[k] += weight * r0 * r1
+        l1[k + 1] += weight * r1 * r2
+        l2[k] += weight * r0 * r2
+    log_determinant, d_1, d_2, l1_1, l2_1, l2_2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # factors of the row before, and so on
+    x_1 = x_2 = y_1 = y_2 = 0.0
     for k in range(n):
-        for i in range(1, min(k, 2) + 1):
-            # Rows before hold d, l1, l2 of the factors already.
-            at = k - i
-            factor, pivot = band[i, at], band[0, at]
-            band[0, k] -= factor * factor * pivot
-            if i == 1 and at + 2 < n:
-                band[1, k] -= factor * band[2, at] * pivot
-            out[k] -= factor * out[at]
-        log_determinant += np.log(band[0, k])
-        band[1, k] /= band[0, k]
-        band[2, k] /= band[0, k]
+        pivot = d[k] - l1_1 * l1_1 * d_1 - l2_2 * l2_2 * d_2
+        below, x, y = l1[k] - l1_1 * l2_1 * d_1, xy[k, 0] - l1_1 * x_1 - l2_2 * x_2, xy[k, 1] - l1_1 * y_1 - l2_2 * y_2
+        log_determinant += np.log(pivot)
+        d_2, l2_2, x_2, y_2 = d_1, l2_1, x_1, y_1
+        d_1, l1_1, l2_1, x_1, y_1 = pivot, below / pivot, l2[k] / pivot, x, y
+        d[k], l1[k], l2[k], out[k, 0], out[k, 1] = d_1, l1_1, l2_1, x, y
+    x_1 = x_2 = y_1 = y_2 = 0.0
     for k in range(n - 1, -1, -1):
-        out[k] /= band[0, k]
-        for i in range(1, min(n - 1 - k, 2) + 1):
-            out[k] -= band[i, k] * out[k + i]
+        x, y = out[k, 0] / d[k] - l1[k] * x_1 - l2[k] * x_2, out[k, 1] / d[k] - l1[k] * y_1 - l2[k] * y_2
+        out[k, 0], out[k, 1], x_1, y_1, x_2, y_2 = x, y, x, y, x_1, y_1
     misfit = 1e-30
     for k in range(n):
         misfit += xy[k, 0] * (xy[k, 0] - out[k, 0]) + xy[k, 1] * (xy[k, 1] - out[k, 1])

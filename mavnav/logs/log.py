@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Literal
 
+import numpy as np
+
 from mavnav.errors import NoScansError, TopicError
 from mavnav.logs import formats
 from mavnav.logs.decode import decoder, is_laser
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from mavnav.logs.messages import LaserMessage
@@ -96,14 +97,15 @@ class Log:
         Scans that come early in the file wait for their turn. Only so many may wait; where more would have to, the file
         is read again.
         """
-        ranks = dict(zip(self._order.tolist(), range(len(self._order)), strict=True))
+        ranks = np.full(int(self._order.max()) + 1, -1)
+        ranks[self._order] = np.arange(len(self._order))
         most = max(_MOST_WAITING, _WAITING_BYTES // (8 * self.sensor.beams))
         due, before = 0, -1
-        while before < due < len(ranks):
+        while before < due < len(self._order):
             before = due
             waiting: dict[int, Scan] = {}
             for number, (spec, ranges_m) in enumerate(self._admitted()):
-                rank = ranks.get(number, -1)
+                rank = int(ranks[number]) if number < len(ranks) else -1
                 if due <= rank < due + most:
                     waiting[rank] = Scan(int(self._stamps_ns[rank]), ranges_m, spec)
                 while due in waiting:

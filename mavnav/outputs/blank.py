@@ -17,6 +17,7 @@ from mavnav.outputs.run import Run, Timing
 from mavnav.pose import Trajectory
 from mavnav.scan import LaserSpec
 from mavnav.slam import Slam
+from mavnav.steps import Steps
 
 if TYPE_CHECKING:
     from mavnav.config import Config
@@ -29,7 +30,7 @@ def blank_document(config: Config) -> dict[str, Any]:
     run = Run(
         log=_blank_log(),
         config=config,
-        slam=Slam((), way, grid, ()),
+        slam=Slam(Steps(), way, grid, ()),
         sections=sections,
         timing=Timing(0.0, 0.0, 0.0),
         quality=map_quality(grid, Journey(way, lambda: iter(()), 0.0), sections=sections),

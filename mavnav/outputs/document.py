@@ -20,6 +20,8 @@ from mavnav.units import DEG, MM, NS
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from mavnav.metrics.wall_thickness import WallThickness
     from mavnav.outputs.run import Run
 
@@ -130,12 +132,12 @@ def _file(run: Run) -> Document:
 
 def _scans(run: Run) -> Document:
     steps, counts = run.slam.steps, run.log.counts
-    accepted = sum(s.accepted for s in steps)
+    accepted = np.count_nonzero(steps.column("accepted"))
     return {
         "total": counts.total,
         "usable": counts.usable,
         "processed": len(steps),
-        "tracked": sum(s.tracked for s in steps),
+        "tracked": np.count_nonzero(steps.column("tracked")),
         "accepted": accepted,
         "rejected": len(steps) - accepted,
         "skipped": dict(counts.skipped),
@@ -158,6 +160,7 @@ def _tracking(run: Run) -> Document:
             for i in slam.lost
         ],
         "tracked_share": slam.tracked_share,
+        "opinions": slam.opinions,
         "path_length_m": slam.trajectory.length_m,
         "frames": {"trajectory.tum": ["map", run.log.frame_id]}
         | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),
@@ -167,7 +170,7 @@ def _tracking(run: Run) -> Document:
 def _loop_closure(run: Run) -> Document:
     """Tell the closed loops: both scans, seconds from the first scan's stamp, what the later one was off by."""
     slam, first_ns = run.slam, run.log.first_ns
-    scans = [s.index for s in slam.steps if s.tracked]
+    scans = slam.steps.column("index")[slam.steps.column("tracked")].tolist()
     stamps_ns = slam.trajectory.stamps_ns
     return {
         "closures": [
@@ -188,21 +191,23 @@ def _loop_closure(run: Run) -> Document:
 
 
 def _search(run: Run) -> Document:
-    matches = [s.match for s in run.slam.steps]
+    steps = run.slam.steps
+    costs_m2 = steps.column("cost_m2")
     return {
-        "evaluations_per_scan": _spread([m.evaluations for m in matches]),
-        "iterations_per_scan": _spread([m.iterations for m in matches]),
-        "converged_share": sum(m.converged for m in matches) / max(len(matches), 1),
-        "cost_m2": _spread([m.cost_m2 for m in matches if isfinite(m.cost_m2)]),
-        "beams_used": _spread([m.beams_used for m in matches]),
-        "inliers": _spread([m.inliers for m in matches]),
+        "evaluations_per_scan": _spread(steps.column("evaluations")),
+        "iterations_per_scan": _spread(steps.column("iterations")),
+        "converged_share": steps.share("converged"),
+        "cost_m2": _spread(costs_m2[np.isfinite(costs_m2)]),
+        "beams_used": _spread(steps.column("beams_used")),
+        "inliers": _spread(steps.column("inliers")),
     }
 
 
-def _spread(values: list[float] | list[int]) -> Document:
-    if not values:
+def _spread(values: NDArray[Any]) -> Document:
+    if not len(values):
         return {"mean": None, "median": None, "min": None, "max": None}
-    return {"mean": np.mean(values), "median": np.median(values), "min": min(values), "max": max(values)}
+    low, high = values.min().item(), values.max().item()
+    return {"mean": np.mean(values), "median": np.median(values), "min": low, "max": high}
 
 
 def thickness_document(thickness: WallThickness) -> Document:
@@ -221,7 +226,7 @@ def _map(run: Run) -> Document:
         "hits": int(grid.hits.sum(dtype=np.int64)),
         "size_m": [cols * grid.cell_m, rows * grid.cell_m],
         "origin_xy_m": list(grid.origin_xy_m),
-        "accepted_share": sum(s.accepted for s in run.slam.steps) / max(len(run.slam.steps), 1),
+        "accepted_share": run.slam.steps.share("accepted"),
     }
 
 

@@ -78,7 +78,8 @@ def placed_scans(run: Run) -> Iterator[tuple[Scan, Pose, bool]]:
     """Read the tracked scans once more: the scan, map_T_laser, and whether it went into the map."""
     trajectory = run.slam.trajectory
     row = {stamp: k for k, stamp in enumerate(trajectory.stamps_ns.tolist())}
-    mapped = {step.stamp_ns for step in run.slam.steps if step.accepted}
+    steps = run.slam.steps
+    mapped = set(steps.column("stamp_ns")[steps.column("accepted")].tolist())
     for scan in run.log.scans():
         if scan.stamp_ns in row:
             yield scan, trajectory[row[scan.stamp_ns]], scan.stamp_ns in mapped

@@ -11,18 +11,20 @@ from hypothesis import strategies as st
 from mavnav.kernels.conflicts import CLEAR_CELLS, conflicts
 from mavnav.kernels.volume import volume
 from mavnav.linemap import LineMap
+from mavnav.pose import Pose, transform_points
 
 LATTICE = np.array([-0.3, 0.1, 0.02])
 CORNER = np.array([0.0, 0.0, 0.02])
 
 
-def counted(points: np.ndarray, laser: np.ndarray, lattice: np.ndarray, hits: np.ndarray, passes: np.ndarray) -> int:
-    """Count conflicts, with a line map of the cells that were hit."""
+def counted(points: np.ndarray, laser: Pose, lattice: np.ndarray, hits: np.ndarray, passes: np.ndarray) -> int:
+    """Count conflicts of points of the map frame, with a line map of the cells that were hit."""
     line_map = LineMap(lattice[2], 0.06, 0.01)
     line_map.insert((np.argwhere(hits)[:, ::-1] + 0.5) * lattice[2] + lattice[:2])
     off_cells = np.round((lattice[:2] - line_map.geometry[:2]) / lattice[2])
     clear = np.array([*off_cells, line_map.closeness_at(CLEAR_CELLS * lattice[2])])
-    return conflicts(points, laser, lattice, hits, passes, line_map.closeness, clear)
+    seen = transform_points(laser.inverse(), points)
+    return conflicts(seen, laser.as_array(), lattice, hits, passes, line_map.closeness, clear)
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -32,8 +34,9 @@ def test_conflicts_are_the_twins(seed: int) -> None:
     hits = np.where(rng.random((60, 80)) < rng.choice((0.001, 0.01)), rng.integers(1, 9, (60, 80)), 0).astype(np.int32)
     passes = np.where(hits > 0, rng.integers(0, 9, hits.shape), rng.integers(0, 6, hits.shape)).astype(np.int32)
     points = rng.uniform((-0.6, -0.2), (1.6, 1.6), (40, 2))
-    laser = rng.uniform((-0.2, 0.2), (1.2, 1.2))
-    assert counted(points, laser, LATTICE, hits, passes) == naive.conflicts(points, laser, LATTICE, hits, passes)
+    x, y, yaw = rng.uniform((-0.2, 0.2, -3), (1.2, 1.2, 3))
+    expected = naive.conflicts(points, (x, y), LATTICE, hits, passes)
+    assert counted(points, Pose(x, y, yaw), LATTICE, hits, passes) == expected
 
 
 @pytest.mark.parametrize(("passes", "hits", "expected"), [(2, 0, 0), (3, 0, 1), (3, 1, 0)])
@@ -42,7 +45,7 @@ def test_a_point_in_the_open_is_a_conflict(passes: int, hits: int, expected: int
     near = grid.copy()
     near[20, 27] = hits
     at = np.array([[20.5, 20.5]]) * 0.02
-    assert counted(at, np.array([0.3, 0.41]), CORNER, near, grid + passes) == expected
+    assert counted(at, Pose(0.3, 0.41), CORNER, near, grid + passes) == expected
 
 
 @pytest.mark.parametrize(("hits", "passes", "expected"), [(4, 0, 1), (3, 0, 0), (4, 5, 0)])
@@ -51,12 +54,12 @@ def test_a_beam_through_a_wall_is_a_conflict(hits: int, passes: int, expected: i
     wall, crossed = grid.copy(), grid.copy()
     wall[2, 30], crossed[2, 30] = hits, passes
     ends = np.array([[60.5, 2.5], [38.5, 2.5], [29.5, 2.5]]) * 0.02  # well behind it, just behind it, in front of it
-    assert counted(ends, np.array([0.1, 0.05]), CORNER, wall, crossed) == expected
+    assert counted(ends, Pose(0.1, 0.05), CORNER, wall, crossed) == expected
 
 
 def test_a_point_on_the_laser_is_no_beam() -> None:
     grid = np.zeros((5, 5), np.int32)
-    assert counted(np.full((1, 2), 0.05), np.full(2, 0.05), CORNER, grid, grid) == 0
+    assert counted(np.full((1, 2), 0.05), Pose(0.05, 0.05), CORNER, grid, grid) == 0
 
 
 def test_volume_is_its_twin() -> None:

@@ -18,7 +18,7 @@ from mavnav.outputs import Run, Timing
 from mavnav.outputs.gridmap import measured_part
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam import Slam
-from mavnav.steps import LostInterval, Step
+from mavnav.steps import LostInterval, Step, Steps
 
 LOST = (10, 11)
 """Scans without a pose."""
@@ -92,7 +92,7 @@ def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
     lost = (LostInterval(recorded[LOST[0]].stamp_ns, recorded[LOST[-1]].stamp_ns, len(LOST), recovered=True),)
     sections = sections_by_hits(measured_part(grid).hits, grid.cell_m)
     log = FabricatedLog(recorded, cleaning={"valid": 600, "zero": 7})
-    return Run(log, Config(), Slam(tuple(steps), trajectory, grid, lost), sections, Timing(2.0, 1.5, 0.5))
+    return Run(log, Config(), Slam(Steps(steps), trajectory, grid, lost), sections, Timing(2.0, 1.5, 0.5))
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ from mavnav.loop_closure import Loop, Loops
 from mavnav.metrics.wall_thickness import wall_sections
 from mavnav.outputs.document import plain, run_document, to_json
 from mavnav.pose import Pose
-from mavnav.steps import LostInterval
+from mavnav.steps import LostInterval, Steps
 
 KEYS = {
     "schema_version", "mavnav_version", "input", "config", "method", "grid", "azimuth", "scans", "cleaning", "tracking",
@@ -98,7 +98,7 @@ def test_no_wall_is_null(run):
 
 
 def test_a_run_of_no_steps_has_a_document(run):
-    nothing = replace(run, slam=replace(run.slam, steps=()))
+    nothing = replace(run, slam=replace(run.slam, steps=Steps()))
     document = strict(run_document(nothing, {}))
     assert document["search"]["evaluations_per_scan"] == {"mean": None, "median": None, "min": None, "max": None}
     assert document["map"]["accepted_share"] == 0

@@ -1,0 +1,38 @@
+"""A second track where scans are sparse: one slip in a sharp turn bends the whole map, and crisper maps tell it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.steps import lost_intervals
+
+if TYPE_CHECKING:
+    from mavnav.config import Config
+    from mavnav.methods import Method
+    from mavnav.steps import Steps
+
+FEW_POINTS, SPARSE_SCANS = 80, 5
+"""With so many scans believed on fewer points a track is in doubt: a turn rests on a few walls then."""
+
+COARSER = 4 / 3
+"""Voxels of the second track: other points, and so other slips."""
+
+
+def in_doubt(steps: Steps) -> bool:
+    """Tell whether some believed scans of a track have few points."""
+    few = steps.column("beams_used") < FEW_POINTS
+    return int(np.count_nonzero(few & steps.column("tracked"))) >= SPARSE_SCANS
+
+
+def coarser(config: Config) -> Config:
+    """Return the configuration of the second track."""
+    robust = config.robust.model_copy(update={"voxel_mm": COARSER * config.robust.voxel_mm})
+    return config.model_copy(update={"robust": robust})
+
+
+def blur(method: Method, steps: Steps) -> tuple[int, int]:
+    """Rank a track, the better one first: scans lost, jumps included, then cells of its map that were hit."""
+    lost = sum(max(1, interval.scans) for interval in lost_intervals(steps))
+    return lost, int(np.count_nonzero(method.grid.hits))
