@@ -91,8 +91,8 @@ class Method(Protocol):
     def clear_passing(self) -> None:
         """Take out of the map what did not stay where it was seen."""
 
-    def place(self, scan: Scan, match: Match) -> Match:
-        """Match the scan as recorded against the finished map, close to an earlier match."""
+    def place(self, scan: Scan, match: Match, motion: Motion | None = None) -> Match:
+        """Match the scan against the finished map, close to an earlier match; as recorded, or de-skewed by a motion."""
 
     def finished(self) -> Grid:
         """Return the map, and forget it: of a large one there is no room for both."""
@@ -159,7 +159,7 @@ class Paper:
     def clear_passing(self) -> None:
         """Leave the map: the paper works on line."""
 
-    def place(self, scan: Scan, match: Match) -> Match:
+    def place(self, scan: Scan, match: Match, motion: Motion | None = None) -> Match:
         """Leave the match: the paper works on line."""
         return match
 
@@ -301,9 +301,9 @@ class Robust:
         """Take people who walked by, and the like, out of grid and lines."""
         self.lines.remove(self.grid.clear_passing())
 
-    def place(self, scan: Scan, match: Match) -> Match:
-        """Place the scan as it was recorded, not de-skewed, so that pose and raw ranges fit together."""
-        placed = search_lines(self.match_points(scan), self.lines, match.map_T_laser, self._final)
+    def place(self, scan: Scan, match: Match, motion: Motion | None = None) -> Match:
+        """Place the scan as it was recorded, so that pose and raw ranges fit together; de-skewed if given a motion."""
+        placed = search_lines(self.match_points(scan, motion), self.lines, match.map_T_laser, self._final)
         return with_effort(placed, match, placed)
 
     def finished(self) -> Grid:

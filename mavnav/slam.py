@@ -267,14 +267,14 @@ def fires_backwards(log_scans: Callable[[], Iterable[Scan]], steps: Steps, start
 
 
 def glance(scans: list[Scan], steps: list[Step], motion: Motion, method: Method) -> tuple[list[Match], list[Match]]:
-    """Match a few tracked scans once more, as told and backwards, with the map that they made."""
+    """Place a few tracked scans once more, as told and backwards, in the map that they made."""
     told, other = [], []
     for before, step, scan in islice(zip(steps, steps[1:], scans[1:], strict=False), 0, None, GLANCE_EVERY):
         if before.tracked and step.tracked:
             here = motion.started_at(step.match.map_T_laser, step.stamp_ns)
             here = here.coming_from(before.match.map_T_laser, before.stamp_ns)
-            told.append(method.match(scan, here.map_T_laser, here))
-            other.append(method.match(backwards(scan), here.map_T_laser, here))
+            told.append(method.place(scan, step.match, here))
+            other.append(method.place(backwards(scan), step.match, here))
     return told, other
 
 

@@ -20,7 +20,7 @@ R = TypeVar("R")
 OTHER = "other"
 
 _spent_s: dict[str, float] = {}
-_open: list[str] = [OTHER]
+_on = OTHER
 _since_s = 0.0
 
 
@@ -34,35 +34,33 @@ def account(**before_s: float) -> dict[str, float]:
     return _spent_s
 
 
-def _turn_over() -> None:
-    """Charge the time since the last change to the stage that was on."""
-    global _since_s  # noqa: PLW0603
-    now_s = perf_counter()
-    name = _open[-1]
-    _spent_s[name] = _spent_s.get(name, 0.0) + now_s - _since_s
-    _since_s = now_s
+def _switch(name: str) -> str:
+    """Charge the time since the last change to the stage that was on, and begin another; returns the one before."""
+    global _on, _since_s
+    before, now_s = _on, perf_counter()
+    _spent_s[before] = _spent_s.get(before, 0.0) + now_s - _since_s
+    _on, _since_s = name, now_s
+    return before
 
 
 class Stage:
     """A named stretch of work: ``with Stage("search"):``."""
 
-    __slots__ = ("name",)
+    __slots__ = ("before", "name")
 
     def __init__(self, name: str) -> None:
         """Name the stage; it begins with the block."""
-        self.name = name
+        self.name, self.before = name, OTHER
 
     def __enter__(self) -> None:
         """Stop the stage around this one, begin this one."""
-        _turn_over()
-        _open.append(self.name)
+        self.before = _switch(self.name)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """End this stage, go on with the one around it."""
-        _turn_over()
-        _open.pop()
+        _switch(self.before)
 
 
 def timed(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
@@ -71,13 +69,11 @@ def timed(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         @wraps(function)
         def within(*args: P.args, **kwargs: P.kwargs) -> R:
-            _turn_over()
-            _open.append(name)
+            before = _switch(name)
             try:
                 return function(*args, **kwargs)
             finally:
-                _turn_over()
-                _open.pop()
+                _switch(before)
 
         return within
 
