@@ -132,12 +132,15 @@ def polar_points(ranges_m: NDArray[np.float64], spec: LaserSpec, mixed_pixel_m: 
 
     A mixed pixel differs from both neighbouring beams by more than ``mixed_pixel_m``.
     """
-    jump = np.abs(np.diff(ranges_m))
-    mixed = np.zeros(len(ranges_m), bool)
-    mixed[1:-1] = (jump[:-1] > mixed_pixel_m) & (jump[1:] > mixed_pixel_m)
-    beam = np.flatnonzero(np.isfinite(ranges_m) & ~mixed)
-    r, angle = ranges_m[beam], spec.angles_rad[beam]
-    return np.column_stack((r * np.cos(angle), r * np.sin(angle), beam, r, angle))
+    far = np.abs(np.diff(ranges_m)) > mixed_pixel_m
+    good = np.isfinite(ranges_m)
+    good[1:-1] &= ~(far[:-1] & far[1:])
+    beam = np.flatnonzero(good)
+    r, points = ranges_m[beam], np.empty((len(beam), 5))
+    points[:, :2] = r[:, None] * spec.directions[beam]
+    points[:, 2], points[:, 3] = beam, r
+    points[:, 4] = spec.angle_min_rad + spec.angle_step_rad * points[:, 2]
+    return points
 
 
 ALTERNATIONS, FINAL_ALTERNATIONS = 2, 1

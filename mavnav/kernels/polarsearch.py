@@ -4,13 +4,13 @@ A pruned grid has the minimum of the exhaustive one: the same index, the lowest 
 bit. Every candidate gets a lower bound of its cost; that of the least bound is evaluated, then those whose bounds leave
 them a chance. The bounds come
 
-* on wide grids from the cost in single precision: beams that may be off by more than `RANGE_M`, or may not contribute,
-  are counted but not summed;
+* on wide grids from the cost in single precision, of points as they are seen from the grid's middle: beams that may be
+  off by more than `RANGE_M`, or may not contribute, are counted but not summed;
 * on small ones, where most beams keep the segment that they meet and contribute throughout or nowhere, from the
   polynomial of second order of their sum, less twice its third-order term; the others are summed for each candidate.
 
 Shared arguments: ``scan`` is the virtual ranges, the points as rows x, y, beam number, range, bearing, whether they
-hang together with the point before, and distance, (7, n), and the limits of ``polar_cost``; ``work`` is scratch,
+hang together with the point before, (6, n), and the limits of ``polar_cost``; ``work`` is scratch,
 (6, 2 n or beams) and (2, 2 n): ranges, beam numbers, what segments show and their slopes. ``motion`` (5,) is cosine and
 sine of the turn, shift in x and y (m) and turn (rad). ``window`` (4,) is half-window in m and rad, one of them 0, and
 the point (m) that turns are about.
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 MAX_ITERATIONS = 60
 HELD_SHARE = 1.0 / 16.0
 """Of a point's range, and of a segment's width, that motion within a small grid may change."""
-HELD_BEAMS, TRIMMED_BEAMS, WORTH_TRIMMING = 0.25, 6.0, 40
+HELD_BEAMS, TRIMMED_BEAMS, WORTH_TRIMMING = 0.25, 6.0, 15
 """Where points pass more beams on average, too few beams keep their segments, or are of no use on the whole grid; it
 takes as long to find these as to bound some ten candidates."""
 HIDDEN_M = 0.05
@@ -45,17 +45,17 @@ SUM_M2 = 1e-11
 CLOSE = 1e-8
 """So near to the end of a segment, in beams, or to a threshold, in m, rounding and series decide what contributes."""
 
-BEARING_RAD, RANGE_M = 1e-6, 1e-4
-"""In single precision bearings are better than this, and ranges where the surface is not too steep."""
-TOO_NEAR_M = np.float32(0.05)
-"""Bearings of nearer points are not known as well in single precision."""
-STRAIGHT_BEHIND = np.float32(14.0)
-"""Tangent of half the turn beyond which it is not."""
+BEARING_RAD, RANGE_M, RANGE_SHARE = 6e-7, 3e-5, 1e-6
+"""In single precision bearings are better than this, and ranges where the surface is not too steep: in m, or of the
+farthest."""
 DOUBT, NOTHING = np.float32(-1e30), np.float32(np.inf)
-ZERO, ONE, TWO, QUARTER_TURN = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(np.pi / 2.0)
-A0, A1, A2, A3 = np.float32(0.999999898), np.float32(-0.333319597), np.float32(0.199692354), np.float32(-0.14016585)
-A4, A5, A6, A7 = np.float32(0.09906097), np.float32(-0.059367101), np.float32(0.02416619), np.float32(-0.004668773)
-"""The arc tangent up to 1, good to 1e-7: fitted at the Chebyshev points of the square."""
+ZERO, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
+THIRD, FIFTH, SEVENTH, NINTH = (np.float32(1.0 / n) for n in (3.0, 5.0, 7.0, 9.0))
+LITTLE, TOO_NEAR = np.float32(0.2), np.float32(0.2)
+"""Of a point's squared range: shifts up to here turn it so little that the series is good to 3e-8. Of its range: points
+that come nearer than this are not known as well in single precision."""
+NEARLY_BEHIND_RAD = 3.0
+"""Beyond, a neighbour may have turned the other way round."""
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
@@ -67,18 +67,18 @@ _WORK = types.Tuple((float64[:, ::1], int32[:, ::1]))
 # ---- the cost -------------------------------------------------------------------------------------------------------
 
 
-@kernel(types.boolean(_F2, _F1, _F1, float64[::1], float64[::1]))
+@kernel(void(_F2, _F1, _F1, float64[::1], float64[::1]))
 def _see(
     points: NDArray[np.float64],
     motion: NDArray[np.float64],
     limits: NDArray[np.float64],
     r: NDArray[np.float64],
     beam: NDArray[np.float64],
-) -> bool:
-    """Write range and beam number of the moved points; False where one turns too far for the series.
+) -> None:
+    """Write range and beam number of the moved points.
 
     Between neighbouring poses a point's bearing changes little: a series of the tangent is then good to 1e-11. Without
-    branches the loop works on four points at a time.
+    branches the loop works on four points at a time; those that turn farther are seen to afterwards.
     """
     c, s, x, y, yaw = motion
     per_step, turn = 1.0 / limits[1], 2.0 * np.pi / abs(limits[1])
@@ -91,57 +91,17 @@ def _see(
         cross, dot = px * qy - py * qx, px * qx + py * qy
         t = cross / dot
         u = t * t
-        wide += (u >= 0.04) | (dot <= 0.0)
+        far = (u >= 0.04) | (dot <= 0.0)
+        wide += far
         between = t * (1.0 - u * (1 / 3 - u * (1 / 5 - u * (1 / 7 - u * (1 / 9 - u * (1 / 11 - u * (1 / 13)))))))
         at = (bearing[k] + yaw + between - first) * per_step
-        beam[k] = at - turn * np.floor(at * per_turn)
-    return bool(wide == 0)
-
-
-@kernel(void(_F2, _F1, _F1, float64[::1]))
-def _see_far(
-    points: NDArray[np.float64], motion: NDArray[np.float64], limits: NDArray[np.float64], beam: NDArray[np.float64]
-) -> None:
-    """Write the beam numbers of points some of which turn far."""
-    c, s, x, y, yaw = motion
-    per_step, turn = 1.0 / limits[1], 2.0 * np.pi / abs(limits[1])
-    for k in range(len(beam)):
-        px, py = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
-        qx, qy = px + x, py + y
-        between = np.arctan2(px * qy - py * qx, px * qx + py * qy)
-        at = (points[4, k] + yaw + between - limits[0]) * per_step
-        beam[k] = at - turn * np.floor(at * (1.0 / turn))
-
-
-@kernel(void(_F2, _F1, _F1, float64[::1], float64[::1]))
-def _see_about(
-    points: NDArray[np.float64],
-    motion: NDArray[np.float64],
-    limits: NDArray[np.float64],
-    r: NDArray[np.float64],
-    beam: NDArray[np.float64],
-) -> None:
-    """Write range and beam number of the moved points, wherever they turn to, right but for rounding.
-
-    Half the turn has the tangent cross / (product of the ranges + dot); halved twice more it suits a short series.
-    """
-    c, s, x, y, yaw = motion
-    per_step, turn = 1.0 / limits[1], 2.0 * np.pi / abs(limits[1])
-    for k in range(len(r)):
-        px, py = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
-        qx, qy = px + x, py + y
-        r[k] = np.sqrt(qx * qx + qy * qy)
-        cross, ahead = px * qy - py * qx, max(points[6, k] * r[k] + px * qx + py * qy, 0.0)
-        aside = max(abs(cross), 1e-300)  # straight behind, both are 0
-        t = min(aside, ahead) / max(aside, ahead)
-        t = t / (1.0 + np.sqrt(1.0 + t * t))
-        t = t / (1.0 + np.sqrt(1.0 + t * t))
-        u = t * t
-        tail = 1 / 11 - u * (1 / 13 - u * (1 / 15 - u * (1 / 17)))
-        half = 4.0 * t * (1.0 - u * (1 / 3 - u * (1 / 5 - u * (1 / 7 - u * (1 / 9 - u * tail)))))
-        half = 0.5 * np.pi - half if aside > ahead else half
-        at = (points[4, k] + yaw + (2.0 * half if cross > 0.0 else -2.0 * half) - limits[0]) * per_step
-        beam[k] = at - turn * np.floor(at * (1.0 / turn))
+        beam[k] = np.nan if far else at - turn * np.floor(at * per_turn)
+    for k in range(len(r) if wide else 0):
+        if np.isnan(beam[k]):
+            px, py = c * from_x[k] - s * from_y[k], s * from_x[k] + c * from_y[k]
+            qx, qy = px + x, py + y
+            at = (bearing[k] + yaw + np.arctan2(px * qy - py * qx, px * qx + py * qy) - first) * per_step
+            beam[k] = at - turn * np.floor(at * per_turn)
 
 
 @kernel(void(_SCAN, _WORK))
@@ -168,10 +128,9 @@ def _span(scan: Scan, work: Work) -> None:
 
 @kernel(void(_SCAN, _WORK, float64[::1]))
 def _lay(scan: Scan, work: Work, seen: NDArray[np.float64]) -> None:
-    """Write what each virtual beam sees of the moved points: nearer surfaces hide farther ones."""
+    """Lower what each virtual beam sees to the moved points: nearer surfaces hide farther ones."""
     r, beam, value, slope = work[0][0], work[0][1], work[0][2], work[0][3]
     first, more, beams, turn = work[1][0], work[1][1], len(seen), 2.0 * np.pi / abs(scan[2][1])
-    seen[:] = np.inf
     for k in range(1, scan[1].shape[1]):
         at, from_r, start = first[k], r[k - 1], beam[k - 1]
         seen[uint64(at)] = min(seen[uint64(at)], value[k])
@@ -210,6 +169,7 @@ def _mean(scan: Scan, work: Work) -> tuple[float, float]:
     virtual, _, limits = scan
     # Cost function, step iv
     seen = work[0][4, : len(virtual)]
+    seen[:] = np.inf
     _span(scan, work)
     _lay(scan, work, seen)
     total, used = _compare(virtual, limits, seen, work[0][5, : len(virtual)])
@@ -219,45 +179,20 @@ def _mean(scan: Scan, work: Work) -> tuple[float, float]:
     return total / used, used
 
 
-@kernel(boolean(_SCAN, float64[::1]))
-def _is_sure(scan: Scan, beam: NDArray[np.float64]) -> bool:
-    """Tell whether no point lies so close to a beam that its segment might, but for rounding, not meet it."""
-    close = 0
-    for k in range(scan[1].shape[1]):
-        close += abs(beam[k] - np.rint(beam[k])) < CLOSE
-    return bool(close == 0)
-
-
-@kernel(boolean(float64, float64, _F1))
-def _is_plain(at: float, off: float, limits: NDArray[np.float64]) -> bool:
-    """Tell whether a range, so far off the expected one, is not close to a threshold."""
-    return bool(min(abs(at - limits[2]), abs(at - limits[3]), abs(off - limits[4])) > CLOSE)
-
-
-@kernel(types.UniTuple(float64, 2)(_SCAN, _F1, _WORK, float64))
-def _evaluate(scan: Scan, motion: NDArray[np.float64], work: Work, most: float) -> tuple[float, float]:
-    """Return cost and number of beams in it, see ``polar_cost``; what plainly costs more than ``most`` may be inf."""
-    virtual, points, limits = scan
-    r, beam = work[0][0, : points.shape[1]], work[0][1, : points.shape[1]]
+@kernel(types.UniTuple(float64, 2)(_SCAN, _F1, _WORK))
+def _evaluate(scan: Scan, motion: NDArray[np.float64], work: Work) -> tuple[float, float]:
+    """Return cost and number of beams in it, see ``polar_cost``."""
+    n = scan[1].shape[1]
     # Cost function, step iii
-    if not _see(points, motion, limits, r, beam):
-        if most < np.inf:  # the arc tangent takes three times as long as all else
-            _see_about(points, motion, limits, r, beam)
-            plainly = _is_sure(scan, beam) and _mean(scan, work)[0] - SUM_M2 > most
-            for j in range(len(virtual) if plainly else 0):
-                at = work[0][4, j]
-                plainly &= not at < np.inf or _is_plain(at, abs(at - virtual[j]), limits)
-            if plainly:
-                return np.inf, 0.0
-        _see_far(points, motion, limits, beam)
+    _see(scan[1], motion, scan[2], work[0][0, :n], work[0][1, :n])
     return _mean(scan, work)
 
 
 @kernel(_F2(_F2, float64))
 def _joined(points: NDArray[np.float64], edge: float) -> NDArray[np.float64]:
-    """Return points (5, n) with two rows more: 1 where a point and the one before are of one surface; the distance."""
-    out = np.zeros((7, points.shape[1]))
-    out[:5], out[6] = points, np.sqrt(points[0] ** 2 + points[1] ** 2)
+    """Return points (5, n) with a row more: 1 where a point and the one before are of one surface."""
+    out = np.zeros((6, points.shape[1]))
+    out[:5] = points
     for k in range(1, points.shape[1]):
         out[5, k] = (points[2, k] == points[2, k - 1] + 1.0) & (abs(points[3, k] - points[3, k - 1]) < edge)
     return out
@@ -287,7 +222,7 @@ def polar_cost(
     n = points.shape[1]
     motion = np.array([np.cos(yaw), np.sin(yaw), x, y, yaw])
     work = np.empty((6, max(n, len(virtual)))), np.empty((2, n), np.int32)
-    return _evaluate((virtual, _joined(points, limits[5]), limits), motion, work, np.inf)
+    return _evaluate((virtual, _joined(points, limits[5]), limits), motion, work)
 
 
 # ---- wide grids: bounds in single precision -------------------------------------------------------------------------
@@ -297,24 +232,27 @@ def polar_cost(
 def _glance(points: NDArray[np.float32], motion: NDArray[np.float32], moved: NDArray[np.float32]) -> None:
     """Write range and turn in beams of the moved points; the turn is NaN where it is not known well.
 
-    Half the turn has the tangent cross / (product of the ranges + dot). In place of bearings, ``points`` has how many
-    beams they lie off their beam.
+    Half the turn has the tangent cross / (product of the ranges + dot). Of points that turn little a short series is
+    good to 1e-7; the others are seen to afterwards.
     """
-    c, s, x, y, turned, per_step = motion
+    x, y, turned, per_step = motion
+    shift2, wide = x * x + y * y, int32(0)
     for k in range(points.shape[1]):
-        px, py = c * points[0, k] - s * points[1, k], s * points[0, k] + c * points[1, k]
-        qx, qy = px + x, py + y
-        r = np.sqrt(qx * qx + qy * qy)
-        cross, ahead = px * y - py * x, points[6, k] * r + px * qx + py * qy
-        aside = abs(cross)
-        t = min(aside, ahead) / max(aside, ahead)
+        along, cross = points[0, k] * x + points[1, k] * y, points[0, k] * y - points[1, k] * x
+        r = np.sqrt(points[3, k] + (along + along + shift2))
+        t = cross / (points[6, k] * r + (points[3, k] + along))
         u = t * t
-        half = t * (A0 + u * (A1 + u * (A2 + u * (A3 + u * (A4 + u * (A5 + u * (A6 + u * A7)))))))
-        half = QUARTER_TURN - half if aside > ahead else half
-        known = (aside < STRAIGHT_BEHIND * ahead) & (r > TOO_NEAR_M)
+        far = LITTLE * points[3, k] < shift2
+        wide = int32(wide + int32(far))  # 32 bits wide, or half as many points are done at a time
+        half = t * (ONE - u * (THIRD - u * (FIFTH - u * (SEVENTH - u * NINTH))))
         moved[0, k] = r
-        between = TWO * half if cross > ZERO else -TWO * half
-        moved[1, k] = points[4, k] + turned + per_step * between if known else NOTHING - NOTHING
+        moved[1, k] = NOTHING - NOTHING if far else points[4, k] + (turned + per_step * (half + half))
+    for k in range(points.shape[1] if wide else 0):
+        if LITTLE * points[3, k] < shift2 and moved[0, k] > TOO_NEAR * points[6, k]:
+            px, py, dx, dy = float64(points[0, k]), float64(points[1, k]), float64(x), float64(y)
+            between = np.arctan2(px * dy - py * dx, px * (px + dx) + py * (py + dy))
+            if abs(between) < NEARLY_BEHIND_RAD:
+                moved[1, k] = points[4, k] + (turned + per_step * between)
 
 
 @kernel(void(_S2, _S1, float32[:, ::1], int32[:, ::1]))
@@ -341,7 +279,8 @@ def _span_glance(
         moved[3, k] = slope
         spans[0, k] = int32(min(max(number + low, ZERO), last)) if inside else int32(0)
         # A turn is no whole number of beams: across the seam others meet a segment than before it.
-        special = joined & ((across & (ahead > -close) & (ahead < quarter + ONE)) | np.isnan(ahead))
+        special = across & (ahead > -close) & (ahead < quarter + ONE)
+        special = joined & (special | (abs(ahead) > TWO * quarter) | np.isnan(ahead))
         spans[1, k] = int32(-1) if special else int32(min(number + high, last) - (number + low) if inside else ZERO)
 
 
@@ -365,9 +304,9 @@ def _lay_glance(
         if more >= 0:
             continue
         start, end = points[2, k - 1] + moved[1, k - 1], points[2, k - 1] + moved[1, k] + ONE
-        if not end - start <= turn:
+        if not -ONE <= end - start <= turn:  # not known, or the laser has gone through it
             return False
-        for around in range(-1, 2):
+        for around in range(int64(np.floor(-end / turn)), int64(np.ceil((last - start) / turn)) + 1):
             low, high = np.floor(start + around * turn), np.ceil(end + around * turn)
             for j in range(max(int64(low), 0), min(int64(high), last) + 1):
                 seen[j] = DOUBT
@@ -380,13 +319,13 @@ def _least_mean(
 ) -> float:
     """Return what the cost is at least: the sum of what contributes for sure, by the beams that may contribute."""
     near, far, occlusion, off_by = widths[4], widths[5], widths[6], widths[7]
-    n, most = len(virtual), 0
+    n, most = len(virtual), int32(0)
     for j in range(n):
         at, off = seen[j], abs(seen[j] - virtual[j])
         sure = (near + off_by < at) & (at < far - off_by) & (off_by < off) & (off < occlusion - off_by)
         may = (near - off_by < at) & (at < far + off_by) & (off < occlusion + off_by)
         squares[j] = (off - off_by) * (off - off_by) if sure else ZERO
-        most += int32(may | ((at < -ONE) & (virtual[j] > ZERO)))
+        most = int32(most + int32(may | ((at < -ONE) & (virtual[j] > ZERO))))
     while n > 1:  # pairs in parallel: the order of summation does not matter here
         half = (n + 1) // 2
         for j in range(n - half):
@@ -395,28 +334,50 @@ def _least_mean(
     return squares[0] * (1.0 - 1e-5) / most if most >= max(widths[8], ONE) else np.inf
 
 
-@kernel(void(_SCAN, _F2, int32[:, ::1], float64[::1]))
-def _bound_wide(
-    scan: Scan, motions: NDArray[np.float64], spans: NDArray[np.int32], bounds: NDArray[np.float64]
-) -> None:
-    """Write a lower bound of each candidate's cost, -inf where none is known."""
-    virtual, points, limits = scan
+@kernel(_S2(_SCAN, _F1, float64[:, ::1]))
+def _at_middle(scan: Scan, middle: NDArray[np.float64], scratch: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the points as they lie in the middle of a grid, (7, n).
+
+    Their x, y, beam number as measured, squared range, how many beams they have moved on from there (not back at the
+    seam), whether they hang together with the point before, and range.
+    """
+    points, (c, s, x, y, yaw), per_step = scan[1], middle, 1.0 / scan[2][1]
+    out, turn, before = np.empty((7, points.shape[1]), np.float32), 2.0 * np.pi * abs(per_step), 0.0
+    for k in range(points.shape[1]):
+        r, beam, number = scratch[0, k], scratch[1, k], points[2, k]
+        at = before if points[5, k] > 0.0 else (points[4, k] + yaw - scan[2][0]) * per_step
+        before = beam + turn * np.rint((at - beam) / turn)
+        out[0, k] = c * points[0, k] - s * points[1, k] + x
+        out[1, k] = s * points[0, k] + c * points[1, k] + y
+        out[2, k], out[3, k], out[5, k], out[6, k] = number, r * r, points[5, k], r
+        out[4, k] = before - number if abs(before - number) < 0.55 * turn else np.nan
+    return out
+
+
+@kernel(void(_SCAN, _F2, _WORK, float64[::1]))
+def _bound_wide(scan: Scan, motions: NDArray[np.float64], work: Work, bounds: NDArray[np.float64]) -> None:
+    """Write a lower bound of each candidate's cost, -inf where none is known.
+
+    ``work`` holds the points as they are seen from the grid's middle, the last of the ``motions``; the candidates are
+    taken for shifts from there and then turns.
+    """
+    (virtual, points, limits), (_, _, x, y, yaw) = scan, motions[-1]
     n, beams, per_step = points.shape[1], len(virtual), 1.0 / limits[1]
-    small, motion, moved = points.astype(np.float32), np.empty(6, np.float32), np.empty((4, n), np.float32)
+    small, motion, moved = _at_middle(scan, motions[-1], work[0]), np.empty(4, np.float32), np.empty((4, n), np.float32)
     expected, seen, squares = np.empty(beams, np.float32), np.empty(beams, np.float32), np.empty(beams, np.float32)
-    small[4] = (points[4] - limits[0]) * per_step - points[2]
     for j in range(beams):
         expected[j] = virtual[j] if limits[2] < virtual[j] < limits[3] else np.nan
-    widths, close = np.empty(9, np.float32), BEARING_RAD * abs(per_step)
-    widths[0], widths[1], widths[2], widths[3] = 2.0 * np.pi * abs(per_step), close, 0.5 * RANGE_M / close, beams - 1
-    widths[4:7], widths[7], widths[8] = limits[2:5], RANGE_M, limits[6]
+    widths, close, off_by = np.empty(9, np.float32), BEARING_RAD * abs(per_step), max(RANGE_M, RANGE_SHARE * limits[3])
+    widths[0], widths[1], widths[2], widths[3] = 2.0 * np.pi * abs(per_step), close, 0.5 * off_by / close, beams - 1
+    widths[4:7], widths[7], widths[8] = limits[2:5], off_by, limits[6]
     for i in range(len(bounds)):
-        for j in range(5):
-            motion[j] = motions[i, j]
-        motion[4], motion[5] = motions[i, 4] * per_step, per_step
+        turn = motions[i, 4] - yaw
+        c, s = np.cos(turn), np.sin(turn)
+        motion[0], motion[1] = c * motions[i, 2] + s * motions[i, 3] - x, c * motions[i, 3] - s * motions[i, 2] - y
+        motion[2], motion[3] = turn * per_step, per_step
         _glance(small, motion, moved)
-        _span_glance(small, widths, moved, spans)
-        known = _lay_glance(small, widths, moved, spans, seen)
+        _span_glance(small, widths, moved, work[1])
+        known = _lay_glance(small, widths, moved, work[1], seen)
         bounds[i] = _least_mean(expected, widths, seen, squares) if known else -np.inf
 
 
@@ -450,23 +411,29 @@ def _reach(
     return beams / n, largest
 
 
-@kernel(types.UniTuple(float64, 3)(int64, _SCAN, float64[:, ::1], float64[:, ::1]))
-def _swept(k: int, scan: Scan, scratch: NDArray[np.float64], reach: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Return the beams that a segment may meet somewhere on the grid, from and to, and where it begins in the middle.
+@kernel(void(_SCAN, float64[:, ::1], float64[:, ::1], float64[:, ::1]))
+def _sweep(scan: Scan, scratch: NDArray[np.float64], reach: NDArray[np.float64], swept: NDArray[np.float64]) -> None:
+    """Write the beams that each segment may meet somewhere on the grid, from and to.
 
     An empty range where it meets none, beyond 0 or a whole turn where it may cross the seam.
     """
-    turn, start, ahead = 2.0 * np.pi / abs(scan[2][1]), scratch[1, k - 1], scratch[1, k] - scratch[1, k - 1]
-    ahead = ahead + turn if ahead < -0.5 * turn else ahead
-    less, more = reach[1, k - 1], reach[1, k]
-    if scan[1][5, k] == 0.0 or ahead < -more - less or ahead > 0.25 * turn + more + less:
-        return 1.0, 0.0, start
-    return start - less, start + ahead + more, start
+    beam, joined, turn = scratch[1], scan[1][5], 2.0 * np.pi / abs(scan[2][1])
+    for k in range(1, len(joined)):
+        start, ahead, less, more = beam[k - 1], beam[k] - beam[k - 1], reach[1, k - 1], reach[1, k]
+        ahead = ahead + turn if ahead < -0.5 * turn else ahead
+        none = (joined[k] == 0.0) | (ahead < -more - less) | (ahead > 0.25 * turn + more + less)
+        swept[0, k] = 1.0 if none else start - less
+        swept[1, k] = 0.0 if none else start + ahead + more
 
 
-@kernel(void(_SCAN, _WORK, float64[:, ::1], float64[:, ::1], int64[::1]))
+@kernel(void(_SCAN, _WORK, float64[:, ::1], float64[:, ::1], float64[:, ::1], int64[::1]))
 def _hold(
-    scan: Scan, work: Work, reach: NDArray[np.float64], sight: NDArray[np.float64], held: NDArray[np.int64]
+    scan: Scan,
+    work: Work,
+    reach: NDArray[np.float64],
+    swept: NDArray[np.float64],
+    sight: NDArray[np.float64],
+    held: NDArray[np.int64],
 ) -> None:
     """Write what each beam sees and which segment it meets all over the grid: 0 for none, -1 where that may change.
 
@@ -484,7 +451,9 @@ def _hold(
             if at < seen[j]:
                 seen[j], held[j] = at, k
     for k in range(1, scan[1].shape[1]):
-        low, high, start = _swept(k, scan, work[0], reach)
+        low, high = swept[0, k], swept[1, k]
+        if low > high:
+            continue
         near = min(r[k - 1] - reach[0, k - 1], r[k] - reach[0, k])
         far = max(r[k - 1] + reach[0, k - 1], r[k] + reach[0, k])
         seam = low < 0.0 or high >= turn
@@ -492,7 +461,7 @@ def _hold(
             by = around * turn
             for j in range(max(int64(np.ceil(low + by)), 0), min(int64(np.floor(high + by)), last) + 1):
                 mine = held[j] == k
-                sure = mine and j >= start + reach[1, k - 1] and j <= beam[k] - reach[1, k] and not seam
+                sure = mine and j >= beam[k - 1] + reach[1, k - 1] and j <= beam[k] - reach[1, k] and not seam
                 sight[1, j], sight[2, j] = min(sight[1, j], near), max(sight[2, j], far)
                 if not sure and (mine or near <= seen[j] + HIDDEN_M):
                     held[j] = -1
@@ -527,27 +496,25 @@ def _let_go(
             held[j] = 0
 
 
-@kernel(_F2(_SCAN, float64[:, ::1], float64[:, ::1], int64[::1]))
-def _rest(
-    scan: Scan, scratch: NDArray[np.float64], reach: NDArray[np.float64], held: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Return the points (7, m) of the segments that loose beams may meet."""
+@kernel(_F2(_SCAN, float64[:, ::1], int64[::1]))
+def _rest(scan: Scan, swept: NDArray[np.float64], held: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the points (6, m) of the segments that loose beams may meet."""
     points, last, turn, count, before = scan[1], len(held) - 1, 2.0 * np.pi / abs(scan[2][1]), 0, 0
-    out = np.empty((2 * points.shape[1], 7))
+    out, loose = np.empty((6, 2 * points.shape[1])), np.zeros(len(held) + 1, np.int64)
+    for j in range(len(held)):
+        loose[j + 1] = loose[j] + (held[j] < 0)
     for k in range(1, points.shape[1]):
-        low, high, _ = _swept(k, scan, scratch, reach)
-        wanted = low < 0.0 or high >= turn
-        for j in range(max(int64(np.ceil(low)), 0), min(int64(np.floor(high)), last) + 1):
-            wanted |= held[j] < 0
-        if not wanted:
+        low, high = swept[0, k], swept[1, k]
+        first, end = max(int64(np.ceil(low)), 0), min(int64(np.floor(high)), last) + 1
+        if not (low < 0.0 or high >= turn or (first < end and loose[end] > loose[first])):
             continue
         if before != k - 1 or count == 0:
-            out[count] = points[:, k - 1]
-            out[count, 5] = 0.0
+            out[:, count] = points[:, k - 1]
+            out[5, count] = 0.0
             count += 1
-        out[count] = points[:, k]
+        out[:, count] = points[:, k]
         count, before = count + 1, k
-    return np.ascontiguousarray(out[:count].T)
+    return out[:, :count].copy()
 
 
 @kernel(void(_SCAN, _F1, _F1, _F1, _F1, float64[:, ::1]))
@@ -578,37 +545,47 @@ def _derive(
         rates[3, k], rates[4, k], rates[5, k] = per_step * b, per_step * b2, per_step * b3
 
 
-@kernel(types.UniTuple(float64, 4)(_F1, float64[:, ::1], float64[::1], int64[::1], float64[:, ::1]))
+@kernel(void(float64[:, ::1], float64[:, ::1], int64[::1], float64[:, ::1], float64[:, ::1]))
 def _expand(
-    virtual: NDArray[np.float64],
     scratch: NDArray[np.float64],
-    seen: NDArray[np.float64],
+    beams: NDArray[np.float64],
     held: NDArray[np.int64],
     rates: NDArray[np.float64],
-) -> tuple[float, float, float, float]:
-    """Sum the squared differences of the held beams, their first and second derivative, and the third's amounts."""
+    terms: NDArray[np.float64],
+) -> None:
+    """Write the squared differences of held beams, their first and second derivative, and the third's amounts.
+
+    ``beams`` (2, m) are the numbers of the held beams and their differences, ``held`` (m,) the segments that they meet.
+    """
     r, beam = scratch[0], scratch[1]
-    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
-    for j in range(len(virtual)):
-        k = held[j]
-        if k <= 0:
-            continue
-        v, per, u = r[k] - r[k - 1], 1.0 / (beam[k] - beam[k - 1]), j - beam[k - 1]
-        a1, a2, a3 = rates[0, k - 1], rates[1, k - 1], rates[2, k - 1]
-        b1, b2, b3 = rates[3, k - 1], rates[4, k - 1], rates[5, k - 1]
+    for i in range(len(held)):
+        k = uint64(held[i])
+        b = uint64(held[i] - 1)
+        v, per, d = r[k] - r[b], 1.0 / (beam[k] - beam[b]), beams[1, i]
+        a1, a2, a3, b1, b2, b3 = rates[0, b], rates[1, b], rates[2, b], rates[3, b], rates[4, b], rates[5, b]
         v1, v2, v3 = rates[0, k] - a1, rates[1, k] - a2, rates[2, k] - a3
         w1, w2, w3 = rates[3, k] - b1, rates[4, k] - b2, rates[5, k] - b3
-        u *= per  # the share of the segment's way at which the beam meets it, (j - b) / w
+        u = (beams[0, i] - beam[b]) * per  # the share of the segment's way at which the beam meets it, (j - b) / w
         u1 = -(b1 + u * w1) * per
         u2 = -(b2 + u * w2 + 2.0 * u1 * w1) * per
         u3 = -(b3 + u * w3 + 3.0 * (u1 * w2 + u2 * w1)) * per
-        d, d1, d2 = seen[j] - virtual[j], a1 + u1 * v + u * v1, a2 + u2 * v + 2.0 * u1 * v1 + u * v2
+        d1, d2 = a1 + u1 * v + u * v1, a2 + u2 * v + 2.0 * u1 * v1 + u * v2
         d3 = a3 + u3 * v + 3.0 * (u2 * v1 + u1 * v2) + u * v3
-        s0 += d * d
-        s1 += 2.0 * d * d1
-        s2 += 2.0 * (d1 * d1 + d * d2)
-        s3 += 2.0 * abs(3.0 * d1 * d2 + d * d3)
-    return s0, s1, s2, s3
+        terms[0, i], terms[1, i] = d * d, 2.0 * d * d1
+        terms[2, i], terms[3, i] = 2.0 * (d1 * d1 + d * d2), 2.0 * abs(3.0 * d1 * d2 + d * d3)
+
+
+@kernel(void(float64[:, ::1], float64[::1]))
+def _sum_up(terms: NDArray[np.float64], sums: NDArray[np.float64]) -> None:
+    """Sum rows (4, m), halves in parallel."""
+    for i in range(len(terms)):
+        row, n = terms[i], terms.shape[1]
+        while n > 1:
+            half = (n + 1) // 2
+            for j in range(n - half):
+                row[j] += row[half + j]
+            n = half
+        sums[i] = row[0] if terms.shape[1] else 0.0
 
 
 @kernel(float64[::1](_SCAN, _F1, _F1, float64[:, ::1], float64[::1], int64[::1]))
@@ -626,12 +603,19 @@ def _form(
     it is largest of four ways to the edge of the grid.
     """
     rates, out, widest, diagonal = np.empty((6, scan[1].shape[1])), np.zeros(6), 0.0, np.sqrt(0.5)
+    at = np.flatnonzero(held > 0)
+    meets, terms, sums = held[at], np.empty((4, len(at))), np.empty(4)
+    beams = np.empty((2, len(at)))
+    for i in range(len(at)):
+        beams[0, i], beams[1, i] = at[i], seen[at[i]] - scan[0][at[i]]
     ways = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [diagonal, diagonal, 0.0], [diagonal, -diagonal, 0.0]])
     if window[1] > 0.0:
         ways = np.array([[0.0, 0.0, 1.0]])
     for i in range(len(ways)):
         _derive(scan, motion, window[2:], ways[i], scratch[0], rates)
-        s0, s1, s2, s3 = _expand(scan[0], scratch, seen, held, rates)
+        _expand(scratch, beams, meets, rates, terms)
+        _sum_up(terms, sums)
+        s0, s1, s2, s3 = sums
         out[0], widest = s0, max(widest, s3)
         if i < 2:
             out[1 + i], out[3 + 2 * i] = s1, 0.5 * s2
@@ -643,25 +627,19 @@ def _form(
 
 @kernel(types.UniTuple(float64, 2)(_SCAN, _F1, _F1, _WORK))
 def _sum_rest(scan: Scan, loose: NDArray[np.int64], motion: NDArray[np.float64], work: Work) -> tuple[float, float]:
-    """Sum the squared differences of loose beams for one candidate; returns how many contribute as well.
-
-    The sum is -inf where rounding may decide what contributes.
-    """
+    """Sum the squared differences of loose beams for one candidate; returns how many contribute as well."""
     virtual, points, limits = scan
     scratch, n, total, used = work[0], points.shape[1], 0.0, 0.0
     if len(loose) == 0:
         return total, used
-    if not _see(points, motion, limits, scratch[0, :n], scratch[1, :n]):
-        _see_about(points, motion, limits, scratch[0, :n], scratch[1, :n])
+    _see(points, motion, limits, scratch[0, :n], scratch[1, :n])
     seen = scratch[4, : len(virtual)]
-    if not _is_sure(scan, scratch[1, :n]):
-        return -np.inf, used
+    for i in range(len(loose)):
+        seen[loose[i]] = np.inf
     _span(scan, work)
     _lay(scan, work, seen)
     for i in range(len(loose)):
         at, d = seen[loose[i]], seen[loose[i]] - virtual[loose[i]]
-        if at < np.inf and not _is_plain(at, abs(d), limits):
-            return -np.inf, used
         if limits[2] < at < limits[3] and abs(d) < limits[4]:
             total += d * d
             used += 1.0
@@ -683,20 +661,21 @@ def _bound(
     """
     virtual, points, limits = scan
     n, beams, scratch, middle = points.shape[1], len(virtual), work[0], motions[-1]
-    if not _see(points, middle, limits, scratch[0, :n], scratch[1, :n]):
-        _see_about(points, middle, limits, scratch[0, :n], scratch[1, :n])
-    reach, sight, held = np.empty((3, n)), np.empty((3, beams)), np.empty(beams, np.int64)
+    _see(points, middle, limits, scratch[0, :n], scratch[1, :n])
+    reach, swept, sight, held = np.empty((3, n)), np.empty((2, n)), np.empty((3, beams)), np.empty(beams, np.int64)
     passed, share = _reach(scan, middle, window, scratch, reach)
     small = passed <= HELD_BEAMS and share <= HELD_SHARE
     if not small and (passed > TRIMMED_BEAMS or share > 0.5 or len(bounds) < WORTH_TRIMMING):
-        _bound_wide(scan, motions, work[1], bounds)
+        _bound_wide(scan, motions, work, bounds)
         return
     _span(scan, work)
-    _hold(scan, work, reach, sight, held)
+    _sweep(scan, scratch, reach, swept)
+    _hold(scan, work, reach, swept, sight, held)
     _let_go(scan, scratch, reach, sight, held, small)
-    rest = _rest(scan, scratch, reach, held)
+    rest = _rest(scan, swept, held)
     if not small:
-        _bound_wide((np.where(held < 0, virtual, np.nan), rest, limits), motions, work[1], bounds)
+        _see(rest, middle, limits, scratch[0, : rest.shape[1]], scratch[1, : rest.shape[1]])
+        _bound_wide((np.where(held < 0, virtual, np.nan), rest, limits), motions, work, bounds)
         return
     form = _form(scan, middle, window, scratch, sight[0], held)
     loose, holding = np.flatnonzero(held < 0), float(np.count_nonzero(held > 0))
@@ -706,8 +685,6 @@ def _bound(
         total += form[0] + u * (form[1] + u * form[3] + v * form[4]) + v * (form[2] + v * form[5])
         used += holding
         bounds[i] = total / used - SUM_M2 if used >= max(limits[6], 1.0) else np.inf
-        if total == -np.inf:
-            bounds[i] = total
 
 
 # ---- the minimisation -----------------------------------------------------------------------------------------------
@@ -719,12 +696,12 @@ def _least(
 ) -> tuple[int, float, float]:
     """Return the first candidate of least cost (-1 where all are inf), its cost and its beams."""
     promising = int64(np.argmin(bounds))
-    best, used = _evaluate(scan, motions[promising], work, np.inf)
+    best, used = _evaluate(scan, motions[promising], work)
     best_i = promising if best < np.inf else -1
     for i in range(len(bounds)):
         if bounds[i] > best or bounds[i] == np.inf or i == promising:
             continue
-        cost, n = _evaluate(scan, motions[i], work, best if bounds[i] > -np.inf else np.inf)
+        cost, n = _evaluate(scan, motions[i], work)
         if cost < best or (cost == best and i < best_i):
             best, used, best_i = cost, n, i
     return best_i, best, used
