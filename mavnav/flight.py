@@ -21,7 +21,7 @@ from mavnav.world import LaserModel, Scenario, World, laser_model, take_scan
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from mavnav.grid import Grid
+    from mavnav.grid import Tally
     from mavnav.scan import LaserSpec, Scan
     from mavnav.steps import Step
 
@@ -148,7 +148,7 @@ class Pilot:
         self.planner = make_planner(scenario.planner)
         self.hovering = 0
 
-    def decide(self, step: Step, grid: Grid) -> Command | End:
+    def decide(self, step: Step, grid: Tally) -> Command | End:
         """Judge where the vehicle is and plan its next step; without a believed pose it hovers and looks again."""
         here = step.match.map_T_laser
         self.hovering = 0 if step.tracked else self.hovering + 1

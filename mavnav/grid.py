@@ -12,7 +12,7 @@ from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
 from mavnav.kernels import passing
 from mavnav.kernels.points import extent
-from mavnav.lattice import bands, covering, moved
+from mavnav.lattice import WIDE, bands, blank, blank_strips, covering, in_strips, moved, plain
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 BLOCK_CELLS = 64
 MAX_CELLS = 1 << 28
-"""Of 8 bytes: 2 GiB; 819 m x 819 m in cells of 50 mm."""
+"""819 m x 819 m in cells of 50 mm."""
 
 OCCUPIED_SHARE: Final = 0.2
 """A cell is occupied where at least this share of the beams that reached it ended in it."""
@@ -30,21 +30,53 @@ OCCUPIED_SHARE: Final = 0.2
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Grid:
-    """Hit counts on a square lattice; grows as scans come in.
+    """Hit counts on a square lattice.
 
-    ``hits[row, col]`` counts laser end points, ``passes[row, col]`` beams that crossed the cell on their way,
-    ``shielded[row, col]`` those of them that did so while something near it was hit: the others went clear through.
-    All are (rows, cols) int32, row grows with +y; without ``shielded``, as from a map file, no crossing was clear.
-    ``origin_xy_m`` is the corner of cell [0, 0] in the map frame, always a whole number of cells.
+    ``hits[row, col]`` counts laser end points, ``passes[row, col]`` beams that crossed the cell on their way. Both are
+    (rows, cols) int32, row grows with +y. ``origin_xy_m`` is the corner of cell [0, 0] in the map frame, always a whole
+    number of cells.
     """
 
     cell_m: float
     origin_xy_m: tuple[float, float] = (0.0, 0.0)
     hits: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
     passes: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
-    shielded: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
+
+    @property
+    def lattice(self) -> NDArray[np.float64]:
+        """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
+        return np.array([*self.origin_xy_m, self.cell_m])
+
+
+@dataclass(slots=True)
+class Tally:
+    """The counts of a `Grid` while it grows, in two bytes each: they end at 65535, ``shielded`` at 32767.
+
+    ``passes`` are (rows, cols). ``hits``, and ``shielded``, which counts those of the crossings during which something
+    near the cell was hit (the others went clear through), are blank but near walls, and in strips (``mavnav.lattice``).
+    """
+
+    cell_m: float
+    origin_xy_m: tuple[float, float] = (0.0, 0.0)
+    hits: NDArray[np.uint16] = field(default_factory=lambda: blank_strips((0, 0), np.uint16))
+    passes: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
+    shielded: NDArray[np.int16] = field(default_factory=lambda: blank_strips((0, 0), np.int16))
+
+    @classmethod
+    def of(cls, grid: Grid) -> Tally:
+        """Lay a grid in strips, to be looked up; of its crossings none was clear."""
+        hits, passes = (np.minimum(part, hits_kernel.MOST).astype(np.uint16) for part in (grid.hits, grid.passes))
+        shielded = in_strips(np.minimum(passes, hits_kernel.MOST_SHIELDED).astype(np.int16))
+        return cls(grid.cell_m, grid.origin_xy_m, in_strips(hits), passes, shielded)
+
+    def by_rows(self) -> Grid:
+        """Return the counts by rows and columns."""
+        passes = blank(self.passes.shape, np.int32)
+        for _, _, band in bands(passes.shape):
+            np.copyto(passes[band], self.passes[band], where=self.passes[band] > 0)
+        return Grid(self.cell_m, self.origin_xy_m, plain(self.hits, np.int32), passes)
 
     @property
     def lattice(self) -> NDArray[np.float64]:
@@ -56,8 +88,6 @@ class Grid:
         """Count the end points (n, 2) of one scan, in m, and the cells that its beams crossed."""
         if len(xy_map_m) == 0:
             return
-        if self.shielded.shape != self.passes.shape:
-            self.shielded = self.passes.copy()
         x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m))
         low = (floor(min(x0, laser.x_m) / self.cell_m) - 1, floor(min(y0, laser.y_m) / self.cell_m) - 1)
         high = (floor(max(x1, laser.x_m) / self.cell_m) + 1, floor(max(y1, laser.y_m) / self.cell_m) + 1)
@@ -66,11 +96,9 @@ class Grid:
 
     def clear_passing(self) -> NDArray[np.float64]:
         """Take back the hits of cells where nothing stayed; return their middles (n, 2), m."""
-        if self.shielded.shape != self.passes.shape:
-            return np.empty((0, 2))
-        cells = passing.passing_cells(self.hits, self.passes, self.shielded)
-        self.hits[cells[:, 0], cells[:, 1]] = 0
-        middles: NDArray[np.float64] = (cells[:, ::-1] + 0.5) * self.cell_m + np.array(self.origin_xy_m)
+        row, col = passing.passing_cells(self.hits, self.passes, self.shielded).T
+        self.hits[col // WIDE, row, col % WIDE] = 0
+        middles: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * self.cell_m + np.array(self.origin_xy_m)
         return middles
 
     @timed("virtual scan")
@@ -99,7 +127,7 @@ class Grid:
     def _cover(self, low: tuple[int, int], high: tuple[int, int]) -> None:
         """Grow until cells ``low`` to ``high`` (col, row) lie inside."""
         origin = (round(self.origin_xy_m[0] / self.cell_m), round(self.origin_xy_m[1] / self.cell_m))
-        grown = covering(low, high, self.hits.shape, origin, BLOCK_CELLS)
+        grown = covering(low, high, self.passes.shape, origin, BLOCK_CELLS)
         if grown is None:
             return
         new_origin, shape = grown

@@ -1,4 +1,10 @@
-"""Arrays over a lattice of cells that grows: memory goes with the cells that were touched, not with the extent."""
+"""Arrays over a lattice of cells that grows: memory goes with the cells that were touched, not with the extent.
+
+Counts that are blank but near walls are kept in strips, (cols / `WIDE`, rows, `WIDE`): cell (row, col) is
+``[col // WIDE, row, col % WIDE]``. A page of memory then holds a block of some 64 x 32 cells; of a plain array it holds
+a stretch of one row, and a wall across the rows touches a page for each of its cells. The place in memory is a sum of
+the column's and the row's part, ``col + col // WIDE * WIDE * (rows - 1) + WIDE * row``.
+"""
 
 from __future__ import annotations
 
@@ -17,32 +23,72 @@ if TYPE_CHECKING:
 SMALL_BYTES = 1 << 22
 """Below, memory is not worth the care; from there on numpy asks for pages of 2 MB, each of which counts as a whole."""
 
-STRIP_ROWS, STRIP_COLS = 16, 1024
+WIDE = 64
+"""Cells across a strip; kernels say so once more."""
 BAND_CELLS, LEAST_ROWS = 1 << 20, 64
 """What takes much memory a cell is done for so many cells at a time, and for so many rows at least."""
+AT_ONCE = 16
+"""So many rows, or strips, are moved at once."""
+
 MARGIN = 8
 """A lattice grows by an eighth of its extent at least: so it is copied rarely, and blank margins cost nothing."""
 
 
-def blank(shape: tuple[int, int], dtype: Any) -> NDArray[Any]:  # noqa: ANN401
-    """Return zeros (rows, cols) whose pages take memory once they are written to."""
+def blank_strips(cells: Cell, dtype: Any) -> NDArray[Any]:  # noqa: ANN401
+    """Return strips of zeros for (rows, cols)."""
+    return blank((cells[1] // WIDE, cells[0], WIDE), dtype)
+
+
+def blank(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:  # noqa: ANN401
+    """Return zeros whose pages take memory once they are written to."""
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     if size < SMALL_BYTES or not hasattr(mmap, "MAP_PRIVATE"):
         return np.zeros(shape, dtype)
-    pages = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     if hasattr(mmap, "MADV_NOHUGEPAGE"):
-        pages.madvise(mmap.MADV_NOHUGEPAGE)
-    return np.frombuffer(pages, dtype).reshape(shape)
+        memory.madvise(mmap.MADV_NOHUGEPAGE)
+    return np.frombuffer(memory, dtype).reshape(shape)
 
 
-def moved(array: NDArray[Any], shape: tuple[int, int], row: int, col: int) -> NDArray[Any]:
-    """Return a larger array that holds this one from cell (row, col) on; parts without content are not touched."""
-    out, (rows, cols) = blank(shape, array.dtype), array.shape
-    for r in range(0, rows, STRIP_ROWS):
-        for c in range(0, cols, STRIP_COLS):
-            part = array[r : r + STRIP_ROWS, c : c + STRIP_COLS]
-            if part.any():
-                out[row + r : row + r + part.shape[0], col + c : col + c + part.shape[1]] = part
+def moved(cells: NDArray[Any], extent: Cell, row: int, col: int) -> NDArray[Any]:
+    """Return an array of more (rows, cols), plain or in strips as this one, that holds it from cell (row, col) on.
+
+    All columns are whole strips. What is blank stays untouched.
+    """
+    in_strips = cells.ndim == 3
+    grown = blank_strips(extent, cells.dtype) if in_strips else blank(extent, cells.dtype)
+    first, along = (col // WIDE, row) if in_strips else (row, col // WIDE)
+    new, old = _runs(grown)[first:], _runs(cells)
+    for at in range(0, len(old), AT_ONCE):
+        i, j = np.nonzero(old[at : at + AT_ONCE].any(axis=2))
+        new[i + at, j + along] = old[i + at, j]
+    return grown
+
+
+def _runs(cells: NDArray[Any]) -> NDArray[Any]:
+    """View an array as runs of `WIDE` cells of a row, (n, m, `WIDE`)."""
+    return cells.reshape(len(cells), cells.size // max(len(cells), 1) // WIDE, WIDE)
+
+
+def plain(strips: NDArray[Any], dtype: Any = None) -> NDArray[Any]:  # noqa: ANN401
+    """Return a copy by rows and columns, (rows, cols); what is blank stays untouched here, too."""
+    rows, cols = strips.shape[1], strips.shape[0] * WIDE
+    out = blank((rows, cols), dtype or strips.dtype)
+    by_rows = strips.transpose(1, 0, 2)
+    for first in range(0, rows, WIDE):
+        band = by_rows[first : first + WIDE]
+        row, strip = np.nonzero(band.any(axis=2))
+        out[first : first + WIDE].reshape(len(band), -1, WIDE)[row, strip] = band[row, strip]
+    return out
+
+
+def in_strips(cells: NDArray[Any]) -> NDArray[Any]:
+    """Lay cells (rows, cols) in strips, with blank columns up to a whole one."""
+    rows, cols = cells.shape
+    out = blank_strips((rows, -(-cols // WIDE) * WIDE), cells.dtype)
+    for strip, first in zip(out, range(0, cols, WIDE), strict=False):
+        part = cells[:, first : first + WIDE]
+        strip[:, : part.shape[1]] = part
     return out
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mavnav.grid import Tally
 from mavnav.linemap import LineMap
 from mavnav.matcher import no_match
 from mavnav.methods import Robust
@@ -38,7 +39,7 @@ class Localised(Robust):
         """Start anywhere in the map, or near where the laser is said to be."""
         super().__init__(config)
         robust, cell_m = config.robust, known.grid.cell_m
-        self.known = known.grid
+        self.known = Tally.of(known.grid)
         self.lines = LineMap(cell_m, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
         self.lines.insert(known.walls_xy_m)
         self.start, self.tries = known.start, 0

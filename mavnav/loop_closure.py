@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.grid import Grid
+from mavnav.grid import Tally
 from mavnav.linemap import LineMap
 from mavnav.matcher import Schedule, search_lines
 from mavnav.pose import Pose, Trajectory, blend, transform_points, wrap_angle
@@ -230,7 +230,7 @@ class Part:
     def __init__(self, config: Config) -> None:
         """Start empty."""
         robust = config.robust
-        self.grid = Grid(robust.cell_mm * MM)
+        self.grid = Tally(robust.cell_mm * MM)
         self.lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
         self.count = 0
 

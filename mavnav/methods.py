@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from mavnav.belief import Verdict
-from mavnav.grid import Grid
+from mavnav.grid import Grid, Tally
 from mavnav.kernels.points import placed, scan_points
 from mavnav.linemap import LineMap
 from mavnav.matcher import (
@@ -65,7 +65,7 @@ EXPECTED = 0.01
 class Method(Protocol):
     """What ``slam.track`` asks of a method; ``grid`` is the map that it builds."""
 
-    grid: Grid
+    grid: Tally
     expects_rest: bool
     places: bool
     closes_loops: bool
@@ -94,6 +94,9 @@ class Method(Protocol):
     def place(self, scan: Scan, match: Match, motion: Motion | None = None) -> Match:
         """Match the scan against the finished map, close to an earlier match; as recorded, or de-skewed by a motion."""
 
+    def finished(self) -> Grid:
+        """Return the map, and forget it: of a large one there is no room for both."""
+
 
 def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
     """Return where the laser should be: as predicted, by its velocity, or where it was."""
@@ -110,7 +113,7 @@ class Paper:
     def __init__(self, config: Config) -> None:
         """Start with an empty map."""
         self.config = config
-        self.grid = Grid(config.paper.cell_mm * MM)
+        self.grid = Tally(config.paper.cell_mm * MM)
         self._seen: tuple[Pose, LaserSpec, NDArray[np.float64]] | None = None
 
     def first(self, scan: Scan) -> Match:
@@ -160,6 +163,10 @@ class Paper:
         """Leave the match: the paper works on line."""
         return match
 
+    def finished(self) -> Grid:
+        """Return the map."""
+        return self.grid.by_rows()
+
 
 class Robust:
     """Point to local line over the whole map; the grid of hit counts is kept beside it for the outputs.
@@ -175,10 +182,7 @@ class Robust:
         """Start with an empty map."""
         robust = config.robust
         self.config = config
-        self.known = self.grid = Grid(robust.cell_mm * MM)
-        self.lines = LineMap(
-            robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM, robust.overlap_points
-        )
+        self._begin()
         self._limits_m = np.array([robust.near_mm * MM, robust.far_mm * MM, robust.voxel_mm * MM])
         self._deskewed: tuple[Scan, Motion, Points] | None = None
 
@@ -196,6 +200,14 @@ class Robust:
         """The search of the final pass."""
         window = (self.config.robust.final_window_mm * MM, self.config.robust.final_window_deg * DEG)
         return Schedule.of(self.config, self.lines, window, final=True)
+
+    def _begin(self) -> None:
+        """Begin an empty map."""
+        robust = self.config.robust
+        self.known = self.grid = Tally(robust.cell_mm * MM)
+        self.lines = LineMap(
+            robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM, robust.overlap_points
+        )
 
     def first(self, scan: Scan) -> Match:
         """Begin the map with any scan of enough points."""
@@ -293,6 +305,12 @@ class Robust:
         """Place the scan as it was recorded, so that pose and raw ranges fit together; de-skewed if given a motion."""
         placed = search_lines(self.match_points(scan, motion), self.lines, match.map_T_laser, self._final)
         return with_effort(placed, match, placed)
+
+    def finished(self) -> Grid:
+        """Return the map, and forget it and its lines: of a large one there is no room for all."""
+        counts = self.grid
+        self._begin()
+        return counts.by_rows()
 
     @timed("cleaning")
     def match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:

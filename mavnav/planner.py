@@ -20,7 +20,7 @@ from mavnav.units import DEG, MM
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.grid import Tally
     from mavnav.planner_config import PlannerConfig
     from mavnav.pose import Pose
     from mavnav.techniques import XY
@@ -71,11 +71,11 @@ class Planner:
         self.config = config
         self.memory: Memory | None = None
 
-    def command(self, grid: Grid, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Command:
+    def command(self, grid: Tally, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Command:
         """Return the next command; see ``plan``."""
         return self.plan(grid, map_T_laser, goal_xy_map_m).command
 
-    def plan(self, grid: Grid, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Plan:
+    def plan(self, grid: Tally, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Plan:
         """Return the next command with its evidence, and remember what the next call needs."""
         scene = _scene(self.config, grid, map_T_laser, goal_xy_map_m)
         drive = TECHNIQUES[self.config.technique](scene, _noted(self.memory, scene))
@@ -97,7 +97,7 @@ def make_planner(config: PlannerConfig) -> Planner:
     return Planner(config)
 
 
-def _scene(config: PlannerConfig, grid: Grid, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Scene:
+def _scene(config: PlannerConfig, grid: Tally, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Scene:
     walls = potential.occupied(grid.hits, grid.passes, grid.lattice, config.min_hits, config.min_share)
     xy = map_T_laser.as_array()[:2]
     reach_m = max(_LOOK_M, (config.safety_mm + config.max_step_mm) * MM)

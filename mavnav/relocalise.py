@@ -10,6 +10,7 @@ import numpy as np
 
 from mavnav.kernels.conflicts import CLEAR_CELLS, conflicts
 from mavnav.kernels.volume import volume
+from mavnav.lattice import plain
 from mavnav.matcher import Match, Schedule, search_lines, with_effort
 from mavnav.pose import Pose, wrap_angle
 from mavnav.stages import timed
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config import Config
-    from mavnav.grid import Grid
+    from mavnav.grid import Tally
     from mavnav.linemap import LineMap
 
     Region = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -51,7 +52,7 @@ CLEAR_BY = 0.05
 
 
 @timed("gate")
-def judged(match: Match, points: NDArray[np.float64], line_map: LineMap, grid: Grid) -> Match:
+def judged(match: Match, points: NDArray[np.float64], line_map: LineMap, grid: Tally) -> Match:
     """Return the match with the share of its points (n, 2), laser frame, that the map speaks against."""
     pose, lattice, (x, y) = match.map_T_laser.as_array(), grid.lattice, grid.origin_xy_m
     lines_x, lines_y = line_map.origin_xy_m
@@ -82,9 +83,10 @@ def around(pose: Pose, radius_m: float, half_rad: float) -> Region:
     return disc + pose.as_array()[:2], pose.yaw_rad + STEP_RAD * np.arange(-k, k + 1, dtype=np.float64)
 
 
-def everywhere(grid: Grid) -> Region:
+def everywhere(grid: Tally) -> Region:
     """Return the positions (p, 2) where the map was seen free, and yaws (q,) all round, in m and rad."""
-    rows, cols = np.nonzero((grid.passes > 0) & (grid.passes > grid.hits))
+    hits = plain(grid.hits)[:, : grid.passes.shape[1]]
+    rows, cols = np.nonzero((grid.passes > 0) & (grid.passes > hits))
     free_m = np.array(grid.origin_xy_m) + (np.column_stack((cols, rows)) + 0.5) * grid.cell_m
     places = np.unique(np.round(free_m / STEP_M).astype(np.int64), axis=0) * STEP_M
     return places, np.arange(-pi, pi, STEP_RAD)
@@ -94,7 +96,7 @@ def everywhere(grid: Grid) -> Region:
 def candidates(
     points: NDArray[np.float64],
     line_map: LineMap,
-    grid: Grid,
+    grid: Tally,
     region: Region,
     config: Config,
     most: int = CANDIDATES,

@@ -12,6 +12,7 @@ import numpy as np
 
 from mavnav.errors import NoScansError, UsageError
 from mavnav.flight import Flight, fly
+from mavnav.grid import Tally
 from mavnav.logs import open_log
 from mavnav.logs.recorder import Recording, check_recording, record
 from mavnav.metrics.trajectory_error import absolute_error, align
@@ -188,7 +189,7 @@ def wall_distances_m(flight: Flight, estimate: Pose, truth: Pose) -> tuple[float
     beams = spec.angles_rad[max(nearest - WALL_BEAMS, 0) : nearest + WALL_BEAMS + 1]
     true_ranges, _ = world.cast((there.x_m, there.y_m), beams + there.yaw_rad)
     directions = np.column_stack((np.cos(beams), np.sin(beams)))
-    seen = flight.slam.grid.virtual_scan(estimate, directions, spec.range_max_m, WALL_GAP_CELLS)
+    seen = Tally.of(flight.slam.grid).virtual_scan(estimate, directions, spec.range_max_m, WALL_GAP_CELLS)
     both = np.isfinite(seen) & np.isfinite(true_ranges)
     if not both.any():
         return np.nan, float(np.median(true_ranges))

@@ -293,7 +293,7 @@ def conclude(
             steps, method, loops = close(steps, log_scans, method, motion, config)
         method.clear_passing()
         steps = steadied(_told(place(log_scans(), steps, method), "final pass", on_step), motion.period_s)
-    return Slam(steps, tracked_way(steps), method.grid, tuple(lost_intervals(steps)), loops)
+    return Slam(steps, tracked_way(steps), method.finished(), tuple(lost_intervals(steps)), loops)
 
 
 def _told(steps: Iterable[Step], name: str, on_step: Callable[[str, int], None] | None) -> Iterator[Step]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.grid import Grid, occupancy
+from mavnav.grid import Grid, Tally, occupancy
 from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
 from mavnav.metrics.wall_thickness import wall_sections
 from mavnav.pose import Pose
@@ -18,7 +18,7 @@ class Scene:
     """A map into which walls are drawn; everything is turned by ``angle_rad`` and moved off the lattice."""
 
     def __init__(self, angle_rad: float, sigma_m: float, seed: int) -> None:
-        self.grid, self.rng, self.sigma_m = Grid(CELL_M), np.random.default_rng(seed), sigma_m
+        self.tally, self.rng, self.sigma_m = Tally(CELL_M), np.random.default_rng(seed), sigma_m
         c, s = np.cos(angle_rad), np.sin(angle_rad)
         self.turn = np.array([(c, s), (-s, c)])
 
@@ -33,7 +33,7 @@ class Scene:
             on_wall = ends[0] + self.rng.uniform(0, 1, (int(share * RETURNS) // len(lasers), 1)) * (ends[1] - ends[0])
             beam = on_wall - laser
             noise = self.rng.normal(0, self.sigma_m, (len(beam), 1))
-            self.grid.insert(Pose(*laser, 0.0), on_wall + beam / np.linalg.norm(beam, axis=1, keepdims=True) * noise)
+            self.tally.insert(Pose(*laser, 0.0), on_wall + beam / np.linalg.norm(beam, axis=1, keepdims=True) * noise)
 
 
 def ghost(scene: Scene, apart_m: float, share: float = 0.5) -> None:
@@ -94,7 +94,7 @@ PLANTED = {f.__name__: f for f in (ghost, faint_ghost)}
 def map_of(kind, cells: float, angle_deg: float, sigma_m: float, seed: int) -> Grid:
     scene = Scene(np.radians(angle_deg), sigma_m, seed)
     kind(scene, cells * CELL_M)
-    return scene.grid
+    return scene.tally.by_rows()
 
 
 def as_published(grid: Grid) -> Grid:

@@ -13,7 +13,7 @@ from synthetic import DEG, TOUR, Recording, Segments, along, box, furnished_room
 
 from mavnav import slam
 from mavnav.config import Config
-from mavnav.grid import OCCUPIED, Grid, occupancy
+from mavnav.grid import OCCUPIED, Grid, Tally, occupancy
 from mavnav.known_map import KnownMap, known_map
 from mavnav.localise import Localised
 from mavnav.pose import Pose, Trajectory, transform_points
@@ -25,10 +25,10 @@ CELL_M = 0.05  # as other tools' maps
 
 def drawn(walls: Segments, way: Trajectory) -> Grid:
     """Draw a map in the world's frame."""
-    grid = Grid(CELL_M)
+    grid = Tally(CELL_M)
     for k, scan in enumerate(record(walls, way, LASER, noise=0.0).scans):
         grid.insert(way[k], transform_points(way[k], scan.points()))
-    return grid
+    return grid.by_rows()
 
 
 @cache

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from synthetic import DEG, polyline
 
-from mavnav.grid import Grid
+from mavnav.grid import Tally
 from mavnav.planner import TECHNIQUES, Command, make_planner
 from mavnav.planner_config import PlannerConfig
 from mavnav.pose import Pose
 from mavnav.techniques import unit
 
 
-def grid_of(walls: np.ndarray, cell_m: float = 0.02) -> Grid:
-    grid = Grid(cell_m)
+def grid_of(walls: np.ndarray, cell_m: float = 0.02) -> Tally:
+    grid = Tally(cell_m)
     paint(grid, walls, Pose())
     return grid
 
@@ -225,10 +225,10 @@ def test_a_vehicle_too_near_to_a_wall_backs_off_though_it_does_not_look_there() 
 
 def test_an_empty_map_and_a_goal_at_hand_are_no_trouble() -> None:
     for technique in TECHNIQUES:
-        plan = make_planner(PlannerConfig(technique=technique)).plan(Grid(0.02), Pose(), (2.0, 0.0))
+        plan = make_planner(PlannerConfig(technique=technique)).plan(Tally(0.02), Pose(), (2.0, 0.0))
         assert plan.command.dx_m > 0
         assert np.isinf(plan.clearance_m)
-        there = make_planner(PlannerConfig(technique=technique)).plan(Grid(0.02), Pose(2.0, 0.0, 0.0), (2.0, 0.0))
+        there = make_planner(PlannerConfig(technique=technique)).plan(Tally(0.02), Pose(2.0, 0.0, 0.0), (2.0, 0.0))
         assert there.command == Command()
         assert not there.stuck
 

@@ -13,7 +13,7 @@ import pytest
 
 from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.flight import Flight, fly
-from mavnav.grid import Grid
+from mavnav.grid import Grid, Tally
 from mavnav.logs import open_log
 from mavnav.logs.recorder import record
 from mavnav.pose import Pose, Trajectory, transform_points
@@ -77,13 +77,13 @@ def test_only_tracked_poses_are_compared() -> None:
 
 def painted(flight: Flight, stretch: float = 1.0) -> Grid:
     """Return a map of the true walls all round, seen from the last pose, ``stretch`` times as far as they are."""
-    grid, here = Grid(0.01), flight.map_T_laser[14]
+    grid, here = Tally(0.01), flight.map_T_laser[14]
     there = flight.world_T_map @ here
     bearings = np.linspace(-np.pi, np.pi, 8000)
     ranges, _ = flight.scenario.world.cast((there.x_m, there.y_m), bearings + there.yaw_rad)
     points = stretch * ranges[:, None] * np.column_stack((np.cos(bearings), np.sin(bearings)))
     grid.insert(here, transform_points(here, points))
-    return grid
+    return grid.by_rows()
 
 
 @pytest.mark.parametrize("stretch", [1.0, 1.05])

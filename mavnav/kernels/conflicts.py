@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import boolean, float64, int32, int64, types, uint8
+from numba import boolean, float64, int64, types, uint8, uint16
 
 from mavnav.kernels._jit import kernel
 
@@ -19,33 +19,38 @@ GRAZE_CELLS = 10  # a beam may run along the wall that it ends on
 STRIDE = 8  # cells of a beam that one look may clear
 CLEAR_CELLS = 7.0  # from the middle of a stride to what it meets: half of it, 2 ** 0.5 for two cells, 1.5 to spare
 
+WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its logarithm
+
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
-_I2 = types.Array(int32, 2, "C", readonly=True)
-_U2 = types.Array(uint8, 2, "C", readonly=True)
+_U2 = types.Array(uint16, 2, "C", readonly=True)
+_U3 = types.Array(uint16, 3, "C", readonly=True)
+_B2 = types.Array(uint8, 2, "C", readonly=True)
 
 
-@kernel(boolean(int64, int64, _I2, _I2))
-def _in_the_open(row: int, col: int, hits: NDArray[np.int32], passes: NDArray[np.int32]) -> bool:
+@kernel(boolean(int64, int64, _U3, _U2))
+def _in_the_open(row: int, col: int, hits: NDArray[np.uint16], passes: NDArray[np.uint16]) -> bool:
     """Tell whether a cell was seen empty, with no hit within reach."""
-    rows, cols = hits.shape
-    if not (0 <= row < rows and 0 <= col < cols) or passes[row, col] < FREE_PASSES or hits[row, col] > 0:
+    rows, cols = passes.shape
+    if not (0 <= row < rows and 0 <= col < cols) or passes[row, col] < FREE_PASSES:
+        return False
+    if hits[col >> SHIFT, row, col & (WIDE - 1)] > 0:
         return False
     for r in range(max(row - REACH_CELLS, 0), min(row + REACH_CELLS + 1, rows)):
         for c in range(max(col - REACH_CELLS, 0), min(col + REACH_CELLS + 1, cols)):
-            if hits[r, c] > 0:
+            if hits[c >> SHIFT, r, c & (WIDE - 1)] > 0:
                 return False
     return True
 
 
-@kernel(boolean(float64, float64, float64, float64, _I2, _I2, _U2, _F1))
+@kernel(boolean(float64, float64, float64, float64, _U3, _U2, _B2, _F1))
 def _through_a_wall(
     u0: float,
     v0: float,
     u1: float,
     v1: float,
-    hits: NDArray[np.int32],
-    passes: NDArray[np.int32],
+    hits: NDArray[np.uint16],
+    passes: NDArray[np.uint16],
     closeness: NDArray[np.uint8],
     clear: NDArray[np.float64],
 ) -> bool:
@@ -54,7 +59,7 @@ def _through_a_wall(
     ``clear`` are column and row of the grid's cell [0, 0] in ``closeness``, and its least value that may mean a hit
     cell within half a stride.
     """
-    rows, cols = hits.shape
+    rows, cols = passes.shape
     length = np.hypot(u1 - u0, v1 - v0)
     du, dv, last = (u1 - u0) / length, (v1 - v0) / length, int(length - GRAZE_CELLS)
     for start in range(2, last, STRIDE):
@@ -65,18 +70,19 @@ def _through_a_wall(
             continue
         for i in range(start, min(start + STRIDE, last)):
             row, col = int(np.floor(v0 + i * dv)), int(np.floor(u0 + i * du))
-            if 0 <= row < rows and 0 <= col < cols and hits[row, col] >= max(WALL_HITS, passes[row, col]):
+            inside = 0 <= row < rows and 0 <= col < cols
+            if inside and hits[col >> SHIFT, row, col & (WIDE - 1)] >= max(WALL_HITS, passes[row, col]):
                 return True
     return False
 
 
-@kernel(int64(_F2, _F1, _F1, _I2, _I2, _U2, _F1))
+@kernel(int64(_F2, _F1, _F1, _U3, _U2, _B2, _F1))
 def conflicts(
     points: NDArray[np.float64],
     pose: NDArray[np.float64],
     lattice: NDArray[np.float64],
-    hits: NDArray[np.int32],
-    passes: NDArray[np.int32],
+    hits: NDArray[np.uint16],
+    passes: NDArray[np.uint16],
     closeness: NDArray[np.uint8],
     clear: NDArray[np.float64],
 ) -> int:
@@ -84,7 +90,7 @@ def conflicts(
 
     Either the point lies in the open: its cell was crossed by beams and no hit is near; or the beam from the laser to
     it meets a wall, a cell hit ``WALL_HITS`` times and at least as often as crossed. ``lattice``, ``hits`` and
-    ``passes`` are the grid's, see ``Grid``. ``closeness`` is that of a line map of the same cells: what it has to be
+    ``passes`` are the map's, see ``Tally``. ``closeness`` is that of a line map of the same cells: what it has to be
     where a hit cell may be within `CLEAR_CELLS`, stands in ``clear`` (3,) behind the column and the row of cell [0, 0].
     """
     ox, oy, cell = lattice

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int8, int32, int64, types, uint64, void
+from numba import float64, int8, int16, int32, int64, types, uint16, uint64, void
 
 from mavnav.kernels._jit import kernel
 
@@ -16,6 +16,8 @@ NEAR_CELLS = 3
 """A beam does not go clear through a cell if one of the same scan ends so near to it."""
 
 BLOCK = 8  # cells of a beam that are found at once
+MOST, MOST_SHIELDED = 65535, 32767  # a count ends there
+WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its logarithm
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
@@ -48,21 +50,22 @@ def show_ends(
             cells[row, col] = 100
 
 
-@kernel(int64(_F2, _F1, int32[:, ::1], int32[:, ::1], int64[::1]))
+@kernel(int64(_F2, _F1, uint16[:, ::1], int16[:, :, ::1], int64[:, ::1]))
 def _shield(
     xy_map_m: NDArray[np.float64],
     lattice: NDArray[np.float64],
-    passes: NDArray[np.int32],
-    shielded: NDArray[np.int32],
+    passes: NDArray[np.uint16],
+    shielded: NDArray[np.int16],
     cells: NDArray[np.int64],
 ) -> int:
-    """Take what was counted so far off the cells near points (n, 2), once each, and list them; returns how many.
+    """List the cells near points (n, 2), once each; returns how many.
 
-    Their counts are then below 0, so that they can be told from the others.
+    ``cells`` tell where they are in ``shielded`` and in ``passes``, and how often they were crossed before. Their
+    counts are turned below 0, so that they can be told from the others.
     """
     ox, oy, cell = lattice
     rows, cols = passes.shape
-    flat, crossed = shielded.ravel(), passes.ravel()
+    flat, crossed, across = shielded.ravel(), passes.ravel(), (rows - 1) * WIDE
     at_row, at_col, n = -2, -2, 0
     for k in range(len(xy_map_m)):
         row, col = int(np.floor((xy_map_m[k, 1] - oy) / cell)), int(np.floor((xy_map_m[k, 0] - ox) / cell))
@@ -71,10 +74,12 @@ def _shield(
         at_row, at_col = row, col
         first, end = max(col - NEAR_CELLS, 0), min(col + NEAR_CELLS + 1, cols)
         for r in range(max(row - NEAR_CELLS, 0), min(row + NEAR_CELLS + 1, rows)):
-            for at in range(r * cols + first, r * cols + end):
-                count = flat[uint64(at)]
-                cells[uint64(n)] = at  # written over unless it is new
-                flat[uint64(at)] = count - crossed[uint64(at)] - 1 if count >= 0 else count
+            for c in range(first, end):
+                at, way = uint64(c + (c >> SHIFT) * across + WIDE * r), uint64(r * cols + c)
+                count = flat[at]
+                # Written over unless it is new.
+                cells[0, uint64(n)], cells[1, uint64(n)], cells[2, uint64(n)] = at, way, crossed[way]
+                flat[at] = -1 - count if count >= 0 else count
                 n += count >= 0
     return n
 
@@ -104,34 +109,41 @@ def _way(
     return int(cols + rows)
 
 
-@kernel(void(_F2, _F1, _F1, int32[:, ::1], int32[:, ::1], int32[:, ::1]))
+@kernel(void(_F2, _F1, _F1, uint16[:, :, ::1], uint16[:, ::1], int16[:, :, ::1]))
 def add_scan(
     xy_map_m: NDArray[np.float64],
     laser_xy_m: NDArray[np.float64],
     lattice: NDArray[np.float64],
-    hits: NDArray[np.int32],
-    passes: NDArray[np.int32],
-    shielded: NDArray[np.int32],
+    hits: NDArray[np.uint16],
+    passes: NDArray[np.uint16],
+    shielded: NDArray[np.int16],
 ) -> None:
-    """Count every end point (n, 2) in ``hits`` and the cells between the laser and it in ``passes``.
+    """Count every end point (n, 2) in ``hits`` and the cells between the laser and it in ``passes``, up to `MOST`.
 
-    ``shielded`` counts those of the crossings that were of cells with an end point of the same scan near by.
+    ``shielded`` counts those of the crossings that were of cells with an end point of the same scan near by. It and
+    ``hits`` are in strips, see ``mavnav.lattice``.
     ``lattice`` is (3,): x and y of the corner of cell [0, 0], and the cell edge, in m. The caller sees to it that all
     lies inside.
     """
     ox, oy, cell = lattice
     u0, v0 = (laser_xy_m[0] - ox) / cell, (laser_xy_m[1] - oy) / cell
     (rows, cols), flat = passes.shape, passes.ravel()
-    near = np.empty((2 * NEAR_CELLS + 1) ** 2 * len(xy_map_m) + 1, np.int64)
+    near = np.empty((3, (2 * NEAR_CELLS + 1) ** 2 * len(xy_map_m) + 1), np.int64)
     n_near = _shield(xy_map_m, lattice, passes, shielded, near)
     steps, way = np.arange(float(max(rows, cols) + BLOCK)), np.empty(rows + cols + BLOCK, np.int32)
+    begin = uint64(int(np.floor(v0)) * cols + int(np.floor(u0)))
     for k in range(len(xy_map_m)):
         u1, v1 = (xy_map_m[k, 0] - ox) / cell, (xy_map_m[k, 1] - oy) / cell
-        passes[int(np.floor(v0)), int(np.floor(u0))] += 1
+        row, col = int(np.floor(v1)), int(np.floor(u1))
+        flat[begin] += flat[begin] < MOST
         for i in range(_way(u0, v0, u1, v1, float64(cols), steps, way)):
-            flat[uint64(way[uint64(i)])] += 1
-        passes[int(np.floor(v1)), int(np.floor(u1))] -= 1  # it ends there
-        hits[int(np.floor(v1)), int(np.floor(u1))] += 1
+            at = uint64(way[uint64(i)])
+            if flat[at] < MOST:
+                flat[at] += 1
+        passes[row, col] -= passes[row, col] < MOST  # it ends there
+        ended = hits[col >> SHIFT, row]
+        ended[col & (WIDE - 1)] += ended[col & (WIDE - 1)] < MOST
     flat_shielded = shielded.ravel()
     for i in range(n_near):
-        flat_shielded[uint64(near[uint64(i)])] += flat[uint64(near[uint64(i)])] + 1
+        at, way_at, before = uint64(near[0, uint64(i)]), uint64(near[1, uint64(i)]), near[2, uint64(i)]
+        flat_shielded[at] = min(int64(flat[way_at]) - before - 1 - flat_shielded[at], MOST_SHIELDED)

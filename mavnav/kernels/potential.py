@@ -5,21 +5,24 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types
+from numba import float64, int64, types, uint16
 
 from mavnav.kernels._jit import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its logarithm
+
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
-_I2 = types.Array(int32, 2, "C", readonly=True)
+_U2 = types.Array(uint16, 2, "C", readonly=True)
+_U3 = types.Array(uint16, 3, "C", readonly=True)
 
 
-@kernel(float64[:, ::1](_I2, _I2, _F1, int64, float64))
+@kernel(float64[:, ::1](_U3, _U2, _F1, int64, float64))
 def occupied(
-    hits: NDArray[np.int32], passes: NDArray[np.int32], lattice: NDArray[np.float64], min_hits: int, min_share: float
+    hits: NDArray[np.uint16], passes: NDArray[np.uint16], lattice: NDArray[np.float64], min_hits: int, min_share: float
 ) -> NDArray[np.float64]:
     """Return the centres (n, 2) in m of the cells that are walls, in row-major order.
 
@@ -27,13 +30,13 @@ def occupied(
     it (5 x 5) that pass the same test have ``min_hits`` hits together: a stray reading is no wall.
     ``lattice`` (3,) is the corner of cell [0, 0] and the cell edge in m.
     """
-    rows, cols = hits.shape
+    rows, cols = passes.shape
     ox, oy, cell = lattice
     out = np.empty((hits.size, 2))  # most of it is never touched
     kept = 0
     for row in range(rows):
         for col in range(cols):
-            n = hits[row, col]
+            n = int64(hits[col >> SHIFT, row, col & (WIDE - 1)])
             if n == 0 or n < min_share * (float64(n) + passes[row, col]):
                 continue
             together = n
@@ -41,8 +44,9 @@ def occupied(
                 if together >= min_hits:  # most walls are known by one cell
                     break
                 for c in range(max(0, col - 2), min(cols, col + 3)):
-                    m = hits[r, c]
-                    if (r != row or c != col) and m > 0 and m >= min_share * (float64(m) + passes[r, c]):
+                    m = int64(hits[c >> SHIFT, r, c & (WIDE - 1)])
+                    share = min_share * (float64(m) + passes[r, c])
+                    if (r != row or c != col) and m > 0 and m >= share:
                         together += m
             if together >= min_hits:
                 out[kept, 0] = ox + (col + 0.5) * cell

@@ -5,21 +5,23 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types
+from numba import float64, int64, types, uint16
 
 from mavnav.kernels._jit import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its logarithm
+
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
-_I2 = types.Array(int32, 2, "C", readonly=True)
+_U3 = types.Array(uint16, 3, "C", readonly=True)
 
 
-@kernel(float64[::1](_I2, _F1, _F1, _F2, float64, int64))
+@kernel(float64[::1](_U3, _F1, _F1, _F2, float64, int64))
 def virtual_scan(
-    hits: NDArray[np.int32],
+    hits: NDArray[np.uint16],
     lattice: NDArray[np.float64],
     pose: NDArray[np.float64],
     directions: NDArray[np.float64],
@@ -35,7 +37,7 @@ def virtual_scan(
     ``lattice`` is (3,): x and y of the corner of cell [0, 0] and the cell edge in m; ``pose`` (3,) x, y, yaw of the
     laser in the map; ``directions`` (beams, 2) cosines and sines in the laser's frame.
     """
-    rows, cols = hits.shape
+    rows, cols = hits.shape[1], hits.shape[0] * WIDE
     ox, oy, cell = lattice
     c, s = np.cos(pose[2]), np.sin(pose[2])
     u0, v0 = (pose[0] - ox) / cell, (pose[1] - oy) / cell
@@ -52,7 +54,7 @@ def virtual_scan(
         each_v = abs(1.0 / dv) if dv != 0.0 else np.inf
         most, empty, at = 0, 0, 0.0
         while at <= far:
-            n = hits[row, col] if 0 <= row < rows and 0 <= col < cols else 0
+            n = int64(hits[col >> SHIFT, row, col & (WIDE - 1)]) if 0 <= row < rows and 0 <= col < cols else 0
             if n > 0:
                 empty = 0
                 if n > most:

@@ -6,7 +6,7 @@ A new file is one function ``(Run, Path) -> None`` and one line in `WRITERS`.
 from __future__ import annotations
 
 from functools import partial
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
@@ -92,4 +92,5 @@ def _write(run: Run, path: Path) -> str:
     with Stage("pictures" if path.suffix == ".png" else "outputs"):
         WRITERS[path.name](run, path)
         sync(path)
-        return sha256(path.read_bytes()).hexdigest()
+        with path.open("rb") as file:
+            return file_digest(file, sha256).hexdigest()

@@ -8,10 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavnav.kernels import potential, wavefront
+from mavnav.lattice import in_strips
 
 LATTICE = np.array([-1.0, -0.5, 0.05])
 SEEDS = st.integers(0, 2**32 - 1)
 few = settings(max_examples=30, deadline=None)
+
+
+def stored(hits: np.ndarray, passes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return in_strips(hits.astype(np.uint16)), passes.astype(np.uint16)
 
 
 @few
@@ -20,7 +25,7 @@ def test_occupied_is_its_twin(seed: int, min_hits: int, min_share: float) -> Non
     rng = np.random.default_rng(seed)
     hits = np.where(rng.random((20, 31)) < 0.15, rng.integers(1, 5, (20, 31)), 0).astype(np.int32)
     passes = rng.integers(0, 30, hits.shape).astype(np.int32)
-    fast = potential.occupied(hits, passes, LATTICE, min_hits, min_share)
+    fast = potential.occupied(*stored(hits, passes), LATTICE, min_hits, min_share)
     np.testing.assert_allclose(fast, naive.occupied(hits, passes, LATTICE, min_hits, min_share), atol=1e-12)
 
 
@@ -29,7 +34,7 @@ def test_a_stray_hit_and_a_cell_that_most_beams_passed_are_no_wall() -> None:
     hits[3, 3] = 1  # a stray
     hits[10, 10:12] = 1  # two side by side
     hits[16, 16], passes[16, 16] = 3, 100  # someone who walked by
-    walls = potential.occupied(hits, passes, np.array([0.0, 0.0, 1.0]), 2, 0.1)
+    walls = potential.occupied(*stored(hits, passes), np.array([0.0, 0.0, 1.0]), 2, 0.1)
     np.testing.assert_array_equal(walls, [(10.5, 10.5), (11.5, 10.5)])
 
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from mavnav.kernels.conflicts import CLEAR_CELLS, conflicts
 from mavnav.kernels.volume import volume
+from mavnav.lattice import in_strips
 from mavnav.linemap import LineMap
 from mavnav.pose import Pose, transform_points
 
@@ -24,7 +25,8 @@ def counted(points: np.ndarray, laser: Pose, lattice: np.ndarray, hits: np.ndarr
     off_cells = np.round((lattice[:2] - line_map.geometry[:2]) / lattice[2])
     clear = np.array([*off_cells, line_map.closeness_at(CLEAR_CELLS * lattice[2])])
     seen = transform_points(laser.inverse(), points)
-    return conflicts(seen, laser.as_array(), lattice, hits, passes, line_map.closeness, clear)
+    counts = in_strips(hits.astype(np.uint16)), passes.astype(np.uint16)
+    return conflicts(seen, laser.as_array(), lattice, *counts, line_map.closeness, clear)
 
 
 @given(seed=st.integers(0, 2**32 - 1))

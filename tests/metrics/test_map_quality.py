@@ -9,7 +9,7 @@ import pytest
 from scipy import ndimage
 from synthetic import TOUR, along, furnished_rooms, record
 
-from mavnav.grid import Grid
+from mavnav.grid import Grid, Tally
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import MapQuality, map_quality
 from mavnav.metrics.wall_thickness import wall_thickness
@@ -17,10 +17,10 @@ from mavnav.pose import Pose, Trajectory, transform_points
 
 
 def mapped(recording, poses: Trajectory, every: int = 1) -> Grid:
-    grid = Grid(0.02)
+    tally = Tally(0.02)
     for k in range(0, len(poses), every):
-        grid.insert(poses[k], transform_points(poses[k], recording.scans[k].points()))
-    return grid
+        tally.insert(poses[k], transform_points(poses[k], recording.scans[k].points()))
+    return tally.by_rows()
 
 
 @pytest.fixture(scope="module")

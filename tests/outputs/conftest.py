@@ -10,7 +10,7 @@ import pytest
 from synthetic import along, furnished_rooms, scan_at
 
 from mavnav.config import Config
-from mavnav.grid import Grid
+from mavnav.grid import Tally
 from mavnav.logs import Damage, Odometry, ScanCounts, Topic
 from mavnav.matcher import Match
 from mavnav.metrics.wall_thickness import sections_by_hits
@@ -79,17 +79,18 @@ def fabricate(scans: int = 20, noise: float = 0.005) -> Run:
 
 
 def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
-    grid, steps = Grid(cell_m), []
+    tally, steps = Tally(cell_m), []
     for k, (scan, pose) in enumerate(zip(recorded, poses, strict=True)):
         tracked = k not in LOST
         accepted = tracked and k != REJECTED
         if accepted:
-            grid.insert(pose, transform_points(pose, scan.points()))
+            tally.insert(pose, transform_points(pose, scan.points()))
         match = Match(pose, 1e-4 if tracked else np.inf, 600, 0.9 if tracked else 0.1, 960 + k, 8, tracked)
         steps.append(Step(k, scan.stamp_ns, pose, match, tracked, accepted))
     kept = [s for s in steps if s.tracked]
     trajectory = Trajectory.of([s.stamp_ns for s in kept], [s.match.map_T_laser for s in kept])
     lost = (LostInterval(recorded[LOST[0]].stamp_ns, recorded[LOST[-1]].stamp_ns, len(LOST), recovered=True),)
+    grid = tally.by_rows()
     sections = sections_by_hits(measured_part(grid).hits, grid.cell_m)
     log = FabricatedLog(recorded, cleaning={"valid": 600, "zero": 7})
     return Run(log, Config(), Slam(Steps(steps), trajectory, grid, lost), sections, Timing(2.0, 1.5, 0.5))

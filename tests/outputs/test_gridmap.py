@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from mavnav.grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy
+from mavnav.grid import FREE, OCCUPIED, UNKNOWN, Grid, Tally, occupancy
 from mavnav.outputs.gridmap import known_part, measured_part, write_npz, write_pgm, write_yaml
 from mavnav.pose import Pose
 
@@ -95,12 +95,11 @@ def test_an_empty_map_is_one_unknown_cell(run, shape, tmp_path):
 
 
 def test_the_measured_part_does_not_depend_on_how_far_the_grid_reaches():
-    grid = Grid(0.02)
-    grid.insert(Pose(0.3, 0.2, 0.0), np.array([(1.5, 0.9), (-0.7, -1.9)]))
-    part = measured_part(grid)
-    wide = Grid(0.02, grid.origin_xy_m, grid.hits.copy(), grid.passes.copy())
-    wide._cover((-700, -500), (900, 300))
-    again = measured_part(wide)
+    tally = Tally(0.02)
+    tally.insert(Pose(0.3, 0.2, 0.0), np.array([(1.5, 0.9), (-0.7, -1.9)]))
+    part = measured_part(tally.by_rows())
+    tally._cover((-700, -500), (900, 300))
+    again = measured_part(tally.by_rows())
     assert again.origin_xy_m == part.origin_xy_m
     np.testing.assert_array_equal(again.hits, part.hits)
     np.testing.assert_array_equal(again.passes, part.passes)
