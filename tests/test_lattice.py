@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavnav import lattice
-from mavnav.lattice import SMALL_BYTES, blank, covering, moved, pooled
+from mavnav.lattice import SMALL_BYTES, WIDE, blank, blank_strips, covering, in_strips, moved, plain, pooled
 
 cells = st.tuples(st.integers(-500, 500), st.integers(-500, 500))
 
@@ -33,22 +33,41 @@ def test_what_lies_within_needs_no_growth_and_growth_reaches_farther_on_its_own_
     assert covering((1, 1), (100, 98), (100, 100), (0, 0), 1) == ((0, 0), (100, 100 + 1 + 12))
 
 
-@given(seed=st.integers(0, 2**32 - 1), row=st.integers(0, 90), col=st.integers(0, 90))
-def test_contents_move_with_the_array(seed: int, row: int, col: int) -> None:
-    rng = np.random.default_rng(seed)
-    array = np.where(rng.random((130, 70)) < 0.01, 7, 0).astype(np.int32)
-    out = moved(array, (250, 200), row, col)
-    np.testing.assert_array_equal(out[row : row + 130, col : col + 70], array)
+contents = st.integers(0, 2**32 - 1).map(
+    lambda seed: np.where(np.random.default_rng(seed).random((130, 2 * WIDE)) < 0.01, 7, 0).astype(np.int32)
+)
+
+
+@given(array=contents, row=st.integers(0, 90), strip=st.integers(0, 2))
+def test_contents_move_with_the_array(array: np.ndarray, row: int, strip: int) -> None:
+    extent, col = (250, 4 * WIDE), strip * WIDE
+    out = moved(array, extent, row, col)
+    np.testing.assert_array_equal(out[row : row + 130, col : col + 2 * WIDE], array)
     assert out.sum() == array.sum()
+    np.testing.assert_array_equal(plain(moved(in_strips(array), extent, row, col)), out)
 
 
-def test_blank_cells_take_no_memory() -> None:
+@given(array=contents, cols=st.integers(1, 2 * WIDE))
+def test_strips_hold_what_is_laid_in_them(array: np.ndarray, cols: int) -> None:
+    strips = in_strips(array[:, :cols])
+    assert strips.shape == (-(-cols // WIDE), 130, WIDE)
+    for row, col in np.argwhere(array[:, :cols]):
+        assert strips[col // WIDE, row, col % WIDE] == array[row, col]
+    back = plain(strips, np.uint16)
+    assert back.dtype == np.uint16
+    np.testing.assert_array_equal(back[:, :cols], array[:, :cols])
+    assert not back[:, cols:].any()
+
+
+@pytest.mark.parametrize("strips", [False, True], ids=["plain", "strips"])
+def test_blank_cells_take_no_memory(*, strips: bool) -> None:
     before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    array = blank((20_000, 20_000), np.int32)
-    array[5_000:5_100, 3_000:3_100] = 1
-    larger = moved(array, (22_000, 22_000), 1_000, 1_000)
-    assert larger[6_000:6_100, 4_000:4_100].all()
-    assert larger.nbytes > 100 * SMALL_BYTES
+    extent, larger = (20_000, 320 * WIDE), (22_000, 350 * WIDE)
+    array = blank_strips(extent, np.int32) if strips else blank(extent, np.int32)
+    array[(40, slice(5_000, 5_100)) if strips else (slice(5_000, 5_100), slice(40 * WIDE, 41 * WIDE))] = 1
+    grown = moved(array, larger, 1_000, 10 * WIDE)
+    assert grown[(50, slice(6_000, 6_100)) if strips else (slice(6_000, 6_100), slice(50 * WIDE, 51 * WIDE))].all()
+    assert grown.nbytes > 100 * SMALL_BYTES
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 100_000
 
 
