@@ -194,28 +194,26 @@ def replay(
     start, warnings, opinions = Start(config, max(period_s, SHORTEST_PERIOD_S), odometry, known), [], 1
     method, steps = start.tracked(log_scans(), on_step)
 
-    def again(start: Start) -> tuple[Method, Steps] | None:
+    def again(start: Start, scans: Callable[[], Iterable[Scan]]) -> tuple[Method, Steps] | None:
         """Track once more; None if the run is being stopped: the longer track is kept."""
-        track = start.tracked(log_scans(), on_step, "track again")
+        track = start.tracked(scans(), on_step, "track again")
         return track if len(track[1]) == len(steps) else None
 
     if start.odometry and misleads(start.odometry, tracked_way(steps)):
         alone = replace(start, odometry=None)
-        if other := again(alone):
+        if other := again(alone, log_scans):
             start, (method, steps) = alone, other
             warnings.append("odometry contradicts the scans and is not used; check its scale, axes and clock")
     if fires_backwards(log_scans, steps, start, method):
-        told, log_scans = log_scans, partial(_backwards, log_scans)
-        if other := again(start):
-            method, steps = other
+        turned = partial(_backwards, log_scans)
+        if other := again(start, turned):
+            log_scans, (method, steps) = turned, other
             warnings.append(
                 "beams were fired in the reverse of the listed order, judged by the turns, and are de-skewed so"
             )
-        else:
-            log_scans = told
     if config.final_pass and method.closes_loops and in_doubt(steps):
         second = replace(start, config=coarser(config))
-        if other := again(second):
+        if other := again(second, log_scans):
             opinions = 2
             if blur(*other) < blur(method, steps):
                 start, (method, steps) = second, other

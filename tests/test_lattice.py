@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavnav import lattice
+from mavnav.kernels import conflicts, hits, passing, potential, raycast
 from mavnav.lattice import SMALL_BYTES, WIDE, blank, blank_strips, covering, in_strips, moved, plain, pooled
 
 cells = st.tuples(st.integers(-500, 500), st.integers(-500, 500))
@@ -57,6 +58,11 @@ def test_strips_hold_what_is_laid_in_them(array: np.ndarray, cols: int) -> None:
     assert back.dtype == np.uint16
     np.testing.assert_array_equal(back[:, :cols], array[:, :cols])
     assert not back[:, cols:].any()
+
+
+def test_kernels_know_how_wide_a_strip_is() -> None:
+    for kernels in (conflicts, hits, passing, potential, raycast):
+        assert (kernels.WIDE, 1 << kernels.SHIFT) == (WIDE, WIDE)
 
 
 @pytest.mark.parametrize("strips", [False, True], ids=["plain", "strips"])
