@@ -10,7 +10,8 @@ import numpy as np
 
 from mavnav.kernels.linemap import FAR, REACH_CELLS, insert_points, rebuild
 from mavnav.kernels.points import extent
-from mavnav.lattice import blank, covering, moved
+from mavnav.lattice import covering, moved
+from mavnav.memory import blank
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
