@@ -273,13 +273,13 @@ def coarse_to_fine(terms, start, grid, limits, cell_m=0.0, settled=None):
 
     ``terms`` are cost, pivot, and what is added for a squared metre between the pivot and where it was expected. The
     first level within a cell is searched again with the terms that ``settled`` gives for the pose found, and so are
-    the next.
+    the next; finer ones alternate once.
     """
     azimuths, nx, ny = map(int, grid[:3])
     half_m, half_rad, stop_m, stop_rad = limits[:4]
-    pose = start
+    pose, alternations = start, int(limits[6])
     while True:
-        for _ in range(int(limits[6])):
+        for _ in range(alternations):
             pose = _best_turn(terms, pose, half_rad, grid)
             pose = _best_shift(terms, pose, half_m, grid, start)
         if settled and half_m <= cell_m:
@@ -288,6 +288,8 @@ def coarse_to_fine(terms, start, grid, limits, cell_m=0.0, settled=None):
         step_m, step_rad = 2 * half_m / (min(nx, ny) - 1), 2 * half_rad / (azimuths - 1)
         if step_m < stop_m and step_rad < stop_rad:
             return pose
+        if half_m <= cell_m:
+            alternations = 1
         half_m, half_rad = min(1.5 * step_m, 0.9 * half_m), min(1.5 * step_rad, 0.9 * half_rad)
 
 

@@ -625,10 +625,10 @@ def search(
     points : (n, 2) points in the laser's frame, m, in an order that makes any prefix a fair sample
     start : (3,) predicted pose: x, y (m), yaw (rad)
     grid : (5,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most, 1 to prune
-    limits : (12,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
-        points of the first level where it is wide, alternations a level, what a squared metre away from the start
-        costs a point, the half-windows (m) up to which lines are held, and above which they are, and what known ground
-        is (``_drawn``): within a cell the points elsewhere are left out
+    limits : (12,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m), how many
+        points search until it is settled which decide, alternations a level down to a cell, what a squared metre away
+        from the start costs a point, the half-windows (m) up to which lines are held, and above which they are, and
+        what known ground is (``_drawn``): within a cell the points elsewhere are left out
     nearest, lines, geometry : the map, see ``linemap``
     """
     n = len(points)
@@ -648,7 +648,7 @@ def search(
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
         held = limits[9] < window[0] <= limits[8]
         last = max(step_x, step_y) < stop_m and step_rad < stop_rad
-        used = deciding if held or level > 0 else deciding[:, :few].copy()
+        used = deciding if held or settled else deciding[:, :few].copy()
         turned = _turns(window[1], azimuths)
         for turn in range(turns + extensions if held else 0):
             _form(used, at, window, form, none, nearest, lines, geometry)
@@ -694,6 +694,8 @@ def search(
         if last:
             converged = True
             break
+        if window[0] <= geometry[2]:
+            turns = 1  # finer levels begin where they will end
         window[0] = min(1.5 * max(step_x, step_y), 0.9 * window[0])
         window[1] = min(1.5 * step_rad, 0.9 * window[1])
 
