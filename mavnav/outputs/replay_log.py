@@ -98,9 +98,9 @@ class _GrowingMap:
     """
 
     def __init__(self, run: Run) -> None:
-        cells, known = run.cells, run.known
-        factor = max(1, ceil(sqrt(cells.size / LARGEST_MAP_BYTES)))
-        self.finished = pooled(cells, factor, fill=UNKNOWN) if factor > 1 else cells
+        known = run.known
+        factor = max(1, ceil(sqrt(known.hits.size / LARGEST_MAP_BYTES)))
+        self.finished = pooled(run.cells, factor, fill=UNKNOWN) if factor > 1 else run.cells
         self.grid = replace(known, cell_m=known.cell_m * factor)
         self.cells: NDArray[np.int8] = np.full(self.finished.shape, UNKNOWN, np.int8)
         maps = min(MAX_MAPS, MAX_MAP_BYTES // self.cells.size)
