@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from memory_use import in_use_mb, taking_less_than
 
+from mavnav import memory
 from mavnav.lattice import WIDE, blank_strips, moved
 from mavnav.memory import SMALL_BYTES, blank, forget, give_back
 
@@ -42,11 +43,15 @@ def test_what_is_no_large_blank_cannot_be_forgotten(array: np.ndarray) -> None:
     assert array.all()
 
 
-def test_what_is_free_between_blocks_in_use_is_given_back() -> None:
+def test_what_is_free_between_blocks_in_use_is_given_back_where_it_is_much(monkeypatch: pytest.MonkeyPatch) -> None:
     before_mb = in_use_mb()
     blocks = [bytearray(5_000) for _ in range(20_000)]
     kept = blocks[::500]
     del blocks
+    monkeypatch.setattr(memory, "MUCH_KB", 1 << 40)
+    give_back()
+    assert in_use_mb() - before_mb > 60
+    monkeypatch.setattr(memory, "MUCH_KB", 0)
     give_back()
     assert in_use_mb() - before_mb < 20
     assert len(kept) == 40

@@ -77,13 +77,13 @@ def laser_frame(run: Run) -> str:
 def placed_scans(run: Run) -> Iterator[tuple[Scan, Pose, bool]]:
     """Read the tracked scans once more: the scan, map_T_laser, and whether it went into the map."""
     trajectory, steps, row = run.slam.trajectory, run.slam.steps, 0
-    stamps_ns = trajectory.stamps_ns
-    mapped = np.isin(stamps_ns, steps.column("stamp_ns")[steps.column("accepted")])
+    stamps_ns = trajectory.stamps_ns.tolist()
+    mapped = np.isin(stamps_ns, steps.column("stamp_ns")[steps.column("accepted")]).tolist()
     for scan in run.log.scans():
         while row < len(stamps_ns) and stamps_ns[row] < scan.stamp_ns:
             row += 1
         if row < len(stamps_ns) and stamps_ns[row] == scan.stamp_ns:
-            yield scan, trajectory[row], bool(mapped[row])
+            yield scan, trajectory[row], mapped[row]
 
 
 def _map(grid: Grid, cells: NDArray[np.int8], stamp_ns: int) -> bytes:
