@@ -198,7 +198,6 @@ def search_lines(points: NDArray[np.float64], line_map: LineMap, start: Pose, sc
         schedule.grid,
         schedule.limits,
         line_map.nearest,
-        line_map.closeness,
         line_map.lines,
         line_map.geometry,
     )

@@ -254,7 +254,7 @@ def held_cost(points, at, motion, line_map, truncate_m):
         )
         row, col = np.array(cell_of(before, line_map.cell_m)) - line_map.origin_cells[::-1]
         inside = 0 <= row < line_map.nearest.shape[0] and 0 <= col < line_map.nearest.shape[1]
-        mu_x, mu_y, xx, xy, yy = line_map.lines[line_map.nearest[row, col] if inside else 0, :5]
+        mu_x, mu_y, xx, xy, yy = line_map.lines[line_map.nearest[row, col] // 128 if inside else 0, :5]
         d2 = [
             (u - mu_x) ** 2 * xx + 2 * (u - mu_x) * (v - mu_y) * xy + (v - mu_y) ** 2 * yy for u, v in (before, after)
         ]

@@ -5,20 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types
+from numba import float64, int64, types, uint16
 
 from mavnav.kernels._jit import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_COUNTS = types.Array(int32, 2, "A", readonly=True)
+_COUNTS = types.Array(uint16, 2, "A", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 
 
 @kernel(float64[:, :, ::1](_COUNTS, _F2, int64, int64))
 def wall_profiles(
-    counts: NDArray[np.int32], stations: NDArray[np.float64], half_length: int, reach: int
+    counts: NDArray[np.uint16], stations: NDArray[np.float64], half_length: int, reach: int
 ) -> NDArray[np.float64]:
     """Average counts along a wall, on either half of a stretch of it.
 

@@ -44,7 +44,7 @@ LEAST_SHARE: Final = 0.08
 FREE_SHARE: Final = 0.5
 """Beams that crossed a cell of free space, compared with the hits a cell of the ridge that they ended on."""
 
-AT_A_TIME: Final = 10_000
+AT_A_TIME: Final = 2_000
 """Stations whose profiles are in memory."""
 
 OUTSIDE_CELLS: Final = (2.0, 5.0)

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from matches import voxel_means
 from synthetic import URG_04LX, furnished_rooms, scan_at
 
+from mavnav.kernels import conflicts, linesearch, volume
 from mavnav.kernels import linemap as linemap_kernel
-from mavnav.kernels import linesearch
+from mavnav.kernels.linemap import NEAR
 from mavnav.kernels.points import extent, scan_points
 from mavnav.linemap import LineMap
 from mavnav.pose import Pose, transform_points
@@ -102,7 +103,7 @@ def test_lines_grown_scan_by_scan_are_those_of_all_points_at_once(seed: int) -> 
     for slot in range(1, grown.count):
         row, col = grown.cells[slot] + (row0, col0)
         foot, a, rests_on = expected[row, col]
-        assert grown.nearest[tuple(grown.cells[slot])] == slot
+        assert grown.nearest[tuple(grown.cells[slot])] // NEAR == slot
         np.testing.assert_allclose(grown.lines[slot, :2], foot, atol=1e-9)
         assert grown.lines[slot, 5] == pytest.approx(rests_on)
         np.testing.assert_allclose(grown.lines[slot, 2:5], (a[0, 0], a[0, 1], a[1, 1]), atol=1e-6)
@@ -116,9 +117,15 @@ def test_nearest_is_the_nearest_occupied_cell_within_reach() -> None:
     d2 = (rows[..., None] - occupied[:, 0]) ** 2 + (cols[..., None] - occupied[:, 1]) ** 2
     within = d2.min(axis=-1) <= linemap_kernel.REACH_CELLS**2
     np.testing.assert_array_equal(grown.nearest > 0, within)
-    chosen = np.take_along_axis(d2, np.maximum(grown.nearest - 1, 0)[..., None].astype(int), axis=-1)[..., 0]
+    slot, closeness = np.divmod(grown.nearest.astype(int), NEAR)
+    chosen = np.take_along_axis(d2, np.maximum(slot - 1, 0)[..., None], axis=-1)[..., 0]
     np.testing.assert_array_equal(chosen[within], d2.min(axis=-1)[within])
-    np.testing.assert_array_equal(grown.closeness, np.maximum(linemap_kernel.FAR + 1 - d2.min(axis=-1), 0))
+    np.testing.assert_array_equal(closeness, np.maximum(linemap_kernel.FAR + 1 - d2.min(axis=-1), 0))
+
+
+def test_kernels_know_how_an_entry_is_made() -> None:
+    assert {kernels.NEAR for kernels in (conflicts, linemap_kernel, linesearch, volume)} == {NEAR}
+    assert linemap_kernel.FAR + 1 < NEAR
 
 
 @given(shift=st.tuples(st.integers(-900, 900), st.integers(-900, 900)))
@@ -145,14 +152,14 @@ def test_without_some_cells_the_lines_are_those_of_the_other_points() -> None:
     assert line_map.count - 1 == len(expected)
     for slot, cell in enumerate(line_map.cells[1 : line_map.count], start=1):
         foot, a, _ = expected[tuple(cell + np.array(line_map.origin_cells)[::-1])]
-        assert line_map.nearest[tuple(cell)] == slot
+        assert line_map.nearest[tuple(cell)] // NEAR == slot
         np.testing.assert_allclose(line_map.lines[slot, :2], foot, atol=1e-9)
         np.testing.assert_allclose(line_map.lines[slot, 2:5], (a[0, 0], a[0, 1], a[1, 1]), atol=1e-6)
-    assert np.count_nonzero(line_map.closeness > linemap_kernel.FAR) == len(expected)
+    assert np.count_nonzero(line_map.nearest % NEAR > linemap_kernel.FAR) == len(expected)
 
 
 def arrays(line_map: LineMap) -> tuple[np.ndarray, ...]:
-    return line_map.nearest, line_map.closeness, line_map.lines, line_map.geometry
+    return line_map.nearest, line_map.lines, line_map.geometry
 
 
 def furnished_map() -> tuple[LineMap, np.ndarray]:
