@@ -35,6 +35,8 @@ MAX_MAPS: Final = 60
 MAX_MAP_BYTES: Final = 64_000_000
 LARGEST_MAP_BYTES: Final = 25_000_000
 MAP_PERIOD_NS: Final = 1_000_000_000
+CHUNK_BYTES: Final = 1 << 20
+"""A run is complete or absent: larger chunks than a recording's, in which one map resembles the one before."""
 
 CHANNELS: Final = {
     "/tf_static": Channel(definitions.TF, latched=True),
@@ -48,7 +50,7 @@ CHANNELS: Final = {
 
 def write(run: Run, path: Path) -> None:
     """Write the run as a ROS 2 log. The scans are read from the log once more."""
-    with write_serialized(path, CHANNELS) as put:
+    with write_serialized(path, CHANNELS, CHUNK_BYTES) as put:
         laser, last_ns = laser_frame(run), run.log.last_ns
         mounting = run.log.base_T_laser
         if mounting is not None:
