@@ -103,7 +103,8 @@ def _sum_up(
     while depth > 0:
         depth -= 1
         row, low, high = stack[depth]
-        w, s_x, s_xx, y2 = 0, 0, 0, 2 * (row - middle) - half
+        y2 = 2 * (row - middle) - half
+        w = s_x = s_xx = np.int64(0)
         for c in range(low, high + 1):
             h, x2 = np.int64(hits[first_row + row, first_col + c]), 2 * (c - middle)
             w, s_x, s_xx = w + h, s_x + h * x2, s_xx + h * x2 * x2
