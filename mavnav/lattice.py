@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 WIDE = 64
 """Cells across a strip; kernels say so once more."""
-BAND_CELLS, LEAST_ROWS = 1 << 20, 64
+BAND_CELLS, LEAST_ROWS = 1 << 18, 64
 """What takes much memory a cell is done for so many cells at a time, and for so many rows at least."""
 AT_ONCE = 16
 """So many rows, or strips, are moved at once."""

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 SMALL_BYTES = 1 << 22
 """Below, memory is not worth the care; from there on numpy asks for pages of 2 MB, each of which counts as a whole."""
 
+MUCH_KB = 256 << 10
+"""A process that took less keeps what is free: to take it once more would cost a replay of some 400 scans 5 ms."""
+
 
 def blank(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:  # noqa: ANN401
     """Return zeros whose pages take memory once they are written to."""
@@ -40,9 +43,13 @@ def forget(array: NDArray[Any], first: int, end: int) -> None:
 
 
 def give_back() -> None:
-    """Have the C library give back what is free between blocks in use: as much as ever was in use at a time."""
-    trim = getattr(CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
-    if trim:
+    """Have the C library give back what is free between blocks in use, if the process ever took much."""
+    if sys.platform != "linux":
+        return
+    from resource import RUSAGE_SELF, getrusage  # noqa: PLC0415  not everywhere
+
+    trim = getattr(CDLL(None), "malloc_trim", None)
+    if trim and getrusage(RUSAGE_SELF).ru_maxrss > MUCH_KB:
         trim(0)
 
 

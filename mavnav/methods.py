@@ -304,8 +304,7 @@ class Robust:
 
     def place(self, scan: Scan, match: Match, motion: Motion | None = None) -> Match:
         """Place the scan as it was recorded, so that pose and raw ranges fit together; de-skewed if given a motion."""
-        placed = search_lines(self.match_points(scan, motion), self.lines, match.map_T_laser, self._final)
-        return with_effort(placed, match, placed)
+        return search_lines(self.match_points(scan, motion), self.lines, match.map_T_laser, self._final, match)
 
     def finished(self) -> Grid:
         """Return the map, and forget it and its lines: of a large one there is no room for all."""

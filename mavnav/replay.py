@@ -157,7 +157,6 @@ def replay(
     given = Given(load_references(request.truth, request.truth_map, request.relations), known_map_of(request))
     wall_s, cpu_s, stages = perf_counter(), process_time(), account(loading=compile_s, starting=startup_s)
     log = _open(request, progress)
-    give_back()
     check_times(given.references, log.first_ns, log.last_ns)
     with stoppable() as stop:
         return _mapped(request, log, given, progress, stop, Timing(wall_s, cpu_s, compile_s, stages))

@@ -61,13 +61,14 @@ def _through_a_wall(
     that may mean a hit cell within half a stride.
     """
     rows, cols = passes.shape
-    length = np.hypot(u1 - u0, v1 - v0)
+    length = np.sqrt((u1 - u0) * (u1 - u0) + (v1 - v0) * (v1 - v0))
     du, dv, last = (u1 - u0) / length, (v1 - v0) / length, int(length - GRAZE_CELLS)
+    u, v, least = u0 + clear[0], v0 + clear[1], int64(np.ceil(clear[2]))
     for start in range(2, last, STRIDE):
         middle = start + STRIDE // 2
-        row, col = int(v0 + middle * dv + clear[1]), int(u0 + middle * du + clear[0])
+        row, col = int(v + middle * dv), int(u + middle * du)
         inside = 0 <= row < nearest.shape[0] and 0 <= col < nearest.shape[1]
-        if not inside or nearest[row, col] % NEAR < clear[2]:
+        if not inside or int64(nearest[row, col] % NEAR) < least:
             continue
         for i in range(start, min(start + STRIDE, last)):
             row, col = int(np.floor(v0 + i * dv)), int(np.floor(u0 + i * du))

@@ -104,15 +104,17 @@ def _sum_up(
         depth -= 1
         row, low, high = stack[depth]
         y2 = 2 * (row - middle) - half
+        w = s_x = s_xx = np.int64(0)
         for c in range(low, high + 1):
             h, x2 = np.int64(hits[first_row + row, first_col + c]), 2 * (c - middle)
-            sums[0] += 1
-            sums[1] += h
-            sums[2] += h * x2
-            sums[3] += h * y2
-            sums[4] += h * x2 * x2
-            sums[5] += h * x2 * y2
-            sums[6] += h * y2 * y2
+            w, s_x, s_xx = w + h, s_x + h * x2, s_xx + h * x2 * x2
+        sums[0] += high + 1 - low
+        sums[1] += w
+        sums[2] += s_x
+        sums[3] += w * y2
+        sums[4] += s_xx
+        sums[5] += s_x * y2
+        sums[6] += w * y2 * y2
         for near in range(row - step, row + step + 1):
             for c in range(low - step, high + step + 1):
                 if free[near, c]:

@@ -35,6 +35,8 @@ MAX_MAPS: Final = 60
 MAX_MAP_BYTES: Final = 64_000_000
 LARGEST_MAP_BYTES: Final = 25_000_000
 MAP_PERIOD_NS: Final = 1_000_000_000
+CHUNK_BYTES: Final = 1 << 20
+"""A run is complete or absent: larger chunks than a recording's, in which one map resembles the one before."""
 
 CHANNELS: Final = {
     "/tf_static": Channel(definitions.TF, latched=True),
@@ -48,7 +50,7 @@ CHANNELS: Final = {
 
 def write(run: Run, path: Path) -> None:
     """Write the run as a ROS 2 log. The scans are read from the log once more."""
-    with write_serialized(path, CHANNELS) as put:
+    with write_serialized(path, CHANNELS, CHUNK_BYTES) as put:
         laser, last_ns = laser_frame(run), run.log.last_ns
         mounting = run.log.base_T_laser
         if mounting is not None:
@@ -77,13 +79,13 @@ def laser_frame(run: Run) -> str:
 def placed_scans(run: Run) -> Iterator[tuple[Scan, Pose, bool]]:
     """Read the tracked scans once more: the scan, map_T_laser, and whether it went into the map."""
     trajectory, steps, row = run.slam.trajectory, run.slam.steps, 0
-    stamps_ns = trajectory.stamps_ns
-    mapped = np.isin(stamps_ns, steps.column("stamp_ns")[steps.column("accepted")])
+    stamps_ns = trajectory.stamps_ns.tolist()
+    mapped = np.isin(stamps_ns, steps.column("stamp_ns")[steps.column("accepted")]).tolist()
     for scan in run.log.scans():
         while row < len(stamps_ns) and stamps_ns[row] < scan.stamp_ns:
             row += 1
         if row < len(stamps_ns) and stamps_ns[row] == scan.stamp_ns:
-            yield scan, trajectory[row], bool(mapped[row])
+            yield scan, trajectory[row], mapped[row]
 
 
 def _map(grid: Grid, cells: NDArray[np.int8], stamp_ns: int) -> bytes:
@@ -98,9 +100,9 @@ class _GrowingMap:
     """
 
     def __init__(self, run: Run) -> None:
-        cells, known = run.cells, run.known
-        factor = max(1, ceil(sqrt(cells.size / LARGEST_MAP_BYTES)))
-        self.finished = pooled(cells, factor, fill=UNKNOWN) if factor > 1 else cells
+        known = run.known
+        factor = max(1, ceil(sqrt(known.hits.size / LARGEST_MAP_BYTES)))
+        self.finished = pooled(run.cells, factor, fill=UNKNOWN) if factor > 1 else run.cells
         self.grid = replace(known, cell_m=known.cell_m * factor)
         self.cells: NDArray[np.int8] = np.full(self.finished.shape, UNKNOWN, np.int8)
         maps = min(MAX_MAPS, MAX_MAP_BYTES // self.cells.size)
