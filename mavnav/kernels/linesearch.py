@@ -644,7 +644,7 @@ def search(
 
     deciding, settled, few, none = centred, limits[10] == 0, int(min(n, limits[5])), np.empty(0, np.int64)
     evaluations, grids, converged, form = 0, 0, False, np.zeros((5, 5))
-    for level in range(MAX_LEVELS):
+    for _ in range(MAX_LEVELS):
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
         held = limits[9] < window[0] <= limits[8]
         last = max(step_x, step_y) < stop_m and step_rad < stop_rad
