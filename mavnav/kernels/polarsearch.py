@@ -50,6 +50,7 @@ BEARING_RAD, RANGE_M, RANGE_SHARE = 6e-7, 3e-5, 1e-6
 farthest."""
 DOUBT, NOTHING = np.float32(-1e30), np.float32(np.inf)
 ZERO, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
+ONE_ON = np.uint64(1)
 THIRD, FIFTH, SEVENTH, NINTH = (np.float32(1.0 / n) for n in (3.0, 5.0, 7.0, 9.0))
 LITTLE, TOO_NEAR = np.float32(0.2), np.float32(0.2)
 """Of a point's squared range: shifts up to here turn it so little that the series is good to 3e-8. Of its range: points
@@ -264,14 +265,14 @@ def _span_glance(
     Doubtful are beams close to the ends of a segment, steep segments, and those across the seam.
     """
     turn, close, steep, last = widths[0], widths[1], widths[2], widths[3]
-    quarter = turn / (TWO + TWO)
+    quarter, by_seam = turn / (TWO + TWO), close + close + close  # numbers are rounded when they are added
     for k in range(1, points.shape[1]):
         number, start, end = points[2, k - 1], moved[1, k - 1], moved[1, k] + ONE
         ahead, joined = end - start, points[5, k] > ZERO
         low, high = np.ceil(start - close), np.floor(end + close)
         slope = (moved[0, k] - moved[0, k - 1]) / ahead
         meets = joined & (low <= high) & (ahead < quarter + ONE)
-        across = (number + start < ONE) | (number + end > turn - ONE)
+        across = (number + start < by_seam) | (number + end > turn - by_seam)
         inside = meets & (number + low <= last) & (number + low >= ZERO)
         doubt = (low - start < close) | (end - high < close) | (abs(slope) > steep) | (ahead > quarter - ONE)
         value = DOUBT if doubt else moved[0, k - 1] + (low - start) * slope
@@ -292,17 +293,26 @@ def _lay_glance(
     spans: NDArray[np.int32],
     seen: NDArray[np.float32],
 ) -> bool:
-    """Write, as ``_lay``, what each virtual beam sees; False where a point is not known well."""
+    """Write, as ``_lay``, what each virtual beam sees; False where a point is not known well.
+
+    Hardly a segment meets more than two beams: these are laid without branches. ``seen`` has room for a beam more.
+    """
     seen[:] = NOTHING
-    turn, last = widths[0], len(seen) - 1
+    turn, last, across = widths[0], len(seen) - 2, 0
     for k in range(1, points.shape[1]):
-        first, more = uint64(spans[0, k]), spans[1, k]
-        seen[first] = min(seen[first], moved[2, k])
-        for i in range(1, more + 1):
-            at = first + uint64(i)
-            seen[at] = min(seen[at], moved[2, k] + np.float32(i) * moved[3, k])
-        if more >= 0:
+        first, more, value = uint64(spans[0, k]), spans[1, k], moved[2, k]
+        second = value + moved[3, k] if more > 0 else NOTHING
+        seen[first] = min(seen[first], value)
+        seen[first + ONE_ON] = min(seen[first + ONE_ON], second)
+        if 0 <= more <= 1:
             continue
+        for i in range(2, more + 1):
+            at = first + uint64(i)
+            seen[at] = min(seen[at], value + np.float32(i) * moved[3, k])
+        if more < 0:
+            spans[0, across] = k
+            across += 1
+    for k in spans[0, :across]:
         start, end = points[2, k - 1] + moved[1, k - 1], points[2, k - 1] + moved[1, k] + ONE
         if not -ONE <= end - start <= turn:  # not known, or the laser has gone through it
             return False
@@ -364,7 +374,7 @@ def _bound_wide(scan: Scan, motions: NDArray[np.float64], work: Work, bounds: ND
     (virtual, points, limits), (_, _, x, y, yaw) = scan, motions[-1]
     n, beams, per_step = points.shape[1], len(virtual), 1.0 / limits[1]
     small, motion, moved = _at_middle(scan, motions[-1], work[0]), np.empty(4, np.float32), np.empty((4, n), np.float32)
-    expected, seen, squares = np.empty(beams, np.float32), np.empty(beams, np.float32), np.empty(beams, np.float32)
+    expected, squares, seen = np.empty(beams, np.float32), np.empty(beams, np.float32), np.empty(beams + 1, np.float32)
     for j in range(beams):
         expected[j] = virtual[j] if limits[2] < virtual[j] < limits[3] else np.nan
     widths, close, off_by = np.empty(9, np.float32), BEARING_RAD * abs(per_step), max(RANGE_M, RANGE_SHARE * limits[3])
