@@ -50,7 +50,6 @@ BEARING_RAD, RANGE_M, RANGE_SHARE = 6e-7, 3e-5, 1e-6
 farthest."""
 DOUBT, NOTHING = np.float32(-1e30), np.float32(np.inf)
 ZERO, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
-ONE_ON = np.uint64(1)
 THIRD, FIFTH, SEVENTH, NINTH = (np.float32(1.0 / n) for n in (3.0, 5.0, 7.0, 9.0))
 LITTLE, TOO_NEAR = np.float32(0.2), np.float32(0.2)
 """Of a point's squared range: shifts up to here turn it so little that the series is good to 3e-8. Of its range: points
@@ -293,20 +292,15 @@ def _lay_glance(
     spans: NDArray[np.int32],
     seen: NDArray[np.float32],
 ) -> bool:
-    """Write, as ``_lay``, what each virtual beam sees; False where a point is not known well.
-
-    Hardly a segment meets more than two beams: these are laid without branches. ``seen`` has room for a beam more.
-    """
+    """Write, as ``_lay``, what each virtual beam sees; False where a point is not known well."""
     seen[:] = NOTHING
-    turn, last, across = widths[0], len(seen) - 2, 0
+    turn, last, across = widths[0], len(seen) - 1, 0
     for k in range(1, points.shape[1]):
         first, more, value = uint64(spans[0, k]), spans[1, k], moved[2, k]
-        second = value + moved[3, k] if more > 0 else NOTHING
         seen[first] = min(seen[first], value)
-        seen[first + ONE_ON] = min(seen[first + ONE_ON], second)
-        if 0 <= more <= 1:
+        if more == 0:
             continue
-        for i in range(2, more + 1):
+        for i in range(1, more + 1):
             at = first + uint64(i)
             seen[at] = min(seen[at], value + np.float32(i) * moved[3, k])
         if more < 0:
@@ -374,7 +368,7 @@ def _bound_wide(scan: Scan, motions: NDArray[np.float64], work: Work, bounds: ND
     (virtual, points, limits), (_, _, x, y, yaw) = scan, motions[-1]
     n, beams, per_step = points.shape[1], len(virtual), 1.0 / limits[1]
     small, motion, moved = _at_middle(scan, motions[-1], work[0]), np.empty(4, np.float32), np.empty((4, n), np.float32)
-    expected, squares, seen = np.empty(beams, np.float32), np.empty(beams, np.float32), np.empty(beams + 1, np.float32)
+    expected, seen, squares = np.empty(beams, np.float32), np.empty(beams, np.float32), np.empty(beams, np.float32)
     for j in range(beams):
         expected[j] = virtual[j] if limits[2] < virtual[j] < limits[3] else np.nan
     widths, close, off_by = np.empty(9, np.float32), BEARING_RAD * abs(per_step), max(RANGE_M, RANGE_SHARE * limits[3])
@@ -450,30 +444,29 @@ def _hold(
     ``sight`` (3, beams) is what a beam sees in the middle, and the least and the most that it can see anywhere.
     """
     r, beam, value, slope, last = work[0][0], work[0][1], work[0][2], work[0][3], len(held) - 1
-    seen, turn = sight[0], 2.0 * np.pi / abs(scan[2][1])
+    (seen, least, most), (by_m, by_beams) = (sight[0], sight[1], sight[2]), (reach[0], reach[1])
+    first, more, turn = work[1][0], work[1][1], 2.0 * np.pi / abs(scan[2][1])
     sight[:2], sight[2], held[:] = np.inf, 0.0, 0
     for k in range(1, scan[1].shape[1]):
         if value[k] == np.inf or beam[k] < beam[k - 1]:
             continue  # across the seam: loose in any case
-        first = work[1][0, k]
-        for j in range(first, first + work[1][1, k] + 1):
-            at = value[k] + (j - first) * slope[k]
+        for i in range(more[k] + 1):
+            j, at = uint64(first[k] + i), value[k] + i * slope[k]
             if at < seen[j]:
                 seen[j], held[j] = at, k
     for k in range(1, scan[1].shape[1]):
         low, high = swept[0, k], swept[1, k]
         if low > high:
             continue
-        near = min(r[k - 1] - reach[0, k - 1], r[k] - reach[0, k])
-        far = max(r[k - 1] + reach[0, k - 1], r[k] + reach[0, k])
-        seam = low < 0.0 or high >= turn
+        near, far = min(r[k - 1] - by_m[k - 1], r[k] - by_m[k]), max(r[k - 1] + by_m[k - 1], r[k] + by_m[k])
+        from_beam, to_beam, seam = beam[k - 1] + by_beams[k - 1], beam[k] - by_beams[k], low < 0.0 or high >= turn
         for around in range(-1 if seam else 0, 2 if seam else 1):
             by = around * turn
-            for j in range(max(int64(np.ceil(low + by)), 0), min(int64(np.floor(high + by)), last) + 1):
-                mine = held[j] == k
-                sure = mine and j >= beam[k - 1] + reach[1, k - 1] and j <= beam[k] - reach[1, k] and not seam
-                sight[1, j], sight[2, j] = min(sight[1, j], near), max(sight[2, j], far)
-                if not sure and (mine or near <= seen[j] + HIDDEN_M):
+            for i in range(max(int64(np.ceil(low + by)), 0), min(int64(np.floor(high + by)), last) + 1):
+                j = uint64(i)
+                mine, sure = held[j] == k, from_beam <= i <= to_beam and not seam
+                least[j], most[j] = min(least[j], near), max(most[j], far)
+                if not (mine and sure) and (mine or near <= seen[j] + HIDDEN_M):
                     held[j] = -1
 
 
@@ -509,22 +502,25 @@ def _let_go(
 @kernel(_F2(_SCAN, float64[:, ::1], int64[::1]))
 def _rest(scan: Scan, swept: NDArray[np.float64], held: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the points (6, m) of the segments that loose beams may meet."""
-    points, last, turn, count, before = scan[1], len(held) - 1, 2.0 * np.pi / abs(scan[2][1]), 0, 0
-    out, loose = np.empty((6, 2 * points.shape[1])), np.zeros(len(held) + 1, np.int64)
+    points, last, turn, count = scan[1], len(held) - 1, 2.0 * np.pi / abs(scan[2][1]), 0
+    n, loose = points.shape[1], np.zeros(len(held) + 1, np.int64)
+    needed, kept = np.zeros(n + 1, np.bool_), np.empty(n, np.int64)
     for j in range(len(held)):
         loose[j + 1] = loose[j] + (held[j] < 0)
-    for k in range(1, points.shape[1]):
+    for k in range(1, n):
         low, high = swept[0, k], swept[1, k]
         first, end = max(int64(np.ceil(low)), 0), min(int64(np.floor(high)), last) + 1
-        if not (low < 0.0 or high >= turn or (first < end and loose[end] > loose[first])):
-            continue
-        if before != k - 1 or count == 0:
-            out[:, count] = points[:, k - 1]
-            out[5, count] = 0.0
-            count += 1
-        out[:, count] = points[:, k]
-        count, before = count + 1, k
-    return out[:, :count].copy()
+        needed[k] = low < 0.0 or high >= turn or (first < end and loose[end] > loose[first])
+    for k in range(n):
+        kept[count] = k
+        count += needed[k] | needed[k + 1]
+    out = np.empty((6, count))
+    for row in range(6):
+        for i in range(count):
+            out[row, i] = points[row, uint64(kept[i])]
+    for i in range(count):
+        out[5, i] *= i > 0 and kept[i] == kept[i - 1] + 1
+    return out
 
 
 @kernel(void(_SCAN, _F1, _F1, _F1, _F1, float64[:, ::1]))
