@@ -45,7 +45,7 @@ SUM_M2 = 1e-11
 CLOSE = 1e-8
 """So near to the end of a segment, in beams, or to a threshold, in m, rounding and series decide what contributes."""
 
-BEARING_RAD, RANGE_M, RANGE_SHARE = 6e-7, 3e-5, 1e-6
+BEARING_RAD, RANGE_M, RANGE_SHARE = 6e-7, 5e-5, 1e-6
 """In single precision bearings are better than this, and ranges where the surface is not too steep: in m, or of the
 farthest."""
 DOUBT, NOTHING = np.float32(-1e30), np.float32(np.inf)
@@ -652,7 +652,7 @@ def _sum_rest(scan: Scan, loose: NDArray[np.int64], motion: NDArray[np.float64],
     return total, used
 
 
-@kernel(void(_SCAN, _F2, _F2, _F1, _WORK, float64[::1]))
+@kernel(_SCAN(_SCAN, _F2, _F2, _F1, _WORK, float64[::1]))
 def _bound(
     scan: Scan,
     motions: NDArray[np.float64],
@@ -660,10 +660,11 @@ def _bound(
     window: NDArray[np.float64],
     work: Work,
     bounds: NDArray[np.float64],
-) -> None:
+) -> Scan:
     """Write a lower bound of each candidate's cost, -inf where none is known.
 
-    ``motions`` are those of the candidates, and of the grid's middle at the end; ``offsets`` (m, 2) from there.
+    ``motions`` are those of the candidates, and of the grid's middle at the end; ``offsets`` (m, 2) from there. Returns
+    the scan without what matters nowhere on the grid: it costs the same, to the bit.
     """
     virtual, points, limits = scan
     n, beams, scratch, middle = points.shape[1], len(virtual), work[0], motions[-1]
@@ -673,7 +674,7 @@ def _bound(
     small = passed <= HELD_BEAMS and share <= HELD_SHARE
     if not small and (passed > TRIMMED_BEAMS or share > 0.5 or len(bounds) < WORTH_TRIMMING):
         _bound_wide(scan, motions, work, bounds)
-        return
+        return scan
     _span(scan, work)
     _sweep(scan, scratch, reach, swept)
     _hold(scan, work, reach, swept, sight, held)
@@ -681,8 +682,9 @@ def _bound(
     rest = _rest(scan, swept, held)
     if not small:
         _see(rest, middle, limits, scratch[0, : rest.shape[1]], scratch[1, : rest.shape[1]])
-        _bound_wide((np.where(held < 0, virtual, np.nan), rest, limits), motions, work, bounds)
-        return
+        trimmed = np.where(held < 0, virtual, np.nan), rest, limits
+        _bound_wide(trimmed, motions, work, bounds)
+        return trimmed
     form = _form(scan, middle, window, scratch, sight[0], held)
     loose, holding = np.flatnonzero(held < 0), float(np.count_nonzero(held > 0))
     for i in range(len(bounds)):
@@ -691,6 +693,7 @@ def _bound(
         total += form[0] + u * (form[1] + u * form[3] + v * form[4]) + v * (form[2] + v * form[5])
         used += holding
         bounds[i] = total / used - SUM_M2 if used >= max(limits[6], 1.0) else np.inf
+    return scan
 
 
 # ---- the minimisation -----------------------------------------------------------------------------------------------
@@ -782,7 +785,7 @@ def search(
     azimuths, nx, ny, extensions, prune = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3]), grid[4] > 0.0
     half_m, half_rad, shrink, covered, stop_m, stop_rad = schedule
     n = len(points)
-    scan = virtual, _joined(points.T, limits[5]), limits
+    scan = part = virtual, _joined(points.T, limits[5]), limits
     work = np.empty((6, max(2 * n, len(virtual)))), np.empty((2, 2 * n), np.int32)
     turns, by_turn, turn_bounds = np.empty((azimuths + 1, 5)), np.empty((azimuths, 2)), np.full(azimuths, -np.inf)
     shifts, by_shift, bounds = np.empty((nx * ny + 1, 5)), np.empty((nx * ny, 2)), np.full(nx * ny, -np.inf)
@@ -797,8 +800,8 @@ def search(
             # Minimisation, steps i and ii
             _turns(at, pivot, half_rad, turns, by_turn)
             if prune:
-                _bound(scan, turns, by_turn, np.array([0.0, half_rad, at[0], at[1]]), work, turn_bounds)
-            i, best, beams = _least(scan, turns, turn_bounds, work)
+                part = _bound(scan, turns, by_turn, np.array([0.0, half_rad, at[0], at[1]]), work, turn_bounds)
+            i, best, beams = _least(part, turns, turn_bounds, work)
             evaluations += azimuths
             if i >= 0:
                 used, at[2] = beams, at[2] - half_rad + i * step_rad
@@ -810,8 +813,8 @@ def search(
             # Steps iii and iv
             _shifts(at, pivot, half_m, nx, shifts, by_shift)
             if prune:
-                _bound(scan, shifts, by_shift, np.array([half_m, 0.0, at[0], at[1]]), work, bounds)
-            ji, best, beams = _least(scan, shifts, bounds, work)
+                part = _bound(scan, shifts, by_shift, np.array([half_m, 0.0, at[0], at[1]]), work, bounds)
+            ji, best, beams = _least(part, shifts, bounds, work)
             evaluations += nx * ny
             if ji >= 0:
                 used, at[0], at[1] = beams, at[0] + by_shift[ji, 0], at[1] + by_shift[ji, 1]
