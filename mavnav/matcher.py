@@ -132,15 +132,9 @@ def polar_points(ranges_m: NDArray[np.float64], spec: LaserSpec, mixed_pixel_m: 
 
     A mixed pixel differs from both neighbouring beams by more than ``mixed_pixel_m``.
     """
-    far = np.abs(np.diff(ranges_m)) > mixed_pixel_m
-    good = np.isfinite(ranges_m)
-    good[1:-1] &= ~(far[:-1] & far[1:])
-    beam = np.flatnonzero(good)
-    r, points = ranges_m[beam], np.empty((len(beam), 5))
-    points[:, :2] = r[:, None] * spec.directions[beam]
-    points[:, 2], points[:, 3] = beam, r
-    points[:, 4] = spec.angle_min_rad + spec.angle_step_rad * points[:, 2]
-    return points
+    from mavnav.kernels import beams  # noqa: PLC0415  the paper's alone
+
+    return beams.good_beams(ranges_m, spec.directions, spec.angle_min_rad, spec.angle_step_rad, mixed_pixel_m)
 
 
 ALTERNATIONS, FINAL_ALTERNATIONS = 2, 1

@@ -346,5 +346,5 @@ def load_kernels(config: Config) -> None:
     The compiler's code, 52 MB, is not needed after that.
     """
     if config.method == "paper":
-        from mavnav.kernels import polarsearch, raycast  # noqa: F401, PLC0415
+        from mavnav.kernels import beams, polarsearch, raycast  # noqa: F401, PLC0415
     forget_code("libllvmlite")

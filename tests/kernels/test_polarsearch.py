@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from synthetic import furnished_rooms, room, scan_at
 
 from mavnav.config import Config
-from mavnav.kernels import polarsearch
+from mavnav.kernels import beams, polarsearch
 from mavnav.matcher import HOPELESS, Match, match_polar, polar_points
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
@@ -69,10 +69,19 @@ def test_pruned_search_is_the_exhaustive_one(
     np.testing.assert_array_equal(pruned, exhaustive)
 
 
+@LASERS
+@given(seed=st.integers(0, 2**32 - 1))
+def test_good_beams_are_their_twins(spec: LaserSpec, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ranges = rng.choice((0.5, 1.0, 1.05, 2.0, np.nan), spec.beams)
+    told = ranges, spec.directions, spec.angle_min_rad, spec.angle_step_rad, 0.1
+    np.testing.assert_array_equal(beams.good_beams(*told), naive.good_beams(*told))
+
+
 def test_beams_differing_from_both_neighbours_are_left_out() -> None:
     ranges = np.array([1.0, 1.0, 2.0, 1.0, 1.0, np.nan, 3.0, 3.0, 1.0])
-    beams = polar_points(ranges, LaserSpec(0.0, 0.1, 9, 0.02, 5.0), 0.1)[:, 2]
-    assert beams.tolist() == [0, 1, 3, 4, 6, 7, 8]
+    good = polar_points(ranges, LaserSpec(0.0, 0.1, 9, 0.02, 5.0), 0.1)[:, 2]
+    assert good.tolist() == [0, 1, 3, 4, 6, 7, 8]
 
 
 @pytest.mark.parametrize("grid", ["5x5", "10x10", "20x20"])
