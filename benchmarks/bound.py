@@ -69,7 +69,7 @@ def main() -> None:
     xy = np.tile(transform_points(steps[-1].match.map_T_laser, method.match_points(scan)), (8, 1))
     x, y = np.ascontiguousarray(xy.T)
     cells = np.floor((xy - lines.geometry[:2]) / lines.cell_m).astype(int)
-    slots = lines.nearest[cells[:, 1], cells[:, 0]]
+    slots = lines.nearest[cells[:, 1], cells[:, 0]] // linesearch.NEAR
     arrays = (lines.nearest, lines.lines, lines.geometry)
     whole = nanoseconds(lambda: linesearch._cost_sum(x, y, np.zeros(2), 0.0225, *arrays, np.inf), len(x))  # noqa: SLF001
     loads = nanoseconds(lambda: look_ups(slots, lines.lines), len(x))

@@ -21,6 +21,7 @@ from numba import njit
 
 from mavnav.config_file import load_config
 from mavnav.logs import cdr, definitions
+from mavnav.methods import load_kernels
 from mavnav.pose import Pose
 from mavnav.replay import Request, replay
 from mavnav.scan import LaserSpec, Scan
@@ -132,6 +133,7 @@ def main() -> None:
 
     began_s = process_time()
     config = load_config(None, [], {"odom": "off"})
+    load_kernels(config)
     run, _ = replay(Request(args.log, args.output, config, force=True), progress, 0.0)
     rows, cols = run.known.hits.shape
     end = run.slam.trajectory[len(run.slam.trajectory) - 1]

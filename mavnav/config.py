@@ -102,7 +102,7 @@ class RobustConfig(_Strict):
     final_window_mm: float = Field(50.0, gt=0, description="half-width of the final pass in the plane")
     final_window_deg: float = Field(3.0, gt=0, description="half-width of the final pass in azimuth")
     final_truncate_mm: float = Field(50.0, gt=0, description="distances are capped here in the final pass")
-    stop_mm: float = Field(1.0, gt=0, description="search ends at this spacing in the plane")
+    stop_mm: float = Field(1.3, gt=0, description="search ends at this spacing in the plane")
     stop_deg: float = Field(0.02, gt=0, description="search ends at this spacing in azimuth")
     max_extensions: int = Field(3, ge=0, description="border extensions a level at most")
     hold_below_mm: float = Field(
@@ -117,7 +117,9 @@ class RobustConfig(_Strict):
     )
     overlap_points: float = Field(8.0, ge=0, description="and only if the line there rests on so many points")
     prior: float = Field(0.01, ge=0, description="cost of a squared metre away from what odometry predicts")
-    first_level_points: int = Field(120, ge=10, description="points of the first, widest level")
+    first_level_points: int = Field(
+        150, ge=10, description="points that search until it is settled which of them decide"
+    )
     min_points: int = Field(30, ge=3, description="scans with fewer points are not matched")
     retry_below: float = Field(0.8, ge=0, le=1, description="search wider under this share of inliers")
     conflicts_below: float = Field(

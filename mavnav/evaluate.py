@@ -7,11 +7,8 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-import numpy as np
-
 from mavnav import __version__
 from mavnav.errors import MavnavError, UsageError
-from mavnav.grid import Grid
 from mavnav.logs import open_log
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.journey import Journey
@@ -21,6 +18,7 @@ from mavnav.metrics.wall_thickness import THRESHOLDS, sections_by_hits, wall_thi
 from mavnav.metrics.walls import Wall
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.document import plain, thickness_document
+from mavnav.outputs.gridmap import read_npz
 from mavnav.pose import Pose, transform_points
 from mavnav.references import References, check_times, compared, occupied_xy_m, read_map, read_tum
 from mavnav.units import DEG, MM
@@ -28,8 +26,7 @@ from mavnav.units import DEG, MM
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from mavnav.grid import Grid
     from mavnav.pose import Trajectory
 
 SCHEMA_VERSION: Final = 1
@@ -89,10 +86,7 @@ def _run(directory: Path) -> Subject:
         raise UsageError(f"{directory} holds no run (no {RUN_FILE}); name a run directory, or the YAML file of a map")
     try:
         document = json.loads((directory / RUN_FILE).read_text(encoding="utf-8"))
-        with np.load(directory / "hits.npz") as file:
-            grid = Grid(
-                float(file["cell_m"]), _pair(file["origin_xy_m"]), _counts(file["counts"]), _counts(file["passes"])
-            )
+        grid = read_npz(directory / "hits.npz")
         journey = Journey(
             map_T_laser=read_tum(directory / "trajectory.tum"),
             scans=open_log(directory / "result.mcap", odom="off").scans,
@@ -102,15 +96,6 @@ def _run(directory: Path) -> Subject:
     except (OSError, ValueError, KeyError, TypeError, MavnavError) as error:
         raise UsageError(f"{directory} is no whole run: {error}; make it again with mavnav replay --force") from error
     return Subject("run", grid, Pose(), journey)
-
-
-def _pair(values: NDArray[np.float64]) -> tuple[float, float]:
-    x, y = (float(v) for v in values)
-    return x, y
-
-
-def _counts(values: NDArray[np.int32]) -> NDArray[np.int32]:
-    return np.ascontiguousarray(values, np.int32)
 
 
 def _document(path: Path, what: Subject, references: References) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from math import floor
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
 from mavnav.kernels import passing
 from mavnav.kernels.points import extent
-from mavnav.lattice import WIDE, bands, blank, blank_strips, covering, in_strips, moved, plain
+from mavnav.lattice import WIDE, bands, blank_strips, covering, in_strips, moved, plain
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
@@ -35,14 +35,19 @@ class Grid:
     """Hit counts on a square lattice.
 
     ``hits[row, col]`` counts laser end points, ``passes[row, col]`` beams that crossed the cell on their way. Both are
-    (rows, cols) int32, row grows with +y. ``origin_xy_m`` is the corner of cell [0, 0] in the map frame, always a whole
-    number of cells.
+    (rows, cols), of any integers when given; they are kept in two bytes each, as in a `Tally`, and end where these do.
+    Row grows with +y. ``origin_xy_m`` is the corner of cell [0, 0] in the map frame, always a whole number of cells.
     """
 
     cell_m: float
     origin_xy_m: tuple[float, float] = (0.0, 0.0)
-    hits: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
-    passes: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), np.int32))
+    hits: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
+    passes: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
+
+    def __post_init__(self) -> None:
+        """Take the counts in as `counts` does."""
+        object.__setattr__(self, "hits", counts(self.hits))
+        object.__setattr__(self, "passes", counts(self.passes))
 
     @property
     def lattice(self) -> NDArray[np.float64]:
@@ -67,16 +72,12 @@ class Tally:
     @classmethod
     def of(cls, grid: Grid) -> Tally:
         """Lay a grid in strips, to be looked up; of its crossings none was clear."""
-        hits, passes = (np.minimum(part, hits_kernel.MOST).astype(np.uint16) for part in (grid.hits, grid.passes))
-        shielded = in_strips(np.minimum(passes, hits_kernel.MOST_SHIELDED).astype(np.int16))
-        return cls(grid.cell_m, grid.origin_xy_m, in_strips(hits), passes, shielded)
+        shielded = in_strips(np.minimum(grid.passes, hits_kernel.MOST_SHIELDED).astype(np.int16))
+        return cls(grid.cell_m, grid.origin_xy_m, in_strips(grid.hits), grid.passes.copy(), shielded)
 
     def by_rows(self) -> Grid:
-        """Return the counts by rows and columns."""
-        passes = blank(self.passes.shape, np.int32)
-        for _, _, band in bands(passes.shape):
-            np.copyto(passes[band], self.passes[band], where=self.passes[band] > 0)
-        return Grid(self.cell_m, self.origin_xy_m, plain(self.hits, np.int32), passes)
+        """Return the counts by rows and columns; the crossings are these, not a copy."""
+        return Grid(self.cell_m, self.origin_xy_m, plain(self.hits), self.passes)
 
     @property
     def lattice(self) -> NDArray[np.float64]:
@@ -137,6 +138,11 @@ class Tally:
         self.passes = moved(self.passes, shape, dr, dc)
         self.shielded = moved(self.shielded, shape, dr, dc)
         self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))
+
+
+def counts(values: NDArray[Any]) -> NDArray[np.uint16]:
+    """Return integers, 0 or more, in two bytes each, those that are too large as the largest; others are not copied."""
+    return values if values.dtype == np.uint16 else np.minimum(values, hits_kernel.MOST).astype(np.uint16)
 
 
 def show_ends(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.grid import OCCUPIED, Grid, occupancy
+from mavnav.grid import OCCUPIED, Grid, counts, occupancy
 from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
@@ -54,6 +54,6 @@ def _upright(grid: Grid, map_T_grid: Pose) -> Grid:
     inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
     row, col = np.where(inside, row, 0), np.where(inside, col, 0)
     hits, passes = (
-        np.where(inside, cells[row, col], 0).astype(np.int32) * np.int32(SURELY) for cells in (grid.hits, grid.passes)
+        counts(np.where(inside, cells[row, col], 0) * np.int32(SURELY)) for cells in (grid.hits, grid.passes)
     )
     return Grid(cell_m, (float(low[0] * cell_m), float(low[1] * cell_m)), hits, passes)

@@ -8,24 +8,24 @@ the column's and the row's part, ``col + col // WIDE * WIDE * (rows - 1) + WIDE 
 
 from __future__ import annotations
 
-import mmap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mavnav.memory import blank, forget
+
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
     Cell = tuple[int, int]
-
-SMALL_BYTES = 1 << 22
-"""Below, memory is not worth the care; from there on numpy asks for pages of 2 MB, each of which counts as a whole."""
+    Told = Callable[[NDArray[Any]], NDArray[Any]]
+    """What is told of each of some cells."""
 
 WIDE = 64
 """Cells across a strip; kernels say so once more."""
-BAND_CELLS, LEAST_ROWS = 1 << 20, 64
+BAND_CELLS, LEAST_ROWS = 1 << 18, 64
 """What takes much memory a cell is done for so many cells at a time, and for so many rows at least."""
 AT_ONCE = 16
 """So many rows, or strips, are moved at once."""
@@ -39,21 +39,11 @@ def blank_strips(cells: Cell, dtype: Any) -> NDArray[Any]:  # noqa: ANN401
     return blank((cells[1] // WIDE, cells[0], WIDE), dtype)
 
 
-def blank(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:  # noqa: ANN401
-    """Return zeros whose pages take memory once they are written to."""
-    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    if size < SMALL_BYTES or not hasattr(mmap, "MAP_PRIVATE"):
-        return np.zeros(shape, dtype)
-    memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-    if hasattr(mmap, "MADV_NOHUGEPAGE"):
-        memory.madvise(mmap.MADV_NOHUGEPAGE)
-    return np.frombuffer(memory, dtype).reshape(shape)
-
-
 def moved(cells: NDArray[Any], extent: Cell, row: int, col: int) -> NDArray[Any]:
     """Return an array of more (rows, cols), plain or in strips as this one, that holds it from cell (row, col) on.
 
-    All columns are whole strips. What is blank stays untouched.
+    All columns are whole strips. What is blank stays untouched. The array itself is lost: of a large one the pages are
+    given back as they are copied, for there is no room for both.
     """
     in_strips = cells.ndim == 3
     grown = blank_strips(extent, cells.dtype) if in_strips else blank(extent, cells.dtype)
@@ -62,6 +52,7 @@ def moved(cells: NDArray[Any], extent: Cell, row: int, col: int) -> NDArray[Any]
     for at in range(0, len(old), AT_ONCE):
         i, j = np.nonzero(old[at : at + AT_ONCE].any(axis=2))
         new[i + at, j + along] = old[i + at, j]
+        forget(cells, at, min(at + AT_ONCE, len(old)))
     return grown
 
 
@@ -100,6 +91,17 @@ def bands(shape: tuple[int, ...], margin: int = 0) -> Iterator[tuple[slice, slic
         yield slice(start, min(end + margin, rows)), slice(first - start, end - start), slice(first, end)
 
 
+def where(cells: NDArray[Any], test: Told) -> NDArray[np.intp]:
+    """Return row and column, (n, 2), of the cells that pass a test, in their order, without a mask of them all."""
+    found = [np.argwhere(test(cells[band])) + np.array([band.start, 0]) for _, _, band in bands(cells.shape)]
+    return np.concatenate([np.zeros((0, 2), np.intp), *found])
+
+
+def count(cells: NDArray[Any], test: Told) -> int:
+    """Count the cells that pass a test, without a mask of them all."""
+    return sum(int(np.count_nonzero(test(cells[band]))) for _, _, band in bands(cells.shape))
+
+
 def covering(low: Cell, high: Cell, shape: Cell, origin: Cell, block: int) -> tuple[Cell, Cell] | None:
     """Find the lattice of whole blocks that covers cells ``low`` to ``high`` (col, row) and the present one.
 
@@ -124,16 +126,21 @@ def _span(low: int, high: int, present: tuple[int, int], block: int) -> Cell:
     return low, (high // block + 1) * block - low
 
 
-def pooled(cells: NDArray[Any], factor: int, fill: int = 0) -> NDArray[Any]:
+def as_it_is(cells: NDArray[Any]) -> NDArray[Any]:
+    """Tell of cells what they hold."""
+    return cells
+
+
+def pooled(cells: NDArray[Any], factor: int, fill: int = 0, told: Told = as_it_is) -> NDArray[Any]:
     """Shrink by taking the largest of each ``factor`` x ``factor`` block, so that a wall of one cell stays visible.
 
-    Blocks that reach beyond the cells are filled up with ``fill``.
+    Blocks that reach beyond the cells are filled up with ``fill``. What is ``told`` of the cells is shrunk.
     """
     rows, cols = (-(-n // factor) for n in cells.shape)
-    out = np.full((rows, cols), fill, cells.dtype)
+    out = np.full((rows, cols), fill, told(cells[:0]).dtype)
     for i in range(factor):
         for j in range(factor):
-            part = cells[i::factor, j::factor]
+            part = told(cells[i::factor, j::factor])
             shown = out[: part.shape[0], : part.shape[1]]
             np.maximum(shown, part, out=shown)
     return out

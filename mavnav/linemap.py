@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels.linemap import FAR, REACH_CELLS, insert_points, rebuild
+from mavnav.kernels.linemap import FAR, NEAR, REACH_CELLS, insert_points, rebuild
 from mavnav.kernels.points import extent
-from mavnav.lattice import blank, covering, moved
+from mavnav.lattice import covering, moved
+from mavnav.memory import blank
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
@@ -38,8 +39,7 @@ class LineMap:
     known_points: float = 0.0
     origin_cells: tuple[int, int] = (0, 0)
     count: int = 1
-    nearest: NDArray[np.int32] = field(default_factory=lambda: np.empty((0, 0), np.int32))
-    closeness: NDArray[np.uint8] = field(default_factory=lambda: np.empty((0, 0), np.uint8))
+    nearest: NDArray[np.uint32] = field(default_factory=lambda: np.empty((0, 0), np.uint32))
     cells: NDArray[np.int32] = field(default_factory=lambda: np.empty((1, 2), np.int32))
     moments: NDArray[np.float64] = field(default_factory=lambda: np.empty((1, 12)))
     lines: NDArray[np.float64] = field(default_factory=lambda: np.array([NOWHERE]))
@@ -56,7 +56,7 @@ class LineMap:
         return np.array([*self.origin_xy_m, self.cell_m, self.line_sigma_m, self.line_noise_m])
 
     def closeness_at(self, distance_m: float) -> float:
-        """Return the ``closeness`` of a cell whose nearest occupied one is so far away, m."""
+        """Return what ``nearest`` tells of a cell whose nearest occupied one is so far away, m: how near that is."""
         return FAR + 1 - 1e-9 - (distance_m / self.cell_m) ** 2
 
     @timed("field update")
@@ -71,7 +71,6 @@ class LineMap:
             self.geometry,
             self.count,
             self.nearest,
-            self.closeness,
             self.cells,
             self.moments,
             self.lines,
@@ -83,7 +82,8 @@ class LineMap:
         at = np.floor(xy_map_m / self.cell_m).astype(np.int64) - np.array(self.origin_cells)
         inside = ((at >= 0) & (at < np.array(self.nearest.shape[::-1]))).all(axis=1)
         col, row = at[inside].T
-        gone = self.nearest[row, col][self.closeness[row, col] > FAR]
+        there = self.nearest[row, col]
+        gone = there[there % NEAR > FAR] // NEAR
         if not len(gone):
             return
         kept = np.delete(np.arange(self.count), gone)
@@ -92,8 +92,8 @@ class LineMap:
             band = slice(first, min(first + _AT_ONCE, n))
             for held in (self.cells, self.moments, self.lines):
                 held[band] = held[kept[band]]
-        self.nearest, self.closeness = (blank(self.nearest.shape, kind) for kind in (np.int32, np.uint8))
-        rebuild(self.geometry, self.nearest, self.closeness, self.cells[:n], self.moments[:n], self.lines[:n])
+        self.nearest = blank(self.nearest.shape, np.uint32)
+        rebuild(self.geometry, self.nearest, self.cells[:n], self.moments[:n], self.lines[:n])
 
     def _cover(self, xy_map_m: NDArray[np.float64]) -> None:
         """Grow the lattice until the points and the reach around them lie inside."""
@@ -108,7 +108,6 @@ class LineMap:
         new_origin, shape = grown
         dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
         self.nearest = moved(self.nearest, shape, dr, dc)
-        self.closeness = moved(self.closeness, shape, dr, dc)
         self.cells[1 : self.count] += np.array([dr, dc], np.int32)
         self.origin_cells = new_origin
 

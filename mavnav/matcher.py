@@ -189,18 +189,24 @@ class Schedule:
 
 
 @timed("search")
-def search_lines(points: NDArray[np.float64], line_map: LineMap, start: Pose, schedule: Schedule) -> Match:
-    """Search once around ``start`` for the place of points (n, 2), laser frame, m."""
+def search_lines(
+    points: NDArray[np.float64], line_map: LineMap, start: Pose, schedule: Schedule, before: Match | None = None
+) -> Match:
+    """Search once around ``start`` for the place of points (n, 2), laser frame, m.
+
+    A match of the same scan ``before``, which led here, is counted in the effort.
+    """
     x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
         points,
         start.as_array(),
         schedule.grid,
         schedule.limits,
         line_map.nearest,
-        line_map.closeness,
         line_map.lines,
         line_map.geometry,
     )
+    if before:
+        evaluations, grids = evaluations + before.evaluations, grids + before.iterations
     return Match(Pose(x, y, wrap_angle(yaw)), cost, len(points), inliers, evaluations, grids, converged)
 
 

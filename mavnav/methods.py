@@ -21,6 +21,7 @@ from mavnav.matcher import (
     search_lines,
     with_effort,
 )
+from mavnav.memory import forget_code
 from mavnav.motion import LONGEST_S
 from mavnav.pose import Pose, transform_points
 from mavnav.relocalise import around, best_of, candidates, everywhere, judged, within_reach
@@ -303,8 +304,7 @@ class Robust:
 
     def place(self, scan: Scan, match: Match, motion: Motion | None = None) -> Match:
         """Place the scan as it was recorded, so that pose and raw ranges fit together; de-skewed if given a motion."""
-        placed = search_lines(self.match_points(scan, motion), self.lines, match.map_T_laser, self._final)
-        return with_effort(placed, match, placed)
+        return search_lines(self.match_points(scan, motion), self.lines, match.map_T_laser, self._final, match)
 
     def finished(self) -> Grid:
         """Return the map, and forget it and its lines: of a large one there is no room for all."""
@@ -341,6 +341,10 @@ METHODS: dict[str, Callable[[Config], Method]] = {"robust": Robust, "paper": Pap
 
 
 def load_kernels(config: Config) -> None:
-    """Load the kernels that only one of the methods has, and compile them the first time; others load on import."""
+    """Load the kernels that only one of the methods has, and compile them the first time; others load on import.
+
+    The compiler's code, 52 MB, is not needed after that.
+    """
     if config.method == "paper":
         from mavnav.kernels import beams, polarsearch, raycast  # noqa: F401, PLC0415
+    forget_code("libllvmlite")

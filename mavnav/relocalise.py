@@ -58,7 +58,7 @@ def judged(match: Match, points: NDArray[np.float64], line_map: LineMap, grid: T
     lines_x, lines_y = line_map.origin_xy_m
     within = line_map.closeness_at(CLEAR_CELLS * grid.cell_m)
     clear = np.array([(x - lines_x) / grid.cell_m, (y - lines_y) / grid.cell_m, within])
-    count = conflicts(points, pose, lattice, grid.hits, grid.passes, line_map.closeness, clear)
+    count = conflicts(points, pose, lattice, grid.hits, grid.passes, line_map.nearest, clear)
     return replace(match, conflicts=count / max(len(points), 1))
 
 

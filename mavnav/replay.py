@@ -15,6 +15,7 @@ from mavnav import slam
 from mavnav.errors import ExitCode, StoppedError, UsageError
 from mavnav.known_map import known_map
 from mavnav.logs import check_log, open_log
+from mavnav.memory import give_back
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import sections_by_hits
@@ -171,6 +172,7 @@ def _mapped(
 ) -> tuple[Run, dict[str, Any]]:
     """Track, measure and write; ``began`` holds the clocks as they stood at the start."""
     outcome = _track(log, request.config, given.known, progress, stop)
+    give_back()
     stopped = stop()
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
@@ -191,6 +193,7 @@ def _mapped(
         address=request.address,
     )
     progress("writing", 0, None)
+    give_back()
     return run, write_run(run, request.directory, force=request.force, report=request.report)
 
 

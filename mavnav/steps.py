@@ -72,7 +72,7 @@ class Steps(Sequence[Step]):
 
     def column(self, name: str) -> NDArray[Any]:
         """Return what a field of the steps or of their matches is, (n,); of poses x, y (m) and yaw (rad), (n, 3)."""
-        return np.frombuffer(bytes(self._rows), _COLUMNS)[name]
+        return np.frombuffer(self._rows, _COLUMNS)[name].copy()
 
     def share(self, name: str) -> float:
         """Return the share of the steps of which something is true; 0 where there are none."""

@@ -33,10 +33,6 @@ class Problem:
         return self.line_map.nearest, self.line_map.lines, self.line_map.geometry
 
     @property
-    def arrays(self) -> tuple[np.ndarray, ...]:
-        return self.line_map.nearest, self.line_map.closeness, self.line_map.lines, self.line_map.geometry
-
-    @property
     def centred(self) -> np.ndarray:
         return np.ascontiguousarray((self.points - self.points.mean(axis=0)).T)
 

@@ -266,7 +266,7 @@ def held_cost(points, at, motion, line_map, truncate_m):
         )
         row, col = np.array(cell_of(before, line_map.cell_m)) - line_map.origin_cells[::-1]
         inside = 0 <= row < line_map.nearest.shape[0] and 0 <= col < line_map.nearest.shape[1]
-        mu_x, mu_y, xx, xy, yy = line_map.lines[line_map.nearest[row, col] if inside else 0, :5]
+        mu_x, mu_y, xx, xy, yy = line_map.lines[line_map.nearest[row, col] // 128 if inside else 0, :5]
         d2 = [
             (u - mu_x) ** 2 * xx + 2 * (u - mu_x) * (v - mu_y) * xy + (v - mu_y) ** 2 * yy for u, v in (before, after)
         ]
@@ -285,13 +285,13 @@ def coarse_to_fine(terms, start, grid, limits, cell_m=0.0, settled=None):
 
     ``terms`` are cost, pivot, and what is added for a squared metre between the pivot and where it was expected. The
     first level within a cell is searched again with the terms that ``settled`` gives for the pose found, and so are
-    the next.
+    the next; finer ones alternate once.
     """
     azimuths, nx, ny = map(int, grid[:3])
     half_m, half_rad, stop_m, stop_rad = limits[:4]
-    pose = start
+    pose, alternations = start, int(limits[6])
     while True:
-        for _ in range(int(limits[6])):
+        for _ in range(alternations):
             pose = _best_turn(terms, pose, half_rad, grid)
             pose = _best_shift(terms, pose, half_m, grid, start)
         if settled and half_m <= cell_m:
@@ -300,6 +300,8 @@ def coarse_to_fine(terms, start, grid, limits, cell_m=0.0, settled=None):
         step_m, step_rad = 2 * half_m / (min(nx, ny) - 1), 2 * half_rad / (azimuths - 1)
         if step_m < stop_m and step_rad < stop_rad:
             return pose
+        if half_m <= cell_m:
+            alternations = 1
         half_m, half_rad = min(1.5 * step_m, 0.9 * half_m), min(1.5 * step_rad, 0.9 * half_rad)
 
 

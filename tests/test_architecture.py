@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "mavnav"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-GROUND = {"errors", "units", "pose", "scan", "config", "staging", "stages"}
+GROUND = {"errors", "units", "pose", "scan", "config", "memory", "staging", "stages"}
 CORE = {"lattice", "grid", "linemap", "matcher", "relocalise", "motion", "belief", "firing", "methods", "slam"} | {
     "steps",
     "pose_graph",
@@ -34,6 +34,7 @@ ALLOWED: dict[str, set[str]] = {
     "units": set(),
     "pose": set(),
     "scan": set(),
+    "memory": set(),
     "staging": set(),
     "stages": set(),
     "config": {"errors", "units"},

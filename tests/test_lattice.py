@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from mavnav import lattice
 from mavnav.kernels import conflicts, hits, passing, potential, raycast
-from mavnav.lattice import SMALL_BYTES, WIDE, blank, blank_strips, covering, in_strips, moved, plain, pooled
+from mavnav.lattice import WIDE, blank_strips, covering, in_strips, moved, plain, pooled
+from mavnav.memory import SMALL_BYTES, blank
 
 cells = st.tuples(st.integers(-500, 500), st.integers(-500, 500))
 

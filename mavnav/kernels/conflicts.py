@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import boolean, float64, int64, types, uint8, uint16
+from numba import boolean, float64, int64, types, uint16, uint32
 
 from mavnav.kernels._jit import kernel
 
@@ -19,13 +19,14 @@ GRAZE_CELLS = 10  # a beam may run along the wall that it ends on
 STRIDE = 8  # cells of a beam that one look may clear
 CLEAR_CELLS = 7.0  # from the middle of a stride to what it meets: half of it, 2 ** 0.5 for two cells, 1.5 to spare
 
+NEAR = 128  # an entry of ``nearest`` is an index times this, as ``linemap`` has it
 WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its logarithm
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 _U2 = types.Array(uint16, 2, "C", readonly=True)
 _U3 = types.Array(uint16, 3, "C", readonly=True)
-_B2 = types.Array(uint8, 2, "C", readonly=True)
+_U4 = types.Array(uint32, 2, "C", readonly=True)
 
 
 @kernel(boolean(int64, int64, _U3, _U2))
@@ -43,7 +44,7 @@ def _in_the_open(row: int, col: int, hits: NDArray[np.uint16], passes: NDArray[n
     return True
 
 
-@kernel(boolean(float64, float64, float64, float64, _U3, _U2, _B2, _F1))
+@kernel(boolean(float64, float64, float64, float64, _U3, _U2, _U4, _F1))
 def _through_a_wall(
     u0: float,
     v0: float,
@@ -51,22 +52,23 @@ def _through_a_wall(
     v1: float,
     hits: NDArray[np.uint16],
     passes: NDArray[np.uint16],
-    closeness: NDArray[np.uint8],
+    nearest: NDArray[np.uint32],
     clear: NDArray[np.float64],
 ) -> bool:
     """Tell whether the beam from (u0, v0) to (u1, v1), in cells, meets a wall well before its end.
 
-    ``clear`` are column and row of the grid's cell [0, 0] in ``closeness``, and its least value that may mean a hit
-    cell within half a stride.
+    ``clear`` are column and row of the grid's cell [0, 0] in ``nearest``, and how near an occupied cell has to be there
+    that may mean a hit cell within half a stride.
     """
     rows, cols = passes.shape
-    length = np.hypot(u1 - u0, v1 - v0)
+    length = np.sqrt((u1 - u0) * (u1 - u0) + (v1 - v0) * (v1 - v0))
     du, dv, last = (u1 - u0) / length, (v1 - v0) / length, int(length - GRAZE_CELLS)
+    u, v, least = u0 + clear[0], v0 + clear[1], int64(np.ceil(clear[2]))
     for start in range(2, last, STRIDE):
         middle = start + STRIDE // 2
-        row, col = int(v0 + middle * dv + clear[1]), int(u0 + middle * du + clear[0])
-        inside = 0 <= row < closeness.shape[0] and 0 <= col < closeness.shape[1]
-        if not inside or closeness[row, col] < clear[2]:
+        row, col = int(v + middle * dv), int(u + middle * du)
+        inside = 0 <= row < nearest.shape[0] and 0 <= col < nearest.shape[1]
+        if not inside or int64(nearest[row, col] % NEAR) < least:
             continue
         for i in range(start, min(start + STRIDE, last)):
             row, col = int(np.floor(v0 + i * dv)), int(np.floor(u0 + i * du))
@@ -76,21 +78,21 @@ def _through_a_wall(
     return False
 
 
-@kernel(int64(_F2, _F1, _F1, _U3, _U2, _B2, _F1))
+@kernel(int64(_F2, _F1, _F1, _U3, _U2, _U4, _F1))
 def conflicts(
     points: NDArray[np.float64],
     pose: NDArray[np.float64],
     lattice: NDArray[np.float64],
     hits: NDArray[np.uint16],
     passes: NDArray[np.uint16],
-    closeness: NDArray[np.uint8],
+    nearest: NDArray[np.uint32],
     clear: NDArray[np.float64],
 ) -> int:
     """Count the points (n, 2), laser frame, m, that the map speaks against if the laser is at ``pose``: x, y (m), yaw.
 
     Either the point lies in the open: its cell was crossed by beams and no hit is near; or the beam from the laser to
     it meets a wall, a cell hit ``WALL_HITS`` times and at least as often as crossed. ``lattice``, ``hits`` and
-    ``passes`` are the map's, see ``Tally``. ``closeness`` is that of a line map of the same cells: what it has to be
+    ``passes`` are the map's, see ``Tally``. ``nearest`` is that of a line map of the same cells: how near it has to be
     where a hit cell may be within `CLEAR_CELLS`, stands in ``clear`` (3,) behind the column and the row of cell [0, 0].
     """
     ox, oy, cell = lattice
@@ -100,7 +102,7 @@ def conflicts(
         x, y = points[k, 0], points[k, 1]
         u1, v1 = (pose[0] + c * x - s * y - ox) / cell, (pose[1] + s * x + c * y - oy) / cell
         if _in_the_open(int(np.floor(v1)), int(np.floor(u1)), hits, passes) or _through_a_wall(
-            u0, v0, u1, v1, hits, passes, closeness, clear
+            u0, v0, u1, v1, hits, passes, nearest, clear
         ):
             count += 1
     return count

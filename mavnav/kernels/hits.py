@@ -66,21 +66,25 @@ def _shield(
     ox, oy, cell = lattice
     rows, cols = passes.shape
     flat, crossed, across = shielded.ravel(), passes.ravel(), (rows - 1) * WIDE
-    at_row, at_col, n = -2, -2, 0
+    at_row, at_col, n = -2 * NEAR_CELLS - 1, -2 * NEAR_CELLS - 1, 0
     for k in range(len(xy_map_m)):
         row, col = int(np.floor((xy_map_m[k, 1] - oy) / cell)), int(np.floor((xy_map_m[k, 0] - ox) / cell))
         if abs(row - at_row) <= 1 and abs(col - at_col) <= 1:
             continue  # the neighbour's square is enough
-        at_row, at_col = row, col
         first, end = max(col - NEAR_CELLS, 0), min(col + NEAR_CELLS + 1, cols)
         for r in range(max(row - NEAR_CELLS, 0), min(row + NEAR_CELLS + 1, rows)):
-            for c in range(first, end):
+            # In its rows the square before has listed all columns but those on one side.
+            beside = abs(r - at_row) <= NEAR_CELLS
+            start = max(first, at_col + NEAR_CELLS + 1) if beside and col >= at_col else first
+            stop = min(end, at_col - NEAR_CELLS) if beside and col < at_col else end
+            for c in range(start, stop):
                 at, way = uint64(c + (c >> SHIFT) * across + WIDE * r), uint64(r * cols + c)
                 count = flat[at]
                 # Written over unless it is new.
                 cells[0, uint64(n)], cells[1, uint64(n)], cells[2, uint64(n)] = at, way, crossed[way]
                 flat[at] = -1 - count if count >= 0 else count
                 n += count >= 0
+        at_row, at_col = row, col
     return n
 
 
@@ -94,18 +98,19 @@ def _way(
     the others it has crossed before tells the cell. ``steps`` count 0, 1, 2 ...; ``cells`` has room for a block more.
     """
     col, row, du, dv = np.floor(u0), np.floor(v0), u1 - u0, v1 - v0
-    cols, rows, at = abs(np.floor(u1) - col), abs(np.floor(v1) - row), row * wide + col
+    cols, rows = abs(np.floor(u1) - col), abs(np.floor(v1) - row)
     step_col, step_row = (1.0 if du > 0 else -1.0), (wide if dv > 0 else -wide)
     per_u, per_v = abs(du), abs(dv)
     each_u, each_v = (1.0 / per_u if per_u else 0.0), (1.0 / per_v if per_v else 0.0)
     next_u, next_v = abs(col + (du > 0) - u0) * each_u, abs(row + (dv > 0) - v0) * each_v
+    at = row * wide + col + step_col + step_row
     for i in range((int(cols) + BLOCK - 1) // BLOCK * BLOCK):
-        before = np.floor((next_u + steps[i] * each_u - next_v) * per_v) + 1.0
-        cells[i] = int32(at + (steps[i] + 1.0) * step_col + min(max(before, 0.0), rows) * step_row)
-    others = cells[int(cols) :]
+        before = np.floor(min(max((next_u + steps[i] * each_u - next_v) * per_v, -1.0), rows - 1.0))
+        cells[i] = int32(at + steps[i] * step_col + before * step_row)
+    at, others = at - step_col, cells[int(cols) :]
     for i in range((int(rows) + BLOCK - 1) // BLOCK * BLOCK):
-        before = np.ceil((next_v + steps[i] * each_v - next_u) * per_u)
-        others[i] = int32(at + (steps[i] + 1.0) * step_row + min(max(before, 0.0), cols) * step_col)
+        before = np.ceil(min(max((next_v + steps[i] * each_v - next_u) * per_u, 0.0), cols))
+        others[i] = int32(at + steps[i] * step_row + before * step_col)
     return int(cols + rows)
 
 

@@ -2,10 +2,10 @@
 
 Layout shared by this file and ``linesearch``:
 
-``nearest``  (rows, cols) int32   index of the nearest occupied cell within reach, 0 where none is
+``nearest``  (rows, cols) uint32  of the nearest occupied cell within reach its index, times `NEAR`, and how near it is:
+                                  1 more than `FAR` less the squared distance to it in cells; 0 where none is
 ``cells``    (capacity, 2) int32  row, col of the occupied cells, in the order they were first hit; row 0 of this and
                                   the following is no cell, and its line lies beyond everything
-``closeness`` (rows, cols) uint8  1 more than `FAR` less the squared distance to it in cells; 0 beyond reach
 ``moments``  (capacity, 12) float64  n, sum x, sum y, sum xx, sum xy, sum yy of a cell's points, m in the map
                                   frame; then the same, summed over a window of neighbours with Gaussian weights
 ``lines``    (capacity, 8) float64   foot x, y and the metric a_xx, a_xy, a_yy of the local line, and the points that it
@@ -18,7 +18,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types, uint8, uint64, void
+from numba import float64, int32, int64, types, uint32, uint64, void
 
 from mavnav.kernels._jit import kernel
 
@@ -28,21 +28,21 @@ if TYPE_CHECKING:
 WINDOW_CELLS = 4  # half-width of the line fit's window: 9x9 cells
 REACH_CELLS = 8  # nearest occupied cells are known this far
 FAR = REACH_CELLS * REACH_CELLS
+NEAR = 128  # a power of 2 above `FAR` + 1
 BLOCK = 64  # lines that are fitted at once
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 
 
-@kernel(void(int64, int64, int64, int32[:, ::1], uint8[:, ::1]))
-def _stamp(slot: int, row: int, col: int, nearest: NDArray[np.int32], closeness: NDArray[np.uint8]) -> None:
+@kernel(void(int64, int64, int64, uint32[:, ::1]))
+def _stamp(slot: int, row: int, col: int, nearest: NDArray[np.uint32]) -> None:
     """Make ``slot`` the nearest occupied cell wherever it is nearer than the present one (ties keep the older)."""
     for r in range(row - REACH_CELLS, row + REACH_CELLS + 1):
         for c in range(col - REACH_CELLS, col + REACH_CELLS + 1):
             d2 = (r - row) * (r - row) + (c - col) * (c - col)
-            if d2 <= FAR and FAR + 1 - d2 > closeness[r, c]:
-                nearest[r, c] = slot
-                closeness[r, c] = FAR + 1 - d2
+            if d2 <= FAR and FAR + 1 - d2 > nearest[r, c] % NEAR:
+                nearest[r, c] = slot * NEAR + FAR + 1 - d2
 
 
 @kernel(void(int64[::1], float64, float64[:, ::1], float64[:, ::1]))
@@ -89,53 +89,50 @@ def _weights(cell_m: float, sigma_m: float) -> NDArray[np.float64]:
     return out
 
 
-@kernel(void(int64, _F2, int32[:, ::1], uint8[:, ::1], int32[:, ::1], float64[:, ::1]))
+@kernel(void(int64, _F2, uint32[:, ::1], int32[:, ::1], float64[:, ::1]))
 def _gather(
     slot: int,
     weight: NDArray[np.float64],
-    nearest: NDArray[np.int32],
-    closeness: NDArray[np.uint8],
+    nearest: NDArray[np.uint32],
     cells: NDArray[np.int32],
     moments: NDArray[np.float64],
 ) -> None:
     """Add to the windowed moments of a cell what it and its neighbours hold."""
-    wide, flat, flat_nearest = int64(closeness.shape[1]), closeness.ravel(), nearest.ravel()
+    wide, flat = int64(nearest.shape[1]), nearest.ravel()
     row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
     for i in range(2 * WINDOW_CELLS + 1):
         for j in range(2 * WINDOW_CELLS + 1):
-            at = uint64((row + i) * wide + col + j)
-            if flat[at] > FAR:
-                other = int64(flat_nearest[at])
+            there = flat[uint64((row + i) * wide + col + j)]
+            if there % NEAR > FAR:
+                other = int64(there // NEAR)
                 for m in range(6):
                     moments[slot, 6 + m] += weight[i, j] * moments[other, m]
 
 
-@kernel(void(_F1, int32[:, ::1], uint8[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
+@kernel(void(_F1, uint32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
 def rebuild(
     geometry: NDArray[np.float64],
-    nearest: NDArray[np.int32],
-    closeness: NDArray[np.uint8],
+    nearest: NDArray[np.uint32],
     cells: NDArray[np.int32],
     moments: NDArray[np.float64],
     lines: NDArray[np.float64],
 ) -> None:
-    """Draw the map anew, on blank ``nearest`` and ``closeness``, from its cells and their own moments."""
+    """Draw the map anew, on blank ``nearest``, from its cells and their own moments."""
     weight = _weights(geometry[2], geometry[3])
     for slot in range(1, len(cells)):
-        _stamp(slot, cells[slot, 0], cells[slot, 1], nearest, closeness)
+        _stamp(slot, cells[slot, 0], cells[slot, 1], nearest)
     moments[1:, 6:] = 0.0
     for slot in range(1, len(cells)):
-        _gather(slot, weight, nearest, closeness, cells, moments)
+        _gather(slot, weight, nearest, cells, moments)
     _fit(np.arange(1, len(cells)), geometry[4], moments, lines)
 
 
-@kernel(int64(_F2, _F1, int64, int32[:, ::1], uint8[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
+@kernel(int64(_F2, _F1, int64, uint32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
 def insert_points(
     xy_map_m: NDArray[np.float64],
     geometry: NDArray[np.float64],
     count: int,
-    nearest: NDArray[np.int32],
-    closeness: NDArray[np.uint8],
+    nearest: NDArray[np.uint32],
     cells: NDArray[np.int32],
     moments: NDArray[np.float64],
     lines: NDArray[np.float64],
@@ -147,19 +144,19 @@ def insert_points(
     """
     ox, oy, cell, sigma, noise = geometry
     weight = _weights(cell, sigma)
-    wide, flat, flat_nearest = int64(closeness.shape[1]), closeness.ravel(), nearest.ravel()
+    wide, flat = int64(nearest.shape[1]), nearest.ravel()
     first, hit, n_hit = count, np.empty(len(xy_map_m), np.int64), 0
     added = np.zeros((len(xy_map_m), 6))  # moments of this scan, by the order in which its cells were hit
     for k in range(len(xy_map_m)):
         x, y = xy_map_m[k, 0], xy_map_m[k, 1]
         row, col = int(np.floor((y - oy) / cell)), int(np.floor((x - ox) / cell))
-        if closeness[row, col] <= FAR:  # nothing but the occupied cell itself is at no distance
+        if nearest[row, col] % NEAR <= FAR:  # nothing but the occupied cell itself is at no distance
             cells[count, 0], cells[count, 1] = row, col
             moments[count, :] = 0.0
             lines[count, 6:] = 0.0
-            _stamp(count, row, col, nearest, closeness)
+            _stamp(count, row, col, nearest)
             count += 1
-        slot = int64(nearest[row, col])
+        slot = int64(nearest[row, col] // NEAR)
         if lines[slot, 6] == 0.0:
             hit[n_hit] = slot
             n_hit += 1
@@ -174,7 +171,7 @@ def insert_points(
 
     # A new cell starts from what its neighbours held before this scan.
     for slot in range(first, count):
-        _gather(slot, weight, nearest, closeness, cells, moments)
+        _gather(slot, weight, nearest, cells, moments)
 
     touched, n_touched = np.empty(n_hit * weight.size + 1, np.int64), 0
     for k in range(n_hit):
@@ -190,9 +187,9 @@ def insert_points(
         row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
         for i in range(2 * WINDOW_CELLS + 1):
             for j in range(2 * WINDOW_CELLS + 1):
-                at = uint64((row + i) * wide + col + j)
-                if flat[at] > FAR:
-                    other, w = uint64(flat_nearest[at]), weight[uint64(i), uint64(j)]
+                there = flat[uint64((row + i) * wide + col + j)]
+                if there % NEAR > FAR:
+                    other, w = uint64(there // NEAR), weight[uint64(i), uint64(j)]
                     moments[other, 6] += w * n
                     moments[other, 7] += w * x
                     moments[other, 8] += w * y

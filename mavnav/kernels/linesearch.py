@@ -26,7 +26,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import boolean, float64, int32, int64, types, uint8, uint64, void
+from numba import boolean, float64, int32, int64, types, uint32, uint64, void
 
 from mavnav.kernels._jit import kernel
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 MAX_LEVELS = 40
 FEWEST_DRAWN = 0.5  # share of the points on known ground below which the others decide too
+NEAR = 128  # an entry of ``nearest`` is an index times this, as ``linemap`` has it
 CHUNK = 32  # points between two looks at the bound
 LANES = 32
 RECTANGLE_COST = 3  # of a polynomial on a rectangle of candidates, in candidates summed point by point
@@ -43,8 +44,7 @@ ROUNDING_M2 = 1e-9  # above any difference between two orders of summation, as l
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
-_I2 = types.Array(int32, 2, "C", readonly=True)
-_U2 = types.Array(uint8, 2, "C", readonly=True)
+_U2 = types.Array(uint32, 2, "C", readonly=True)
 
 
 @kernel(float64(types.Array(float64, 1, "A", readonly=True)))
@@ -101,22 +101,22 @@ def _distance2(px: float, py: float, truncate_m2: float, slot: int, lines: NDArr
     return float(min(d2, truncate_m2))
 
 
-@kernel(int64(float64, float64, float64, float64, float64, _I2))
-def _slot_at(px: float, py: float, ox: float, oy: float, inverse: float, nearest: NDArray[np.int32]) -> int:
+@kernel(int64(float64, float64, float64, float64, float64, _U2))
+def _slot_at(px: float, py: float, ox: float, oy: float, inverse: float, nearest: NDArray[np.uint32]) -> int:
     """Return the line that a point of the map frame belongs to; beyond the edge what is there: 0, nowhere."""
     fx, fy = (px - ox) * inverse, (py - oy) * inverse
     col = int64(min(max(fx, 0.0), nearest.shape[1] - 1.0))
     row = int64(min(max(fy, 0.0), nearest.shape[0] - 1.0))
-    return int(nearest[uint64(row), uint64(col)])
+    return int(nearest[uint64(row), uint64(col)] // NEAR)
 
 
-@kernel(float64(float64[::1], float64[::1], _F1, float64, _I2, _F2, _F1, float64))
+@kernel(float64(float64[::1], float64[::1], _F1, float64, _U2, _F2, _F1, float64))
 def _cost_sum(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
     offset: NDArray[np.float64],
     truncate_m2: float,
-    nearest: NDArray[np.int32],
+    nearest: NDArray[np.uint32],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
     bound: float,
@@ -155,14 +155,14 @@ def _turns(half_rad: float, azimuths: int) -> NDArray[np.float64]:
     return out
 
 
-@kernel(int64(_F2, _F1, _F1, float64[:, ::1], int64[::1], _I2, _F2, _F1))
+@kernel(int64(_F2, _F1, _F1, float64[:, ::1], int64[::1], _U2, _F2, _F1))
 def _form(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
     window: NDArray[np.float64],
     form: NDArray[np.float64],
     loose: NDArray[np.int64],
-    nearest: NDArray[np.int32],
+    nearest: NDArray[np.uint32],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> int:
@@ -190,7 +190,7 @@ def _form(
             p[7, k] = min(fx - col, 1.0 - (fx - col), fy - row, 1.0 - (fy - row)) * cell
             where[k] = int32(min(max(row, 0.0), last_row) * wide + min(max(col, 0.0), last_col))
         for k in range(block):
-            line = uint64(flat[uint64(where[k])])
+            line = uint64(flat[uint64(where[k])] // NEAR)
             p[2, k], p[3, k] = lines[line, 0], lines[line, 1]
             p[4, k], p[5, k], p[6, k] = lines[line, 2], lines[line, 3], lines[line, 4]
         for k in range(block):
@@ -255,14 +255,14 @@ def _runs(cells: NDArray[np.float64], starts: NDArray[np.int64]) -> int:
     return n + 1
 
 
-@kernel(void(_F2, _F1, _F1, _F2, float64[::1], _I2, _F2, _F1))
+@kernel(void(_F2, _F1, _F1, _F2, float64[::1], _U2, _F2, _F1))
 def _turn_sums(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
     window: NDArray[np.float64],
     turns: NDArray[np.float64],
     sums: NDArray[np.float64],
-    nearest: NDArray[np.int32],
+    nearest: NDArray[np.uint32],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> None:
@@ -298,7 +298,7 @@ def _turn_sums(
         b0 = b_c = b_s = b_cc = b_cs = b_ss = 0.0
         for run in range(_runs(cells, starts)):
             i0, i1 = uint64(starts[uint64(run)]), uint64(starts[uint64(run + 1)])
-            line = uint64(flat[uint64(int64(cells[i0]))])
+            line = uint64(flat[uint64(int64(cells[i0]))] // NEAR)
             dx, dy = at_x + ex - lines[line, 0], at_y + ey - lines[line, 1]
             a, b, d = lines[line, 2], lines[line, 3], lines[line, 4]
             # The turned point is d + (cos - 1) e + sin e', e' at right angles to e.
@@ -332,13 +332,13 @@ def _turn_sums(
         sums[i] += k0 + 2.0 * (u * k_c + v * k_s) + u * u * k_cc + 2.0 * u * v * k_cs + v * v * k_ss
 
 
-@kernel(int64(_F2, _F1, _F1, _F2, _I2, _F2, _F1))
+@kernel(int64(_F2, _F1, _F1, _F2, _U2, _F2, _F1))
 def _turn_on_lines(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
     window: NDArray[np.float64],
     turns: NDArray[np.float64],
-    nearest: NDArray[np.int32],
+    nearest: NDArray[np.uint32],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> int:
@@ -418,13 +418,13 @@ def _spans(
     return n
 
 
-@kernel(void(_F2, _F1, _F1, float64[:, ::1], _I2, _F2, _F1))
+@kernel(void(_F2, _F1, _F1, float64[:, ::1], _U2, _F2, _F1))
 def _shift_sums(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
     window: NDArray[np.float64],
     sums: NDArray[np.float64],
-    nearest: NDArray[np.int32],
+    nearest: NDArray[np.uint32],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> None:
@@ -464,7 +464,7 @@ def _shift_sums(
             l0 = l_u = l_v = l_uu = l_uv = l_vv = 0.0
             for q in range(n_i):
                 i0 = uint64(starts_i[uint64(q)])
-                line = uint64(flat[uint64(base + min(max(cols[uint64(q)], 0), last_col))])
+                line = uint64(flat[uint64(base + min(max(cols[uint64(q)], 0), last_col))] // NEAR)
                 dx, dy = px + at_x - lines[line, 0], py + at_y - lines[line, 1]
                 p_uu, b, p_vv = lines[line, 2], lines[line, 3], lines[line, 4]
                 gx, gy = p_uu * dx + b * dy, b * dx + p_vv * dy
@@ -492,14 +492,14 @@ def _shift_sums(
     _integrate(bends, right, up, sums)
 
 
-@kernel(int64(_F2, _F1, _F1, int64, int64, _I2, _F2, _F1))
+@kernel(int64(_F2, _F1, _F1, int64, int64, _U2, _F2, _F1))
 def _shift_on_lines(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
     window: NDArray[np.float64],
     nx: int,
     ny: int,
-    nearest: NDArray[np.int32],
+    nearest: NDArray[np.uint32],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> int:
@@ -573,19 +573,19 @@ def _least_of_form(
 # ---- coarse to fine --------------------------------------------------------------------------------------------------
 
 
-@kernel(float64[:, ::1](_F2, _F1, _F1, _I2, _U2, _F2, _F1))
+@kernel(float64[:, ::1](_F2, _F1, _F1, _U2, _F2, _F1))
 def _drawn(
     points: NDArray[np.float64],
     at: NDArray[np.float64],
     known: NDArray[np.float64],
-    nearest: NDArray[np.int32],
-    closeness: NDArray[np.uint8],
+    nearest: NDArray[np.uint32],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return the points (2, m) on known ground; all, if those are too few.
 
-    ``known`` (2,) are the least ``closeness`` of an occupied cell, and the points at least that its line rests on.
+    ``known`` (2,): how near an occupied cell has to be, as told by ``nearest``, and on how many points its line has to
+    rest.
     """
     n, count = points.shape[1], 0
     kept = np.empty(n, np.int64)
@@ -593,10 +593,11 @@ def _drawn(
     _rotate(points, at[2], x, y)
     for k in range(n):
         fx, fy = (x[k] + at[0] - geometry[0]) / geometry[2], (y[k] + at[1] - geometry[1]) / geometry[2]
-        if not (0 <= fx < closeness.shape[1] and 0 <= fy < closeness.shape[0]):
+        if not (0 <= fx < nearest.shape[1] and 0 <= fy < nearest.shape[0]):
             continue
         row, col = uint64(fy), uint64(fx)
-        if closeness[row, col] >= known[0] and lines[uint64(nearest[row, col]), 5] >= known[1]:
+        there = nearest[row, col]
+        if there % NEAR >= known[0] and lines[uint64(there // NEAR), 5] >= known[1]:
             kept[count] = k
             count += 1
     if count < FEWEST_DRAWN * n:
@@ -607,14 +608,13 @@ def _drawn(
     return out
 
 
-@kernel(types.Tuple((*(5 * [float64]), int64, int64, boolean))(_F2, _F1, _F1, _F1, _I2, _U2, _F2, _F1))
+@kernel(types.Tuple((*(5 * [float64]), int64, int64, boolean))(_F2, _F1, _F1, _F1, _U2, _F2, _F1))
 def search(
     points: NDArray[np.float64],
     start: NDArray[np.float64],
     grid: NDArray[np.float64],
     limits: NDArray[np.float64],
-    nearest: NDArray[np.int32],
-    closeness: NDArray[np.uint8],
+    nearest: NDArray[np.uint32],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> tuple[float, float, float, float, float, int, int, bool]:
@@ -625,11 +625,11 @@ def search(
     points : (n, 2) points in the laser's frame, m, in an order that makes any prefix a fair sample
     start : (3,) predicted pose: x, y (m), yaw (rad)
     grid : (5,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most, 1 to prune
-    limits : (12,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m),
-        points of the first level where it is wide, alternations a level, what a squared metre away from the start
-        costs a point, the half-windows (m) up to which lines are held, and above which they are, and what known ground
-        is (``_drawn``): within a cell the points elsewhere are left out
-    nearest, closeness, lines, geometry : the map, see ``linemap``
+    limits : (12,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m), how many
+        points search until it is settled which decide, alternations a level down to a cell, what a squared metre away
+        from the start costs a point, the half-windows (m) up to which lines are held, and above which they are, and
+        what known ground is (``_drawn``): within a cell the points elsewhere are left out
+    nearest, lines, geometry : the map, see ``linemap``
     """
     n = len(points)
     azimuths, nx, ny, extensions = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3])
@@ -644,11 +644,11 @@ def search(
 
     deciding, settled, few, none = centred, limits[10] == 0, int(min(n, limits[5])), np.empty(0, np.int64)
     evaluations, grids, converged, form = 0, 0, False, np.zeros((5, 5))
-    for level in range(MAX_LEVELS):
+    for _ in range(MAX_LEVELS):
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
         held = limits[9] < window[0] <= limits[8]
         last = max(step_x, step_y) < stop_m and step_rad < stop_rad
-        used = deciding if held or level > 0 else deciding[:, :few].copy()
+        used = deciding if held or settled else deciding[:, :few].copy()
         turned = _turns(window[1], azimuths)
         for turn in range(turns + extensions if held else 0):
             _form(used, at, window, form, none, nearest, lines, geometry)
@@ -680,7 +680,7 @@ def search(
                     break
         if window[0] <= geometry[2] and not settled:
             # Points on new ground lower the cost by falling back onto the map: the others decide, from this level on.
-            settled, deciding = True, _drawn(centred, at, limits[10:], nearest, closeness, lines, geometry)
+            settled, deciding = True, _drawn(centred, at, limits[10:], nearest, lines, geometry)
             right, up = _mean(deciding[0]), _mean(deciding[1])
             pivot_x, pivot_y = pivot_x + right, pivot_y + up
             for points_m in (centred, deciding):
@@ -694,6 +694,8 @@ def search(
         if last:
             converged = True
             break
+        if window[0] <= geometry[2]:
+            turns = 1  # finer levels begin where they will end
         window[0] = min(1.5 * max(step_x, step_y), 0.9 * window[0])
         window[1] = min(1.5 * step_rad, 0.9 * window[1])
 

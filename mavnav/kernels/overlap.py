@@ -30,26 +30,33 @@ def _chosen(
     points: NDArray[np.float64],
 ) -> int:
     """Write x and y of every so many-th end point of a scan; returns how many."""
-    met, n = 0, 0
+    skip, n = 0, 0
     for i in range(len(ranges_m)):
         if near_m <= ranges_m[i] <= far_m:
-            if met % every == 0:
+            if skip == 0:
                 points[0, n], points[1, n] = ranges_m[i] * directions[i, 0], ranges_m[i] * directions[i, 1]
-                n += 1
-            met += 1
+                skip, n = every, n + 1
+            skip -= 1
     return n
 
 
-@kernel(void(float64[:, ::1], int64, _F1, float64, float64))
-def _bring(points: NDArray[np.float64], n: int, motion: NDArray[np.float64], step: float, centre: float) -> None:
-    """Move points by cosine, sine and shift; ``points`` (4, n) are x and y, then range and beams from ``centre`` (rad).
+@kernel(void(_F2, int64, _F1, float64, float64, float64[:, ::1]))
+def _bring(
+    chosen: NDArray[np.float64],
+    n: int,
+    motion: NDArray[np.float64],
+    step: float,
+    centre: float,
+    points: NDArray[np.float64],
+) -> None:
+    """Move points (2, n) by cosine, sine and shift to (4, n): x and y, then range and beams from ``centre`` (rad).
 
     Without branches the loop works on four points at a time. The octant's arc tangent, halved twice, suits a short
     series.
     """
     c, s, x, y = motion
     for k in range(n):
-        qx, qy = c * points[0, k] - s * points[1, k] + x, s * points[0, k] + c * points[1, k] + y
+        qx, qy = c * chosen[0, k] - s * chosen[1, k] + x, s * chosen[0, k] + c * chosen[1, k] + y
         points[0, k], points[1, k], points[2, k] = qx, qy, np.sqrt(qx * qx + qy * qy)
         ahead, aside = abs(qx), max(abs(qy), 1e-300)
         t = min(ahead, aside) / max(ahead, aside)
@@ -134,14 +141,21 @@ def scan_distances(
     aside2 = np.empty(count + 2)  # the squared sine of what lies between the point and beams so many farther on
     for k in range(count + 2):
         aside2[k] = np.sin(min(max(k - 1, 0) * abs(step), 0.5 * np.pi)) ** 2
-    out, points, ends = np.zeros((len(pairs), 5)), np.empty((4, count)), np.empty((2, count))
+    out, chosen, points, ends = (
+        np.zeros((len(pairs), 5)),
+        np.empty((2, count)),
+        np.empty((4, count)),
+        np.empty((2, count)),
+    )
+    last, n = -1, 0
     for pair in range(len(pairs)):
         a, b = pairs[pair]
+        if a != last:  # a scan has several partners, one after the other
+            last, n = a, _chosen(ranges_m[a], directions, near_m, far_m, every, chosen)
         dx, dy, dyaw = poses[a, 0] - poses[b, 0], poses[a, 1] - poses[b, 1], poses[a, 2] - poses[b, 2]
         c, s = np.cos(poses[b, 2]), np.sin(poses[b, 2])
-        n = _chosen(ranges_m[a], directions, near_m, far_m, every, points)
         motion = np.array([np.cos(dyaw), np.sin(dyaw), c * dx + s * dy, c * dy - s * dx])
-        _bring(points, n, motion, step, first + half * step)
+        _bring(chosen, n, motion, step, first + half * step, points)
         for j in range(count):
             used = near_m <= ranges_m[b, j] <= far_m
             ends[0, j] = ranges_m[b, j] * directions[j, 0] if used else np.inf

@@ -75,12 +75,14 @@ def _voxel_means(points: NDArray[np.float64], voxel_m: float, out: NDArray[np.fl
         sums[voxel, 0] += x
         sums[voxel, 1] += y
         sums[voxel, 2] += 1.0
-    k = 0
+    k, order = 0, np.empty(len(places), np.int32)
     for voxel in places:
-        if voxel:
-            out[k, 0], out[k, 1] = sums[voxel, 0] / sums[voxel, 2], sums[voxel, 1] / sums[voxel, 2]
-            k += 1
-    return k
+        order[uint64(k)] = voxel  # written over where there is none: nearly all places are empty
+        k += voxel != 0
+    for k in range(m):
+        voxel = order[k]
+        out[k, 0], out[k, 1] = sums[voxel, 0] / sums[voxel, 2], sums[voxel, 1] / sums[voxel, 2]
+    return m
 
 
 @kernel(types.UniTuple(int64, 2)(_F1, _F2, _F1, float64, _F1, float64[:, ::1], float64[:, ::1]))

@@ -5,50 +5,58 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types
+from numba import float64, int32, int64, types, uint16
 
 from mavnav.kernels._jit import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_COUNTS = types.Array(int32, 2, "A", readonly=True)
+_COUNTS = types.Array(uint16, 2, "A", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 
 
-@kernel(float64[:, :, ::1](_COUNTS, _F2, int64, int64))
+@kernel(float64[:, :, :, ::1](_COUNTS, _COUNTS, _F2, int64, int64))
 def wall_profiles(
-    counts: NDArray[np.int32], stations: NDArray[np.float64], half_length: int, reach: int
+    hits: NDArray[np.uint16],
+    passes: NDArray[np.uint16],
+    stations: NDArray[np.float64],
+    half_length: int,
+    reach: int,
 ) -> NDArray[np.float64]:
-    """Average counts along a wall, on either half of a stretch of it.
+    """Average hits and crossings along a wall, on either half of a stretch of it.
 
     Parameters
     ----------
-    counts : (rows, cols); nothing lies outside
+    hits, passes : (rows, cols); nothing lies outside
     stations : (n, 3) column and row, in cells (whole numbers are centres), and direction of the wall in rad
     half_length : so many cells of the wall on either side of a station
     reach : so many cells to either side of the wall
 
     Returns
     -------
-    (n, 2, 4 * reach + 1): mean count a cell on the half behind the station and on the half ahead of it, every half cell
-    along the normal (to the left of the direction) from ``-reach`` to ``reach``.
+    (2, n, 2, 4 * reach + 1): mean hits a cell, then crossings, on the half behind the station and on the half ahead of
+    it, every half cell along the normal (to the left of the direction) from ``-reach`` to ``reach``.
     """
-    rows, cols = counts.shape
+    rows, cols = hits.shape
     bins, samples = 4 * reach + 1, 2 * half_length
-    out = np.zeros((len(stations), 2, bins))
+    out, at = np.empty((2, len(stations), 2, bins)), np.empty((2, samples), np.int32)
+    along = 0.5 * np.arange(samples) + 0.25
     for k in range(len(stations)):
         c, s = np.cos(stations[k, 2]), np.sin(stations[k, 2])
         for half in range(2):
             sign = 2.0 * half - 1.0
             for b in range(bins):
                 v = 0.5 * b - reach
-                total = 0
+                for i in range(samples):  # apart from the sums, so that several are found at once
+                    u = sign * along[i]
+                    at[0, i] = int32(np.floor(stations[k, 0] + u * c - v * s + 0.5))
+                    at[1, i] = int32(np.floor(stations[k, 1] + u * s + v * c + 0.5))
+                hit, passed = 0, 0
                 for i in range(samples):
-                    u = sign * (0.5 * i + 0.25)
-                    col = int(np.floor(stations[k, 0] + u * c - v * s + 0.5))
-                    row = int(np.floor(stations[k, 1] + u * s + v * c + 0.5))
+                    col, row = at[0, i], at[1, i]
                     if 0 <= row < rows and 0 <= col < cols:
-                        total += counts[row, col]
-                out[k, half, b] = total / samples
+                        hit += hits[row, col]
+                        passed += passes[row, col]
+                out[0, k, half, b], out[1, k, half, b] = hit / samples, passed / samples
     return out

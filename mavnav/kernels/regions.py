@@ -39,11 +39,12 @@ def _joined(parent: NDArray[np.int32], a: int, b: int) -> int:
 def region_sizes(mask: NDArray[np.bool_], diagonal: bool) -> NDArray[np.int64]:
     """Count the cells of each region of a mask (rows, cols), (regions,); the order is that of their first cells.
 
-    Cells of a region touch at an edge, where ``diagonal`` is set at a corner too. Only the labels of two rows are held.
+    Cells of a region touch at an edge, where ``diagonal`` is set at a corner too. Only the labels of two rows are held,
+    and memory is touched for the regions that are, not for those that may be.
     """
     rows, cols = mask.shape
     parent = np.empty(rows * ((cols + 1) // 2), np.int32)
-    sizes = np.zeros(len(parent), np.int64)
+    sizes = np.empty(len(parent), np.int64)
     above, here = np.full(cols + 2, -1, np.int32), np.full(cols + 2, -1, np.int32)
     labels = 0
     for r in range(rows):
@@ -56,7 +57,7 @@ def region_sizes(mask: NDArray[np.bool_], diagonal: bool) -> NDArray[np.int64]:
                 label = _joined(parent, _joined(parent, label, above[c]), above[c + 2])
             if label < 0:
                 label = labels
-                parent[labels] = labels
+                parent[labels], sizes[labels] = labels, 0
                 labels += 1
             here[c + 1] = label
             sizes[label] += 1

@@ -12,12 +12,12 @@ from mavnav.kernels._jit import kernel
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_HITS = nb.types.Array(nb.int32, 2, "A", readonly=True)
+_HITS = nb.types.Array(nb.uint16, 2, "A", readonly=True)
 _RUNS = nb.types.Array(nb.int64, 2, "C", readonly=True)
 
 
 @kernel(nb.int64[:, ::1](_HITS, nb.int64, nb.int64))
-def column_runs(hits: NDArray[np.int32], min_hits: int, max_gap: int) -> NDArray[np.int64]:
+def column_runs(hits: NDArray[np.uint16], min_hits: int, max_gap: int) -> NDArray[np.int64]:
     """Find the runs of occupied cells along the columns.
 
     A cell of ``hits`` (rows, cols) is occupied from ``min_hits`` on; a run bridges up to ``max_gap`` empty cells.
@@ -84,7 +84,7 @@ def _discs(reach: int, border: int, limit: float) -> NDArray[np.uint8]:
     nb.void(_HITS, nb.int64, nb.int64, nb.int64, nb.uint8[:, ::1], nb.int64[:, ::1], nb.int64, nb.int64, nb.int64[::1])
 )
 def _sum_up(
-    hits: NDArray[np.int32],
+    hits: NDArray[np.uint16],
     first_row: int,
     first_col: int,
     half: int,
@@ -104,15 +104,17 @@ def _sum_up(
         depth -= 1
         row, low, high = stack[depth]
         y2 = 2 * (row - middle) - half
+        w = s_x = s_xx = np.int64(0)
         for c in range(low, high + 1):
             h, x2 = np.int64(hits[first_row + row, first_col + c]), 2 * (c - middle)
-            sums[0] += 1
-            sums[1] += h
-            sums[2] += h * x2
-            sums[3] += h * y2
-            sums[4] += h * x2 * x2
-            sums[5] += h * x2 * y2
-            sums[6] += h * y2 * y2
+            w, s_x, s_xx = w + h, s_x + h * x2, s_xx + h * x2 * x2
+        sums[0] += high + 1 - low
+        sums[1] += w
+        sums[2] += s_x
+        sums[3] += w * y2
+        sums[4] += s_xx
+        sums[5] += s_x * y2
+        sums[6] += w * y2 * y2
         for near in range(row - step, row + step + 1):
             for c in range(low - step, high + step + 1):
                 if free[near, c]:
@@ -121,7 +123,7 @@ def _sum_up(
 
 @kernel(nb.float64[:, ::1](_HITS, _RUNS, nb.int64, nb.int64, nb.float64))
 def run_moments(
-    hits: NDArray[np.int32], runs: NDArray[np.int64], min_hits: int, max_gap: int, radius: float
+    hits: NDArray[np.uint16], runs: NDArray[np.int64], min_hits: int, max_gap: int, radius: float
 ) -> NDArray[np.float64]:
     """Tell the shape of the wall around each run: count and covariance of its cells near the run's middle.
 

@@ -5,25 +5,27 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types
+from numba import float64, int64, types, uint32
 
 from mavnav.kernels._jit import kernel
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+NEAR = 128  # an entry of ``nearest`` is an index times this, as ``linemap`` has it
+
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
-_I2 = types.Array(int32, 2, "C", readonly=True)
+_U2 = types.Array(uint32, 2, "C", readonly=True)
 
 
-@kernel(float64[:, ::1](_F2, _F2, _F1, float64, _I2, _F2, _F1))
+@kernel(float64[:, ::1](_F2, _F2, _F1, float64, _U2, _F2, _F1))
 def volume(
     points: NDArray[np.float64],
     xy_map_m: NDArray[np.float64],
     yaws_rad: NDArray[np.float64],
     truncate_m: float,
-    nearest: NDArray[np.int32],
+    nearest: NDArray[np.uint32],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> NDArray[np.float64]:
@@ -47,7 +49,7 @@ def volume(
                 fx, fy = (px - ox) * inverse, (py - oy) * inverse
                 d2 = truncate_m2
                 if fx >= 0.0 and fy >= 0.0 and fx < cols and fy < rows:
-                    slot = nearest[int64(fy), int64(fx)]
+                    slot = int64(nearest[int64(fy), int64(fx)] // NEAR)
                     dx, dy = px - lines[slot, 0], py - lines[slot, 1]
                     xx, xy, yy = lines[slot, 2], lines[slot, 3], lines[slot, 4]
                     d2 = min(dx * dx * xx + 2.0 * dx * dy * xy + dy * dy * yy, truncate_m2)

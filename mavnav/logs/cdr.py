@@ -85,7 +85,7 @@ def path(stamp_ns: int, frame: str, stamps_ns: NDArray[np.int64], xyyaw: NDArray
     rows["name"] = np.void(name)
     rows["pose"][:, :2] = xyyaw[:, :2]
     rows["pose"][:, 5], rows["pose"][:, 6] = np.sin(xyyaw[:, 2] / 2.0), np.cos(xyyaw[:, 2] / 2.0)
-    body = rows.tobytes()
+    body = rows.view(np.uint8).data
     return b"".join((_LITTLE_ENDIAN, head, body[:8], first, body[8 + len(name) :]))
 
 
@@ -97,4 +97,5 @@ def occupancy_grid(
     stamp = _stamp(stamp_ns)
     head = stamp + _text(8, frame, 4) + stamp + struct.pack("<fII", cell_m, cols, rows)
     gap = b"\0" * (-len(head) % 8)
-    return b"".join((_LITTLE_ENDIAN, head, gap, _pose(Pose(*origin_xy_m)), _COUNT.pack(cells.size), cells.tobytes()))
+    origin, size = _pose(Pose(*origin_xy_m)), _COUNT.pack(cells.size)
+    return b"".join((_LITTLE_ENDIAN, head, gap, origin, size, np.ascontiguousarray(cells).data))

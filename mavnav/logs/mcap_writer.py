@@ -48,15 +48,18 @@ def qos_text(channel: Channel) -> str:
 
 
 @contextmanager
-def write_serialized(path: Path, channels: Mapping[str, Channel]) -> Iterator[Callable[[str, int, bytes], None]]:
+def write_serialized(
+    path: Path, channels: Mapping[str, Channel], chunk_bytes: int = CHUNK_BYTES
+) -> Iterator[Callable[[str, int, bytes], None]]:
     """Write an MCAP file of ROS 2 messages with their definitions; gives ``put(topic, stamp_ns, message)``.
 
-    Messages are serialised as CDR already; their time of recording is the stamp that comes with them, in ns.
+    Messages are serialised as CDR already; their time of recording is the stamp that comes with them, in ns. A chunk is
+    closed when it holds ``chunk_bytes`` or more.
     """
     from mcap.writer import Writer  # noqa: PLC0415  few who read this file's other names write
 
     with path.open("wb") as file:
-        writer = Writer(file, chunk_size=CHUNK_BYTES)
+        writer = Writer(file, chunk_size=chunk_bytes)
         writer.start("ros2", f"mavnav {__version__}")
         kinds = dict.fromkeys(channel.type for channel in channels.values())
         schemas = {kind: writer.register_schema(kind, "ros2msg", definition(kind).encode()) for kind in kinds}

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.grid import OCCUPIED
+from mavnav.lattice import count, where
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,7 +26,7 @@ class Crispness:
 
 def crispness(grid: Grid, cells: NDArray[np.int8], wall_m: float, *, counted: bool) -> Crispness:
     """Measure a map; ``cells`` is its occupancy, ``counted`` says whether hits and crossings are true counts."""
-    occupied = np.count_nonzero(cells == OCCUPIED)
+    occupied = count(cells, lambda some: some == OCCUPIED)
     return Crispness(
         occupied_cells_per_m=float(occupied / wall_m) if wall_m else np.nan,
         entropy_bits=entropy_bits(grid) if counted else np.nan,
@@ -38,8 +39,9 @@ def entropy_bits(grid: Grid) -> float:
     0 where every cell stops every beam that reaches it; 1 at worst. Free space, where nothing was ever hit, is left
     out: a large room would hide blurred walls. NaN without any hit.
     """
-    hit = grid.hits > 0
-    p = grid.hits[hit] / (grid.hits[hit].astype(np.float64) + grid.passes[hit])
+    row, col = where(grid.hits, lambda some: some > 0).T
+    hits = grid.hits[row, col].astype(np.float64)
+    p = hits / (hits + grid.passes[row, col])
     if not len(p):
         return np.nan
     q = 1.0 - p

@@ -44,7 +44,7 @@ LEAST_SHARE: Final = 0.08
 FREE_SHARE: Final = 0.5
 """Beams that crossed a cell of free space, compared with the hits a cell of the ridge that they ended on."""
 
-AT_A_TIME: Final = 10_000
+AT_A_TIME: Final = 2_000
 """Stations whose profiles are in memory."""
 
 OUTSIDE_CELLS: Final = (2.0, 5.0)
@@ -97,7 +97,7 @@ def ghost_walls(grid: Grid, all_sections: Iterable[Sections]) -> GhostWalls:
     left, right = [], []
     for first in range(0, max(len(stations), 1), AT_A_TIME):
         some = stations[first : first + AT_A_TIME]
-        hits, passes = (wall_profiles(counts, some, half_length, reach) for counts in (grid.hits, grid.passes))
+        hits, passes = wall_profiles(grid.hits, grid.passes, some, half_length, reach)
         left.append(_twins(some, hits, passes))
         right.append(_twins(_turned(some), hits[:, ::-1, ::-1], passes[:, ::-1, ::-1]))
     places = _places(_joined(left + right), grid)

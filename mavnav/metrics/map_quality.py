@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.grid import UNKNOWN, occupancy
-from mavnav.lattice import bands, blank, pooled
+from mavnav.grid import UNKNOWN, occupancy, occupied_cells
+from mavnav.lattice import pooled
+from mavnav.memory import blank
 from mavnav.metrics.crispness import Crispness, crispness
 from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
 from mavnav.metrics.journey import placed_scans, spread
@@ -76,23 +77,28 @@ def map_quality(
     sections
         The cuts through the grid's walls at each of the thresholds, where they were made already.
     """
+    walls = wall_sections(_occupied(grid), grid.cell_m, 1)  # before there are cells: of a large map both take much
     cells = occupancy(grid)
-    walls = wall_sections(_occupied(cells), grid.cell_m, 1)
     # Noise may hide a ghost wall at the lower thresholds, few hits at the higher ones.
     cuts = sections or sections_by_hits(grid.hits, grid.cell_m, THRESHOLDS if counted else (1,))
     found, scans = (None, None) if journey is None else _seen_again(journey)
     support = map_support(grid, cells, walls, journey, scans)
     why = reasons(support, lost_for_good=journey is not None and journey.lost_for_good)
-    shape = _at_most(cells, grid.cell_m)
+    crisp, share, shape = (
+        crispness(grid, cells, support.wall_m, counted=counted),
+        occupied_share(cells),
+        _at_most(cells, grid.cell_m),
+    )
+    del cells, scans  # of a large map, what follows takes larger cells
     return MapQuality(
         profile=PROFILE,
         meaningful=not why,
         why=why,
         ghost_walls=ghost_walls(grid, cuts.values()),
-        crispness=crispness(grid, cells, support.wall_m, counted=counted),
+        crispness=crisp,
         revisits=found,
         support=support,
-        occupied_share=occupied_share(cells),
+        occupied_share=share,
         corners=corners(*shape),
         enclosed_areas=enclosed_areas(*shape),
         walls=straight_walls(walls, grid.cell_m, grid.origin_xy_m),
@@ -113,9 +119,9 @@ def _at_most(cells: NDArray[np.int8], cell_m: float) -> tuple[NDArray[np.int8], 
     return (cells, cell_m) if factor <= 1 else (pooled(cells, factor, fill=UNKNOWN), cell_m * factor)
 
 
-def _occupied(cells: NDArray[np.int8]) -> NDArray[np.int32]:
+def _occupied(grid: Grid) -> NDArray[np.uint16]:
     """Return a map of one hit where a cell is occupied; the rest of it takes no memory."""
-    out = blank((cells.shape[0], cells.shape[1]), np.int32)
-    for _, _, band in bands(cells.shape):
-        out[band][cells[band] > 0] = 1
+    out = blank((grid.hits.shape[0], grid.hits.shape[1]), np.uint16)
+    row, col = occupied_cells(grid).T
+    out[row, col] = 1
     return out

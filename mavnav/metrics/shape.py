@@ -14,7 +14,8 @@ import numpy as np
 from mavnav.grid import OCCUPIED, UNKNOWN
 from mavnav.kernels.regions import region_sizes
 from mavnav.kernels.smoothing import smoothed
-from mavnav.lattice import bands, blank
+from mavnav.lattice import bands, count
+from mavnav.memory import blank
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,8 +42,8 @@ class EnclosedAreas:
 
 def occupied_share(cells: NDArray[np.int8]) -> float:
     """Return the part of the known cells that is occupied; NaN where nothing is known."""
-    known = int(np.count_nonzero(cells != UNKNOWN))
-    return np.count_nonzero(cells == OCCUPIED) / known if known else np.nan
+    known = count(cells, lambda some: some != UNKNOWN)
+    return count(cells, lambda some: some == OCCUPIED) / known if known else np.nan
 
 
 def enclosed_areas(cells: NDArray[np.int8], cell_m: float) -> EnclosedAreas:
@@ -71,7 +72,10 @@ def corners(cells: NDArray[np.int8], cell_m: float) -> int:
         some = peaks[band] & (weak[inside] != 0.0)
         heights[band][some] = weak[inside][some]
         walls.append(strong[inside][occupied[band]])
-    return len(region_sizes(peaks & (heights >= CORNER_SHARE * float(np.median(np.concatenate(walls)))), True))
+    least = CORNER_SHARE * float(np.median(np.concatenate(walls)))
+    for _, _, band in bands(occupied.shape):
+        peaks[band] &= heights[band] >= least
+    return len(region_sizes(peaks, True))
 
 
 def edges(image: NDArray[np.float32], radius: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mavnav.grid import OCCUPIED
-from mavnav.lattice import bands, blank
+from mavnav.lattice import bands
+from mavnav.memory import blank
 from mavnav.metrics.journey import spread
 
 if TYPE_CHECKING:

@@ -7,11 +7,13 @@ threshold nor a way to measure; the definition here, with the numbers that valid
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from mavnav.grid import counts
 from mavnav.kernels.thickness import column_runs, run_moments
+from mavnav.lattice import bands, count
 from mavnav.units import MM
 
 if TYPE_CHECKING:
@@ -65,7 +67,7 @@ class WallThickness:
     share: float
 
 
-def wall_thickness(hits: NDArray[np.int32], cell_m: float, min_hits: int) -> WallThickness:
+def wall_thickness(hits: NDArray[Any], cell_m: float, min_hits: int) -> WallThickness:
     """Measure the walls of a map at one threshold.
 
     ``hits`` is (rows, cols); a cell is occupied from ``min_hits`` (1 or more) on; ``cell_m`` is the cell's edge.
@@ -92,7 +94,7 @@ def summary(sections: Sections, cell_m: float, min_hits: int) -> WallThickness:
 
 
 def sections_by_hits(
-    hits: NDArray[np.int32], cell_m: float, thresholds: tuple[int, ...] = THRESHOLDS
+    hits: NDArray[Any], cell_m: float, thresholds: tuple[int, ...] = THRESHOLDS
 ) -> dict[int, Sections]:
     """Cut the walls of a map across at each of the thresholds; arguments as of `wall_thickness`."""
     return {min_hits: wall_sections(hits, cell_m, min_hits) for min_hits in thresholds}
@@ -111,15 +113,15 @@ def quantiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tupl
     return float(values.max()), float(p95), float(median)
 
 
-def wall_sections(hits: NDArray[np.int32], cell_m: float, min_hits: int) -> Sections:
+def wall_sections(hits: NDArray[Any], cell_m: float, min_hits: int) -> Sections:
     """Cut the straight walls of a map across; arguments as of `wall_thickness`, the rule is docs/metrics.md's."""
     if min_hits < 1:
         msg = f"a cell is occupied from 1 hit on, not {min_hits}"
         raise ValueError(msg)
-    hits = np.asarray(hits, np.int32)
+    hits = counts(hits)
     down = _axis_cuts(hits, cell_m, min_hits, diagonal=True)
     across = _axis_cuts(hits.T, cell_m, min_hits, diagonal=False)
-    occupied = int(np.count_nonzero(hits >= min_hits))
+    occupied = count(hits, lambda some: some >= min_hits)
     return Sections(
         row=np.concatenate((down[1], across[0])),
         col=np.concatenate((down[0], across[1])),
@@ -131,16 +133,14 @@ def wall_sections(hits: NDArray[np.int32], cell_m: float, min_hits: int) -> Sect
     )
 
 
-def _axis_cuts(
-    hits: NDArray[np.int32], cell_m: float, min_hits: int, *, diagonal: bool
-) -> tuple[NDArray[np.float64], ...]:
+def _axis_cuts(hits: NDArray[Any], cell_m: float, min_hits: int, *, diagonal: bool) -> tuple[NDArray[np.float64], ...]:
     """Cut along the columns where the wall runs nearer to the rows; ``diagonal`` walls are cut this way if told.
 
     Returns column, middle row, thickness in cells, length in metres, wall's angle to the row in rad and occupied cells
     of each cut, (n,) each.
     """
     runs = column_runs(hits, min_hits, MAX_GAP_CELLS)
-    cells, var_x, cov, var_y = run_moments(hits, runs, min_hits, MAX_GAP_CELLS, RADIUS_M / cell_m).T
+    cells, var_x, cov, var_y = _moments(hits, runs, min_hits, RADIUS_M / cell_m).T
     mean, half = (var_x + var_y) / 2.0, np.hypot((var_x - var_y) / 2.0, cov)
     wide, thin = mean + half, mean - half
     straight = (cells >= MIN_CELLS) & (np.sqrt(12.0 * wide) * cell_m >= MIN_LENGTH_M) & (thin <= MAX_RATIO * wide)
@@ -149,3 +149,13 @@ def _axis_cuts(
     cos = np.cos(angle)  # the normal's share of the column's direction
     col, first, last, occupied = runs[kept].T.astype(np.float64)
     return col, (first + last) / 2.0, (last - first) * cos + 1.0, cell_m / cos, angle, occupied
+
+
+def _moments(hits: NDArray[np.uint16], runs: NDArray[np.int64], min_hits: int, radius: float) -> NDArray[np.float64]:
+    """Tell the shape of the wall around each run as `run_moments` does, but of one band of the map after the other."""
+    out, middle = np.empty((len(runs), 4)), (runs[:, 1] + runs[:, 2]) // 2
+    for around, _, band in bands(hits.shape, margin=int(radius) + 2 + MAX_GAP_CELLS):
+        here = (middle >= band.start) & (middle < band.stop)
+        some = runs[here] - np.array([0, around.start, around.start, 0])
+        out[here] = run_moments(hits[around], some, min_hits, MAX_GAP_CELLS, radius)
+    return out

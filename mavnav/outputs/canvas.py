@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from mavnav.lattice import pooled
+from mavnav.lattice import as_it_is, pooled
 from mavnav.outputs.window import (
     DPI,
     GOAL_RED,
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.grid import Grid
+    from mavnav.lattice import Told
 
     Box = tuple[int, int, int, int]
     XY = NDArray[np.float64]
@@ -137,11 +138,20 @@ class Frame:
         """Pixels of a metre."""
         return self.width / self.window.size_m[0]
 
-    def cells(self, grid: Grid, cells: NDArray[Any], colour_of: Callable[[NDArray[Any]], NDArray[np.uint8]]) -> None:
-        """Show an array of the grid's shape; zeros are transparent, ``colour_of`` gives (n, 3) for the others."""
+    def cells(
+        self,
+        grid: Grid,
+        cells: NDArray[Any],
+        colour_of: Callable[[NDArray[Any]], NDArray[np.uint8]],
+        told: Told = as_it_is,
+    ) -> None:
+        """Show an array of the grid's shape; zeros are transparent, ``colour_of`` gives (n, 3) for the others.
+
+        Of the array, or of what is ``told`` of it, as `pooled` takes it, the largest of some cells are shown.
+        """
         first_col, end_col, first_row, end_row = self.window.cells_of(grid)
         factor = max(1, ceil(max(self.window.size_m) / grid.cell_m / MAX_CELLS))
-        shown = pooled(cells[first_row:end_row, first_col:end_col], factor)[::-1]
+        shown = pooled(cells[first_row:end_row, first_col:end_col], factor, told=told)[::-1]
         pixels = np.zeros((*shown.shape, 4), np.uint8)
         some = shown > 0
         pixels[some, :3], pixels[some, 3] = colour_of(shown[some]), 255

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from mavnav.grid import FREE
+from mavnav.lattice import where
 from mavnav.outputs import canvas
 from mavnav.outputs.window import DPI, FREE_GREY, INK, MUTED, wall_lines, window_of
 from mavnav.units import MM
@@ -70,16 +71,17 @@ def _title(picture: Canvas, run: Run) -> None:
 def draw_free(frame: Frame, run: Run) -> None:
     """Shade the cells that are known to be free."""
     grey = np.array(canvas.rgb_of(FREE_GREY), np.uint8)
-    frame.cells(run.known, (run.cells == FREE).astype(np.uint8), lambda _: grey)
+    frame.cells(run.known, run.cells, lambda _: grey, told=lambda cells: cells == FREE)
 
 
 def _draw_hits(frame: Frame, grid: Grid) -> None:
     """Colour the hit cells on a logarithmic scale that a few crowded cells cannot spoil."""
-    counts = grid.hits[grid.hits > 0]
+    row, col = where(grid.hits, lambda hits: hits > 0).T
+    counts = grid.hits[row, col]
     top = max(float(np.quantile(counts, 0.995)) if counts.size else 1.0, 10.0)
 
     def colour_of(hits: NDArray[Any]) -> NDArray[np.uint8]:
-        share = np.minimum(np.log(hits) / np.log(top), 1.0)
+        share = np.minimum(np.log(hits, dtype=np.float64) / np.log(top), 1.0)
         return np.asarray(SCALE[np.round(share * (len(SCALE) - 1)).astype(np.intp)])
 
     frame.cells(grid, grid.hits, colour_of)

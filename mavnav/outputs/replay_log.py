@@ -35,6 +35,8 @@ MAX_MAPS: Final = 60
 MAX_MAP_BYTES: Final = 64_000_000
 LARGEST_MAP_BYTES: Final = 25_000_000
 MAP_PERIOD_NS: Final = 1_000_000_000
+CHUNK_BYTES: Final = 1 << 20
+"""A run is complete or absent: larger chunks than a recording's, in which one map resembles the one before."""
 
 CHANNELS: Final = {
     "/tf_static": Channel(definitions.TF, latched=True),
@@ -48,7 +50,7 @@ CHANNELS: Final = {
 
 def write(run: Run, path: Path) -> None:
     """Write the run as a ROS 2 log. The scans are read from the log once more."""
-    with write_serialized(path, CHANNELS) as put:
+    with write_serialized(path, CHANNELS, CHUNK_BYTES) as put:
         laser, last_ns = laser_frame(run), run.log.last_ns
         mounting = run.log.base_T_laser
         if mounting is not None:
@@ -65,7 +67,7 @@ def write(run: Run, path: Path) -> None:
                 put("/map", scan.stamp_ns, _map(walls.grid, walls.cells, scan.stamp_ns))
         way = run.slam.trajectory
         put("/path", last_ns, cdr.path(last_ns, MAP_FRAME, way.stamps_ns, way.xyyaw))
-        put("/map", last_ns, _map(walls.grid, walls.shown(run.cells), last_ns))
+        put("/map", last_ns, _map(walls.grid, walls.finished, last_ns))
 
 
 def laser_frame(run: Run) -> str:
@@ -76,13 +78,14 @@ def laser_frame(run: Run) -> str:
 
 def placed_scans(run: Run) -> Iterator[tuple[Scan, Pose, bool]]:
     """Read the tracked scans once more: the scan, map_T_laser, and whether it went into the map."""
-    trajectory = run.slam.trajectory
-    row = {stamp: k for k, stamp in enumerate(trajectory.stamps_ns.tolist())}
-    steps = run.slam.steps
-    mapped = set(steps.column("stamp_ns")[steps.column("accepted")].tolist())
+    trajectory, steps, row = run.slam.trajectory, run.slam.steps, 0
+    stamps_ns = trajectory.stamps_ns.tolist()
+    mapped = np.isin(stamps_ns, steps.column("stamp_ns")[steps.column("accepted")]).tolist()
     for scan in run.log.scans():
-        if scan.stamp_ns in row:
-            yield scan, trajectory[row[scan.stamp_ns]], scan.stamp_ns in mapped
+        while row < len(stamps_ns) and stamps_ns[row] < scan.stamp_ns:
+            row += 1
+        if row < len(stamps_ns) and stamps_ns[row] == scan.stamp_ns:
+            yield scan, trajectory[row], mapped[row]
 
 
 def _map(grid: Grid, cells: NDArray[np.int8], stamp_ns: int) -> bytes:
@@ -90,31 +93,27 @@ def _map(grid: Grid, cells: NDArray[np.int8], stamp_ns: int) -> bytes:
 
 
 class _GrowingMap:
-    """The walls of the finished map as they come into sight; free space is told by the finished map alone.
+    """The walls of the ``finished`` map as they come into sight; free space is told by that alone.
 
     Shown at most `MAX_MAPS` times, and less often where the map is so large that the file would swell. A map that is
     too large to be shown once is shown in larger cells, each the most of what it holds: occupied, free, unknown.
     """
 
     def __init__(self, run: Run) -> None:
-        (rows, cols), known = run.cells.shape, run.known
-        self._factor = max(1, ceil(sqrt(rows * cols / LARGEST_MAP_BYTES)))
-        self._walls = self.shown(run.cells)
-        self.grid = replace(known, cell_m=known.cell_m * self._factor)
-        self.cells: NDArray[np.int8] = np.full(self._walls.shape, UNKNOWN, np.int8)
+        known = run.known
+        factor = max(1, ceil(sqrt(known.hits.size / LARGEST_MAP_BYTES)))
+        self.finished = pooled(run.cells, factor, fill=UNKNOWN) if factor > 1 else run.cells
+        self.grid = replace(known, cell_m=known.cell_m * factor)
+        self.cells: NDArray[np.int8] = np.full(self.finished.shape, UNKNOWN, np.int8)
         maps = min(MAX_MAPS, MAX_MAP_BYTES // self.cells.size)
         span_ns = run.log.last_ns - run.log.first_ns
         self._period_ns = max(MAP_PERIOD_NS, span_ns // maps) if maps else None
         self._next_ns = run.log.first_ns
 
-    def shown(self, cells: NDArray[np.int8]) -> NDArray[np.int8]:
-        """Return cells as large as they are shown."""
-        return pooled(cells, self._factor, fill=UNKNOWN) if self._factor > 1 else cells
-
     def add(self, scan: Scan, map_T_laser: Pose, *, mapped: bool) -> bool:
         """Show what a mapped scan saw; tell whether it is time to publish."""
         if mapped:
-            show_ends(scan.ranges_m, scan.spec.directions, map_T_laser, self.grid, self._walls, self.cells)
+            show_ends(scan.ranges_m, scan.spec.directions, map_T_laser, self.grid, self.finished, self.cells)
         if self._period_ns is None or scan.stamp_ns < self._next_ns:
             return False
         self._next_ns = scan.stamp_ns + self._period_ns

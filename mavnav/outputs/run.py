@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from mavnav.errors import ExitCode
 from mavnav.grid import occupancy
@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from mavnav.metrics.wall_thickness import Sections, WallThickness
     from mavnav.pose import Trajectory
     from mavnav.slam import Slam
+
+
+KEPT_CELLS: Final = 1 << 24
+"""What is known of so many cells is kept from one writer to the next."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,9 +125,13 @@ class Run:
         """The known part of the map."""
         return known_part(self.slam.grid)
 
-    @cached_property
+    @property
     def cells(self) -> NDArray[np.int8]:
-        """What is free, occupied and unknown in it."""
+        """What is free, occupied and unknown in it; of a large map told anew each time, for it takes much memory."""
+        return occupancy(self.known) if self.known.hits.size > KEPT_CELLS else self._cells
+
+    @cached_property
+    def _cells(self) -> NDArray[np.int8]:
         return occupancy(self.known)
 
     @property

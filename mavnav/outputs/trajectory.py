@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from math import cos, isfinite, sin
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -13,7 +12,6 @@ if TYPE_CHECKING:
 
     from mavnav.outputs.run import Run
     from mavnav.pose import Trajectory
-    from mavnav.steps import Step
 
 COLUMNS = (
     "index", "stamp", "x_m", "y_m", "yaw_rad", "cost_m2", "beams_used", "inliers", "evaluations", "iterations",
@@ -72,24 +70,17 @@ def seconds(stamp_ns: int) -> str:
 def write_csv(run: Run, path: Path) -> None:
     """Write a row for every scan that was matched; one that was not tracked has no pose."""
     poses = dict(zip(run.slam.trajectory.stamps_ns.tolist(), run.slam.trajectory.xyyaw.tolist(), strict=True))
+    columns = [run.slam.steps.column(name).tolist() for name in ("index", "stamp_ns", *COLUMNS[5:])]
     with path.open("w", encoding="ascii", newline="") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(COLUMNS)
-        rows.writerows(_csv_row(step, poses.get(step.stamp_ns)) for step in run.slam.steps)
+        file.write(",".join(COLUMNS) + "\n")
+        file.writelines(_csv_line(row, poses.get(row[1])) for row in zip(*columns, strict=True))
 
 
-def _csv_row(step: Step, xyyaw: list[float] | None) -> tuple[object, ...]:
-    match = step.match
+def _csv_line(row: tuple[Any, ...], xyyaw: list[float] | None) -> str:
+    index, stamp_ns, cost_m2, beams, inliers, evaluations, iterations, *flags = row
+    pose = ",," if xyyaw is None else "{:.9f},{:.9f},{:.9f}".format(*xyyaw)
+    cost = f"{cost_m2:.9g}" if isfinite(cost_m2) else ""
     return (
-        step.index,
-        seconds(step.stamp_ns),
-        *(("", "", "") if xyyaw is None else (f"{v:.9f}" for v in xyyaw)),
-        f"{match.cost_m2:.9g}" if isfinite(match.cost_m2) else "",
-        match.beams_used,
-        f"{match.inliers:.6f}",
-        match.evaluations,
-        match.iterations,
-        int(match.converged),
-        int(step.tracked),
-        int(step.accepted),
+        f"{index},{seconds(stamp_ns)},{pose},{cost},{beams},{inliers:.6f},{evaluations},{iterations},"
+        "{:d},{:d},{:d}\n".format(*flags)
     )

@@ -52,7 +52,7 @@ def _draw_map(frame: Frame, run: Run, min_hits: int) -> None:
     draw_free(frame, run)
     grid, sections = run.known, run.sections[min_hits]
     grey = np.array(canvas.rgb_of(WALL_GREY), np.uint8)
-    frame.cells(grid, (grid.hits >= min_hits).astype(np.uint8), lambda _: grey)
+    frame.cells(grid, grid.hits, lambda _: grey, told=lambda hits: hits >= min_hits)
     top = max(3, int(np.ceil(np.quantile(sections.thickness_cells, 0.99))) if len(sections.row) else 3)
     step = -(-top // 12)  # cells a colour
     bounds = np.arange(0.5, top + step, step)

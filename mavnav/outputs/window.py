@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mavnav.lattice import where
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -63,7 +65,7 @@ def window_of(grid: Grid, xy_m: NDArray[np.float64]) -> Window:
     On each side the outermost `STRAY_SHARE` of the cells may fall outside: single far returns through a window
     would otherwise shrink the room to a spot.
     """
-    hit = np.argwhere(grid.hits > 0)[:, ::-1]
+    hit = where(grid.hits, lambda hits: hits > 0)[:, ::-1]
     corners = [xy_m] if len(xy_m) else [np.array([grid.origin_xy_m])]
     if len(hit):
         ends = np.quantile(hit, (STRAY_SHARE, 1.0 - STRAY_SHARE), axis=0, method="nearest")

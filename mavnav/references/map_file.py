@@ -76,7 +76,7 @@ def read_map(path: Path) -> MapFile:
     picture = path.parent / str(about["image"])
     shade, solid = _read_picture(picture, path)
     cells = _kinds(path, about, shade)
-    occupied, free = (np.ascontiguousarray((kind & solid)[::-1], np.int32) for kind in cells)
+    occupied, free = (np.ascontiguousarray((kind & solid)[::-1], np.uint16) for kind in cells)
     return MapFile(Grid(cell_m, (0.0, 0.0), occupied, free), _origin(path, about))
 
 

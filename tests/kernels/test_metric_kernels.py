@@ -19,11 +19,10 @@ from mavnav.pose import Pose
 
 def test_profiles_across_walls() -> None:
     rng = np.random.default_rng(0)
-    counts = rng.integers(0, 5, (40, 50)).astype(np.int32)
+    hits, passes = rng.integers(0, 5, (2, 40, 50)).astype(np.uint16)
     stations = np.column_stack((rng.uniform(-3, 53, 20), rng.uniform(-3, 43, 20), rng.uniform(-4, 4, 20)))
-    np.testing.assert_allclose(
-        wall_profiles(counts, stations, 5, 12), naive.wall_profiles(counts, stations, 5, 12), rtol=0, atol=1e-12
-    )
+    for found, counts in zip(wall_profiles(hits, passes, stations, 5, 12), (hits, passes), strict=True):
+        np.testing.assert_allclose(found, naive.wall_profiles(counts, stations, 5, 12), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("spec", [URG_04LX, LDS_01], ids=["240 degrees", "full turn"])

@@ -39,7 +39,7 @@ def test_whole_searches_are_identical(seed: int, grid: int) -> None:
     limits = np.array([0.35, 0.35, 0.001, 0.0004, 0.15, 120, 2, 0.01, 0.051, 0.02, 61.0, 6.0])
     pruned, exhaustive = (
         linesearch.search(
-            problem.points, problem.start, np.array([2.0 * grid, grid, grid, 3, prune]), limits, *problem.arrays
+            problem.points, problem.start, np.array([2.0 * grid, grid, grid, 3, prune]), limits, *problem.lines
         )
         for prune in (1.0, 0.0)
     )

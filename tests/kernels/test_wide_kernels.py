@@ -26,7 +26,7 @@ def counted(points: np.ndarray, laser: Pose, lattice: np.ndarray, hits: np.ndarr
     clear = np.array([*off_cells, line_map.closeness_at(CLEAR_CELLS * lattice[2])])
     seen = transform_points(laser.inverse(), points)
     counts = in_strips(hits.astype(np.uint16)), passes.astype(np.uint16)
-    return conflicts(seen, laser.as_array(), lattice, *counts, line_map.closeness, clear)
+    return conflicts(seen, laser.as_array(), lattice, *counts, line_map.nearest, clear)
 
 
 @given(seed=st.integers(0, 2**32 - 1))

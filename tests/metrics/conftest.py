@@ -45,7 +45,8 @@ def naive_sections(hits, cell_m, min_hits, *, radius_m, min_cells, min_length_m,
                 if len(near) < min_cells:
                     continue
                 weights = view[tuple(near.T)]
-                (var_y, cov), (_, var_x) = np.cov(near.T, aweights=weights, ddof=0)
+                # rounded, so that a wall at 45 degrees is one of neither axis here, too
+                (var_y, cov), (_, var_x) = np.cov(near.T, aweights=weights, ddof=0).round(12)
                 thin, wide = np.linalg.eigvalsh([(var_y, cov), (cov, var_x)])
                 if np.sqrt(12 * wide) * cell_m < min_length_m or thin > max_ratio * wide:
                     continue

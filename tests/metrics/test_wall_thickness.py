@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from mavnav import lattice
 from mavnav.metrics import wall_thickness as module
 from mavnav.metrics.wall_thickness import wall_sections, wall_thickness
 
@@ -38,10 +39,15 @@ def test_sections_are_the_slow_twins(walls, angle_deg, min_hits):
     np.testing.assert_allclose(table(hits, min_hits), expected, atol=1e-9)
 
 
+DIAGONAL = np.zeros((4, 5), np.int32)
+DIAGONAL[[0, 1, 2, 3, 3, 3], [0, 2, 4, 1, 2, 3]] = 9, 2, 1, 1, 2, 9
+
+
 # Cells of 0.1 m: small maps have sections too; 0.1003, so that no cell lies exactly on the radius.
 @given(
     arrays(np.int32, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.sampled_from([0, 0, 0, 1, 2, 9]))
 )
+@example(DIAGONAL)
 @settings(max_examples=60, deadline=None)
 def test_any_small_map_is_cut_as_the_slow_twin_cuts_it(walls, hits):
     got, expected = table(hits, 1, 0.1003), naive(walls, hits, 1, 0.1003)
@@ -171,3 +177,18 @@ def test_a_large_map_weighs_hits_without_overflow():
 def test_nothing_is_occupied_from_zero_hits_on():
     with pytest.raises(ValueError, match="from 1 hit on"):
         wall_thickness(np.ones((3, 3), np.int32), CELL_M, 0)
+
+
+@given(
+    arrays(np.uint16, st.tuples(st.integers(1, 60), st.integers(1, 30)), elements=st.sampled_from([0, 0, 0, 1, 2, 9])),
+    st.sampled_from([0.05, 0.1]),
+)
+@settings(max_examples=60, deadline=None)
+def test_bands_of_a_map_are_cut_as_the_whole_map(hits, cell_m):
+    whole = wall_sections(hits, cell_m, 1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lattice, "BAND_CELLS", 1)
+        patch.setattr(lattice, "LEAST_ROWS", 5)
+        banded = wall_sections(hits, cell_m, 1)
+    for name in ("row", "col", "thickness_cells", "length_m", "vertical", "direction_rad"):
+        np.testing.assert_array_equal(getattr(banded, name), getattr(whole, name))

@@ -1,0 +1,74 @@
+"""Memory is taken when it is written to, and given back when it is done with."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from memory_use import in_use_mb, taking_less_than
+
+from mavnav import memory
+from mavnav.lattice import WIDE, blank_strips, moved
+from mavnav.memory import SMALL_BYTES, blank, forget, give_back
+
+MB = 1 << 20
+
+
+@pytest.mark.parametrize("strips", [False, True], ids=["plain", "strips"])
+def test_a_full_lattice_moves_without_room_for_two(*, strips: bool) -> None:
+    rows, cols = 4096, 128 * WIDE
+    array = blank_strips((rows, cols), np.uint16) if strips else blank((rows, cols), np.uint16)
+    array[...] = 7
+    with taking_less_than(0.5 * array.nbytes / MB):
+        grown = moved(array, (rows + 64, cols + 2 * WIDE), 64, WIDE)
+    assert np.count_nonzero(grown) == rows * cols
+    assert not array.any()
+
+
+def test_only_the_rows_that_are_forgotten_are_lost() -> None:
+    array = blank((100, 50_000), np.uint16)
+    array[...] = 7
+    forget(array, 0, 40)
+    forget(array, 40, 60)
+    assert not array[:58].any()
+    assert (array[60:] == 7).all()
+
+
+@pytest.mark.parametrize("array", [np.ones(SMALL_BYTES, np.uint8), np.frombuffer(b"1234", np.uint8)])
+def test_what_is_no_large_blank_cannot_be_forgotten(array: np.ndarray) -> None:
+    forget(array, 0, len(array))
+    assert array.all()
+
+
+def test_what_is_free_between_blocks_in_use_is_given_back_where_it_is_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    before_mb = in_use_mb()
+    blocks = [bytearray(5_000) for _ in range(20_000)]
+    kept = blocks[::500]
+    del blocks
+    monkeypatch.setattr(memory, "MUCH_KB", 1 << 40)
+    give_back()
+    assert in_use_mb() - before_mb > 60
+    monkeypatch.setattr(memory, "MUCH_KB", 0)
+    give_back()
+    assert in_use_mb() - before_mb < 20
+    assert len(kept) == 40
+
+
+def test_kernels_work_and_compile_without_the_code_of_the_compiler() -> None:
+    """In a process of its own, which has not forgotten it before."""
+    script = """
+from memory_use import in_use_mb
+from mavnav.config import Config
+from mavnav.kernels.points import extent
+from mavnav.methods import load_kernels
+import numba, numpy as np
+before_mb = in_use_mb("RssFile")
+load_kernels(Config())
+assert in_use_mb("RssFile") < before_mb - 10, (before_mb, in_use_mb("RssFile"))
+assert tuple(extent(np.array([[1.0, 2.0], [0.0, 3.0]]))) == (0.0, 2.0, 1.0, 3.0)
+assert numba.njit(lambda x: x + 1)(1) == 2
+"""
+    subprocess.run([sys.executable, "-c", script], check=True, cwd=Path(__file__).parent)
