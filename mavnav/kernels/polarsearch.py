@@ -779,11 +779,14 @@ def search(
     virtual, limits : as for ``polar_cost``
     points : (n, 5), the columns of ``polar_cost``'s as rows
     grid : (5,) points of the azimuth grid, of the plane in x and in y, border extensions at most, 1 to prune
-    schedule : (6,) half-window in the plane (m) and in azimuth (rad), shrink factor, 1 to leave no gaps between grids,
-        spacings to stop at (m, rad)
+    schedule : (7,) half-window in the plane (m) and in azimuth (rad), shrink factor, 1 to leave no gaps between grids,
+        spacings to stop at (m, rad), cost (m2) that is of no use
+
+    A motion changes ranges by about its length: the search ends as well where the root of the cost exceeds that of one
+    of no use by more than twice the half-window, and has not converged.
     """
     azimuths, nx, ny, extensions, prune = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3]), grid[4] > 0.0
-    half_m, half_rad, shrink, covered, stop_m, stop_rad = schedule
+    half_m, half_rad, shrink, covered, stop_m, stop_rad, useless = schedule
     n = len(points)
     scan = part = virtual, _joined(points.T, limits[5]), limits
     work = np.empty((6, max(2 * n, len(virtual)))), np.empty((2, 2 * n), np.int32)
@@ -827,7 +830,7 @@ def search(
         if spacing < stop_m and step_rad < stop_rad:
             converged = 1.0
             break
-        if best == np.inf:
+        if best == np.inf or np.sqrt(best) > np.sqrt(useless) + 2.0 * half_m:
             break
         half_m *= max(shrink, covered * min(spacing / half_m, 0.9))
         half_rad *= max(shrink, covered * min(step_rad / half_rad, 0.9))

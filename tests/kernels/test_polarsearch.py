@@ -54,14 +54,15 @@ def test_cost_is_its_twin(spec: LaserSpec, seed: int) -> None:
     grid=st.sampled_from((2, 5, 10)),
     half_m=st.sampled_from((0.3, 0.05, 0.005, 0.0005)),
     half_rad=st.sampled_from((0.3, 0.02, 0.002, 0.0002)),
+    useless_m2=st.sampled_from((1e-3, np.inf)),
 )
-@example(seed=170, grid=5, half_m=3.0, half_rad=0.02)  # moves a point straight behind the laser
+@example(seed=170, grid=5, half_m=3.0, half_rad=0.02, useless_m2=np.inf)  # moves a point straight behind the laser
 def test_pruned_search_is_the_exhaustive_one(
-    spec: LaserSpec, seed: int, grid: int, half_m: float, half_rad: float
+    spec: LaserSpec, seed: int, grid: int, half_m: float, half_rad: float, useless_m2: float
 ) -> None:
     """The same pose, cost, beams, evaluations and iterations, to the bit."""
     virtual, points, limits, _ = problem(seed, spec)
-    schedule = np.array([half_m, half_rad, 0.3, 1.0, 1e-5, 1e-4])
+    schedule = np.array([half_m, half_rad, 0.3, 1.0, 1e-5, 1e-4, useless_m2])
     pruned, exhaustive = (
         polarsearch.search(virtual, points, np.array([2.0 * grid, grid, grid, 2, prune]), schedule, limits)
         for prune in (1.0, 0.0)
@@ -117,13 +118,28 @@ def test_grid_is_refined_only_where_the_cost_stays_high_and_not_where_it_is_hope
     def matched(ranges: np.ndarray, **paper: float) -> Match:
         return match_polar(ranges, points, a.spec, Pose(), Config(method="paper", paper=paper))
 
-    easy, coarse = matched(a.ranges_m), matched(b.ranges_m, refine_factor=1)
+    easy, coarse = matched(a.ranges_m), matched(b.ranges_m, refine_factor=1, gate_mm2=1e6)
     hard = matched(b.ranges_m, gate_mm2=coarse.cost_m2 * 1e6 / HOPELESS + 1)
-    assert matched(b.ranges_m, gate_mm2=coarse.cost_m2 * 1e6 / HOPELESS - 1) == coarse
+    hopeless = matched(b.ranges_m, gate_mm2=coarse.cost_m2 * 1e6 / HOPELESS - 1)
+    assert hopeless.evaluations <= coarse.evaluations
+    assert hopeless.cost_m2 >= coarse.cost_m2
     assert easy.cost_m2 < 300e-6 < coarse.cost_m2
     assert easy.evaluations < 2000
     assert hard.evaluations > 3 * coarse.evaluations
     assert hard.cost_m2 <= coarse.cost_m2
+
+
+def test_search_that_can_only_end_in_a_wrong_place_ends_at_once() -> None:
+    a, b = scan_at(room(), Pose(2.2, 1.7, 0.4)), scan_at(furnished_rooms(), Pose(2.9, 2.2, 1.2))
+    points = polar_points(a.ranges_m, a.spec, 0.1)
+    whole, ended = (
+        match_polar(b.ranges_m, points, a.spec, Pose(), Config(method="paper", paper=paper))  # type: ignore[arg-type]
+        for paper in ({"refine_factor": 1, "gate_mm2": 1e6}, {"gate_mm2": 100.0})
+    )
+    assert whole.converged
+    assert not ended.converged
+    assert ended.evaluations < 0.7 * whole.evaluations
+    assert min(whole.cost_m2, ended.cost_m2) > HOPELESS * 100e-6
 
 
 def test_scans_that_share_nothing_cost_infinity() -> None:
