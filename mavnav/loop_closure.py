@@ -39,7 +39,7 @@ KEY_M, KEY_RAD = 0.3, 15 * DEG
 LOOP_M = 8.0
 """What was seen a shorter way before is no loop: there the tracker itself keeps the map together."""
 
-LOOK_M = 0.5
+LOOK_M = 0.25
 """Way from one look for a loop to the next."""
 
 SIGHT_M = 4.0

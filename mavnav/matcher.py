@@ -67,11 +67,11 @@ def match_polar(
 
     ``virtual_m`` (beams,) are the virtual scan's ranges; ``points`` (n, 5) the real scan's, from ``polar_points``.
     The grid is refined only where the cost on the coarse one stays too high, but not where it is hopeless: of a place
-    that is wrong a finer grid makes no right one.
+    that is wrong a finer grid makes no right one. A search that can only end there ends at once.
     """
     paper = config.paper
     match = _search_polar(virtual_m, points, spec, predicted, config, config.grid, config.azimuth)
-    worth_it = paper.refine_above_mm2 < match.cost_m2 / MM2 <= max(paper.refine_above_mm2, HOPELESS * paper.gate_mm2)
+    worth_it = paper.refine_above_mm2 < match.cost_m2 / MM2 <= _hopeless_mm2(config)
     if not worth_it or paper.refine_factor == 1:
         return match
     k = paper.refine_factor
@@ -79,6 +79,10 @@ def match_polar(
     fine = _search_polar(virtual_m, points, spec, predicted, config, grid, config.azimuth * k)
     best = fine if fine.cost_m2 < match.cost_m2 else match
     return with_effort(best, match, fine)
+
+
+def _hopeless_mm2(config: Config) -> float:
+    return max(config.paper.refine_above_mm2, HOPELESS * config.paper.gate_mm2)
 
 
 @timed("search")
@@ -107,6 +111,7 @@ def _search_polar(
                 paper.leave_no_gaps,
                 paper.stop_mm * MM,
                 paper.stop_deg * DEG,
+                _hopeless_mm2(config) * MM2,
             ]
         ),
         np.array(
@@ -132,15 +137,9 @@ def polar_points(ranges_m: NDArray[np.float64], spec: LaserSpec, mixed_pixel_m: 
 
     A mixed pixel differs from both neighbouring beams by more than ``mixed_pixel_m``.
     """
-    far = np.abs(np.diff(ranges_m)) > mixed_pixel_m
-    good = np.isfinite(ranges_m)
-    good[1:-1] &= ~(far[:-1] & far[1:])
-    beam = np.flatnonzero(good)
-    r, points = ranges_m[beam], np.empty((len(beam), 5))
-    points[:, :2] = r[:, None] * spec.directions[beam]
-    points[:, 2], points[:, 3] = beam, r
-    points[:, 4] = spec.angle_min_rad + spec.angle_step_rad * points[:, 2]
-    return points
+    from mavnav.kernels import beams  # noqa: PLC0415  the paper's alone
+
+    return beams.good_beams(ranges_m, spec.directions, spec.angle_min_rad, spec.angle_step_rad, mixed_pixel_m)
 
 
 ALTERNATIONS, FINAL_ALTERNATIONS = 2, 1

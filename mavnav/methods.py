@@ -342,4 +342,4 @@ METHODS: dict[str, Callable[[Config], Method]] = {"robust": Robust, "paper": Pap
 def load_kernels(config: Config) -> None:
     """Load the kernels that only one of the methods has, and compile them the first time; others load on import."""
     if config.method == "paper":
-        from mavnav.kernels import polarsearch, raycast  # noqa: F401, PLC0415
+        from mavnav.kernels import beams, polarsearch, raycast  # noqa: F401, PLC0415

@@ -87,6 +87,18 @@ def virtual_scan(hits, lattice, pose, directions, far_m, gap_cells):
     return np.array(out)
 
 
+# ---- beams ---------------------------------------------------------------------------------------------------------
+
+
+def good_beams(ranges_m, directions, first_rad, step_rad, mixed_pixel_m):
+    out = []
+    for i, (r, (c, s)) in enumerate(zip(ranges_m, directions, strict=True)):
+        neighbours = [ranges_m[i - 1], ranges_m[i + 1]] if 0 < i < len(ranges_m) - 1 else [r]
+        if math.isfinite(r) and not all(abs(r - other) > mixed_pixel_m for other in neighbours):
+            out.append((r * c, r * s, i, r, first_rad + step_rad * i))
+    return np.array(out).reshape(-1, 5)
+
+
 # ---- polarsearch ---------------------------------------------------------------------------------------------------
 
 

@@ -45,7 +45,7 @@ SUM_M2 = 1e-11
 CLOSE = 1e-8
 """So near to the end of a segment, in beams, or to a threshold, in m, rounding and series decide what contributes."""
 
-BEARING_RAD, RANGE_M, RANGE_SHARE = 6e-7, 3e-5, 1e-6
+BEARING_RAD, RANGE_M, RANGE_SHARE = 6e-7, 5e-5, 1e-6
 """In single precision bearings are better than this, and ranges where the surface is not too steep: in m, or of the
 farthest."""
 DOUBT, NOTHING = np.float32(-1e30), np.float32(np.inf)
@@ -264,14 +264,14 @@ def _span_glance(
     Doubtful are beams close to the ends of a segment, steep segments, and those across the seam.
     """
     turn, close, steep, last = widths[0], widths[1], widths[2], widths[3]
-    quarter = turn / (TWO + TWO)
+    quarter, by_seam = turn / (TWO + TWO), close + close + close  # numbers are rounded when they are added
     for k in range(1, points.shape[1]):
         number, start, end = points[2, k - 1], moved[1, k - 1], moved[1, k] + ONE
         ahead, joined = end - start, points[5, k] > ZERO
         low, high = np.ceil(start - close), np.floor(end + close)
         slope = (moved[0, k] - moved[0, k - 1]) / ahead
         meets = joined & (low <= high) & (ahead < quarter + ONE)
-        across = (number + start < ONE) | (number + end > turn - ONE)
+        across = (number + start < by_seam) | (number + end > turn - by_seam)
         inside = meets & (number + low <= last) & (number + low >= ZERO)
         doubt = (low - start < close) | (end - high < close) | (abs(slope) > steep) | (ahead > quarter - ONE)
         value = DOUBT if doubt else moved[0, k - 1] + (low - start) * slope
@@ -294,15 +294,19 @@ def _lay_glance(
 ) -> bool:
     """Write, as ``_lay``, what each virtual beam sees; False where a point is not known well."""
     seen[:] = NOTHING
-    turn, last = widths[0], len(seen) - 1
+    turn, last, across = widths[0], len(seen) - 1, 0
     for k in range(1, points.shape[1]):
-        first, more = uint64(spans[0, k]), spans[1, k]
-        seen[first] = min(seen[first], moved[2, k])
+        first, more, value = uint64(spans[0, k]), spans[1, k], moved[2, k]
+        seen[first] = min(seen[first], value)
+        if more == 0:
+            continue
         for i in range(1, more + 1):
             at = first + uint64(i)
-            seen[at] = min(seen[at], moved[2, k] + np.float32(i) * moved[3, k])
-        if more >= 0:
-            continue
+            seen[at] = min(seen[at], value + np.float32(i) * moved[3, k])
+        if more < 0:
+            spans[0, across] = k
+            across += 1
+    for k in spans[0, :across]:
         start, end = points[2, k - 1] + moved[1, k - 1], points[2, k - 1] + moved[1, k] + ONE
         if not -ONE <= end - start <= turn:  # not known, or the laser has gone through it
             return False
@@ -440,30 +444,29 @@ def _hold(
     ``sight`` (3, beams) is what a beam sees in the middle, and the least and the most that it can see anywhere.
     """
     r, beam, value, slope, last = work[0][0], work[0][1], work[0][2], work[0][3], len(held) - 1
-    seen, turn = sight[0], 2.0 * np.pi / abs(scan[2][1])
+    (seen, least, most), (by_m, by_beams) = (sight[0], sight[1], sight[2]), (reach[0], reach[1])
+    first, more, turn = work[1][0], work[1][1], 2.0 * np.pi / abs(scan[2][1])
     sight[:2], sight[2], held[:] = np.inf, 0.0, 0
     for k in range(1, scan[1].shape[1]):
         if value[k] == np.inf or beam[k] < beam[k - 1]:
             continue  # across the seam: loose in any case
-        first = work[1][0, k]
-        for j in range(first, first + work[1][1, k] + 1):
-            at = value[k] + (j - first) * slope[k]
+        for i in range(more[k] + 1):
+            j, at = uint64(first[k] + i), value[k] + i * slope[k]
             if at < seen[j]:
                 seen[j], held[j] = at, k
     for k in range(1, scan[1].shape[1]):
         low, high = swept[0, k], swept[1, k]
         if low > high:
             continue
-        near = min(r[k - 1] - reach[0, k - 1], r[k] - reach[0, k])
-        far = max(r[k - 1] + reach[0, k - 1], r[k] + reach[0, k])
-        seam = low < 0.0 or high >= turn
+        near, far = min(r[k - 1] - by_m[k - 1], r[k] - by_m[k]), max(r[k - 1] + by_m[k - 1], r[k] + by_m[k])
+        from_beam, to_beam, seam = beam[k - 1] + by_beams[k - 1], beam[k] - by_beams[k], low < 0.0 or high >= turn
         for around in range(-1 if seam else 0, 2 if seam else 1):
             by = around * turn
-            for j in range(max(int64(np.ceil(low + by)), 0), min(int64(np.floor(high + by)), last) + 1):
-                mine = held[j] == k
-                sure = mine and j >= beam[k - 1] + reach[1, k - 1] and j <= beam[k] - reach[1, k] and not seam
-                sight[1, j], sight[2, j] = min(sight[1, j], near), max(sight[2, j], far)
-                if not sure and (mine or near <= seen[j] + HIDDEN_M):
+            for i in range(max(int64(np.ceil(low + by)), 0), min(int64(np.floor(high + by)), last) + 1):
+                j = uint64(i)
+                mine, sure = held[j] == k, from_beam <= i <= to_beam and not seam
+                least[j], most[j] = min(least[j], near), max(most[j], far)
+                if not (mine and sure) and (mine or near <= seen[j] + HIDDEN_M):
                     held[j] = -1
 
 
@@ -499,22 +502,25 @@ def _let_go(
 @kernel(_F2(_SCAN, float64[:, ::1], int64[::1]))
 def _rest(scan: Scan, swept: NDArray[np.float64], held: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the points (6, m) of the segments that loose beams may meet."""
-    points, last, turn, count, before = scan[1], len(held) - 1, 2.0 * np.pi / abs(scan[2][1]), 0, 0
-    out, loose = np.empty((6, 2 * points.shape[1])), np.zeros(len(held) + 1, np.int64)
+    points, last, turn, count = scan[1], len(held) - 1, 2.0 * np.pi / abs(scan[2][1]), 0
+    n, loose = points.shape[1], np.zeros(len(held) + 1, np.int64)
+    needed, kept = np.zeros(n + 1, np.bool_), np.empty(n, np.int64)
     for j in range(len(held)):
         loose[j + 1] = loose[j] + (held[j] < 0)
-    for k in range(1, points.shape[1]):
+    for k in range(1, n):
         low, high = swept[0, k], swept[1, k]
         first, end = max(int64(np.ceil(low)), 0), min(int64(np.floor(high)), last) + 1
-        if not (low < 0.0 or high >= turn or (first < end and loose[end] > loose[first])):
-            continue
-        if before != k - 1 or count == 0:
-            out[:, count] = points[:, k - 1]
-            out[5, count] = 0.0
-            count += 1
-        out[:, count] = points[:, k]
-        count, before = count + 1, k
-    return out[:, :count].copy()
+        needed[k] = low < 0.0 or high >= turn or (first < end and loose[end] > loose[first])
+    for k in range(n):
+        kept[count] = k
+        count += needed[k] | needed[k + 1]
+    out = np.empty((6, count))
+    for row in range(6):
+        for i in range(count):
+            out[row, i] = points[row, uint64(kept[i])]
+    for i in range(count):
+        out[5, i] *= i > 0 and kept[i] == kept[i - 1] + 1
+    return out
 
 
 @kernel(void(_SCAN, _F1, _F1, _F1, _F1, float64[:, ::1]))
@@ -646,7 +652,7 @@ def _sum_rest(scan: Scan, loose: NDArray[np.int64], motion: NDArray[np.float64],
     return total, used
 
 
-@kernel(void(_SCAN, _F2, _F2, _F1, _WORK, float64[::1]))
+@kernel(_SCAN(_SCAN, _F2, _F2, _F1, _WORK, float64[::1]))
 def _bound(
     scan: Scan,
     motions: NDArray[np.float64],
@@ -654,10 +660,11 @@ def _bound(
     window: NDArray[np.float64],
     work: Work,
     bounds: NDArray[np.float64],
-) -> None:
+) -> Scan:
     """Write a lower bound of each candidate's cost, -inf where none is known.
 
-    ``motions`` are those of the candidates, and of the grid's middle at the end; ``offsets`` (m, 2) from there.
+    ``motions`` are those of the candidates, and of the grid's middle at the end; ``offsets`` (m, 2) from there. Returns
+    the scan without what matters nowhere on the grid: it costs the same, to the bit.
     """
     virtual, points, limits = scan
     n, beams, scratch, middle = points.shape[1], len(virtual), work[0], motions[-1]
@@ -667,7 +674,7 @@ def _bound(
     small = passed <= HELD_BEAMS and share <= HELD_SHARE
     if not small and (passed > TRIMMED_BEAMS or share > 0.5 or len(bounds) < WORTH_TRIMMING):
         _bound_wide(scan, motions, work, bounds)
-        return
+        return scan
     _span(scan, work)
     _sweep(scan, scratch, reach, swept)
     _hold(scan, work, reach, swept, sight, held)
@@ -675,8 +682,9 @@ def _bound(
     rest = _rest(scan, swept, held)
     if not small:
         _see(rest, middle, limits, scratch[0, : rest.shape[1]], scratch[1, : rest.shape[1]])
-        _bound_wide((np.where(held < 0, virtual, np.nan), rest, limits), motions, work, bounds)
-        return
+        trimmed = np.where(held < 0, virtual, np.nan), rest, limits
+        _bound_wide(trimmed, motions, work, bounds)
+        return trimmed
     form = _form(scan, middle, window, scratch, sight[0], held)
     loose, holding = np.flatnonzero(held < 0), float(np.count_nonzero(held > 0))
     for i in range(len(bounds)):
@@ -685,6 +693,7 @@ def _bound(
         total += form[0] + u * (form[1] + u * form[3] + v * form[4]) + v * (form[2] + v * form[5])
         used += holding
         bounds[i] = total / used - SUM_M2 if used >= max(limits[6], 1.0) else np.inf
+    return scan
 
 
 # ---- the minimisation -----------------------------------------------------------------------------------------------
@@ -770,13 +779,16 @@ def search(
     virtual, limits : as for ``polar_cost``
     points : (n, 5), the columns of ``polar_cost``'s as rows
     grid : (5,) points of the azimuth grid, of the plane in x and in y, border extensions at most, 1 to prune
-    schedule : (6,) half-window in the plane (m) and in azimuth (rad), shrink factor, 1 to leave no gaps between grids,
-        spacings to stop at (m, rad)
+    schedule : (7,) half-window in the plane (m) and in azimuth (rad), shrink factor, 1 to leave no gaps between grids,
+        spacings to stop at (m, rad), cost (m2) that is of no use
+
+    A motion changes ranges by about its length: the search ends as well where the root of the cost exceeds that of one
+    of no use by more than twice the half-window, and has not converged.
     """
     azimuths, nx, ny, extensions, prune = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3]), grid[4] > 0.0
-    half_m, half_rad, shrink, covered, stop_m, stop_rad = schedule
+    half_m, half_rad, shrink, covered, stop_m, stop_rad, useless = schedule
     n = len(points)
-    scan = virtual, _joined(points.T, limits[5]), limits
+    scan = part = virtual, _joined(points.T, limits[5]), limits
     work = np.empty((6, max(2 * n, len(virtual)))), np.empty((2, 2 * n), np.int32)
     turns, by_turn, turn_bounds = np.empty((azimuths + 1, 5)), np.empty((azimuths, 2)), np.full(azimuths, -np.inf)
     shifts, by_shift, bounds = np.empty((nx * ny + 1, 5)), np.empty((nx * ny, 2)), np.full(nx * ny, -np.inf)
@@ -791,8 +803,8 @@ def search(
             # Minimisation, steps i and ii
             _turns(at, pivot, half_rad, turns, by_turn)
             if prune:
-                _bound(scan, turns, by_turn, np.array([0.0, half_rad, at[0], at[1]]), work, turn_bounds)
-            i, best, beams = _least(scan, turns, turn_bounds, work)
+                part = _bound(scan, turns, by_turn, np.array([0.0, half_rad, at[0], at[1]]), work, turn_bounds)
+            i, best, beams = _least(part, turns, turn_bounds, work)
             evaluations += azimuths
             if i >= 0:
                 used, at[2] = beams, at[2] - half_rad + i * step_rad
@@ -804,8 +816,8 @@ def search(
             # Steps iii and iv
             _shifts(at, pivot, half_m, nx, shifts, by_shift)
             if prune:
-                _bound(scan, shifts, by_shift, np.array([half_m, 0.0, at[0], at[1]]), work, bounds)
-            ji, best, beams = _least(scan, shifts, bounds, work)
+                part = _bound(scan, shifts, by_shift, np.array([half_m, 0.0, at[0], at[1]]), work, bounds)
+            ji, best, beams = _least(part, shifts, bounds, work)
             evaluations += nx * ny
             if ji >= 0:
                 used, at[0], at[1] = beams, at[0] + by_shift[ji, 0], at[1] + by_shift[ji, 1]
@@ -818,7 +830,7 @@ def search(
         if spacing < stop_m and step_rad < stop_rad:
             converged = 1.0
             break
-        if best == np.inf:
+        if best == np.inf or np.sqrt(best) > np.sqrt(useless) + 2.0 * half_m:
             break
         half_m *= max(shrink, covered * min(spacing / half_m, 0.9))
         half_rad *= max(shrink, covered * min(step_rad / half_rad, 0.9))

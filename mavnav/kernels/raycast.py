@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int64, types, uint16
+from numba import float64, int64, types, uint16, uint64
 
 from mavnav.kernels._jit import kernel
 
@@ -37,7 +37,7 @@ def virtual_scan(
     ``lattice`` is (3,): x and y of the corner of cell [0, 0] and the cell edge in m; ``pose`` (3,) x, y, yaw of the
     laser in the map; ``directions`` (beams, 2) cosines and sines in the laser's frame.
     """
-    rows, cols = hits.shape[1], hits.shape[0] * WIDE
+    rows, cols = uint64(hits.shape[1]), uint64(hits.shape[0] * WIDE)
     ox, oy, cell = lattice
     c, s = np.cos(pose[2]), np.sin(pose[2])
     u0, v0 = (pose[0] - ox) / cell, (pose[1] - oy) / cell
@@ -54,7 +54,8 @@ def virtual_scan(
         each_v = abs(1.0 / dv) if dv != 0.0 else np.inf
         most, empty, at = 0, 0, 0.0
         while at <= far:
-            n = int64(hits[col >> SHIFT, row, col & (WIDE - 1)]) if 0 <= row < rows and 0 <= col < cols else 0
+            inside = (uint64(row) < rows) & (uint64(col) < cols)
+            n = int64(hits[uint64(col >> SHIFT), uint64(row), uint64(col & (WIDE - 1))]) if inside else 0
             if n > 0:
                 empty = 0
                 if n > most:
@@ -64,12 +65,8 @@ def virtual_scan(
                 empty += 1
                 if empty > gap_cells:
                     break
-            if next_u < next_v:
-                at = next_u
-                col += step_col
-                next_u += each_u
-            else:
-                at = next_v
-                row += step_row
-                next_v += each_v
+            along = next_u < next_v  # without a branch, which would often be guessed wrong
+            at = next_u if along else next_v
+            col, next_u = col + (step_col if along else 0), next_u + (each_u if along else 0.0)
+            row, next_v = row + (0 if along else step_row), next_v + (0.0 if along else each_v)
     return out

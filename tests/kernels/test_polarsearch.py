@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from synthetic import furnished_rooms, room, scan_at
 
 from mavnav.config import Config
-from mavnav.kernels import polarsearch
+from mavnav.kernels import beams, polarsearch
 from mavnav.matcher import HOPELESS, Match, match_polar, polar_points
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
@@ -54,14 +54,15 @@ def test_cost_is_its_twin(spec: LaserSpec, seed: int) -> None:
     grid=st.sampled_from((2, 5, 10)),
     half_m=st.sampled_from((0.3, 0.05, 0.005, 0.0005)),
     half_rad=st.sampled_from((0.3, 0.02, 0.002, 0.0002)),
+    useless_m2=st.sampled_from((1e-3, np.inf)),
 )
-@example(seed=170, grid=5, half_m=3.0, half_rad=0.02)  # moves a point straight behind the laser
+@example(seed=170, grid=5, half_m=3.0, half_rad=0.02, useless_m2=np.inf)  # moves a point straight behind the laser
 def test_pruned_search_is_the_exhaustive_one(
-    spec: LaserSpec, seed: int, grid: int, half_m: float, half_rad: float
+    spec: LaserSpec, seed: int, grid: int, half_m: float, half_rad: float, useless_m2: float
 ) -> None:
     """The same pose, cost, beams, evaluations and iterations, to the bit."""
     virtual, points, limits, _ = problem(seed, spec)
-    schedule = np.array([half_m, half_rad, 0.3, 1.0, 1e-5, 1e-4])
+    schedule = np.array([half_m, half_rad, 0.3, 1.0, 1e-5, 1e-4, useless_m2])
     pruned, exhaustive = (
         polarsearch.search(virtual, points, np.array([2.0 * grid, grid, grid, 2, prune]), schedule, limits)
         for prune in (1.0, 0.0)
@@ -69,10 +70,19 @@ def test_pruned_search_is_the_exhaustive_one(
     np.testing.assert_array_equal(pruned, exhaustive)
 
 
+@LASERS
+@given(seed=st.integers(0, 2**32 - 1))
+def test_good_beams_are_their_twins(spec: LaserSpec, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ranges = rng.choice((0.5, 1.0, 1.05, 2.0, np.nan), spec.beams)
+    told = ranges, spec.directions, spec.angle_min_rad, spec.angle_step_rad, 0.1
+    np.testing.assert_array_equal(beams.good_beams(*told), naive.good_beams(*told))
+
+
 def test_beams_differing_from_both_neighbours_are_left_out() -> None:
     ranges = np.array([1.0, 1.0, 2.0, 1.0, 1.0, np.nan, 3.0, 3.0, 1.0])
-    beams = polar_points(ranges, LaserSpec(0.0, 0.1, 9, 0.02, 5.0), 0.1)[:, 2]
-    assert beams.tolist() == [0, 1, 3, 4, 6, 7, 8]
+    good = polar_points(ranges, LaserSpec(0.0, 0.1, 9, 0.02, 5.0), 0.1)[:, 2]
+    assert good.tolist() == [0, 1, 3, 4, 6, 7, 8]
 
 
 @pytest.mark.parametrize("grid", ["5x5", "10x10", "20x20"])
@@ -108,13 +118,28 @@ def test_grid_is_refined_only_where_the_cost_stays_high_and_not_where_it_is_hope
     def matched(ranges: np.ndarray, **paper: float) -> Match:
         return match_polar(ranges, points, a.spec, Pose(), Config(method="paper", paper=paper))
 
-    easy, coarse = matched(a.ranges_m), matched(b.ranges_m, refine_factor=1)
+    easy, coarse = matched(a.ranges_m), matched(b.ranges_m, refine_factor=1, gate_mm2=1e6)
     hard = matched(b.ranges_m, gate_mm2=coarse.cost_m2 * 1e6 / HOPELESS + 1)
-    assert matched(b.ranges_m, gate_mm2=coarse.cost_m2 * 1e6 / HOPELESS - 1) == coarse
+    hopeless = matched(b.ranges_m, gate_mm2=coarse.cost_m2 * 1e6 / HOPELESS - 1)
+    assert hopeless.evaluations <= coarse.evaluations
+    assert hopeless.cost_m2 >= coarse.cost_m2
     assert easy.cost_m2 < 300e-6 < coarse.cost_m2
     assert easy.evaluations < 2000
     assert hard.evaluations > 3 * coarse.evaluations
     assert hard.cost_m2 <= coarse.cost_m2
+
+
+def test_search_that_can_only_end_in_a_wrong_place_ends_at_once() -> None:
+    a, b = scan_at(room(), Pose(2.2, 1.7, 0.4)), scan_at(furnished_rooms(), Pose(2.9, 2.2, 1.2))
+    points = polar_points(a.ranges_m, a.spec, 0.1)
+    whole, ended = (
+        match_polar(b.ranges_m, points, a.spec, Pose(), Config(method="paper", paper=paper))  # type: ignore[arg-type]
+        for paper in ({"refine_factor": 1, "gate_mm2": 1e6}, {"gate_mm2": 100.0})
+    )
+    assert whole.converged
+    assert not ended.converged
+    assert ended.evaluations < 0.7 * whole.evaluations
+    assert min(whole.cost_m2, ended.cost_m2) > HOPELESS * 100e-6
 
 
 def test_scans_that_share_nothing_cost_infinity() -> None:
