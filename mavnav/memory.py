@@ -42,11 +42,17 @@ def forget(array: NDArray[Any], first: int, end: int) -> None:
 
 
 def give_back() -> None:
-    """Have the C library give back what is free between blocks in use, if the process ever took much."""
+    """Give back what is free between blocks in use, if the process ever took much."""
     if sys.platform != "linux":
         return
     from resource import RUSAGE_SELF, getrusage  # noqa: PLC0415  not everywhere
 
-    trim = getattr(CDLL(None), "malloc_trim", None)
-    if trim and getrusage(RUSAGE_SELF).ru_maxrss > MUCH_KB:
-        trim(0)
+    if getrusage(RUSAGE_SELF).ru_maxrss > MUCH_KB:
+        trim()
+
+
+def trim() -> None:
+    """Have the C library give back what is free between blocks in use."""
+    give = getattr(CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if give:
+        give(0)
