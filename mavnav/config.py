@@ -75,6 +75,7 @@ class PaperConfig(_Strict):
     max_extensions: int = Field(5, ge=0, description="border extensions an iteration at most")
     refine_above_mm2: float = Field(300.0, gt=0, description="refine the grid where the coarse cost stays above")
     refine_factor: int = Field(2, ge=1, description="points an axis are multiplied by this; 1 turns refinement off")
+    give_up: bool = Field(True, description="end a search that can only end far above the gate")
     gate_mm2: float = Field(400.0, gt=0, description="map and pose are updated at this cost or below")
 
 

@@ -111,7 +111,7 @@ def _search_polar(
                 paper.leave_no_gaps,
                 paper.stop_mm * MM,
                 paper.stop_deg * DEG,
-                _hopeless_mm2(config) * MM2,
+                _hopeless_mm2(config) * MM2 if paper.give_up else np.inf,
             ]
         ),
         np.array(
