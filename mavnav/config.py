@@ -103,8 +103,8 @@ class RobustConfig(_Strict):
     final_window_mm: float = Field(50.0, gt=0, description="half-width of the final pass in the plane")
     final_window_deg: float = Field(3.0, gt=0, description="half-width of the final pass in azimuth")
     final_truncate_mm: float = Field(50.0, gt=0, description="distances are capped here in the final pass")
-    stop_mm: float = Field(1.3, gt=0, description="search ends at this spacing in the plane")
-    stop_deg: float = Field(0.02, gt=0, description="search ends at this spacing in azimuth")
+    stop_mm: float = Field(1.3, gt=0, description="search ends at this spacing in the plane, the final pass at half")
+    stop_deg: float = Field(0.02, gt=0, description="search ends at this spacing in azimuth, the final pass at half")
     max_extensions: int = Field(3, ge=0, description="border extensions a level at most")
     hold_below_mm: float = Field(
         51.0,
