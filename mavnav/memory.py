@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import mmap
 import sys
-from ctypes import CDLL, c_size_t, c_void_p
-from pathlib import Path
+from ctypes import CDLL
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,20 +42,17 @@ def forget(array: NDArray[Any], first: int, end: int) -> None:
 
 
 def give_back() -> None:
-    """Have the C library give back what is free between blocks in use, if the process ever took much."""
+    """Give back what is free between blocks in use, if the process ever took much."""
     if sys.platform != "linux":
         return
     from resource import RUSAGE_SELF, getrusage  # noqa: PLC0415  not everywhere
 
-    trim = getattr(CDLL(None), "malloc_trim", None)
-    if trim and getrusage(RUSAGE_SELF).ru_maxrss > MUCH_KB:
-        trim(0)
+    if getrusage(RUSAGE_SELF).ru_maxrss > MUCH_KB:
+        trim()
 
 
-def forget_code(library: str) -> None:
-    """Give back the pages of a library's code; the system reads them again where it is called after all."""
-    maps = Path("/proc/self/maps")
-    for line in maps.read_text().splitlines() if maps.exists() else []:
-        if " r-xp " in line and Path(line.split(maxsplit=5)[-1]).name.startswith(library):
-            first, end = (int(at, 16) for at in line.split(maxsplit=1)[0].split("-"))
-            CDLL(None).madvise(c_void_p(first), c_size_t(end - first), mmap.MADV_DONTNEED)
+def trim() -> None:
+    """Have the C library give back what is free between blocks in use."""
+    give = getattr(CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if give:
+        give(0)

@@ -21,7 +21,6 @@ from mavnav.matcher import (
     search_lines,
     with_effort,
 )
-from mavnav.memory import forget_code
 from mavnav.motion import LONGEST_S
 from mavnav.pose import Pose, transform_points
 from mavnav.relocalise import around, best_of, candidates, everywhere, judged, within_reach
@@ -341,10 +340,6 @@ METHODS: dict[str, Callable[[Config], Method]] = {"robust": Robust, "paper": Pap
 
 
 def load_kernels(config: Config) -> None:
-    """Load the kernels that only one of the methods has, and compile them the first time; others load on import.
-
-    The compiler's code, 52 MB, is not needed after that.
-    """
+    """Load the kernels that only one of the methods has, and compile them the first time; others load on import."""
     if config.method == "paper":
         from mavnav.kernels import beams, polarsearch, raycast  # noqa: F401, PLC0415
-    forget_code("libllvmlite")

@@ -193,7 +193,6 @@ def _mapped(
         address=request.address,
     )
     progress("writing", 0, None)
-    give_back()
     return run, write_run(run, request.directory, force=request.force, report=request.report)
 
 

@@ -17,7 +17,7 @@ from mavnav.motion import LONGEST_S, Motion, misleads
 from mavnav.redrawing import close
 from mavnav.relocalise import apart
 from mavnav.second_opinion import blur, coarser, in_doubt
-from mavnav.steadying import steadied
+from mavnav.steadying import steady
 from mavnav.steps import LostInterval, Step, Steps, lost_intervals, tracked_way
 from mavnav.units import NS
 
@@ -284,13 +284,18 @@ def conclude(
     config: Config,
     on_step: Callable[[str, int], None] | None = None,
 ) -> Slam:
-    """Close loops and make the final pass where they are wanted, and sum up; ``motion`` is as before the first scan."""
+    """Close loops and make the final pass where they are wanted, and sum up; ``motion`` is as before the first scan.
+
+    The steps themselves take what the final pass finds: there are many.
+    """
     loops = Loops()
     if config.final_pass and method.places:
         if config.loop_closure == "auto" and method.closes_loops:
             steps, method, loops = close(steps, log_scans, method, motion, config)
         method.clear_passing()
-        steps = steadied(_told(place(log_scans(), steps, method), "final pass", on_step), motion.period_s)
+        for step in _told(place(log_scans(), steps, method), "final pass", on_step):
+            steps[step.index] = step
+        steady(steps, motion.period_s)
     return Slam(steps, tracked_way(steps), method.finished(), tuple(lost_intervals(steps)), loops)
 
 

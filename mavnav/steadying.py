@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from math import hypot
 from typing import TYPE_CHECKING
 
@@ -9,15 +10,15 @@ import numpy as np
 
 from mavnav.kernels.steadying import smooth
 from mavnav.stages import timed
-from mavnav.steps import Steps, jumps, tracked_way
+from mavnav.steps import jumps, tracked_way
 from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from mavnav.steps import Step
+    from mavnav.steps import Steps
 
 FEWEST = 10
 """Poses in a row from which a stretch tells how much of its motion is jitter."""
@@ -33,20 +34,18 @@ LONGEST_S = 1.2
 
 
 @timed("smoothing")
-def steadied(steps: Iterable[Step], period_s: float) -> Steps:
-    """Return the steps with smooth positions: the jitter of the scans would lengthen every way, and move a rest.
+def steady(steps: Steps, period_s: float) -> None:
+    """Move the steps to smooth positions: the jitter of the scans would lengthen every way, and move a rest.
 
     How much of the motion is jitter is asked of each stretch itself: positions with white noise, of a way whose
     velocity walks at random, with the likeliest share of both. Where the median scan would move farther than it can
     tell, less is smoothed. Headings stay: scans tell them well.
     """
-    out = Steps(steps)
-    poses, stamps_ns, costs_m2 = (out.column(name) for name in ("map_T_laser", "stamp_ns", "cost_m2"))
-    for stretch in stretches(out):
+    poses, stamps_ns, costs_m2 = (steps.column(name) for name in ("map_T_laser", "stamp_ns", "cost_m2"))
+    for stretch in stretches(steps):
         periods = np.maximum(np.round(np.diff(stamps_ns[stretch]) * NS / period_s), 1.0)
         told_m = CANNOT_TELL * np.sqrt(np.median(costs_m2[stretch]))
-        out.move(stretch, _steady(poses[stretch, :2], periods, told_m))
-    return out
+        steps.move(stretch, _smooth(poses[stretch, :2], periods, told_m))
 
 
 def stretches(steps: Steps) -> list[NDArray[np.intp]]:
@@ -57,7 +56,7 @@ def stretches(steps: Steps) -> list[NDArray[np.intp]]:
     return [run for run in runs if len(run) >= FEWEST]
 
 
-def _steady(xy_m: NDArray[np.float64], periods: NDArray[np.float64], told_m: float) -> NDArray[np.float64]:
+def _smooth(xy_m: NDArray[np.float64], periods: NDArray[np.float64], told_m: float) -> NDArray[np.float64]:
     """Return positions (n, 2) smoothed as much as they ask for, but by no more than the scans can tell."""
     middle, out = xy_m.mean(axis=0), np.empty(xy_m.shape)
     likely = [smooth(xy_m - middle, periods, stiffness, out) for stiffness in STIFFNESSES]
@@ -77,7 +76,7 @@ def rests(xy_m: NDArray[np.float64], within_m: float) -> Iterator[slice]:
     first = 0
     low_x = low_y = np.inf
     high_x = high_y = -np.inf
-    for k, (x, y) in enumerate([*xy_m.tolist(), (np.inf, np.inf)]):
+    for k, (x, y) in enumerate(chain(map(np.ndarray.tolist, xy_m), [(np.inf, np.inf)])):
         low_x, high_x, low_y, high_y = min(low_x, x), max(high_x, x), min(low_y, y), max(high_y, y)
         if hypot(high_x - low_x, high_y - low_y) > 2 * within_m:
             if k - first >= FEWEST:

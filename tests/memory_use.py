@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from mavnav import memory
+from mavnav.memory import trim
 
 STATUS, REFS = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
 def in_use_mb(what: str = "VmRSS") -> float:
-    """Return the memory of this process: ``VmRSS`` now, ``VmHWM`` at most, ``RssFile`` of it pages of files."""
+    """Return the memory of this process: ``VmRSS`` now, ``VmHWM`` at most."""
     if not STATUS.exists():
         pytest.skip("this system does not tell what a process takes")
     return next(int(line.split()[1]) / 1024 for line in STATUS.read_text().splitlines() if line.startswith(what))
@@ -23,9 +23,7 @@ def in_use_mb(what: str = "VmRSS") -> float:
 @contextmanager
 def taking_less_than(most_mb: float) -> Iterator[None]:
     """Fail where the block takes more at any time."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(memory, "MUCH_KB", 0)
-        memory.give_back()
+    trim()
     before_mb = in_use_mb()
     REFS.write_text("5")  # the most is counted from here on
     yield

@@ -263,3 +263,4 @@ def test_a_run_that_is_stopped_while_its_map_is_drawn_anew_keeps_the_old_one(mon
     assert outcome.loops == Loops(refused=4)
     np.testing.assert_array_equal(outcome.grid.passes, before.passes)
     assert len(outcome.trajectory) == len(scans)
+    assert outcome.steps is steps  # of a long log two would take twice the memory

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from memory_use import in_use_mb, taking_less_than
@@ -55,20 +51,3 @@ def test_what_is_free_between_blocks_in_use_is_given_back_where_it_is_much(monke
     give_back()
     assert in_use_mb() - before_mb < 20
     assert len(kept) == 40
-
-
-def test_kernels_work_and_compile_without_the_code_of_the_compiler() -> None:
-    """In a process of its own, which has not forgotten it before."""
-    script = """
-from memory_use import in_use_mb
-from mavnav.config import Config
-from mavnav.kernels.points import extent
-from mavnav.methods import load_kernels
-import numba, numpy as np
-before_mb = in_use_mb("RssFile")
-load_kernels(Config())
-assert in_use_mb("RssFile") < before_mb - 10, (before_mb, in_use_mb("RssFile"))
-assert tuple(extent(np.array([[1.0, 2.0], [0.0, 3.0]]))) == (0.0, 2.0, 1.0, 3.0)
-assert numba.njit(lambda x: x + 1)(1) == 2
-"""
-    subprocess.run([sys.executable, "-c", script], check=True, cwd=Path(__file__).parent)

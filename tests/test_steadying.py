@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from mavnav.kernels.steadying import smooth
 from mavnav.matcher import Match
 from mavnav.pose import Pose
-from mavnav.steadying import FEWEST, rests, steadied
-from mavnav.steps import Step
+from mavnav.steadying import FEWEST, rests, steady
+from mavnav.steps import Step, Steps
 
 PERIOD_S = 0.1
 NS = 1_000_000_000
@@ -27,6 +27,12 @@ def steps_of(xy_m: np.ndarray, cost_m2: float = 0.02**2, untracked: tuple[int, .
         return Step(k, k * NS // 10, pose, match, k not in untracked, k not in untracked)
 
     return [step(k) for k in range(len(xy_m))]
+
+
+def steadied(steps: Iterable[Step]) -> Steps:
+    out = Steps(steps)
+    steady(out, PERIOD_S)
+    return out
 
 
 def positions(steps: Iterable[Step]) -> np.ndarray:
@@ -52,11 +58,11 @@ def test_jitter_on_a_steady_way_is_taken_out() -> None:
     rng = np.random.default_rng(3)
     truth = np.column_stack((0.03 * np.arange(200), 0.5 * np.sin(0.02 * np.arange(200))))
     steps = steps_of(truth + rng.normal(0, 0.003, truth.shape))
-    steady = positions(steadied(steps, PERIOD_S))
-    off = [np.linalg.norm(xy - truth, axis=1).mean() for xy in (positions(steps), steady)]
+    smoothed = positions(steadied(steps))
+    off = [np.linalg.norm(xy - truth, axis=1).mean() for xy in (positions(steps), smoothed)]
     assert off[1] < 0.6 * off[0]
-    assert abs(length_m(steady) / length_m(truth) - 1) < 0.002
-    assert [s.match.map_T_laser.yaw_rad for s in steadied(steps, PERIOD_S)] == [0.01 * k for k in range(200)]
+    assert abs(length_m(smoothed) / length_m(truth) - 1) < 0.002
+    assert [s.match.map_T_laser.yaw_rad for s in steadied(steps)] == [0.01 * k for k in range(200)]
 
 
 def test_a_laser_at_rest_stays_where_it_is() -> None:
@@ -64,17 +70,17 @@ def test_a_laser_at_rest_stays_where_it_is() -> None:
     drive = np.column_stack((np.linspace(0.03, 3, 100), np.zeros(100)))
     truth = np.vstack((np.zeros((60, 2)), drive, np.tile(drive[-1], (60, 1))))
     seen = truth + rng.normal(0, 0.002, truth.shape)
-    steady = positions(steadied(steps_of(seen), PERIOD_S))
+    smoothed = positions(steadied(steps_of(seen)))
     for rest in (slice(5, 50), slice(170, 220)):
-        assert length_m(steady[rest]) < 0.03 * length_m(seen[rest])
-    assert abs(length_m(steady) / 3.0 - 1) < 0.01
+        assert length_m(smoothed[rest]) < 0.03 * length_m(seen[rest])
+    assert abs(length_m(smoothed) / 3.0 - 1) < 0.01
 
 
 def test_what_scans_tell_surely_is_left() -> None:
     """A rough way that crisp scans saw: what looks like jitter is motion."""
     rough = np.random.default_rng(5).normal(0, 0.004, (80, 2)) + np.column_stack((0.03 * np.arange(80), np.zeros(80)))
     for rms_m in (0.02, 0.005):
-        moved = np.linalg.norm(positions(steadied(steps_of(rough, rms_m**2), PERIOD_S)) - rough, axis=1)
+        moved = np.linalg.norm(positions(steadied(steps_of(rough, rms_m**2))) - rough, axis=1)
         assert np.median(moved) <= rms_m / 7
 
 
@@ -84,10 +90,10 @@ def test_gaps_leaps_and_short_stretches_are_not_smoothed_over() -> None:
     way[30:] += (2.0, 1.0)  # found again elsewhere
     gap = tuple(range(40, 60 - FEWEST // 2))  # 1.5 s
     steps = steps_of(way, untracked=gap)
-    steady = steadied(steps, PERIOD_S)
-    assert np.linalg.norm(positions(steady) - way, axis=1).max() < 0.02
-    assert steady[60 - FEWEST // 2 :] == steps[60 - FEWEST // 2 :]
-    assert [steady[k] for k in gap] == [steps[k] for k in gap]
+    smoothed = steadied(steps)
+    assert np.linalg.norm(positions(smoothed) - way, axis=1).max() < 0.02
+    assert smoothed[60 - FEWEST // 2 :] == steps[60 - FEWEST // 2 :]
+    assert [smoothed[k] for k in gap] == [steps[k] for k in gap]
 
 
 @settings(max_examples=30, deadline=None)

@@ -17,6 +17,7 @@ from mavnav.logs.messages import DecodeError
 from mavnav.logs.records import Damage, Gap, Odometry, ScanCounts, Topic
 from mavnav.logs.stamps import KEPT_BYTES, StampSource, Timeline, period_and_gaps
 from mavnav.logs.survey import Survey, survey
+from mavnav.memory import trim
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
 from mavnav.stages import each
@@ -77,12 +78,17 @@ class Log:
         """Time from the first usable scan to the last."""
         return (self.last_ns - self.first_ns) * 1e-9
 
+    @property
+    def is_short(self) -> bool:
+        """Whether the scans are kept once they have been read."""
+        return 8 * self.sensor.beams * len(self._order) <= KEPT_BYTES
+
     def scans(self) -> Iterator[Scan]:
         """Read the usable scans again from the file: cleaned, stamps strictly ascending, in bounded memory."""
         if self._kept:
             return iter(self._kept)
         scans = each("reading", self._scans())
-        return self._keeping(scans) if 8 * self.sensor.beams * len(self._order) <= KEPT_BYTES else scans
+        return self._keeping(scans) if self.is_short else scans
 
     def _keeping(self, scans: Iterator[Scan]) -> Iterator[Scan]:
         read = []
@@ -182,7 +188,11 @@ def open_log(
         No log, or no usable scan in it.
     """
     found = survey(path, topic=topic, start_s=start_s, end_s=end_s, progress=progress, strict=strict)
-    return choose(found, topic=topic, odom=odom, extrinsic=extrinsic)
+    log = choose(found, topic=topic, odom=odom, extrinsic=extrinsic)
+    del found
+    if not log.is_short:
+        trim()
+    return log
 
 
 def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extrinsic: Pose | None = None) -> Log:

@@ -77,19 +77,21 @@ def map_quality(
     sections
         The cuts through the grid's walls at each of the thresholds, where they were made already.
     """
-    walls = wall_sections(_occupied(grid), grid.cell_m, 1)  # before there are cells: of a large map both take much
-    cells = occupancy(grid)
+    occupied = only_occupied(grid)
+    walls = wall_sections(occupied, grid.cell_m, 1)
+    found, scans = (None, None) if journey is None else _seen_again(journey)
+    support = map_support(grid, occupied, walls, journey, scans)
+    del occupied, scans  # of a large map there is no room for all beside each other
     # Noise may hide a ghost wall at the lower thresholds, few hits at the higher ones.
     cuts = sections or sections_by_hits(grid.hits, grid.cell_m, THRESHOLDS if counted else (1,))
-    found, scans = (None, None) if journey is None else _seen_again(journey)
-    support = map_support(grid, cells, walls, journey, scans)
+    cells = occupancy(grid)
     why = reasons(support, lost_for_good=journey is not None and journey.lost_for_good)
     crisp, share, shape = (
         crispness(grid, cells, support.wall_m, counted=counted),
         occupied_share(cells),
         _at_most(cells, grid.cell_m),
     )
-    del cells, scans  # of a large map, what follows takes larger cells
+    del cells  # what follows takes larger cells of a large map
     return MapQuality(
         profile=PROFILE,
         meaningful=not why,
@@ -119,7 +121,7 @@ def _at_most(cells: NDArray[np.int8], cell_m: float) -> tuple[NDArray[np.int8], 
     return (cells, cell_m) if factor <= 1 else (pooled(cells, factor, fill=UNKNOWN), cell_m * factor)
 
 
-def _occupied(grid: Grid) -> NDArray[np.uint16]:
+def only_occupied(grid: Grid) -> NDArray[np.uint16]:
     """Return a map of one hit where a cell is occupied; the rest of it takes no memory."""
     out = blank((grid.hits.shape[0], grid.hits.shape[1]), np.uint16)
     row, col = occupied_cells(grid).T

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.grid import OCCUPIED
 from mavnav.lattice import bands
 from mavnav.memory import blank
 from mavnav.metrics.journey import spread
@@ -46,18 +45,18 @@ class Support:
 
 
 def map_support(
-    grid: Grid, cells: NDArray[np.int8], walls: Sections, journey: Journey | None, scans: PlacedScans | None
+    grid: Grid, occupied: NDArray[np.uint16], walls: Sections, journey: Journey | None, scans: PlacedScans | None
 ) -> Support:
     """Measure the support of a map.
 
-    ``cells`` is its occupancy, ``walls`` are the sections of its straight walls; ``scans`` are tracked scans of the
-    journey, evenly spread.
+    ``occupied`` is 1 in its occupied cells, ``walls`` are the sections of its straight walls; ``scans`` are tracked
+    scans of the journey, evenly spread.
     """
     return Support(
         wall_m=float(walls.length_m.sum()),
         sections=len(walls.length_m),
         mapped_share=np.nan if journey is None else journey.mapped_share,
-        explained_share=np.nan if scans is None else explained_share(grid, cells, scans),
+        explained_share=np.nan if scans is None else explained_share(grid, occupied, scans),
     )
 
 
@@ -76,12 +75,12 @@ def reasons(support: Support, *, lost_for_good: bool) -> tuple[str, ...]:
     return tuple(found)
 
 
-def explained_share(grid: Grid, cells: NDArray[np.int8], scans: PlacedScans) -> float:
+def explained_share(grid: Grid, occupied: NDArray[np.uint16], scans: PlacedScans) -> float:
     """Lay tracked scans over the map: the part of their end points within a cell of an occupied cell; NaN without any.
 
     A part of the map that was cut away, or scans that were tracked but are not in the map, lower it.
     """
-    near, found, points = near_walls(cells), 0, 0
+    near, found, points = near_walls(occupied), 0, 0
     sample = spread(len(scans.poses), SAMPLE_SCANS)
     for first in range(0, len(sample), AT_A_TIME):
         xy_map_m = _ends(scans, sample[first : first + AT_A_TIME])
@@ -100,15 +99,15 @@ def _ends(scans: PlacedScans, rows: NDArray[np.intp]) -> NDArray[np.float64]:
     return np.stack(((x_m + c * x - s * y)[seen], (y_m + s * x + c * y)[seen]))
 
 
-def near_walls(cells: NDArray[np.int8]) -> NDArray[np.bool_]:
+def near_walls(occupied: NDArray[np.uint16]) -> NDArray[np.bool_]:
     """Tell which cells (rows + 2, cols + 2), one more on each side, are occupied or have an occupied neighbour.
 
     Those on the edge do not count. Where there are none, the answer takes no memory.
     """
-    rows, cols = cells.shape
+    rows, cols = occupied.shape
     near = blank((rows + 2, cols + 2), np.bool_)
-    for around, inside, band in bands(cells.shape, margin=1):
-        wide = widened(cells[around] == OCCUPIED)[inside]
+    for around, inside, band in bands(occupied.shape, margin=1):
+        wide = widened(occupied[around] > 0)[inside]
         near[1:-1, 1:-1][band][wide] = True
     return near
 

@@ -10,6 +10,7 @@ from hashlib import file_digest, sha256
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
+from mavnav.memory import give_back
 from mavnav.outputs.directory import RUN_FILE, check_directory, staged
 from mavnav.outputs.document import plain, run_document, to_json, write_metrics
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
@@ -90,6 +91,7 @@ def _names(run: Run) -> list[str]:
 def _write(run: Run, path: Path) -> str:
     """Write one file to the disk and return its SHA-256."""
     with Stage("pictures" if path.suffix == ".png" else "outputs"):
+        give_back()
         WRITERS[path.name](run, path)
         sync(path)
         with path.open("rb") as file:

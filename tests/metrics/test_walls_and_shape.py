@@ -7,6 +7,7 @@ import pytest
 
 from mavnav import lattice
 from mavnav.grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy
+from mavnav.metrics.map_quality import only_occupied
 from mavnav.metrics.shape import corners, enclosed_areas, occupied_share
 from mavnav.metrics.support import near_walls
 from mavnav.metrics.wall_thickness import wall_sections
@@ -117,7 +118,7 @@ def test_a_map_measured_in_bands_is_the_map_measured_at_once(monkeypatch: pytest
 
     def measured() -> list[np.ndarray]:
         cells = occupancy(grid)
-        return [np.array(corners(cells, CELL_M)), near_walls(cells), occupied_xy_m(grid)]
+        return [np.array(corners(cells, CELL_M)), near_walls(only_occupied(grid)), occupied_xy_m(grid)]
 
     whole = measured()
     monkeypatch.setattr(lattice, "BAND_CELLS", 1)

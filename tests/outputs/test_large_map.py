@@ -41,7 +41,7 @@ def sections(large: Grid) -> dict[int, Sections]:
 
 def test_a_large_map_is_measured_in_few_masks(large: Grid, sections: dict[int, Sections]) -> None:
     map_quality(Grid(0.02, (0.0, 0.0), large.hits[:300, :300], large.passes[:300, :300]))  # what is loaded for it
-    with taking_less_than(45):
+    with taking_less_than(40):
         quality = map_quality(large, sections=sections)
     assert len(quality.walls) == 8
 
