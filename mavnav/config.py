@@ -75,6 +75,7 @@ class PaperConfig(_Strict):
     max_extensions: int = Field(5, ge=0, description="border extensions an iteration at most")
     refine_above_mm2: float = Field(300.0, gt=0, description="refine the grid where the coarse cost stays above")
     refine_factor: int = Field(2, ge=1, description="points an axis are multiplied by this; 1 turns refinement off")
+    give_up: bool = Field(True, description="end a search that can only end far above the gate")
     gate_mm2: float = Field(400.0, gt=0, description="map and pose are updated at this cost or below")
 
 
@@ -102,8 +103,8 @@ class RobustConfig(_Strict):
     final_window_mm: float = Field(50.0, gt=0, description="half-width of the final pass in the plane")
     final_window_deg: float = Field(3.0, gt=0, description="half-width of the final pass in azimuth")
     final_truncate_mm: float = Field(50.0, gt=0, description="distances are capped here in the final pass")
-    stop_mm: float = Field(1.3, gt=0, description="search ends at this spacing in the plane")
-    stop_deg: float = Field(0.02, gt=0, description="search ends at this spacing in azimuth")
+    stop_mm: float = Field(1.3, gt=0, description="search ends at this spacing in the plane, the final pass at half")
+    stop_deg: float = Field(0.02, gt=0, description="search ends at this spacing in azimuth, the final pass at half")
     max_extensions: int = Field(3, ge=0, description="border extensions a level at most")
     hold_below_mm: float = Field(
         51.0,

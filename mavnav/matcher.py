@@ -111,7 +111,7 @@ def _search_polar(
                 paper.leave_no_gaps,
                 paper.stop_mm * MM,
                 paper.stop_deg * DEG,
-                _hopeless_mm2(config) * MM2,
+                _hopeless_mm2(config) * MM2 if paper.give_up else np.inf,
             ]
         ),
         np.array(
@@ -145,6 +145,9 @@ def polar_points(ranges_m: NDArray[np.float64], spec: LaserSpec, mixed_pixel_m: 
 ALTERNATIONS, FINAL_ALTERNATIONS = 2, 1
 """Turns of azimuth and plane on a level of the robust search; in the final pass it begins where it will end."""
 
+FINAL_STOP = 0.5
+"""Of the spacings at which a search ends, in the final pass: a trajectory of coarser steps is longer than the way."""
+
 # ---- the robust method: distance to the map's local lines ----------------------------------------------------------
 
 
@@ -171,10 +174,11 @@ class Schedule:
         the final pass, whose map is finished, points hold their lines on every level.
         """
         robust, grid = config.robust, config.grid
+        finer = FINAL_STOP if final else 1.0
         limits = [
             *window,
-            robust.stop_mm * MM,
-            robust.stop_deg * DEG,
+            finer * robust.stop_mm * MM,
+            finer * robust.stop_deg * DEG,
             (robust.final_truncate_mm if final else robust.truncate_mm) * MM,
             robust.first_level_points,
             FINAL_ALTERNATIONS if final else ALTERNATIONS,
