@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from math import cos, isfinite, sin
 from typing import TYPE_CHECKING, Any, Final
@@ -72,15 +73,13 @@ def write_csv(run: Run, path: Path) -> None:
     poses = dict(zip(run.slam.trajectory.stamps_ns.tolist(), run.slam.trajectory.xyyaw.tolist(), strict=True))
     columns = [run.slam.steps.column(name).tolist() for name in ("index", "stamp_ns", *COLUMNS[5:])]
     with path.open("w", encoding="ascii", newline="") as file:
-        file.write(",".join(COLUMNS) + "\n")
-        file.writelines(_csv_line(row, poses.get(row[1])) for row in zip(*columns, strict=True))
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(COLUMNS)
+        rows.writerows(_csv_row(row, poses.get(row[1])) for row in zip(*columns, strict=True))
 
 
-def _csv_line(row: tuple[Any, ...], xyyaw: list[float] | None) -> str:
+def _csv_row(row: tuple[Any, ...], xyyaw: list[float] | None) -> tuple[object, ...]:
     index, stamp_ns, cost_m2, beams, inliers, evaluations, iterations, *flags = row
-    pose = ",," if xyyaw is None else "{:.9f},{:.9f},{:.9f}".format(*xyyaw)
+    pose = ("", "", "") if xyyaw is None else (f"{v:.9f}" for v in xyyaw)
     cost = f"{cost_m2:.9g}" if isfinite(cost_m2) else ""
-    return (
-        f"{index},{seconds(stamp_ns)},{pose},{cost},{beams},{inliers:.6f},{evaluations},{iterations},"
-        "{:d},{:d},{:d}\n".format(*flags)
-    )
+    return index, seconds(stamp_ns), *pose, cost, beams, f"{inliers:.6f}", evaluations, iterations, *map(int, flags)
