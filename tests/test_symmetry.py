@@ -65,7 +65,7 @@ def test_another_start_shifts_and_turns_the_way(
     start = Pose(1.307, -0.713, 0.9)
 
     def elsewhere(beams: int) -> Match:
-        return replace(first_match(beams), map_T_laser=start)
+        return first_match(beams)._replace(map_T_laser=start)
 
     monkeypatch.setattr(methods, "first_match", elsewhere)
     found = way(scans, period_s)
