@@ -40,8 +40,8 @@ def add_scan(xy_map_m, laser_xy_m, lattice, hits, passes, shielded, near=3):
 
 
 def show_ends(ranges_m, directions, pose, lattice, walls, cells):
-    """Show the walls in which the beams of a scan end."""
-    (x, y, yaw), (ox, oy, cell) = pose, lattice
+    """Show the walls in which the beams of a scan end; returns how many do."""
+    (x, y, yaw), (ox, oy, cell), count = pose, lattice, 0
     for r, (dx, dy) in zip(ranges_m, directions, strict=True):
         if not math.isfinite(r):
             continue
@@ -49,6 +49,8 @@ def show_ends(ranges_m, directions, pose, lattice, walls, cells):
         row = math.floor((y + math.sin(yaw) * r * dx + math.cos(yaw) * r * dy - oy) / cell)
         if 0 <= row < cells.shape[0] and 0 <= col < cells.shape[1] and walls[row, col] == 100:
             cells[row, col] = 100
+            count += 1
+    return count
 
 
 def passing_cells(hits, passes, shielded, clear=8, stays=0.15, wall=4, reach=7):

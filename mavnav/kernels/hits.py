@@ -24,7 +24,7 @@ _F2 = types.Array(float64, 2, "C", readonly=True)
 _I2 = types.Array(int8, 2, "C", readonly=True)
 
 
-@kernel(void(_F1, _F2, _F1, _F1, _I2, int8[:, ::1]))
+@kernel(int64(_F1, _F2, _F1, _F1, _I2, int8[:, ::1]))
 def show_ends(
     ranges_m: NDArray[np.float64],
     directions: NDArray[np.float64],
@@ -32,14 +32,15 @@ def show_ends(
     lattice: NDArray[np.float64],
     walls: NDArray[np.int8],
     cells: NDArray[np.int8],
-) -> None:
+) -> int:
     """Copy ``walls`` to ``cells``, both (rows, cols), where a beam of one scan ended in an occupied cell, 100.
 
+    Returns how many did; both may be the same array, in which nothing changes then.
     ``ranges_m`` (beams,) are NaN without a return, ``directions`` (beams, 2) cosines and sines in the laser's frame,
     ``pose`` (3,) x, y, yaw of the laser in the map, ``lattice`` as of ``add_scan``. Ends outside are passed over.
     """
     rows, cols = cells.shape
-    c, s = np.cos(pose[2]), np.sin(pose[2])
+    c, s, count = np.cos(pose[2]), np.sin(pose[2]), 0
     for k in range(len(ranges_m)):
         if not np.isfinite(ranges_m[k]):
             continue
@@ -48,6 +49,8 @@ def show_ends(
         row = int(np.floor((pose[1] + s * x + c * y - lattice[1]) / lattice[2]))
         if 0 <= row < rows and 0 <= col < cols and walls[row, col] == 100:
             cells[row, col] = 100
+            count += 1
+    return count
 
 
 @kernel(int64(_F2, _F1, uint16[:, ::1], int16[:, :, ::1], int64[:, ::1]))

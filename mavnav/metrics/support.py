@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mavnav.grid import OCCUPIED
+from mavnav.kernels.hits import show_ends
 from mavnav.lattice import bands
 from mavnav.memory import blank
 from mavnav.metrics.journey import spread
@@ -25,9 +27,6 @@ LEAST_EXPLAINED_SHARE: Final = 0.5
 
 SAMPLE_SCANS: Final = 200
 """So many scans, evenly over the run, are laid over the map to see what of them it explains."""
-
-AT_A_TIME: Final = 10
-"""So few scans are laid at a time that their points stay in the caches: less than half the time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,35 +79,21 @@ def explained_share(grid: Grid, occupied: NDArray[np.uint16], scans: PlacedScans
 
     A part of the map that was cut away, or scans that were tracked but are not in the map, lower it.
     """
-    near, found, points = near_walls(occupied), 0, 0
+    near, lattice, directions = near_walls(occupied), grid.lattice, scans.spec.directions
     sample = spread(len(scans.poses), SAMPLE_SCANS)
-    for first in range(0, len(sample), AT_A_TIME):
-        xy_map_m = _ends(scans, sample[first : first + AT_A_TIME])
-        places = np.floor((xy_map_m - np.array(grid.origin_xy_m)[:, None]) / grid.cell_m).astype(np.int64) + 1
-        cols, rows = (np.clip(place, 0, size - 1) for place, size in zip(places, near.shape[::-1], strict=True))
-        found, points = found + int(np.count_nonzero(near[rows, cols])), points + len(rows)
+    found = sum(show_ends(scans.ranges_m[k], directions, scans.poses[k], lattice, near, near) for k in sample)
+    points = int(np.count_nonzero(np.isfinite(scans.ranges_m[sample])))
     return found / points if points else np.nan
 
 
-def _ends(scans: PlacedScans, rows: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return the end points of some scans in the map frame, x and y (2, n), m."""
-    x, y = (scans.ranges_m[rows] * part for part in scans.spec.directions.T)
-    x_m, y_m, yaw = scans.poses[rows].T[:, :, None]
-    c, s = np.cos(yaw), np.sin(yaw)
-    seen = np.isfinite(x)
-    return np.stack(((x_m + c * x - s * y)[seen], (y_m + s * x + c * y)[seen]))
+def near_walls(occupied: NDArray[np.uint16]) -> NDArray[np.int8]:
+    """Return `OCCUPIED` in the cells (rows, cols) that are occupied or have an occupied neighbour, else 0.
 
-
-def near_walls(occupied: NDArray[np.uint16]) -> NDArray[np.bool_]:
-    """Tell which cells (rows + 2, cols + 2), one more on each side, are occupied or have an occupied neighbour.
-
-    Those on the edge do not count. Where there are none, the answer takes no memory.
+    Where there are none, the answer takes no memory.
     """
-    rows, cols = occupied.shape
-    near = blank((rows + 2, cols + 2), np.bool_)
+    near = blank((occupied.shape[0], occupied.shape[1]), np.int8)
     for around, inside, band in bands(occupied.shape, margin=1):
-        wide = widened(occupied[around] > 0)[inside]
-        near[1:-1, 1:-1][band][wide] = True
+        near[band][widened(occupied[around] > 0)[inside]] = OCCUPIED
     return near
 
 

@@ -49,8 +49,8 @@ def test_show_ends_is_its_twin(seed: int) -> None:
     walls = rng.choice(np.array([-1, 0, 100], np.int8), (40, 80))
     pose = rng.uniform((-0.9, -0.4, -3), (2.9, 1.4, 3))
     fast, slow = np.full((2, 40, 80), -1, np.int8)
-    hits.show_ends(ranges, directions(), pose, LATTICE, walls, fast)
-    naive.show_ends(ranges, directions(), pose, LATTICE, walls, slow)
+    count = hits.show_ends(ranges, directions(), pose, LATTICE, walls, fast)
+    assert count == naive.show_ends(ranges, directions(), pose, LATTICE, walls, slow)
     np.testing.assert_array_equal(fast, slow)
 
 
