@@ -91,6 +91,9 @@ class RobustConfig(_Strict):
     voxel_mm: float = Field(30.0, gt=0, description="points are averaged in voxels of this size before matching")
     line_sigma_mm: float = Field(60.0, gt=0, description="Gaussian window of the local line fit")
     line_noise_mm: float = Field(10.0, gt=0, description="noise floor of the local line fit")
+    waiting_share: float = Field(
+        0.1, ge=0, description="new points of a cell change the lines once they exceed this share of the old ones"
+    )
     truncate_mm: float = Field(150.0, gt=0, description="distances are capped here")
     near_window_mm: float = Field(
         50.0, ge=0, description="half-width of the search about the prediction that often suffices; 0 leaves it out"

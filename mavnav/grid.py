@@ -69,6 +69,13 @@ class Tally:
     passes: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
     shielded: NDArray[np.int16] = field(default_factory=lambda: blank_strips((0, 0), np.int16))
 
+    lattice: NDArray[np.float64] = field(init=False)
+    """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
+
+    def __post_init__(self) -> None:
+        """Say once what the kernels are told of the lattice."""
+        self.lattice = np.array([*self.origin_xy_m, self.cell_m])
+
     @classmethod
     def of(cls, grid: Grid) -> Tally:
         """Lay a grid in strips, to be looked up; of its crossings none was clear."""
@@ -78,11 +85,6 @@ class Tally:
     def by_rows(self) -> Grid:
         """Return the counts by rows and columns; the crossings are these, not a copy."""
         return Grid(self.cell_m, self.origin_xy_m, plain(self.hits), self.passes)
-
-    @property
-    def lattice(self) -> NDArray[np.float64]:
-        """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
-        return np.array([*self.origin_xy_m, self.cell_m])
 
     @timed("insert")
     def insert(self, laser: Pose, xy_map_m: NDArray[np.float64]) -> None:
@@ -138,6 +140,7 @@ class Tally:
         self.passes = moved(self.passes, shape, dr, dc)
         self.shielded = moved(self.shielded, shape, dr, dc)
         self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))
+        self.lattice[:2] = self.origin_xy_m
 
 
 def counts(values: NDArray[Any]) -> NDArray[np.uint16]:

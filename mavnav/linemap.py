@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _BLOCK_CELLS = 256
+MOST_WAITING = 1 << 12
+"""So many cells may have points that their neighbours do not know of yet."""
 _AT_ONCE = 1 << 14
 """Lines that are moved at once."""
 
@@ -37,23 +39,29 @@ class LineMap:
     line_sigma_m: float
     line_noise_m: float
     known_points: float = 0.0
+    waiting_share: float = 0.0
     origin_cells: tuple[int, int] = (0, 0)
     count: int = 1
     nearest: NDArray[np.uint32] = field(default_factory=lambda: np.empty((0, 0), np.uint32))
     cells: NDArray[np.int32] = field(default_factory=lambda: np.empty((1, 2), np.int32))
     moments: NDArray[np.float64] = field(default_factory=lambda: np.empty((1, 12)))
     lines: NDArray[np.float64] = field(default_factory=lambda: np.array([NOWHERE]))
+    waiting: NDArray[np.float64] = field(default_factory=lambda: np.zeros((MOST_WAITING + 1, 8)))
+
+    geometry: NDArray[np.float64] = field(init=False)
+    """Origin x, origin y, cell, line sigma, line noise in m, the share that may wait, shape (6,)."""
+
+    def __post_init__(self) -> None:
+        """Say once what the kernels are told of the lattice."""
+        self.geometry = np.array(
+            [*self.origin_xy_m, self.cell_m, self.line_sigma_m, self.line_noise_m, self.waiting_share]
+        )
 
     @property
     def origin_xy_m(self) -> tuple[float, float]:
         """Corner of cell [0, 0] in the map frame."""
         col, row = self.origin_cells
         return col * self.cell_m, row * self.cell_m
-
-    @property
-    def geometry(self) -> NDArray[np.float64]:
-        """Origin x, origin y, cell, line sigma, line noise in m, shape (5,)."""
-        return np.array([*self.origin_xy_m, self.cell_m, self.line_sigma_m, self.line_noise_m])
 
     def closeness_at(self, distance_m: float) -> float:
         """Return what ``nearest`` tells of a cell whose nearest occupied one is so far away, m: how near that is."""
@@ -66,26 +74,30 @@ class LineMap:
             return
         self._cover(xy_map_m)
         self._reserve(self.count + len(xy_map_m))
-        self.count = insert_points(
-            np.ascontiguousarray(xy_map_m),
-            self.geometry,
-            self.count,
-            self.nearest,
-            self.cells,
-            self.moments,
-            self.lines,
-        )
+        for first in range(0, len(xy_map_m), MOST_WAITING):
+            self.count = insert_points(
+                np.ascontiguousarray(xy_map_m[first : first + MOST_WAITING]),
+                self.geometry,
+                self.count,
+                self.nearest,
+                self.cells,
+                self.moments,
+                self.lines,
+                self.waiting,
+            )
 
     @timed("field update")
     def remove(self, xy_map_m: NDArray[np.float64]) -> None:
-        """Forget what the cells of some points (n, 2), in m, hold; cells that hold nothing may be among them."""
+        """Forget what the cells of some points (n, 2), in m, hold; cells that hold nothing may be among them.
+
+        No points wait any longer.
+        """
         at = np.floor(xy_map_m / self.cell_m).astype(np.int64) - np.array(self.origin_cells)
         inside = ((at >= 0) & (at < np.array(self.nearest.shape[::-1]))).all(axis=1)
         col, row = at[inside].T
         there = self.nearest[row, col]
         gone = there[there % NEAR > FAR] // NEAR
-        if not len(gone):
-            return
+        self._settle()
         kept = np.delete(np.arange(self.count), gone)
         self.count = n = len(kept)
         for first in range(0, n, _AT_ONCE):  # in place: a copy of a large map would not fit beside it
@@ -94,6 +106,13 @@ class LineMap:
                 held[band] = held[kept[band]]
         self.nearest = blank(self.nearest.shape, np.uint32)
         rebuild(self.geometry, self.nearest, self.cells[:n], self.moments[:n], self.lines[:n])
+
+    def _settle(self) -> None:
+        """Count the points that wait among their cells'; the map must be drawn anew."""
+        new = self.waiting[1 : int(self.waiting[0, 0]) + 1]
+        at = new[:, 6].astype(np.int64)
+        self.moments[at, :6] += new[:, :6]
+        self.lines[at, 6] = self.waiting[0, 0] = 0.0
 
     def _cover(self, xy_map_m: NDArray[np.float64]) -> None:
         """Grow the lattice until the points and the reach around them lie inside."""
@@ -110,6 +129,7 @@ class LineMap:
         self.nearest = moved(self.nearest, shape, dr, dc)
         self.cells[1 : self.count] += np.array([dr, dc], np.int32)
         self.origin_cells = new_origin
+        self.geometry[:2] = self.origin_xy_m
 
     def _reserve(self, needed: int) -> None:
         """Make room for ``needed`` cells, four times as many as now at least: room takes memory once it is used."""

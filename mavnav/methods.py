@@ -206,7 +206,11 @@ class Robust:
         robust = self.config.robust
         self.known = self.grid = Tally(robust.cell_mm * MM)
         self.lines = LineMap(
-            robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM, robust.overlap_points
+            robust.cell_mm * MM,
+            robust.line_sigma_mm * MM,
+            robust.line_noise_mm * MM,
+            robust.overlap_points,
+            robust.waiting_share,
         )
 
     def first(self, scan: Scan) -> Match:

@@ -172,6 +172,18 @@ def cell_of(point, cell_m):
     return math.floor(point[1] / cell_m), math.floor(point[0] / cell_m)
 
 
+def told(scans, cell_m, share):
+    """The points that lines rest on, if those of a cell wait until they exceed a share of those that rest there."""
+    known, new = defaultdict(list), defaultdict(list)
+    for points in scans:
+        for p in points:
+            new[cell_of(p, cell_m)].append(p)
+        for cell in {cell_of(p, cell_m) for p in points}:
+            if len(new[cell]) > share * len(known[cell]):
+                known[cell] += new.pop(cell)
+    return [p for points in known.values() for p in points]
+
+
 def insert_points(points, cell_m, sigma_m, noise_m, window=4):
     """Lines of all occupied cells from all points at once: cell (row, col) -> foot, metric A, points it rests on.
 

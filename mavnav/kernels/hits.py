@@ -103,16 +103,16 @@ def _way(
     col, row, du, dv = np.floor(u0), np.floor(v0), u1 - u0, v1 - v0
     cols, rows = abs(np.floor(u1) - col), abs(np.floor(v1) - row)
     step_col, step_row = (1.0 if du > 0 else -1.0), (wide if dv > 0 else -wide)
-    per_u, per_v = abs(du), abs(dv)
-    each_u, each_v = (1.0 / per_u if per_u else 0.0), (1.0 / per_v if per_v else 0.0)
-    next_u, next_v = abs(col + (du > 0) - u0) * each_u, abs(row + (dv > 0) - v0) * each_v
-    at = row * wide + col + step_col + step_row
+    to_col, to_row = abs(col + (du > 0) - u0), abs(row + (dv > 0) - v0)
+    at, rise = row * wide + col + step_col, (abs(dv) / abs(du) if du else 0.0)
+    start = to_col * rise - to_row + 1.0
     for i in range((int(cols) + BLOCK - 1) // BLOCK * BLOCK):
-        before = np.floor(min(max((next_u + steps[i] * each_u - next_v) * per_v, -1.0), rows - 1.0))
+        before = np.floor(min(start + steps[i] * rise, rows))
         cells[i] = int32(at + steps[i] * step_col + before * step_row)
-    at, others = at - step_col, cells[int(cols) :]
+    others, at, rise = cells[int(cols) :], row * wide + col + step_row, (abs(du) / abs(dv) if dv else 0.0)
+    start = to_row * rise - to_col
     for i in range((int(rows) + BLOCK - 1) // BLOCK * BLOCK):
-        before = np.ceil(min(max((next_v + steps[i] * each_v - next_u) * per_u, 0.0), cols))
+        before = np.ceil(min(max(start + steps[i] * rise, 0.0), cols))
         others[i] = int32(at + steps[i] * step_row + before * step_col)
     return int(cols + rows)
 

@@ -9,8 +9,12 @@ Layout shared by this file and ``linesearch``:
 ``moments``  (capacity, 12) float64  n, sum x, sum y, sum xx, sum xy, sum yy of a cell's points, m in the map
                                   frame; then the same, summed over a window of neighbours with Gaussian weights
 ``lines``    (capacity, 8) float64   foot x, y and the metric a_xx, a_xy, a_yy of the local line, and the points that it
-                                  rests on; then scratch
-``geometry`` (5,) float64        origin x, origin y, cell, line sigma, line noise, in m
+                                  rests on; then the row of ``waiting`` in which the cell's new points are, 0 if none
+                                  are, and scratch
+``geometry`` (6,) float64        origin x, origin y, cell, line sigma, line noise, in m, and the share that may wait
+``waiting``  (rows, 8) float64   row 0: how many cells have new points that they and their neighbours do not know of
+                                  yet; the others n, sum x, sum y, sum xx, sum xy, sum yy of these points, the cell and
+                                  the points that it knew of when they began to wait
 """
 
 from __future__ import annotations
@@ -82,10 +86,8 @@ def _fit(slots: NDArray[np.int64], noise_m: float, moments: NDArray[np.float64],
 @kernel(float64[:, ::1](float64, float64))
 def _weights(cell_m: float, sigma_m: float) -> NDArray[np.float64]:
     """Return the Gaussian window of the line fit."""
-    out = np.empty((2 * WINDOW_CELLS + 1, 2 * WINDOW_CELLS + 1))
-    for i in range(-WINDOW_CELLS, WINDOW_CELLS + 1):
-        for j in range(-WINDOW_CELLS, WINDOW_CELLS + 1):
-            out[i + WINDOW_CELLS, j + WINDOW_CELLS] = np.exp(-0.5 * (i * i + j * j) * (cell_m / sigma_m) ** 2)
+    along = np.exp(-0.5 * (np.arange(-WINDOW_CELLS, WINDOW_CELLS + 1) * cell_m / sigma_m) ** 2)
+    out: NDArray[np.float64] = along.reshape(-1, 1) * along
     return out
 
 
@@ -127,8 +129,8 @@ def rebuild(
     _fit(np.arange(1, len(cells)), geometry[4], moments, lines)
 
 
-@kernel(int64(_F2, _F1, int64, uint32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
-def insert_points(
+@kernel(int64(_F2, _F1, int64, uint32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1], int64[::1]))
+def _enter(
     xy_map_m: NDArray[np.float64],
     geometry: NDArray[np.float64],
     count: int,
@@ -136,54 +138,81 @@ def insert_points(
     cells: NDArray[np.int32],
     moments: NDArray[np.float64],
     lines: NDArray[np.float64],
+    slots: NDArray[np.int64],
 ) -> int:
-    """Add points (n, 2) to the map and refit the lines that they touch; returns the new number of cells.
-
-    The caller sees to room: every point lies ``REACH_CELLS`` + 1 or more inside ``nearest``, and the arrays over cells
-    have space for one new cell a point.
-    """
-    ox, oy, cell, sigma, noise = geometry
-    weight = _weights(cell, sigma)
-    wide, flat = int64(nearest.shape[1]), nearest.ravel()
-    first, hit, n_hit = count, np.empty(len(xy_map_m), np.int64), 0
-    added = np.zeros((len(xy_map_m), 6))  # moments of this scan, by the order in which its cells were hit
+    """Find the cell of every point, if need be a new one that starts from what its neighbours know of."""
+    ox, oy, cell, wide, flat = geometry[0], geometry[1], geometry[2], int64(nearest.shape[1]), nearest.ravel()
+    weight = _weights(cell, geometry[3])
     for k in range(len(xy_map_m)):
-        x, y = xy_map_m[k, 0], xy_map_m[k, 1]
-        row, col = int(np.floor((y - oy) / cell)), int(np.floor((x - ox) / cell))
-        if nearest[row, col] % NEAR <= FAR:  # nothing but the occupied cell itself is at no distance
-            cells[count, 0], cells[count, 1] = row, col
+        slots[k] = int(np.floor((xy_map_m[k, 1] - oy) / cell)) * wide + int(np.floor((xy_map_m[k, 0] - ox) / cell))
+    for k in range(len(xy_map_m)):
+        at = uint64(slots[k])
+        if flat[at] % NEAR <= FAR:  # nothing but the occupied cell itself is at no distance
+            cells[count, 0], cells[count, 1] = slots[k] // wide, slots[k] % wide
             moments[count, :] = 0.0
             lines[count, 6:] = 0.0
-            _stamp(count, row, col, nearest)
+            _stamp(count, cells[count, 0], cells[count, 1], nearest)
+            _gather(count, weight, nearest, cells, moments)
             count += 1
-        slot = int64(nearest[row, col] // NEAR)
+        slots[k] = flat[at] // NEAR
+    return count
+
+
+@kernel(void(_F2, int64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1]))
+def _wait(
+    xy_map_m: NDArray[np.float64],
+    slots: NDArray[np.int64],
+    moments: NDArray[np.float64],
+    lines: NDArray[np.float64],
+    waiting: NDArray[np.float64],
+) -> None:
+    """Add points to what waits in their cells."""
+    n = int(waiting[0, 0])
+    for k in range(len(slots)):
+        slot = uint64(slots[k])
         if lines[slot, 6] == 0.0:
-            hit[n_hit] = slot
-            n_hit += 1
-            lines[slot, 6] = n_hit
-        into = added[int64(lines[slot, 6]) - 1]
-        into[0] += 1.0
-        into[1] += x
-        into[2] += y
-        into[3] += x * x
-        into[4] += x * y
-        into[5] += y * y
+            n += 1
+            lines[slot, 6] = n
+            waiting[n, :6] = 0.0
+            waiting[n, 6], waiting[n, 7] = slot, moments[slot, 0]
+        x, y, row = xy_map_m[k, 0], xy_map_m[k, 1], uint64(lines[slot, 6])
+        waiting[row, 0] += 1.0
+        waiting[row, 1] += x
+        waiting[row, 2] += y
+        waiting[row, 3] += x * x
+        waiting[row, 4] += x * y
+        waiting[row, 5] += y * y
+    waiting[0, 0] = n
 
-    # A new cell starts from what its neighbours held before this scan.
-    for slot in range(first, count):
-        _gather(slot, weight, nearest, cells, moments)
 
-    touched, n_touched = np.empty(n_hit * weight.size + 1, np.int64), 0
-    for k in range(n_hit):
-        slot = hit[k]
+@kernel(void(int64[::1], _F1, uint32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1]))
+def _tell(
+    slots: NDArray[np.int64],
+    geometry: NDArray[np.float64],
+    nearest: NDArray[np.uint32],
+    cells: NDArray[np.int32],
+    moments: NDArray[np.float64],
+    lines: NDArray[np.float64],
+    waiting: NDArray[np.float64],
+) -> None:
+    """Add what waits in some cells, which may be listed twice, to them and their neighbours; refit their lines."""
+    weight, n_waiting = _weights(geometry[2], geometry[3]), int(waiting[0, 0])
+    wide, flat = int64(nearest.shape[1]), nearest.ravel()
+    touched, n_touched = np.empty(min(len(slots) * weight.size, len(cells)) + 1, np.int64), 0
+    for k in range(len(slots)):
+        slot = uint64(slots[k])
+        new = uint64(lines[slot, 6])
+        if new == 0:
+            continue
+        n, x, y = waiting[new, 0], waiting[new, 1], waiting[new, 2]
+        xx, xy, yy = waiting[new, 3], waiting[new, 4], waiting[new, 5]
+        for m in range(6):
+            moments[slot, m] += waiting[new, m]
+        for m in range(8):
+            waiting[new, m] = waiting[n_waiting, m]  # the last one takes its row
+        lines[uint64(waiting[new, 6]), 6] = new
         lines[slot, 6] = 0.0
-        n, x, y, xx, xy, yy = added[k, 0], added[k, 1], added[k, 2], added[k, 3], added[k, 4], added[k, 5]
-        moments[slot, 0] += n
-        moments[slot, 1] += x
-        moments[slot, 2] += y
-        moments[slot, 3] += xx
-        moments[slot, 4] += xy
-        moments[slot, 5] += yy
+        n_waiting -= 1
         row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
         for i in range(2 * WINDOW_CELLS + 1):
             for j in range(2 * WINDOW_CELLS + 1):
@@ -201,5 +230,38 @@ def insert_points(
                     lines[other, 7] = 1.0
     for t in range(n_touched):
         lines[touched[t], 7] = 0.0
-    _fit(touched[:n_touched], noise, moments, lines)
+    _fit(touched[:n_touched], geometry[4], moments, lines)
+    waiting[0, 0] = n_waiting
+
+
+@kernel(int64(_F2, _F1, int64, uint32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1]))
+def insert_points(
+    xy_map_m: NDArray[np.float64],
+    geometry: NDArray[np.float64],
+    count: int,
+    nearest: NDArray[np.uint32],
+    cells: NDArray[np.int32],
+    moments: NDArray[np.float64],
+    lines: NDArray[np.float64],
+    waiting: NDArray[np.float64],
+) -> int:
+    """Add points (n, 2) to the map and refit the lines that they touch; returns the new number of cells.
+
+    A cell's points wait until they are more than a share of those that its neighbours know of: a line that rests on
+    many changes little, and to tell all neighbours of one scan's points is what takes time.
+
+    The caller sees to room: every point lies ``REACH_CELLS`` + 1 or more inside ``nearest``, the arrays over cells
+    have space for one new cell a point, and ``waiting`` has a row more than there are points.
+    """
+    n_waiting, slots = int(waiting[0, 0]), np.empty(len(xy_map_m), np.int64)
+    if n_waiting + len(xy_map_m) >= len(waiting):
+        _tell(waiting[1 : n_waiting + 1, 6].astype(np.int64), geometry, nearest, cells, moments, lines, waiting)
+    count = _enter(xy_map_m, geometry, count, nearest, cells, moments, lines, slots)
+    _wait(xy_map_m, slots, moments, lines, waiting)
+    n = 0
+    for k in range(len(slots)):
+        row = uint64(lines[uint64(slots[k]), 6])
+        slots[n] = slots[k]  # written over unless it has waited long enough
+        n += waiting[row, 0] > geometry[5] * waiting[row, 7]
+    _tell(slots[:n], geometry, nearest, cells, moments, lines, waiting)
     return count

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from matches import voxel_means
 from synthetic import URG_04LX, furnished_rooms, scan_at
 
+from mavnav import linemap
 from mavnav.kernels import conflicts, linesearch, volume
 from mavnav.kernels import linemap as linemap_kernel
 from mavnav.kernels.linemap import NEAR
@@ -97,7 +98,10 @@ def test_lines_grown_scan_by_scan_are_those_of_all_points_at_once(seed: int) -> 
     grown = LineMap(0.02, 0.06, 0.01)
     for part in np.array_split(points, 5):
         grown.insert(part)
-    expected = naive.insert_points(points, 0.02, 0.06, 0.01)
+    assert_lines(grown, naive.insert_points(points, 0.02, 0.06, 0.01))
+
+
+def assert_lines(grown: LineMap, expected: dict) -> None:
     assert grown.count - 1 == len(expected)
     col0, row0 = grown.origin_cells
     for slot in range(1, grown.count):
@@ -107,6 +111,30 @@ def test_lines_grown_scan_by_scan_are_those_of_all_points_at_once(seed: int) -> 
         np.testing.assert_allclose(grown.lines[slot, :2], foot, atol=1e-9)
         assert grown.lines[slot, 5] == pytest.approx(rests_on)
         np.testing.assert_allclose(grown.lines[slot, 2:5], (a[0, 0], a[0, 1], a[1, 1]), atol=1e-6)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), share=st.sampled_from((0.1, 0.3, 1.0)))
+def test_points_wait_until_they_are_a_share_of_those_before(seed: int, share: float) -> None:
+    points = wall_points(np.random.default_rng(seed))
+    scans = [*(points[k::4] for k in range(4)), points[:9], points[3:6], points[4:5]]
+    grown = LineMap(0.02, 0.06, 0.01, waiting_share=share)
+    for scan in scans:
+        grown.insert(scan)
+    assert_lines(grown, naive.insert_points(naive.told(scans, 0.02, share), 0.02, 0.06, 0.01))
+    grown.remove(np.array([(99.0, 99.0)]))
+    assert_lines(grown, naive.insert_points(np.concatenate(scans), 0.02, 0.06, 0.01))
+
+
+def test_where_too_many_points_would_wait_none_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(linemap, "MOST_WAITING", 8)
+    points = wall_points(np.random.default_rng(3))
+    grown = LineMap(0.02, 0.06, 0.01, waiting_share=2.0)
+    for scan in (points, points):
+        grown.insert(scan)
+    assert 0 < grown.waiting[0, 0] <= 8
+    grown.remove(np.array([(99.0, 99.0)]))
+    assert_lines(grown, naive.insert_points(np.concatenate((points, points)), 0.02, 0.06, 0.01))
 
 
 def test_nearest_is_the_nearest_occupied_cell_within_reach() -> None:
