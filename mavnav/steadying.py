@@ -59,10 +59,11 @@ def stretches(steps: Steps) -> list[NDArray[np.intp]]:
 def _smooth(xy_m: NDArray[np.float64], periods: NDArray[np.float64], told_m: float) -> NDArray[np.float64]:
     """Return positions (n, 2) smoothed as much as they ask for, but by no more than the scans can tell."""
     middle, out = xy_m.mean(axis=0), np.empty(xy_m.shape)
-    likely = [smooth(xy_m - middle, periods, stiffness, out) for stiffness in STIFFNESSES]
+    centred = xy_m - middle
+    likely = [smooth(centred, periods, stiffness, out) for stiffness in STIFFNESSES]
     way_m = xy_m
     for stiffness in reversed(STIFFNESSES[: int(np.argmax(likely)) + 1]):
-        smooth(xy_m - middle, periods, stiffness, out)
+        smooth(centred, periods, stiffness, out)
         if np.median(np.linalg.norm(out + middle - xy_m, axis=1)) <= told_m:
             way_m = out + middle
             break

@@ -107,17 +107,13 @@ class Steps(Sequence[Step]):
 
 
 def _pack(step: Step) -> bytes:
-    predicted, match = step.predicted, step.match
-    pose = match.map_T_laser
-    return _PACKED.pack(
-        step.index, step.stamp_ns, predicted.x_m, predicted.y_m, predicted.yaw_rad, pose.x_m, pose.y_m, pose.yaw_rad,
-        match.cost_m2, match.beams_used, match.inliers, match.evaluations, match.iterations, match.converged,
-        match.conflicts, match.surprise, match.ambiguous, step.tracked, step.accepted,
-    )  # fmt: skip
+    index, stamp_ns, predicted, (map_T_laser, *evidence), tracked, accepted = step
+    return _PACKED.pack(index, stamp_ns, *predicted, *map_T_laser, *evidence, tracked, accepted)
 
 
 def _step(row: tuple[Any, ...]) -> Step:
-    return Step(row[0], row[1], Pose(*row[2:5]), Match(Pose(*row[5:8]), *row[8:17]), row[17], row[18])
+    match = Match._make((Pose._make(row[5:8]), *row[8:17]))
+    return Step(row[0], row[1], Pose._make(row[2:5]), match, row[17], row[18])
 
 
 @dataclass(frozen=True, slots=True)

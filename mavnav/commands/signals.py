@@ -64,7 +64,8 @@ def keeping() -> Iterator[Callable[[], ExitCode | None]]:
     heard: list[ExitCode] = []
 
     def ask() -> ExitCode | None:
-        heard.extend(reason.exit_code for reason in _ARRIVED[-1:])
+        if _ARRIVED:
+            heard.append(_ARRIVED[-1].exit_code)
         return heard[-1] if heard else None
 
     _FORGIVEN[0] = 1

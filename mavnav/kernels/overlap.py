@@ -147,6 +147,7 @@ def scan_distances(
         np.empty((4, count)),
         np.empty((2, count)),
     )
+    cos, sin = directions[:, 0].copy(), directions[:, 1].copy()
     last, n = -1, 0
     for pair in range(len(pairs)):
         a, b = pairs[pair]
@@ -157,9 +158,9 @@ def scan_distances(
         motion = np.array([np.cos(dyaw), np.sin(dyaw), c * dx + s * dy, c * dy - s * dx])
         _bring(chosen, n, motion, step, first + half * step, points)
         for j in range(count):
-            used = near_m <= ranges_m[b, j] <= far_m
-            ends[0, j] = ranges_m[b, j] * directions[j, 0] if used else np.inf
-            ends[1, j] = ranges_m[b, j] * directions[j, 1] if used else np.inf
+            r = ranges_m[b, j]
+            r = r if (near_m <= r) & (r <= far_m) else np.inf
+            ends[0, j], ends[1, j] = r * cos[j], r * sin[j]
         for i in range(n):
             r, middle = points[2, i], int(np.floor(points[3, i] + half + 0.5))
             nearest2 = _nearest2(points[0, i], points[1, i], r, middle, ends, turn, aside2, cap_m * cap_m)
