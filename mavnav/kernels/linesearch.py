@@ -633,7 +633,7 @@ def search(
     """
     n = len(points)
     azimuths, nx, ny, extensions = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3])
-    stop_m, stop_rad, truncate_m2, turns = limits[2], limits[3], limits[4] * limits[4], int(limits[6])
+    stop_m, stop_rad, truncate_m2, joint = limits[2], limits[3], limits[4] * limits[4], int(limits[6])
     pivot_x, pivot_y = _mean(points[:, 0]), _mean(points[:, 1])
     centred = np.empty((2, n))
     centred[0], centred[1] = points[:, 0] - pivot_x, points[:, 1] - pivot_y
@@ -643,14 +643,16 @@ def search(
     window = np.array([limits[0], limits[1], limits[7], truncate_m2, grid[4]])
 
     deciding, settled, few, none = centred, limits[10] == 0, int(min(n, limits[5])), np.empty(0, np.int64)
+    dense, turns = n > few, joint
     evaluations, grids, converged, form = 0, 0, False, np.zeros((5, 5))
     for _ in range(MAX_LEVELS):
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
-        held = limits[9] < window[0] <= limits[8]
         last = max(step_x, step_y) < stop_m and step_rad < stop_rad
-        used = deciding if held or settled else deciding[:, :few].copy()
+        within = window[0] <= limits[9]
+        sampled, held = within and not settled, window[0] <= limits[8] and (dense or not within)
+        used = deciding if settled or (held and not sampled) else deciding[:, :few].copy()
         turned = _turns(window[1], azimuths)
-        for turn in range(turns + extensions if held else 0):
+        for turn in range(joint + extensions if held else 0):
             _form(used, at, window, form, none, nearest, lines, geometry)
             best = _least_of_form(form, window, turned, nx, ny)
             i, j, a = best % nx, (best // nx) % ny, best // (nx * ny)
@@ -659,9 +661,9 @@ def search(
             at[2] += a * step_rad - window[1]
             evaluations += azimuths * nx * ny
             grids += 1
-            if turn + 1 >= turns and 0 < i < nx - 1 and 0 < j < ny - 1 and 0 < a < azimuths - 1:
+            if turn + 1 >= joint and 0 < i < nx - 1 and 0 < j < ny - 1 and 0 < a < azimuths - 1:
                 break
-        for _ in range(0 if held else turns):
+        for _ in range(int(sampled or (last and within)) if held else turns):
             for _ in range(extensions + 1):
                 i = _turn_on_lines(used, at, window, turned, nearest, lines, geometry)
                 at[2] += i * step_rad - window[1]
@@ -678,7 +680,7 @@ def search(
                 grids += 1
                 if 0 < i < nx - 1 and 0 < j < ny - 1:
                     break
-        if window[0] <= geometry[2] and not settled:
+        if sampled:
             # Points on new ground lower the cost by falling back onto the map: the others decide, from this level on.
             settled, deciding = True, _drawn(centred, at, limits[10:], nearest, lines, geometry)
             right, up = _mean(deciding[0]), _mean(deciding[1])
@@ -694,7 +696,7 @@ def search(
         if last:
             converged = True
             break
-        if window[0] <= geometry[2]:
+        if within:
             turns = 1  # finer levels begin where they will end
         window[0] = min(1.5 * max(step_x, step_y), 0.9 * window[0])
         window[1] = min(1.5 * step_rad, 0.9 * window[1])
