@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from mavnav.motion import Motion
@@ -22,8 +21,7 @@ class Verdict(Enum):
     REFUSED = "refused"
 
 
-@dataclass(frozen=True, slots=True)
-class Belief:
+class Belief(NamedTuple):
     """The last believed motion, and perhaps a trial: a motion that ``proofs`` scans in a row agreed on.
 
     ``missed`` counts the scans since the last believed one.
@@ -42,7 +40,7 @@ class Belief:
     def after(self, verdict: Verdict, map_T_laser: Pose, stamp_ns: int) -> Belief:
         """Return the belief after a scan; it was believed if ``missed`` is 0."""
         if verdict is Verdict.REFUSED:
-            return replace(self, trial=None, proofs=0, missed=self.missed + 1)
+            return self._replace(trial=None, proofs=0, missed=self.missed + 1)
         far = verdict is Verdict.PROBABLE and not self.trial
         moved = (self.here.started_at if far else self.here.moved_to)(map_T_laser, stamp_ns)
         proven = self.proofs + 1 >= PROOFS if self.trial else verdict is Verdict.SURE

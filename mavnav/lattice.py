@@ -27,8 +27,8 @@ WIDE = 64
 """Cells across a strip; kernels say so once more."""
 BAND_CELLS, LEAST_ROWS = 1 << 18, 64
 """What takes much memory a cell is done for so many cells at a time, and for so many rows at least."""
-AT_ONCE = 16
-"""So many rows, or strips, are moved at once."""
+AT_ONCE = 1 << 17
+"""So many cells are moved at once, in whole rows or strips."""
 
 MARGIN = 8
 """A lattice grows by an eighth of its extent at least: so it is copied rarely, and blank margins cost nothing."""
@@ -49,10 +49,11 @@ def moved(cells: NDArray[Any], extent: Cell, row: int, col: int) -> NDArray[Any]
     grown = blank_strips(extent, cells.dtype) if in_strips else blank(extent, cells.dtype)
     first, along = (col // WIDE, row) if in_strips else (row, col // WIDE)
     new, old = _runs(grown)[first:], _runs(cells)
-    for at in range(0, len(old), AT_ONCE):
-        i, j = np.nonzero(old[at : at + AT_ONCE].any(axis=2))
+    step = max(1, AT_ONCE // max(old[:1].size, 1))
+    for at in range(0, len(old), step):
+        i, j = np.nonzero(old[at : at + step].any(axis=2))
         new[i + at, j + along] = old[i + at, j]
-        forget(cells, at, min(at + AT_ONCE, len(old)))
+        forget(cells, at, min(at + step, len(old)))
     return grown
 
 

@@ -267,7 +267,7 @@ def measured(keys: Sequence[KeyFrame], j: int, match: Match, config: Config) -> 
     fine = search_lines(points, part.lines, match.map_T_laser, first)
     last = Schedule.of(config, part.lines, (robust.final_window_mm * MM, robust.final_window_deg * DEG), final=True)
     placed = search_lines(points, part.lines, fine.map_T_laser, last)
-    fine = judged(replace(fine, map_T_laser=placed.map_T_laser), points, part.lines, part.grid)
+    fine = judged(fine._replace(map_T_laser=placed.map_T_laser), points, part.lines, part.grid)
     if apart(match.map_T_laser, fine.map_T_laser) or not fits(fine):
         return None
     if firmness(points, fine.map_T_laser, part.lines, config) < LEAST_FIRMNESS:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from mavnav.scan import LaserSpec
 
 
-@dataclass(frozen=True, slots=True)
-class Match:
+class Match(NamedTuple):
     """The best pose of a scan in the map, with its evidence.
 
     ``cost_m2`` is the mean squared distance over ``beams_used`` contributing beams (inf where too few
@@ -218,4 +217,4 @@ def with_effort(best: Match, *tried: Match) -> Match:
     """Charge a match with the effort of all that were tried for it."""
     if len(tried) == 1 and tried[0] is best:
         return best
-    return replace(best, evaluations=sum(m.evaluations for m in tried), iterations=sum(m.iterations for m in tried))
+    return best._replace(evaluations=sum(m.evaluations for m in tried), iterations=sum(m.iterations for m in tried))

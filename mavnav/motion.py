@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from math import copysign
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -27,8 +26,7 @@ NEW_SHARE = 0.7  # of a new velocity in the running one
 LEAST_STEPS, MISLEADING = 20, 0.3  # steps that judge odometry; the share of the motion by which it may be wrong
 
 
-@dataclass(frozen=True, slots=True)
-class Motion:
+class Motion(NamedTuple):
     """The last believed pose and how the laser moved there.
 
     ``twist`` is the velocity in the laser's own frame, m/s, m/s, rad/s. ``period_s`` is the sensor's: steps of
@@ -39,7 +37,7 @@ class Motion:
     period_s: float
     odometry: Odometry | None = None
     expects_rest: bool = False
-    map_T_laser: Pose = field(default_factory=Pose)
+    map_T_laser: Pose = Pose()
     stamp_ns: int = 0
     twist: Twist = (0.0, 0.0, 0.0)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import atan2, cos, pi, sin
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,7 @@ def wrap_angle(yaw_rad: float) -> float:
     return (yaw_rad + pi) % (2.0 * pi) - pi
 
 
-@dataclass(frozen=True, slots=True)
-class Pose:
+class Pose(NamedTuple):
     """A rigid motion in the plane: read ``a_T_b`` as the pose of frame b in frame a (REP-103 axes).
 
     ``x_m`` and ``y_m`` are metres, ``yaw_rad`` radians, counter-clockwise.
@@ -63,7 +62,7 @@ class Pose:
 
     def as_array(self) -> NDArray[np.float64]:
         """Return ``[x_m, y_m, yaw_rad]``, shape (3,)."""
-        return np.array([self.x_m, self.y_m, self.yaw_rad])
+        return np.array([self.x_m, self.y_m, self.yaw_rad])  # of the tuple itself it takes longer
 
 
 def blend(a: Pose, b: Pose, share: float) -> Pose:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -64,4 +63,4 @@ def redraw(
         if step.accepted:
             method.insert(scan, pose, motion)
         motion = motion.moved_to(pose, step.stamp_ns) if motion.stamp_ns else motion.started_at(pose, step.stamp_ns)
-        yield replace(step, match=replace(step.match, map_T_laser=pose))
+        yield step._replace(match=step.match._replace(map_T_laser=pose))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import pi
 from typing import TYPE_CHECKING
 
@@ -59,7 +58,7 @@ def judged(match: Match, points: NDArray[np.float64], line_map: LineMap, grid: T
     within = line_map.closeness_at(CLEAR_CELLS * grid.cell_m)
     clear = np.array([(x - lines_x) / grid.cell_m, (y - lines_y) / grid.cell_m, within])
     count = conflicts(points, pose, lattice, grid.hits, grid.passes, line_map.nearest, clear)
-    return replace(match, conflicts=count / max(len(points), 1))
+    return match._replace(conflicts=count / max(len(points), 1))
 
 
 def disagreement(match: Match, config: Config) -> float:
@@ -115,12 +114,12 @@ def candidates(
 
 def best_of(found: list[Match], expected: tuple[Pose, ...], elapsed_s: float, config: Config) -> Match:
     """Return the match that agrees best with map and motion; it is ambiguous if another place agrees as well."""
-    weighed = [replace(m, surprise=min(surprise(pose, m.map_T_laser, elapsed_s) for pose in expected)) for m in found]
+    weighed = [m._replace(surprise=min(surprise(pose, m.map_T_laser, elapsed_s) for pose in expected)) for m in found]
     ranks = [disagreement(m, config) + PRIOR * min(m.surprise, FARTHEST_SURPRISE) for m in weighed]
     lowest = min(ranks)
     best = weighed[ranks.index(lowest)]
     rivals = [rank for m, rank in zip(weighed, ranks, strict=True) if apart(best.map_T_laser, m.map_T_laser)]
-    return replace(with_effort(best, *found), ambiguous=min(rivals, default=np.inf) < lowest + CLEAR_BY)
+    return with_effort(best, *found)._replace(ambiguous=min(rivals, default=np.inf) < lowest + CLEAR_BY)
 
 
 def unrivalled(found: list[Match], clear_by: float, config: Config) -> Match | None:

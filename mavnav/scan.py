@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class LaserSpec:
     """Geometry and limits of a planar laser (sensor_msgs/LaserScan).
 
@@ -34,9 +34,9 @@ class LaserSpec:
         """Bearings of the beams, shape (beams,)."""
         return self.angle_min_rad + self.angle_step_rad * np.arange(self.beams, dtype=np.float64)
 
-    @property
+    @cached_property
     def directions(self) -> NDArray[np.float64]:
-        """Cosines and sines of the bearings, shape (beams, 2); computed once, read-only."""
+        """Cosines and sines of the bearings, shape (beams, 2); computed once for equal geometries, read-only."""
         return _directions(self)
 
     @property

@@ -157,7 +157,7 @@ def second_look(scan: Scan, step: Step, before: Step, after: Step, method: Metho
     if method.gate(match, scan, here) is not Verdict.SURE:
         return step
     method.insert(scan, match.map_T_laser, here)
-    return replace(step, predicted=predicted, match=with_effort(match, step.match, match), tracked=True, accepted=True)
+    return step._replace(predicted=predicted, match=with_effort(match, step.match, match), tracked=True, accepted=True)
 
 
 def place(scans: Iterable[Scan], steps: Iterable[Step], method: Method) -> Iterator[Step]:
@@ -168,7 +168,7 @@ def place(scans: Iterable[Scan], steps: Iterable[Step], method: Method) -> Itera
     coming = iter(scans)
     for step in steps:
         scan = next(coming, None)
-        yield replace(step, match=method.place(scan, step.match)) if scan is not None and step.tracked else step
+        yield step._replace(match=method.place(scan, step.match)) if scan is not None and step.tracked else step
 
 
 def replay(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 from struct import Struct
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 
@@ -29,15 +29,14 @@ FASTEST_M_S, FASTEST_RAD_S = 3.0, 300 * DEG
 """A jump at more than this is a gap even where no scan is missing: the track was found again elsewhere."""
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(NamedTuple):
     """What became of one scan.
 
     ``tracked``: the match is believed and stands in the trajectory. ``accepted``: the scan was inserted into the map
     as well. ``predicted`` is where the search began.
     """
 
-    index: int
+    index: int  # type: ignore[assignment]  # what a tuple calls so is lost
     stamp_ns: int
     predicted: Pose
     match: Match

@@ -22,7 +22,7 @@ SLOW = replace(URG_04LX, beams=171, angle_step_rad=4 * URG_04LX.angle_step_rad, 
 
 
 def at(cost_m2: float, yaw_rad: float = 0.0) -> Match:
-    return replace(no_match(Pose(0.0, 0.0, yaw_rad)), cost_m2=cost_m2)
+    return no_match(Pose(0.0, 0.0, yaw_rad))._replace(cost_m2=cost_m2)
 
 
 def _counted(function: Callable[..., Any], calls: list[object]) -> Callable[..., Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from math import hypot
@@ -216,7 +216,7 @@ def track_of(walk: Walk, tracked: Trajectory, rows: range) -> tuple[list[Scan], 
     steps = Steps()
     for index, (row, scan) in enumerate(zip(rows, scans, strict=True)):
         method.insert(scan, tracked[row], Motion(0.4))
-        match = replace(first_match(241), map_T_laser=tracked[row])
+        match = first_match(241)._replace(map_T_laser=tracked[row])
         steps.append(Step(index, scan.stamp_ns, tracked[row], match, tracked=True, accepted=True))
     return scans, steps, method
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from synthetic import TOUR, along, furnished_rooms, polyline, record, room, scan_at
@@ -125,7 +123,7 @@ def test_scans_that_wait_are_believed_once_the_track_goes_on() -> None:
 def test_far_from_where_it_was_expected_a_match_must_convince() -> None:
     method, here = Robust(Config()), Motion(0.1).started_at(Pose(), 0)
     scan = scan_at(furnished_rooms(), Pose(3.0, 2.2, 1.0), stamp_ns=200_000_000)
-    match = replace(first_match(300), map_T_laser=Pose(0.3, 0.0, 0.3), inliers=0.76)
-    assert method.gate(replace(match, surprise=0.5), scan, here) is Verdict.SURE
-    assert method.gate(replace(match, surprise=3.4), scan, here) is Verdict.REFUSED
-    assert method.gate(replace(match, surprise=3.4, inliers=0.9), scan, here) is Verdict.PROBABLE
+    match = first_match(300)._replace(map_T_laser=Pose(0.3, 0.0, 0.3), inliers=0.76)
+    assert method.gate(match._replace(surprise=0.5), scan, here) is Verdict.SURE
+    assert method.gate(match._replace(surprise=3.4), scan, here) is Verdict.REFUSED
+    assert method.gate(match._replace(surprise=3.4, inliers=0.9), scan, here) is Verdict.PROBABLE

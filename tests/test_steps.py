@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -45,7 +43,7 @@ def test_a_packed_step_gives_way_to_another() -> None:
 
 def step(ms: int, x_m: float, yaw_rad: float = 0.0, *, tracked: bool = True) -> Step:
     pose = Pose(x_m, 0.0, yaw_rad)
-    match = replace(first_match(100) if tracked else no_match(pose), map_T_laser=pose)
+    match = (first_match(100) if tracked else no_match(pose))._replace(map_T_laser=pose)
     return Step(ms // 100, ms * MS, pose, match, tracked, tracked)
 
 

@@ -65,7 +65,7 @@ def test_another_start_shifts_and_turns_the_way(
     start = Pose(1.307, -0.713, 0.9)
 
     def elsewhere(beams: int) -> Match:
-        return replace(first_match(beams), map_T_laser=start)
+        return first_match(beams)._replace(map_T_laser=start)
 
     monkeypatch.setattr(methods, "first_match", elsewhere)
     found = way(scans, period_s)
@@ -79,4 +79,4 @@ def test_a_laser_turned_on_its_carrier_goes_the_same_way(drive: tuple[list[Scan]
     laser_T_turned = Pose(0.0, 0.0, -turn)
     found = way(turned, period_s)
     back = [laser_T_turned @ found[k] @ laser_T_turned.inverse() for k in range(SCANS)]
-    same(straight, [replace(pose, yaw_rad=wrap_angle(pose.yaw_rad)) for pose in back])
+    same(straight, [pose._replace(yaw_rad=wrap_angle(pose.yaw_rad)) for pose in back])

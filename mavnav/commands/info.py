@@ -167,7 +167,7 @@ def _mounting(log: Log) -> dict[str, Any] | None:
     return {
         "source": log.mounting_source,
         "base_frame": log.base_frame,
-        **asdict(log.base_T_laser),
+        **log.base_T_laser._asdict(),
     }
 
 

@@ -40,7 +40,7 @@ _MOST_TURNS: Final = 1.1
 
 def clean(
     ranges_m: NDArray[np.floating], range_min_m: float, range_max_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.float64], tuple[int, ...]]:
     """Turn every range that is no return into NaN.
 
     Parameters
@@ -53,25 +53,25 @@ def clean(
     Returns
     -------
     cleaned, counts
-        (beams,) float64 with NaN for no return, and (8,) the number of beams of each of ``KINDS``.
+        (beams,) float64 with NaN for no return, and the number of beams of each of ``KINDS``.
     """
     with np.errstate(invalid="ignore"):  # a signalling NaN, as damage may leave it
         cleaned = ranges_m.astype(np.float64)
     lowest, highest = max(range_min_m, _SMALLEST_M), min(range_max_m, FARTHEST_M)
-    odd = np.flatnonzero(~((cleaned >= lowest) & (cleaned <= highest)))
+    (odd,) = (~((cleaned >= lowest) & (cleaned <= highest))).nonzero()
     counts = _count(cleaned[odd], lowest, len(cleaned))
     cleaned[odd] = np.nan
     return cleaned, counts
 
 
-def _count(odd_m: NDArray[np.float64], lowest_m: float, beams: int) -> NDArray[np.int64]:
+def _count(odd_m: NDArray[np.float64], lowest_m: float, beams: int) -> tuple[int, ...]:
     """Count the kinds of ranges that are not valid: sorted, NaN last, they lie between these edges."""
     odd_m.sort()
     minus, zero, small, low, plus, nan = odd_m.searchsorted(
         np.array((_LEAST_M, 0.0, _SMALLEST_M, lowest_m, np.inf, np.nan))
     ).tolist()
     valid, n = beams - len(odd_m), len(odd_m)
-    return np.array((valid, small - zero, low - small, plus - low, n - nan, nan - plus, minus, zero - minus))
+    return valid, small - zero, low - small, plus - low, n - nan, nan - plus, minus, zero - minus
 
 
 class Door:
@@ -106,7 +106,7 @@ class Door:
         self._positive += len(finite)
         self._far += int(np.count_nonzero(far < far.max())) if len(far) else 0
 
-    def admit(self, message: LaserMessage) -> tuple[LaserSpec, NDArray[np.float64], NDArray[np.int64]] | str:
+    def admit(self, message: LaserMessage) -> tuple[LaserSpec, NDArray[np.float64], tuple[int, ...]] | str:
         """Return geometry, cleaned ranges and counts; or, in a word, the reason why the scan is unusable."""
         if self._looked_at < _LOOKED_AT:
             self._look_at_units(message.ranges_m)

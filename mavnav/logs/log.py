@@ -20,7 +20,7 @@ from mavnav.logs.survey import Survey, survey
 from mavnav.memory import trim
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
-from mavnav.stages import each
+from mavnav.stages import Stage, each
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -80,22 +80,17 @@ class Log:
 
     @property
     def is_short(self) -> bool:
-        """Whether the scans are kept once they have been read."""
+        """Whether the scans are read at once, and kept."""
         return 8 * self.sensor.beams * len(self._order) <= KEPT_BYTES
 
     def scans(self) -> Iterator[Scan]:
         """Read the usable scans again from the file: cleaned, stamps strictly ascending, in bounded memory."""
-        if self._kept:
-            return iter(self._kept)
-        scans = each("reading", self._scans())
-        return self._keeping(scans) if self.is_short else scans
-
-    def _keeping(self, scans: Iterator[Scan]) -> Iterator[Scan]:
-        read = []
-        for scan in scans:
-            read.append(scan)
-            yield scan
-        self._kept[:] = read
+        if not self.is_short:
+            return each("reading", self._scans())
+        if not self._kept:
+            with Stage("reading"):
+                self._kept.extend(self._scans())
+        return iter(self._kept)
 
     def _scans(self) -> Iterator[Scan]:
         """Read the usable scans again from the file, as ``scans`` gives them.

@@ -11,8 +11,6 @@ from mavnav.logs.mcap_records import MESSAGE_HEAD, Fields, Op
 from mavnav.logs.records import Channel, RawMessage, Schema, ros_type
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from mavnav.logs.ledger import Ledger
 
 _ENCODING_OF_SCHEMA = {"ros2msg": "cdr", "ros2idl": "cdr", "ros1msg": "ros1"}
@@ -43,12 +41,12 @@ class State:
         self.messages, self.closed = 0, False
 
 
-def take(opcode: int, content: bytes, where: str, state: State) -> Iterator[RawMessage]:
-    """Yield the message, or take in what the record tells about others."""
+def take(opcode: int, content: bytes, where: str, state: State) -> RawMessage | None:
+    """Return the message, or take in what the record tells about others."""
     try:
         if opcode == Op.MESSAGE:
-            yield from _message(content, where, state)
-        elif opcode == Op.SCHEMA:
+            return _message(content, where, state)
+        if opcode == Op.SCHEMA:
             _declare_schema(Fields(content), where, state)
         elif opcode == Op.CHANNEL:
             _declare_channel(Fields(content), where, state)
@@ -58,9 +56,10 @@ def take(opcode: int, content: bytes, where: str, state: State) -> Iterator[RawM
             state.closed = True
     except struct.error as error:
         state.ledger.damage(f"a record cannot be read ({error})", where)
+    return None
 
 
-def _message(content: bytes, where: str, state: State) -> Iterator[RawMessage]:
+def _message(content: bytes, where: str, state: State) -> RawMessage | None:
     number, _, log_ns, _ = MESSAGE_HEAD.unpack_from(content)
     state.messages += 1
     data = content[MESSAGE_HEAD.size :]
@@ -68,9 +67,8 @@ def _message(content: bytes, where: str, state: State) -> Iterator[RawMessage]:
     if channel is not None and is_vague(channel):
         channel = state.channels[number] = typed(channel, data, where, state.ledger)
     if channel is not None:
-        yield RawMessage(channel, log_ns, data)
-    else:
-        yield from _stranger(number, log_ns, data, where, state)
+        return RawMessage(channel, log_ns, data)
+    return _stranger(number, log_ns, data, where, state)
 
 
 def _spare_channel(number: int, state: State) -> Channel | None:
@@ -80,15 +78,14 @@ def _spare_channel(number: int, state: State) -> Channel | None:
     return channel
 
 
-def _stranger(number: int, log_ns: int, data: bytes, where: str, state: State) -> Iterator[RawMessage]:
-    """Yield a message of an undeclared channel as suspect, if it is a scan by its bytes."""
+def _stranger(number: int, log_ns: int, data: bytes, where: str, state: State) -> RawMessage | None:
+    """Return a message of an undeclared channel as suspect, if it is a scan by its bytes."""
     channel = channel_of(data, f"/channel_{number}", state.ledger)
     if number not in state.strangers:
         state.strangers.add(number)
         fate = f"scans by their bytes, and taken for {channel.topic}" if channel else "left out"
         state.ledger.damage(f"messages of channel {number}, which is declared nowhere before, are {fate}", where)
-    if channel is not None:
-        yield RawMessage(channel, log_ns, data, suspect=True)
+    return None if channel is None else RawMessage(channel, log_ns, data, suspect=True)
 
 
 def _declare_schema(fields: Fields, where: str, state: State) -> None:

@@ -58,7 +58,7 @@ def read_mcap(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
                 yield from _chunk_messages(source, record, state)
             elif record.opcode in _READ:
                 content = source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES))
-                for message in take(record.opcode, content, source.where(record.start), state):
+                if message := take(record.opcode, content, source.where(record.start), state):
                     doubtful = state.unsound or _runs_into_loss(source, record.end)
                     yield message._replace(suspect=True) if doubtful else message
         if not state.closed:
@@ -190,8 +190,8 @@ def _sound_messages(records: bytes, inner: Source, state: State) -> Iterator[Raw
     """Yield the messages of a chunk that is as it was written; walk on with care where its records still lie."""
     offset = 0
     for opcode, content in plain_records(records):
-        if opcode in _IN_CHUNKS:
-            yield from take(opcode, content, inner.where(offset), state)
+        if opcode in _IN_CHUNKS and (message := take(opcode, content, inner.where(offset), state)):
+            yield message
         offset += HEAD.size + len(content)
     yield from _walk(inner, offset, state)
 
@@ -200,4 +200,5 @@ def _walk(inner: Source, offset: int, state: State) -> Iterator[RawMessage]:
     for record in _records(inner, offset, state):
         if record.opcode in _IN_CHUNKS:
             content = inner.read(record.start, record.end - record.start)
-            yield from take(record.opcode, content, inner.where(record.start), state)
+            if message := take(record.opcode, content, inner.where(record.start), state):
+                yield message

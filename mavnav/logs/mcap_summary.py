@@ -50,8 +50,7 @@ def _channels(summary: bytes) -> dict[int, Channel]:
     state = State(Ledger())
     for opcode, content in plain_records(summary):
         if opcode in (Op.SCHEMA, Op.CHANNEL):
-            for _ in take(opcode, content, "summary", state):
-                pass
+            take(opcode, content, "summary", state)
     return state.channels
 
 

@@ -117,18 +117,18 @@ class TopicScans:
                 self.ranges = None
 
     def add(
-        self, stamps_ns: tuple[int, int], spec: LaserSpec, frame_id: str, counts: NDArray[np.int64], *, suspect: bool
+        self, stamps_ns: tuple[int, int], spec: LaserSpec, frame_id: str, counts: tuple[int, ...], *, suspect: bool
     ) -> None:
         """Take in an admitted scan; ``stamps_ns`` are its own and that of its recording."""
         kind = (spec, frame_id)
         if not self._kinds or self._kinds[-1] != kind:
             self._kinds.append(kind)
-        header_ns, log_ns = (min(max(stamp, -1), _LATEST_NS) for stamp in stamps_ns)
-        self._header_ns.append(header_ns)
-        self._log_ns.append(log_ns)
+        header_ns, log_ns = stamps_ns
+        self._header_ns.append(min(max(header_ns, -1), _LATEST_NS))
+        self._log_ns.append(min(max(log_ns, -1), _LATEST_NS))
         self._kind.append(len(self._kinds) - 1)
         self._suspect.append(suspect)
-        self._cleaning.extend(counts.tolist())
+        self._cleaning.extend(counts)
 
     @property
     def frames(self) -> set[str]:

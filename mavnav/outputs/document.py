@@ -109,7 +109,7 @@ def _input(run: Run) -> Document:
         "first_stamp_s": log.first_ns * NS,
         "duration_s": (log.last_ns - log.first_ns) * NS,
         "base_frame": log.base_frame,
-        "base_T_laser": None if mounting is None else asdict(mounting),
+        "base_T_laser": None if mounting is None else mounting._asdict(),
         "mounting_source": log.mounting_source,
         "odometry": None if odometry is None else {"topic": odometry.topic, "source": odometry.source},
     }

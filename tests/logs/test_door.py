@@ -123,7 +123,7 @@ def test_a_scan_of_a_million_beams_is_thinned() -> None:
     ranges = np.linspace(1.0, 9.0, 1_000_000, dtype=np.float32)
     told = {"angle_step_rad": 2e-6, "time_increment_s": 1e-7, "last_angle_rad": 1.0, "ranges_m": ranges}
     spec, thinned, counts = Door("/scan", warnings.append).admit(message(**told))
-    assert (spec.beams, counts.sum()) == (32259, 32259)
+    assert (spec.beams, sum(counts)) == (32259, 32259)
     assert thinned.tolist() == ranges[::31].astype(float).tolist()
     assert (spec.angle_step_rad, spec.time_increment_s) == pytest.approx((31 * 2e-6, 31e-7))
     assert warnings == ["/scan: a scan has more than 32768 beams; one of 31 is used"]
