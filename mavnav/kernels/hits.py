@@ -53,25 +53,23 @@ def show_ends(
     return count
 
 
-@kernel(int64(_F2, _F1, uint16[:, ::1], int16[:, :, ::1], int64[:, ::1]))
+@kernel(int64(float64[:, ::1], uint16[:, ::1], int16[:, :, ::1], int64[:, ::1]))
 def _shield(
-    xy_map_m: NDArray[np.float64],
-    lattice: NDArray[np.float64],
+    ends: NDArray[np.float64],
     passes: NDArray[np.uint16],
     shielded: NDArray[np.int16],
     cells: NDArray[np.int64],
 ) -> int:
-    """List the cells near points (n, 2), once each; returns how many.
+    """List the cells near points (n, 2), in cells, once each; returns how many.
 
     ``cells`` tell where they are in ``shielded`` and in ``passes``, and how often they were crossed before. Their
     counts are turned below 0, so that they can be told from the others.
     """
-    ox, oy, cell = lattice
     rows, cols = passes.shape
     flat, crossed, across = shielded.ravel(), passes.ravel(), (rows - 1) * WIDE
     at_row, at_col, n = -2 * NEAR_CELLS - 1, -2 * NEAR_CELLS - 1, 0
-    for k in range(len(xy_map_m)):
-        row, col = int(np.floor((xy_map_m[k, 1] - oy) / cell)), int(np.floor((xy_map_m[k, 0] - ox) / cell))
+    for k in range(len(ends)):
+        row, col = int(np.floor(ends[k, 1])), int(np.floor(ends[k, 0]))
         if abs(row - at_row) <= 1 and abs(col - at_col) <= 1:
             continue  # the neighbour's square is enough
         first, end = max(col - NEAR_CELLS, 0), min(col + NEAR_CELLS + 1, cols)
@@ -137,14 +135,16 @@ def add_scan(
     u0, v0 = (laser_xy_m[0] - ox) / cell, (laser_xy_m[1] - oy) / cell
     (rows, cols), flat = passes.shape, passes.ravel()
     near = np.empty((3, (2 * NEAR_CELLS + 1) ** 2 * len(xy_map_m) + 1), np.int64)
-    n_near = _shield(xy_map_m, lattice, passes, shielded, near)
+    ends = np.empty((len(xy_map_m), 2))
+    for k in range(len(xy_map_m)):
+        ends[k, 0], ends[k, 1] = (xy_map_m[k, 0] - ox) / cell, (xy_map_m[k, 1] - oy) / cell
+    n_near = _shield(ends, passes, shielded, near)
     steps, way = np.arange(float(max(rows, cols) + BLOCK)), np.empty(rows + cols + BLOCK, np.int32)
     begin = uint64(int(np.floor(v0)) * cols + int(np.floor(u0)))
     for k in range(len(xy_map_m)):
-        u1, v1 = (xy_map_m[k, 0] - ox) / cell, (xy_map_m[k, 1] - oy) / cell
-        row, col = int(np.floor(v1)), int(np.floor(u1))
+        row, col = int(np.floor(ends[k, 1])), int(np.floor(ends[k, 0]))
         flat[begin] += flat[begin] < MOST
-        for i in range(_way(u0, v0, u1, v1, float64(cols), steps, way)):
+        for i in range(_way(u0, v0, ends[k, 0], ends[k, 1], float64(cols), steps, way)):
             at = uint64(way[uint64(i)])
             if flat[at] < MOST:
                 flat[at] += 1

@@ -27,17 +27,19 @@ def _end_points(
     out: NDArray[np.float64],
 ) -> int:
     """Write the end points (n, 2), m, of the good beams in the laser's frame at mid-sweep; returns how many."""
-    n, used = len(ranges_m), 0
+    n, used, turn = len(ranges_m), 0, twist[2] * time_increment_s
+    first, step_c, step_s = -0.5 * (n - 1) * turn, np.cos(turn), np.sin(turn)
+    next_c, next_s = np.cos(first), np.sin(first)
     for i in range(n):
-        r = ranges_m[i]
+        r, c, s = ranges_m[i], next_c, next_s
+        next_c, next_s = step_c * c - step_s * s, step_s * c + step_c * s
         if not near_m < r < far_m:
             continue
         jump = max(0.1, 0.05 * r)
         if 0 < i < n - 1 and abs(r - ranges_m[i - 1]) > jump and abs(r - ranges_m[i + 1]) > jump:
             continue
         late_s = time_increment_s * (i - 0.5 * (n - 1))
-        x, y, turn = r * directions[i, 0], r * directions[i, 1], twist[2] * late_s
-        c, s = (np.cos(turn), np.sin(turn)) if turn != 0.0 else (1.0, 0.0)
+        x, y = r * directions[i, 0], r * directions[i, 1]
         out[used, 0] = c * x - s * y + twist[0] * late_s
         out[used, 1] = s * x + c * y + twist[1] * late_s
         used += 1
