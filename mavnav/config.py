@@ -124,6 +124,9 @@ class RobustConfig(_Strict):
     first_level_points: int = Field(
         150, ge=10, description="points that search until it is settled which of them decide"
     )
+    sparse_points: int = Field(
+        225, ge=0, description="scans of fewer points let them change cells on every level within a cell"
+    )
     min_points: int = Field(30, ge=3, description="scans with fewer points are not matched")
     retry_below: float = Field(0.8, ge=0, le=1, description="search wider under this share of inliers")
     conflicts_below: float = Field(

@@ -186,6 +186,7 @@ class Schedule:
             0.0 if final else line_map.cell_m,
             line_map.closeness_at(robust.overlap_mm * MM) if robust.overlap_mm and not final else 0.0,
             line_map.known_points,
+            robust.sparse_points,
         ]
         points = [config.azimuth, grid.nx, grid.ny, robust.max_extensions, config.search == "pruned"]
         return cls(np.array(points, float), np.array(limits))

@@ -643,7 +643,7 @@ def search(
     window = np.array([limits[0], limits[1], limits[7], truncate_m2, grid[4]])
 
     deciding, settled, few, none = centred, limits[10] == 0, int(min(n, limits[5])), np.empty(0, np.int64)
-    dense, turns = n > few, joint
+    dense, turns = n >= limits[12], joint
     evaluations, grids, converged, form = 0, 0, False, np.zeros((5, 5))
     for _ in range(MAX_LEVELS):
         step_x, step_y, step_rad = 2 * window[0] / (nx - 1), 2 * window[0] / (ny - 1), 2 * window[1] / (azimuths - 1)
