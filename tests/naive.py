@@ -267,24 +267,21 @@ def smooth(xy, elapsed, stiffness):
 def held_cost(points, at, motion, line_map, truncate_m):
     """Sum of the points' squared distances after a motion of their middle to the lines that they have before it.
 
-    ``at`` x, y, yaw before, ``motion`` to the right, up and turn; a point truncated before it stays so.
+    ``at`` x, y, yaw before, ``motion`` to the right, up and turn, each a number or an array over motions; a point
+    truncated before it stays so.
     """
-    total = 0.0
     (x, y, yaw), (right, up, turn) = at, motion
+    there, total = yaw + turn, 0.0
     for px, py in points:
         before = (x + math.cos(yaw) * px - math.sin(yaw) * py, y + math.sin(yaw) * px + math.cos(yaw) * py)
-        there = yaw + turn
-        after = (
-            x + right + math.cos(there) * px - math.sin(there) * py,
-            y + up + math.sin(there) * px + math.cos(there) * py,
-        )
+        after = (x + right + np.cos(there) * px - np.sin(there) * py, y + up + np.sin(there) * px + np.cos(there) * py)
         row, col = np.array(cell_of(before, line_map.cell_m)) - line_map.origin_cells[::-1]
         inside = 0 <= row < line_map.nearest.shape[0] and 0 <= col < line_map.nearest.shape[1]
         mu_x, mu_y, xx, xy, yy = line_map.lines[line_map.nearest[row, col] // 128 if inside else 0, :5]
         d2 = [
             (u - mu_x) ** 2 * xx + 2 * (u - mu_x) * (v - mu_y) * xy + (v - mu_y) ** 2 * yy for u, v in (before, after)
         ]
-        total += d2[1] if d2[0] < truncate_m**2 else truncate_m**2
+        total = total + (d2[1] if d2[0] < truncate_m**2 else truncate_m**2)
     return total
 
 
@@ -294,29 +291,60 @@ def volume(points, xy_map_m, yaws_rad, lines, cell_m, truncate_m):
     return [[None if None in point else sum(point) / len(point) for point in row] for row in costs]
 
 
-def coarse_to_fine(terms, start, grid, limits, cell_m=0.0, settled=None):
+def coarse_to_fine(terms, start, grid, limits, dense, few=None, settled=None):
     """The schedule of ``linesearch.search`` over any cost(x, y, yaw) of the pose, rotating about the pivot.
 
-    ``terms`` are cost, pivot, and what is added for a squared metre between the pivot and where it was expected. The
-    first level within a cell is searched again with the terms that ``settled`` gives for the pose found, and so are
-    the next; finer ones alternate once.
+    ``terms`` are cost, pivot, what is added for a squared metre between the pivot and where it was expected, and
+    held(at, motion), the cost after motions of the pivot while lines are held; within a cell ``dense`` scans hold them.
+    Levels that may change lines are searched by ``few`` until the first within a cell is searched again, with the
+    terms that ``settled`` gives for the pose found; finer ones alternate once.
     """
-    azimuths, nx, ny = map(int, grid[:3])
+    azimuths, nx, ny, extensions = map(int, grid[:4])
     half_m, half_rad, stop_m, stop_rad = limits[:4]
-    pose, alternations = start, int(limits[6])
+    pose, joint, (hold_m, cell_m) = start, int(limits[6]), limits[8:10]
+    alternations = joint
     while True:
-        for _ in range(alternations):
-            pose = _best_turn(terms, pose, half_rad, grid)
-            pose = _best_shift(terms, pose, half_m, grid, start)
-        if settled and half_m <= cell_m:
+        step_m, step_rad = 2 * half_m / (min(nx, ny) - 1), 2 * half_rad / (azimuths - 1)
+        last, within = step_m < stop_m and step_rad < stop_rad, half_m <= cell_m
+        held, sampled = half_m <= hold_m and (dense or not within), within and settled
+        used = terms if settled is None or (held and not sampled) else few
+        for turn in range(joint + extensions if held else 0):
+            pose, bordering = _best_of_both(used, pose, half_m, half_rad, grid, start)
+            if turn + 1 >= joint and not bordering:
+                break
+        for _ in range((1 if sampled or (last and within) else 0) if held else alternations):
+            pose = _best_turn(used, pose, half_rad, grid)
+            pose = _best_shift(used, pose, half_m, grid, start)
+        if sampled:
             terms, settled = settled(*pose), None
             continue
-        step_m, step_rad = 2 * half_m / (min(nx, ny) - 1), 2 * half_rad / (azimuths - 1)
-        if step_m < stop_m and step_rad < stop_rad:
+        if last:
             return pose
-        if half_m <= cell_m:
+        if within:
             alternations = 1
         half_m, half_rad = min(1.5 * step_m, 0.9 * half_m), min(1.5 * step_rad, 0.9 * half_rad)
+
+
+def _middle(pose, pivot):
+    """Where the pivot, given in the laser's frame, lies in the map."""
+    (x, y, yaw), (px, py) = pose, pivot
+    return np.array([x + math.cos(yaw) * px - math.sin(yaw) * py, y + math.sin(yaw) * px + math.cos(yaw) * py])
+
+
+def _best_of_both(terms, pose, half_m, half_rad, grid, start):
+    """The pose of the least cost with lines held, and whether it lies on the border of the joint grid."""
+    _, pivot, prior, held = terms
+    azimuths, nx, ny = map(int, grid[:3])
+    turns, rights, ups = (np.linspace(-h, h, n) for h, n in ((half_rad, azimuths), (half_m, nx), (half_m, ny)))
+    turn, up, right = np.meshgrid(turns, ups, rights, indexing="ij")
+    at = _middle(pose, pivot)
+    expected = at - _middle(start, pivot)
+    costs = held((*at, pose[2]), (right, up, turn))
+    costs = costs + prior * ((right + expected[0]) ** 2 + (up + expected[1]) ** 2)
+    a, j, i = np.unravel_index(costs.argmin(), costs.shape)
+    x, y, yaw = _turned(pose, pivot, turns[a])
+    bordering = not (0 < a < azimuths - 1 and 0 < j < ny - 1 and 0 < i < nx - 1)
+    return (x + rights[i], y + ups[j], yaw), bordering
 
 
 def _turned(pose, pivot, turn):
@@ -328,7 +356,7 @@ def _turned(pose, pivot, turn):
 
 
 def _best_turn(terms, pose, half_rad, grid):
-    cost, pivot, _ = terms
+    cost, pivot, *_ = terms
     azimuths = int(grid[0])
     for _ in range(int(grid[3]) + 1):
         poses = [_turned(pose, pivot, turn) for turn in np.linspace(-half_rad, half_rad, azimuths)]
@@ -340,14 +368,11 @@ def _best_turn(terms, pose, half_rad, grid):
 
 
 def _best_shift(terms, pose, half_m, grid, start):
-    cost, (px, py), prior = terms
+    cost, pivot, prior, _ = terms
     nx, ny = int(grid[1]), int(grid[2])
 
-    def middle(x, y, yaw):
-        return np.array([x + math.cos(yaw) * px - math.sin(yaw) * py, y + math.sin(yaw) * px + math.cos(yaw) * py])
-
     def costs(ji):
-        return cost(*poses[ji]) + prior * ((middle(*poses[ji]) - middle(*start)) ** 2).sum(), ji
+        return cost(*poses[ji]) + prior * ((_middle(poses[ji], pivot) - _middle(start, pivot)) ** 2).sum(), ji
 
     for _ in range(int(grid[3]) + 1):
         x, y, yaw = pose

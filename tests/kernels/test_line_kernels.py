@@ -24,7 +24,8 @@ from mavnav.pose import Pose, transform_points
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    Terms = tuple[Callable[[float, float, float], float], np.ndarray, float]
+    Held = Callable[[tuple, tuple], np.ndarray]
+    Terms = tuple[Callable[[float, float, float], float], np.ndarray, float, Held]
 
 ANGLES = URG_04LX.angles_rad
 DIRECTIONS = np.column_stack((np.cos(ANGLES), np.sin(ANGLES)))
@@ -244,34 +245,44 @@ def cost_of(points: np.ndarray, line_map: LineMap) -> Callable[[float, float, fl
 FEW = 90  # points that search until it is settled which decide
 
 
+@pytest.mark.parametrize("hold_m", [0.0, 0.05])
 @pytest.mark.parametrize(("overlap_m", "known_points"), [(0.0, 0.0), (0.02, 0.0), (0.1, 6.0)])
 @pytest.mark.parametrize(("grid", "prior"), [((7, 4, 5, 2), 0.0), ((6, 5, 5, 0), 0.0), ((6, 5, 5, 0), 0.5)])
-def test_search_is_its_twin(grid: tuple[int, ...], prior: float, overlap_m: float, known_points: float) -> None:
+def test_search_is_its_twin(
+    grid: tuple[int, ...], prior: float, overlap_m: float, known_points: float, hold_m: float
+) -> None:
     line_map, points = furnished_map()
     points = np.concatenate((points, np.random.default_rng(5).uniform(-3, 3, (8, 2))))
-    start = np.array([3.06, 2.12, 1.1])
-    least = line_map.closeness_at(overlap_m) if overlap_m else 0.0
-    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, FEW, 2, prior, 0.0, 0.0, least, known_points])
+    assert_is_its_twin(line_map, points, grid, [prior, hold_m, 0.02, overlap_m, known_points, 0.0])
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+def test_levels_of_sparse_scans_hold_no_lines_within_a_cell(sparse: bool) -> None:
+    line_map, points = furnished_map()
+    assert_is_its_twin(line_map, points, (6, 5, 5, 0), [0.0, 0.05, 0.02, 0.1, 6.0, len(points) + sparse])
+
+
+def assert_is_its_twin(line_map: LineMap, points: np.ndarray, grid: tuple[int, ...], rest: list[float]) -> None:
+    prior, _, _, overlap_m, known_points, sparse_points = rest
+    start, middle, dense = np.array([3.06, 2.12, 1.1]), points.mean(axis=0), len(points) >= sparse_points
+    limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, FEW, 2, *rest])
+    limits[10] = line_map.closeness_at(overlap_m) if overlap_m else 0.0
     found = linesearch.search(points, start, np.array([*grid, 1.0]), limits, *arrays(line_map))
 
-    def terms(deciding: np.ndarray) -> Terms:
-        return cost_of(deciding, line_map), deciding.mean(axis=0), prior * len(deciding)
+    def terms(deciding: np.ndarray, pivot: np.ndarray) -> Terms:
+        def held(at: tuple, motion: tuple) -> np.ndarray:
+            return naive.held_cost(deciding - pivot, at, motion, line_map, 0.15)
 
-    def unsettled() -> Terms:
-        few = points[:FEW]
-        return cost_of(few, line_map), points.mean(axis=0), prior * len(few)
+        return cost_of(deciding, line_map), pivot, prior * len(deciding), held
 
     def settled(*pose: float) -> Terms:
         deciding = naive.drawn(points, pose, line_map, overlap_m, known_points)
-        assert len(deciding) < len(points)
-        return terms(deciding)
+        return terms(deciding, deciding.mean(axis=0))
 
-    cost = cost_of(points, line_map)
-    slow = naive.coarse_to_fine(
-        unsettled() if overlap_m else terms(points), start, grid, limits, 0.02, settled if overlap_m else None
-    )
+    few = terms(points[:FEW], middle)
+    slow = naive.coarse_to_fine(terms(points, middle), start, grid, limits, dense, few, settled if overlap_m else None)
     np.testing.assert_allclose(found[:3], slow, atol=1e-9)
-    assert found[3] == pytest.approx(cost(*found[:3]) / len(points), rel=1e-9)
+    assert found[3] == pytest.approx(cost_of(points, line_map)(*found[:3]) / len(points), rel=1e-9)
 
 
 @pytest.mark.parametrize(("overlap_m", "known_points"), [(0.0, 0.0), (0.02, 0.0), (0.1, 0.0), (0.1, 6.0), (0.1, 1e9)])
@@ -291,7 +302,8 @@ def test_search_finds_the_pose_and_counts_its_work() -> None:
     line_map, points = furnished_map()
     x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
         points, np.array([3.2, 2.0, 1.2]), np.array([20.0, 10, 10, 3, 1]),
-        np.array([0.35, 0.35, 0.001, math.radians(0.02), 0.15, 120, 2, 0, 0.0, 0.0, 61.0, 0.0]), *arrays(line_map),
+        np.array([0.35, 0.35, 0.001, math.radians(0.02), 0.15, 120, 2, 0, 0.0, 0.02, 61.0, 0.0, 0.0]),
+        *arrays(line_map),
     )  # fmt: skip
     assert math.hypot(x - 3.0, y - 2.2) < 0.01
     assert abs(yaw - 1.0) < 0.005
@@ -312,7 +324,7 @@ def test_points_off_the_map_cost_the_truncation() -> None:
     line_map, points = furnished_map()
     found = linesearch.search(
         points, np.array([-500.0, 800.0, 0.0]), np.array([4.0, 3, 3, 1, 1]),
-        np.array([0.1, 0.1, 0.05, 0.05, 0.15, 120, 1, 0, 0.0, 0.0, 61.0, 0.0]), *arrays(line_map),
+        np.array([0.1, 0.1, 0.05, 0.05, 0.15, 120, 1, 0, 0.0, 0.02, 61.0, 0.0, 0.0]), *arrays(line_map),
     )  # fmt: skip
     assert found[3] == pytest.approx(0.15**2)
     assert found[4] == 0.0

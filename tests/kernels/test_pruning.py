@@ -36,7 +36,7 @@ def test_every_grid_has_the_same_minimum(seed: int, grid: int, half_m: float, ha
 @given(seed=st.integers(0, 2**32 - 1), grid=st.sampled_from(GRIDS))
 def test_whole_searches_are_identical(seed: int, grid: int) -> None:
     problem = random_problem(seed)
-    limits = np.array([0.35, 0.35, 0.001, 0.0004, 0.15, 120, 2, 0.01, 0.051, 0.02, 61.0, 6.0])
+    limits = np.array([0.35, 0.35, 0.001, 0.0004, 0.15, 120, 2, 0.01, 0.051, 0.02, 61.0, 6.0, 0.0])
     pruned, exhaustive = (
         linesearch.search(
             problem.points, problem.start, np.array([2.0 * grid, grid, grid, 3, prune]), limits, *problem.lines
