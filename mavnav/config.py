@@ -92,7 +92,7 @@ class RobustConfig(_Strict):
     line_sigma_mm: float = Field(60.0, gt=0, description="Gaussian window of the local line fit")
     line_noise_mm: float = Field(10.0, gt=0, description="noise floor of the local line fit")
     waiting_share: float = Field(
-        0.1, ge=0, description="new points of a cell change the lines once they exceed this share of the old ones"
+        0.2, ge=0, description="new points of a cell change the lines once they exceed this share of the old ones"
     )
     truncate_mm: float = Field(150.0, gt=0, description="distances are capped here")
     near_window_mm: float = Field(
@@ -122,7 +122,7 @@ class RobustConfig(_Strict):
     overlap_points: float = Field(8.0, ge=0, description="and only if the line there rests on so many points")
     prior: float = Field(0.01, ge=0, description="cost of a squared metre away from what odometry predicts")
     first_level_points: int = Field(
-        150, ge=10, description="points that search until it is settled which of them decide"
+        100, ge=10, description="points that search until it is settled which of them decide"
     )
     sparse_points: int = Field(
         225, ge=0, description="scans of fewer points let them change cells on every level within a cell"

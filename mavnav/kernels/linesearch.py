@@ -625,10 +625,12 @@ def search(
     points : (n, 2) points in the laser's frame, m, in an order that makes any prefix a fair sample
     start : (3,) predicted pose: x, y (m), yaw (rad)
     grid : (5,) points of the azimuth grid and of the plane in x and y, border extensions a grid at most, 1 to prune
-    limits : (12,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m), how many
+    limits : (13,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m), how many
         points search until it is settled which decide, alternations a level down to a cell, what a squared metre away
-        from the start costs a point, the half-windows (m) up to which lines are held, and above which they are, and
-        what known ground is (``_drawn``): within a cell the points elsewhere are left out
+        from the start costs a point, the half-windows (m) up to which lines are held and up to which points may change
+        their cells as well, 0 for never; what known ground is (``_drawn``): within a cell the points elsewhere are left
+        out; and of how many points a scan is dense. Within a cell only dense scans hold lines, and let points change
+        their cells on the first and the last level alone
     nearest, lines, geometry : the map, see ``linemap``
     """
     n = len(points)
@@ -650,6 +652,7 @@ def search(
         last = max(step_x, step_y) < stop_m and step_rad < stop_rad
         within = window[0] <= limits[9]
         sampled, held = within and not settled, window[0] <= limits[8] and (dense or not within)
+        alternations = turns if not held else int(sampled or (within and last))
         used = deciding if settled or (held and not sampled) else deciding[:, :few].copy()
         turned = _turns(window[1], azimuths)
         for turn in range(joint + extensions if held else 0):
@@ -663,7 +666,7 @@ def search(
             grids += 1
             if turn + 1 >= joint and 0 < i < nx - 1 and 0 < j < ny - 1 and 0 < a < azimuths - 1:
                 break
-        for _ in range(int(sampled or (last and within)) if held else turns):
+        for _ in range(alternations):
             for _ in range(extensions + 1):
                 i = _turn_on_lines(used, at, window, turned, nearest, lines, geometry)
                 at[2] += i * step_rad - window[1]
