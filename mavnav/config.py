@@ -112,7 +112,7 @@ class RobustConfig(_Strict):
     hold_below_mm: float = Field(
         51.0,
         ge=0,
-        description="levels from here down to a cell keep each point's line, and search azimuth and plane jointly",
+        description="levels from here down keep each point's line while azimuth and plane are searched jointly",
     )
     overlap_mm: float = Field(
         120.0,
@@ -124,9 +124,7 @@ class RobustConfig(_Strict):
     first_level_points: int = Field(
         100, ge=10, description="points that search until it is settled which of them decide"
     )
-    sparse_points: int = Field(
-        225, ge=0, description="scans of fewer points let them change cells on every level within a cell"
-    )
+    sparse_points: int = Field(225, ge=0, description="scans of fewer points hold no lines on levels within a cell")
     min_points: int = Field(30, ge=3, description="scans with fewer points are not matched")
     retry_below: float = Field(0.8, ge=0, le=1, description="search wider under this share of inliers")
     conflicts_below: float = Field(

@@ -142,7 +142,7 @@ def polar_points(ranges_m: NDArray[np.float64], spec: LaserSpec, mixed_pixel_m: 
 
 
 ALTERNATIONS, FINAL_ALTERNATIONS = 2, 1
-"""Turns of azimuth and plane on a level of the robust search; in the final pass it begins where it will end."""
+"""Joint searches of a level that holds lines, or turns of azimuth and plane; the final pass begins where it ends."""
 
 FINAL_STOP = 0.5
 """Of the spacings at which a search ends, in the final pass: a trajectory of coarser steps is longer than the way."""

@@ -2,8 +2,8 @@
 
 Grids are searched in turn as in the paper's minimisation, steps i-v: azimuth with the position fixed, then the plane
 with the azimuth fixed; the scan turns about its points' centroid. A point costs its squared distance to the line of the
-cell that it falls into (arrays of ``linemap``). Where the window is a few cells wide every point holds the line that it
-has in the middle: then one quadratic form stands for a joint grid of azimuth and plane.
+cell that it falls into (arrays of ``linemap``). Where the window is a few cells wide every point first holds the line
+that it has in the middle: then one quadratic form stands for a joint grid of azimuth and plane.
 
 Every grid has an exhaustive and a pruned form with the same minimum: the same index, the lowest of equals, and the
 same cost, bit for bit. Pruning rests on three facts:
