@@ -18,6 +18,7 @@ from mavnav.stages import timed
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mavnav.lattice import Extent
     from mavnav.pose import Pose
 
 BLOCK_CELLS = 64
@@ -87,15 +88,19 @@ class Tally:
         return Grid(self.cell_m, self.origin_xy_m, plain(self.hits), self.passes)
 
     @timed("insert")
-    def insert(self, laser: Pose, xy_map_m: NDArray[np.float64]) -> None:
-        """Count the end points (n, 2) of one scan, in m, and the cells that its beams crossed."""
+    def insert(self, laser: Pose, xy_map_m: NDArray[np.float64], extent_m: Extent | None = None) -> None:
+        """Count the end points (n, 2) of one scan, in m, and the cells that its beams crossed.
+
+        The points' ``extent`` may be known.
+        """
         if len(xy_map_m) == 0:
             return
-        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m))
+        x0, y0, x1, y1 = extent_m or extent(np.ascontiguousarray(xy_map_m))
         low = (floor(min(x0, laser.x_m) / self.cell_m) - 1, floor(min(y0, laser.y_m) / self.cell_m) - 1)
         high = (floor(max(x1, laser.x_m) / self.cell_m) + 1, floor(max(y1, laser.y_m) / self.cell_m) + 1)
         self._cover(low, high)
-        hits_kernel.add_scan(xy_map_m, laser.as_array()[:2], self.lattice, self.hits, self.passes, self.shielded)
+        laser_xy_m = np.array([laser.x_m, laser.y_m])
+        hits_kernel.add_scan(xy_map_m, laser_xy_m, self.lattice, self.hits, self.passes, self.shielded)
 
     def clear_passing(self) -> NDArray[np.float64]:
         """Take back the hits of cells where nothing stayed; return their middles (n, 2), m."""

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Cell = tuple[int, int]
+    Extent = tuple[float, float, float, float]
+    """Least x, least y, largest x and largest y of points, m."""
     Told = Callable[[NDArray[Any]], NDArray[Any]]
     """What is told of each of some cells."""
 

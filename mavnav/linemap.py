@@ -17,6 +17,8 @@ from mavnav.stages import timed
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mavnav.lattice import Extent
+
 _BLOCK_CELLS = 256
 MOST_WAITING = 1 << 12
 """So many cells may have points that their neighbours do not know of yet."""
@@ -68,11 +70,11 @@ class LineMap:
         return FAR + 1 - 1e-9 - (distance_m / self.cell_m) ** 2
 
     @timed("field update")
-    def insert(self, xy_map_m: NDArray[np.float64]) -> None:
-        """Add points (n, 2), in m, and refit the lines around them."""
+    def insert(self, xy_map_m: NDArray[np.float64], extent_m: Extent | None = None) -> None:
+        """Add points (n, 2), in m, and refit the lines around them; their ``extent`` may be known."""
         if len(xy_map_m) == 0:
             return
-        self._cover(xy_map_m)
+        self._cover(extent_m or extent(np.ascontiguousarray(xy_map_m)))
         self._reserve(self.count + len(xy_map_m))
         for first in range(0, len(xy_map_m), MOST_WAITING):
             self.count = insert_points(
@@ -114,9 +116,9 @@ class LineMap:
         self.moments[at, :6] += new[:, :6]
         self.lines[at, 6] = self.waiting[0, 0] = 0.0
 
-    def _cover(self, xy_map_m: NDArray[np.float64]) -> None:
-        """Grow the lattice until the points and the reach around them lie inside."""
-        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m))
+    def _cover(self, extent_m: Extent) -> None:
+        """Grow the lattice until points of this extent and the reach around them lie inside."""
+        x0, y0, x1, y1 = extent_m
         beyond = REACH_CELLS + 2
         low = (floor(x0 / self.cell_m) - beyond, floor(y0 / self.cell_m) - beyond)
         high = (floor(x1 / self.cell_m) + beyond, floor(y1 / self.cell_m) + beyond)

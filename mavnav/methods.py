@@ -225,12 +225,13 @@ class Robust:
         if len(points) < robust.min_points:
             return no_match(predicted, len(points))
         tried = self._look_near(points, predicted, motion) if robust.near_window_mm else []
-        if tried and self._inside(tried[0], predicted) and self._believable(tried[0], scan, motion):
+        elapsed_s = motion.elapsed_s(scan.stamp_ns)
+        if tried and self._inside(tried[0], predicted) and self._believable(tried[0], motion, elapsed_s):
             return tried[0]
         region = around(predicted, robust.window_mm * MM, robust.window_deg * DEG)
         tried += candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
         best = min(tried, key=lambda match: match.cost_m2)
-        if self._believable(best, scan, motion):
+        if self._believable(best, motion, elapsed_s):
             return with_effort(best, *tried)
         return self._match_wide(scan, predicted, motion, points, tried)
 
@@ -257,13 +258,12 @@ class Robust:
     def _convinces(self, match: Match) -> bool:
         return match.inliers >= self.config.robust.retry_below and match.conflicts <= self.config.robust.conflicts_below
 
-    def _believable(self, match: Match, scan: Scan, motion: Motion) -> bool:
-        return self._convinces(match) and self._possible(match, scan, motion)
+    def _believable(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
+        return self._convinces(match) and self._possible(match, motion, elapsed_s)
 
-    def _possible(self, match: Match, scan: Scan, motion: Motion) -> bool:
+    def _possible(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
         """Tell whether a vehicle can have moved so far."""
-        robust, elapsed_s = self.config.robust, motion.elapsed_s(scan.stamp_ns)
-        moved_m, turned_rad = motion.map_T_laser.gap(match.map_T_laser)
+        robust, (moved_m, turned_rad) = self.config.robust, motion.map_T_laser.gap(match.map_T_laser)
         return moved_m <= robust.max_speed_m_s * elapsed_s and turned_rad <= robust.max_turn_deg_s * DEG * elapsed_s
 
     @timed("gate")
@@ -272,15 +272,14 @@ class Robust:
 
         After a gap, and where only a jump leads, more of the scan must agree, and the next scans too.
         """
-        robust = self.config.robust
-        longest_s = max(LONGEST_S if self._convinces(match) else REGAIN_S, motion.period_s)
-        if match.ambiguous or match.inliers < robust.track_above or not self._possible(match, scan, motion):
+        robust, convinces, elapsed_s = self.config.robust, self._convinces(match), motion.elapsed_s(scan.stamp_ns)
+        if match.ambiguous or match.inliers < robust.track_above or not self._possible(match, motion, elapsed_s):
             return Verdict.REFUSED
         if match.conflicts > robust.conflicts_below and match.inliers < robust.retry_below:
             return Verdict.REFUSED
-        if match.surprise > REACHABLE and not self._convinces(match):
+        if match.surprise > REACHABLE and not convinces:
             return Verdict.REFUSED
-        if motion.elapsed_s(scan.stamp_ns) <= longest_s and match.surprise <= REACHABLE:
+        if elapsed_s <= max(LONGEST_S if convinces else REGAIN_S, motion.period_s) and match.surprise <= REACHABLE:
             return Verdict.SURE
         expected = match.surprise <= EXPECTED
         return Verdict.PROBABLE if expected or match.inliers >= robust.regain_above else Verdict.REFUSED
@@ -297,9 +296,11 @@ class Robust:
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add every point of the de-skewed scan."""
-        xy_map_m = placed(self._points(scan, motion)[0], map_T_laser.as_array())
-        self.lines.insert(xy_map_m)
-        self.grid.insert(map_T_laser, xy_map_m)
+        points = self._points(scan, motion)[0]
+        xy_map_m = np.empty_like(points)
+        extent_m = placed(points, map_T_laser.as_array(), xy_map_m)
+        self.lines.insert(xy_map_m, extent_m)
+        self.grid.insert(map_T_laser, xy_map_m, extent_m)
 
     def clear_passing(self) -> None:
         """Take people who walked by, and the like, out of grid and lines."""

@@ -168,7 +168,10 @@ def place(scans: Iterable[Scan], steps: Iterable[Step], method: Method) -> Itera
     coming = iter(scans)
     for step in steps:
         scan = next(coming, None)
-        yield step._replace(match=method.place(scan, step.match)) if scan is not None and step.tracked else step
+        if scan is not None and step.tracked:
+            index, stamp_ns, predicted, match, tracked, accepted = step
+            step = Step(index, stamp_ns, predicted, method.place(scan, match), tracked, accepted)  # noqa: PLW2901
+        yield step
 
 
 def replay(
