@@ -82,8 +82,8 @@ class Method(Protocol):
     def relocalise(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
         """Find the scan anywhere in the map, None where that is not possible without doubt; ``match`` is a guess."""
 
-    def match_points(self, scan: Scan) -> NDArray[np.float64]:
-        """Return the points (n, 2) of the scan as recorded that are matched, m, laser frame."""
+    def match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
+        """Return the points (n, 2) of the scan that are matched, m, laser frame; as recorded, or de-skewed."""
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add the scan to the map."""
@@ -91,8 +91,8 @@ class Method(Protocol):
     def clear_passing(self) -> None:
         """Take out of the map what did not stay where it was seen."""
 
-    def place(self, scan: Scan, match: Match, motion: Motion | None = None) -> Match:
-        """Match the scan against the finished map, close to an earlier match; as recorded, or de-skewed by a motion."""
+    def place(self, points: NDArray[np.float64], match: Match) -> Match:
+        """Match points (n, 2) of a scan, m, laser frame, against the finished map, close to an earlier match."""
 
     def finished(self) -> Grid:
         """Return the map, and forget it: of a large one there is no room for both."""
@@ -147,7 +147,7 @@ class Paper:
         """Find nothing: the paper searches around the last pose only."""
         return None
 
-    def match_points(self, scan: Scan) -> NDArray[np.float64]:
+    def match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
         """Return the points of every valid beam."""
         return scan.points()
 
@@ -159,7 +159,7 @@ class Paper:
     def clear_passing(self) -> None:
         """Leave the map: the paper works on line."""
 
-    def place(self, scan: Scan, match: Match, motion: Motion | None = None) -> Match:
+    def place(self, points: NDArray[np.float64], match: Match) -> Match:
         """Leave the match: the paper works on line."""
         return match
 
@@ -306,9 +306,9 @@ class Robust:
         """Take people who walked by, and the like, out of grid and lines."""
         self.lines.remove(self.grid.clear_passing())
 
-    def place(self, scan: Scan, match: Match, motion: Motion | None = None) -> Match:
-        """Place the scan as it was recorded, so that pose and raw ranges fit together; de-skewed if given a motion."""
-        return search_lines(self.match_points(scan, motion), self.lines, match.map_T_laser, self._final, match)
+    def place(self, points: NDArray[np.float64], match: Match) -> Match:
+        """Place points of a scan: of a scan as it was recorded, so that pose and raw ranges fit together."""
+        return search_lines(points, self.lines, match.map_T_laser, self._final, match)
 
     def finished(self) -> Grid:
         """Return the map, and forget it and its lines: of a large one there is no room for all."""
