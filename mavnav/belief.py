@@ -39,11 +39,12 @@ class Belief(NamedTuple):
 
     def after(self, verdict: Verdict, map_T_laser: Pose, stamp_ns: int) -> Belief:
         """Return the belief after a scan; it was believed if ``missed`` is 0."""
+        if self.trial is None and verdict is Verdict.SURE:
+            return Belief(self.motion.moved_to(map_T_laser, stamp_ns))
         if verdict is Verdict.REFUSED:
             return self._replace(trial=None, proofs=0, missed=self.missed + 1)
         far = verdict is Verdict.PROBABLE and not self.trial
         moved = (self.here.started_at if far else self.here.moved_to)(map_T_laser, stamp_ns)
-        proven = self.proofs + 1 >= PROOFS if self.trial else verdict is Verdict.SURE
-        if proven:
+        if self.trial and self.proofs + 1 >= PROOFS:
             return Belief(moved)
         return Belief(self.motion, moved, self.proofs + 1, self.missed + 1)

@@ -12,12 +12,13 @@ from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
 from mavnav.kernels import passing
 from mavnav.kernels.points import extent
-from mavnav.lattice import WIDE, bands, blank_strips, covering, in_strips, moved, plain
+from mavnav.lattice import NO_ROOM, WIDE, bands, blank_strips, covering, in_strips, moved, plain, room, within
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mavnav.lattice import Extent
     from mavnav.pose import Pose
 
 BLOCK_CELLS = 64
@@ -72,6 +73,8 @@ class Tally:
     lattice: NDArray[np.float64] = field(init=False)
     """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
 
+    _room_m: Extent = field(init=False, default=NO_ROOM)
+
     def __post_init__(self) -> None:
         """Say once what the kernels are told of the lattice."""
         self.lattice = np.array([*self.origin_xy_m, self.cell_m])
@@ -87,15 +90,21 @@ class Tally:
         return Grid(self.cell_m, self.origin_xy_m, plain(self.hits), self.passes)
 
     @timed("insert")
-    def insert(self, laser: Pose, xy_map_m: NDArray[np.float64]) -> None:
-        """Count the end points (n, 2) of one scan, in m, and the cells that its beams crossed."""
+    def insert(self, laser: Pose, xy_map_m: NDArray[np.float64], extent_m: Extent | None = None) -> None:
+        """Count the end points (n, 2) of one scan, in m, and the cells that its beams crossed.
+
+        The points' ``extent`` may be known.
+        """
         if len(xy_map_m) == 0:
             return
-        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m))
-        low = (floor(min(x0, laser.x_m) / self.cell_m) - 1, floor(min(y0, laser.y_m) / self.cell_m) - 1)
-        high = (floor(max(x1, laser.x_m) / self.cell_m) + 1, floor(max(y1, laser.y_m) / self.cell_m) + 1)
-        self._cover(low, high)
-        hits_kernel.add_scan(xy_map_m, laser.as_array()[:2], self.lattice, self.hits, self.passes, self.shielded)
+        extent_m, (x, y, _) = extent_m or extent(np.ascontiguousarray(xy_map_m)), laser
+        if not (within(extent_m, self._room_m) and within((x, y, x, y), self._room_m)):
+            x0, y0, x1, y1 = extent_m
+            low = (floor(min(x0, x) / self.cell_m) - 1, floor(min(y0, y) / self.cell_m) - 1)
+            high = (floor(max(x1, x) / self.cell_m) + 1, floor(max(y1, y) / self.cell_m) + 1)
+            self._cover(low, high)
+            self._room_m = room(self.origin_xy_m, self.passes.shape, self.cell_m, 1)
+        hits_kernel.add_scan(xy_map_m, np.array([x, y]), self.lattice, self.hits, self.passes, self.shielded)
 
     def clear_passing(self) -> NDArray[np.float64]:
         """Take back the hits of cells where nothing stayed; return their middles (n, 2), m."""

@@ -8,6 +8,7 @@ the column's and the row's part, ``col + col // WIDE * WIDE * (rows - 1) + WIDE 
 
 from __future__ import annotations
 
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,8 +21,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Cell = tuple[int, int]
+    Extent = tuple[float, float, float, float]
+    """Least x, least y, largest x and largest y of points, m."""
     Told = Callable[[NDArray[Any]], NDArray[Any]]
     """What is told of each of some cells."""
+
+NO_ROOM = (inf, inf, -inf, -inf)
+"""Of a lattice that covers nothing."""
 
 WIDE = 64
 """Cells across a strip; kernels say so once more."""
@@ -114,6 +120,18 @@ def covering(low: Cell, high: Cell, shape: Cell, origin: Cell, block: int) -> tu
         return None
     (first_col, cols), (first_row, rows) = (_span(low[k], high[k], (origin[k], end[k]), block) for k in (0, 1))
     return (first_col, first_row), (rows, cols)
+
+
+def room(origin_xy_m: tuple[float, float], shape: tuple[int, ...], cell_m: float, beyond: int) -> Extent:
+    """Return where points may be that a lattice of (rows, cols) surely covers with so many cells around them."""
+    (x, y), (rows, cols), rim_m = origin_xy_m, shape, (beyond + 1) * cell_m  # one more for what rounding does
+    return x + rim_m, y + rim_m, x + cols * cell_m - rim_m, y + rows * cell_m - rim_m
+
+
+def within(extent_m: Extent, room_m: Extent) -> bool:
+    """Tell whether points of an extent have room: a third of what it takes to ask for their cells."""
+    (x0, y0, x1, y1), (low_x, low_y, high_x, high_y) = extent_m, room_m
+    return low_x <= x0 and low_y <= y0 and x1 <= high_x and y1 <= high_y
 
 
 def _span(low: int, high: int, present: tuple[int, int], block: int) -> Cell:

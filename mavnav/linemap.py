@@ -10,14 +10,18 @@ import numpy as np
 
 from mavnav.kernels.linemap import FAR, NEAR, REACH_CELLS, insert_points, rebuild
 from mavnav.kernels.points import extent
-from mavnav.lattice import covering, moved
+from mavnav.lattice import NO_ROOM, covering, moved, room, within
 from mavnav.memory import blank
 from mavnav.stages import timed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mavnav.lattice import Extent
+
 _BLOCK_CELLS = 256
+BEYOND = REACH_CELLS + 2
+"""So many cells around a point are in the lattice."""
 MOST_WAITING = 1 << 12
 """So many cells may have points that their neighbours do not know of yet."""
 _AT_ONCE = 1 << 14
@@ -50,6 +54,7 @@ class LineMap:
 
     geometry: NDArray[np.float64] = field(init=False)
     """Origin x, origin y, cell, line sigma, line noise in m, the share that may wait, shape (6,)."""
+    _room_m: Extent = field(init=False, default=NO_ROOM)
 
     def __post_init__(self) -> None:
         """Say once what the kernels are told of the lattice."""
@@ -68,11 +73,14 @@ class LineMap:
         return FAR + 1 - 1e-9 - (distance_m / self.cell_m) ** 2
 
     @timed("field update")
-    def insert(self, xy_map_m: NDArray[np.float64]) -> None:
-        """Add points (n, 2), in m, and refit the lines around them."""
+    def insert(self, xy_map_m: NDArray[np.float64], extent_m: Extent | None = None) -> None:
+        """Add points (n, 2), in m, and refit the lines around them; their ``extent`` may be known."""
         if len(xy_map_m) == 0:
             return
-        self._cover(xy_map_m)
+        extent_m = extent_m or extent(np.ascontiguousarray(xy_map_m))
+        if not within(extent_m, self._room_m):
+            self._cover(extent_m)
+            self._room_m = room(self.origin_xy_m, self.nearest.shape, self.cell_m, BEYOND)
         self._reserve(self.count + len(xy_map_m))
         for first in range(0, len(xy_map_m), MOST_WAITING):
             self.count = insert_points(
@@ -114,12 +122,11 @@ class LineMap:
         self.moments[at, :6] += new[:, :6]
         self.lines[at, 6] = self.waiting[0, 0] = 0.0
 
-    def _cover(self, xy_map_m: NDArray[np.float64]) -> None:
-        """Grow the lattice until the points and the reach around them lie inside."""
-        x0, y0, x1, y1 = extent(np.ascontiguousarray(xy_map_m))
-        beyond = REACH_CELLS + 2
-        low = (floor(x0 / self.cell_m) - beyond, floor(y0 / self.cell_m) - beyond)
-        high = (floor(x1 / self.cell_m) + beyond, floor(y1 / self.cell_m) + beyond)
+    def _cover(self, extent_m: Extent) -> None:
+        """Grow the lattice until points of this extent and the reach around them lie inside."""
+        x0, y0, x1, y1 = extent_m
+        low = (floor(x0 / self.cell_m) - BEYOND, floor(y0 / self.cell_m) - BEYOND)
+        high = (floor(x1 / self.cell_m) + BEYOND, floor(y1 / self.cell_m) + BEYOND)
         origin = self.origin_cells
         grown = covering(low, high, self.nearest.shape, origin, _BLOCK_CELLS)
         if grown is None:

@@ -184,13 +184,12 @@ def key_rows(xyyaw: NDArray[np.float64]) -> tuple[list[int], list[float]]:
     steps_m = np.hypot(*np.diff(xyyaw[:, :2], axis=0).T)
     way_m = np.concatenate(([0.0], steps_m.cumsum()))
     rows: list[int] = []
-    for row, pose in enumerate(xyyaw):
-        if rows:
-            turn = abs(wrap_angle(float(pose[2] - xyyaw[rows[-1], 2])))
-            if way_m[row] - way_m[rows[-1]] < KEY_M and turn < KEY_RAD:
-                continue
-        rows.append(row)
-    return rows, [float(way_m[row]) for row in rows]
+    last_m = last_rad = -np.inf
+    for row, (at_m, yaw_rad) in enumerate(zip(way_m.tolist(), xyyaw[:, 2].tolist(), strict=False)):
+        if at_m - last_m >= KEY_M or abs(wrap_angle(yaw_rad - last_rad)) >= KEY_RAD:
+            rows.append(row)
+            last_m, last_rad = at_m, yaw_rad
+    return rows, way_m[rows].tolist()
 
 
 def drift_bound(way_m: float) -> tuple[float, float]:

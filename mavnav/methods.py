@@ -82,8 +82,8 @@ class Method(Protocol):
     def relocalise(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
         """Find the scan anywhere in the map, None where that is not possible without doubt; ``match`` is a guess."""
 
-    def match_points(self, scan: Scan) -> NDArray[np.float64]:
-        """Return the points (n, 2) of the scan as recorded that are matched, m, laser frame."""
+    def match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
+        """Return the points (n, 2) of the scan that are matched, m, laser frame; as recorded, or de-skewed."""
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add the scan to the map."""
@@ -91,8 +91,8 @@ class Method(Protocol):
     def clear_passing(self) -> None:
         """Take out of the map what did not stay where it was seen."""
 
-    def place(self, scan: Scan, match: Match, motion: Motion | None = None) -> Match:
-        """Match the scan against the finished map, close to an earlier match; as recorded, or de-skewed by a motion."""
+    def place(self, points: NDArray[np.float64], match: Match) -> Match:
+        """Match points (n, 2) of a scan, m, laser frame, against the finished map, close to an earlier match."""
 
     def finished(self) -> Grid:
         """Return the map, and forget it: of a large one there is no room for both."""
@@ -147,7 +147,7 @@ class Paper:
         """Find nothing: the paper searches around the last pose only."""
         return None
 
-    def match_points(self, scan: Scan) -> NDArray[np.float64]:
+    def match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
         """Return the points of every valid beam."""
         return scan.points()
 
@@ -159,7 +159,7 @@ class Paper:
     def clear_passing(self) -> None:
         """Leave the map: the paper works on line."""
 
-    def place(self, scan: Scan, match: Match, motion: Motion | None = None) -> Match:
+    def place(self, points: NDArray[np.float64], match: Match) -> Match:
         """Leave the match: the paper works on line."""
         return match
 
@@ -225,12 +225,13 @@ class Robust:
         if len(points) < robust.min_points:
             return no_match(predicted, len(points))
         tried = self._look_near(points, predicted, motion) if robust.near_window_mm else []
-        if tried and self._inside(tried[0], predicted) and self._believable(tried[0], scan, motion):
+        elapsed_s = motion.elapsed_s(scan.stamp_ns)
+        if tried and self._inside(tried[0], predicted) and self._believable(tried[0], motion, elapsed_s):
             return tried[0]
         region = around(predicted, robust.window_mm * MM, robust.window_deg * DEG)
         tried += candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
         best = min(tried, key=lambda match: match.cost_m2)
-        if self._believable(best, scan, motion):
+        if self._believable(best, motion, elapsed_s):
             return with_effort(best, *tried)
         return self._match_wide(scan, predicted, motion, points, tried)
 
@@ -257,13 +258,12 @@ class Robust:
     def _convinces(self, match: Match) -> bool:
         return match.inliers >= self.config.robust.retry_below and match.conflicts <= self.config.robust.conflicts_below
 
-    def _believable(self, match: Match, scan: Scan, motion: Motion) -> bool:
-        return self._convinces(match) and self._possible(match, scan, motion)
+    def _believable(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
+        return self._convinces(match) and self._possible(match, motion, elapsed_s)
 
-    def _possible(self, match: Match, scan: Scan, motion: Motion) -> bool:
+    def _possible(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
         """Tell whether a vehicle can have moved so far."""
-        robust, elapsed_s = self.config.robust, motion.elapsed_s(scan.stamp_ns)
-        moved_m, turned_rad = motion.map_T_laser.gap(match.map_T_laser)
+        robust, (moved_m, turned_rad) = self.config.robust, motion.map_T_laser.gap(match.map_T_laser)
         return moved_m <= robust.max_speed_m_s * elapsed_s and turned_rad <= robust.max_turn_deg_s * DEG * elapsed_s
 
     @timed("gate")
@@ -272,15 +272,14 @@ class Robust:
 
         After a gap, and where only a jump leads, more of the scan must agree, and the next scans too.
         """
-        robust = self.config.robust
-        longest_s = max(LONGEST_S if self._convinces(match) else REGAIN_S, motion.period_s)
-        if match.ambiguous or match.inliers < robust.track_above or not self._possible(match, scan, motion):
+        robust, convinces, elapsed_s = self.config.robust, self._convinces(match), motion.elapsed_s(scan.stamp_ns)
+        if match.ambiguous or match.inliers < robust.track_above or not self._possible(match, motion, elapsed_s):
             return Verdict.REFUSED
         if match.conflicts > robust.conflicts_below and match.inliers < robust.retry_below:
             return Verdict.REFUSED
-        if match.surprise > REACHABLE and not self._convinces(match):
+        if match.surprise > REACHABLE and not convinces:
             return Verdict.REFUSED
-        if motion.elapsed_s(scan.stamp_ns) <= longest_s and match.surprise <= REACHABLE:
+        if elapsed_s <= max(LONGEST_S if convinces else REGAIN_S, motion.period_s) and match.surprise <= REACHABLE:
             return Verdict.SURE
         expected = match.surprise <= EXPECTED
         return Verdict.PROBABLE if expected or match.inliers >= robust.regain_above else Verdict.REFUSED
@@ -297,17 +296,19 @@ class Robust:
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add every point of the de-skewed scan."""
-        xy_map_m = placed(self._points(scan, motion)[0], map_T_laser.as_array())
-        self.lines.insert(xy_map_m)
-        self.grid.insert(map_T_laser, xy_map_m)
+        points = self._points(scan, motion)[0]
+        xy_map_m = np.empty_like(points)
+        extent_m = placed(points, map_T_laser.as_array(), xy_map_m)
+        self.lines.insert(xy_map_m, extent_m)
+        self.grid.insert(map_T_laser, xy_map_m, extent_m)
 
     def clear_passing(self) -> None:
         """Take people who walked by, and the like, out of grid and lines."""
         self.lines.remove(self.grid.clear_passing())
 
-    def place(self, scan: Scan, match: Match, motion: Motion | None = None) -> Match:
-        """Place the scan as it was recorded, so that pose and raw ranges fit together; de-skewed if given a motion."""
-        return search_lines(self.match_points(scan, motion), self.lines, match.map_T_laser, self._final, match)
+    def place(self, points: NDArray[np.float64], match: Match) -> Match:
+        """Place points of a scan: of a scan as it was recorded, so that pose and raw ranges fit together."""
+        return search_lines(points, self.lines, match.map_T_laser, self._final, match)
 
     def finished(self) -> Grid:
         """Return the map, and forget it and its lines: of a large one there is no room for all."""

@@ -43,12 +43,12 @@ class Motion(NamedTuple):
 
     def elapsed_s(self, stamp_ns: int) -> float:
         """Time to the last believed pose, in whole periods, one at least."""
-        return max(1, round(abs(stamp_ns - self.stamp_ns) * NS / self.period_s)) * self.period_s
+        return (round(abs(stamp_ns - self.stamp_ns) * NS / self.period_s) or 1) * self.period_s
 
     def predict(self, stamp_ns: int) -> Pose:
         """Return the pose to expect: odometry's, else constant velocity's or the last one."""
-        rest = self.map_T_laser if self.expects_rest else self.by_velocity(stamp_ns)
-        return self.by_odometry(stamp_ns) or rest
+        ahead = self.by_odometry(stamp_ns)
+        return ahead or (self.map_T_laser if self.expects_rest else self.by_velocity(stamp_ns))
 
     def by_velocity(self, stamp_ns: int) -> Pose:
         """Extrapolate the last pose with its twist, ``LONGEST_S`` at most; also back in time."""

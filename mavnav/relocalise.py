@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels.conflicts import CLEAR_CELLS, conflicts
+from mavnav.kernels.conflicts import conflicts
 from mavnav.kernels.volume import volume
 from mavnav.lattice import plain
 from mavnav.matcher import Match, Schedule, search_lines, with_effort
@@ -53,12 +53,9 @@ CLEAR_BY = 0.05
 @timed("gate")
 def judged(match: Match, points: NDArray[np.float64], line_map: LineMap, grid: Tally) -> Match:
     """Return the match with the share of its points (n, 2), laser frame, that the map speaks against."""
-    pose, lattice, (x, y) = match.map_T_laser.as_array(), grid.lattice, grid.origin_xy_m
-    lines_x, lines_y = line_map.origin_xy_m
-    within = line_map.closeness_at(CLEAR_CELLS * grid.cell_m)
-    clear = np.array([(x - lines_x) / grid.cell_m, (y - lines_y) / grid.cell_m, within])
-    count = conflicts(points, pose, lattice, grid.hits, grid.passes, line_map.nearest, clear)
-    return match._replace(conflicts=count / max(len(points), 1))
+    pose, counts = match.map_T_laser.as_array(), (grid.lattice, grid.hits, grid.passes)
+    count = conflicts(points, pose, *counts, line_map.nearest, line_map.geometry)
+    return Match(*match[:7], count / max(len(points), 1), *match[8:])  # a third of what ``_replace`` takes
 
 
 def disagreement(match: Match, config: Config) -> float:

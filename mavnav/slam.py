@@ -42,6 +42,9 @@ ODOMETRY_GAP_NS = 500_000_000
 LEAST_TRACKED_SHARE = 0.5
 """With poses for fewer of its scans a log is lost for good: what is found again at its end by chance tracks no log."""
 
+PLACED_AT_ONCE = 16
+"""In the final pass the same is done for so many scans in a row: it is found in the processor's caches."""
+
 SHORTEST_PERIOD_S = 1e-3
 """A log of one scan has no period."""
 
@@ -165,10 +168,12 @@ def place(scans: Iterable[Scan], steps: Iterable[Step], method: Method) -> Itera
 
     Steps whose scans do not come, because the run is being stopped, stay as they are.
     """
-    coming = iter(scans)
-    for step in steps:
-        scan = next(coming, None)
-        yield step._replace(match=method.place(scan, step.match)) if scan is not None and step.tracked else step
+    waiting, coming = iter(steps), iter(scans)
+    while some := list(islice(waiting, PLACED_AT_ONCE)):
+        points = [method.match_points(scan) for scan in islice(coming, len(some))]
+        matches = [method.place(p, s.match) if s.tracked else s.match for p, s in zip(points, some, strict=False)]
+        yield from (Step(*step[:3], match, *step[4:]) for step, match in zip(some, matches, strict=False))
+        yield from some[len(matches) :]
 
 
 def replay(
@@ -271,8 +276,8 @@ def glance(scans: list[Scan], steps: list[Step], motion: Motion, method: Method)
         if before.tracked and step.tracked:
             here = motion.started_at(step.match.map_T_laser, step.stamp_ns)
             here = here.coming_from(before.match.map_T_laser, before.stamp_ns)
-            told.append(method.place(scan, step.match, here))
-            other.append(method.place(backwards(scan), step.match, here))
+            told.append(method.place(method.match_points(scan, here), step.match))
+            other.append(method.place(method.match_points(backwards(scan), here), step.match))
     return told, other
 
 

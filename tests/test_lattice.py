@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+from math import floor
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 
 from mavnav import lattice
 from mavnav.kernels import conflicts, hits, passing, potential, raycast
-from mavnav.lattice import WIDE, blank_strips, covering, in_strips, moved, plain, pooled
+from mavnav.lattice import WIDE, blank_strips, covering, in_strips, moved, plain, pooled, room, within
 from mavnav.memory import SMALL_BYTES, blank
 
 cells = st.tuples(st.integers(-500, 500), st.integers(-500, 500))
@@ -28,6 +29,19 @@ def test_a_lattice_covers_what_is_asked_and_what_it_covered(
     assert row <= min(low[1], origin[1])
     assert col + cols >= max(high[0] + 1, origin[0] + present[1])
     assert row + rows >= max(high[1] + 1, origin[1] + present[0])
+
+
+@given(origin=cells, beyond=st.integers(0, 9), share=st.tuples(st.floats(-0.2, 1.2), st.floats(-0.2, 1.2)))
+def test_where_there_is_room_nothing_grows(origin: tuple[int, int], beyond: int, share: tuple[float, float]) -> None:
+    cell_m, present = 0.05, (70, 130)
+    room_m = room((origin[0] * cell_m, origin[1] * cell_m), present, cell_m, beyond)
+    x = room_m[0] + share[0] * (room_m[2] - room_m[0])
+    y = room_m[1] + share[1] * (room_m[3] - room_m[1])
+    inside = 0 <= min(share) <= max(share) <= 1
+    assert within((x, y, x, y), room_m) == inside or min(map(abs, (*share, share[0] - 1, share[1] - 1))) < 1e-9
+    col, row = floor(x / cell_m), floor(y / cell_m)
+    if within((x, y, x, y), room_m):
+        assert covering((col - beyond, row - beyond), (col + beyond, row + beyond), present, origin, 8) is None
 
 
 def test_what_lies_within_needs_no_growth_and_growth_reaches_farther_on_its_own_side_only() -> None:

@@ -113,21 +113,26 @@ def scan_points(
     return n, _voxel_means(ends[:n], limits_m[2], means)
 
 
-@kernel(float64[:, ::1](_F2, _F1))
-def placed(points: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bring points (n, 2), m, from a frame to that in which its ``pose`` (3,) is given: x, y (m), yaw (rad)."""
-    out, c, s = np.empty_like(points), np.cos(pose[2]), np.sin(pose[2])
-    for k in range(len(points)):
-        x, y = points[k, 0], points[k, 1]
-        out[k, 0], out[k, 1] = pose[0] + c * x - s * y, pose[1] + s * x + c * y
-    return out
-
-
 @kernel(types.UniTuple(float64, 4)(_F2))
 def extent(points: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """Return least x, least y, largest x and largest y of points (n, 2), n > 0."""
-    low_x, low_y = high_x, high_y = points[0, 0], points[0, 1]
-    for k in range(1, len(points)):
+    """Return least x, least y, largest x and largest y of points (n, 2); without points inf, inf, -inf, -inf."""
+    low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
+    for k in range(len(points)):
         low_x, high_x = min(low_x, points[k, 0]), max(high_x, points[k, 0])
         low_y, high_y = min(low_y, points[k, 1]), max(high_y, points[k, 1])
     return low_x, low_y, high_x, high_y
+
+
+@kernel(types.UniTuple(float64, 4)(_F2, _F1, float64[:, ::1]))
+def placed(
+    points: NDArray[np.float64], pose: NDArray[np.float64], out: NDArray[np.float64]
+) -> tuple[float, float, float, float]:
+    """Bring points (n, 2), m, from a frame to that in which its ``pose`` (3,) is given: x, y (m), yaw (rad).
+
+    They are written to ``out`` (n, 2); returns their ``extent``.
+    """
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    for k in range(len(points)):
+        x, y = points[k, 0], points[k, 1]
+        out[k, 0], out[k, 1] = pose[0] + c * x - s * y, pose[1] + s * x + c * y
+    return extent(out)

@@ -17,7 +17,7 @@ from mavnav import linemap
 from mavnav.kernels import conflicts, linesearch, volume
 from mavnav.kernels import linemap as linemap_kernel
 from mavnav.kernels.linemap import NEAR
-from mavnav.kernels.points import extent, scan_points
+from mavnav.kernels.points import extent, placed, scan_points
 from mavnav.linemap import LineMap
 from mavnav.pose import Pose, transform_points
 
@@ -206,6 +206,13 @@ def test_extent_is_its_twin() -> None:
     points = np.random.default_rng(4).normal(0, 5, (50, 2))
     assert extent(points) == naive.extent(points)
     assert extent(points[:1]) == naive.extent(points[:1])
+
+
+def test_placed_points_are_their_twins_and_told_their_extent() -> None:
+    points, pose, out = np.random.default_rng(4).normal(0, 5, (50, 2)), Pose(1.0, -2.0, 0.7), np.empty((50, 2))
+    extent_m = placed(points, pose.as_array(), out)
+    np.testing.assert_allclose(out, transform_points(pose, points), rtol=1e-14, atol=1e-14)
+    assert extent_m == naive.extent(out)
 
 
 def test_cost_is_its_twin() -> None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavnav.kernels.conflicts import CLEAR_CELLS, conflicts
+from mavnav.kernels.conflicts import conflicts
 from mavnav.kernels.volume import volume
 from mavnav.lattice import in_strips
 from mavnav.linemap import LineMap
@@ -22,11 +22,9 @@ def counted(points: np.ndarray, laser: Pose, lattice: np.ndarray, hits: np.ndarr
     """Count conflicts of points of the map frame, with a line map of the cells that were hit."""
     line_map = LineMap(lattice[2], 0.06, 0.01)
     line_map.insert((np.argwhere(hits)[:, ::-1] + 0.5) * lattice[2] + lattice[:2])
-    off_cells = np.round((lattice[:2] - line_map.geometry[:2]) / lattice[2])
-    clear = np.array([*off_cells, line_map.closeness_at(CLEAR_CELLS * lattice[2])])
     seen = transform_points(laser.inverse(), points)
     counts = in_strips(hits.astype(np.uint16)), passes.astype(np.uint16)
-    return conflicts(seen, laser.as_array(), lattice, *counts, line_map.nearest, clear)
+    return conflicts(seen, laser.as_array(), lattice, *counts, line_map.nearest, line_map.geometry)
 
 
 @given(seed=st.integers(0, 2**32 - 1))
