@@ -333,7 +333,7 @@ class Robust:
         sweep_s = abs(spec.time_increment_s) * spec.beams
         if self.config.robust.deskew != "off" and motion and sweep_s <= 1.2 * motion.period_s:
             twist, increment_s = np.array(motion.twist_at(scan.stamp_ns)), spec.time_increment_s
-        ends, means = np.empty((2, len(scan.ranges_m), 2))
+        ends, means = np.empty((spec.beams, 2)), np.empty((spec.beams, 2))
         n, m = scan_points(scan.ranges_m, spec.directions, twist, increment_s, self._limits_m, ends, means)
         points = ends[:n], means[:m]
         if motion:
