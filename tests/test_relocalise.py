@@ -9,11 +9,12 @@ from synthetic import TOUR, along, furnished_rooms, polyline, record, room, scan
 from mavnav import slam
 from mavnav.belief import Verdict
 from mavnav.config import Config
+from mavnav.kernels.conflicts import conflicts
 from mavnav.matcher import Match, first_match, no_match
 from mavnav.methods import Robust
 from mavnav.motion import Motion
 from mavnav.pose import Pose
-from mavnav.relocalise import apart, firmness, minima, surprise, within_reach
+from mavnav.relocalise import TELLING, apart, firmness, judged, minima, surprise, within_reach
 from mavnav.scan import Scan
 
 PERIOD_NS = 100_000_000
@@ -41,6 +42,19 @@ def test_a_laser_is_found_anywhere_in_its_map() -> None:
     assert there.between(found.map_T_laser).distance_m < 0.03
     assert abs(there.between(found.map_T_laser).yaw_rad) < 0.02
     assert found.conflicts < 0.05
+
+
+def test_a_sample_tells_what_speaks_against_a_place() -> None:
+    there = Pose(3.9, 1.1, -2.6)
+    method = mapped(furnished_rooms(), [Pose(1.0, 1.0, 0.5), Pose(4.6, 0.8, 2.0), there])
+    points = method.match_points(scan_at(furnished_rooms(), there, noise=0.01))
+    assert len(points) > TELLING
+    known, lines = method.known, method.lines
+    for pose, against in ((there, (0.0, 0.05)), (Pose(3.9, 1.1, 0.5), (0.2, 1.0))):
+        counts = known.lattice, known.hits, known.passes, lines.nearest, lines.geometry
+        share = conflicts(points, pose.as_array(), *counts) / len(points)
+        assert against[0] <= share <= against[1]
+        assert judged(no_match(pose), points, lines, known).conflicts == pytest.approx(share, abs=0.08)
 
 
 def test_a_room_that_looks_the_same_when_turned_is_ambiguous() -> None:
