@@ -19,9 +19,9 @@ GRAZE_CELLS = 10  # a beam may run along the wall that it ends on
 STRIDE = 8  # cells of a beam that one look may clear
 CLEAR_CELLS = 7  # from the middle of a stride to what it meets: half of it, 2 ** 0.5 for two cells, 1.5 to spare
 
-FAR = 49  # squared reach of an occupied cell in ``nearest``, as ``linemap`` has it
+FAR = 64  # squared reach of ``nearest`` in cells, as ``linemap`` has it
 NEAR = 128  # an entry of ``nearest`` is an index times this, as ``linemap`` has it
-LEAST = FAR + 1 - CLEAR_CELLS * CLEAR_CELLS  # of ``nearest`` where a hit cell may be within `CLEAR_CELLS`
+LEAST = FAR + 1 - CLEAR_CELLS * CLEAR_CELLS  # of how near an entry tells where a hit cell is `CLEAR_CELLS` away
 WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its logarithm
 
 _F1 = types.Array(float64, 1, "C", readonly=True)
