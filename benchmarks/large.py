@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import resource
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -120,7 +121,8 @@ def main() -> None:
     parser.add_argument("--plot", type=Path)
     args = parser.parse_args()
     if not args.log.exists():
-        make(args.log, args.scans)
+        with ProcessPoolExecutor(1) as other:  # what it takes to make the log is none of the replay's memory
+            other.submit(make, args.log, args.scans).result()
     seen: dict[str, list[tuple[int, float]]] = {}
 
     def progress(phase: str, done: int, _: int | None) -> None:

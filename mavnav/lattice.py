@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mavnav.memory import blank, forget
+from mavnav.memory import SMALL_BYTES, blank, forget, give_back
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -60,6 +60,8 @@ def moved(cells: NDArray[Any], extent: Cell, row: int, col: int) -> NDArray[Any]
         i, j = np.nonzero(old[at : at + step].any(axis=2))
         new[i + at, j + along] = old[i + at, j]
         forget(cells, at, min(at + step, len(old)))
+    if grown.nbytes > SMALL_BYTES:
+        give_back()
     return grown
 
 

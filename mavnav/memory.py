@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import mmap
 import sys
-from ctypes import CDLL
+from ctypes import CDLL, c_size_t, c_void_p
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,14 +42,18 @@ def forget(array: NDArray[Any], first: int, end: int) -> None:
         memory.madvise(mmap.MADV_DONTNEED, start, stop - start)
 
 
+_MAPPED = Path("/proc/self/maps")
+
+
 def give_back() -> None:
-    """Give back what is free between blocks in use, if the process ever took much."""
+    """Give back what is free between blocks in use, and what was only read, if the process ever took much."""
     if sys.platform != "linux":
         return
     from resource import RUSAGE_SELF, getrusage  # noqa: PLC0415  not everywhere
 
     if getrusage(RUSAGE_SELF).ru_maxrss > MUCH_KB:
         trim()
+        drop_compiler()
 
 
 def trim() -> None:
@@ -56,3 +61,14 @@ def trim() -> None:
     give = getattr(CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
     if give:
         give(0)
+
+
+def drop_compiler() -> None:
+    """Give back the code of the library that compiles, much of which loading kernels reads; it is read again if needed."""
+    if not (hasattr(mmap, "MADV_DONTNEED") and _MAPPED.exists()):
+        return
+    for line in _MAPPED.read_text().splitlines():
+        place, access, *_, name = line.split(maxsplit=5)
+        if access == "r-xp" and name.endswith("libllvmlite.so"):  # nobody writes to code, so nothing is lost
+            first, end = (int(address, 16) for address in place.split("-"))
+            CDLL(None).madvise(c_void_p(first), c_size_t(end - first), mmap.MADV_DONTNEED)

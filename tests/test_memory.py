@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from memory_use import in_use_mb, taking_less_than
+from numba import njit
 
 from mavnav import memory
 from mavnav.lattice import WIDE, blank_strips, moved
-from mavnav.memory import SMALL_BYTES, blank, forget, give_back
+from mavnav.memory import SMALL_BYTES, blank, drop_compiler, forget, give_back
 
 MB = 1 << 20
 
@@ -51,3 +55,21 @@ def test_what_is_free_between_blocks_in_use_is_given_back_where_it_is_much(monke
     give_back()
     assert in_use_mb() - before_mb < 20
     assert len(kept) == 40
+
+
+@pytest.mark.skipif(not Path("/proc/self/smaps").exists(), reason="only Linux tells which pages lie in memory")
+def test_code_of_the_compiler_is_given_back_and_still_runs() -> None:
+    twice = njit(lambda x: 2 * x)
+    assert twice(3) == 6
+    before_kb = code_kb("libllvmlite.so")
+    drop_compiler()
+    assert code_kb("libllvmlite.so") < 0.1 * before_kb
+    assert twice(1.5) == 3.0
+
+
+def code_kb(library: str) -> int:
+    """Return what the code of a library takes, by its pages that are mapped."""
+    text = Path("/proc/self/smaps").read_text()
+    areas = re.split(r"^(?=[0-9a-f]+-[0-9a-f]+ )", text, flags=re.MULTILINE)
+    codes = [area for area in areas if " r-xp " in area and library in area]
+    return sum(int(kb) for area in codes for kb in re.findall(r"^Rss: +(\d+) kB", area, flags=re.MULTILINE))
