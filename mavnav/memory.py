@@ -64,7 +64,7 @@ def trim() -> None:
 
 
 def drop_compiler() -> None:
-    """Give back the code of the library that compiles, much of which loading kernels reads; it is read again if needed."""
+    """Give back the code of the library that compiles: loading kernels reads much of it, running them reads none."""
     if not (hasattr(mmap, "MADV_DONTNEED") and _MAPPED.exists()):
         return
     for line in _MAPPED.read_text().splitlines():
