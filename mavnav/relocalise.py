@@ -84,12 +84,15 @@ def around(pose: Pose, radius_m: float, half_rad: float) -> Region:
 
 
 def everywhere(grid: Tally) -> Region:
-    """Return the positions (p, 2) where the map was seen free, and yaws (q,) all round, in m and rad."""
+    """Return the positions (p, 2), row by row, where the map was seen free, and yaws (q,) all round, in m and rad."""
     hits = plain(grid.hits)[:, : grid.passes.shape[1]]
-    rows, cols = np.nonzero((grid.passes > 0) & (grid.passes > hits))
-    free_m = np.array(grid.origin_xy_m) + (np.column_stack((cols, rows)) + 0.5) * grid.cell_m
-    places = np.unique(np.round(free_m / STEP_M).astype(np.int64), axis=0) * STEP_M
-    return places, np.arange(-pi, pi, STEP_RAD)
+    free = np.column_stack(np.nonzero((grid.passes > 0) & (grid.passes > hits)))
+    free_m = np.array(grid.origin_xy_m[::-1]) + (free + 0.5) * grid.cell_m
+    row, col = np.round(free_m / STEP_M).astype(np.int64).T
+    low = col.min(initial=0)
+    wide = col.max(initial=0) - low + 1
+    row, col = np.divmod(np.unique(row * wide + (col - low)), wide)
+    return np.column_stack(((col + low) * STEP_M, row * STEP_M)), np.arange(-pi, pi, STEP_RAD)
 
 
 @timed("search")

@@ -14,7 +14,7 @@ from mavnav.matcher import Match, first_match, no_match
 from mavnav.methods import Robust
 from mavnav.motion import Motion
 from mavnav.pose import Pose
-from mavnav.relocalise import TELLING, apart, firmness, judged, minima, surprise, within_reach
+from mavnav.relocalise import STEP_M, TELLING, apart, everywhere, firmness, judged, minima, surprise, within_reach
 from mavnav.scan import Scan
 
 PERIOD_NS = 100_000_000
@@ -42,6 +42,23 @@ def test_a_laser_is_found_anywhere_in_its_map() -> None:
     assert there.between(found.map_T_laser).distance_m < 0.03
     assert abs(there.between(found.map_T_laser).yaw_rad) < 0.02
     assert found.conflicts < 0.05
+
+
+@pytest.mark.parametrize("beginning", [Pose(0.0, 0.0, 0.3), Pose(7.0, -9.0, 0.3), Pose(-30.0, 4.0, 0.3)])
+def test_everywhere_is_where_the_map_was_seen_free(beginning: Pose) -> None:
+    method = Robust(Config())
+    method.insert(scan_at(furnished_rooms(), Pose(1.0, 1.0, 0.5)), beginning, Motion(0.1))
+    known = method.known
+    expected = set()
+    for row, col in np.argwhere(known.passes):
+        if known.passes[row, col] > known.hits[col // 64, row, col % 64]:
+            centre_m = (np.array((col, row)) + 0.5) * known.cell_m + np.array(known.origin_xy_m)
+            expected.add(tuple(np.round(centre_m / STEP_M).astype(int)[::-1].tolist()))
+    xy_m, yaws_rad = everywhere(known)
+    found = np.round(xy_m / STEP_M).astype(int)[:, ::-1].tolist()
+    assert list(map(tuple, found)) == sorted(expected)
+    assert len(yaws_rad) == 90
+    assert everywhere(Robust(Config()).known)[0].shape == (0, 2)
 
 
 def test_a_sample_tells_what_speaks_against_a_place() -> None:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavnav.kernels.conflicts import conflicts
-from mavnav.kernels.volume import volume
+from mavnav.kernels.volume import BLOCK, volume
 from mavnav.lattice import in_strips
 from mavnav.linemap import LineMap
 from mavnav.pose import Pose, transform_points
@@ -79,3 +79,18 @@ def test_volume_is_its_twin() -> None:
     assert len(clear) > 8
     for q, p in clear:
         assert fast[q, p] == pytest.approx(slow[q][p], abs=1e-12)
+
+
+def test_a_position_costs_the_same_among_many() -> None:
+    rng = np.random.default_rng(5)
+    line_map = LineMap(0.02, 0.06, 0.01)
+    line_map.insert(np.column_stack((rng.uniform(0, 1, 60), rng.normal(0.5, 0.01, 60))))
+    told = 0.15, line_map.nearest, line_map.lines, line_map.geometry
+    points, yaws = rng.uniform(-0.5, 0.5, (30, 2)), np.array([-3.0, 0.4])
+    xy = rng.uniform(-3, 4, (2 * BLOCK + 7, 2))  # the map covers a part of it
+    costs = volume(points, xy, yaws, *told)
+    alone = np.hstack([volume(points, xy[p : p + 1], yaws, *told) for p in range(len(xy))])
+    assert np.array_equal(costs, alone)
+    outside = (np.abs(xy) > 2.5).any(axis=1)
+    assert 0 < outside.sum() < len(xy)
+    np.testing.assert_allclose(costs[:, outside], 0.15**2, rtol=1e-12)
