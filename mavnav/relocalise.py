@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from math import pi
+from math import floor, pi
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mavnav.kernels.conflicts import conflicts
 from mavnav.kernels.volume import volume
-from mavnav.lattice import plain
+from mavnav.lattice import bands, plain
 from mavnav.matcher import Match, Schedule, search_lines, with_effort
 from mavnav.pose import Pose, wrap_angle
 from mavnav.stages import timed
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
     Region = tuple[NDArray[np.float64], NDArray[np.float64]]
     """Positions (p, 2), m, and yaws (q,), rad, map frame: every position with every yaw."""
+    Start = tuple[float, Pose]
+    """Cost, m2, and pose of a minimum of the wide search."""
 
 STEP_M, STEP_RAD = 0.1, 4 * DEG
 """Spacing of the wide search: the cost is felt 0.15 m from a wall."""
@@ -32,6 +35,9 @@ SEPARATE_M, SEPARATE_RAD = 0.25, 12 * DEG
 """Minima nearer than this are one."""
 
 CANDIDATES = 6
+
+AT_ONCE = 1 << 16
+"""Positions that are searched at once: their costs take 47 MB."""
 
 FARTHEST_M = 2.5
 """A laser that was not seen for long can be anywhere: then the whole map is searched."""
@@ -85,13 +91,14 @@ def around(pose: Pose, radius_m: float, half_rad: float) -> Region:
 
 def everywhere(grid: Tally) -> Region:
     """Return the positions (p, 2), row by row, where the map was seen free, and yaws (q,) all round, in m and rad."""
-    hits = plain(grid.hits)[:, : grid.passes.shape[1]]
-    free = np.column_stack(np.nonzero((grid.passes > 0) & (grid.passes > hits)))
-    free_m = np.array(grid.origin_xy_m[::-1]) + (free + 0.5) * grid.cell_m
-    row, col = np.round(free_m / STEP_M).astype(np.int64).T
-    low = col.min(initial=0)
-    wide = col.max(initial=0) - low + 1
-    row, col = np.divmod(np.unique(row * wide + (col - low)), wide)
+    shape, origin_m = grid.passes.shape, np.array(grid.origin_xy_m[::-1])
+    low, wide = floor(origin_m[1] / STEP_M) - 1, int(shape[1] * grid.cell_m / STEP_M) + 4
+    hits, places = plain(grid.hits)[:, : shape[1]], [np.zeros(0, np.int64)]
+    for _, _, band in bands(shape):
+        free = np.argwhere((grid.passes[band] > 0) & (grid.passes[band] > hits[band])) + np.array([band.start, 0])
+        row, col = np.round((origin_m + (free + 0.5) * grid.cell_m) / STEP_M).astype(np.int64).T
+        places.append(np.unique(row * wide + col - low))
+    row, col = np.divmod(np.unique(np.concatenate(places)), wide)
     return np.column_stack(((col + low) * STEP_M, row * STEP_M)), np.arange(-pi, pi, STEP_RAD)
 
 
@@ -110,10 +117,15 @@ def candidates(
     """
     robust, (xy_m, yaws_rad) = config.robust, region
     few = points[: robust.first_level_points]
-    costs = volume(few, xy_m, yaws_rad, robust.truncate_mm * MM, line_map.nearest, line_map.lines, line_map.geometry)
+    nearest, lines, geometry = line_map.nearest, line_map.lines, line_map.geometry
+    starts: list[Start] = []
+    for first in range(0, len(xy_m), AT_ONCE):
+        some = xy_m[first : first + AT_ONCE]
+        costs = volume(few, some, yaws_rad, robust.truncate_mm * MM, nearest, lines, geometry)
+        starts += minima(costs, some, yaws_rad, most)
+    starts = starts if len(starts) <= most else lowest(starts, most)
     schedule = Schedule.of(config, line_map, (1.5 * STEP_M, 1.5 * STEP_RAD))
-    starts = minima(costs, xy_m, yaws_rad, most)
-    return [judged(search_lines(points, line_map, start, schedule), points, line_map, grid) for start in starts]
+    return [judged(search_lines(points, line_map, pose, schedule), points, line_map, grid) for _, pose in starts]
 
 
 def best_of(found: list[Match], expected: tuple[Pose, ...], elapsed_s: float, config: Config) -> Match:
@@ -162,15 +174,24 @@ def apart(a: Pose, b: Pose) -> bool:
 
 def minima(
     costs: NDArray[np.float64], xy_m: NDArray[np.float64], yaws_rad: NDArray[np.float64], most: int = CANDIDATES
-) -> list[Pose]:
-    """Return the poses of the ``most`` lowest costs (q, p) that lie apart."""
-    left, found = costs.copy(), []
+) -> list[Start]:
+    """Return the ``most`` lowest costs (q, p) that lie apart, with their poses; the costs themselves are lost."""
+    found: list[Start] = []
     for _ in range(most):
-        q, p = np.unravel_index(int(np.argmin(left)), left.shape)
-        if not np.isfinite(left[q, p]):
+        q, p = np.unravel_index(int(np.argmin(costs)), costs.shape)
+        if not np.isfinite(costs[q, p]):
             break
-        found.append(Pose(float(xy_m[p, 0]), float(xy_m[p, 1]), wrap_angle(float(yaws_rad[q]))))
+        found.append((float(costs[q, p]), Pose(float(xy_m[p, 0]), float(xy_m[p, 1]), wrap_angle(float(yaws_rad[q])))))
         near = np.hypot(*(xy_m - xy_m[p]).T) < SEPARATE_M
         turned = np.abs((yaws_rad - yaws_rad[q] + pi) % (2 * pi) - pi) < SEPARATE_RAD
-        left[np.ix_(turned, near)] = np.inf
+        costs[np.ix_(turned, near)] = np.inf
     return found
+
+
+def lowest(starts: list[Start], most: int) -> list[Start]:
+    """Return the ``most`` lowest minima that lie apart, of those of several parts of a region."""
+    kept: list[Start] = []
+    for start in sorted(starts, key=itemgetter(0)):
+        if all(apart(start[1], other) for _, other in kept):
+            kept.append(start)
+    return kept[:most]

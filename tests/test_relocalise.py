@@ -4,17 +4,34 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from memory_use import taking_less_than
 from synthetic import TOUR, along, furnished_rooms, polyline, record, room, scan_at
 
-from mavnav import slam
+from mavnav import relocalise, slam
 from mavnav.belief import Verdict
 from mavnav.config import Config
 from mavnav.kernels.conflicts import conflicts
+from mavnav.lattice import blank_strips
 from mavnav.matcher import Match, first_match, no_match
+from mavnav.memory import blank
 from mavnav.methods import Robust
 from mavnav.motion import Motion
 from mavnav.pose import Pose
-from mavnav.relocalise import STEP_M, TELLING, apart, everywhere, firmness, judged, minima, surprise, within_reach
+from mavnav.relocalise import (
+    CANDIDATES,
+    STEP_M,
+    TELLING,
+    apart,
+    candidates,
+    everywhere,
+    firmness,
+    judged,
+    lowest,
+    minima,
+    surprise,
+    unrivalled,
+    within_reach,
+)
 from mavnav.scan import Scan
 
 PERIOD_NS = 100_000_000
@@ -61,6 +78,27 @@ def test_everywhere_is_where_the_map_was_seen_free(beginning: Pose) -> None:
     assert everywhere(Robust(Config()).known)[0].shape == (0, 2)
 
 
+def test_everywhere_takes_little_memory_beside_the_map() -> None:
+    known = Robust(Config()).known
+    known.passes, known.hits = blank((4096, 4096), np.uint16), blank_strips((4096, 4096), np.uint16)
+    known.passes[...] = 1
+    with taking_less_than(100.0):  # 672 400 positions; masks and cells of the whole map took 1.1 GB
+        assert len(everywhere(known)[0]) == 820**2
+
+
+def test_a_large_region_is_searched_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    method = mapped(furnished_rooms(), [Pose(1.0, 1.0, 0.5), Pose(4.6, 0.8, 2.0), Pose(3.0, 3.0, -1.0)])
+    points = method.match_points(scan_at(furnished_rooms(), Pose(3.9, 1.1, -2.6), noise=0.01))
+    region = everywhere(method.known)
+    found = []
+    for parts in (1, 7):
+        monkeypatch.setattr(relocalise, "AT_ONCE", -(-len(region[0]) // parts))
+        found.append(candidates(points, method.lines, method.known, region, method.config))
+    assert len(found[0]) == len(found[1]) == CANDIDATES
+    best = [unrivalled(some, 0.0, method.config) for some in found]
+    assert best[0] == best[1] is not None
+
+
 def test_a_sample_tells_what_speaks_against_a_place() -> None:
     there = Pose(3.9, 1.1, -2.6)
     method = mapped(furnished_rooms(), [Pose(1.0, 1.0, 0.5), Pose(4.6, 0.8, 2.0), there])
@@ -93,9 +131,18 @@ def test_a_scan_of_few_points_is_not_looked_for() -> None:
 def test_minima_lie_apart_and_begin_with_the_lowest() -> None:
     xy, yaws = within_reach(Pose(1.0, 2.0, 3.0), 0.5)
     costs = np.hypot(*(xy - (1.3, 2.2)).T)[None, :] + np.abs(yaws - 2.9)[:, None]
-    found = minima(costs, xy, yaws)
+    expected = np.sort(costs, axis=None)[0]
+    starts = minima(costs, xy, yaws)
+    found = [pose for _, pose in starts]
+    assert starts[0][0] == expected
     assert Pose(1.3, 2.2, 2.9).between(found[0]).distance_m < 0.06
     assert all(apart(a, b) for k, a in enumerate(found) for b in found[:k])
+
+
+def test_of_minima_of_several_parts_the_lowest_that_lie_apart_count() -> None:
+    starts = [(0.3, Pose(0.0, 0.0)), (0.2, Pose(0.2, 0.0)), (0.1, Pose(3.0, 0.0)), (0.4, Pose(0.2, 0.0, 0.5))]
+    assert [cost for cost, _ in lowest(starts, 3)] == [0.1, 0.2, 0.4]
+    assert [cost for cost, _ in lowest(starts, 2)] == [0.1, 0.2]
 
 
 @pytest.mark.parametrize("elapsed_s", [0.1, 0.7, 30.0])
