@@ -28,7 +28,7 @@ mavnav simulate complex --seed 7 --grid 20x20 --animate complex.gif
 
 mavnav simulate u_trap --planner field
 
-mavnav simulate corridor --record corridor.mcap && mavnav replay corridor.mcap
+mavnav simulate corridor --record flight.mcap && mavnav replay flight.mcap
 
 mavnav simulate --list
 """
