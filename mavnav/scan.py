@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
@@ -43,6 +43,15 @@ class LaserSpec:
     def field_of_view_rad(self) -> float:
         """Angle between the first beam and the last."""
         return abs(self.angle_step_rad) * max(self.beams - 1, 0)
+
+    def turned_over(self) -> LaserSpec:
+        """Return the sensor as seen from above where it is mounted upside down: turned about its x axis."""
+        return _turned_over(self)
+
+
+@lru_cache(maxsize=8)
+def _turned_over(spec: LaserSpec) -> LaserSpec:
+    return replace(spec, angle_min_rad=-spec.angle_min_rad, angle_step_rad=-spec.angle_step_rad)
 
 
 @lru_cache(maxsize=8)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from math import atan2, cos, radians
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -99,24 +99,24 @@ def _chain(edges: dict[tuple[str, str], NDArray[np.float64]], base: str, laser: 
     return found.get(laser)
 
 
+class Mounting(NamedTuple):
+    """Where the laser sits: ``base_T_laser`` projected to the plane, with z up and the laser's own x axis."""
+
+    base_frame: str
+    base_T_laser: Pose
+    upside_down: bool
+
+
 def mounting(
     tree: FrameTree, laser_frame: str, base_frames: Iterable[str], warn: Callable[[str], None]
-) -> tuple[str, Pose] | None:
-    """Return the first base frame that leads to the laser, and ``base_T_laser`` projected to the plane."""
+) -> Mounting | None:
+    """Return how the laser is mounted on the first base frame that leads to it."""
     laser = frame_name(laser_frame)
     for base in base_frames:
         matrix = tree.find(frame_name(base), laser)
         if matrix is not None:
-            _warn_of_tilt(matrix, laser, warn)
-            return frame_name(base), Pose(float(matrix[0, 3]), float(matrix[1, 3]), atan2(matrix[1, 0], matrix[0, 0]))
+            if abs(matrix[2, 2]) < _UPRIGHT:
+                warn(f"the transforms say that the laser ({laser}) is tilted; its scans are used as if it were level")
+            pose = Pose(float(matrix[0, 3]), float(matrix[1, 3]), atan2(matrix[1, 0], matrix[0, 0]))
+            return Mounting(frame_name(base), pose, bool(matrix[2, 2] < 0.0))
     return None
-
-
-def _warn_of_tilt(matrix: NDArray[np.floating], laser: str, warn: Callable[[str], None]) -> None:
-    if matrix[2, 2] <= -_UPRIGHT:
-        warn(
-            f"the transforms say that the laser ({laser}) is mounted upside down; its scans are used as recorded, "
-            "so map and trajectory may be mirrored"
-        )
-    elif matrix[2, 2] < _UPRIGHT:
-        warn(f"the transforms say that the laser ({laser}) is tilted; its scans are used as if it were level")

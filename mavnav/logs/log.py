@@ -40,7 +40,8 @@ _WAITING_BYTES: Final = 64 << 20
 class Log:
     """One scan topic of a log.
 
-    ``sensor`` and ``frame_id`` are those of the first usable scan. ``cleaning`` counts the beams of the usable scans
+    ``sensor`` and ``frame_id`` are those of the first usable scan, as recorded; the beams of a laser that is mounted
+    ``upside_down`` are turned over in ``scans``. ``cleaning`` counts the beams of the usable scans
     by the kinds of ``door.KINDS``. ``period_s`` is the median. ``stamp_source`` is ``log`` where the scans' own stamps
     are unusable. ``base_T_laser`` is projected to the plane.
     """
@@ -64,6 +65,7 @@ class Log:
     base_T_laser: Pose | None
     mounting_source: Literal["tf_static", "option"] | None
     base_frame: str | None
+    upside_down: bool
     odometry: Odometry | None
     damage: tuple[Damage, ...]
     warnings: tuple[str, ...]
@@ -114,10 +116,11 @@ class Log:
                     due += 1
 
     def _admitted(self) -> Iterator[tuple[LaserSpec, NDArray[np.float64]]]:
-        """Yield the scans that the door admits, in the order of the file."""
-        if self._ranges is not None:
-            yield from self._ranges
-            return
+        """Return the scans that the door admits, in the order of the file, as seen from above."""
+        admitted = self._reread() if self._ranges is None else iter(self._ranges)
+        return ((spec.turned_over(), ranges_m) for spec, ranges_m in admitted) if self.upside_down else admitted
+
+    def _reread(self) -> Iterator[tuple[LaserSpec, NDArray[np.float64]]]:
         ledger = Ledger()  # the survey told everything already
         door = Door(self.topic, ledger.warn)
         for message in _laser_messages(self.path, self.topic, ledger, strict=self.strict):
@@ -222,6 +225,7 @@ def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extri
         base_T_laser=None,
         mounting_source=None,
         base_frame=None,
+        upside_down=False,
         odometry=None,
         damage=found.damage,
         warnings=found.warnings,
@@ -285,7 +289,12 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
     track = found.odometry.choose(odom, warnings.append)
     bases = [track.base_frame] if track and track.base_frame else list(BASE_FRAMES)
     mounted = mounting(found.frames, log.frame_id, bases, warnings.append)
-    base_frame, base_T_laser = mounted or (bases[0] if track else None, None)
+    base_frame, base_T_laser, upside_down = mounted or (bases[0] if track else None, None, False)
+    if upside_down:
+        done = "used as recorded, as --extrinsic knows the plane alone" if extrinsic else "turned over"
+        warnings.append(
+            f"the transforms say that the laser ({log.frame_id}) is mounted upside down; its scans are {done}"
+        )
     base_T_laser = extrinsic or base_T_laser
     source: Literal["tf_static", "option"] | None = "tf_static" if mounted else None
     odometry = None
@@ -300,6 +309,7 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
         base_T_laser=base_T_laser,
         mounting_source="option" if extrinsic else source,
         base_frame=base_frame,
+        upside_down=upside_down and extrinsic is None,
         odometry=odometry,
         warnings=tuple(warnings),
     )

@@ -60,6 +60,7 @@ def _blank_log() -> Log:
         base_T_laser=None,
         mounting_source=None,
         base_frame=None,
+        upside_down=False,
         odometry=None,
         damage=(),
         warnings=(),

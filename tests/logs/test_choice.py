@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gzip
 import os
-from math import pi
+from math import pi, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from log_files import LASER, ODOM, PERIOD_NS, START_NS, TF, Message, drive, lase
 
 from mavnav.errors import NoScansError, TopicError, UsageError
 from mavnav.logs import open_log
+from mavnav.pose import Pose
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -150,6 +151,20 @@ def test_transforms_that_move_are_no_mounting(tmp_path: Path) -> None:
 def test_laser_that_is_not_level_is_told(q: dict[str, float], word: str, tmp_path: Path) -> None:
     log = open_log(write_mcap(tmp_path / "a", [laser(0), tf("base_link", "laser", q=q)]))
     assert any(word in w for w in log.warnings)
+
+
+def test_scans_of_a_laser_upside_down_are_turned_over(tmp_path: Path) -> None:
+    mounted = tf("base_link", "laser", x=0.2, q={"x": sqrt(0.5), "y": sqrt(0.5), "z": 0.0, "w": 0.0})
+    path = write_mcap(tmp_path / "a", [laser(0), mounted, laser(1)])
+    log = open_log(path)
+    assert log.base_T_laser is not None
+    np.testing.assert_allclose(log.base_T_laser.as_array(), (0.2, 0.0, pi / 2), atol=1e-12)
+    (scan, _), recorded = log.scans(), log.sensor
+    np.testing.assert_array_equal(scan.spec.angles_rad, -recorded.angles_rad)
+    assert any("turned over" in w for w in log.warnings)
+    told = open_log(path, extrinsic=Pose(0.2, 0.0, 1.0))
+    assert next(told.scans()).spec == recorded
+    assert any("used as recorded" in w for w in told.warnings)
 
 
 def test_progress_ascends_to_the_size_of_the_file(tmp_path: Path) -> None:
