@@ -7,7 +7,7 @@ not valid becomes NaN, and is counted by kind.
 
 from __future__ import annotations
 
-from math import isfinite, isnan, tau
+from math import isfinite, isnan, nextafter, tau
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -33,6 +33,9 @@ _LOOKED_AT: Final = 20
 
 _MOST_BEAMS: Final = 1 << 15
 """More than any planar laser has; what has more is thinned, so that no scan costs seconds."""
+
+_AT_MAX_SHARE, _AT_MAX_LEAST = 0.02, 10
+"""More readings of exactly the maximum are no wall: simulators and some drivers write it where nothing is in range."""
 
 _MOST_TURNS: Final = 1.1
 """A scan may overlap itself a little; one of several turns has a wrong increment."""
@@ -89,6 +92,7 @@ class Door:
         self._looked_at = 0
         self._far, self._positive = 0, 0
         self._turns = ""
+        self._max_is_none = False
 
     @property
     def doubt(self) -> str:
@@ -119,10 +123,20 @@ class Door:
             return reason
         message = self._thinned(message)
         spec = self._spec_of(message)
-        cleaned, counts = clean(message.ranges_m, spec.range_min_m, spec.range_max_m)
+        cleaned, counts = clean(message.ranges_m, spec.range_min_m, self._farthest_m(message.ranges_m, spec))
         if not counts[0]:
             return "no_valid_beam"
         return spec, cleaned, counts
+
+    def _farthest_m(self, ranges_m: NDArray[np.floating], spec: LaserSpec) -> float:
+        """Return the greatest valid range: below the sensor's maximum, from where that stands for no return."""
+        if not self._max_is_none and isfinite(spec.range_max_m):
+            most = max(_AT_MAX_SHARE * len(ranges_m), _AT_MAX_LEAST)
+            self._max_is_none = bool(np.count_nonzero(ranges_m == spec.range_max_m) > most)
+            if self._max_is_none:
+                told = f"many ranges are range_max itself ({spec.range_max_m:g} m)"
+                self._warn(f"{self._topic}: {told}; from there on they are taken for no return")
+        return nextafter(spec.range_max_m, 0.0) if self._max_is_none else spec.range_max_m
 
     def _thinned(self, message: LaserMessage) -> LaserMessage:
         """Take one of every so many beams where a scan has far too many."""

@@ -88,6 +88,31 @@ def test_unusable_limits_let_every_positive_range_pass_with_a_warning(limits: tu
     assert any("range limits" in w for w in warnings)
 
 
+def test_a_maximum_that_stands_for_no_return_is_none_from_then_on() -> None:
+    warnings: list[str] = []
+    door = Door("/scan", warnings.append)
+    few, many = np.full(600, 2.0), np.full(600, 2.0)
+    few[:12] = many[:13] = 10.0
+    counts = [
+        dict(zip(KINDS, door.admit(message(ranges_m=r, angle_step_rad=0.001))[2], strict=True))
+        for r in (few, many, few)
+    ]
+    assert [c["above_max"] for c in counts] == [0, 13, 12]
+    assert [c["valid"] for c in counts] == [600, 587, 588]
+    assert [w for w in warnings if "range_max" in w] == [
+        "/scan: many ranges are range_max itself (10 m); from there on they are taken for no return"
+    ]
+
+
+def test_readings_of_a_sensor_without_a_limit_are_none_of_its_maximum() -> None:
+    warnings: list[str] = []
+    _, _, counts = Door("/scan", warnings.append).admit(
+        message(ranges_m=np.repeat((INF, 1.0), 20), range_max_m=INF, angle_step_rad=0.01)
+    )
+    assert counts[KINDS.index("plus_inf")] == 20
+    assert not [w for w in warnings if "range_max" in w]
+
+
 def test_infinite_maximum_is_a_sensor_without_one() -> None:
     warnings: list[str] = []
     spec, _, _ = Door("/scan", warnings.append).admit(message(range_max_m=INF))
