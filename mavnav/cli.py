@@ -130,6 +130,12 @@ def _explain(error: BaseException) -> int:
             return ExitCode.OUTPUT
         case SystemExit():  # shell completion
             return int(error.code or 0)
+        case PermissionError() if error.filename is not None:  # whether it exists cannot even be asked
+            note(f"mavnav: error: {error.filename} cannot be reached: {error.strerror}; check its folders' permissions")
+            return ExitCode.USAGE
+        case MemoryError():
+            note("mavnav: error: out of memory; try larger cells, narrower windows, or a part of the log with --end")
+            return ExitCode.USAGE
         case _:
             return _explain_bug(error)
 

@@ -74,6 +74,8 @@ def test_completion_answers(spawn: Callable) -> None:
         (signals.Terminated(), ExitCode.TERMINATED),
         (ZeroDivisionError("x"), ExitCode.BUG),
         (BrokenPipeError(), ExitCode.OUTPUT),
+        (PermissionError(13, "Permission denied", "folder/x"), ExitCode.USAGE),
+        (MemoryError(), ExitCode.USAGE),
     ],
     ids=lambda value: type(value).__name__,
 )
@@ -90,6 +92,8 @@ def test_every_end_has_its_code(
     assert "Traceback" not in err
     if isinstance(error, ZeroDivisionError):
         assert "a bug: ZeroDivisionError: x; run again with --debug" in err
+    else:
+        assert "a bug" not in err
 
 
 def test_debug_shows_the_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
