@@ -50,7 +50,7 @@ def write_text(text: str, path: Path) -> None:
     """Write one file; raises OutputError."""
     try:
         with beside(path) as partial:
-            partial.write_text(text, encoding="utf-8")
+            partial.write_text(text, "utf-8", "backslashreplace")  # names of files need not be UTF-8
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}; make room or name another") from error
 
@@ -58,7 +58,7 @@ def write_text(text: str, path: Path) -> None:
 def append_text(text: str, path: Path) -> None:
     """Write behind what a file holds already; raises OutputError."""
     try:
-        with path.open("a", encoding="utf-8") as file:
+        with path.open("a", encoding="utf-8", errors="backslashreplace") as file:
             file.write(text)
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}; name another") from error

@@ -25,7 +25,7 @@ def write_comparison(document: dict[str, Any], directory: Path) -> None:
     for name, text in TEXTS.items():
         try:
             with beside(directory / name) as path:
-                path.write_text(text(document), encoding="utf-8")
+                path.write_text(text(document), "utf-8", "backslashreplace")  # names of files need not be UTF-8
         except OSError as error:
             raise OutputError(f"{directory / name} cannot be written: {error.strerror or error}; make room") from error
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from base64 import b64encode
 from dataclasses import dataclass
 from hashlib import sha256
+from urllib.parse import quote
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -19,14 +21,16 @@ class Inlined:
 
 
 def environment(*packages: str) -> Environment:
-    """Return the templates of packages; the first that has a name wins."""
-    return Environment(
+    """Return the templates of packages; the first that has a name wins. ``path | url`` makes a link, of any bytes."""
+    templates = Environment(
         loader=ChoiceLoader([PackageLoader(package) for package in packages]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    templates.filters["url"] = lambda path: quote(os.fsencode(path))
+    return templates
 
 
 def inlined(templates: Environment, *names: str) -> Inlined:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -48,6 +50,20 @@ def test_again_gives_the_same_bytes(mavnav: Callable, sample: Path, finished: Pa
 def scans_in(run: Path) -> int:
     """Return how many scans the log of a run has."""
     return json.loads((run / "run.json").read_text())["scans"]["total"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are UTF-8 there")
+@pytest.mark.parametrize(
+    ("command", "options"),
+    [("replay", ("--report",)), ("compare", ("--grid", "5x5", "-j", 1)), ("batch", ("--grid", "5x5", "-j", 1))],
+)
+def test_the_name_of_a_log_need_not_be_utf_8(
+    mavnav: Callable, sample: Path, tmp_path: Path, command: str, options: tuple[object, ...]
+) -> None:
+    log = tmp_path / os.fsdecode(b"b\xffd.mcap")
+    shutil.copy(sample, log)
+    code, _, err = mavnav(command, log, "-o", tmp_path / "r", *FEW, *options)
+    assert (code, err) == (0, "")
 
 
 def test_summary_on_stdout(mavnav: Callable, sample: Path, tmp_path: Path) -> None:

@@ -64,7 +64,7 @@ def write_report(comparison: dict[str, Any], directory: Path, path: Path) -> Non
         for number, section in enumerate(sections, 1):
             _write_pictures(section, path.parent, "" if number == 1 else f"_{number}")
         with beside(path) as partial:
-            partial.write_text(_page(comparison, sections), encoding="utf-8")
+            partial.write_text(_page(comparison, sections), "utf-8", "backslashreplace")  # names need not be UTF-8
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"{path} cannot be written: {reason}; make room or choose another with -o") from error
