@@ -156,7 +156,7 @@ class Config(_Strict):
     @field_validator("grid", mode="before")
     @classmethod
     def _grid_from_text(cls, value: object) -> object:
-        return GridSize.parse(value) if isinstance(value, str) else value
+        return value if isinstance(value, (GridSize, dict)) else GridSize.parse(str(value))
 
     @property
     def cell_m(self) -> float:

@@ -166,8 +166,10 @@ def validated(model: type[Model], layer: Layer, name: str = "configuration") -> 
 
 
 def origin(layer: Layer, key: Key, name: str = "configuration") -> str:
-    """Return where a key, or else what is around it, was written."""
-    return next((layer.origins[key[:n]] for n in range(len(key), 0, -1) if key[:n] in layer.origins), name)
+    """Return where a key, or else what is around it, or in it, was written."""
+    around = (layer.origins[key[:n]] for n in range(len(key), 0, -1) if key[:n] in layer.origins)
+    within = (where for inner, where in layer.origins.items() if inner[: len(key)] == key)
+    return next(around, next(within, name))
 
 
 def _complaint(model: type[BaseModel], details: ErrorDetails, layer: Layer, name: str) -> str:
@@ -177,7 +179,7 @@ def _complaint(model: type[BaseModel], details: ErrorDetails, layer: Layer, name
     named = tuple(part for part in key if not part.isdecimal())
     hint = known.get(named) or f"see '{help_}'"
     if details["type"] == "extra_forbidden":
-        advice = _nearest(named, list(known)) or f"see '{help_}' for the known keys"
+        advice = _nearest(named or key, list(known)) or f"see '{help_}' for the known keys"
         return f"{where}: unknown key {dotted}; {advice}"
     if details["type"] == "missing":
         return f"{where}: {dotted} is missing; give the {hint}"

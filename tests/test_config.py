@@ -50,6 +50,22 @@ def test_a_file_wins_over_the_preset(tmp_path: Path) -> None:
     assert load_config(write(tmp_path, "method: paper\nfinal_pass: true")).final_pass
 
 
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("1=2", "--set 1=2: unknown key 1; "),
+        ("ROBUST.CELL_MM=5", "--set ROBUST.CELL_MM=5: unknown key ROBUST; "),
+        ("robust.cell_mm.x=5", "--set robust.cell_mm.x=5: robust.cell_mm is {'x': 5}, it should be a number"),
+        ("grid=10", "--set grid=10: grid '10' is not of the form NxM; "),
+        ("grid=", "--set grid=: grid 'None' is not of the form NxM; "),
+    ],
+)
+def test_odd_settings_are_refused_in_one_line(setting: str, words: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_config(None, [setting])
+    assert str(caught.value).startswith(words)
+
+
 def test_presets_hold_only_what_differs_from_the_defaults(repo_root: Path) -> None:
     assert presets() == ["fig8", "paper", "robust"]
     for name in presets():
