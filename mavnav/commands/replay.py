@@ -216,8 +216,8 @@ def lost_line(document: dict[str, Any]) -> str:
     beams = document["search"]["beams_used"]["median"] or 0
     if beams < _FEW_BEAMS:
         return (
-            f"mavnav: error: the scans see too little to be matched ({beams:.0f} beams with a return in the median); "
-            "what could be tracked is written, look at the ranges with 'mavnav info'"
+            f"mavnav: error: the scans see too little to be matched ({beams:.0f} usable beams in the median); "
+            "what could be tracked is written, look at the ranges with 'mavnav info', and at near_mm and far_mm"
         )
     return (
         f"mavnav: error: tracking was lost for good{since}, {poses}; what could be tracked is written, try {advice}, "

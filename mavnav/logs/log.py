@@ -273,7 +273,9 @@ def _no_scans(found: Survey) -> str:
 
 
 def _no_usable(found: Survey, name: str, scans: TopicScans, timeline: Timeline) -> str:
-    reasons = ", ".join(f"{count} {reason}" for reason, count in (scans.refused + timeline.skipped).items())
+    reasons = ", ".join(
+        f"{count} {reason.replace('_', ' ')}" for reason, count in (scans.refused + timeline.skipped).items()
+    )
     hint = "; check --start and --end" if any(end is not None for end in found.window_s) else ""
     return f"{found.path}: none of the {scans.total} scans on {name} is usable ({reasons}){hint}"
 
@@ -298,11 +300,13 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
     base_T_laser = extrinsic or base_T_laser
     source: Literal["tf_static", "option"] | None = "tf_static" if mounted else None
     odometry = None
-    if track is not None:
+    odom_T_base = track.trajectory(log.stamp_source) if track else None
+    if track and odom_T_base and not _meet(odom_T_base.stamps_ns, log):
+        warnings.append(f"{track.topic}: odometry and scans share no time; it is not used, check its clock")
+    elif track and odom_T_base:
         if base_T_laser is None:
             text = f"no transform from {base_frame!r} to {log.frame_id!r}; the odometry is taken as the laser's own"
             warnings.append(f"{text} (--extrinsic x,y,yaw tells the mounting)")
-        odom_T_base = track.trajectory(log.stamp_source)
         odometry = Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()))
     return replace(
         log,
@@ -313,3 +317,8 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
         odometry=odometry,
         warnings=tuple(warnings),
     )
+
+
+def _meet(stamps_ns: NDArray[np.int64], log: Log) -> bool:
+    """Tell whether some time between the first stamp and the last is one of the log's scans."""
+    return len(stamps_ns) > 0 and bool(stamps_ns[0] <= log.last_ns and stamps_ns[-1] >= log.first_ns)

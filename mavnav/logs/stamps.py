@@ -26,6 +26,9 @@ KEPT_BYTES: Final = 32 << 20
 """Scans of shorter logs are kept once they have been read: decoding costs more than the memory."""
 
 _LATEST_NS: Final = 1 << 62
+_CALENDAR_NS: Final = 1_000_000_000_000_000_000
+"""September 2001: stamps of a clock that tells the date lie behind it, those that count from a start before."""
+
 _GAP_PERIODS: Final = 3.0
 _SUSPECT_OFFSET_NS: Final = 10_000_000_000
 """A suspect scan whose stamp is farther from its time of recording than usual, by this, is not plausible."""
@@ -152,7 +155,7 @@ class TopicScans:
     def _chosen(self, stamps: array[int]) -> NDArray[np.int64]:
         """Return the numbers of the scans to use, in the order of the file, or of recording where that keeps more."""
         stamps_ns, log_ns = _frozen(stamps), _frozen(self._log_ns)
-        sound = np.flatnonzero((stamps_ns >= 0) & (stamps_ns < _LATEST_NS) & self._plausible())
+        sound = np.flatnonzero(~_impossible(stamps_ns) & self._plausible())
         chosen = sound[ascending(stamps_ns[sound])]
         if len(chosen) == len(sound):
             return chosen
@@ -195,7 +198,7 @@ class TopicScans:
         """Count the scans that are not chosen by reason."""
         left = np.ones(len(stamps_ns), np.bool_)
         left[chosen] = False
-        impossible = left & ((stamps_ns < 0) | (stamps_ns >= _LATEST_NS))
+        impossible = left & _impossible(stamps_ns)
         implausible = left & ~impossible & ~self._plausible()
         rest = stamps_ns[left & ~impossible & ~implausible]
         twice = int(np.isin(rest, stamps_ns[chosen]).sum())
@@ -212,6 +215,13 @@ def _geometry(kind: tuple[LaserSpec, str]) -> tuple[LaserSpec, str]:
 
 def _frozen(stamps: array[int]) -> NDArray[np.int64]:
     return np.array(stamps, dtype=np.int64)
+
+
+def _impossible(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which stamps are no times; zero is one, unless the clock tells the date."""
+    told = stamps_ns[stamps_ns != 0]
+    least = 1 if len(told) and np.median(told) > _CALENDAR_NS else 0
+    return (stamps_ns < least) | (stamps_ns >= _LATEST_NS)
 
 
 def _inside(stamps_ns: NDArray[np.int64], window_s: Window) -> NDArray[np.bool_]:

@@ -126,6 +126,15 @@ def test_odometry_without_a_mounting_is_the_lasers_own_and_told(tmp_path: Path) 
     assert any("taken as the laser's own" in w for w in log.warnings)
 
 
+@pytest.mark.parametrize("late", [-100, 100])
+def test_odometry_of_another_time_is_not_used_and_told(late: int, tmp_path: Path) -> None:
+    log = open_log(write_mcap(tmp_path / "a", [laser(0), laser(1), odom("/odom", late), odom("/odom", late + 1)]))
+    assert log.odometry is None
+    assert [w for w in log.warnings if "odom" in w] == [
+        "/odom: odometry and scans share no time; it is not used, check its clock"
+    ]
+
+
 def test_mounting_is_composed_along_the_chain_of_frames(tmp_path: Path) -> None:
     chain = [
         tf("/base_footprint", "/base_link", x=1.0, yaw=pi / 2),

@@ -82,6 +82,18 @@ def test_gaps_are_pauses_longer_than_three_periods() -> None:
     assert period_and_gaps(stamps[:1]) == (0.0, ())
 
 
+def test_a_stamp_of_zero_is_no_time_where_the_others_tell_the_date(tmp_path: Path) -> None:
+    told = [0 if k in (0, 3) else START_NS + k * PERIOD_NS for k in range(6)]
+    log = open_log(write_mcap(tmp_path / "a", [at(k, stamp, START_NS + k * PERIOD_NS) for k, stamp in enumerate(told)]))
+    assert log.counts.skipped == {"impossible_stamp": 2}
+    assert log.duration_s == pytest.approx(4 * PERIOD_NS * 1e-9)
+
+
+def test_a_clock_may_count_from_zero(tmp_path: Path) -> None:
+    log = open_log(write_mcap(tmp_path / "a", [at(k, k * PERIOD_NS, START_NS + k * PERIOD_NS) for k in range(6)]))
+    assert (log.counts.usable, log.first_ns, log.stamp_source) == (6, 0, "header")
+
+
 def stamps_of(path: Path) -> list[int]:
     return [(s.stamp_ns - START_NS) // PERIOD_NS for s in open_log(path).scans()]
 
