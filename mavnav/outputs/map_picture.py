@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from mavnav.outputs.canvas import Canvas, Frame
     from mavnav.outputs.run import Run, Truth, Walls
     from mavnav.pose import Trajectory
+    from mavnav.slam import Slam
 
 CIRCLE_SPACING: Final = 0.018
 """Between two circles along the path, of the picture's longer side: so that they touch at most."""
@@ -49,7 +50,7 @@ def write(run: Run, path: Path) -> None:
     _draw_hits(frame, grid)
     some = thinned(trajectory.xyyaw[:, :2], CIRCLE_SPACING * max(window.size_m))
     marks = [*path_marks(trajectory, some), *_ends(run, trajectory.stamps_ns[some].tolist())]
-    _draw_path(frame, trajectory)
+    _draw_path(frame, run.slam)
     _draw_loops(frame, run)
     if run.true_walls:
         _draw_walls(frame, run.true_walls)
@@ -101,11 +102,21 @@ def framed(run: Run) -> NDArray[np.float64]:
     return np.vstack((xy_m, *mission, *walls))
 
 
-def _draw_path(frame: Frame, trajectory: Trajectory) -> None:
-    """Draw the line of all estimated poses, fainter than the circles."""
-    line = frame.to_marks(trajectory.xyyaw[:, :2])
-    if len(line) > 1:
-        frame.canvas.marks(frame.box, canvas.POSE.colour, lambda on: on.line(line, fill=150, width=3))
+def _draw_path(frame: Frame, slam: Slam) -> None:
+    """Draw the line of all estimated poses, fainter than the circles; nothing where the track was lost."""
+    lines = [frame.to_marks(part) for part in parts_of_path(slam) if len(part) > 1]
+
+    def draw(on: Any) -> None:  # noqa: ANN401
+        for line in lines:
+            on.line(line, fill=150, width=3)
+
+    frame.canvas.marks(frame.box, canvas.POSE.colour, draw)
+
+
+def parts_of_path(slam: Slam) -> list[NDArray[np.float64]]:
+    """Return the positions of the path (n, 2), in parts between the stretches where the track was lost."""
+    breaks = np.searchsorted(slam.trajectory.stamps_ns, [lost.start_ns for lost in slam.lost], side="right")
+    return np.split(slam.trajectory.xyyaw[:, :2], breaks)
 
 
 def _draw_loops(frame: Frame, run: Run) -> None:

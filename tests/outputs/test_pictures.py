@@ -59,6 +59,15 @@ def test_the_colours_of_the_legend_are_in_the_map(run, tmp_path):
     assert near((0xE0, 0x00, 0x00)) > 50  # end
 
 
+def test_no_line_is_drawn_where_the_track_was_lost(run):
+    (lost,) = run.slam.lost
+    before, after = map_picture.parts_of_path(run.slam)
+    assert len(before) == np.count_nonzero(run.slam.trajectory.stamps_ns < lost.start_ns)
+    assert len(before) + len(after) == len(run.slam.trajectory)
+    leap = replace(lost, start_ns=int(run.slam.trajectory.stamps_ns[3]), scans=0)  # between two poses that there are
+    assert len(map_picture.parts_of_path(replace(run.slam, lost=(leap,)))[0]) == 4
+
+
 def test_closed_loops_are_joined_and_named(run, tmp_path):
     loop = Loop(0, len(run.slam.trajectory) - 1, Pose(), Pose(), 0.9)
     closed = replace(run, slam=replace(run.slam, loops=Loops((loop,))))
