@@ -11,7 +11,8 @@ import typer
 
 from mavnav.commands.options import Quiet, Strict
 from mavnav.commands.progress import reporting
-from mavnav.commands.terminal import console, emit, note, printable
+from mavnav.commands.replay import print_table
+from mavnav.commands.terminal import emit, note
 from mavnav.errors import ExitCode, MavnavError
 from mavnav.units import DEG, NS
 
@@ -178,7 +179,7 @@ def _tell(document: dict[str, Any], *, json: bool) -> None:
 
         emit(dumps(document, indent=2, allow_nan=False))
         return
-    _print_rows(_rows(document))
+    print_table(_rows(document))
     for warning in document["warnings"]:
         note(f"mavnav: warning: {warning}")
     for damage in document["damage"][:_LISTED]:
@@ -257,13 +258,3 @@ def _mounting_text(mounting: dict[str, Any] | None) -> str:
         return "unknown"
     place = f"x {mounting['x_m']:.3f} m, y {mounting['y_m']:.3f} m, yaw {mounting['yaw_rad'] / DEG:.2f} deg"
     return f"{place} on {mounting['base_frame']} ({mounting['source']})"
-
-
-def _print_rows(rows: list[tuple[str, str]]) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(show_header=False, box=None, pad_edge=False)
-    for name, value in rows:
-        table.add_row(Text(name, style="bold"), Text(printable(value), overflow="fold"))
-    console().print(table)

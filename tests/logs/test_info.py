@@ -84,6 +84,14 @@ def test_unusable_scans_exit_with_4_and_say_why(tmp_path: Path, capsys: Capture)
     assert document["scans"] == {"total": 3, "usable": 0, "skipped": {"no_valid_beam": 3}, "suspect": 0}
 
 
+def test_the_report_is_not_folded_off_a_terminal(tmp_path: Path, capsys: Capture) -> None:
+    topic = "/robot" + 20 * "/front"
+    run(["info", str(write_mcap(tmp_path / "a", [laser(0, topic=topic)]))])
+    lines = capsys.readouterr().out.splitlines()
+    assert f"topics      {topic}  sensor_msgs/msg/LaserScan  cdr  1" in lines
+    assert [line for line in lines if line != line.rstrip()] == []
+
+
 def test_several_scan_topics_are_each_examined(tmp_path: Path, capsys: Capture) -> None:
     front = [laser(k, topic="/front") for k in range(3)]
     path = write_mcap(tmp_path / "a", [*front, laser(1, topic="/rear", ranges=[]), laser(2, topic="/rear")])
