@@ -112,6 +112,12 @@ def test_a_start_pose_that_is_wrong_does_not_lead_astray() -> None:
     assert off_m(outcome, visit().world_T_laser).max() < 0.03
 
 
+def test_in_a_map_without_a_free_cell_the_laser_is_lost() -> None:
+    wall = np.full((2, 2), 5, np.uint16)
+    outcome = localised(visit(), known_map(Grid(CELL_M, (0.0, 0.0), wall, wall * 0), Pose()))
+    assert outcome.lost_for_good
+
+
 def test_a_laser_that_is_somewhere_else_is_lost() -> None:
     elsewhere = polyline((0, 0), (2.2, 0), (3.1, 1.4), (1.2, 2.6), (-0.4, 1.6), closed=True)
     recording = record(elsewhere, along([(0.8, 0.8), (1.6, 1.4)], period_s=0.25), LASER, noise=0.005)
