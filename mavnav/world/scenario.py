@@ -112,6 +112,14 @@ class Scenario(Strict):
     planner: PlannerConfig = Field(PlannerConfig(), description="path planning")
     slam: Config = Field(Config(), description="method, grid, azimuth and what else configures a replay")
 
+    @field_validator("name")
+    @classmethod
+    def _name_of_a_file(cls, name: str) -> str:
+        if name in (".", "..") or any(c in "/\\" or c < " " for c in name):
+            msg = "should be a name for files, without slashes and control characters"
+            raise ValueError(msg)
+        return name
+
     @field_validator("laser", mode="before")
     @classmethod
     def _laser_by_name(cls, value: object) -> object:

@@ -217,9 +217,11 @@ def test_the_schema_is_json_and_its_references_hold() -> None:
         ("start: ", "laser: {noise_percent: -1}\nstart: ", 6, "laser.noise_percent is -1, it should be greater than"),
         ("start: ", "laser: urg\nstart: ", 6, "laser.preset is 'urg', it should be 'urg-04lx', 'utm-30lx',"),
         ("start: ", "laser: {range_max_mm: 10}\nstart: ", 6, "laser has a least range that is not below its greatest"),
-        ("start: ", "slam: {grid: 5}\nstart: ", 6, "slam.grid is 5"),
+        ("start: ", "slam: {grid: 5}\nstart: ", 6, "grid '5' is not of the form NxM"),
         ("start: ", "slam: {grid: 5x}\nstart: ", 6, "grid '5x' is not of the form NxM"),
         ("start: ", "slam:\n  robust: {cel_mm: 5}\nstart: ", 7, "robust.cel_mm; did you mean slam.robust.cell_mm?"),
+        ("start: ", "name: a/b\nstart: ", 6, "name is 'a/b', it should be a name for files, without slashes"),
+        ("start: ", "name: \"a\\nb\"\nstart: ", 6, "name is 'a\\nb', it should be a name for files"),
         ("start: ", "planner: {techniqe: field}\nstart: ", 6, "planner.techniqe; did you mean planner.technique?"),
     ],
 )  # fmt: skip
