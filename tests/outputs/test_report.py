@@ -16,7 +16,7 @@ from mavnav.outputs import Truth
 from mavnav.outputs.document import run_document, to_json
 from mavnav.outputs.drawing import Window
 from mavnav.outputs.gridmap import write_npz
-from mavnav.outputs.report import columns, details, panels, single, write_report
+from mavnav.outputs.report import columns, cost_panel, details, panels, single, write_report
 from mavnav.outputs.report.closeups import differing_places
 from mavnav.outputs.report.entry import Entry, load
 from mavnav.outputs.report.headline import headline
@@ -154,6 +154,23 @@ def test_the_pictures_stand_beside_the_page(report, base):
         with Image.open(base / f"{name}.png") as image:
             sizes[name] = image.size
     assert min(min(size) for size in sizes.values()) > 200
+
+
+def test_a_scan_is_rejected_unless_it_is_lost(entries):
+    scans = replace(entries[0].scans, time_s=np.arange(6.0), tracked=np.array([1, 0, 1, 1, 0, 0], bool))
+    scans = replace(scans, accepted=np.array([1, 0, 1, 0, 0, 0], bool))
+    lost = {"intervals": [{"start_s": 4.0, "end_s": 5.0}]}
+    entry = with_document(replace(entries[0], scans=scans), tracking=lost)
+    assert np.flatnonzero(cost_panel.rejected(entry)).tolist() == [1, 3]
+
+
+def test_a_short_scale_of_costs_is_named_too():
+    canvas = panels.Canvas(4.0, 1.7, "x", panels.CHART_FRAME)
+    cost_panel.scale(canvas.axes, (90.0, 1100.0))
+    canvas.image()
+    names, small = (canvas.axes.get_yticklabels(minor=minor) for minor in (False, True))
+    assert [name.get_text() for name in names if 90 < name.get_position()[1] < 1100] == ["100", "200", "500", "1000"]
+    assert {name.get_text() for name in small} == {""}
 
 
 def test_a_large_picture_is_made_smaller_on_the_page():

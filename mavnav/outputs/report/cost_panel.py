@@ -12,6 +12,7 @@ from mavnav.outputs.report.panels import CHART_FRAME, FONT_PT, Canvas
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
     from PIL.Image import Image
 
     from mavnav.outputs.report.entry import Entry
@@ -22,6 +23,8 @@ LEAST_MM2: Final = 0.1
 """Costs below are drawn at it: the first scan of a map costs nothing, and a logarithmic scale has no nothing."""
 LOW_SHARE: Final = 0.02
 """So many of the costs may lie below the scale's end."""
+SHORT_SCALE: Final = 100.0
+"""From its beginning to its end; a shorter scale may hold a single power of ten."""
 
 
 def cost_panels(entries: Sequence[Entry]) -> list[Image]:
@@ -47,14 +50,13 @@ def _panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
     axes = canvas.axes
     _draw_lost(axes, entry)
     axes.plot(scans.time_s, cost, color=COST_BLUE, lw=0.8, label="cost")
-    rejected = scans.tracked & ~scans.accepted & np.isfinite(cost)
-    if rejected.any():
-        axes.plot(scans.time_s[rejected], cost[rejected], "x", ms=4, color=drawing.GOAL_RED, label="rejected scan")
+    shown = rejected(entry) & np.isfinite(cost)
+    if shown.any():
+        axes.plot(scans.time_s[shown], cost[shown], "x", ms=4, color=drawing.GOAL_RED, label="rejected scan")
     gate = gate_mm2(entry)
     if gate:
         axes.axhline(gate, color=drawing.MUTED, lw=1.0, ls="--", label="gate")
-    axes.set_yscale("log")
-    axes.set_ylim(*limits)
+    scale(axes, limits)
     axes.set_xlim(0.0, end_s)
     axes.set_xlabel("time [s]", fontsize=FONT_PT)
     axes.set_ylabel("cost [mm²]", fontsize=FONT_PT)
@@ -63,10 +65,32 @@ def _panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
     return canvas.image()
 
 
+def scale(axes: Any, limits: tuple[float, float]) -> None:  # noqa: ANN401
+    """Make the scale logarithmic; powers of ten are named, on a short scale 2 and 5 times them as well."""
+    axes.set_yscale("log")
+    axes.set_ylim(*limits)
+    axes.yaxis.set_minor_formatter("")
+    if limits[1] < SHORT_SCALE * limits[0]:
+        axes.yaxis.get_major_locator().set_params(subs=(1.0, 2.0, 5.0))
+        axes.yaxis.set_major_formatter("{x:g}")
+
+
+def _intervals(entry: Entry) -> list[dict[str, Any]]:
+    return (entry.document.get("tracking") or {}).get("intervals") or []
+
+
+def rejected(entry: Entry) -> NDArray[np.bool_]:
+    """Tell which scans (n,) are not in the map, but for those without a pose where the track was lost."""
+    scans = entry.scans
+    lost = np.zeros(len(scans.time_s), np.bool_)
+    for interval in _intervals(entry):
+        lost |= (scans.time_s > interval["start_s"] - 1e-6) & (scans.time_s < interval["end_s"] + 1e-6)
+    return ~scans.accepted & ~(lost & ~scans.tracked)
+
+
 def _draw_lost(axes: Any, entry: Entry) -> None:  # noqa: ANN401
     """Shade where no scan has a pose; one scan wide at least."""
-    intervals = (entry.document.get("tracking") or {}).get("intervals") or []
     period_s = float(np.median(np.diff(entry.scans.time_s))) if len(entry.scans.time_s) > 1 else 0.1
-    for k, interval in enumerate(intervals):
+    for k, interval in enumerate(_intervals(entry)):
         label = None if k else "track lost"
         axes.axvspan(interval["start_s"], interval["end_s"] + period_s, color=LOST_ROSE, lw=0, label=label)
