@@ -293,7 +293,11 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
     mounted = mounting(found.frames, log.frame_id, bases, warnings.append)
     base_frame, base_T_laser, upside_down = mounted or (bases[0] if track else None, None, False)
     if upside_down:
-        done = "used as recorded, as --extrinsic knows the plane alone" if extrinsic else "turned over"
+        done = (
+            "used as recorded, as --extrinsic knows the plane alone"
+            if extrinsic
+            else "turned over (not with --extrinsic x,y,yaw)"
+        )
         warnings.append(
             f"the transforms say that the laser ({log.frame_id}) is mounted upside down; its scans are {done}"
         )
