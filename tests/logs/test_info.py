@@ -127,6 +127,14 @@ def test_table_shows_names_as_they_are_and_warns_on_stderr(tmp_path: Path, capsy
     assert "1 of 3 scans skipped" in err
 
 
+def test_lines_are_not_folded_where_a_program_reads_them(tmp_path: Path, capsys: Capture) -> None:
+    folder = tmp_path / ("long-" * 20)
+    folder.mkdir()
+    path = write_mcap(folder / "a", drive())
+    assert run(["info", str(path)]) == 0
+    assert f"log         {path}\n" in capsys.readouterr().out
+
+
 def test_sha256_counts_the_zeros_of_holes(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with path.open("wb") as file:
