@@ -1,4 +1,4 @@
-"""How far a comparison is, on stderr: bars on a terminal, elsewhere a plain line for every cell that ends."""
+"""How far a comparison or a batch is, on stderr: bars on a terminal, elsewhere a plain line for every run that ends."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mavnav.commands.terminal import note, printable
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from mavnav.jobs import Event, Retried
+    from mavnav.jobs import Event, Outcome, Retried
 
     Listener = Callable[[Event], None]
 
@@ -59,7 +59,7 @@ def _lines(names: Sequence[str], *, ends: bool) -> Listener:
             note(_again(names[event.index], event))
         elif isinstance(event, Ended) and ends:
             ended += 1
-            note(f"mavnav: {ended} of {len(names)}: {names[event.index]} {_fate(event)}")
+            note(f"mavnav: {ended} of {len(names)}: {names[event.index]} {_fate(event.outcome)}")
 
     return listen
 
@@ -68,19 +68,16 @@ def _again(name: str, event: Retried) -> str:
     return f"mavnav: {name}: {event.error}; it is tried again at the end"
 
 
-def _fate(event: Event) -> str:
+def _fate(outcome: Outcome) -> str:
     """Say how a job ended."""
-    from mavnav.jobs import Ended, Fate
+    from mavnav.jobs import Fate
 
-    if not isinstance(event, Ended):
-        return ""
-    outcome = event.outcome
     return f"done in {outcome.seconds:.1f} s" if outcome.fate is Fate.DONE else f"failed: {outcome.error}"
 
 
 @contextmanager
 def _bars(names: Sequence[str]) -> Iterator[Listener]:
-    """Show a bar for the whole, one for every cell that is being run, and a line that stays for one that failed."""
+    """Show a bar for the whole, one for everything that is being run, and a line that stays for one that failed."""
     from mavnav.jobs import Ended, Fate, Progressed, Retried, Started
 
     with bars() as shown:
@@ -105,6 +102,6 @@ def _bars(names: Sequence[str]) -> Iterator[Listener]:
                     if outcome.fate is not Fate.DONE:
                         failed += 1
                         shown.update(whole, description=f"{len(names)} runs, {failed} failed")
-                        note(f"mavnav: {names[index]} {_fate(event)}")
+                        note(f"mavnav: {names[index]} {_fate(outcome)}")
 
         yield listen

@@ -15,6 +15,7 @@ from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.replay import page_row, print_table, wall_rows
 from mavnav.commands.terminal import emit, note
 from mavnav.errors import ExitCode, UsageError
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from mavnav.world import Scenario
@@ -153,17 +154,12 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
 def _truth_rows(truth: dict[str, Any]) -> list[tuple[str, str]]:
     if "ate_rmse_m" not in truth:
         return [("error", f"not measurable, {truth['ate_poses']} poses")]
+    turned_deg = truth["map_yaw_error_rad"] / DEG
     return [
         ("ATE, aligned", f"{1e3 * truth['ate_rmse_m']:.0f} mm, final {1e3 * truth['final_aligned_error_m']:.0f} mm"),
-        ("from the start", f"final {1e3 * truth['final_error_m']:.0f} mm, map turned by {_deg(truth)} deg"),
+        ("from the start", f"final {1e3 * truth['final_error_m']:.0f} mm, map turned by {turned_deg:.1f} deg"),
         ("wall distance", _wall_distance(truth)),
     ]
-
-
-def _deg(truth: dict[str, Any]) -> str:
-    from math import degrees
-
-    return f"{degrees(truth['map_yaw_error_rad']):.1f}"
 
 
 def _wall_distance(truth: dict[str, Any]) -> str:
