@@ -12,7 +12,7 @@ import numpy as np
 from mavnav import slam
 from mavnav.methods import METHODS
 from mavnav.motion import Motion
-from mavnav.planner import Command, make_planner
+from mavnav.planner import Command, Planner
 from mavnav.pose import Pose, Trajectory
 from mavnav.steps import Steps
 from mavnav.units import DEG, MM, NS
@@ -145,7 +145,7 @@ class Pilot:
         self.goals = [map_T_world @ Pose(x, y) for x, y in scenario.goals_xy_m]
         self.radius_m = scenario.goal_radius_mm * MM
         self.max_steps = scenario.max_steps
-        self.planner = make_planner(scenario.planner)
+        self.planner = Planner(scenario.planner)
         self.hovering = 0
 
     def decide(self, step: Step, grid: Tally) -> Command | End:

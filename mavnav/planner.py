@@ -71,10 +71,6 @@ class Planner:
         self.config = config
         self.memory: Memory | None = None
 
-    def command(self, grid: Tally, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Command:
-        """Return the next command; see ``plan``."""
-        return self.plan(grid, map_T_laser, goal_xy_map_m).command
-
     def plan(self, grid: Tally, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Plan:
         """Return the next command with its evidence, and remember what the next call needs."""
         scene = _scene(self.config, grid, map_T_laser, goal_xy_map_m)
@@ -90,11 +86,6 @@ class Planner:
             )
         self.memory = replace(drive.memory, velocity_m=step)
         return Plan(_in_body(step, turn_rad, map_T_laser), _clearance_m(scene, step), drive.reason)
-
-
-def make_planner(config: PlannerConfig) -> Planner:
-    """Make a planner with nothing to remember yet."""
-    return Planner(config)
 
 
 def _scene(config: PlannerConfig, grid: Tally, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Scene:

@@ -9,7 +9,7 @@ import synthetic
 from synthetic import Segments, box, polyline
 
 from mavnav.grid import Tally
-from mavnav.planner import Plan, make_planner
+from mavnav.planner import Plan, Planner
 from mavnav.planner_config import PlannerConfig
 from mavnav.pose import Pose, transform_points
 
@@ -102,7 +102,7 @@ def fly(
 ) -> Flight:
     """Fly until within 250 mm of the goal, stuck, or out of steps; ``known`` paints the whole map beforehand."""
     rng, grid = np.random.default_rng(seed), Tally(cell_m)
-    planner = make_planner(PlannerConfig(technique=technique, **settings))
+    planner = Planner(PlannerConfig(technique=technique, **settings))
     pose, plans = world.start, []
     xy = [(pose.x_m, pose.y_m)]
     if known:

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from synthetic import DEG, polyline
 
 from mavnav.grid import Tally
-from mavnav.planner import TECHNIQUES, Command, make_planner
+from mavnav.planner import TECHNIQUES, Command, Planner
 from mavnav.planner_config import PlannerConfig
 from mavnav.pose import Pose
 from mavnav.techniques import unit
@@ -25,7 +25,7 @@ def grid_of(walls: np.ndarray, cell_m: float = 0.02) -> Tally:
 
 
 def first_command(walls: np.ndarray, pose: Pose, goal: tuple[float, float], **settings: object) -> Command:
-    return make_planner(PlannerConfig(**settings)).command(grid_of(walls), pose, goal)
+    return Planner(PlannerConfig(**settings)).plan(grid_of(walls), pose, goal).command
 
 
 def test_every_technique_can_be_chosen_by_its_name() -> None:
@@ -151,10 +151,10 @@ def test_the_same_seed_gives_the_same_flight() -> None:
 @settings(max_examples=25, deadline=None)
 @given(x=st.floats(0.3, 5.7), y=st.floats(0.3, 3.7), yaw=st.floats(-3, 3), technique=st.sampled_from(list(TECHNIQUES)))
 def test_commands_keep_the_limits_and_the_clearance(x: float, y: float, yaw: float, technique: str) -> None:
-    planner = make_planner(PlannerConfig(technique=technique, max_step_mm=80, max_turn_deg=10))
+    planner = Planner(PlannerConfig(technique=technique, max_step_mm=80, max_turn_deg=10))
     pose = Pose(x, y, yaw)
     for _ in range(5):
-        c = planner.command(DOORWAY_GRID, pose, DOORWAY.goal_m)
+        c = planner.plan(DOORWAY_GRID, pose, DOORWAY.goal_m).command
         before = closed_loop.true_clearance_m(DOORWAY.walls, (pose.x_m, pose.y_m))
         pose = pose @ Pose(c.dx_m, c.dy_m, c.dyaw_rad)
         assert np.hypot(c.dx_m, c.dy_m) <= 0.08 + 1e-9
@@ -190,10 +190,10 @@ def test_a_higher_mass_bends_the_way_less() -> None:
     """Flying along x, the goal turns up aside: the heavier vehicle keeps its direction longer."""
     sideways = []
     for mass in (0.5, 1.0, 4.0):
-        planner = make_planner(PlannerConfig(technique="field", mass_kg=mass, view_deg=180))
+        planner = Planner(PlannerConfig(technique="field", mass_kg=mass, view_deg=180))
         pose, grid = Pose(), grid_of(OPEN.walls)
         for k in range(14):
-            c = planner.command(grid, pose, (4.0, 0.0) if k < 10 else (pose.x_m, 4.0))
+            c = planner.plan(grid, pose, (4.0, 0.0) if k < 10 else (pose.x_m, 4.0)).command
             pose = pose @ Pose(c.dx_m, c.dy_m, 0.0)
         sideways.append(pose.y_m)
     assert sideways[0] > sideways[1] > sideways[2] > 0
@@ -210,11 +210,11 @@ def test_a_stray_hit_in_a_doorway_does_not_close_it() -> None:
     at = np.array([[x, 2.85] for x in (2.97, 3.0, 3.03)])
     stray.insert(Pose(2.0, 2.85, 0.0), at[:1])
     pose = Pose(2.0, 2.85, 0.0)
-    commands = [make_planner(PlannerConfig()).command(g, pose, DOORWAY.goal_m) for g in (free, stray)]
+    commands = [Planner(PlannerConfig()).plan(g, pose, DOORWAY.goal_m).command for g in (free, stray)]
     assert commands[0] == commands[1]
     for _ in range(3):
         stray.insert(pose, at)
-    assert make_planner(PlannerConfig()).command(stray, pose, DOORWAY.goal_m) != commands[0]  # now it is a thing
+    assert Planner(PlannerConfig()).plan(stray, pose, DOORWAY.goal_m).command != commands[0]  # now it is a thing
 
 
 def test_a_vehicle_too_near_to_a_wall_backs_off_though_it_does_not_look_there() -> None:
@@ -225,16 +225,16 @@ def test_a_vehicle_too_near_to_a_wall_backs_off_though_it_does_not_look_there() 
 
 def test_an_empty_map_and_a_goal_at_hand_are_no_trouble() -> None:
     for technique in TECHNIQUES:
-        plan = make_planner(PlannerConfig(technique=technique)).plan(Tally(0.02), Pose(), (2.0, 0.0))
+        plan = Planner(PlannerConfig(technique=technique)).plan(Tally(0.02), Pose(), (2.0, 0.0))
         assert plan.command.dx_m > 0
         assert np.isinf(plan.clearance_m)
-        there = make_planner(PlannerConfig(technique=technique)).plan(Tally(0.02), Pose(2.0, 0.0, 0.0), (2.0, 0.0))
+        there = Planner(PlannerConfig(technique=technique)).plan(Tally(0.02), Pose(2.0, 0.0, 0.0), (2.0, 0.0))
         assert there.command == Command()
         assert not there.stuck
 
 
 def test_a_new_goal_begins_a_new_memory() -> None:
-    grid, planner = grid_of(CLOSED.walls), make_planner(PlannerConfig())
+    grid, planner = grid_of(CLOSED.walls), Planner(PlannerConfig())
     pose = CLOSED.start
     while not planner.plan(grid, pose, CLOSED.goal_m).stuck:
         pass
@@ -245,9 +245,9 @@ def test_a_new_goal_begins_a_new_memory() -> None:
 
 @pytest.mark.parametrize("technique", TECHNIQUES)
 def test_the_last_step_does_not_pass_the_goal(technique: str) -> None:
-    grid, planner, pose = grid_of(OPEN.walls), make_planner(PlannerConfig(technique=technique)), Pose()
+    grid, planner, pose = grid_of(OPEN.walls), Planner(PlannerConfig(technique=technique)), Pose()
     for _ in range(30):
-        c = planner.command(grid, pose, (1.0, 0.0))
+        c = planner.plan(grid, pose, (1.0, 0.0)).command
         pose = pose @ Pose(c.dx_m, c.dy_m, c.dyaw_rad)
         assert pose.x_m < 1.0 + 1e-9
     assert pose.x_m > 0.99
