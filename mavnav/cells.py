@@ -63,7 +63,7 @@ class Cell:
 
 
 def make_cells(
-    logs: Iterable[Path], configs: Iterable[Config], options: Mapping[str, Any], directory: Path, *, force: bool
+    logs: Iterable[Path], configs: Iterable[Config], options: Mapping[str, Any], directory: Path
 ) -> list[Cell]:
     """Return every log with every configuration, logs first; what comes twice is one cell.
 
@@ -76,7 +76,7 @@ def make_cells(
     configs = list(configs)
     for log, digest in {log: content_sha256(log) for log in logs}.items():
         for config in configs:
-            request = replay.Request(log=log, directory=directory, config=config, force=force, **options)
+            request = replay.Request(log=log, directory=directory, config=config, force=True, **options)
             cell = make_cell(request, digest, references)
             found.setdefault(cell.key, cell)
     return list(found.values())

@@ -158,11 +158,6 @@ class Config(_Strict):
     def _grid_from_text(cls, value: object) -> object:
         return value if isinstance(value, (GridSize, dict)) else GridSize.parse(str(value))
 
-    @property
-    def cell_m(self) -> float:
-        """Cell edge of the chosen method's map, in metres."""
-        return (self.paper.cell_mm if self.method == "paper" else self.robust.cell_mm) * 1e-3
-
     def document(self) -> dict[str, Any]:
         """Return the effective configuration as plain data, grid as text."""
         return {**self.model_dump(), "grid": str(self.grid)}

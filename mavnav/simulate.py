@@ -131,17 +131,14 @@ def _reference(flight: Flight) -> dict[str, Any] | None:
 
 def _mission(request: Request, flight: Flight) -> Mission:
     mission = flight.mission
+    numbers = {name: value for name, value in asdict(mission).items() if name != "end"}
     return Mission(
         path=request.path,
         scenario=flight.scenario.document(),
-        mission={"reached": mission.reached, "reason": mission.end.value, **_numbers(mission)},
+        mission={"reached": mission.reached, "reason": mission.end.value, **numbers},
         truth=truth_errors(flight),
         reached=mission.reached,
     )
-
-
-def _numbers(mission: object) -> dict[str, Any]:
-    return {k: v for k, v in asdict(mission).items() if k != "end"}  # type: ignore[call-overload]
 
 
 def truth_errors(flight: Flight) -> dict[str, Any]:

@@ -68,7 +68,7 @@ def _run(index: int, packed: bytes, terms: Terms) -> Outcome:
         report = _Reporter(index, terms, began_s=monotonic())
         outcome = attempt(job, report)
     if report.late and outcome.fate is Fate.FAILED:
-        return replace(outcome, fate=Fate.TIMEOUT, error=f"took longer than {terms.timeout_s:g} s", trace="")
+        return replace(outcome, fate=Fate.TIMEOUT, error=f"took longer than {terms.timeout_s:g} s")
     return outcome
 
 

@@ -95,7 +95,7 @@ def plan(request: Request, progress: Progress) -> Plan:
     if len(request.logs) > 1 and any(request.options.get(name) for name in REFERENCES):
         raise UsageError("--truth, --truth-map and --relations tell of one log; compare one log at a time with them")
     progress("reading", 0, None)
-    found = make_cells(request.logs, request.configs, request.options, request.directory, force=True)
+    found = make_cells(request.logs, request.configs, request.options, request.directory)
     check_names((gate.name for gate in request.gates), _blank(request))
     documents = {} if request.force else {cell.key: document for cell in found if (document := earlier(cell))}
     drawn = len(documents) == len(found) and _drawn(request.directory, [cell.key for cell in found])

@@ -39,9 +39,8 @@ class Fate(StrEnum):
 class Outcome:
     """How a job ended.
 
-    ``value`` is what it returned. ``error`` says in one line why it has none, and ``trace`` is the traceback where
-    there is one; ``exit_code`` is that of its exception, and that of a bug where the process itself ended. ``pid`` is
-    the process that ran it.
+    ``value`` is what it returned. ``error`` says in one line why it has none; ``exit_code`` is that of its exception,
+    and that of a bug where the process itself ended. ``pid`` is the process that ran it.
     """
 
     fate: Fate
@@ -49,7 +48,6 @@ class Outcome:
     seconds: float
     value: Any = None
     error: str = ""
-    trace: str = ""
     exit_code: ExitCode = ExitCode.DONE
 
 

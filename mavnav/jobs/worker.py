@@ -8,7 +8,6 @@ import signal
 from multiprocessing import parent_process
 from threading import Thread
 from time import monotonic
-from traceback import format_exception
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from mavnav.errors import ExitCode, MavnavError
@@ -79,8 +78,7 @@ def attempt(job: Job, report: Report) -> Outcome:
 def failed(error: Exception, began_s: float) -> Outcome:
     """Return the outcome of a job that raised, and began at that time of the monotonic clock."""
     code = error.exit_code if isinstance(error, MavnavError) else ExitCode.BUG
-    trace = "".join(format_exception(error))
-    return Outcome(Fate.FAILED, os.getpid(), monotonic() - began_s, None, _said(error), trace, code)
+    return Outcome(Fate.FAILED, os.getpid(), monotonic() - began_s, None, _said(error), code)
 
 
 def _said(error: Exception) -> str:
