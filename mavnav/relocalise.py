@@ -113,7 +113,7 @@ def candidates(
 ) -> list[Match]:
     """Search a region of poses; return its separate minima, ``most`` of them, refined and judged.
 
-    ``points`` (n, 2) are the scan's in the laser's frame, m, as ``voxel_means`` gives them.
+    ``points`` (n, 2) are the scan's in the laser's frame, m, in an order any beginning of which is a fair sample.
     """
     robust, (xy_m, yaws_rad) = config.robust, region
     few = points[: robust.first_level_points]

@@ -36,7 +36,7 @@ KEPT_CELLS: Final = 1 << 24
 class Timing:
     """What the run took, in seconds: by the clock, of the processor, and of it to load or compile the kernels.
 
-    ``stages`` are the processor's seconds by stage, an account that goes on while the outputs are written.
+    ``stages`` are the clock's seconds by stage, an account that goes on while the outputs are written.
     """
 
     wall_s: float

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """A field of the table: the text, whether it is the best of its column, and a bar's length from 0 to 1."""
+    """A field of the table: the text, and whether it is the best of its column."""
 
     text: str
     best: bool
