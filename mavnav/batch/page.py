@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,7 +16,7 @@ from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.html import environment, inlined
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
 
 
@@ -63,8 +64,8 @@ def to_page(document: Mapping[str, Any], directory: Path) -> str:
     return templates.get_template("batch.html").render(
         headline=headline(document),
         lines=lines,
-        kinds=_counts(line.kind for line in lines),
-        changes=_counts(line.change for line in lines if line.change) if document["baseline"] else {},
+        kinds=Counter(line.kind for line in lines),
+        changes=Counter(line.change for line in lines if line.change) if document["baseline"] else {},
         missing=(document["baseline"] or {}).get("missing", []),
         columns=COLUMNS,
         style=inlined(templates, "report.css", "batch.css"),
@@ -72,13 +73,6 @@ def to_page(document: Mapping[str, Any], directory: Path) -> str:
         version=document["mavnav_version"],
         profile=document["profile"],
     )
-
-
-def _counts(words: Iterable[str]) -> dict[str, int]:
-    counts: dict[str, int] = {}
-    for word in words:
-        counts[word] = counts.get(word, 0) + 1
-    return counts
 
 
 def _line(row: dict[str, Any], directory: Path) -> Line:

@@ -12,10 +12,10 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from mavnav.errors import OutputError, UsageError
-from mavnav.outputs import drawing
 from mavnav.outputs.gridmap import known_part
 from mavnav.outputs.map_picture import framed
 from mavnav.outputs.replay_log import placed_scans
+from mavnav.outputs.window import GOAL_RED, POSE_MAGENTA, START_BLUE, Window, wall_lines, window_of
 from mavnav.pose import transform_points
 from mavnav.staging import beside
 from mavnav.units import NS
@@ -37,7 +37,7 @@ LEAST_WIDTH_PIXELS: Final = 360
 CAPTION_PIXELS: Final = 22
 
 _WHITE, _WALL, _TRUE_POSE, _POSE, _START, _GOAL, _TEXT, _HITS = 0, 1, 2, 3, 4, 5, 6, 7
-_PALETTE: Final = ("#ffffff", "#9aa1a8", "#000000", drawing.POSE_MAGENTA, drawing.START_BLUE, drawing.GOAL_RED,
+_PALETTE: Final = ("#ffffff", "#9aa1a8", "#000000", POSE_MAGENTA, START_BLUE, GOAL_RED,
                    "#444444", "#b5de2b", "#6ece58", "#35b779", "#1f9e89", "#26828e", "#31688e", "#3e4989", "#482878",
                    "#440154")  # fmt: skip
 """The hits' colours are steps of viridis, as in map.png; each is for twice the hits of the one before."""
@@ -74,7 +74,7 @@ def _write(run: Run, path: Path) -> None:
 class _Canvas:
     """A raster over a window of the map: pixel (column, row) with row 0 on top, and the hits that fell on each."""
 
-    window: drawing.Window
+    window: Window
     pixel_m: float
     hits: NDArray[np.int32] = field(init=False)
 
@@ -103,7 +103,7 @@ class _Canvas:
 
 def _frames(run: Run) -> Iterator[Image.Image]:
     """Draw a frame at up to `MAX_FRAMES` of the tracked scans, evenly spread; the last one is the end."""
-    window = drawing.window_of(known_part(run.slam.grid), framed(run))
+    window = window_of(known_part(run.slam.grid), framed(run))
     canvas = _Canvas(window, max(window.size_m) / LONGEST_PIXELS)
     count = len(run.slam.trajectory)
     shown = set(np.linspace(0, count - 1, min(count, MAX_FRAMES)).round().astype(int).tolist())
@@ -134,7 +134,7 @@ def _frame(run: Run, canvas: _Canvas, poses: list[tuple[int, Pose]]) -> Image.Im
 
 def _draw_truth(draw: ImageDraw.ImageDraw, canvas: _Canvas, truth: Truth, now_ns: int) -> None:
     """Draw the true walls thinly, the goal, and the true way so far with an x at its end."""
-    for line in drawing.wall_lines(truth):
+    for line in wall_lines(truth):
         draw.line(_flat(canvas.pixels(line)), fill=_WALL)
     _circle(draw, canvas, truth.goal_xy_map_m, _GOAL, radius=7)
     _cross(draw, canvas, truth.goal_xy_map_m, _GOAL, radius=4)

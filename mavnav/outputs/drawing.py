@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from mavnav.grid import FREE, occupancy
 from mavnav.lattice import pooled
 from mavnav.outputs.window import (
-    ARC_STEP_RAD,
     DPI,
     FREE_GREY,
     GOAL_RED,
@@ -25,9 +24,7 @@ from mavnav.outputs.window import (
     PATH_GREY,
     POSE_MAGENTA,
     START_BLUE,
-    STRAY_SHARE,
     TRUE_ORANGE,
-    WALL_GREY,
     Window,
     wall_lines,
     window_around,
@@ -43,20 +40,12 @@ if TYPE_CHECKING:
     from mavnav.outputs.run import Truth
 
 __all__ = [
-    "ARC_STEP_RAD",
-    "DPI",
-    "FREE_GREY",
     "GOAL_RED",
-    "GOAL_SIGN",
     "INK",
-    "MAX_CELLS",
     "MUTED",
     "PATH_GREY",
     "POSE_MAGENTA",
-    "START_BLUE",
-    "STRAY_SHARE",
     "TRUE_ORANGE",
-    "WALL_GREY",
     "Window",
     "draw_cells",
     "draw_ends",
@@ -64,7 +53,6 @@ __all__ = [
     "draw_walls",
     "dress",
     "figure",
-    "pooled",
     "save",
     "wall_lines",
     "window_around",

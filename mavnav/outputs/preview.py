@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mavnav.grid import OCCUPIED, occupancy
+from mavnav.lattice import pooled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,7 +27,7 @@ def preview(grid: Grid, columns: int = 76, lines: int = 24, *, braille: bool = T
     walls = _cropped(occupancy(grid) == OCCUPIED)[::-1]
     rows, cols = walls.shape
     step = max(-(-cols // (2 * columns)), -(-rows // (4 * lines)), 1)
-    dots = _pooled(walls, step)
+    dots = pooled(walls, step)
     height, width = -(-dots.shape[0] // 4), -(-dots.shape[1] // 2)
     padded = np.zeros((4 * height, 2 * width), np.uint32)
     padded[: dots.shape[0], : dots.shape[1]] = dots
@@ -40,12 +41,6 @@ def _cropped(walls: NDArray[np.bool_]) -> NDArray[np.bool_]:
         return np.zeros((1, 1), np.bool_)
     rows, cols = (np.flatnonzero(walls.any(axis=axis)) for axis in (1, 0))
     return walls[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-
-
-def _pooled(walls: NDArray[np.bool_], step: int) -> NDArray[np.bool_]:
-    """Return whether any cell of each block is occupied; blocks at the end may be smaller."""
-    by_rows = np.logical_or.reduceat(walls, np.arange(0, walls.shape[0], step), axis=0)
-    return np.logical_or.reduceat(by_rows, np.arange(0, walls.shape[1], step), axis=1)
 
 
 def _character(code: int, *, braille: bool) -> str:

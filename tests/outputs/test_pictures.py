@@ -9,9 +9,11 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mavnav.grid import Grid
+from mavnav.lattice import pooled
 from mavnav.loop_closure import Loop, Loops
 from mavnav.metrics.wall_thickness import sections_by_hits, wall_sections
-from mavnav.outputs import canvas, drawing, map_picture, wall_picture
+from mavnav.outputs import canvas, map_picture, wall_picture
+from mavnav.outputs.window import Window, window_of
 from mavnav.pose import Pose, Trajectory
 
 WRITERS = pytest.mark.parametrize("write", [map_picture.write, wall_picture.write], ids=["map", "walls"])
@@ -84,7 +86,7 @@ def test_closed_loops_are_joined_and_named(run, tmp_path):
 def test_a_wall_of_one_cell_survives_the_shrinking():
     hits = np.zeros((1000, 1003), np.int32)
     hits[500] = 3
-    small = drawing.pooled(hits, 7)
+    small = pooled(hits, 7)
     assert small.shape == (143, 144)
     assert (small.max(axis=0) == 3).all()
 
@@ -94,7 +96,7 @@ def test_a_single_far_return_does_not_shrink_the_room(run):
     hits[100, 100:2000] = hits[100:2000, 100] = 5
     hits[3990, 3990] = 1
     grid = Grid(0.02, (0.0, 0.0), hits, np.zeros_like(hits))
-    window = drawing.window_of(grid, np.zeros((1, 2)))
+    window = window_of(grid, np.zeros((1, 2)))
     assert window.x1_m < 45
     assert window.x0_m < 0
 
@@ -118,7 +120,7 @@ def test_section_lines_run_from_the_first_cell_to_the_last():
 
 def test_marks_lie_where_their_points_are_and_y_grows_upwards():
     picture = canvas.Canvas.of(300, 200)
-    frame = canvas.Frame(picture, drawing.Window(-1.0, 1.0, 0.0, 1.0), 50, 40, 200, 100)
+    frame = canvas.Frame(picture, Window(-1.0, 1.0, 0.0, 1.0), 50, 40, 200, 100)
     frame.mark(canvas.START, np.array([[0.5, 0.25]]))
     pixels = np.asarray(picture.image).astype(int)
     row, col = np.argwhere(np.abs(pixels - (0x00, 0x33, 0xFF)).sum(axis=2) < 60).mean(axis=0)
@@ -130,7 +132,7 @@ def test_cells_fill_their_squares():
     hits = np.zeros((10, 20), np.int32)
     hits[9, 0] = hits[0, 19] = 1
     grid = Grid(0.1, (-1.0, 0.0), hits, np.zeros_like(hits))
-    frame = canvas.Frame(picture, drawing.Window(-1.0, 1.0, 0.0, 1.0), 50, 40, 200, 100)
+    frame = canvas.Frame(picture, Window(-1.0, 1.0, 0.0, 1.0), 50, 40, 200, 100)
     frame.cells(grid, hits, lambda _: np.array((0, 0, 0), np.uint8))
     dark = np.asarray(picture.image).sum(axis=2) == 0
     expected = np.zeros((200, 300), bool)

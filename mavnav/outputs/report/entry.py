@@ -10,17 +10,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav.grid import Grid
-from mavnav.outputs import drawing
 from mavnav.outputs.directory import RUN_FILE
+from mavnav.outputs.gridmap import read_npz
 from mavnav.outputs.run import Truth
 from mavnav.outputs.trajectory import TRUE_WALLS_FILE
+from mavnav.outputs.window import wall_lines
 from mavnav.pose import Trajectory
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from mavnav.grid import Grid
 
 FAILED: Final = "failed"
 
@@ -75,16 +77,10 @@ def load(cell: dict[str, Any], base: Path) -> Entry | Failure:
     try:
         document = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
         return Entry(
-            log, name, document, _grid(folder / "hits.npz"), _scans(folder / "trajectory.csv"), _true_walls(folder)
+            log, name, document, read_npz(folder / "hits.npz"), _scans(folder / "trajectory.csv"), _true_walls(folder)
         )
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         return Failure(log, name, f"its run directory {cell['directory']} cannot be read ({type(error).__name__})")
-
-
-def _grid(path: Path) -> Grid:
-    with np.load(path) as counts:
-        x_m, y_m = counts["origin_xy_m"].tolist()
-        return Grid(float(counts["cell_m"]), (x_m, y_m), counts["counts"], counts["passes"])
 
 
 def _scans(path: Path) -> Scans:
@@ -111,4 +107,4 @@ def _true_walls(folder: Path) -> list[NDArray[np.float64]]:
         return []
     walls = json.loads(path.read_text(encoding="utf-8"))
     segments, arcs = (np.array(walls[key], np.float64).reshape(-1, n) for key, n in (("segments", 4), ("arcs", 5)))
-    return drawing.wall_lines(Truth(Trajectory.of([], []), segments, arcs, (0.0, 0.0)))
+    return wall_lines(Truth(Trajectory.of([], []), segments, arcs, (0.0, 0.0)))

@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Rectangle
 
 from mavnav.outputs import drawing
+from mavnav.outputs.map_picture import HIT_TICKS
 from mavnav.outputs.report.panels import FONT_PT, Canvas, Frame
 from mavnav.units import MM
 
@@ -20,8 +21,8 @@ if TYPE_CHECKING:
 
     from PIL.Image import Image
 
-    from mavnav.outputs.drawing import Window
     from mavnav.outputs.report.entry import Entry
+    from mavnav.outputs.window import Window
 
 HITS: Final = LinearSegmentedColormap.from_list("hits", colormaps["viridis"](np.linspace(0.92, 0.0, 256)))
 GHOST_RED: Final = drawing.GOAL_RED
@@ -132,7 +133,7 @@ def legend_panel(top_hits: float, *, truth: bool, ghost: bool) -> Image:
     axes = canvas.axes
     ramp = np.geomspace(1.0, top_hits, 256)[None]
     axes.imshow(ramp, cmap=HITS, norm=LogNorm(1.0, top_hits), aspect="auto", extent=(0.0, 1.0, 0.0, 1.0))
-    ticks = [t for t in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000) if t <= top_hits]
+    ticks = [t for t in HIT_TICKS if t <= top_hits]
     axes.set_xticks([float(np.log(t) / np.log(top_hits)) for t in ticks], [str(t) for t in ticks])
     axes.set_yticks([])
     axes.set_title(axes.get_title(loc="left"), fontsize=FONT_PT, color=drawing.MUTED, loc="left", pad=4)
