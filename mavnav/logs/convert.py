@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.logs import formats, ros
-from mavnav.logs.decode import TF_TYPE, decoder
+from mavnav.logs.decode import decoder
+from mavnav.logs.definitions import TF, TF_ROS1
 from mavnav.logs.ledger import Ledger
 from mavnav.logs.mcap_writer import CHUNK_BYTES, qos_text
 from mavnav.logs.mcap_writer import Channel as Written
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _LATEST_NS = (1 << 63) - 1
-_ROS1_ONLY = {"tf/msg/tfMessage": TF_TYPE}
+_ROS1_ONLY = {TF_ROS1: TF}
 
 
 @dataclass(frozen=True)

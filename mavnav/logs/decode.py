@@ -6,9 +6,9 @@ the same.
 
 from __future__ import annotations
 
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from mavnav.logs.definitions import FOXGLOVE_SCAN, ODOMETRY, SCAN, TF, TF_ROS1
 from mavnav.logs.layout import laser_of, odometry_of, transforms_of
 from mavnav.logs.messages import DecodeError, LaserMessage, TransformMessage
 from mavnav.logs.unpack import UnpackError, unpack_message
@@ -18,11 +18,7 @@ if TYPE_CHECKING:
 
     from mavnav.logs.records import Channel
 
-_SCAN_TYPE = "sensor_msgs/msg/LaserScan"
-LASER_TYPES = frozenset({_SCAN_TYPE, "foxglove.LaserScan"})
-ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
-TF_TYPE = "tf2_msgs/msg/TFMessage"
-_TF_TYPES = (TF_TYPE, "tf/msg/tfMessage")
+LASER_TYPES = frozenset({SCAN, FOXGLOVE_SCAN})
 
 
 def decoder(channel: Channel) -> Callable[[bytes], Any] | None:
@@ -49,26 +45,16 @@ def is_laser(channel: Channel) -> bool:
     return channel.type in LASER_TYPES and (channel.encoding, channel.type) in DECODERS
 
 
-@cache
-def _deserializer(encoding: str) -> Callable[[bytes, str], Any]:
-    """Return the ROS deserializer of an encoding; the type store costs some 0.1 s to load."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415
-
-    if encoding == "cdr":
-        of_cdr: Callable[[bytes, str], Any] = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr
-        return of_cdr
-    store = get_typestore(Stores.ROS1_NOETIC)
-    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF_TYPE))
-    of_ros1: Callable[[bytes, str], Any] = store.deserialize_ros1
-    return of_ros1
-
-
 def _deserialized(data: bytes, encoding: str, type_name: str) -> Any:  # noqa: ANN401
     """Decode a message by its standard definition; raises DecodeError."""
     from rosbags.serde import SerdeError  # noqa: PLC0415
 
+    from mavnav.logs import ros  # noqa: PLC0415  its type stores take some 0.1 s to load
+
     try:
-        return _deserializer(encoding)(data, type_name)
+        if encoding == "cdr":
+            return ros.types_ros2().deserialize_cdr(data, type_name)
+        return ros.types_ros1().deserialize_ros1(data, type_name)
     except (SerdeError, ValueError, IndexError) as error:
         raise DecodeError(str(error)) from error
 
@@ -140,12 +126,12 @@ def _foxglove_protobuf(channel: Channel) -> Callable[[bytes], LaserMessage]:
 
 
 _ROS_KINDS: dict[str, Callable[[Channel], Callable[[bytes], Any]]] = {
-    _SCAN_TYPE: _ros(laser_of, _laser, _SCAN_TYPE),
-    ODOMETRY_TYPE: _ros(odometry_of, _odometry, ODOMETRY_TYPE),
-    **dict.fromkeys(_TF_TYPES, _ros(transforms_of, _transforms, TF_TYPE)),
+    SCAN: _ros(laser_of, _laser, SCAN),
+    ODOMETRY: _ros(odometry_of, _odometry, ODOMETRY),
+    **dict.fromkeys((TF, TF_ROS1), _ros(transforms_of, _transforms, TF)),
 }
 DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
-    ("json", "foxglove.LaserScan"): _foxglove_json,
-    ("protobuf", "foxglove.LaserScan"): _foxglove_protobuf,
+    ("json", FOXGLOVE_SCAN): _foxglove_json,
+    ("protobuf", FOXGLOVE_SCAN): _foxglove_protobuf,
     **{(encoding, name): make for name, make in _ROS_KINDS.items() for encoding in ("cdr", "ros1")},
 }

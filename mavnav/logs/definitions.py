@@ -1,15 +1,17 @@
-"""The ROS messages that mavnav writes, by their standard definitions; those of other types are looked up by ``ros``."""
+"""Names of message types, and the standard definitions of those that mavnav writes; others are looked up by ``ros``."""
 
 from __future__ import annotations
 
 from typing import Final
 
 TF: Final = "tf2_msgs/msg/TFMessage"
+TF_ROS1: Final = "tf/msg/tfMessage"
 SCAN: Final = "sensor_msgs/msg/LaserScan"
 POSE: Final = "geometry_msgs/msg/PoseStamped"
 PATH: Final = "nav_msgs/msg/Path"
 MAP: Final = "nav_msgs/msg/OccupancyGrid"
 ODOMETRY: Final = "nav_msgs/msg/Odometry"
+FOXGLOVE_SCAN: Final = "foxglove.LaserScan"
 
 _XYZ: Final = ("float64 x", "float64 y", "float64 z")
 _LASER: Final = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")

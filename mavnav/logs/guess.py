@@ -9,6 +9,7 @@ from __future__ import annotations
 from math import isfinite, isnan, tau
 from typing import TYPE_CHECKING
 
+from mavnav.logs.definitions import SCAN
 from mavnav.logs.layout import laser_of
 from mavnav.logs.records import Channel
 
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
 _MAX_FRAME = 256
 
-LASER = "sensor_msgs/msg/LaserScan"
 ENCODINGS = ("cdr", "ros1")
 
 
@@ -28,10 +28,10 @@ def channel_of(data: bytes, name: str, ledger: Ledger) -> Channel | None:
     It is taken for one of the only scan channel that is known, else for one of a channel of this ``name``.
     """
     encoding = laser_encoding(data)
-    known = ledger.only(LASER)
+    known = ledger.only(SCAN)
     if encoding is None or (known is not None and known.encoding != encoding):
         return None
-    return known or ledger.declare(Channel(name, LASER, encoding))
+    return known or ledger.declare(Channel(name, SCAN, encoding))
 
 
 def typed(channel: Channel, data: bytes, where: str, ledger: Ledger) -> Channel:
@@ -44,12 +44,12 @@ def typed(channel: Channel, data: bytes, where: str, ledger: Ledger) -> Channel:
         return channel
     lacks = f"is in no encoding {channel.encoding!r}" if channel.type else "has a type that is told nowhere"
     ledger.damage(f"{channel.topic} {lacks}; its messages are scans by their bytes", where)
-    return ledger.declare(Channel(channel.topic, LASER, encoding))
+    return ledger.declare(Channel(channel.topic, SCAN, encoding))
 
 
 def is_vague(channel: Channel) -> bool:
     """Tell whether a channel does not say what its messages are, or in an encoding that no scan has."""
-    return not channel.type or (channel.type == LASER and channel.encoding not in ENCODINGS)
+    return not channel.type or (channel.type == SCAN and channel.encoding not in ENCODINGS)
 
 
 def laser_encoding(data: bytes) -> str | None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from operator import ne
 from typing import TYPE_CHECKING
 
+from mavnav.logs.definitions import FOXGLOVE_SCAN, ODOMETRY, SCAN, TF, TF_ROS1
 from mavnav.logs.records import Damage
 
 if TYPE_CHECKING:
@@ -15,13 +16,7 @@ if TYPE_CHECKING:
 MAX_DAMAGE = 100
 """Damage is listed singly up to here, so that a log of rubbish does not fill the memory; the rest is counted."""
 
-KNOWN_TYPES = (
-    "sensor_msgs/msg/LaserScan",
-    "foxglove.LaserScan",
-    "nav_msgs/msg/Odometry",
-    "tf2_msgs/msg/TFMessage",
-    "tf/msg/tfMessage",
-)
+KNOWN_TYPES = (SCAN, FOXGLOVE_SCAN, ODOMETRY, TF, TF_ROS1)
 """Types that a scan, a pose or a mounting can come from."""
 
 KNOWN_ENCODINGS = ("cdr", "ros1", "ros2", "json", "protobuf")

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from mavnav.errors import NoScansError, UsageError
 from mavnav.logs import formats
-from mavnav.logs.decode import ODOMETRY_TYPE, decoder, is_laser
+from mavnav.logs.decode import decoder, is_laser
+from mavnav.logs.definitions import ODOMETRY
 from mavnav.logs.door import Door
 from mavnav.logs.frames import FrameTree
 from mavnav.logs.ledger import Ledger
@@ -110,7 +111,7 @@ class _Pass:
 
     def _take_motion(self, message: RawMessage, decoded: Any) -> None:  # noqa: ANN401
         channel, log_ns = message.channel, message.log_ns
-        if channel.type == ODOMETRY_TYPE:
+        if channel.type == ODOMETRY:
             self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
         else:
             static = channel.topic.endswith("tf_static")

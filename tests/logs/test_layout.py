@@ -7,12 +7,13 @@ from dataclasses import replace
 import pytest
 from log_files import drive, serialized
 
-from mavnav.logs.decode import ODOMETRY_TYPE, TF_TYPE, decoder
+from mavnav.logs.decode import decoder
+from mavnav.logs.definitions import ODOMETRY, TF
 from mavnav.logs.layout import odometry_of, transforms_of
 from mavnav.logs.messages import DecodeError
 from mavnav.logs.records import Channel
 
-BY_LAYOUT = {TF_TYPE: transforms_of, ODOMETRY_TYPE: odometry_of}
+BY_LAYOUT = {TF: transforms_of, ODOMETRY: odometry_of}
 MESSAGES = [message for message in drive(2) if message.type in BY_LAYOUT]
 
 
@@ -23,7 +24,7 @@ def by_definition(monkeypatch: pytest.MonkeyPatch):
     def decode(data, encoding, kind):
         from mavnav.logs import decode as room
 
-        convert = {TF_TYPE: room._transforms, ODOMETRY_TYPE: room._odometry}[kind]
+        convert = {TF: room._transforms, ODOMETRY: room._odometry}[kind]
         return convert(room._deserialized(data, encoding, kind))
 
     return decode
