@@ -4,12 +4,11 @@
 """
 
 from mavnav.logs.log import Log, choose, open_log
-from mavnav.logs.records import Damage, Gap, Odometry, ScanCounts, Topic
+from mavnav.logs.records import Damage, Odometry, ScanCounts, Topic
 from mavnav.logs.survey import Survey, check_log, content_sha256, survey
 
 __all__ = [
     "Damage",
-    "Gap",
     "Log",
     "Odometry",
     "ScanCounts",

@@ -88,9 +88,9 @@ def _sniff_headless(path: Path, head: bytes) -> str:
 
 def _sniff_folder(folder: Path) -> str:
     inner = next((sniff(file) for file in sorted(folder.iterdir()) if _is_storage(file)), UNKNOWN)
-    storage, _, packed = inner.partition("-zstd")
+    storage, packed, _ = inner.partition("-zstd")
     if storage in _STORAGES:
-        return _STORAGES[storage] + ("-zstd" if inner.endswith("-zstd") else packed)
+        return _STORAGES[storage] + packed
     return "rosbag2" if (folder / METADATA).is_file() else UNKNOWN
 
 

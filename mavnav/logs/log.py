@@ -21,6 +21,7 @@ from mavnav.memory import trim
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
 from mavnav.stages import Stage, each
+from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -78,7 +79,7 @@ class Log:
     @property
     def duration_s(self) -> float:
         """Time from the first usable scan to the last."""
-        return (self.last_ns - self.first_ns) * 1e-9
+        return (self.last_ns - self.first_ns) * NS
 
     @property
     def is_short(self) -> bool:

@@ -231,18 +231,13 @@ def _text_within(offset: int, behind: int) -> Callable[[bytes, int], bool]:
     return fits
 
 
-def _is_chunk(content: bytes, length: int) -> bool:
-    """Whatever its compression is called, the string must end within the record."""
-    return _text_within(_CHUNK_HEAD.size, 8)(content, length)
-
-
 _CHECKS: Final[dict[int, Callable[[bytes, int], bool]]] = {
     Op.HEADER: _text_within(0, 4),
     Op.FOOTER: _at_least(20, 1 << 10),
     Op.SCHEMA: _text_within(2, 8),
     Op.CHANNEL: _text_within(4, 8),
     Op.MESSAGE: _at_least(MESSAGE_HEAD.size),
-    Op.CHUNK: _is_chunk,
+    Op.CHUNK: _text_within(_CHUNK_HEAD.size, 8),  # whatever its compression is called
     Op.MESSAGE_INDEX: _text_within(2, 0),
     Op.CHUNK_INDEX: _at_least(60),
     Op.ATTACHMENT: _text_within(16, 16),

@@ -28,7 +28,6 @@ MAGIC = b"#ROSBAG V2.0\n"
 OLD_MAGIC = b"#ROSRECORD V1.2\n"
 
 _SEARCH_BYTES = 1 << 16
-_TIME = struct.Struct("<II")
 _U32_PAIR = struct.Struct("<II")
 
 
@@ -51,7 +50,7 @@ def read_rosbag1(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
     """
     state = _State(ledger)
     with path.open("rb") as file:
-        source = Source(file, path.stat().st_size, "")
+        source = Source(file, path.stat().st_size)
         begin = _begin(source, ledger)
         if source.size == begin:
             ledger.damage("the bag ends behind its magic line", source.where(source.size))
@@ -156,7 +155,7 @@ def _message(source: Source, record: Record, state: _State) -> Iterator[RawMessa
 
 def _time_ns(record: Record) -> int:
     fields = record.fields
-    seconds, nanoseconds = _TIME.unpack(fields[b"time"] if b"time" in fields else fields[b"sec"] + fields[b"nsec"])
+    seconds, nanoseconds = _U32_PAIR.unpack(fields[b"time"] if b"time" in fields else fields[b"sec"] + fields[b"nsec"])
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 

@@ -195,7 +195,7 @@ def survey(
             state.conclude()
         size_bytes, sha256 = _identity(path)
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from error
+        raise _unreadable(path, error) from error
     return Survey(
         path,
         name,
@@ -218,7 +218,7 @@ def content_sha256(path: Path) -> str:
     try:
         return _identity(path)[1]
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from error
+        raise _unreadable(path, error) from error
 
 
 def check_log(path: Path, start_s: float | None = None, end_s: float | None = None) -> None:
@@ -228,7 +228,11 @@ def check_log(path: Path, start_s: float | None = None, end_s: float | None = No
         if formats.sniff(path) == formats.UNKNOWN:
             raise NoScansError(f"{path}: no usable scans; {formats.refusal(path)}")
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from error
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: OSError) -> UsageError:
+    return UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions")
 
 
 def _check(path: Path, start_s: float | None, end_s: float | None) -> None:

@@ -9,7 +9,7 @@ from mavnav.errors import UsageError
 from mavnav.metrics.map_distance import TrueMap, map_distance
 from mavnav.metrics.relations import TOLERANCE_NS, Relations, relation_errors
 from mavnav.metrics.trajectory_error import absolute_error, matched, relative_error
-from mavnav.references.map_file import MapFile, occupied_xy_m, read_map
+from mavnav.references.map_file import occupied_xy_m, read_map
 from mavnav.references.tables import read_relations, read_tum
 from mavnav.references.true_map import of_scenario, read_true_map
 from mavnav.units import NS
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LEAST_POSES",
-    "MapFile",
     "References",
     "check_times",
     "compared",
