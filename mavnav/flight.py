@@ -112,7 +112,7 @@ def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -
 
     The pilot sees the estimated pose and the map built so far, never the truth.
     """
-    config, laser = scenario.config, _laser(scenario)
+    config, laser = scenario.slam, _laser(scenario)
     noise = np.random.default_rng([scenario.seed, 1])
     vehicle = Vehicle(scenario.base_T_laser, round(laser.spec.scan_time_s / NS), [scenario.world_T_base])
     pilot = Pilot(scenario)

@@ -50,7 +50,7 @@ class Request:
 
 def default_directory(scenario: Scenario) -> Path:
     """Return ``runs/<scenario>-<method>-<grid>``."""
-    return Path("runs") / f"{scenario.name}-{scenario.config.method}-{scenario.config.grid}"
+    return Path("runs") / f"{scenario.name}-{scenario.slam.method}-{scenario.slam.grid}"
 
 
 def simulate(request: Request, progress: Progress, compile_s: float) -> tuple[Run, dict[str, Any]]:
@@ -76,7 +76,7 @@ def simulate(request: Request, progress: Progress, compile_s: float) -> tuple[Ru
         log, sections = open_log(kept), measured_sections(flight.slam.grid)
         run = Run(
             log=log,
-            config=request.scenario.config,
+            config=request.scenario.slam,
             slam=flight.slam,
             sections=sections,
             timing=timing,

@@ -144,11 +144,6 @@ class Scenario(Strict):
         return world_of(self.measured or self.walls)
 
     @property
-    def config(self) -> Config:
-        """The configuration of scan matching and mapping."""
-        return self.slam
-
-    @property
     def world_T_base(self) -> Pose:
         """Where the vehicle's base begins."""
         return Pose(self.start.x_m, self.start.y_m, self.start.yaw_deg * DEG)

@@ -119,7 +119,7 @@ def test_the_corridor_brings_its_hand_measured_map() -> None:
 def test_the_documented_example_loads_and_names_what_ships(repo_root: Path, tmp_path: Path) -> None:
     page = (repo_root / "docs" / "scenarios.md").read_text()
     scenario = load_scenario(written(tmp_path, page.partition("```yaml\n")[2].partition("```")[0]))
-    assert (scenario.config.method, scenario.seed, len(scenario.walls)) == ("paper", 3, 4)
+    assert (scenario.slam.method, scenario.seed, len(scenario.walls)) == ("paper", 3, 4)
     assert [name for name in scenarios() if f"| `{name}` |" not in page] == []
     keys = [key[-1] for key, _ in fields(Scenario) if key[0] not in {"slam", "planner"}]
     assert [key for key in keys if key not in page] == []
@@ -131,11 +131,11 @@ def test_the_documented_example_loads_and_names_what_ships(repo_root: Path, tmp_
 def test_layers_and_the_method_s_preset(tmp_path: Path) -> None:
     path = written(tmp_path, GOOD + "slam: {azimuth: 30, robust: {cell_mm: 15}}\nseed: 4\n")
     scenario = load_scenario(path, ["slam.azimuth=25", "laser.noise_percent=0.5"], {"seed": 9, "slam.method": "paper"})
-    assert (scenario.seed, scenario.config.azimuth, scenario.config.robust.cell_mm) == (9, 25, 15)
-    assert (scenario.config.method, scenario.config.odom, scenario.config.final_pass) == ("paper", "off", False)
-    assert load_scenario(path).config.method == "robust"
+    assert (scenario.seed, scenario.slam.azimuth, scenario.slam.robust.cell_mm) == (9, 25, 15)
+    assert (scenario.slam.method, scenario.slam.odom, scenario.slam.final_pass) == ("paper", "off", False)
+    assert load_scenario(path).slam.method == "robust"
     assert laser_model(scenario).noise == pytest.approx(0.005)
-    assert str(load_scenario(path, ["slam.grid=5x6"]).config.grid) == "5x6"
+    assert str(load_scenario(path, ["slam.grid=5x6"]).slam.grid) == "5x6"
 
 
 def test_defaults_are_the_paper_s(tmp_path: Path) -> None:
