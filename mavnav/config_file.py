@@ -175,7 +175,7 @@ def origin(layer: Layer, key: Key, name: str = "configuration") -> str:
 def _complaint(model: type[BaseModel], details: ErrorDetails, layer: Layer, name: str) -> str:
     key = tuple(str(part) for part in details["loc"])
     where, dotted, known = origin(layer, key, name), ".".join(key), dict(fields(model))
-    help_ = HELP.get(model.__name__, "mavnav simulate --schema")
+    help_ = HELP[model.__name__]
     named = tuple(part for part in key if not part.isdecimal())
     hint = known.get(named) or f"see '{help_}'"
     if details["type"] == "extra_forbidden":

@@ -11,7 +11,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.batch.baseline import write_baseline
-from mavnav.batch.cases import BASELINE_GATE, Case, make_cases
+from mavnav.batch.cases import Case, make_cases
 from mavnav.batch.document import batch_document, batch_row, judged
 from mavnav.batch.files import BATCH_FILE, write_batch
 from mavnav.batch.work import replay_fetched, replay_there
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     OnRow = Callable[[Row], None]
     OnEvent = Callable[[Event], None]
 
-__all__ = ["BASELINE_GATE", "BATCH_FILE", "Limits", "Part", "Plan", "Request", "Rules", "plan", "run_batch"]
+__all__ = ["Limits", "Part", "Plan", "Request", "Rules", "plan", "run_batch"]
 
 _OURS: Final = ("cells", BATCH_FILE)
 

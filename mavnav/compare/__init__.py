@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from mavnav.replay import Progress
 
 __all__ = [
-    "COMPARISON_FILE",
     "Plan",
     "Request",
     "check_directory",

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav.figures import FIGURES, NAMED, number, why_not_meaningful, winners
 from mavnav.outputs.report import columns
+from mavnav.units import MM
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -101,7 +102,7 @@ def _thinner(sound: Sequence[Entry], best: Entry) -> str:
     ours, theirs = P95.of(best.document), P95.of(coarse.document)
     if coarse is best or ours is None or theirs is None:
         return ""
-    cell_mm = best.grid.cell_m * 1e3
+    cell_mm = best.grid.cell_m / MM
     if abs(ours - theirs) < cell_mm:
         return (
             f"; its walls are as thick as those of {coarse.name} to within a cell ({_mm(ours)} against {_mm(theirs)})"
