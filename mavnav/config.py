@@ -146,7 +146,9 @@ class Config(_Strict):
     search: Literal["pruned", "exhaustive"] = Field(
         "pruned", description="exhaustive evaluates every point of every grid, to the same minimum"
     )
-    final_pass: bool = Field(True, description="match every scan once more against the finished map")
+    final_pass: bool = Field(
+        True, description="look back once all is tracked: each scan is matched once more against the finished map"
+    )
     loop_closure: Literal["auto", "off"] = Field(
         "auto", description="correct the way between places that the laser came back to (with the final pass)"
     )

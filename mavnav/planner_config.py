@@ -31,7 +31,7 @@ class PlannerConfig(BaseModel):
     least_safety_mm: float = Field(150.0, ge=0, le=5000, description="clearance given up only where no other way is")
     min_hits: int = Field(2, ge=1, description="a cell with fewer hits in and around it is a stray, not a wall")
     min_share: float = Field(
-        0.1, ge=0, le=1, description="a cell that lower shares of its beams hit than passed is no wall"
+        0.1, ge=0, le=1, description="a cell is a wall if this share of the beams that came to it ended in it"
     )
     plan_cell_mm: float = Field(50.0, ge=10, le=1000, description="cell edge of the wavefront's own grid")
     stall_steps: int = Field(25, ge=2, description="steps within stall_mm that count as a stall")

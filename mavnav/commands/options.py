@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-Online = Annotated[bool, typer.Option("--online", help="Leave out the final pass over the finished map.")]
+Online = Annotated[bool, typer.Option("--online", help="Leave out what looks back: loops, final pass.")]
 Odom = Annotated[
     str | None,
     typer.Option(metavar="auto|TOPIC|off", help="Odometry as prediction (never with paper).", show_default=False),
