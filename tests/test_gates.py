@@ -84,7 +84,7 @@ def test_a_map_that_is_not_meaningful_fails_its_gates() -> None:
         ("accepted", "scans.accepted"),
         ("scans", "scans.accepted"),
         ("grid", ""),
-        ("tracking.intervals.7.scans", "tracking.intervals.0.scans"),
+        ("tracking.intervals.1.scans", "tracking.intervals.0.scans"),
         ("tracking.intervals.-1.scans", "tracking.intervals.0.scans"),
         ("reference.ate.rmse_m", ""),
     ],
