@@ -58,9 +58,8 @@ def _table(document: dict[str, Any], left_out: set[str]) -> Table:
     several = len(document["logs"]) > 1
     for title in (*(["log"] if several else []), "method", "grid"):
         table.add_column(title, overflow="fold")
-    for title in (*(figure.head for figure in known), "evaluations", "cpu"):
+    for title in (*(figure.head for figure in known), "evals x", "cpu x"):
         table.add_column(title, justify="right", no_wrap=True)
-    table.columns[-2].header, table.columns[-1].header = "evals x", "cpu x"
     table.add_column("", overflow="fold")
     for k, cell in enumerate(document["cells"]):
         log = [_text(cell["log"])] if several else []
