@@ -47,14 +47,11 @@ def _qos(channel: Channel) -> Qos:
 
 @contextmanager
 def write_mcap(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
-    """Write an MCAP file of ROS 2 messages with their definitions, chunks compressed with zstd.
-
-    Its ``put`` takes messages that are serialised already (``cdr``) as well.
-    """
+    """Write an MCAP file of ROS 2 messages with their definitions, chunks compressed with zstd."""
     with write_serialized(path, channels) as put_bytes:
 
         def put(topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
-            put_bytes(topic, stamp_ns, message if isinstance(message, bytes) else ros.cdr(message))
+            put_bytes(topic, stamp_ns, ros.cdr(message))
 
         yield put
 

@@ -44,16 +44,7 @@ CHANNELS: Final = {
     "/scan": Channel(definitions.SCAN),
 }
 NO_RETURN_M: Final = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Frames:
-    """Names of the frames in a log."""
-
-    world: str = "world"
-    odom: str = "odom"
-    base: str = "base_link"
-    laser: str = "laser"
+WORLD, ODOM, BASE, LASER = "world", "odom", "base_link", "laser"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +58,6 @@ class Recording:
     odom_T_base: Trajectory
     world_T_base: Trajectory
     base_T_laser: Pose = field(default_factory=Pose)
-    frames: Frames = field(default_factory=Frames)
 
 
 @dataclass(slots=True)
@@ -76,38 +66,35 @@ class Recorder:
 
     put: Callable[[str, int, Any], None]
     base_T_laser: Pose
-    frames: Frames
     _begun: bool = False
 
     def scan(self, scan: Scan) -> None:
         """Record a scan."""
         self._begin(scan.stamp_ns)
-        self.put("/scan", scan.stamp_ns, ros.laser_scan(scan, self.frames.laser, NO_RETURN_M))
+        self.put("/scan", scan.stamp_ns, ros.laser_scan(scan, LASER, NO_RETURN_M))
 
     def odometry(self, stamp_ns: int, odom_T_base: Pose) -> None:
         """Record a pose of the odometry, as a message and as a transform."""
         self._begin(stamp_ns)
-        link = (stamp_ns, self.frames.odom, self.frames.base, odom_T_base)
+        link = (stamp_ns, ODOM, BASE, odom_T_base)
         self.put("/tf", stamp_ns, ros.transform(*link))
         self.put("/odom", stamp_ns, ros.odometry(*link))
 
     def truth(self, stamp_ns: int, world_T_base: Pose) -> None:
         """Record the true pose."""
         self._begin(stamp_ns)
-        self.put("/ground_truth", stamp_ns, ros.pose_stamped(stamp_ns, self.frames.world, world_T_base))
+        self.put("/ground_truth", stamp_ns, ros.pose_stamped(stamp_ns, WORLD, world_T_base))
 
     def _begin(self, stamp_ns: int) -> None:
         """Tell the mounting once, at the first stamp."""
         if not self._begun:
             self._begun = True
-            link = (stamp_ns, self.frames.base, self.frames.laser, self.base_T_laser)
+            link = (stamp_ns, BASE, LASER, self.base_T_laser)
             self.put("/tf_static", stamp_ns, ros.transform(*link))
 
 
 @contextmanager
-def recorder(
-    path: Path, base_T_laser: Pose | None = None, frames: Frames | None = None, *, force: bool = False
-) -> Iterator[Recorder]:
+def recorder(path: Path, base_T_laser: Pose | None = None, *, force: bool = False) -> Iterator[Recorder]:
     """Give a Recorder; the log appears under its name, complete, when the block ends well.
 
     The name tells the format: ``.mcap``, ``.bag`` (ROS 1), or the folder of a ROS 2 bag. Equal calls write equal bytes.
@@ -122,7 +109,7 @@ def recorder(
     check_recording(path, force=force)
     try:
         with beside(path) as partial, CONTAINERS[path.suffix](partial, CHANNELS) as put:
-            yield Recorder(put, base_T_laser or Pose(), frames or Frames())
+            yield Recorder(put, base_T_laser or Pose())
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"{path} cannot be written: {reason}; make room or choose another place") from error
@@ -152,7 +139,7 @@ def _check_folder(path: Path) -> None:
 def record(recording: Recording, path: Path, *, force: bool = False) -> None:
     """Write a whole recording in the order of time; of one stamp, truth and odometry come before the scan."""
     r = recording
-    with recorder(path, r.base_T_laser, r.frames, force=force) as log:
+    with recorder(path, r.base_T_laser, force=force) as log:
         truth = ((stamp, log.truth, (stamp, pose)) for stamp, pose in _poses(r.world_T_base))
         odometry = ((stamp, log.odometry, (stamp, pose)) for stamp, pose in _poses(r.odom_T_base))
         scans = ((scan.stamp_ns, log.scan, (scan,)) for scan in r.scans)

@@ -15,7 +15,7 @@ from synthetic import LDS_01, URG_04LX, along, drifting_odometry, furnished_room
 
 from mavnav.errors import OutputError, UsageError
 from mavnav.logs import containers, open_log, recorder
-from mavnav.logs.recorder import Frames, Recording, check_recording
+from mavnav.logs.recorder import Recording, check_recording
 from mavnav.pose import Pose, Trajectory, yaw_of_quaternion
 from mavnav.scan import Scan
 
@@ -139,16 +139,15 @@ def test_any_ranges_and_poses_come_back(tmp_path_factory, data, name):
     ranges = np.array([1.0, *data.draw(st.lists(lengths, min_size=3, max_size=8))])
     angle = st.floats(-3.14, 3.14)
     pose = Pose(*data.draw(st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), angle)))
-    frames = Frames(world="earth", base="hull", laser="eye")
     scan = Scan(data.draw(st.integers(1, 2**31 * 10**9 - 1)), ranges, replace(LDS_01, beams=len(ranges)))
     path = tmp_path_factory.mktemp("any") / name
-    with recorder.recorder(path, pose, frames) as log:
+    with recorder.recorder(path, pose) as log:
         log.odometry(scan.stamp_ns, pose)
         log.scan(scan)
     read = open_log(path)
     (back,) = read.scans()
     np.testing.assert_array_equal(back.ranges_m, ranges.astype(np.float32))
-    assert (back.stamp_ns, read.frame_id, read.base_frame) == (scan.stamp_ns, "eye", "hull")
+    assert (back.stamp_ns, read.frame_id, read.base_frame) == (scan.stamp_ns, "laser", "base_link")
     assert read.base_T_laser.as_array() == pytest.approx(pose.as_array(), abs=1e-12)
     assert read.odometry.odom_T_base[0].as_array() == pytest.approx(pose.as_array(), abs=1e-12)
 
