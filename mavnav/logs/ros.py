@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mavnav.logs.definitions import MAP, ODOMETRY, PATH, POSE, SCAN, TF
-from mavnav.pose import Pose
+from mavnav.logs.definitions import ODOMETRY, POSE, SCAN, TF
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from mavnav.pose import Pose
     from mavnav.scan import Scan
 
 
@@ -52,13 +50,12 @@ def _new(msgtype: str, *fields: object) -> Any:  # noqa: ANN401
     return types_ros2().types[msgtype](*fields)
 
 
-def time_of(stamp_ns: int) -> Any:  # noqa: ANN401
-    """Split a stamp into seconds and nanoseconds."""
+def _time(stamp_ns: int) -> Any:  # noqa: ANN401
     return _new("builtin_interfaces/msg/Time", *divmod(stamp_ns, 1_000_000_000))
 
 
 def _header(stamp_ns: int, frame: str) -> Any:  # noqa: ANN401
-    return _new("std_msgs/msg/Header", time_of(stamp_ns), frame)
+    return _new("std_msgs/msg/Header", _time(stamp_ns), frame)
 
 
 def _turn(yaw_rad: float) -> Any:  # noqa: ANN401
@@ -80,11 +77,6 @@ def transform(stamp_ns: int, parent: str, child: str, parent_T_child: Pose) -> A
 def pose_stamped(stamp_ns: int, frame: str, pose: Pose) -> Any:  # noqa: ANN401
     """Return a PoseStamped."""
     return _new(POSE, _header(stamp_ns, frame), _pose(pose))
-
-
-def path(stamp_ns: int, frame: str, poses: list[Any]) -> Any:  # noqa: ANN401
-    """Return a Path of PoseStamped."""
-    return _new(PATH, _header(stamp_ns, frame), poses)
 
 
 def odometry(stamp_ns: int, parent: str, child: str, parent_T_child: Pose) -> Any:  # noqa: ANN401
@@ -117,12 +109,3 @@ def laser_scan(scan: Scan, frame: str, no_return_m: float = np.nan) -> Any:  # n
         np.where(np.isnan(scan.ranges_m), no_return_m, scan.ranges_m).astype(np.float32),
         np.empty(0, np.float32),
     )
-
-
-def occupancy_grid(
-    stamp_ns: int, frame: str, cells: NDArray[np.int8], cell_m: float, origin_xy_m: tuple[float, float]
-) -> Any:  # noqa: ANN401
-    """Return an OccupancyGrid of ``cells`` (rows, cols), whose cell [0, 0] has its corner at ``origin_xy_m``."""
-    rows, cols = cells.shape
-    info = _new("nav_msgs/msg/MapMetaData", time_of(stamp_ns), cell_m, cols, rows, _pose(Pose(*origin_xy_m)))
-    return _new(MAP, _header(stamp_ns, frame), info, cells.reshape(-1))

@@ -40,14 +40,17 @@ def test_paths(frame: str, count: int) -> None:
     stamps = STAMP_NS + np.arange(count) * 100_000_000
     xyyaw = np.random.default_rng(0).uniform(-3, 3, (count, 3))
     poses = [ros.pose_stamped(int(t), frame, Pose(*p.tolist())) for t, p in zip(stamps, xyyaw, strict=True)]
-    assert cdr.path(STAMP_NS, frame, stamps, xyyaw) == ros.cdr(ros.path(STAMP_NS, frame, poses))
+    assert cdr.path(STAMP_NS, frame, stamps, xyyaw) == ros.cdr(
+        ros._new(definitions.PATH, ros._header(STAMP_NS, frame), poses)
+    )
 
 
 @pytest.mark.parametrize("frame", FRAMES)
 def test_maps(frame: str) -> None:
     cells = np.random.default_rng(0).integers(-1, 101, (3, 5)).astype(np.int8)
-    told = STAMP_NS, frame, cells, 0.02, (-1.5, 2.25)
-    assert cdr.occupancy_grid(*told) == ros.cdr(ros.occupancy_grid(*told))
+    info = ros._new("nav_msgs/msg/MapMetaData", ros._time(STAMP_NS), 0.02, 5, 3, ros._pose(Pose(-1.5, 2.25)))
+    slow = ros._new(definitions.MAP, ros._header(STAMP_NS, frame), info, cells.reshape(-1))
+    assert cdr.occupancy_grid(STAMP_NS, frame, cells, 0.02, (-1.5, 2.25)) == ros.cdr(slow)
 
 
 @pytest.mark.parametrize("name", definitions.FIELDS)
