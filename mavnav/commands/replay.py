@@ -123,21 +123,21 @@ def replay(
         compile_s = perf_counter() - started_s
         target = directory or pipeline.default_directory(log, chosen)
         request = pipeline.Request(
-            log,
-            target,
-            chosen,
-            topic,
-            start,
-            end,
-            mounting,
-            force,
-            report,
-            truth,
-            truth_map,
-            relations,
-            strict,
-            known,
-            began,
+            log=log,
+            directory=target,
+            config=chosen,
+            topic=topic,
+            start_s=start,
+            end_s=end,
+            extrinsic=mounting,
+            force=force,
+            report=report,
+            truth=truth,
+            truth_map=truth_map,
+            relations=relations,
+            strict=strict,
+            map=known,
+            start_pose=began,
         )
         _, document = pipeline.replay(request, progress, compile_s, signals.keeping, startup_s)
     _tell(document, target, json=json)

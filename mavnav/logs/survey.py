@@ -49,8 +49,8 @@ class Survey:
     frames: FrameTree
     damage: tuple[Damage, ...]
     warnings: tuple[str, ...]
-    window_s: tuple[float | None, float | None] = (None, None)
-    strict: bool = False
+    window_s: tuple[float | None, float | None]
+    strict: bool
 
 
 @dataclass(slots=True)
@@ -197,18 +197,18 @@ def survey(
     except OSError as error:
         raise _unreadable(path, error) from error
     return Survey(
-        path,
-        name,
-        size_bytes,
-        sha256,
-        _topics(ledger, state.kinds),
-        state.scans,
-        state.odometry,
-        state.frames,
-        ledger.damages(),
-        tuple(ledger.warnings),
-        (start_s, end_s),
-        strict,
+        path=path,
+        format=name,
+        size_bytes=size_bytes,
+        sha256=sha256,
+        topics=_topics(ledger, state.kinds),
+        scans=state.scans,
+        odometry=state.odometry,
+        frames=state.frames,
+        damage=ledger.damages(),
+        warnings=tuple(ledger.warnings),
+        window_s=(start_s, end_s),
+        strict=strict,
     )
 
 
