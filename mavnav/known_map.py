@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.grid import OCCUPIED, Grid, counts, occupancy
+from mavnav.grid import Grid, counts, occupied_cells
 from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class KnownMap:
 
 def known_map(grid: Grid, map_T_grid: Pose, start: Pose | None = None) -> KnownMap:
     """Bring a grid that lies anywhere in its map frame to that frame, each cell from the old one at its middle."""
-    rows, cols = np.nonzero(occupancy(grid) == OCCUPIED)
+    rows, cols = occupied_cells(grid).T
     walls_xy_m = (np.column_stack((cols, rows)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
     return KnownMap(_upright(grid, map_T_grid), transform_points(map_T_grid, walls_xy_m), start)
 

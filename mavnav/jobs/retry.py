@@ -30,7 +30,6 @@ def run_with_retries(jobs: Sequence[Job], run: Run, on_event: Listener, tries: i
 
 def _renumbered(numbers: Sequence[int], on_event: Listener, number: int, tries: int) -> Listener:
     """Pass on the events of one round under the numbers that its jobs have among all."""
-    numbers = tuple(numbers)
 
     def hear(event: Event) -> None:
         event = replace(event, index=numbers[event.index])

@@ -123,7 +123,7 @@ def _at_most(cells: NDArray[np.int8], cell_m: float) -> tuple[NDArray[np.int8], 
 
 def only_occupied(grid: Grid) -> NDArray[np.uint16]:
     """Return a map of one hit where a cell is occupied; the rest of it takes no memory."""
-    out = blank((grid.hits.shape[0], grid.hits.shape[1]), np.uint16)
+    out = blank(grid.hits.shape, np.uint16)
     row, col = occupied_cells(grid).T
     out[row, col] = 1
     return out

@@ -64,7 +64,7 @@ def corners(cells: NDArray[np.int8], cell_m: float) -> int:
     occupied = np.pad(cells == OCCUPIED, int(2 * radius))
     if not occupied.any():
         return 0
-    heights, peaks, walls = blank((len(occupied), occupied.shape[1]), np.float32), np.zeros_like(occupied), []
+    heights, peaks, walls = blank(occupied.shape, np.float32), np.zeros_like(occupied), []
     reach = int(4.0 * SLOPE_CELLS + 0.5) + int(2.0 * radius + 0.5) + int(radius)
     for around, inside, band in bands(occupied.shape, margin=reach):
         weak, strong = edges(occupied[around].astype(np.float32), radius)

@@ -91,7 +91,7 @@ def near_walls(occupied: NDArray[np.uint16]) -> NDArray[np.int8]:
 
     Where there are none, the answer takes no memory.
     """
-    near = blank((occupied.shape[0], occupied.shape[1]), np.int8)
+    near = blank(occupied.shape, np.int8)
     for around, inside, band in bands(occupied.shape, margin=1):
         near[band][widened(occupied[around] > 0)[inside]] = OCCUPIED
     return near
