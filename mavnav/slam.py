@@ -87,12 +87,11 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion) -> Iterator[Ste
     for index, scan in enumerate(scans):
         if belief is None:
             match = method.first(scan)
-            predicted, here, tracked = match.map_T_laser, motion, match.converged
-            belief = Belief(motion.started_at(predicted, scan.stamp_ns)) if tracked else None
+            here, tracked = motion, match.converged
+            belief = Belief(motion.started_at(match.map_T_laser, scan.stamp_ns)) if tracked else None
         else:
             here = belief.here
-            predicted = here.predict(scan.stamp_ns)
-            match = method.match(scan, predicted, here)
+            match = method.match(scan, here.predict(scan.stamp_ns), here)
             verdict = method.gate(match, scan, here)
             if belief.trial is None and worth_a_look(verdict, belief.missed):
                 match, verdict = look_everywhere(scan, match, verdict, here, method)
@@ -100,7 +99,7 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion) -> Iterator[Ste
             tracked = belief.missed == 0
         if tracked:
             method.insert(scan, match.map_T_laser, here)
-        yield Step(index, scan.stamp_ns, predicted, match, tracked, tracked)
+        yield Step(index, scan.stamp_ns, match, tracked, tracked)
 
 
 def look_everywhere(scan: Scan, match: Match, verdict: Verdict, here: Motion, method: Method) -> tuple[Match, Verdict]:
@@ -155,12 +154,11 @@ def second_look(scan: Scan, step: Step, before: Step, after: Step, method: Metho
     """Match a scan between two believed ones; return its step, tracked if it fits there."""
     here = motion.started_at(after.match.map_T_laser, after.stamp_ns)
     here = here.coming_from(before.match.map_T_laser, before.stamp_ns)
-    predicted = here.predict(scan.stamp_ns)
-    match = method.match(scan, predicted, here)
+    match = method.match(scan, here.predict(scan.stamp_ns), here)
     if method.gate(match, scan, here) is not Verdict.SURE:
         return step
     method.insert(scan, match.map_T_laser, here)
-    return step._replace(predicted=predicted, match=with_effort(match, step.match, match), tracked=True, accepted=True)
+    return step._replace(match=with_effort(match, step.match, match), tracked=True, accepted=True)
 
 
 def place(scans: Iterable[Scan], steps: Iterable[Step], method: Method) -> Iterator[Step]:
@@ -172,7 +170,7 @@ def place(scans: Iterable[Scan], steps: Iterable[Step], method: Method) -> Itera
     while some := list(islice(waiting, PLACED_AT_ONCE)):
         points = [method.match_points(scan) for scan in islice(coming, len(some))]
         matches = [method.place(p, s.match) if s.tracked else s.match for p, s in zip(points, some, strict=False)]
-        yield from (Step(*step[:3], match, *step[4:]) for step, match in zip(some, matches, strict=False))
+        yield from (Step(*step[:2], match, *step[3:]) for step, match in zip(some, matches, strict=False))
         yield from some[len(matches) :]
 
 

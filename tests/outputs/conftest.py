@@ -86,7 +86,7 @@ def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
         if accepted:
             tally.insert(pose, transform_points(pose, scan.points()))
         match = Match(pose, 1e-4 if tracked else np.inf, 600, 0.9 if tracked else 0.1, 960 + k, 8, tracked)
-        steps.append(Step(k, scan.stamp_ns, pose, match, tracked, accepted))
+        steps.append(Step(k, scan.stamp_ns, match, tracked, accepted))
     kept = [s for s in steps if s.tracked]
     trajectory = Trajectory.of([s.stamp_ns for s in kept], [s.match.map_T_laser for s in kept])
     lost = (LostInterval(recorded[LOST[0]].stamp_ns, recorded[LOST[-1]].stamp_ns, len(LOST), recovered=True),)
