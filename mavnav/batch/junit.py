@@ -27,12 +27,14 @@ def to_junit(document: Mapping[str, Any]) -> str:
     logs: dict[str, list[Mapping[str, Any]]] = {}
     for row in document["cells"]:
         logs.setdefault(row["log"], []).append(row)
-    root = XML.Element("testsuites", {"name": "mavnav batch", **_totals(document["cells"])})
-    for log, rows in logs.items():
-        root.append(_suite(log, rows))
+    suites = [_suite(log, rows) for log, rows in logs.items()]
     gone = (document["baseline"] or {}).get("missing", [])
     if gone:
-        root.append(_missing(gone, failed=bool(document["baseline"].get("gate"))))
+        suites.append(_missing(gone, failed=bool(document["baseline"].get("gate"))))
+    sums = {name: str(sum(int(suite.attrib[name]) for suite in suites)) for name in ("tests", "failures", "errors")}
+    seconds = sum(float(suite.attrib["time"]) for suite in suites)
+    root = XML.Element("testsuites", {"name": "mavnav batch", **sums, "time": f"{seconds:.3f}"})
+    root.extend(suites)
     XML.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + XML.tostring(root, encoding="unicode") + "\n"
 

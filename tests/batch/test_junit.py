@@ -67,8 +67,12 @@ def test_totals_are_sums(document: dict[str, Any]) -> None:
 @pytest.mark.parametrize(("gate", "result"), [(True, "Failure"), (False, "Skipped")])
 def test_what_the_baseline_has_and_the_batch_has_not(document: dict[str, Any], gate: bool, result: str) -> None:
     document["baseline"] = {"missing": ["logs/old.bag robust"], "gate": gate}
-    (case,) = list(read(to_junit(document)))[-1]
+    whole = read(to_junit(document))
+    suite = list(whole)[-1]
+    (case,) = suite
     assert (case.name, type(case.result[0]).__name__) == ("logs/old.bag robust", result)
+    assert (suite.tests, suite.failures, suite.skipped) == (1, int(gate), int(not gate))
+    assert (whole.tests, whole.failures) == (5, 1 + int(gate))
 
 
 def test_whatever_a_log_is_called_the_file_is_xml(document: dict[str, Any]) -> None:
