@@ -46,6 +46,12 @@ def test_the_method_brings_its_preset(tmp_path: Path, how: str) -> None:
     assert (config.method, config.odom, config.final_pass) == ("paper", "off", False)
 
 
+def test_a_file_of_a_preset_s_name_is_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "paper").write_text("azimuth: 33")
+    assert (load_config("paper").azimuth, load_config("paper").method) == (33, "robust")
+
+
 def test_a_file_wins_over_the_preset(tmp_path: Path) -> None:
     assert load_config(write(tmp_path, "method: paper\nfinal_pass: true")).final_pass
 
@@ -114,6 +120,7 @@ def test_grid_takes_text_and_mapping(tmp_path: Path) -> None:
         ("azimuth: [1\n", 2, ["not valid YAML"]),
         ("[" * 40, 1, ["nested deeper"]),
         ("a: 1\nb: 2", 1, ["unknown key a", "(and 1 more)"]),
+        ("azimuth: " + 100 * "x", 1, [f"azimuth is '{76 * 'x'}..., it should be"]),
     ],
 )
 def test_errors_name_file_line_and_what_to_do(tmp_path: Path, text: str, line: int, words: list[str]) -> None:

@@ -255,6 +255,9 @@ def test_errors_of_a_file_that_lacks_something(tmp_path: Path, text: str, messag
 
 def test_errors_of_options_name_the_option(tmp_path: Path) -> None:
     path = written(tmp_path, GOOD)
+    listed = written(tmp_path, GOOD + "via_m:\n  - [1, 1]\n  - [2, 1]\n")
+    with pytest.raises(ConfigError, match=r"^--set via_m=.*: via_m.1.0 is 'x'"):  # not the line of the file's own list
+        load_scenario(listed, ["via_m=[[1, 1], [x, 1]]"])
     with pytest.raises(ConfigError, match=r"^--set goal_m=\[9, 9\]: goal_m \[9, 9\] lies outside"):
         load_scenario(path, ["goal_m=[9, 9]"])
     with pytest.raises(ConfigError, match=r"^--seed: seed is -1"):
