@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import os
+from dataclasses import replace
 from math import pi, sqrt
 from typing import TYPE_CHECKING, Any
 
@@ -200,3 +201,10 @@ def test_a_start_that_is_no_time_is_refused(start_s: float, tmp_path: Path) -> N
     write_mcap(tmp_path / "a.mcap", drive(3))
     with pytest.raises(UsageError, match=r"--start .* is no time"):
         open_log(tmp_path / "a.mcap", start_s=start_s)
+
+
+def test_times_of_recording_that_no_clock_tells_are_taken(tmp_path: Path) -> None:
+    never = 2**64 - 1  # the largest that an MCAP file holds
+    messages = [replace(message, log_ns=never) for message in drive(5)]
+    log = open_log(write_mcap(tmp_path / "a", messages))
+    assert (log.counts.usable, len(log.odometry.odom_T_base)) == (5, 5)
