@@ -143,6 +143,37 @@ def test_geometry_may_change_and_equal_ones_are_shared() -> None:
     assert "geometry" in warnings[0]
 
 
+@pytest.mark.parametrize(
+    ("ranges", "doubted"),
+    [
+        ([900, 1200, 2500, 3100, 4000], True),
+        ([1, 300, 400, 500, 999], True),
+        ([1, 300, 400, 999], False),  # half of them: the farthest may be a word for no return
+        ([1, 999, 999, 999], False),
+        ([0, -1, INF, NAN, 2], False),
+    ],
+)
+def test_a_topic_in_millimetres_is_doubted(ranges: list[float], doubted: bool) -> None:
+    door = Door("/scan", [].append)
+    door.admit(message(ranges_m=np.array(ranges, float), range_max_m=5600.0))
+    assert door.doubt.startswith("more than half of the ranges lie beyond 250 m") is doubted
+    assert bool(door.doubt) is doubted
+
+
+def test_a_topic_in_degrees_is_doubted_until_a_scan_is_sound() -> None:
+    door, degrees = Door("/scan", [].append), message(ranges_m=np.ones(241), angle_step_rad=1.0)
+    assert (door.admit(degrees), "look like degrees" in door.doubt) == ("impossible_geometry", True)
+    door.admit(message())
+    assert door.doubt == ""
+
+
+@pytest.mark.parametrize(("turns", "sound"), [(1.05, True), (1.15, False), (2.0, False), (80.0, False)])
+def test_a_scan_may_overlap_itself_a_little(turns: float, sound: bool) -> None:
+    door = Door("/scan", [].append)
+    assert isinstance(door.admit(message(angle_step_rad=turns * math.tau / 2)), tuple) is sound
+    assert door.doubt == ""
+
+
 def test_a_scan_of_a_million_beams_is_thinned() -> None:
     warnings: list[str] = []
     ranges = np.linspace(1.0, 9.0, 1_000_000, dtype=np.float32)
