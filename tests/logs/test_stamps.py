@@ -115,6 +115,16 @@ def test_scans_that_lie_in_the_file_out_of_order_come_in_the_order_of_recording(
     assert both[0] == both[1]
 
 
+def test_the_order_of_the_file_wins_where_that_of_recording_keeps_as_many(tmp_path: Path) -> None:
+    stamps, recorded = (0, 2, 1), (1, 0, 2)
+    messages = [
+        at(k, START_NS + n * PERIOD_NS, START_NS + m * PERIOD_NS)
+        for k, (n, m) in enumerate(zip(stamps, recorded, strict=True))
+    ]
+    log = open_log(write_mcap(tmp_path / "a", messages))
+    assert [(s.stamp_ns - START_NS) // PERIOD_NS for s in log.scans()] == [0, 2]
+
+
 def test_a_file_far_out_of_order_is_read_several_times_in_bounded_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
