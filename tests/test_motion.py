@@ -51,6 +51,12 @@ def test_after_a_long_gap_the_old_velocity_is_forgotten() -> None:
     assert not np.allclose(motion.moved_to(motion.map_T_laser, 300 * MS).twist, 0.0)
 
 
+def test_a_motion_backwards_comes_from_a_pose_that_is_not_too_long_ago() -> None:
+    here = Motion(0.1).started_at(Pose(0.2), 1400 * MS)
+    assert close(here.coming_from(Pose(), 1200 * MS).predict(1300 * MS), Pose(0.1))
+    assert here.coming_from(Pose(), 100 * MS) == here
+
+
 def test_odometry_moves_the_last_pose() -> None:
     stamps = np.arange(5) * 100 * MS
     odometry = Trajectory.of(stamps.tolist(), [Pose(5.0 + 0.3 * k, 1.0, 0.0) for k in range(5)])
