@@ -92,6 +92,14 @@ def test_a_target_that_a_killed_process_had_set_aside_comes_back(old: Path) -> N
     assert (names(old.parent), names(old)) == ({"run"}, {"old"})
 
 
+def test_what_a_killed_process_had_half_done_never_comes_to_life(tmp_path: Path) -> None:
+    half = tmp_path / f".run.partial-{2**22 + 1}"
+    (half / "run").mkdir(parents=True)
+    with pytest.raises(KeyError), beside(tmp_path / "run"):
+        raise KeyError
+    assert names(tmp_path) == set()
+
+
 def test_a_full_disk_leaves_the_old_output(old: Path) -> None:
     def small() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
