@@ -85,6 +85,14 @@ def test_a_folder_takes_the_place_of_another(old: Path, exchange: bool, monkeypa
     assert (names(old.parent), names(old)) == ({"run"}, {"new"})
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="renameat2 is Linux's")
+def test_two_folders_swap_their_names_at_once(old: Path) -> None:
+    new = old.with_name("new")
+    new.mkdir()
+    assert staging._swapped(new, old)
+    assert (names(new), names(old)) == ({"old"}, set())
+
+
 def test_a_target_that_a_killed_process_had_set_aside_comes_back(old: Path) -> None:
     old.rename(old.with_name(f".run.replaced-{2**22 + 1}"))
     with pytest.raises(KeyError), beside(old):

@@ -65,6 +65,15 @@ def test_jitter_on_a_steady_way_is_taken_out() -> None:
     assert [s.match.map_T_laser.yaw_rad for s in steadied(steps)] == [0.01 * k for k in range(200)]
 
 
+def test_where_scans_are_missing_the_way_goes_on_for_longer() -> None:
+    missing = tuple(range(5, 195, 7))
+    truth = np.column_stack((0.1 * np.arange(200), np.zeros(200)))
+    steps = steps_of(truth + np.random.default_rng(3).normal(0, 0.003, truth.shape), untracked=missing)
+    there = np.delete(np.arange(200), missing)
+    off = [np.linalg.norm(positions(some)[there] - truth[there], axis=1).mean() for some in (steps, steadied(steps))]
+    assert off[1] < 0.6 * off[0]
+
+
 def test_a_laser_at_rest_stays_where_it_is() -> None:
     rng = np.random.default_rng(4)
     drive = np.column_stack((np.linspace(0.03, 3, 100), np.zeros(100)))
