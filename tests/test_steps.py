@@ -61,3 +61,16 @@ def test_a_way_that_a_vehicle_can_make_is_none(ms: int, x_m: float) -> None:
 def test_a_jump_over_one_scan_is_a_gap_of_one() -> None:
     steps = [step(0, 0.0), step(100, 0.0, tracked=False), step(200, 0.6)]
     assert list(lost_intervals(Steps(steps))) == [LostInterval(100 * MS, 100 * MS, 1, recovered=True)]
+
+
+@pytest.mark.parametrize(
+    ("before", "lost", "after", "told"),
+    [(3, 4, 2, 0), (3, 5, 2, 5), (0, 5, 2, 5), (3, 4, 0, 0), (3, 5, 0, 5), (0, 3, 0, 3)],
+)
+def test_five_scans_without_a_pose_are_lost_and_found_again_if_one_follows(
+    before: int, lost: int, after: int, told: int
+) -> None:
+    steps = [step(100 * k, 0.0, tracked=not before <= k < before + lost) for k in range(before + lost + after)]
+    start_ns, end_ns = 100 * MS * before, 100 * MS * (before + lost - 1)
+    expected = [LostInterval(start_ns, end_ns, told, recovered=after > 0)] if told else []
+    assert list(lost_intervals(Steps(steps))) == expected
