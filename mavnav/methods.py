@@ -63,7 +63,11 @@ EXPECTED = 0.01
 
 
 class Method(Protocol):
-    """What ``slam.track`` asks of a method; ``grid`` is the map that it builds."""
+    """What ``slam.track`` asks of a method; ``grid`` is the map that it builds.
+
+    ``expects_rest``: without odometry the laser is expected where it was. ``places``: all that looks back makes sense,
+    the final pass above all; ``closes_loops``: so does drawing the map anew.
+    """
 
     grid: Tally
     expects_rest: bool

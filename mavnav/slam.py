@@ -199,8 +199,8 @@ def replay(
 
     def again(start: Start, scans: Callable[[], Iterable[Scan]]) -> tuple[Method, Steps] | None:
         """Track once more; None if the run is being stopped: the longer track is kept."""
-        track = start.tracked(scans(), on_step, "track again")
-        return track if len(track[1]) == len(steps) else None
+        method, anew = start.tracked(scans(), on_step, "track again")
+        return (method, anew) if len(anew) == len(steps) else None
 
     if start.odometry and misleads(start.odometry, tracked_way(steps)):
         alone = replace(start, odometry=None)
