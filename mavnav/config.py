@@ -16,11 +16,13 @@ from mavnav.errors import ConfigError
 MethodName = Literal["robust", "paper"]
 
 
-class _Strict(BaseModel):
+class Strict(BaseModel):
+    """A model that refuses what it does not know."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class GridSize(_Strict):
+class GridSize(Strict):
     """Points of the search grid in the plane, ``NxM``."""
 
     nx: int = Field(10, ge=2, le=200)
@@ -53,7 +55,7 @@ class GridSize(_Strict):
         return self.nx * self.ny
 
 
-class PaperConfig(_Strict):
+class PaperConfig(Strict):
     """The paper's method. Where the paper gives a number it stands here; else the choice is docs/paper.md's."""
 
     cell_mm: float = Field(14.0, ge=1, description="cell edge; 7 cells are then just under the paper's 100 mm")
@@ -79,7 +81,7 @@ class PaperConfig(_Strict):
     gate_mm2: float = Field(400.0, gt=0, description="map and pose are updated at this cost or below")
 
 
-class RobustConfig(_Strict):
+class RobustConfig(Strict):
     """The robust method: point to local line over the whole map, see docs/method.md."""
 
     cell_mm: float = Field(20.0, ge=1, description="cell edge of the map")
@@ -136,7 +138,7 @@ class RobustConfig(_Strict):
     max_turn_deg_s: float = Field(300.0, gt=0, description="faster turning is not believed")
 
 
-class Config(_Strict):
+class Config(Strict):
     """Everything that decides a run's result besides the log and the version."""
 
     method: MethodName = "robust"

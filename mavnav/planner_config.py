@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from mavnav.config import Strict
 
 TechniqueName = Literal["wavefront", "field", "wall_following", "virtual_obstacles"]
 
 
-class PlannerConfig(BaseModel):
+class PlannerConfig(Strict):
     """What decides the commands besides map, pose and goal (paper, "Path Planning"); see docs/planner.md.
 
     Forces have no unit: 1 is the force that carries the vehicle at ``max_step_mm`` in the open.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     technique: TechniqueName = Field("wavefront", description="what is done against local minima")
     attraction_gain: float = Field(1.0, gt=0, description="force of the goal")

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, Field
 
+from mavnav.config import Strict
 from mavnav.config_file import validated
 from mavnav.layers import read_yaml
 
@@ -27,11 +28,7 @@ Texts = Annotated[tuple[str, ...], BeforeValidator(_listed)]
 Codes = Annotated[tuple[int, ...], BeforeValidator(_listed)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Entry(_Strict):
+class Entry(Strict):
     """Logs that are read alike, and what must hold of them besides what must of all."""
 
     log: Texts = Field(description="path, pattern, folder or address; or a list of them")
@@ -49,7 +46,7 @@ class Entry(_Strict):
     accept: Codes = Field((), description="exit codes that count as done, such as 3 for a log known to be damaged")
 
 
-class Manifest(_Strict):
+class Manifest(Strict):
     """Logs times settings. Relative paths count from the manifest's folder."""
 
     logs: tuple[Annotated[Entry, BeforeValidator(_entry)], ...] = Field((), description="paths, or sections with log")

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from mavnav.config import Config
+from mavnav.config import Config, Strict
 from mavnav.planner_config import PlannerConfig
 from mavnav.pose import Pose
 from mavnav.units import DEG, MM, MS
 from mavnav.world.laser import LASERS, LaserModel
-from mavnav.world.shapes import XY, Metre, Strict, Wall, world_of
+from mavnav.world.shapes import XY, Metre, Wall, world_of
 
 if TYPE_CHECKING:
     from mavnav.scan import LaserSpec

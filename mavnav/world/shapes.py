@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Protocol
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
+from mavnav.config import Strict
 from mavnav.units import DEG
 from mavnav.world.geometry import World
 
@@ -20,12 +21,6 @@ if TYPE_CHECKING:
 Metre = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 Length = Annotated[float, Field(gt=0.0, le=1000.0)]
 XY = tuple[Metre, Metre]
-
-
-class Strict(BaseModel):
-    """A model that refuses what it does not know."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Shape(Protocol):
