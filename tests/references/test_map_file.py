@@ -62,6 +62,13 @@ def test_places_follow_resolution_and_origin(write_map) -> None:
     np.testing.assert_allclose(turned.occupied_xy_m(), [(-0.5 * 0.05, 2.5 * 0.05)], atol=1e-12)
 
 
+def test_what_is_left_out_is_as_it_usually_is(tmp_path) -> None:
+    (tmp_path / "map.pgm").write_bytes(pgm(shades(205, 254, 0)))
+    (tmp_path / "map.yaml").write_text("image: map.pgm\nresolution: 0.05\n")
+    np.testing.assert_array_equal(kinds(tmp_path / "map.yaml"), KINDS)
+    np.testing.assert_allclose(read_map(tmp_path / "map.yaml").occupied_xy_m(), [(2.5 * 0.05, 0.5 * 0.05)])
+
+
 GOOD = pgm(shades(205, 254, 0))
 
 

@@ -93,6 +93,9 @@ def test_relations_against_the_definition(tmp_path) -> None:
     assert found["all"]["rotation_mean_deg"] == pytest.approx(
         np.degrees(np.mean([abs(e.yaw_rad) for e in errors])), abs=1e-7
     )
+    assert found["all"]["rotation_std_deg"] == pytest.approx(
+        np.degrees(np.std([abs(e.yaw_rad) for e in errors])), abs=1e-7
+    )
     assert (found["sequential"]["relations"], found["loops"]["relations"]) == (3, 1)
     assert found["loops"]["translation_mean_m"] == pytest.approx(errors[2].distance_m, abs=1e-9)
 
