@@ -11,14 +11,13 @@ import typer
 from mavnav.commands.options import Quiet
 from mavnav.commands.progress import reporting
 from mavnav.commands.replay import print_table
-from mavnav.commands.terminal import emit, note
+from mavnav.commands.terminal import emit, note_oddities
 from mavnav.errors import ExitCode
 
 if TYPE_CHECKING:
     from mavnav.logs.convert import Conversion
 
 SCHEMA_VERSION = 1
-_LISTED = 10
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -48,12 +47,14 @@ def convert(
     with reporting(quiet=quiet) as report:
         done = write(log, target, strict=strict, force=force, progress=lambda n, total: report("converting", n, total))
     code = ExitCode.DAMAGED_INPUT if done.damage else ExitCode.DONE
+    told = document(log, target, done, code)
     if json:
         from json import dumps
 
-        emit(dumps(document(log, target, done, code), indent=2))
+        emit(dumps(told, indent=2))
     else:
-        _tell(target, done)
+        print_table(_rows(told))
+        note_oddities(told)
     raise typer.Exit(code)
 
 
@@ -72,14 +73,9 @@ def document(log: Path, target: Path, done: Conversion, code: ExitCode) -> dict[
     }
 
 
-def _tell(target: Path, done: Conversion) -> None:
-    rows = [("written", f"{target}, {target.stat().st_size / 1e6:.1f} MB, {done.messages} messages")]
-    rows += [("", f"{t.name}  {t.type}  {t.encoding}  {t.count}") for t in done.topics]
-    rows += [("left out", f"{count} {reason}") for reason, count in done.left_out.items()]
-    print_table(rows)
-    for warning in done.warnings:
-        note(f"mavnav: warning: {warning}")
-    for damage in done.damage[:_LISTED]:
-        note(f"mavnav: damage: {damage.what}, {damage.where}")
-    if len(done.damage) > _LISTED:
-        note(f"mavnav: damage: {len(done.damage) - _LISTED} more; --json lists them")
+def _rows(told: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the rows of the table."""
+    file = told["output"]
+    rows = [("written", f"{file['path']}, {file['size_bytes'] / 1e6:.1f} MB, {told['messages']} messages")]
+    rows += [("", f"{t['name']}  {t['type']}  {t['encoding']}  {t['count']}") for t in told["topics"]]
+    return rows + [("left out", f"{count} {reason}") for reason, count in told["left_out"].items()]

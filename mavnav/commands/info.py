@@ -12,7 +12,7 @@ import typer
 from mavnav.commands.options import Quiet, Strict
 from mavnav.commands.progress import reporting
 from mavnav.commands.replay import print_table
-from mavnav.commands.terminal import emit, note
+from mavnav.commands.terminal import LISTED, emit, note_oddities
 from mavnav.errors import ExitCode, MavnavError
 from mavnav.units import DEG, NS
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from mavnav.logs import Log, Survey
 
 SCHEMA_VERSION = 1
-_LISTED = 10
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -112,7 +111,7 @@ def _topic(log: Log | None) -> dict[str, Any]:
 def _warnings(found: Survey, logs: list[Log]) -> list[str]:
     texts = dict.fromkeys(text for log in logs for text in log.warnings) or dict.fromkeys(found.warnings)
     if len(logs) > 1:
-        names = ", ".join([log.topic for log in logs[:_LISTED]] + ["..."] * (len(logs) > _LISTED))
+        names = ", ".join([log.topic for log in logs[:LISTED]] + ["..."] * (len(logs) > LISTED))
         texts[f"several scan topics ({names}); a replay needs --topic"] = None
     return list(texts)
 
@@ -180,12 +179,7 @@ def _tell(document: dict[str, Any], *, json: bool) -> None:
         emit(dumps(document, indent=2, allow_nan=False))
         return
     print_table(_rows(document))
-    for warning in document["warnings"]:
-        note(f"mavnav: warning: {warning}")
-    for damage in document["damage"][:_LISTED]:
-        note(f"mavnav: damage: {damage['what']}, {damage['where']}")
-    if len(document["damage"]) > _LISTED:
-        note(f"mavnav: damage: {len(document['damage']) - _LISTED} more; --json lists them")
+    note_oddities(document)
 
 
 def _rows(document: dict[str, Any]) -> list[tuple[str, str]]:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Any, Final, TextIO
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+LISTED: Final = 10
+"""So many of a kind are told singly."""
 
 
 def printable(text: object) -> str:
@@ -36,6 +39,16 @@ def console(*, stderr: bool = False) -> Console:
 def note(text: str) -> None:
     """Say one line on stderr."""
     print(printable(text), file=sys.stderr, flush=True)  # noqa: T201  this room is the one that prints
+
+
+def note_oddities(document: dict[str, Any]) -> None:
+    """Say the ``warnings`` and the first of the ``damage`` of a document, a line each."""
+    for warning in document["warnings"]:
+        note(f"mavnav: warning: {warning}")
+    for damage in document["damage"][:LISTED]:
+        note(f"mavnav: damage: {damage['what']}, {damage['where']}")
+    if len(document["damage"]) > LISTED:
+        note(f"mavnav: damage: {len(document['damage']) - LISTED} more; --json lists them")
 
 
 def emit(text: str) -> None:
