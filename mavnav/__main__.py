@@ -13,6 +13,7 @@ from typing import NoReturn  # noqa: E402
 
 gc.set_threshold(20_000, 20, 20)  # what is loaded stays: looking through it for garbage takes 10 ms
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # looking for some in all that is installed takes as long
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # no product here is worth threads, which take 0.1 s to begin
 
 from mavnav import cli  # noqa: E402
 

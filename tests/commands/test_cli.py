@@ -263,3 +263,11 @@ with progress.reporting(quiet=True) as report:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "Exception ignored" in done.stderr
     assert done.stdout == "obeyed\n"
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="only Linux lists the threads of a process")
+def test_the_command_line_begins_no_threads_of_linear_algebra() -> None:
+    code = "import mavnav.__main__, numpy, os; print(len(os.listdir('/proc/self/task')))"
+    env = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=env)
+    assert done.stdout == "1\n"
