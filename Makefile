@@ -49,6 +49,7 @@ bench: $(VENV)/.dev
 	$(BIN)/python -m pytest benchmarks --benchmark-only
 	$(BIN)/python benchmarks/replays.py
 	$(BIN)/python benchmarks/exactness.py
+	$(BIN)/python benchmarks/exactness.py --method paper
 
 samples: $(VENV)/.dev
 	MAVNAV_UPDATE_SAMPLES=1 $(BIN)/python -m pytest tests/test_sample_logs.py -k makes_it_again

@@ -1,10 +1,10 @@
 """Do pruned and exhaustive search agree, bit for bit, on every match of recorded and random scans?
 
-    python benchmarks/exactness.py [LOG ...] [--random N]
+    python benchmarks/exactness.py [LOG ...] [--method robust|paper] [--random N]
 
 Every search that a replay of the logs asks for is made both ways on 5x5, 10x10, 20x20 and 40x40 points (twice as many
-azimuths), and compared in all that it returns: pose, cost, inliers, evaluations, grids. Random scans in random maps are
-compared grid by grid. Exit code 1 at the first difference.
+azimuths), and compared in all that it returns: pose, cost, inliers or beams, evaluations, grids. Random scans in random
+maps are compared grid by grid (robust) or by whole searches (paper). Exit code 1 at the first difference.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
-from matches import GRIDS, differences, random_problem
+from matches import GRIDS, LASERS, differences, polar_problem, random_problem
 
-from mavnav import matcher, slam
+from mavnav import kernels, matcher, slam
 from mavnav.config_file import load_config
-from mavnav.kernels import linesearch
+from mavnav.kernels import linesearch, polarsearch
 from mavnav.logs import open_log
 
 SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
@@ -31,17 +31,17 @@ HALF_WINDOWS = ((0.35, 0.35), (0.05, 0.09), (0.017, 0.008), (0.006, 0.0015), (0.
 
 
 class Both:
-    """Stands for the module of the search: searches both ways and compares."""
+    """Stands for the module of a search: searches both ways and compares."""
 
-    def __init__(self) -> None:
-        self.matches = 0
+    def __init__(self, kernel: Any) -> None:
+        self.kernel, self.matches = kernel, 0
         self.spent_s = {True: 0.0, False: 0.0}
 
-    def search(self, points: Any, start: Any, grid: Any, *rest: Any) -> Any:
+    def search(self, one: Any, other: Any, grid: Any, *rest: Any) -> Any:
         found = {}
         for pruned in (True, False):
             began_s = process_time()
-            found[pruned] = linesearch.search(points, start, np.array([*grid[:4], float(pruned)]), *rest)
+            found[pruned] = self.kernel.search(one, other, np.array([*grid[:4], float(pruned)]), *rest)
             self.spent_s[pruned] += process_time() - began_s
         if not np.array_equal(found[True], found[False]):
             sys.exit(f"match {self.matches}: {found[True]} pruned, {found[False]} exhaustive")
@@ -49,11 +49,14 @@ class Both:
         return found[True]
 
 
-def recorded(path: Path, grid: int) -> int:
+def recorded(path: Path, method: str, grid: int) -> int:
     """Replay a log and return the number of matches compared."""
-    both = Both()
-    matcher.linesearch = both  # type: ignore[assignment]
-    config = load_config(None, [], {"grid": f"{grid}x{grid}", "azimuth": 2 * grid, "odom": "off"})
+    both = Both({"robust": linesearch, "paper": polarsearch}[method])
+    if method == "robust":
+        matcher.linesearch = both  # type: ignore[assignment]
+    else:
+        kernels.polarsearch = both
+    config = load_config(None, [], {"method": method, "grid": f"{grid}x{grid}", "azimuth": 2 * grid, "odom": "off"})
     log = open_log(path, odom="off")
     slam.replay(log.scans, config, log.period_s)
     pruned_s, exhaustive_s = both.spent_s[True], both.spent_s[False]
@@ -66,8 +69,8 @@ def recorded(path: Path, grid: int) -> int:
     return both.matches
 
 
-def random(count: int) -> int:
-    """Compare random problems; return the number of grids compared."""
+def random_grids(count: int) -> int:
+    """Compare the grids of random problems of the robust method; return their number."""
     for seed in range(count):
         problem = random_problem(seed)
         for half_m, half_rad in HALF_WINDOWS:
@@ -77,15 +80,31 @@ def random(count: int) -> int:
     return count * len(HALF_WINDOWS) * len(GRIDS) * 3
 
 
+def random_searches(count: int) -> int:
+    """Compare random searches of the paper's method; return their number."""
+    both = Both(polarsearch)
+    for seed in range(count):
+        for spec in LASERS:
+            virtual, points, limits, _ = polar_problem(seed, spec)
+            for grid in GRIDS:
+                half_m, half_rad = HALF_WINDOWS[seed % len(HALF_WINDOWS)]
+                schedule = np.array([half_m, half_rad, 0.3, 1.0, 1e-5, 1e-4, np.inf])
+                both.search(virtual, points, np.array([2.0 * grid, grid, grid, 2, 1.0]), schedule, limits)
+    return both.matches
+
+
 def main() -> None:
     """Compare all that the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("logs", nargs="*", type=Path, default=[SAMPLE])
+    parser.add_argument("--method", choices=("robust", "paper"), default="robust")
     parser.add_argument("--random", type=int, default=20)
     args = parser.parse_args()
-    matches = sum(recorded(path, grid) for path in args.logs for grid in GRIDS)
-    grids = random(args.random)
-    print(f"{matches} matches and {grids} random grids: identical")
+    matches = sum(recorded(path, args.method, grid) for path in args.logs for grid in GRIDS)
+    if args.method == "robust":
+        print(f"{matches} matches and {random_grids(args.random)} random grids: identical")
+    else:
+        print(f"{matches} matches and {random_searches(args.random)} random ones: identical")
 
 
 if __name__ == "__main__":

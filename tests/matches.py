@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,9 +10,17 @@ from synthetic import furnished_rooms, scan_at
 
 from mavnav.kernels import linesearch, points
 from mavnav.linemap import LineMap
+from mavnav.matcher import polar_points
 from mavnav.pose import Pose, transform_points
+from mavnav.scan import LaserSpec
 
 GRIDS = (5, 10, 20, 40)
+LASERS = (
+    LaserSpec(-2.0, 4.0 / 80, 81, 0.02, 5.6),
+    LaserSpec(0.0, 2 * math.pi / 90, 90, 0.02, 5.6),
+    LaserSpec(2.0, -4.0 / 80, 81, 0.02, 5.6),
+)
+"""With a seam behind, of a full turn, clockwise."""
 
 
 def voxel_means(xy_m: np.ndarray, voxel_m: float) -> np.ndarray:
@@ -83,3 +92,13 @@ def differences(problem: Problem, grid: int, half_m: float, half_rad: float, pri
             "plane on the lines": linesearch._shift_on_lines(*args, grid, grid, *problem.lines),
         }
     return [name for name, index in found[True].items() if index != found[False][name]]
+
+
+def polar_problem(seed: int, spec: LaserSpec) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.random.Generator]:
+    """Return virtual ranges, points (n, 5) and limits of a search by the paper, and what goes on making numbers."""
+    rng = np.random.default_rng(seed)
+    virtual = scan_at(furnished_rooms(), Pose(3.0, 2.4, rng.uniform(-3, 3)), spec, noise=0.02, rng=rng).ranges_m.copy()
+    virtual[rng.random(spec.beams) < 0.1] = np.nan
+    scan = scan_at(furnished_rooms(), Pose(3.1, 2.3, rng.uniform(-3, 3)), spec, noise=0.02, rng=rng)
+    limits = np.array([spec.angle_min_rad, spec.angle_step_rad, 0.1, 5.0, 0.3, 0.1, 8.0])
+    return virtual, polar_points(scan.ranges_m, spec, 0.1), limits, rng

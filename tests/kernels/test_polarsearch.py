@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
+import matches
 import naive
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from matches import polar_problem
 from synthetic import furnished_rooms, room, scan_at
 
 from mavnav.config import Config
@@ -17,29 +19,14 @@ from mavnav.matcher import HOPELESS, Match, match_polar, polar_points
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
 
-COARSE = LaserSpec(-2.0, 4.0 / 80, 81, 0.02, 5.6)
-FULL_TURN = LaserSpec(0.0, 2 * math.pi / 90, 90, 0.02, 5.6)
-CLOCKWISE = LaserSpec(2.0, -4.0 / 80, 81, 0.02, 5.6)
-
-
-LASERS = pytest.mark.parametrize("spec", [COARSE, FULL_TURN, CLOCKWISE], ids=["part", "full turn", "clockwise"])
-
-
-def problem(seed: int, spec: LaserSpec) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.random.Generator]:
-    """Return virtual ranges, points (n, 5) and limits of a search, and what goes on making numbers by chance."""
-    rng = np.random.default_rng(seed)
-    virtual = scan_at(furnished_rooms(), Pose(3.0, 2.4, rng.uniform(-3, 3)), spec, noise=0.02, rng=rng).ranges_m.copy()
-    virtual[rng.random(spec.beams) < 0.1] = np.nan
-    scan = scan_at(furnished_rooms(), Pose(3.1, 2.3, rng.uniform(-3, 3)), spec, noise=0.02, rng=rng)
-    limits = np.array([spec.angle_min_rad, spec.angle_step_rad, 0.1, 5.0, 0.3, 0.1, 8.0])
-    return virtual, polar_points(scan.ranges_m, spec, 0.1), limits, rng
+LASERS = pytest.mark.parametrize("spec", matches.LASERS, ids=["part", "full turn", "clockwise"])
 
 
 @LASERS
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_cost_is_its_twin(spec: LaserSpec, seed: int) -> None:
-    virtual, points, limits, rng = problem(seed, spec)
+    virtual, points, limits, rng = polar_problem(seed, spec)
     move = rng.uniform(-0.2, 0.2, 3) * rng.choice((1.0, 10.0))  # the farther one is beyond the series
     fast = polarsearch.polar_cost(virtual, np.ascontiguousarray(points.T), *move, limits)
     slow = naive.polar_cost(virtual, points, *move, limits)
@@ -61,7 +48,7 @@ def test_pruned_search_is_the_exhaustive_one(
     spec: LaserSpec, seed: int, grid: int, half_m: float, half_rad: float, useless_m2: float
 ) -> None:
     """The same pose, cost, beams, evaluations and iterations, to the bit."""
-    virtual, points, limits, _ = problem(seed, spec)
+    virtual, points, limits, _ = polar_problem(seed, spec)
     schedule = np.array([half_m, half_rad, 0.3, 1.0, 1e-5, 1e-4, useless_m2])
     pruned, exhaustive = (
         polarsearch.search(virtual, points, np.array([2.0 * grid, grid, grid, 2, prune]), schedule, limits)
