@@ -60,7 +60,6 @@ def redraw(
             yield step
             continue
         pose = next(poses)
-        if step.accepted:
-            method.insert(scan, pose, motion)
+        method.insert(scan, pose, motion)
         motion = motion.moved_to(pose, step.stamp_ns) if motion.stamp_ns else motion.started_at(pose, step.stamp_ns)
         yield step._replace(match=step.match._replace(map_T_laser=pose))

@@ -205,8 +205,7 @@ def measured_sections(grid: Grid) -> dict[int, Sections]:
 @timed("measuring")
 def measured_quality(outcome: slam.Slam, log: Log, sections: dict[int, Sections]) -> MapQuality:
     """Measure the map of a run, with the scans behind it."""
-    mapped = outcome.steps.share("accepted")
-    journey = Journey(outcome.trajectory, log.scans, mapped, outcome.lost_for_good)
+    journey = Journey(outcome.trajectory, log.scans, outcome.tracked_share, outcome.lost_for_good)
     return map_quality(measured_part(outcome.grid), journey, sections=sections)
 
 

@@ -99,7 +99,7 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion) -> Iterator[Ste
             tracked = belief.missed == 0
         if tracked:
             method.insert(scan, match.map_T_laser, here)
-        yield Step(index, scan.stamp_ns, match, tracked, tracked)
+        yield Step(index, scan.stamp_ns, match, tracked)
 
 
 def look_everywhere(scan: Scan, match: Match, verdict: Verdict, here: Motion, method: Method) -> tuple[Match, Verdict]:
@@ -158,7 +158,7 @@ def second_look(scan: Scan, step: Step, before: Step, after: Step, method: Metho
     if method.gate(match, scan, here) is not Verdict.SURE:
         return step
     method.insert(scan, match.map_T_laser, here)
-    return step._replace(match=with_effort(match, step.match, match), tracked=True, accepted=True)
+    return step._replace(match=with_effort(match, step.match, match), tracked=True)
 
 
 def place(scans: Iterable[Scan], steps: Iterable[Step], method: Method) -> Iterator[Step]:

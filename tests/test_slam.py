@@ -105,7 +105,7 @@ def test_paper_moves_neither_map_nor_pose_with_a_scan_that_does_not_match() -> N
     scans += [scan_at(furnished_rooms(), elsewhere, stamp_ns=3 + k) for k in range(2)]
     scans += [scan_at(room(3.0, 2.4), here, stamp_ns=5)]
     outcome = replay(scans, method="paper")
-    assert [s.accepted for s in outcome.steps] == [True, True, True, False, False, True]
+    assert [s.tracked for s in outcome.steps] == [True, True, True, False, False, True]
     assert outcome.grid.hits.sum() == 4 * np.isfinite(scans[0].ranges_m).sum()
     assert outcome.steps[-1].match.map_T_laser.distance_m < 0.01
 

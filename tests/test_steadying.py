@@ -24,7 +24,7 @@ def steps_of(xy_m: np.ndarray, cost_m2: float = 0.02**2, untracked: tuple[int, .
     def step(k: int) -> Step:
         pose = Pose(float(xy_m[k, 0]), float(xy_m[k, 1]), 0.01 * k)
         match = Match(pose, cost_m2, 100, 1.0, 1, 1, converged=True)
-        return Step(k, k * NS // 10, match, k not in untracked, k not in untracked)
+        return Step(k, k * NS // 10, match, k not in untracked)
 
     return [step(k) for k in range(len(xy_m))]
 

@@ -19,12 +19,12 @@ matches = st.builds(
 stamps_ns = st.integers(-(2**62), 2**62)
 
 
-@given(st.lists(st.builds(Step, counts, stamps_ns, matches, st.booleans(), st.booleans()), max_size=5))
+@given(st.lists(st.builds(Step, counts, stamps_ns, matches, st.booleans()), max_size=5))
 def test_packed_steps_are_the_steps(steps: list[Step]) -> None:
     packed = Steps(steps)
     assert list(packed) == list(Steps(packed)) == packed[:] == steps
     assert [packed[k - len(steps)] for k in range(len(steps))] == steps
-    assert packed.column("accepted").tolist() == [s.accepted for s in steps]
+    assert packed.column("tracked").tolist() == [s.tracked for s in steps]
     assert packed.column("evaluations").tolist() == [s.match.evaluations for s in steps]
     way = tracked_way(packed)
     assert [(way.stamps_ns[k], way[k]) for k in range(len(way))] == [
@@ -44,7 +44,7 @@ def test_a_packed_step_gives_way_to_another() -> None:
 def step(ms: int, x_m: float, yaw_rad: float = 0.0, *, tracked: bool = True) -> Step:
     pose = Pose(x_m, 0.0, yaw_rad)
     match = (first_match(100) if tracked else no_match(pose))._replace(map_T_laser=pose)
-    return Step(ms // 100, ms * MS, match, tracked, tracked)
+    return Step(ms // 100, ms * MS, match, tracked)
 
 
 @pytest.mark.parametrize(("x_m", "yaw_rad"), [(5.9, 0.0), (0.1, 1.5)])

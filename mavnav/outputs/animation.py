@@ -108,10 +108,9 @@ def _frames(run: Run) -> Iterator[Image.Image]:
     count = len(run.slam.trajectory)
     shown = set(np.linspace(0, count - 1, min(count, MAX_FRAMES)).round().astype(int).tolist())
     poses: list[tuple[int, Pose]] = []
-    for k, (scan, map_T_laser, mapped) in enumerate(placed_scans(run)):
+    for k, (scan, map_T_laser) in enumerate(placed_scans(run)):
         poses.append((scan.stamp_ns, map_T_laser))
-        if mapped:
-            canvas.add(transform_points(map_T_laser, scan.points()))
+        canvas.add(transform_points(map_T_laser, scan.points()))
         if k in shown:
             yield _frame(run, canvas, poses)
     if not poses:

@@ -132,14 +132,14 @@ def _file(run: Run) -> Document:
 
 def _scans(run: Run) -> Document:
     steps, counts = run.slam.steps, run.log.counts
-    accepted = np.count_nonzero(steps.column("accepted"))
+    tracked = len(run.slam.trajectory)
     return {
         "total": counts.total,
         "usable": counts.usable,
         "processed": len(steps),
-        "tracked": np.count_nonzero(steps.column("tracked")),
-        "accepted": accepted,
-        "rejected": len(steps) - accepted,
+        "tracked": tracked,
+        "accepted": tracked,
+        "rejected": len(steps) - tracked,
         "skipped": dict(counts.skipped),
         "suspect": counts.suspect,
     }
@@ -226,7 +226,7 @@ def _map(run: Run) -> Document:
         "hits": int(grid.hits.sum(dtype=np.int64)),
         "size_m": [cols * grid.cell_m, rows * grid.cell_m],
         "origin_xy_m": list(grid.origin_xy_m),
-        "accepted_share": run.slam.steps.share("accepted"),
+        "accepted_share": run.slam.tracked_share,
     }
 
 

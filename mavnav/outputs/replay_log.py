@@ -58,12 +58,12 @@ def write(run: Run, path: Path) -> None:
         walls, write_scan, write_pose = _GrowingMap(run), cdr.scans(laser), cdr.poses(MAP_FRAME)
         write_placement = cdr.transforms(MAP_FRAME, laser if mounting is None else base_frame(run))
         from_laser = Pose() if mounting is None else mounting.inverse()
-        for scan, map_T_laser, mapped in placed_scans(run):
+        for scan, map_T_laser in placed_scans(run):
             placed = map_T_laser if mounting is None else map_T_laser @ from_laser
             put("/tf", scan.stamp_ns, write_placement(scan.stamp_ns, placed))
             put("/scan", scan.stamp_ns, write_scan(scan))
             put("/pose", scan.stamp_ns, write_pose(scan.stamp_ns, map_T_laser))
-            if walls.add(scan, map_T_laser, mapped=mapped):
+            if walls.add(scan, map_T_laser):
                 put("/map", scan.stamp_ns, _map(walls.grid, walls.cells, scan.stamp_ns))
         way = run.slam.trajectory
         put("/path", last_ns, cdr.path(last_ns, MAP_FRAME, way.stamps_ns, way.xyyaw))
@@ -76,16 +76,15 @@ def laser_frame(run: Run) -> str:
     return name if name not in ("", MAP_FRAME) else "laser"
 
 
-def placed_scans(run: Run) -> Iterator[tuple[Scan, Pose, bool]]:
-    """Read the tracked scans once more: the scan, map_T_laser, and whether it went into the map."""
-    trajectory, steps, row = run.slam.trajectory, run.slam.steps, 0
+def placed_scans(run: Run) -> Iterator[tuple[Scan, Pose]]:
+    """Read the tracked scans once more: the scan and map_T_laser."""
+    trajectory, row = run.slam.trajectory, 0
     stamps_ns = trajectory.stamps_ns.tolist()
-    mapped = np.isin(stamps_ns, steps.column("stamp_ns")[steps.column("accepted")]).tolist()
     for scan in run.log.scans():
         while row < len(stamps_ns) and stamps_ns[row] < scan.stamp_ns:
             row += 1
         if row < len(stamps_ns) and stamps_ns[row] == scan.stamp_ns:
-            yield scan, trajectory[row], mapped[row]
+            yield scan, trajectory[row]
 
 
 def _map(grid: Grid, cells: NDArray[np.int8], stamp_ns: int) -> bytes:
@@ -110,10 +109,9 @@ class _GrowingMap:
         self._period_ns = max(MAP_PERIOD_NS, span_ns // maps) if maps else None
         self._next_ns = run.log.first_ns
 
-    def add(self, scan: Scan, map_T_laser: Pose, *, mapped: bool) -> bool:
-        """Show what a mapped scan saw; tell whether it is time to publish."""
-        if mapped:
-            show_ends(scan.ranges_m, scan.spec.directions, map_T_laser, self.grid, self.finished, self.cells)
+    def add(self, scan: Scan, map_T_laser: Pose) -> bool:
+        """Show what a scan saw; tell whether it is time to publish."""
+        show_ends(scan.ranges_m, scan.spec.directions, map_T_laser, self.grid, self.finished, self.cells)
         if self._period_ns is None or scan.stamp_ns < self._next_ns:
             return False
         self._next_ns = scan.stamp_ns + self._period_ns

@@ -71,7 +71,7 @@ def seconds(stamp_ns: int) -> str:
 def write_csv(run: Run, path: Path) -> None:
     """Write a row for every scan that was matched; one that was not tracked has no pose."""
     poses = dict(zip(run.slam.trajectory.stamps_ns.tolist(), run.slam.trajectory.xyyaw.tolist(), strict=True))
-    columns = [run.slam.steps.column(name).tolist() for name in ("index", "stamp_ns", *COLUMNS[5:])]
+    columns = [run.slam.steps.column(name).tolist() for name in ("index", "stamp_ns", *COLUMNS[5:-1], "tracked")]
     with path.open("w", encoding="ascii", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(COLUMNS)

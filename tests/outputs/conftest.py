@@ -22,8 +22,6 @@ from mavnav.steps import LostInterval, Step, Steps
 
 LOST = (10, 11)
 """Scans without a pose."""
-REJECTED = 5
-"""A scan that is tracked, but not mapped."""
 
 
 @dataclass(frozen=True)
@@ -82,11 +80,10 @@ def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
     tally, steps = Tally(cell_m), []
     for k, (scan, pose) in enumerate(zip(recorded, poses, strict=True)):
         tracked = k not in LOST
-        accepted = tracked and k != REJECTED
-        if accepted:
+        if tracked:
             tally.insert(pose, transform_points(pose, scan.points()))
         match = Match(pose, 1e-4 if tracked else np.inf, 600, 0.9 if tracked else 0.1, 960 + k, 8, tracked)
-        steps.append(Step(k, scan.stamp_ns, match, tracked, accepted))
+        steps.append(Step(k, scan.stamp_ns, match, tracked))
     kept = [s for s in steps if s.tracked]
     trajectory = Trajectory.of([s.stamp_ns for s in kept], [s.match.map_T_laser for s in kept])
     lost = (LostInterval(recorded[LOST[0]].stamp_ns, recorded[LOST[-1]].stamp_ns, len(LOST), recovered=True),)

@@ -157,8 +157,7 @@ def test_the_pictures_stand_beside_the_page(report, base):
 
 
 def test_a_scan_is_rejected_unless_it_is_lost(entries):
-    scans = replace(entries[0].scans, time_s=np.arange(6.0), tracked=np.array([1, 0, 1, 1, 0, 0], bool))
-    scans = replace(scans, accepted=np.array([1, 0, 1, 0, 0, 0], bool))
+    scans = replace(entries[0].scans, time_s=np.arange(6.0), tracked=np.array([1, 0, 1, 0, 0, 0], bool))
     lost = {"intervals": [{"start_s": 4.0, "end_s": 5.0}]}
     entry = with_document(replace(entries[0], scans=scans), tracking=lost)
     assert np.flatnonzero(cost_panel.rejected(entry)).tolist() == [1, 3]

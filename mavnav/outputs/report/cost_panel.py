@@ -80,12 +80,12 @@ def _intervals(entry: Entry) -> list[dict[str, Any]]:
 
 
 def rejected(entry: Entry) -> NDArray[np.bool_]:
-    """Tell which scans (n,) are not in the map, but for those without a pose where the track was lost."""
+    """Tell which scans (n,) have no pose, but for those where the track was lost."""
     scans = entry.scans
     lost = np.zeros(len(scans.time_s), np.bool_)
     for interval in _intervals(entry):
         lost |= (scans.time_s > interval["start_s"] - 1e-6) & (scans.time_s < interval["end_s"] + 1e-6)
-    return ~scans.accepted & ~(lost & ~scans.tracked)
+    return ~scans.tracked & ~lost
 
 
 def _draw_lost(axes: Any, entry: Entry) -> None:  # noqa: ANN401

@@ -32,14 +32,13 @@ class Scans:
     """The scans of a run in their order, one an entry.
 
     ``time_s`` from the first scan on, ``cost_mm2`` of the match (NaN without one), ``xy_m`` (n, 2) in the map frame
-    (NaN where the scan has no pose), ``tracked`` and ``accepted``.
+    (NaN where the scan has no pose), ``tracked``.
     """
 
     time_s: NDArray[np.float64]
     cost_mm2: NDArray[np.float64]
     xy_m: NDArray[np.float64]
     tracked: NDArray[np.bool_]
-    accepted: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +91,6 @@ def _scans(path: Path) -> Scans:
         cost_mm2=_column(rows, "cost_m2") * 1e6,
         xy_m=np.column_stack((_column(rows, "x_m"), _column(rows, "y_m"))),
         tracked=_column(rows, "tracked") > 0,
-        accepted=_column(rows, "accepted") > 0,
     )
 
 
