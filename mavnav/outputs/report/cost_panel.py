@@ -61,7 +61,10 @@ def _panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
     axes.set_xlabel("time [s]", fontsize=FONT_PT)
     axes.set_ylabel("cost [mm²]", fontsize=FONT_PT)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(loc="lower right", ncols=4, fontsize=FONT_PT - 1, frameon=True, framealpha=0.8, edgecolor="none")
+    known = cost[np.isfinite(cost)]
+    low = len(known) > 0 and np.median(known) < np.sqrt(limits[0] * limits[1])
+    where = "upper right" if low else "lower right"  # where the curve is not
+    axes.legend(loc=where, ncols=4, fontsize=FONT_PT - 1, frameon=True, framealpha=0.8, edgecolor="none")
     return canvas.image()
 
 
