@@ -166,7 +166,7 @@ def plot(seen: dict[str, list[tuple[int, float]]], path: Path) -> None:
     for phase, times in seen.items():
         axes.plot([done for done, _ in times[2:]], _ms(times)[1:], label=phase)
     axes.set(xlabel="scans", ylabel="processor time of a scan [ms]", ylim=(0, None))
-    axes.legend(loc="center right")
+    axes.legend(loc="center right", bbox_to_anchor=(1.0, 0.35))
     fig.savefig(path, dpi=100)
 
 
