@@ -23,7 +23,7 @@ def beside(target: Path) -> Iterator[Path]:
 
     The path has the target's own name, in a temporary folder next to it that is removed in any case; one that a killed
     process left is removed by the next. What was at ``target`` before is replaced in one step, or stays if the block
-    fails. Parents are made. Raises OSError where the disk says no.
+    fails; a file never takes the place of a folder. Parents are made. Raises OSError where the disk says no.
     """
     final = target.resolve()
     final.parent.mkdir(parents=True, exist_ok=True)
@@ -34,7 +34,7 @@ def beside(target: Path) -> Iterator[Path]:
         partial = folder / final.name
         yield partial
         sync_all(partial)
-        if final.is_dir():
+        if final.is_dir() and partial.is_dir():
             _exchange(partial, final)
         else:
             partial.replace(final)

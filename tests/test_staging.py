@@ -175,3 +175,10 @@ def test_a_stale_pid_of_a_living_process_is_left_alone(tmp_path: Path) -> None:
         partial.touch()
     assert names(tmp_path) == {"run", alive.name}
     assert time.time() - (tmp_path / "run").stat().st_mtime < 60
+
+
+def test_a_file_never_takes_the_place_of_a_folder(old: Path) -> None:
+    with pytest.raises(IsADirectoryError), beside(old) as partial:
+        partial.write_text("a report")
+    assert names(old) == {"old"}
+    assert names(old.parent) == {"run"}

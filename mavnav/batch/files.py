@@ -55,6 +55,12 @@ def write_text(text: str, path: Path) -> None:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}; make room or name another") from error
 
 
+def check_file(path: Path) -> None:
+    """Raise OutputError where a file cannot be written, as far as that can be told before the work."""
+    if path.is_dir():
+        raise OutputError(f"{path} is a directory; name a file")
+
+
 def append_text(text: str, path: Path) -> None:
     """Write behind what a file holds already; raises OutputError."""
     try:

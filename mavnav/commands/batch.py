@@ -142,7 +142,10 @@ def batch(
         with loading_kernels(report):
             from mavnav import batch as pipeline
         from mavnav.batch.asked import Asked, request_of
+        from mavnav.batch.files import check_file
 
+        for file in filter(None, (junit, summary)):
+            check_file(file)
         mounting = pose(extrinsic) if extrinsic else None
         place = (mounting.x_m, mounting.y_m, mounting.yaw_rad) if mounting else None
         request = request_of(

@@ -46,6 +46,15 @@ def test_nothing_at_all_leaves_nothing(mavnav: Callable, empty: Path) -> None:
     assert not Path("runs").exists()
 
 
+@pytest.mark.parametrize("option", ["--junit", "--summary"])
+def test_a_folder_is_no_file_and_stays(mavnav: Callable, empty: Path, option: str) -> None:
+    Path("logs/notes.txt").write_text("mine")
+    code, out, err = mavnav("batch", "gone.bag", option, "logs", "-q")
+    assert (code, out, err) == (ExitCode.OUTPUT, "", "mavnav: error: logs is a directory; name a file\n")
+    assert Path("logs/notes.txt").read_text() == "mine"
+    assert not Path("runs").exists()
+
+
 def test_an_interrupted_batch_says_what_stays(mavnav: Callable, empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object) -> None:
         raise signals.Interrupted
