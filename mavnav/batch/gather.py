@@ -28,8 +28,9 @@ def is_address(text: str) -> bool:
 def gather(patterns: Iterable[str], base: Path) -> list[str]:
     """Return the logs that paths, patterns, folders and addresses stand for, each once and in order.
 
-    A pattern (``*``, ``?``, ``[...]``, ``**``) stands for the paths that fit, by name; a folder for the logs in it,
-    ROS 2 bags and folders of folders included, finished runs left out. What stands for nothing is returned as it is:
+    A pattern (``*``, ``?``, ``[...]``, ``**``) stands for the paths that fit, by name, but for hidden ones and what
+    finished runs have left; a folder for the logs in it, ROS 2 bags and folders of folders included, finished runs left
+    out. What stands for nothing is returned as it is:
     it fails alone later, by its name. Relative paths count from ``base``; those returned are relative to it where they
     lie below it. Raises UsageError for a folder that cannot be looked into.
     """
@@ -66,7 +67,18 @@ def _matches(pattern: str, base: Path) -> list[Path]:
     if whole.exists() or not _PATTERN.search(pattern):
         return [whole]
     anchor = Path(whole.anchor)
-    return sorted(anchor.glob(str(whole.absolute().relative_to(anchor.absolute())))) or [whole]
+    found = anchor.glob(str(whole.absolute().relative_to(anchor.absolute())))
+    return sorted(path for path in found if not _hidden(path, whole) and not _is_result(path)) or [whole]
+
+
+def _hidden(path: Path, pattern: Path) -> bool:
+    """Tell what a shell's pattern does not stand for; a run that is being made is hidden."""
+    return any(part.startswith(".") and part not in pattern.parts for part in path.parts)
+
+
+def _is_result(path: Path) -> bool:
+    """Tell a log that a run has left, which would be a log of the next batch."""
+    return path.name == "result.mcap" and (path.parent / RUN_FILE).is_file()
 
 
 def _logs(place: Path) -> Iterator[Path]:

@@ -42,6 +42,17 @@ def test_patterns(logs: Path) -> None:
     assert gather(["logs/d*"], logs) == ["logs/drive"]
 
 
+def test_patterns_leave_out_what_runs_have_left_and_what_is_hidden(logs: Path) -> None:
+    """Or the results of a batch would be logs of the next."""
+    (logs / "logs/run/own.mcap").write_bytes(b"")
+    (logs / "logs/sub/result.mcap").write_bytes(b"")
+    found = ["logs/a.mcap", "logs/run/own.mcap", "logs/sub/deep/a.mcap", "logs/sub/result.mcap"]
+    assert gather(["**/*.mcap"], logs) == found
+    assert gather([f"{logs}/logs/sub/../**/*.mcap"], logs / "logs" / "sub")
+    assert gather(["*/.hidden/*.mcap"], logs) == ["logs/.hidden/x.mcap"]
+    assert gather(["logs/run/result.mcap"], logs) == ["logs/run/result.mcap"]
+
+
 def test_a_name_with_brackets_is_a_name_first(logs: Path) -> None:
     assert gather(["logs/odd[1].bag"], logs) == ["logs/odd[1].bag"]
 
