@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.batch.baseline import write_baseline
+from mavnav.batch.baseline import missing, write_baseline
 from mavnav.batch.cases import Case, make_cases
 from mavnav.batch.document import batch_document, batch_row, judged
 from mavnav.batch.files import BATCH_FILE, write_batch
@@ -167,7 +167,8 @@ def run_batch(plan: Plan, on_event: OnEvent, on_row: OnRow, cluster: Cluster | N
     Raises
     ------
     OutputError
-        Where the documents cannot be written. A part of a batch writes none: the whole does, when all parts are there.
+        Where the documents cannot be written. A part of a batch writes none, and misses nothing that the baseline has:
+        the whole does, when all parts are there.
     """
     began_s = monotonic()
     desk = _Desk(plan, on_row)
@@ -175,7 +176,8 @@ def run_batch(plan: Plan, on_event: OnEvent, on_row: OnRow, cluster: Cluster | N
     _run_missing(plan, on_event, desk, cluster)
     rows, request = desk.ordered(), plan.request
     rules = request.rules
-    document = batch_document(rows, monotonic() - began_s, rules.baseline, baseline_gate=rules.baseline_gate)
+    gone = [] if rules.baseline is None or request.part else missing(rows, rules.baseline)
+    document = batch_document(rows, monotonic() - began_s, rules.baseline, gone, baseline_gate=rules.baseline_gate)
     if request.part is None:
         write_batch(document, request.directory)
     if request.new_baseline:
@@ -226,7 +228,7 @@ def _row(request: Request, case: Case, outcome: Outcome | None, run: dict[str, A
         rules.accept | case.accept,
         rules.baseline,
         rules.watched,
-        baseline_gate=rules.baseline_gate,
+        baseline_gate=rules.baseline_gate or (case.baseline_gate and request.new_baseline is None),
     )
 
 

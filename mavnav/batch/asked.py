@@ -118,11 +118,17 @@ def _limits(asked: Asked, manifest: Manifest) -> Limits:
 
 def _rules(asked: Asked, manifest: Manifest, path: Path | None) -> Rules:
     texts = [*manifest.gates, *asked.gates]
-    gated = BASELINE_GATE in texts or any(BASELINE_GATE in entry.gates for entry in manifest.logs)
-    if path is None and (gated or asked.update_baseline):
+    gated = BASELINE_GATE in texts
+    for entry in manifest.logs:  # before any log is read
+        _gates(entry.gates)
+        _codes(entry.accept)
+    needed = gated or asked.update_baseline or any(BASELINE_GATE in entry.gates for entry in manifest.logs)
+    if path is None and needed:
         raise UsageError("no baseline; name one with --baseline, an earlier batch or a file")
     if asked.update_baseline and path and path.is_dir():
         raise UsageError(f"{path} is a directory; name a file for --update-baseline to write")
+    if asked.update_baseline and asked.part:
+        raise UsageError("--update-baseline is for all runs of a batch, --part for some; give one of them")
     fresh = asked.update_baseline and path is not None and not path.exists()
     return Rules(
         gates=tuple(_gates(texts)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ from mavnav.batch.gather import check_found, gather, is_address
 from mavnav.batch.remote import fetched
 from mavnav.batch.settings import told
 from mavnav.cells import Cell, make_cell, references_sha256
-from mavnav.errors import ExitCode, MavnavError
+from mavnav.errors import ExitCode, MavnavError, UsageError
 from mavnav.gates import Gate, parse_gate
 from mavnav.logs import content_sha256
 from mavnav.pose import Pose
@@ -33,7 +33,8 @@ class Case:
     """A log with a setting, and what must hold of it.
 
     ``cell`` is None for a log that cannot be read, which ``error`` and ``exit_code`` tell. ``log`` is what people call
-    it; ``has_references`` says that its outcome is compared with some.
+    it; ``has_references`` says that its outcome is compared with some, ``baseline_gate`` that it may not be worse than
+    in the baseline, whatever holds of others.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Case:
     gates: tuple[Gate, ...] = ()
     accept: frozenset[int] = frozenset()
     has_references: bool = False
+    baseline_gate: bool = False
     error: str = ""
     exit_code: ExitCode = ExitCode.DONE
 
@@ -53,16 +55,28 @@ def make_cases(
     """Return the cases of a batch, logs first, in order.
 
     ``common`` are values of every `mavnav.replay.Request`, its directory for one. Every log is read once, for the hash
-    of its content; one that cannot be read, or whose references cannot, is a case that has failed already. Raises
-    UsageError for a gate that cannot be read.
+    of its content; one that cannot be read, or whose references cannot, is a case that has failed already. What several
+    entries say of one case holds together. Raises UsageError for a gate that cannot be read, and for two references.
     """
     logs = [(entry, log) for entry in entries for log in gather(entry.log, base)]
     found: dict[str, Case] = {}
     for number, (entry, log) in enumerate(logs):
         progress("reading", number, len(logs))
         for case in _cases(entry, log, settings, base, common):
-            found.setdefault(case.name, case)
+            found[case.name] = _joined(found[case.name], case) if case.name in found else case
     return list(found.values())
+
+
+def _joined(one: Case, other: Case) -> Case:
+    """Return a case that two entries name, a pattern and then a path for one, with all that both say of it."""
+    if one.has_references and other.has_references and one.cell != other.cell:
+        raise UsageError(f"{one.name}: two entries compare it with different references; give it one")
+    return replace(
+        other if other.has_references else one,
+        gates=tuple(dict.fromkeys((*one.gates, *other.gates))),
+        accept=one.accept | other.accept,
+        baseline_gate=one.baseline_gate or other.baseline_gate,
+    )
 
 
 def _cases(
@@ -73,7 +87,7 @@ def _cases(
     gates = tuple(parse_gate(text) for text in entry.gates if text != BASELINE_GATE)
     files = _files(entry, base)
     shared: dict[str, Any] = {"log": log, "gates": gates, "accept": frozenset(entry.accept)}
-    shared["has_references"] = any(files.values())
+    shared |= {"has_references": any(files.values()), "baseline_gate": BASELINE_GATE in entry.gates}
     options = {**common, **_reading(entry), **files, "address": address}
     try:
         digest = _digest(log, path, address)

@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
-from mavnav.batch.baseline import Change, changes, missing
+from mavnav.batch.baseline import Change, changes
 from mavnav.cells import cell_row
 from mavnav.errors import SEVERITY, ExitCode, UsageError, worst
 from mavnav.gates import Verdict, judge
@@ -91,10 +91,14 @@ def _shown(number: float | None) -> str:
 
 
 def batch_document(
-    rows: Sequence[dict[str, Any]], wall_s: float, baseline: Baseline | None, *, baseline_gate: bool
+    rows: Sequence[dict[str, Any]],
+    wall_s: float,
+    baseline: Baseline | None,
+    gone: Sequence[str] = (),
+    *,
+    baseline_gate: bool,
 ) -> dict[str, Any]:
-    """Put the rows of a batch together; where the baseline is a gate, a run that is missing fails it."""
-    gone = [] if baseline is None else missing(rows, baseline)
+    """Put the rows of a batch together; where the baseline is a gate, a run that is ``gone`` since then fails it."""
     codes = [*(row["verdict"] for row in rows), *(ExitCode.GATE_FAILED for _ in gone if baseline_gate)]
     return {
         "schema_version": SCHEMA_VERSION,
@@ -121,10 +125,10 @@ def _counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _since(rows: Sequence[Mapping[str, Any]], baseline: Baseline, gone: list[str]) -> dict[str, Any]:
+def _since(rows: Sequence[Mapping[str, Any]], baseline: Baseline, gone: Sequence[str]) -> dict[str, Any]:
     kinds = Counter(row["baseline"]["change"] for row in rows)
     counts = {str(change): kinds[change] for change in Change}
-    return {"path": str(baseline.path), "mavnav_version": baseline.version, **counts, "missing": gone}
+    return {"path": str(baseline.path), "mavnav_version": baseline.version, **counts, "missing": list(gone)}
 
 
 def worst_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -260,3 +260,67 @@ def test_a_run_that_takes_too_long(home: Path) -> None:
     document, _ = batch(sources=("logs/good.mcap",), grids=("7x7",), timeout_s=0.01, listen=ended.append)
     assert document["cells"][0]["error"] == "took longer than 0.01 s"
     assert len([event for event in ended if isinstance(event, Ended)]) == 1
+
+
+MANIFEST = """
+logs:
+  - logs/*.mcap
+  - {log: logs/good.mcap, gates: scans.processed>=1000}
+  - {log: logs/cut.mcap, accept: 3}
+  - {log: logs/empty.mcap, accept: 4, gates: baseline}
+baseline: base.json
+"""
+
+
+def test_what_several_entries_say_of_a_log_holds_together(home: Path) -> None:
+    """A pattern for all, and then what is known of some."""
+    Path("night.yaml").write_text(MANIFEST)
+    kept = {"name": f"logs/good.mcap robust {NAME}", "exit_code": 0, "figures": {"map.accepted_share": 2.0}}
+    Path("base.json").write_text(json.dumps({"mavnav_version": "0", "cells": [kept]}))
+    document, ran = batch(sources=("night.yaml",), directory=Path("runs/batch"))
+    assert ran == [f"logs/empty.mcap robust {NAME}"]
+    assert {row["log"]: (row["exit_code"], row["verdict"]) for row in document["cells"]} == {
+        "logs/cut.mcap": (3, 0),
+        "logs/empty.mcap": (4, 0),
+        "logs/good.mcap": (0, 1),
+    }
+    assert {row["log"]: [gate["gate"] for gate in row["gates"]] for row in document["cells"]} == {
+        "logs/cut.mcap": [],
+        "logs/empty.mcap": ["baseline"],
+        "logs/good.mcap": ["scans.processed>=1000"],
+    }
+
+
+def test_references_of_a_log_that_a_pattern_names_as_well(home: Path) -> None:
+    Path("a.tum").write_text("0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n")
+    Path("b.tum").write_text("0 0 0 0 0 0 0 1\n1 2 0 0 0 0 0 1\n")
+    logs = "logs: [logs/*.mcap, {log: logs/good.mcap, truth: a.tum, gates: reference.ate.rmse_m<=1}"
+
+    def truths(text: str) -> dict[str, Path | None]:
+        Path("night.yaml").write_text(text)
+        cases = plan(request_of(Asked(sources=("night.yaml",))), lambda *args: None).cases
+        return {case.log: case.cell.request.truth for case in cases if case.cell}
+
+    assert truths(f"{logs}, logs/good.mcap]") == dict.fromkeys(("logs/cut.mcap", "logs/empty.mcap")) | {
+        "logs/good.mcap": Path("a.tum")
+    }
+    with pytest.raises(UsageError, match="two entries compare it with different references"):
+        truths(f"{logs}, {{log: logs/good.mcap, truth: b.tum}}]")
+
+
+def test_a_part_misses_nothing_and_makes_no_baseline(home: Path) -> None:
+    mine = {"sources": ("logs/good.mcap", "logs/cut.mcap"), "baseline": Path("base.json"), "accept": (3,)}
+    batch(**mine, update_baseline=True)
+    document, _ = batch(**mine, gates=("baseline",), part="1/2")
+    assert (document["baseline"]["missing"], document["exit_code"]) == ([], 0)
+    document, _ = batch(**mine | {"sources": ("logs/good.mcap",)}, gates=("baseline",))
+    assert (len(document["baseline"]["missing"]), document["exit_code"]) == (1, ExitCode.GATE_FAILED)
+    with pytest.raises(UsageError, match="--part for some"):
+        batch(**mine, update_baseline=True, part="1/2")
+
+
+@pytest.mark.parametrize("wrong", ["accept: 9", "gates: scans.processed<=7m", "gates: baseline"])
+def test_what_an_entry_asks_is_read_before_the_logs(home: Path, wrong: str) -> None:
+    Path("night.yaml").write_text(f"logs: [{{log: logs/good.mcap, {wrong}}}]")
+    with pytest.raises(UsageError, match=r"--accept 9|m' is not NAME|no baseline"):
+        request_of(Asked(sources=("night.yaml",)))
