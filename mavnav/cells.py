@@ -151,10 +151,11 @@ def source_sha256() -> str:
 def earlier(cell: Cell) -> dict[str, Any] | None:
     """Return the document of a finished run of this cell; None where there is none, or none that can be read."""
     try:
-        document = json.loads((cell.request.directory / RUN_FILE).read_bytes())
-    except (OSError, ValueError):
+        document: dict[str, Any] = json.loads((cell.request.directory / RUN_FILE).read_bytes())
+        ExitCode(document["exit_code"])
+    except (OSError, ValueError, LookupError, TypeError):
         return None
-    return document if isinstance(document, dict) and "exit_code" in document else None
+    return document
 
 
 def replay_cell(request: replay.Request, report: Report) -> dict[str, Any]:

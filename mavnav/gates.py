@@ -87,12 +87,35 @@ def judge(gates: Iterable[Gate], document: Mapping[str, Any]) -> list[Verdict]:
     return [_judge(gate, document) for gate in gates]
 
 
+def judge_some(gates: Iterable[Gate], document: Mapping[str, Any]) -> list[Verdict]:
+    """Hold gates against one of several documents: a number that it does not have fails its gate."""
+    return [
+        _judge(gate, document) if _has(document, gate.name) else Verdict(gate, None, "this run has no such number")
+        for gate in gates
+    ]
+
+
+def check_known(gates: Iterable[Gate], documents: Sequence[Mapping[str, Any]]) -> None:
+    """Raise UsageError for a name that none of the documents has."""
+    for gate in gates:
+        if documents and not any(_has(document, gate.name) for document in documents):
+            find(documents[0], gate.name)
+
+
+def _has(document: Mapping[str, Any], name: str) -> bool:
+    try:
+        find(document, name)
+    except UsageError:
+        return False
+    return True
+
+
 def _judge(gate: Gate, document: Mapping[str, Any]) -> Verdict:
     value = find(document, gate.name)
     if value is None:
         return Verdict(gate, None, "it is not known for this run")
     if _about_a_meaningless_map(gate.name, document):
-        reasons = "; ".join(document["map_quality"].get("why") or ["too little of it"])
+        reasons = "; ".join(map(str, document["map_quality"].get("why") or ["too little of it"]))
         return Verdict(gate, value, f"it is {_shown(value)}, but the map is not meaningful: {reasons}")
     if OPERATORS[gate.comparison](value, gate.bound):
         return Verdict(gate, value)
@@ -129,7 +152,7 @@ def _may_have(value: object, parts: Sequence[str]) -> bool:
 
 
 def find(document: Mapping[str, Any], name: str) -> Number | None:
-    """Return the number of that name, None where it or what is around it is null.
+    """Return the number of that name, None where it or what is around it is null, or where it is NaN.
 
     Raises UsageError for a name that the document does not have, or that is no number.
     """
@@ -139,7 +162,7 @@ def find(document: Mapping[str, Any], name: str) -> Number | None:
             return None
         value = _child(value, part)
     if value is None or isinstance(value, Number):
-        return value
+        return None if value != value else value  # noqa: PLR0124  NaN compares with nothing
     raise UsageError(_unknown(name, document))
 
 
@@ -152,6 +175,11 @@ def _child(value: object, part: str) -> object:
     if isinstance(value, list) and part.isdecimal() and int(part) < len(value):
         return value[int(part)]
     return value.get(part, _NOTHING) if isinstance(value, dict) else _NOTHING
+
+
+def full_name(name: str) -> str:
+    """Return a name with the threshold of wall thickness, where that was left out."""
+    return ".".join(_parts(name))
 
 
 def _parts(name: str) -> list[str]:
@@ -190,7 +218,7 @@ def _unknown(name: str, document: Mapping[str, Any]) -> str:
     """Say that a name is unknown, and which the nearest is: within it, as a whole, or by its last part."""
     if name.startswith("reference") and "reference" not in document:
         return f"no number {name} in run.json; it needs --truth, --truth-map or --relations"
-    known, full = names(document), ".".join(_parts(name))
+    known, full = names(document), full_name(name)
     near = [k for k in known if k.startswith(f"{full}.")]
     near = near or difflib.get_close_matches(full, known + _short(known), n=1, cutoff=0.75)
     if not near:

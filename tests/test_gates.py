@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from mavnav.errors import ExitCode, UsageError, worst
-from mavnav.gates import Gate, check_names, find, judge, names, parse_gate
+from mavnav.gates import Gate, check_known, check_names, find, judge, judge_some, names, parse_gate
 
 RUN: dict[str, Any] = {
     "grid": "10x10",
@@ -64,6 +64,22 @@ def test_operators(text: str, passed: bool) -> None:
 def test_null_fails_whatever_the_bound() -> None:
     for text in ("wall_thickness.max_mm<=inf", "wall_thickness.max_mm!=3", "map_quality.revisits.nn_l_mm>=0"):
         assert verdict(text) == (False, "it is not known for this run")
+
+
+def test_nan_fails_whatever_the_bound() -> None:
+    """No run.json of ours has one, one that was written by hand may."""
+    nan = {"wall_thickness": {"2": {"p95_mm": float("nan")}}}
+    assert verdict("wall_thickness.p95_mm!=3", nan) == (False, "it is not known for this run")
+
+
+def test_a_name_that_only_some_have() -> None:
+    gates, other = [parse_gate("tracking.intervals.0.scans<5")], {"tracking": {"intervals": []}}
+    check_known(gates, [other, RUN])
+    assert [found.why for found in judge_some(gates, other)] == ["this run has no such number"]
+    assert judge_some(gates, RUN) == judge(gates, RUN)
+    with pytest.raises(UsageError, match="no number tracking"):
+        check_known(gates, [other, other])
+    check_known(gates, [])
 
 
 def test_a_map_that_is_not_meaningful_fails_its_gates() -> None:

@@ -6,11 +6,13 @@ import json
 import re
 from dataclasses import dataclass
 from enum import StrEnum
+from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
 from mavnav.errors import SEVERITY, ExitCode, OutputError, UsageError
 from mavnav.figures import number
+from mavnav.gates import full_name
 from mavnav.outputs import to_json
 from mavnav.staging import beside
 
@@ -56,8 +58,9 @@ _TOLERANCE: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(%?)\s*(?:,\s*(low|high)\s*)
 def parse_tolerance(name: str, text: str) -> Tolerance:
     """Read ``5``, ``5%``, ``5%,high``; which direction is better is known for the figures in `TOLERANCES`, else low.
 
-    Raises UsageError.
+    The name may be short, as in a gate. Raises UsageError.
     """
+    name = full_name(name)
     match = _TOLERANCE.fullmatch(text)
     try:
         size = abs(float(match[1])) if match else None
@@ -99,8 +102,9 @@ def read_baseline(path: Path) -> Baseline:
     file = path / "batch.json" if path.is_dir() else path
     try:
         document = json.loads(file.read_bytes())
-        runs = {cell["name"]: {"run": None, "figures": {}, **cell} for cell in document["cells"]}
-        for run in runs.values():
+        cells = [{"run": None, **cell, "figures": _figures(cell.get("figures", {}))} for cell in document["cells"]]
+        runs = {cell["name"]: cell for cell in cells}
+        for run in cells:
             ExitCode(run["exit_code"])
         return Baseline(path, str(document["mavnav_version"]), runs)
     except OSError as error:
@@ -108,10 +112,18 @@ def read_baseline(path: Path) -> Baseline:
         raise UsageError(
             f"{file}: the baseline {reason}; name an earlier batch, or make one with --update-baseline"
         ) from error
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(
             f"{file} is no baseline; name the directory of a batch, its batch.json, or a baseline file"
         ) from error
+
+
+def _figures(kept: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return figures by their full names; raises ValueError for what is no number, such as NaN."""
+    for value in kept.values():
+        if value is not None and not (isinstance(value, int | float) and isfinite(value)):
+            raise ValueError
+    return {full_name(name): value for name, value in kept.items()}
 
 
 def write_baseline(rows: Sequence[Mapping[str, Any]], path: Path, watched: Sequence[Tolerance]) -> None:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav import __version__
 from mavnav.batch.baseline import Change, changes
 from mavnav.cells import cell_row
-from mavnav.errors import SEVERITY, ExitCode, UsageError, worst
-from mavnav.gates import Verdict, judge
+from mavnav.errors import SEVERITY, ExitCode, worst
+from mavnav.gates import judge_some
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -60,24 +60,18 @@ def judged(
 ) -> dict[str, Any]:
     """Return a row with its ``gates``, its ``baseline`` (None without one), and ``verdict``, the exit code that counts.
 
-    The verdict is the worst of the gates and of the run's own exit code, unless that is one of ``accept``. ``run`` is
-    the whole run.json; a gate on a number that it does not have fails.
+    The verdict is the worst of the gates and of the run's own exit code, unless that is one of ``accept``, which
+    ``accepted`` tells. ``run`` is the whole run.json; a gate on a number that it does not have fails.
     """
-    verdicts = [] if run is None else [_verdict(gate, run) for gate in gates]
+    verdicts = [] if run is None else judge_some(gates, run)
     found = None if baseline is None else changes(row, baseline, watched)
     told = [{"gate": v.gate.text, "value": v.value, "passed": v.passed, "why": v.why} for v in verdicts]
     if baseline_gate and found is not None:
         told.append(_baseline_verdict(found))
-    codes = [] if row["exit_code"] in accept else [row["exit_code"]]
+    accepted = row["exit_code"] in accept
+    codes = [] if accepted else [row["exit_code"]]
     codes += [ExitCode.GATE_FAILED for verdict in told if not verdict["passed"]]
-    return row | {"gates": told, "baseline": found, "verdict": int(worst(codes))}
-
-
-def _verdict(gate: Gate, run: Mapping[str, Any]) -> Verdict:
-    try:
-        return judge([gate], run)[0]
-    except UsageError:
-        return Verdict(gate, None, "this run has no such number")
+    return row | {"gates": told, "baseline": found, "accepted": accepted, "verdict": int(worst(codes))}
 
 
 def _baseline_verdict(found: Mapping[str, Any]) -> dict[str, Any]:

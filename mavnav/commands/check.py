@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+from dataclasses import dataclass
+from json import dumps, loads
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -12,7 +15,13 @@ from mavnav.commands.terminal import emit, note, printable
 from mavnav.errors import ExitCode, UsageError, worst
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from mavnav.gates import Gate
+
+RUN_FILE: Final = "run.json"
+WHOLE_FILES: Final = ("batch.json", "comparison.json")
+"""What tells of all runs of a directory."""
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -33,52 +42,87 @@ def check(
     json: Annotated[bool, typer.Option("--json", help="Print the verdicts on stdout and nothing else.")] = False,
 ) -> None:
     """Hold gates against finished runs; ends with the worst exit code of the runs and their gates."""
+    from mavnav.gates import check_known
+
     bounds = gates_of(gates)
-    rows = [_checked(directory, bounds) for directory in _runs(runs)]
+    found = [run for path in runs for run in _found(path)]
+    check_known(bounds, [run.document for run in found if run.document is not None])
+    rows = [_checked(run, bounds) for run in found]
     code = worst(row["exit_code"] for row in rows)
     _tell(rows, code, json=json)
     raise typer.Exit(code)
 
 
-def _checked(directory: Path, bounds: list[Gate]) -> dict[str, Any]:
-    from mavnav.gates import judge
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """A finished run; or one that a batch could not make: it has no ``document``, and ``error`` tells why."""
 
-    document = _document(directory)
-    verdicts = [
-        {"gate": v.gate.text, "value": v.value, "passed": v.passed, "why": v.why} for v in judge(bounds, document)
-    ]
-    code = worst([document["exit_code"], *(ExitCode.GATE_FAILED for v in verdicts if not v["passed"])])
-    return {"run": str(directory), "gates": verdicts, "exit_code": int(code)}
+    name: str
+    exit_code: ExitCode
+    document: dict[str, Any] | None
+    error: str | None
 
 
-def _runs(paths: list[Path]) -> list[Path]:
-    """Return run directories; a comparison or a batch stands for all of its own."""
-    found: list[Path] = []
-    for path in paths:
-        cells = sorted(path.glob("cells/*/run.json"))
-        found += [file.parent for file in cells] or [path.parent if path.name == "run.json" else path]
+def _found(path: Path) -> list[_Found]:
+    """Return the run of a directory, or all of a comparison or a batch.
+
+    Those are the ones that it tells of itself: its cells may hold others, of logs as they once were. One that was never
+    finished tells nothing; it stands for what is there.
+    """
+    if path.name in (RUN_FILE, *WHOLE_FILES):
+        path = path.parent
+    for file in (path / name for name in WHOLE_FILES):
+        if file.is_file():
+            return _listed(file)
+    return [_run(cell.parent) for cell in sorted(path.glob(f"cells/*/{RUN_FILE}"))] or [_run(path)]
+
+
+def _listed(file: Path) -> list[_Found]:
+    """Return the runs of batch.json or comparison.json; what a batch accepts counts as done."""
+    found = []
+    with _reading(file):
+        for cell in loads(file.read_bytes())["cells"]:
+            accepted = bool(cell.get("accepted"))
+            if cell["directory"] is None:
+                code = ExitCode.DONE if accepted else ExitCode(cell["exit_code"])
+                found.append(_Found(cell["name"], code, None, cell["error"] if code else None))
+            else:
+                found.append(_run(file.parent / cell["directory"], accepted=accepted))
     return found
 
 
-def _document(directory: Path) -> dict[str, Any]:
-    from json import loads
+def _run(directory: Path, *, accepted: bool = False) -> _Found:
+    file = directory / RUN_FILE
+    with _reading(file):
+        document = loads(file.read_bytes())
+        code = ExitCode(document["exit_code"])
+    code = ExitCode.DONE if accepted else code
+    return _Found(str(directory), code, document, f"it ended with exit code {code}" if code else None)
 
+
+@contextmanager
+def _reading(file: Path) -> Iterator[None]:
     advice = "name the directory of a finished run"
     try:
-        document: dict[str, Any] = loads((directory / "run.json").read_bytes())
-        ExitCode(document["exit_code"])
+        yield
     except OSError as error:
-        raise UsageError(f"{directory}: no run.json ({error.strerror}); {advice}") from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise UsageError(f"{directory / 'run.json'} is not one of mavnav's; {advice}") from error
-    return document
+        raise UsageError(f"{file.parent}: no {file.name} ({error.strerror}); {advice}") from error
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise UsageError(f"{file} is not one of mavnav's; {advice}") from error
+
+
+def _checked(found: _Found, bounds: list[Gate]) -> dict[str, Any]:
+    from mavnav.gates import judge_some
+
+    verdicts = [] if found.document is None else judge_some(bounds, found.document)
+    told = [{"gate": v.gate.text, "value": v.value, "passed": v.passed, "why": v.why} for v in verdicts]
+    code = worst([found.exit_code, *(ExitCode.GATE_FAILED for v in verdicts if not v.passed)])
+    return {"run": found.name, "gates": told, "error": found.error, "exit_code": int(code)}
 
 
 def _tell(rows: list[dict[str, Any]], code: ExitCode, *, json: bool) -> None:
     """Print the verdicts on stdout, and what failed on stderr too with ``json``."""
     if json:
-        from json import dumps
-
         emit(dumps({"schema_version": 1, "runs": rows, "exit_code": int(code)}, indent=2))
     for row in rows:
         if not json:
@@ -86,5 +130,5 @@ def _tell(rows: list[dict[str, Any]], code: ExitCode, *, json: bool) -> None:
         for gate in row["gates"]:
             if not gate["passed"]:
                 note(f"mavnav: error: {row['run']}: gate {gate['gate']} failed: {gate['why']}")
-        if row["exit_code"] and all(gate["passed"] for gate in row["gates"]):
-            note(f"mavnav: error: {row['run']} ended with exit code {row['exit_code']}")
+        if row["error"]:
+            note(f"mavnav: error: {row['run']}: {row['error']}")

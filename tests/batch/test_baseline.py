@@ -111,6 +111,30 @@ def test_no_tolerance(text: str) -> None:
         parse_tolerance("x", text)
 
 
+def test_a_short_name_is_the_usual_one(baseline: Path) -> None:
+    """As in a gate: a tolerance that takes the usual one's place under its full name does so under the short one."""
+    mine = tolerances([parse_tolerance("wall_thickness.p95_mm", "30")])
+    assert len(mine) == len(WATCHED)
+    assert change(baseline, row(p95_mm=129), mine)[0] == "same"
+    kept = json.loads(baseline.read_text())
+    kept["cells"][0]["figures"] = {"wall_thickness.p95_mm": 80.0}
+    baseline.write_text(json.dumps(kept))
+    assert change(baseline, row(p95_mm=129), mine) == ("worse", ["wall_thickness.2.p95_mm"])
+
+
+@pytest.mark.parametrize("figures", [None, [], {"map.accepted_share": "0.9"}, {"map.accepted_share": float("nan")}])
+def test_figures_that_are_none_are_no_baseline(baseline: Path, figures: object) -> None:
+    kept = json.loads(baseline.read_text())
+    kept["cells"][0]["figures"] = figures
+    baseline.write_text(json.dumps(kept))
+    with pytest.raises(UsageError, match="is no baseline"):
+        read_baseline(baseline)
+
+
+def test_nan_is_never_better(baseline: Path) -> None:
+    assert change(baseline, row(p95_mm=float("nan"))) == ("worse", ["wall_thickness.2.p95_mm"])
+
+
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"cells": [{}], "mavnav_version": ""}', '{"cells": [{"name": 1}]}'])
 def test_no_baseline(tmp_path: Path, text: str) -> None:
     path = tmp_path / "b.json"

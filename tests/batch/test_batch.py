@@ -10,7 +10,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from small_batch import NAME, batch
+from small_batch import ASKED, NAME, batch
 
 from mavnav.batch import Part, plan
 from mavnav.batch.asked import Asked, request_of
@@ -53,6 +53,14 @@ def test_what_is_there_is_not_run_again(home: Path) -> None:
     assert ran == [f"logs/empty.mcap robust {NAME}"]
     assert [row["status"] for row in document["cells"]] == ["cached", "failed", "cached", "failed"]
     assert document["exit_code"] == ExitCode.USAGE
+
+
+@pytest.mark.parametrize("broken", ["", "[]", "{}", '{"exit_code": "0"}', '{"exit_code": 99}', '{"exit_code": null}'])
+def test_a_run_that_was_spoilt_is_made_again(home: Path, broken: str) -> None:
+    path = next(Path("runs/batch/cells").glob("good-*/run.json"))
+    path.write_text(broken)
+    planned = plan(request_of(Asked(**ASKED)), lambda *args: None)
+    assert f"logs/good.mcap robust {NAME}" in [case.name for case in planned.missing]
 
 
 def test_force_runs_again(home: Path) -> None:

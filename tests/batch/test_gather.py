@@ -48,7 +48,6 @@ def test_patterns_leave_out_what_runs_have_left_and_what_is_hidden(logs: Path) -
     (logs / "logs/sub/result.mcap").write_bytes(b"")
     found = ["logs/a.mcap", "logs/run/own.mcap", "logs/sub/deep/a.mcap", "logs/sub/result.mcap"]
     assert gather(["**/*.mcap"], logs) == found
-    assert gather([f"{logs}/logs/sub/../**/*.mcap"], logs / "logs" / "sub")
     assert gather(["*/.hidden/*.mcap"], logs) == ["logs/.hidden/x.mcap"]
     assert gather(["logs/run/result.mcap"], logs) == ["logs/run/result.mcap"]
 

@@ -1,0 +1,135 @@
+"""mavnav check: gates on runs that are there, and how it ends."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mavnav.errors import ExitCode
+
+RUN = {"exit_code": 0, "scans": {"accepted": 100}, "tracking": {"intervals": []}}
+
+
+def write(place: str, **more: Any) -> None:
+    Path(place).mkdir(parents=True)
+    (Path(place) / "run.json").write_text(json.dumps(RUN | more))
+
+
+def cell(name: str, directory: str | None, exit_code: int = 0, **more: Any) -> dict[str, Any]:
+    return {"name": name, "directory": directory, "exit_code": exit_code, "error": None, **more}
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def batch(home: Path) -> Path:
+    """Return the directory of a batch: sound, damaged, without scans; and a run of a log that is no more."""
+    write("b/cells/sound")
+    write("b/cells/cut", exit_code=3)
+    write("b/cells/stale", exit_code=5)
+    cells = [cell("sound.bag", "cells/sound"), cell("cut.bag", "cells/cut", 3), cell("empty.bag", None, 4)]
+    cells[2]["error"] = "empty.bag: no usable scans"
+    Path("b/batch.json").write_text(json.dumps({"cells": cells}))
+    return Path("b")
+
+
+def accept(batch: Path, *codes: int) -> None:
+    document = json.loads((batch / "batch.json").read_text())
+    for row in document["cells"]:
+        row["accepted"] = row["exit_code"] in codes
+    (batch / "batch.json").write_text(json.dumps(document))
+
+
+def test_a_run_that_could_not_be_made_counts(mavnav: Callable, batch: Path) -> None:
+    """And one that the batch does not tell of does not."""
+    code, out, err = mavnav("check", batch, "--gate", "scans.accepted>=1")
+    assert code == ExitCode.NO_SCANS
+    assert out.splitlines() == ["b/cells/sound: passed", "b/cells/cut: failed", "empty.bag: failed"]
+    assert err.splitlines() == [
+        "mavnav: error: b/cells/cut: it ended with exit code 3",
+        "mavnav: error: empty.bag: empty.bag: no usable scans",
+    ]
+    assert mavnav("check", batch / "batch.json")[0] == ExitCode.NO_SCANS
+
+
+def test_what_the_batch_accepts_is_accepted(mavnav: Callable, batch: Path) -> None:
+    accept(batch, 3)
+    assert mavnav("check", batch)[0] == ExitCode.NO_SCANS
+    accept(batch, 3, 4)
+    assert mavnav("check", batch) == (0, "b/cells/sound: passed\nb/cells/cut: passed\nempty.bag: passed\n", "")
+    assert mavnav("check", batch, "--gate", "scans.accepted>=101")[0] == ExitCode.GATE_FAILED
+
+
+def test_a_batch_that_was_never_finished_stands_for_what_is_there(mavnav: Callable, batch: Path) -> None:
+    (batch / "batch.json").unlink()
+    code, out, _ = mavnav("check", batch)
+    assert code == ExitCode.TRACKING_LOST
+    assert out.splitlines() == ["b/cells/cut: failed", "b/cells/sound: passed", "b/cells/stale: failed"]
+
+
+def test_a_comparison(mavnav: Callable, comparison: Path) -> None:
+    code, out, _ = mavnav("check", comparison, "--gate", "scans.processed>=1")
+    assert (code, len(out.splitlines())) == (0, 2)
+
+
+def test_a_number_that_only_some_runs_have(mavnav: Callable, home: Path) -> None:
+    write("one", tracking={"intervals": [{"scans": 2}]})
+    write("two")
+    gate = "tracking.intervals.0.scans<=3"
+    code, _, err = mavnav("check", "one", "two", "--gate", gate)
+    assert (code, err) == (1, f"mavnav: error: two: gate {gate} failed: this run has no such number\n")
+    code, _, err = mavnav("check", "two", "--gate", gate)
+    assert code == ExitCode.USAGE
+    assert err.startswith("mavnav: error: no number tracking.intervals.0.scans in run.json")
+
+
+def test_the_end_of_a_run_is_told_beside_its_gates(mavnav: Callable, home: Path) -> None:
+    write("lost", exit_code=5)
+    code, out, err = mavnav("check", "lost", "--gate", "scans.accepted>=101", "--json")
+    assert json.loads(out) == {
+        "schema_version": 1,
+        "runs": [
+            {
+                "run": "lost",
+                "gates": [{"gate": "scans.accepted>=101", "value": 100, "passed": False, "why": "it is 100"}],
+                "error": "it ended with exit code 5",
+                "exit_code": 5,
+            }
+        ],
+        "exit_code": 5,
+    }
+    assert (code, len(err.splitlines())) == (5, 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("run.json", ""),
+        ("run.json", "[]"),
+        ("run.json", "{}"),
+        ("run.json", '{"exit_code": 99}'),
+        ("batch.json", '{"cells": [{"name": "a"'),
+        ("batch.json", '{"cells": 1}'),
+        ("batch.json", '{"cells": [[]]}'),
+        ("batch.json", '{"cells": [{"name": "a", "directory": null, "exit_code": "4"}]}'),
+        ("comparison.json", "{}"),
+    ],
+)
+def test_what_is_not_ours(mavnav: Callable, home: Path, name: str, text: str) -> None:
+    Path("odd").mkdir()
+    (Path("odd") / name).write_text(text)
+    said = f"mavnav: error: odd/{name} is not one of mavnav's; name the directory of a finished run\n"
+    assert mavnav("check", "odd") == (ExitCode.USAGE, "", said)
+
+
+def test_nothing_there(mavnav: Callable, home: Path) -> None:
+    code, _, err = mavnav("check", "gone")
+    assert (code, err[:33]) == (ExitCode.USAGE, "mavnav: error: gone: no run.json ")
