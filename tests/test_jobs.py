@@ -79,6 +79,13 @@ def test_the_clock_stops_a_job_that_hangs() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="RLIMIT_DATA counts mapped memory on Linux alone")
+def test_what_ends_for_want_of_memory_says_that_there_was_a_limit() -> None:
+    """Native code that gets no memory ends its process, in whatever way."""
+    (left,) = run(Job("left", strange.leave), memory_mb=600)
+    assert left.error == "its process ended by itself with code 3; the memory may have run out"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="RLIMIT_DATA counts mapped memory on Linux alone")
 def test_memory_is_limited() -> None:
     greedy, modest = run(Job("greedy", strange.devour, (900,)), Job("modest", strange.devour, (1,)), memory_mb=600)
     assert (greedy.fate, greedy.error) == (Fate.FAILED, "it needs more memory than it may use")

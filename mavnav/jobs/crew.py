@@ -113,6 +113,7 @@ class _Worker:
     """A process, the channel to it, and the job that it has in hand."""
 
     def __init__(self, memory_mb: int | None) -> None:
+        self.memory_mb = memory_mb
         self.channel, theirs = CONTEXT.Pipe()
         self.process = CONTEXT.Process(target=serve, args=(theirs, memory_mb), daemon=True)
         with _deaf_children():
@@ -162,9 +163,10 @@ class _Worker:
         """Say what ended the process."""
         self.process.join(GRACE_S)
         code = self.process.exitcode
+        limited = self.memory_mb is not None  # native code that gets no memory aborts
+        memory = "; the memory may have run out" if limited or code == -signal.SIGKILL else ""
         if code is None or code >= 0:
-            return f"its process ended by itself with code {code}"
-        memory = "; the memory may have run out" if -code == signal.SIGKILL else ""
+            return f"its process ended by itself with code {code}{memory}"
         return f"its process was killed by {signal.Signals(-code).name}{memory}"
 
 
