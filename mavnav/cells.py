@@ -40,7 +40,7 @@ SECTIONS: Final = (
 REFERENCES = ("truth", "truth_map", "relations")
 """Of a request: the files to compare the outcome with."""
 
-_NOT_OPTIONS = {"log", "address", "directory", "config", "force", "report", *REFERENCES}
+_NOT_OPTIONS = {"log", "log_sha256", "address", "directory", "config", "force", "report", *REFERENCES}
 """Of a request: where things are, what does not change a result, and what enters the key by itself."""
 
 
@@ -89,7 +89,7 @@ def make_cell(request: replay.Request, log_sha256: str, references: str) -> Cell
     """
     key = cell_key(request, log_sha256, references)
     name = f"{replay.default_directory(request.log, request.config).name}-{key[:8]}"
-    return Cell(replace(request, directory=request.directory / "cells" / name), key)
+    return Cell(replace(request, directory=request.directory / "cells" / name, log_sha256=log_sha256), key)
 
 
 def check_home(directory: Path, ours: Sequence[str]) -> None:

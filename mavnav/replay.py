@@ -56,7 +56,7 @@ class Request:
     ``report`` asks for the page as well; ``truth``, ``truth_map`` and ``relations`` are files to compare the outcome
     with; ``strict`` leaves out scans from where a checksum does not match. ``map`` is a map to localise in instead of
     making one, and ``start_pose`` about where in it the laser begins. ``address`` is where the log was fetched from,
-    which run.json tells.
+    which run.json tells; ``log_sha256`` is the content that the log must have, if the run is to be known by it.
     """
 
     log: Path
@@ -75,6 +75,7 @@ class Request:
     map: Path | None = None
     start_pose: Pose | None = None
     address: str | None = None
+    log_sha256: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +158,8 @@ def replay(
     given = Given(load_references(request.truth, request.truth_map, request.relations), known_map_of(request))
     wall_s, cpu_s, stages = perf_counter(), process_time(), account(loading=compile_s, starting=startup_s)
     log = _open(request, progress)
+    if request.log_sha256 not in {None, log.sha256}:
+        raise UsageError(f"{request.log}: changed since it was looked at; run again once it is complete")
     check_times(given.references, log.first_ns, log.last_ns)
     with stoppable() as stop:
         return _mapped(request, log, given, progress, stop, Timing(wall_s, cpu_s, compile_s, stages))

@@ -179,6 +179,23 @@ def test_a_log_that_always_kills_its_worker_is_given_up_and_named(home: Path) ->
     assert (row["status"], row["exit_code"]) == ("failed", ExitCode.BUG)
 
 
+def test_a_log_that_changes_before_its_run_leaves_no_run(home: Path) -> None:
+    """Or the result of what it was in between would stay as that of what it is."""
+    content = Path("logs/good.mcap").read_bytes()
+
+    def cut(event: Event) -> None:
+        if isinstance(event, Started):
+            Path("logs/good.mcap").write_bytes(content[: len(content) // 2])
+
+    asked = {"sources": ("logs/good.mcap",), "grids": ("6x6",)}
+    document, _ = batch(**asked, listen=cut)
+    assert document["cells"][0]["error"].startswith("logs/good.mcap: changed since it was looked at")
+    assert document["exit_code"] == ExitCode.USAGE
+    Path("logs/good.mcap").write_bytes(content)
+    document, ran = batch(**asked)
+    assert (len(ran), document["exit_code"]) == (1, 0)
+
+
 def test_the_same_results_whoever_makes_them(home: Path) -> None:
     one = json.loads(next(Path("runs/batch/cells").glob("good-*/run.json")).read_text())
     document, _ = batch(sources=("logs/good.mcap",), directory=Path("other"))
