@@ -141,6 +141,7 @@ def batch(
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
             from mavnav import batch as pipeline
+            from mavnav.methods import load_kernels
         from mavnav.batch.asked import Asked, request_of
         from mavnav.batch.files import check_file
 
@@ -175,6 +176,9 @@ def batch(
             )
         )
         plan = pipeline.plan(request, report)
+        with loading_kernels(report):  # not in every worker, by the clock of its first run
+            for case in plan.missing if request.limits.scheduler is None else ():
+                load_kernels(case.setting.config)
     with (
         _cluster(request, quiet=quiet) as cluster,
         watching([case.name for case in plan.missing], quiet=quiet, lines=False) as listen,

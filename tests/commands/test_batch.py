@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mavnav import batch
+from mavnav import batch, methods
 from mavnav.commands import signals
 from mavnav.errors import ExitCode
 
@@ -66,6 +66,20 @@ def test_an_interrupted_batch_says_what_stays(mavnav: Callable, empty: Path, mon
         "mavnav: runs that are finished stay in runs/batch; the same call makes the others",
         "mavnav: interrupted",
     ]
+
+
+def test_kernels_are_there_before_the_workers(mavnav: Callable, empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or all of them would compile at once, and what that takes would count against the time of a run."""
+    loaded: list[str] = []
+    monkeypatch.setattr(methods, "load_kernels", lambda config: loaded.append(config.method))
+    monkeypatch.setattr(batch, "run_batch", lambda *_: pytest.fail("too early") if not loaded else _stop())
+    Path("logs/a.mcap").write_bytes(b"")
+    mavnav("batch", "logs", "gone.bag", "--method", "robust", "--method", "paper", "-q")
+    assert loaded == ["robust", "paper"]
+
+
+def _stop() -> None:
+    raise signals.Interrupted
 
 
 def test_the_schema_of_manifests(mavnav: Callable) -> None:
