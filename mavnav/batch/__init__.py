@@ -20,6 +20,7 @@ from mavnav.config import Config
 from mavnav.errors import UsageError
 from mavnav.gates import check_names
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs, run_with_retries
+from mavnav.outputs import REPORT_FILE
 from mavnav.outputs.blank import blank_document
 from mavnav.staging import discard
 
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from mavnav.batch.baseline import Baseline, Tolerance
     from mavnav.batch.manifest import Entry
     from mavnav.batch.settings import Setting
+    from mavnav.cells import Cell
     from mavnav.cluster import Cluster
     from mavnav.gates import Gate
     from mavnav.replay import Progress
@@ -137,8 +139,14 @@ def plan(request: Request, progress: Progress) -> Plan:
     _check_names(cases, request.rules)
     if request.part:
         cases = cases[request.part.number - 1 :: request.part.of]
-    places = (case.cell.request.directory for case in cases if case.cell and not request.force and earlier(case.cell))
-    return Plan(request, tuple(cases), frozenset(places))
+    there = [] if request.force else [case.cell for case in cases if case.cell and _is_there(case.cell)]
+    return Plan(request, tuple(cases), frozenset(cell.request.directory for cell in there))
+
+
+def _is_there(cell: Cell) -> bool:
+    """Tell whether a run is there, and its page where that is asked for."""
+    place = cell.request.directory
+    return earlier(cell) is not None and (not cell.request.report or (place / REPORT_FILE).is_file())
 
 
 def _check_names(cases: Sequence[Case], rules: Rules) -> None:

@@ -143,7 +143,7 @@ def batch(
             from mavnav import batch as pipeline
             from mavnav.methods import load_kernels
         from mavnav.batch.asked import Asked, request_of
-        from mavnav.batch.files import check_file
+        from mavnav.batch.files import PAGE_FILE, check_file
 
         for file in filter(None, (junit, summary)):
             check_file(file)
@@ -189,8 +189,10 @@ def batch(
         except signals.Stopped:
             note(f"mavnav: runs that are finished stay in {request.directory}; the same call makes the others")
             raise
-    _leave(document, junit, summary, annotations=annotations)
-    print_verdict(document, request.directory, json=json)
+    try:
+        _leave(document, junit, summary, annotations=annotations)
+    finally:
+        print_verdict(document, request.directory if request.part else request.directory / PAGE_FILE, json=json)
     raise typer.Exit(document["exit_code"])
 
 

@@ -52,8 +52,11 @@ def _line(document: dict[str, Any]) -> str:
     return dumps(plain(document))
 
 
-def print_verdict(document: dict[str, Any], directory: Path, *, json: bool) -> None:
-    """Print the end of a batch: on stdout a table, worst first, or with ``json`` a line without the rows."""
+def print_verdict(document: dict[str, Any], place: Path, *, json: bool) -> None:
+    """Print the end of a batch: on stdout a table, worst first, or with ``json`` a line without the rows.
+
+    ``place`` is where there is more to see.
+    """
     from mavnav.batch.summary import headline
 
     if json:
@@ -63,7 +66,7 @@ def print_verdict(document: dict[str, Any], directory: Path, *, json: bool) -> N
     if not out.is_terminal:
         out.width = WIDE
     out.print(_table(document))
-    emit(f"\n{printable(headline(document))}; {printable(directory / 'batch.html')}")
+    emit(f"\n{printable(headline(document))}; {printable(place)}")
     for name in (document["baseline"] or {}).get("missing", []):
         note(f"mavnav: warning: {name}: in the baseline, not in this batch")
 

@@ -55,6 +55,14 @@ def test_what_is_there_is_not_run_again(home: Path) -> None:
     assert document["exit_code"] == ExitCode.USAGE
 
 
+def test_a_page_that_is_asked_for_later_is_drawn(home: Path) -> None:
+    asked = {"sources": ("logs/good.mcap",), "report": True}
+    document, ran = batch(**asked)
+    assert len(ran) == 1
+    assert Path("runs/batch", document["cells"][0]["directory"], "report.html").is_file()
+    assert batch(**asked)[1] == []
+
+
 @pytest.mark.parametrize("broken", ["", "[]", "{}", '{"exit_code": "0"}', '{"exit_code": 99}', '{"exit_code": null}'])
 def test_a_run_that_was_spoilt_is_made_again(home: Path, broken: str) -> None:
     path = next(Path("runs/batch/cells").glob("good-*/run.json"))

@@ -55,6 +55,20 @@ def test_a_folder_is_no_file_and_stays(mavnav: Callable, empty: Path, option: st
     assert not Path("runs").exists()
 
 
+def test_the_verdict_is_told_though_a_file_cannot_be_written(mavnav: Callable, empty: Path) -> None:
+    Path("file").write_text("")
+    code, out, err = mavnav("batch", "gone.bag", "--junit", "file/batch.xml", "-q")
+    assert code == ExitCode.OUTPUT
+    assert out.splitlines()[-1] == "0 of 1 runs passed, 1 could not be made; runs/batch/batch.html"
+    assert err.startswith("mavnav: error: file/batch.xml cannot be written")
+
+
+def test_a_part_leads_to_no_page(mavnav: Callable, empty: Path) -> None:
+    out = mavnav("batch", "gone.bag", "--part", "1/2", "-q")[1]
+    assert out.splitlines()[-1] == "0 of 1 runs passed, 1 could not be made; runs/batch"
+    assert not Path("runs/batch/batch.html").exists()
+
+
 def test_an_interrupted_batch_says_what_stays(mavnav: Callable, empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object) -> None:
         raise signals.Interrupted
