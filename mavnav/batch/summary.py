@@ -59,6 +59,12 @@ def to_summary(document: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def told_missing(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return what there is to say of runs that are missing since the baseline: an error where that is a gate."""
+    kind = "error" if _missing(document) and document["baseline"].get("gate") else "warning"
+    return [(kind, f"{name}: in the baseline, not in this batch") for name in _missing(document)]
+
+
 def _missing(document: Mapping[str, Any]) -> list[str]:
     return list((document["baseline"] or {}).get("missing", []))
 
@@ -82,8 +88,7 @@ def github_commands(document: Mapping[str, Any]) -> list[str]:
     found = [
         f"::error file={_property(r['log'])},title={_property(r['name'])}::{_data('; '.join(why(r)))}" for r in bad
     ]
-    gone = [f"{name}: in the baseline, not in this batch" for name in _missing(document)]
-    return found + [f"::warning title=mavnav::{_data(text)}" for text in gone]
+    return found + [f"::{kind} title=mavnav::{_data(text)}" for kind, text in told_missing(document)]
 
 
 def _data(text: str) -> str:

@@ -57,7 +57,7 @@ def print_verdict(document: dict[str, Any], place: Path, *, json: bool) -> None:
 
     ``place`` is where there is more to see.
     """
-    from mavnav.batch.summary import headline
+    from mavnav.batch.summary import headline, told_missing
 
     if json:
         emit(_line({"event": "batch", **{k: v for k, v in document.items() if k != "cells"}}))
@@ -67,8 +67,8 @@ def print_verdict(document: dict[str, Any], place: Path, *, json: bool) -> None:
         out.width = WIDE
     out.print(_table(document))
     emit(f"\n{printable(headline(document))}; {printable(place)}")
-    for name in (document["baseline"] or {}).get("missing", []):
-        note(f"mavnav: warning: {name}: in the baseline, not in this batch")
+    for kind, text in told_missing(document):
+        note(f"mavnav: {kind}: {text}")
 
 
 def _table(document: dict[str, Any]) -> Table:

@@ -59,6 +59,8 @@ def test_annotations_are_one_line_each(document: dict[str, Any]) -> None:
     assert lines[0].endswith("::100%25 bad%0A::error::forged")
     assert lines[-1] == "::warning title=mavnav::old.bag: in the baseline, not in this batch"
     assert not [line for line in lines if "\n" in line]
+    document["baseline"]["gate"] = True
+    assert github_commands(document)[-1] == "::error title=mavnav::old.bag: in the baseline, not in this batch"
 
 
 def test_in_github_the_summary_and_the_annotations_are_there_by_themselves(
