@@ -17,8 +17,8 @@ from mavnav.compare.files import COMPARISON_FILE, write_comparison
 from mavnav.compare.grids import settings
 from mavnav.config import Config
 from mavnav.errors import UsageError
-from mavnav.gates import check_names, judge
-from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs
+from mavnav.gates import check_names
+from mavnav.jobs import Ended, Event, Fate, Job, run_jobs
 from mavnav.outputs import REPORT_FILE, write_page
 from mavnav.outputs.blank import blank_document
 from mavnav.outputs.document import plain
@@ -126,14 +126,13 @@ def compare(plan: Plan, on_event: Callable[[Event], None]) -> dict[str, Any]:
     """Run the missing cells, each in a process of its own, set all side by side, and return comparison.json.
 
     ``on_event`` hears of the jobs, which are ``plan.missing`` in its order. A cell that fails is named there and takes
-    no other along. Raises UsageError as soon as a result does not have a number that a gate names, OutputError where
-    the comparison cannot be written.
+    no other along. Raises OutputError where the comparison cannot be written.
     """
     missing = plan.missing
 
     def watch(event: Event) -> None:
-        if isinstance(event, Ended):
-            _settle(missing[event.index], event.outcome, plan.request.gates)
+        if isinstance(event, Ended) and event.outcome.fate in {Fate.DIED, Fate.TIMEOUT}:
+            discard(missing[event.index].request.directory, event.outcome.pid)
         on_event(event)
 
     jobs = [Job(cell.name, replay_cell, (cell.request,)) for cell in missing]
@@ -150,11 +149,3 @@ def draw(plan: Plan, document: dict[str, Any]) -> Path:
     if not plan.drawn:
         write_page(document, directory)
     return directory / REPORT_FILE
-
-
-def _settle(cell: Cell, outcome: Outcome, gates: tuple[Gate, ...]) -> None:
-    """Look at the names of the gates as soon as a result has them, and clear away what a dead worker left."""
-    if outcome.fate is Fate.DONE:
-        judge(gates, outcome.value | NO_PRICE)
-    elif outcome.fate is not Fate.FAILED:
-        discard(cell.request.directory, outcome.pid)

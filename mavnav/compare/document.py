@@ -8,7 +8,7 @@ from mavnav import __version__
 from mavnav.cells import cell_row
 from mavnav.compare.figures import PRICES, best, prices
 from mavnav.errors import ExitCode, worst
-from mavnav.gates import judge
+from mavnav.gates import judge_some
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -83,7 +83,7 @@ def _judge(gates: Sequence[Gate], run: dict[str, Any], price: dict[str, list[Any
     document = run | {"price": {name: price[name][k] for name in PRICES}}
     return [
         {"gate": verdict.gate.text, "cell": k, "value": verdict.value, "passed": verdict.passed, "why": verdict.why}
-        for verdict in judge(gates, document)
+        for verdict in judge_some(gates, document)
     ]
 
 

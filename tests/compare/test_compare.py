@@ -17,7 +17,7 @@ from mavnav.cells import cell_key
 from mavnav.compare import Request, compare, draw, plan, settings
 from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.gates import parse_gate
-from mavnav.jobs import Ended, Event, Fate, Outcome, Started
+from mavnav.jobs import Event, Started
 
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "corridor.mcap"
 GRIDS = ("5x5", "12x12")
@@ -205,20 +205,16 @@ def test_gates_hold_for_every_cell(copied: Path) -> None:
     assert document["exit_code"] == ExitCode.GATE_FAILED
 
 
-def test_unknown_gates_stop_before_the_work_or_after_the_first_result(
-    copied: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    gates = (parse_gate("scans.procesed>=3"),)
+def test_unknown_gates_stop_before_the_work(copied: Path) -> None:
     with pytest.raises(UsageError, match=r"did you mean scans.processed\?"):
-        plan(request(copied, gates=gates), silent)
+        plan(request(copied, gates=(parse_gate("scans.procesed>=3"),)), silent)
 
-    def first_result(jobs: list, workers: int, on_event: Callable[[Event], None]) -> None:
-        on_event(Ended(0, Outcome(Fate.DONE, 7, 1.0, value={"scans": {"processed": 3}})))
-        pytest.fail("went on")
 
-    monkeypatch.setattr("mavnav.compare.run_jobs", first_result)
-    with pytest.raises(UsageError, match="did you mean"):
-        run(request(tmp_path / "out", gates=gates))
+def test_a_number_that_a_cell_lacks_fails_there(copied: Path) -> None:
+    """All the others are done by then: there is a comparison."""
+    document = run(request(copied, gates=(parse_gate("tracking.intervals.7.scans<=3"),)))
+    assert [gate["why"] for gate in document["gates"]] == ["this run has no such number"] * 2
+    assert document["exit_code"] == ExitCode.GATE_FAILED
 
 
 def test_a_directory_of_something_else_is_left_alone(tmp_path: Path) -> None:
