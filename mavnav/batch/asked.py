@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from mavnav.batch import Limits, Part, Request, Rules
 from mavnav.batch.baseline import parse_tolerance, read_baseline, tolerances
 from mavnav.batch.cases import BASELINE_GATE
+from mavnav.batch.files import BATCH_FILE
 from mavnav.batch.manifest import Entry, Manifest, read_manifest
 from mavnav.batch.settings import Setting, crossed_settings, listed_settings
 from mavnav.cluster import LOCAL
@@ -127,6 +128,8 @@ def _rules(asked: Asked, manifest: Manifest, path: Path | None) -> Rules:
         raise UsageError("no baseline; name one with --baseline, an earlier batch or a file")
     if asked.update_baseline and path and path.is_dir():
         raise UsageError(f"{path} is a directory; name a file for --update-baseline to write")
+    if asked.update_baseline and path and path.name == BATCH_FILE:
+        raise UsageError(f"{path} would be lost; name another file for --update-baseline to write")
     if asked.update_baseline and asked.part:
         raise UsageError("--update-baseline is for all runs of a batch, --part for some; give one of them")
     fresh = asked.update_baseline and path is not None and not path.exists()
