@@ -9,6 +9,7 @@ import numpy as np
 
 from mavnav.belief import Verdict
 from mavnav.grid import Grid, Tally
+from mavnav.kernels.hold import hold
 from mavnav.kernels.points import placed, scan_points
 from mavnav.linemap import LineMap
 from mavnav.matcher import (
@@ -98,6 +99,9 @@ class Method(Protocol):
     def place(self, points: NDArray[np.float64], match: Match) -> Match:
         """Match points (n, 2) of a scan, m, laser frame, against the finished map, close to an earlier match."""
 
+    def hold(self, points: NDArray[np.float64], match: Match) -> float:
+        """Tell how firmly the map holds points (n, 2) of a placed scan in its least sure direction, 0 to 1."""
+
     def finished(self) -> Grid:
         """Return the map, and forget it: of a large one there is no room for both."""
 
@@ -166,6 +170,10 @@ class Paper:
     def place(self, points: NDArray[np.float64], match: Match) -> Match:
         """Leave the match: the paper works on line."""
         return match
+
+    def hold(self, points: NDArray[np.float64], match: Match) -> float:
+        """Tell nothing: the paper places no scan."""
+        return 1.0
 
     def finished(self) -> Grid:
         """Return the map."""
@@ -313,6 +321,11 @@ class Robust:
     def place(self, points: NDArray[np.float64], match: Match) -> Match:
         """Place points of a scan: of a scan as it was recorded, so that pose and raw ranges fit together."""
         return search_lines(points, self.lines, match.map_T_laser, self._final, match)
+
+    def hold(self, points: NDArray[np.float64], match: Match) -> float:
+        """Ask the lines through the walls that the points lie on."""
+        lines = self.lines
+        return hold(points, match.map_T_laser.as_array(), lines.nearest, lines.lines, lines.geometry)
 
     def finished(self) -> Grid:
         """Return the map, and forget it and its lines: of a large one there is no room for all."""

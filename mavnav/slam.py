@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from mavnav.belief import Belief, Verdict
+from mavnav.degeneracy import NOT_ASKED, sliding
 from mavnav.firing import GLANCE_EVERY, backwards, is_backwards, is_plainly_told, turning_stretch
 from mavnav.localise import Localised
 from mavnav.loop_closure import Loops
@@ -161,15 +165,21 @@ def second_look(scan: Scan, step: Step, before: Step, after: Step, method: Metho
     return step._replace(match=with_effort(match, step.match, match), tracked=True)
 
 
-def place(scans: Iterable[Scan], steps: Iterable[Step], method: Method) -> Iterator[Step]:
+def place(
+    scans: Iterable[Scan], steps: Iterable[Step], method: Method, holds: array[float] | None = None
+) -> Iterator[Step]:
     """Match every tracked scan once more, against the finished map, close to where it was.
 
-    Steps whose scans do not come, because the run is being stopped, stay as they are.
+    Steps whose scans do not come, because the run is being stopped, stay as they are. How firmly the map holds each of
+    the others is added to ``holds``.
     """
     waiting, coming = iter(steps), iter(scans)
     while some := list(islice(waiting, PLACED_AT_ONCE)):
         points = [method.match_points(scan) for scan in islice(coming, len(some))]
         matches = [method.place(p, s.match) if s.tracked else s.match for p, s in zip(points, some, strict=False)]
+        if holds is not None:
+            placed = zip(points, some, matches, strict=False)
+            holds.extend(method.hold(p, m) if s.tracked else NOT_ASKED for p, s, m in placed)
         yield from (Step(*step[:2], match, *step[3:]) for step, match in zip(some, matches, strict=False))
         yield from some[len(matches) :]
 
@@ -223,7 +233,7 @@ def replay(
     if config.final_pass and method.places:
         steps = settle(log_scans, steps, method, start.motion)
     outcome = conclude(steps, log_scans, method, start.motion, start.config, on_step)
-    return replace(outcome, warnings=tuple(warnings), opinions=opinions)
+    return replace(outcome, warnings=(*warnings, *outcome.warnings), opinions=opinions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,15 +301,18 @@ def conclude(
 
     The steps themselves take what the final pass finds: there are many.
     """
-    loops = Loops()
+    loops, holds = Loops(), None if motion.odometry else array("d")
     if config.final_pass and method.places:
         if config.loop_closure == "auto" and method.closes_loops:
             steps, method, loops = close(steps, log_scans, method, motion, config)
         method.clear_passing()
-        for step in _told(place(log_scans(), steps, method), "final pass", on_step):
+        for step in _told(place(log_scans(), steps, method, holds), "final pass", on_step):
             steps[step.index] = step
         steady(steps, motion.period_s)
-    return Slam(steps, tracked_way(steps), method.finished(), tuple(lost_intervals(steps)), loops)
+    told = sliding(steps, np.array(holds)) if holds else ""
+    return Slam(
+        steps, tracked_way(steps), method.finished(), tuple(lost_intervals(steps)), loops, (told,) if told else ()
+    )
 
 
 def _told(steps: Iterable[Step], name: str, on_step: Callable[[str, int], None] | None) -> Iterator[Step]:

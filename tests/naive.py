@@ -8,6 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from mavnav.pose import transform_points
+
 # ---- hits, raycast -------------------------------------------------------------------------------------------------
 
 
@@ -289,6 +291,22 @@ def volume(points, xy_map_m, yaws_rad, lines, cell_m, truncate_m):
     """Mean cost at every yaw and position; None marks a tie of cells."""
     costs = [[line_costs(points, (x, y, yaw), lines, cell_m, truncate_m) for x, y in xy_map_m] for yaw in yaws_rad]
     return [[None if None in point else sum(point) / len(point) for point in row] for row in costs]
+
+
+def hold(points, map_T_laser, line_map):
+    """Least eigenvalue of the information of the points (n, 2), by way of every line's normal."""
+    arm = np.linalg.norm(points, axis=1).mean()
+    information = np.zeros((3, 3))
+    for x, y in transform_points(map_T_laser, points):
+        col, row = np.floor((np.array([x, y]) - line_map.geometry[:2]) / line_map.cell_m).astype(int)
+        inside = 0 <= row < line_map.nearest.shape[0] and 0 <= col < line_map.nearest.shape[1]
+        if slot := line_map.nearest[row, col] // 128 if inside else 0:
+            axx, axy, ayy = line_map.lines[slot, 2:5]
+            (along_it, _), ways = np.linalg.eigh([[axx, axy], [axy, ayy]])
+            nx, ny = ways[:, 1]
+            tells = np.array([nx, ny, (ny * (x - map_T_laser.x_m) - nx * (y - map_T_laser.y_m)) / arm])
+            information += (1.0 - along_it) * np.outer(tells, tells) / len(points)
+    return np.linalg.eigvalsh(information)[0]
 
 
 def coarse_to_fine(terms, start, grid, limits, dense, few=None, settled=None):

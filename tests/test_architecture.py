@@ -21,6 +21,7 @@ GROUND = {"errors", "units", "pose", "scan", "config", "memory", "staging", "sta
 CORE = {"lattice", "grid", "linemap", "matcher", "relocalise", "motion", "belief", "firing", "methods", "slam"} | {
     "steps",
     "pose_graph",
+    "degeneracy",
     "known_map",
     "localise",
     "loop_closure",
@@ -58,6 +59,7 @@ ALLOWED: dict[str, set[str]] = {
     "firing": GROUND | {"matcher"},
     "methods": GROUND | {"kernels", "grid", "linemap", "matcher", "relocalise", "motion", "belief"},
     "steps": GROUND | {"matcher"},
+    "degeneracy": GROUND | {"steps"},
     "known_map": GROUND | {"grid"},
     "localise": GROUND | {"grid", "linemap", "matcher", "relocalise", "motion", "methods", "known_map"},
     "loop_closure": GROUND | {"grid", "linemap", "matcher", "relocalise", "pose_graph"},
@@ -66,7 +68,7 @@ ALLOWED: dict[str, set[str]] = {
     "redrawing": GROUND | {"motion", "methods", "steps", "loop_closure"},
     "slam": GROUND
     | {"grid", "matcher", "relocalise", "motion", "belief", "firing", "methods", "steps", "loop_closure", "redrawing"}
-    | {"known_map", "localise", "second_opinion", "steadying"},
+    | {"degeneracy", "known_map", "localise", "second_opinion", "steadying"},
     "metrics": GROUND | {"kernels", "lattice", "grid"},
     "references": GROUND | {"grid", "layers", "metrics", "world"},
     "planner_config": GROUND,

@@ -14,7 +14,7 @@ from matches import voxel_means
 from synthetic import URG_04LX, furnished_rooms, scan_at
 
 from mavnav import linemap
-from mavnav.kernels import conflicts, linesearch, volume
+from mavnav.kernels import conflicts, hold, linesearch, volume
 from mavnav.kernels import linemap as linemap_kernel
 from mavnav.kernels.linemap import NEAR
 from mavnav.kernels.points import extent, placed, scan_points
@@ -153,7 +153,7 @@ def test_nearest_is_the_nearest_occupied_cell_within_reach() -> None:
 
 
 def test_kernels_know_how_an_entry_is_made() -> None:
-    assert {kernels.NEAR for kernels in (conflicts, linemap_kernel, linesearch, volume)} == {NEAR}
+    assert {kernels.NEAR for kernels in (conflicts, hold, linemap_kernel, linesearch, volume)} == {NEAR}
     assert conflicts.FAR == linemap_kernel.FAR < NEAR - 1
 
 
