@@ -63,6 +63,11 @@ EXPECTED = 0.01
 """So near to the expected place, in ``surprise``, less of a scan must agree after a gap."""
 
 
+FOUND_CONFLICTS = 0.05
+"""Share of a scan that may speak against a place that is found after a longer gap than a velocity is trusted, when it
+may be any place: 0.11 to 0.25 where a laser was carried into another room, 0 to 0.01 where it was in the same one."""
+
+
 class Method(Protocol):
     """What ``slam.track`` asks of a method; ``grid`` is the map that it builds.
 
@@ -189,6 +194,7 @@ class Robust:
     expects_rest = False
     places = True
     closes_loops = True
+    found_conflicts = FOUND_CONFLICTS
 
     def __init__(self, config: Config) -> None:
         """Start with an empty map."""
@@ -278,6 +284,11 @@ class Robust:
         robust, (moved_m, turned_rad) = self.config.robust, motion.map_T_laser.gap(match.map_T_laser)
         return moved_m <= robust.max_speed_m_s * elapsed_s and turned_rad <= robust.max_turn_deg_s * DEG * elapsed_s
 
+    def _contradicted(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
+        """Tell whether too much speaks against a place for it to be found after a long gap."""
+        long = motion.odometry is None and elapsed_s > max(LONGEST_S, motion.period_s)
+        return long and match.conflicts > self.found_conflicts
+
     @timed("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
         """Believe a match that much of the scan agrees with and little speaks against, at a possible speed.
@@ -289,7 +300,7 @@ class Robust:
             return Verdict.REFUSED
         if match.conflicts > robust.conflicts_below and match.inliers < robust.retry_below:
             return Verdict.REFUSED
-        if match.surprise > REACHABLE and not convinces:
+        if (match.surprise > REACHABLE and not convinces) or self._contradicted(match, motion, elapsed_s):
             return Verdict.REFUSED
         if elapsed_s <= max(LONGEST_S if convinces else REGAIN_S, motion.period_s) and match.surprise <= REACHABLE:
             return Verdict.SURE
@@ -303,8 +314,9 @@ class Robust:
             return None
         found = [match, *candidates(points, self.lines, self.known, everywhere(self.known), self.config)]
         expected = _expected(scan, motion.predict(scan.stamp_ns), motion)
-        best = best_of(found, expected, motion.elapsed_s(scan.stamp_ns), self.config)
-        return best if self._convinces(best) and not best.ambiguous else None
+        best = best_of(found, expected, elapsed_s := motion.elapsed_s(scan.stamp_ns), self.config)
+        sure = self._convinces(best) and not best.ambiguous and not self._contradicted(best, motion, elapsed_s)
+        return best if sure else None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add every point of the de-skewed scan."""

@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from memory_use import taking_less_than
-from synthetic import TOUR, along, furnished_rooms, polyline, record, room, scan_at
+from synthetic import TOUR, along, box, furnished_rooms, polyline, record, room, scan_at
 
 from mavnav import relocalise, slam
 from mavnav.belief import Verdict
 from mavnav.config import Config
 from mavnav.kernels.conflicts import conflicts
+from mavnav.known_map import known_map
 from mavnav.lattice import blank_strips
+from mavnav.localise import Localised
 from mavnav.matcher import Match, first_match, no_match
 from mavnav.memory import blank
 from mavnav.methods import Robust
@@ -204,3 +206,38 @@ def test_far_from_where_it_was_expected_a_match_must_convince() -> None:
     assert method.gate(match._replace(surprise=0.5), scan, here) is Verdict.SURE
     assert method.gate(match._replace(surprise=3.4), scan, here) is Verdict.REFUSED
     assert method.gate(match._replace(surprise=3.4, inliers=0.9), scan, here) is Verdict.PROBABLE
+
+
+def two_rooms(seed: int) -> np.ndarray:
+    """Return two furnished rooms of different sizes, 30 m apart."""
+    rng = np.random.default_rng(seed)
+    walls = []
+    for x_m in (0.0, 30.0):
+        walls.append(box(x_m, 0, rng.uniform(4, 7), rng.uniform(3, 5)))
+        for _ in range(3):
+            at = x_m + rng.uniform(-1.5, 1.5), rng.choice([-1, 1]) * rng.uniform(1.0, 1.6)
+            walls.append(box(*at, rng.uniform(0.3, 1), rng.uniform(0.3, 0.7)))
+    return np.vstack(walls)
+
+
+def test_a_laser_carried_into_another_room_is_not_found_in_the_first() -> None:
+    walls = two_rooms(seed := 3)
+    first = record(walls, along([(-1, 0.2), (1.2, -0.2), (-0.5, 0.1)]), seed=seed).scans
+    way = along([(29, 0.2), (31.2, -0.2), (29.5, 0.1)], start_ns=first[-1].stamp_ns + PERIOD_NS)
+    other = record(walls, way, seed=seed + 100).scans
+    outcome = slam.replay(lambda: [*first, *other[:80]], Config(), 0.1)
+    assert outcome.lost_for_good
+    assert outcome.trajectory.stamps_ns[-1] == first[-1].stamp_ns
+
+
+def test_after_a_long_gap_little_may_speak_against_a_place() -> None:
+    method, here = Robust(Config()), Motion(0.1).started_at(Pose(), 0)
+    soon, late = (scan_at(room(), Pose(3.0, 2.0), stamp_ns=k * PERIOD_NS) for k in (11, 14))
+    match = first_match(300)._replace(inliers=0.85, conflicts=0.13)
+    assert method.gate(match, soon, here) is Verdict.SURE
+    assert method.gate(match, late, here) is Verdict.REFUSED
+    assert method.gate(match._replace(conflicts=0.03), late, here) is Verdict.PROBABLE
+    led = here._replace(odometry=lambda _: Pose())
+    assert method.gate(match, late, led) is Verdict.PROBABLE
+    known = known_map(method.grid.by_rows(), Pose())
+    assert Localised(Config(), known).gate(match, late, here) is Verdict.PROBABLE
