@@ -57,7 +57,7 @@ def test_odometry_holds_it_too() -> None:
 
 @pytest.mark.parametrize(("loose", "told"), [(4, ""), (5, "from 0.3 to 0.7 s): ")])
 def test_a_few_scans_are_no_slide(loose: int, told: str) -> None:
-    steps = Steps(Step(k, k * 100_000_000, first_match(100), tracked=True, accepted=True) for k in range(20))
+    steps = Steps(Step(k, k * 100_000_000, first_match(100), tracked=True) for k in range(20))
     holds = np.ones(20)
     holds[3 : 3 + loose] = 0.5 * LEAST_HOLD
     assert told in sliding(steps, holds)
@@ -65,7 +65,7 @@ def test_a_few_scans_are_no_slide(loose: int, told: str) -> None:
 
 
 def test_a_run_that_was_stopped_tells_of_the_scans_that_came() -> None:
-    steps = Steps(Step(k, k * 100_000_000, first_match(100), tracked=True, accepted=True) for k in range(20))
+    steps = Steps(Step(k, k * 100_000_000, first_match(100), tracked=True) for k in range(20))
     assert "25 % of the scans" in sliding(steps, np.zeros(5))
 
 
