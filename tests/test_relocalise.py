@@ -232,9 +232,10 @@ def test_a_laser_carried_into_another_room_is_not_found_in_the_first() -> None:
 
 def test_after_a_long_gap_little_may_speak_against_a_place() -> None:
     method, here = Robust(Config()), Motion(0.1).started_at(Pose(), 0)
-    soon, late = (scan_at(room(), Pose(3.0, 2.0), stamp_ns=k * PERIOD_NS) for k in (11, 14))
+    soon, later, late = (scan_at(room(), Pose(3.0, 2.0), stamp_ns=k * PERIOD_NS) for k in (11, 24, 26))
     match = first_match(300)._replace(inliers=0.85, conflicts=0.13)
     assert method.gate(match, soon, here) is Verdict.SURE
+    assert method.gate(match, later, here) is Verdict.PROBABLE
     assert method.gate(match, late, here) is Verdict.REFUSED
     assert method.gate(match._replace(conflicts=0.03), late, here) is Verdict.PROBABLE
     led = here._replace(odometry=lambda _: Pose())
