@@ -19,6 +19,8 @@ SMALL_BYTES = 1 << 22
 MUCH_KB = 256 << 10
 """A process that took less keeps what is free: to take it once more would cost a replay of some 400 scans 5 ms."""
 
+_MAPPED = Path("/proc/self/maps")
+
 
 def blank(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:  # noqa: ANN401
     """Return zeros whose pages take memory once they are written to."""
@@ -40,9 +42,6 @@ def forget(array: NDArray[Any], first: int, end: int) -> None:
     if isinstance(memory, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
         start, stop = (array[:rows].nbytes // mmap.PAGESIZE * mmap.PAGESIZE for rows in (first, end))
         memory.madvise(mmap.MADV_DONTNEED, start, stop - start)
-
-
-_MAPPED = Path("/proc/self/maps")
 
 
 def give_back() -> None:

@@ -55,7 +55,6 @@ FARTHEST_SURPRISE = 4.0
 CLEAR_BY = 0.05
 """A place is ambiguous if another one ranks nearer than this."""
 
-
 TELLING = 150
 """So many points, of any scan a fair sample, tell what share of it the map speaks against."""
 

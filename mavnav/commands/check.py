@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import dataclass
-from json import dumps, loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
 RUN_FILE: Final = "run.json"
 WHOLE_FILES: Final = ("batch.json", "comparison.json")
-"""What tells of all runs of a directory."""
+"""What tells of all runs of a directory. Said once more: the rooms that write them take longer to load than a check."""
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -81,7 +80,7 @@ def _listed(file: Path) -> list[_Found]:
     """Return the runs of batch.json or comparison.json; what a batch accepts counts as done."""
     found = []
     with _reading(file):
-        for cell in loads(file.read_bytes())["cells"]:
+        for cell in _content(file)["cells"]:
             accepted = bool(cell.get("accepted"))
             if cell["directory"] is None:
                 code = ExitCode.DONE if accepted else ExitCode(cell["exit_code"])
@@ -94,10 +93,16 @@ def _listed(file: Path) -> list[_Found]:
 def _run(directory: Path, *, accepted: bool = False) -> _Found:
     file = directory / RUN_FILE
     with _reading(file):
-        document = loads(file.read_bytes())
+        document: dict[str, Any] = _content(file)
         code = ExitCode(document["exit_code"])
     code = ExitCode.DONE if accepted else code
     return _Found(str(directory), code, document, f"it ended with exit code {code}" if code else None)
+
+
+def _content(file: Path) -> Any:  # noqa: ANN401
+    from json import loads
+
+    return loads(file.read_bytes())
 
 
 @contextmanager
@@ -123,6 +128,8 @@ def _checked(found: _Found, bounds: list[Gate]) -> dict[str, Any]:
 def _tell(rows: list[dict[str, Any]], code: ExitCode, *, json: bool) -> None:
     """Print the verdicts on stdout, and what failed on stderr too with ``json``."""
     if json:
+        from json import dumps
+
         emit(dumps({"schema_version": 1, "runs": rows, "exit_code": int(code)}, indent=2))
     for row in rows:
         if not json:

@@ -9,7 +9,11 @@ from typing import Any
 
 import pytest
 
+from mavnav.batch.files import BATCH_FILE
+from mavnav.commands import check as command
+from mavnav.compare.files import COMPARISON_FILE
 from mavnav.errors import ExitCode
+from mavnav.outputs.directory import RUN_FILE
 
 RUN = {"exit_code": 0, "scans": {"accepted": 100}, "tracking": {"intervals": []}}
 
@@ -133,3 +137,8 @@ def test_what_is_not_ours(mavnav: Callable, home: Path, name: str, text: str) ->
 def test_nothing_there(mavnav: Callable, home: Path) -> None:
     code, _, err = mavnav("check", "gone")
     assert (code, err[:33]) == (ExitCode.USAGE, "mavnav: error: gone: no run.json ")
+
+
+def test_the_files_that_check_reads_are_those_that_are_written() -> None:
+    assert command.RUN_FILE == RUN_FILE
+    assert set(command.WHOLE_FILES) == {BATCH_FILE, COMPARISON_FILE}
