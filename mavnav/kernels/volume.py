@@ -37,8 +37,8 @@ def volume(
     """
     (rows, cols), n, m = nearest.shape, len(points), len(xy_map_m)
     ox, oy, inverse, truncate_m2 = geometry[0], geometry[1], 1.0 / geometry[2], truncate_m * truncate_m
-    flat, out = nearest.ravel(), np.zeros((len(yaws_rad), m))
-    x, y, cells = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK, np.int32)
+    out, x, y = np.zeros((len(yaws_rad), m)), np.empty(BLOCK), np.empty(BLOCK)
+    row, col = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.int32)
     for first in range(0, m, BLOCK):
         some = min(BLOCK, m - first)
         for p in range(some):
@@ -50,10 +50,10 @@ def volume(
                 for p in range(some):
                     fx, fy = (kx + x[p] - ox) * inverse, (ky + y[p] - oy) * inverse
                     inside = (fx >= 0.0) & (fy >= 0.0) & (fx < cols) & (fy < rows)
-                    cells[p] = int32(fy) * int32(cols) + int32(fx) if inside else int32(-1)
+                    row[p], col[p] = int32(fy) if inside else int32(-1), int32(fx) if inside else int32(0)
                 for p in range(some):
                     d2 = truncate_m2
-                    slot = int64(flat[cells[p]] // NEAR) if cells[p] >= 0 else 0
+                    slot = int64(nearest[row[p], col[p]] // NEAR) if row[p] >= 0 else 0
                     if slot > 0:
                         dx, dy = kx + x[p] - lines[slot, 0], ky + y[p] - lines[slot, 1]
                         xx, xy, yy = lines[slot, 2], lines[slot, 3], lines[slot, 4]
