@@ -29,6 +29,9 @@ from mavnav.logs import open_log
 SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
 HALF_WINDOWS = ((0.35, 0.35), (0.05, 0.09), (0.017, 0.008), (0.006, 0.0015), (0.002, 0.0002))
 
+READINGS = ((1.0, 0.1, 0.0, 0.0), (0.7, 0.06, 1.0, 1.0))
+"""Occlusion threshold fixed or shrinking, turns about the centroid or the laser, both or either converged."""
+
 
 class Both:
     """Stands for the module of a search: searches both ways and compares."""
@@ -88,7 +91,7 @@ def random_searches(count: int) -> int:
             virtual, points, limits, _ = polar_problem(seed, spec)
             for grid in GRIDS:
                 half_m, half_rad = HALF_WINDOWS[seed % len(HALF_WINDOWS)]
-                schedule = np.array([half_m, half_rad, 0.3, 1.0, 1e-5, 1e-4, np.inf])
+                schedule = np.array([half_m, half_rad, 0.3, 1.0, 1e-5, 1e-4, np.inf, *READINGS[seed % len(READINGS)]])
                 both.search(virtual, points, np.array([2.0 * grid, grid, grid, 2, 1.0]), schedule, limits)
     return both.matches
 

@@ -56,29 +56,62 @@ class GridSize(Strict):
 
 
 class PaperConfig(Strict):
-    """The paper's method. Where the paper gives a number it stands here; else the choice is docs/paper.md's."""
+    """The paper's method. Every value is a reading of the paper's text; docs/paper.md has the sentences.
 
-    cell_mm: float = Field(14.0, ge=1, description="cell edge; 7 cells are then just under the paper's 100 mm")
+    The defaults are the reading nearest to the letter (``paper-literal``); ``paper`` is the one that works best.
+    """
+
+    cell_mm: float = Field(14.0, ge=1, description="cell edge of the map")
     near_mm: float = Field(100.0, ge=0, description="cost step vi: nearer points are left out")
     far_mm: float = Field(5000.0, gt=0, description="cost step vi: farther points are left out")
     mixed_pixel_mm: float = Field(100.0, gt=0, description="cost step vii: least jump to both neighbours")
-    occlusion_mm: float = Field(300.0, gt=0, description="cost step viii: larger radius differences are left out")
+    occlusion_mm: float = Field(300.0, gt=0, description="cost step viii: larger radius differences are occlusions")
+    occlusion_shrink: float = Field(
+        1.0, gt=0, le=1, description="factor on the occlusion threshold from iteration to iteration; 1: fixed"
+    )
+    occlusion_least_mm: float = Field(100.0, gt=0, description="the occlusion threshold shrinks no further than this")
+    occluded: Literal["left_out", "counted"] = Field(
+        "left_out",
+        description="occluded points are left out of sum and divisor, or count with the squared threshold",
+    )
     cluster_gap_cells: int = Field(0, ge=0, description="empty cells that a thick wall may contain along a ray")
+    equal_cells: Literal["nearest", "middle"] = Field(
+        "nearest",
+        description="of the cells of a thick wall with equally many hits: the nearest, or the one at its middle",
+    )
     min_beams_share: float = Field(
         0.1, gt=0, le=1, description="fewer contributing points than this share make no match"
     )
+    min_beams_of: Literal["scan", "valid"] = Field(
+        "scan", description="that share is of all beams of the scan, or of those with a valid range"
+    )
+    predict: Literal["rest", "velocity"] = Field(
+        "rest", description="without commands the laser is expected at rest, or moving on as before"
+    )
     window_mm: float = Field(200.0, gt=0, description="half-width of the first search in the plane")
     window_deg: float = Field(15.0, gt=0, description="half-width of the first azimuth search")
+    pivot: Literal["centroid", "laser"] = Field("centroid", description="the search turns the scan about this point")
     shrink: float = Field(0.3, gt=0, lt=1, description="narrowing of the search from iteration to iteration")
     leave_no_gaps: bool = Field(True, description="narrow no further than to the grid's spacing")
     stop_mm: float = Field(0.01, gt=0, description="convergence in the plane")
     stop_deg: float = Field(0.01, gt=0, description="convergence in azimuth")
+    converged: Literal["both", "either"] = Field(
+        "both", description="the search ends once both plane and azimuth have converged, or either"
+    )
     extend_border: bool = Field(True, description="move the search when the minimum lies on its border")
     max_extensions: int = Field(5, ge=0, description="border extensions an iteration at most")
     refine_above_mm2: float = Field(300.0, gt=0, description="refine the grid where the coarse cost stays above")
     refine_factor: int = Field(2, ge=1, description="points an axis are multiplied by this; 1 turns refinement off")
-    give_up: bool = Field(True, description="end a search that can only end far above the gate")
-    gate_mm2: float = Field(400.0, gt=0, description="map and pose are updated at this cost or below")
+    give_up: bool = Field(True, description="end a search that can only end far above the acceptance threshold")
+    gate_mm2: float = Field(
+        400.0, gt=0, description="acceptance threshold: map and pose are updated at this cost or below"
+    )
+    gate_range_mm: float | None = Field(
+        None,
+        gt=0,
+        description="range for which gate_mm2 and refine_above_mm2 hold: both grow with the scan's mean squared range; "
+        "null: they are absolute",
+    )
 
 
 class RobustConfig(Strict):

@@ -76,11 +76,11 @@ def scenarios() -> list[str]:
 
 @cache
 def _shipped(*, scenarios: bool) -> list[str]:
-    texts = {path.stem: path.read_text("utf-8") for path in sorted(presets_folder().glob("*.yaml"))}
-    return [name for name, text in texts.items() if bool(re.search(r"(?m)^walls:", text)) == scenarios]
+    texts = {path.stem: path.read_text("utf-8") for path in presets_folder().glob("*.yaml")}
+    return [name for name, text in sorted(texts.items()) if bool(re.search(r"(?m)^walls:", text)) == scenarios]
 
 
-def _file_layer(file: str | Path | None) -> Layer:
+def file_layer(file: str | Path | None) -> Layer:
     """Read a file, or the preset of that name where no such file lies in the current folder."""
     if file is None:
         return Layer()
@@ -116,7 +116,7 @@ def load_config(
     ConfigError
         One line: file and line, dotted key, what is wrong, the nearest known name.
     """
-    top = overlaid((values or Layer()).over(_file_layer(file)), sets, overrides or {})
+    top = overlaid((values or Layer()).over(file_layer(file)), sets, overrides or {})
     return validated(Config, top.over(method_layer(top.values.get(("method",)))))
 
 
@@ -130,7 +130,7 @@ def overlaid(layer: Layer, sets: Iterable[str], overrides: Mapping[str, object])
 def method_layer(method: object) -> Layer:
     """Return the preset of a method (None: of the default one), nothing where there is no such preset."""
     name = method or Config.model_fields["method"].default
-    return _file_layer(presets_folder() / f"{name}.yaml") if name in presets() else Layer()
+    return file_layer(presets_folder() / f"{name}.yaml") if name in presets() else Layer()
 
 
 def _set_layer(assignment: str) -> Layer:

@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 START_NS = 1_700_000_000_000_000_000
 """Stamp of the first scan, the same for every mission."""
 
-LOST_STEPS = 20
-"""A vehicle that hovers for so many scans without a believed pose gives up."""
-
 
 class End(StrEnum):
     """Why a mission ended."""
@@ -63,11 +60,13 @@ class Mission:
 class Vehicle:
     """The true state, which only the world sees: poses of the base, and what the commands should have made of them.
 
-    ``world_T_base`` and ``odom_T_base`` hold a pose for every scan, at ``stamps_ns``.
+    ``world_T_base`` and ``odom_T_base`` hold a pose for every scan, at ``stamps_ns``. A command takes
+    ``scans_a_command`` scans, at constant velocity.
     """
 
     base_T_laser: Pose
     period_ns: int
+    scans_a_command: int
     world_T_base: list[Pose]
     odom_T_base: list[Pose] = field(default_factory=lambda: [Pose()])
 
@@ -81,13 +80,21 @@ class Vehicle:
         k = (stamp_ns - START_NS) // self.period_ns
         return self.odom_T_base[k] @ self.base_T_laser if 0 <= k < len(self.odom_T_base) else None
 
-    def execute(self, command: Command, noise: Pose) -> None:
-        """Move by a command of the laser's frame, and by what goes wrong with it (paper, "Maneuver Performance")."""
+    def execute(self, command: Command, noise: Pose) -> Iterator[None]:
+        """Move by a command of the laser's frame, and by its error (paper, "Maneuver Performance"), scan by scan."""
         wanted = Pose(command.dx_m, command.dy_m, command.dyaw_rad)
         done = Pose(wanted.x_m + noise.x_m, wanted.y_m + noise.y_m, wanted.yaw_rad + noise.yaw_rad)
-        base_T_laser, laser_T_base = self.base_T_laser, self.base_T_laser.inverse()
-        self.odom_T_base.append(self.odom_T_base[-1] @ base_T_laser @ wanted @ laser_T_base)
-        self.world_T_base.append(self.world_T_base[-1] @ base_T_laser @ done @ laser_T_base)
+        world_T_base, odom_T_base = self.world_T_base[-1], self.odom_T_base[-1]
+        for scan in range(1, self.scans_a_command + 1):
+            share = scan / self.scans_a_command
+            self.odom_T_base.append(odom_T_base @ self._moved(wanted, share))
+            self.world_T_base.append(world_T_base @ self._moved(done, share))
+            yield
+
+    def _moved(self, motion: Pose, share: float) -> Pose:
+        """Return the base's part of a motion of the laser."""
+        part = Pose(share * motion.x_m, share * motion.y_m, share * motion.yaw_rad)
+        return self.base_T_laser @ part @ self.base_T_laser.inverse()
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,26 +121,36 @@ def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -
     """
     config, laser = scenario.slam, _laser(scenario)
     noise = np.random.default_rng([scenario.seed, 1])
-    vehicle = Vehicle(scenario.base_T_laser, round(laser.spec.scan_time_s / NS), [scenario.world_T_base])
+    vehicle = Vehicle(
+        scenario.base_T_laser, round(laser.spec.scan_time_s / NS), scenario.scans_a_command, [scenario.world_T_base]
+    )
     pilot = Pilot(scenario)
     method = METHODS[config.method](config)
     motion = Motion(laser.spec.scan_time_s, vehicle.odometry, method.expects_rest)
     scans: list[Scan] = []
     steps = Steps()
     end = End.STEP_LIMIT
+    executing: Iterator[None] = iter(())
     for step in slam.track(_scans(scenario, vehicle, scans), method, motion):
         steps.append(step)
         if on_step:
             on_step("fly", len(steps))
-        decision = pilot.decide(step, method.grid)
-        if isinstance(decision, End):
-            end = decision
-            break
-        vehicle.execute(decision, _disturbance(scenario, noise))
+        here = pilot.locate(step, vehicle.odometry(step.stamp_ns))
+        if next(executing, DONE) is DONE:
+            decision = pilot.decide(step, here, method.grid)
+            if isinstance(decision, End):
+                end = decision
+                break
+            executing = vehicle.execute(decision, _disturbance(scenario, noise, decision))
+            next(executing)
         if _closest_m(scenario.world, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
             end = End.COLLISION
             break
     return _landed(scenario, vehicle, scans, end, slam.conclude(steps, lambda: scans, method, motion, config, on_step))
+
+
+DONE = object()
+"""What a finished command gives instead of a further scan."""
 
 
 class Pilot:
@@ -145,22 +162,37 @@ class Pilot:
         self.goals = [map_T_world @ Pose(x, y) for x, y in scenario.goals_xy_m]
         self.radius_m = scenario.goal_radius_mm * MM
         self.max_steps = scenario.max_steps
+        self.recovery = scenario.recovery
         self.planner = Planner(scenario.planner)
-        self.hovering = 0
+        self.commands = self.rejected = 0
+        self.accepted: tuple[Pose, Pose] | None = None
 
-    def decide(self, step: Step, grid: Tally) -> Command | End:
-        """Judge where the vehicle is and plan its next step; without a believed pose it hovers and looks again."""
-        here = step.match.map_T_laser
-        self.hovering = 0 if step.tracked else self.hovering + 1
+    def locate(self, step: Step, odom_T_laser: Pose | None) -> Pose:
+        """Return the estimated pose: the accepted match, else where the commands since the last one should have led."""
+        odom_T_laser = odom_T_laser or Pose()
+        if step.tracked:
+            self.accepted = step.match.map_T_laser, odom_T_laser
+            return step.match.map_T_laser
+        map_T_laser, then = self.accepted or (Pose(), odom_T_laser)
+        return map_T_laser @ then.between(odom_T_laser)
+
+    def decide(self, step: Step, here: Pose, grid: Tally) -> Command | End:
+        """Plan the next command from a pose of `locate`, or end the mission.
+
+        After a rejected match the vehicle carries on by dead reckoning, then hovers, and at last gives up.
+        """
+        self.rejected = 0 if step.tracked else self.rejected + 1
         while step.tracked and self.goals and here.between(self.goals[0]).distance_m <= self.radius_m:
             self.goals.pop(0)
         if not self.goals:
             return End.GOAL
-        if self.hovering == LOST_STEPS:
+        blind = self.rejected - (self.recovery.fly_on_steps if self.accepted else 0)
+        if blind >= self.recovery.hover_steps:
             return End.LOST
-        if step.index + 1 == self.max_steps:
+        self.commands += 1
+        if self.commands == self.max_steps:
             return End.STEP_LIMIT
-        if not step.tracked:
+        if blind > 0:
             return Command()
         plan = self.planner.plan(grid, here, (self.goals[0].x_m, self.goals[0].y_m))
         return End.STUCK if plan.stuck else plan.command
@@ -195,9 +227,12 @@ def _sweeping(vehicle: Vehicle, here: Pose, spec: LaserSpec) -> Callable[[float]
     return at
 
 
-def _disturbance(scenario: Scenario, rng: np.random.Generator) -> Pose:
+def _disturbance(scenario: Scenario, rng: np.random.Generator, command: Command) -> Pose:
+    """Draw the error of a command; one to hover has none unless the scenario says so."""
     vehicle = scenario.vehicle
     x, y, yaw = rng.standard_normal(3)
+    if command == Command() and not scenario.recovery.hover_noise:
+        return Pose()
     return Pose(x * vehicle.noise_xy_mm * MM, y * vehicle.noise_xy_mm * MM, yaw * vehicle.noise_yaw_deg * DEG)
 
 

@@ -115,17 +115,18 @@ class Tally:
 
     @timed("virtual scan")
     def virtual_scan(
-        self, laser: Pose, directions: NDArray[np.float64], far_m: float, gap_cells: int
+        self, laser: Pose, directions: NDArray[np.float64], far_m: float, gap_cells: int, *, middle: bool = False
     ) -> NDArray[np.float64]:
         """Cast the laser's beams over the map (paper, "Virtual Scan").
 
         ``directions`` (beams, 2) are the beams' cosines and sines in the laser's frame. Returns ranges (beams,) in m
         to the centres of the cells seen, NaN where none lies within ``far_m``; a wall of several cells counts as its
-        cell of most hits, and may contain ``gap_cells`` empty ones.
+        cell of most hits, and may contain ``gap_cells`` empty ones. Of cells with equally many hits the nearest counts,
+        or, with ``middle``, the one nearest to the middle of the wall.
         """
         from mavnav.kernels import raycast  # noqa: PLC0415  the paper's alone
 
-        return raycast.virtual_scan(self.hits, self.lattice, laser.as_array(), directions, far_m, gap_cells)
+        return raycast.virtual_scan(self.hits, self.lattice, laser.as_array(), directions, far_m, gap_cells, middle)
 
     def _check_size(self, shape: tuple[int, int]) -> None:
         rows, cols = shape

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -69,15 +70,29 @@ def match_polar(
     that is wrong a finer grid makes no right one. A search that can only end there ends at once.
     """
     paper = config.paper
-    match = _search_polar(virtual_m, points, spec, predicted, config, config.grid, config.azimuth)
-    worth_it = paper.refine_above_mm2 < match.cost_m2 / MM2 <= _hopeless_mm2(config)
+    level = acceptance_scale(points[:, 3], config)
+    search = partial(_search_polar, virtual_m, points, spec, predicted, config, level)
+    match = search(config.grid, config.azimuth)
+    worth_it = paper.refine_above_mm2 < match.cost_m2 / MM2 / level <= _hopeless_mm2(config)
     if not worth_it or paper.refine_factor == 1:
         return match
     k = paper.refine_factor
-    grid = config.grid.refined(k)
-    fine = _search_polar(virtual_m, points, spec, predicted, config, grid, config.azimuth * k)
+    fine = search(config.grid.refined(k), config.azimuth * k)
     best = fine if fine.cost_m2 < match.cost_m2 else match
     return with_effort(best, match, fine)
+
+
+def acceptance_scale(ranges_m: NDArray[np.float64], config: Config) -> float:
+    """Return the factor on the acceptance threshold for a scan of these ranges (beams,), m, NaN without a return.
+
+    A range's variance grows with its square (paper, "Laser Scan"), and the paper states its threshold for a typical
+    range (paper, "Map Update"): ``gate_range_mm``. The mean is over the ranges between ``near_mm`` and ``far_mm``.
+    """
+    paper = config.paper
+    if paper.gate_range_mm is None:
+        return 1.0
+    used = ranges_m[(paper.near_mm * MM < ranges_m) & (ranges_m < paper.far_mm * MM)]
+    return float(np.mean(np.square(used / (paper.gate_range_mm * MM)))) if len(used) else 1.0
 
 
 def _hopeless_mm2(config: Config) -> float:
@@ -91,6 +106,7 @@ def _search_polar(
     spec: LaserSpec,
     predicted: Pose,
     config: Config,
+    level: float,
     grid: GridSize,
     azimuth: int,
 ) -> Match:
@@ -110,7 +126,11 @@ def _search_polar(
                 paper.leave_no_gaps,
                 paper.stop_mm * MM,
                 paper.stop_deg * DEG,
-                _hopeless_mm2(config) * MM2 if paper.give_up else np.inf,
+                level * _hopeless_mm2(config) * MM2 if paper.give_up else np.inf,
+                paper.occlusion_shrink,
+                paper.occlusion_least_mm * MM,
+                paper.pivot == "laser",
+                paper.converged == "either",
             ]
         ),
         np.array(
@@ -121,7 +141,8 @@ def _search_polar(
                 paper.far_mm * MM,
                 paper.occlusion_mm * MM,
                 paper.mixed_pixel_mm * MM,
-                max(3.0, paper.min_beams_share * spec.beams),
+                max(3.0, paper.min_beams_share * (len(points) if paper.min_beams_of == "valid" else spec.beams)),
+                paper.occluded == "counted",
             ]
         ),
     )

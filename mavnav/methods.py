@@ -15,6 +15,7 @@ from mavnav.linemap import LineMap
 from mavnav.matcher import (
     Match,
     Schedule,
+    acceptance_scale,
     first_match,
     match_polar,
     no_match,
@@ -69,6 +70,10 @@ where a laser was carried into another room, up to 0.01 where it was in the same
 is up to 0.1 in the right place."""
 
 
+LEAST_BEAMS_SHARE = 0.1
+"""Fewer valid beams than this share of the scan make no match in the paper's method, whatever share must contribute."""
+
+
 class Method(Protocol):
     """What ``slam.track`` asks of a method; ``grid`` is the map that it builds.
 
@@ -120,27 +125,31 @@ def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
 class Paper:
     """The paper's method, every step of it; its map is the plain grid of hit counts."""
 
-    expects_rest = True  # a recorded log has no commands
     places = False
     closes_loops = False
 
     def __init__(self, config: Config) -> None:
         """Start with an empty map."""
         self.config = config
+        self.expects_rest = config.paper.predict == "rest"
         self.grid = Tally(config.paper.cell_mm * MM)
         self._seen: tuple[Pose, LaserSpec, NDArray[np.float64]] | None = None
 
     def first(self, scan: Scan) -> Match:
         """Begin the map with any scan that has enough beams to be matched later."""
         beams = int(np.isfinite(scan.ranges_m).sum())
-        enough = beams >= max(3.0, self.config.paper.min_beams_share * scan.spec.beams)
-        return first_match(beams) if enough else no_match(Pose(), beams)
+        return first_match(beams) if beams >= max(3.0, self._least_beams(scan.spec)) else no_match(Pose(), beams)
+
+    def _least_beams(self, spec: LaserSpec) -> float:
+        """Return the number of valid beams below which a scan is not matched."""
+        paper = self.config.paper
+        return paper.min_beams_share * spec.beams if paper.min_beams_of == "scan" else LEAST_BEAMS_SHARE * spec.beams
 
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
         """Match against a virtual scan from where the last command should have led (cost steps i, ii)."""
         paper = self.config.paper
         points = polar_points(scan.ranges_m, scan.spec, paper.mixed_pixel_mm * MM)
-        if len(points) < paper.min_beams_share * scan.spec.beams:
+        if len(points) < self._least_beams(scan.spec):
             return no_match(predicted, len(points))
         return match_polar(self._virtual_scan(predicted, scan.spec), points, scan.spec, predicted, self.config)
 
@@ -148,14 +157,21 @@ class Paper:
         """Cast the virtual scan (beams,), m; while neither map nor prediction change, it is the one before."""
         if self._seen is None or self._seen[:2] != (predicted, spec):
             paper = self.config.paper
-            ranges_m = self.grid.virtual_scan(predicted, spec.directions, paper.far_mm * MM, paper.cluster_gap_cells)
+            ranges_m = self.grid.virtual_scan(
+                predicted,
+                spec.directions,
+                paper.far_mm * MM,
+                paper.cluster_gap_cells,
+                middle=paper.equal_cells == "middle",
+            )
             self._seen = predicted, spec, ranges_m
         return self._seen[2]
 
     @timed("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
         """Believe and insert only a well-minimised cost (paper, "Map Update")."""
-        return Verdict.SURE if match.cost_m2 <= self.config.paper.gate_mm2 * MM2 else Verdict.REFUSED
+        threshold_m2 = acceptance_scale(scan.ranges_m, self.config) * self.config.paper.gate_mm2 * MM2
+        return Verdict.SURE if match.cost_m2 <= threshold_m2 else Verdict.REFUSED
 
     def relocalise(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
         """Find nothing: the paper searches around the last pose only."""

@@ -23,13 +23,15 @@ from mavnav.pose import Pose
 from mavnav.references import LEAST_POSES, References, compared, occupied_xy_m, of_scenario
 from mavnav.replay import Progress, measured_quality, measured_sections
 from mavnav.stages import account
+from mavnav.units import DEG
+from mavnav.world.laser import EDGE_M
 
 if TYPE_CHECKING:
     from mavnav.world import Scenario
 
 
-WALL_BEAMS = 15
-"""The distance to a wall is read off the map over so many beams to either side."""
+EDGE_BEAMS, STEEP_RAD = 10, 60 * DEG
+"""Walls are not measured so near to an edge, nor by beams farther from their normal: there the laser sees none."""
 
 WALL_GAP_CELLS = 8
 """Empty cells that a noisy wall may hold along a beam: its densest cell then is the wall, not a stray in front."""
@@ -146,8 +148,8 @@ def truth_errors(flight: Flight) -> dict[str, Any]:
 
     ``ate_*`` after the best rigid motion, ``unaligned_*`` as they are, from the first laser pose on; ``final_*`` of the
     last tracked pose, as it is and after that motion, whose turn ``map_yaw_error_rad`` is what the first headings leave
-    in the whole map. ``wall_*`` compares the distance to the nearest wall ahead of a beam, read off the map, with the
-    true one (paper, "Corner Scenario": about 1 %).
+    in the whole map. ``wall_*`` compares the distance to the walls, read off the map along all beams, with the true one
+    where the relative error is the median (paper, "Corner Scenario": about 1 %).
     """
     estimate = flight.slam.trajectory
     rows = np.searchsorted(flight.map_T_laser.stamps_ns, estimate.stamps_ns)
@@ -174,20 +176,23 @@ def truth_errors(flight: Flight) -> dict[str, Any]:
 
 
 def wall_distances_m(flight: Flight, estimate: Pose, truth: Pose) -> tuple[float, float]:
-    """Distance to the nearest wall as the map has it from the estimated pose, and the true one, m.
+    """Distance to the walls as the map has it from the estimated pose, and the true one, m.
 
-    The map is read like the laser reads the world: by the virtual scan, median over the beams next to the one that
-    points to the nearest wall; NaN where the map has no wall there.
+    The map is read like the laser reads the world, by the virtual scan. Of all beams that meet a wall away from edges
+    the one with the median relative error is reported; NaN where the map has no wall at all.
     """
     world, spec = flight.scenario.world, flight.scenario.laser.spec
     there = flight.world_T_map @ truth
-    ranges, _ = world.cast((there.x_m, there.y_m), spec.angles_rad + there.yaw_rad)
-    nearest = int(np.argmin(ranges))
-    beams = spec.angles_rad[max(nearest - WALL_BEAMS, 0) : nearest + WALL_BEAMS + 1]
-    true_ranges, _ = world.cast((there.x_m, there.y_m), beams + there.yaw_rad)
-    directions = np.column_stack((np.cos(beams), np.sin(beams)))
-    seen = Tally.of(flight.slam.grid).virtual_scan(estimate, directions, spec.range_max_m, WALL_GAP_CELLS)
-    both = np.isfinite(seen) & np.isfinite(true_ranges)
-    if not both.any():
-        return np.nan, float(np.median(true_ranges))
-    return float(np.median(seen[both])), float(np.median(true_ranges[both]))
+    true_ranges, incidence_rad = world.cast((there.x_m, there.y_m), spec.angles_rad + there.yaw_rad)
+    tally = Tally.of(flight.slam.grid)
+    seen = tally.virtual_scan(estimate, spec.directions, spec.range_max_m, WALL_GAP_CELLS, middle=True)
+    with np.errstate(invalid="ignore"):  # inf - inf: two beams that meet nothing
+        edges = np.abs(np.diff(true_ranges, prepend=true_ranges[0])) > EDGE_M
+    near_edge = np.convolve(edges, np.ones(2 * EDGE_BEAMS + 1), mode="same") > 0
+    steep = incidence_rad < STEEP_RAD
+    used = np.flatnonzero(np.isfinite(seen) & np.isfinite(true_ranges) & steep & ~near_edge)
+    if not len(used):
+        return np.nan, float(true_ranges.min())
+    errors = np.abs(seen[used] - true_ranges[used]) / true_ranges[used]
+    median = used[np.argsort(errors, kind="stable")[len(used) // 2]]
+    return float(seen[median]), float(true_ranges[median])

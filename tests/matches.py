@@ -94,11 +94,13 @@ def differences(problem: Problem, grid: int, half_m: float, half_rad: float, pri
     return [name for name, index in found[True].items() if index != found[False][name]]
 
 
-def polar_problem(seed: int, spec: LaserSpec) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.random.Generator]:
+def polar_problem(
+    seed: int, spec: LaserSpec, *, counted: bool = False
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.random.Generator]:
     """Return virtual ranges, points (n, 5) and limits of a search by the paper, and what goes on making numbers."""
     rng = np.random.default_rng(seed)
     virtual = scan_at(furnished_rooms(), Pose(3.0, 2.4, rng.uniform(-3, 3)), spec, noise=0.02, rng=rng).ranges_m.copy()
     virtual[rng.random(spec.beams) < 0.1] = np.nan
     scan = scan_at(furnished_rooms(), Pose(3.1, 2.3, rng.uniform(-3, 3)), spec, noise=0.02, rng=rng)
-    limits = np.array([spec.angle_min_rad, spec.angle_step_rad, 0.1, 5.0, 0.3, 0.1, 8.0])
+    limits = np.array([spec.angle_min_rad, spec.angle_step_rad, 0.1, 5.0, 0.3, 0.1, 8.0, counted])
     return virtual, polar_points(scan.ranges_m, spec, 0.1), limits, rng

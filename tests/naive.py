@@ -65,7 +65,7 @@ def passing_cells(hits, passes, shielded, clear=8, stays=0.15, wall=4, reach=7):
     return out
 
 
-def virtual_scan(hits, lattice, pose, directions, far_m, gap_cells):
+def virtual_scan(hits, lattice, pose, directions, far_m, gap_cells, middle=False):
     ox, oy, cell = lattice
     x, y, yaw = pose
     u, v = (x - ox) / cell, (y - oy) / cell
@@ -77,15 +77,17 @@ def virtual_scan(hits, lattice, pose, directions, far_m, gap_cells):
         for row, col in cells_on_the_way(u, v, u + far * math.cos(angle), v + far * math.sin(angle)):
             inside = 0 <= row < hits.shape[0] and 0 <= col < hits.shape[1]
             if inside and hits[row, col] > 0:
-                cluster.append((hits[row, col], -len(cluster), row, col))
+                cluster.append((hits[row, col], cell * math.hypot(col + 0.5 - u, row + 0.5 - v)))
                 empty = 0
             elif cluster:
                 empty += 1
                 if empty > gap_cells:
                     break
         if cluster:
-            _, _, row, col = max(cluster)
-            out.append(cell * math.hypot(col + 0.5 - u, row + 0.5 - v))
+            most = max(n for n, _ in cluster)
+            equal = [r for n, r in cluster if n == most]
+            centre = 0.5 * (cluster[0][1] + cluster[-1][1])
+            out.append(min(equal, key=lambda r: round(abs(r - centre), 8)) if middle else equal[0])
         else:
             out.append(math.nan)
     return np.array(out)
@@ -107,7 +109,7 @@ def good_beams(ranges_m, directions, first_rad, step_rad, mixed_pixel_m):
 
 
 def polar_cost(virtual, points, x, y, yaw, limits):
-    first, step, near, far, occlusion, edge, least = limits
+    first, step, near, far, occlusion, edge, least, counted = limits
     turn = 2 * math.pi / abs(step)
     placed = []
     for px, py, beam, r, _ in points:
@@ -126,8 +128,12 @@ def polar_cost(virtual, points, x, y, yaw, limits):
         if not radii or math.isnan(expected):
             continue
         seen = min(radii)
-        if near < expected < far and near < seen < far and abs(seen - expected) < occlusion:
+        if not (near < expected < far and near < seen < far):
+            continue
+        if abs(seen - expected) < occlusion:
             contributions.append((seen - expected) ** 2)
+        elif counted:
+            contributions.append(occlusion**2)
     if len(contributions) < max(least, 1):
         return math.inf, len(contributions)
     return sum(contributions) / len(contributions), len(contributions)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavnav.config import Config, GridSize
+from mavnav.config import Config, GridSize, PaperConfig
 from mavnav.config_file import fields, load_config, presets, to_yaml
 from mavnav.errors import ConfigError
 
@@ -72,14 +72,20 @@ def test_odd_settings_are_refused_in_one_line(setting: str, words: str) -> None:
     assert str(caught.value).startswith(words)
 
 
-def test_presets_hold_only_what_differs_from_the_defaults(repo_root: Path) -> None:
-    assert presets() == ["fig8", "paper", "robust"]
+def test_presets_hold_only_what_differs_from_what_lies_below_them(repo_root: Path) -> None:
+    """Below a method's own preset lie the defaults, below any other the preset of its method."""
+    assert presets() == ["fig8", "paper", "paper-literal", "robust"]
     for name in presets():
         config = load_config(name)
+        below = load_config(config.method) if name != config.method else Config()
         for key, value in load_layer(repo_root / "configs" / f"{name}.yaml").items():
-            section = Config() if len(key) == 1 else getattr(Config(), key[0])
+            section = below if len(key) == 1 else getattr(below, key[0])
             assert getattr(section, key[-1]) != value or key == ("method",), key
-        assert config.method == {"fig8": "paper"}.get(name, name)
+        assert config.method == {"fig8": "paper", "paper-literal": "paper"}.get(name, name)
+
+
+def test_the_literal_reading_is_that_of_the_defaults() -> None:
+    assert load_config("paper-literal").paper == PaperConfig()
 
 
 def load_layer(path: Path) -> dict[tuple[str, ...], object]:
@@ -145,7 +151,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     large.write_bytes(b"#" * 1_000_001)
     os.mkfifo(pipe)
     for path, words in (
-        (tmp_path / "none.yaml", "no such file.*paper, robust"),
+        (tmp_path / "none.yaml", "no such file.*paper, paper-literal, robust"),
         (binary, "not YAML text"),
         (large, "larger than"),
         (pipe, "not a regular file"),

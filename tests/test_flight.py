@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -16,6 +16,9 @@ from mavnav.scan import Scan
 from mavnav.simulate import truth_errors
 from mavnav.units import DEG
 from mavnav.world import Scenario, load_scenario
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 CLEAN = {
     "laser.noise_percent": 0,
@@ -104,13 +107,20 @@ def test_steps_run_out() -> None:
 def test_a_blind_vehicle_hovers_and_gives_up() -> None:
     flight = flown("corner", {"laser.range_max_mm": 100})
     assert flight.mission.end is End.LOST
-    assert flight.mission.steps == flying.LOST_STEPS
-    assert flight.mission.path_length_m < 2.0  # it drifts with the noise alone
+    assert flight.mission.steps == flight.scenario.recovery.hover_steps
+    assert flight.mission.path_length_m == 0.0
     assert len(flight.slam.trajectory) == 0
     assert truth_errors(flight) == {"ate_poses": 0}
 
 
-def test_a_vehicle_that_goes_blind_on_the_way_commands_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hovering_drifts_where_it_is_told_to() -> None:
+    flight = flown("corner", {"laser.range_max_mm": 100, "recovery.hover_noise": True, "recovery.hover_steps": 20})
+    assert flight.mission.steps == 20
+    assert 0.2 < flight.mission.path_length_m < 2.0
+    assert flight.odom_T_base.length_m == 0.0
+
+
+def test_a_vehicle_that_goes_blind_flies_on_for_some_commands_then_hovers(monkeypatch: pytest.MonkeyPatch) -> None:
     take = flying.take_scan
 
     def fading(world: Any, pose: Any, laser: Any, rng: Any, stamp_ns: int) -> Scan:
@@ -118,12 +128,25 @@ def test_a_vehicle_that_goes_blind_on_the_way_commands_nothing(monkeypatch: pyte
         return scan if stamp_ns < START_NS + 1_150_000_000 else blank(scan)
 
     monkeypatch.setattr(flying, "take_scan", fading)
-    flight = fly(load_scenario("corner"))
+    flight = fly(load_scenario("corner", ["recovery.fly_on_steps=4", "recovery.hover_steps=9"]))
     assert flight.mission.end is End.LOST
-    assert flight.mission.steps == 12 + flying.LOST_STEPS
+    assert flight.mission.steps == 12 + 4 + 9
     assert flight.slam.lost_for_good
-    still = flight.odom_T_base.xyyaw[12:]
-    np.testing.assert_allclose(still, np.repeat(still[:1], len(still), axis=0), atol=1e-12)
+    commanded = np.hypot(*np.diff(flight.odom_T_base.xyyaw[:, :2], axis=0).T)
+    assert commanded[:16].min() > 0.01  # the last four by dead reckoning
+    assert commanded[16:].max() < 1e-12
+    truth = flight.map_T_laser.xyyaw[:, :2]
+    assert np.hypot(*np.diff(truth[16:], axis=0).T).max() < 1e-12
+
+
+def test_a_faster_laser_scans_several_times_a_command() -> None:
+    """The vehicle is no faster for it: four scans of 25 ms a command of 100 ms, and no speed that is not accepted."""
+    flight = flown("corner", {"laser.preset": "ust-10lx"})
+    assert flight.mission.reached
+    assert flight.slam.steps.share("tracked") == 1.0
+    commanded = np.hypot(*np.diff(flight.odom_T_base.xyyaw[:, :2], axis=0).T)
+    assert commanded.max() < 0.0251
+    np.testing.assert_allclose(commanded[: len(commanded) // 4 * 4].reshape(-1, 4).std(axis=1), 0.0, atol=1e-12)
 
 
 def test_a_goal_that_only_the_estimate_reached_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,10 +155,10 @@ def test_a_goal_that_only_the_estimate_reached_is_none(monkeypatch: pytest.Monke
     believed = [scenario.world_T_base]
     execute, take = Vehicle.execute, flying.take_scan
 
-    def slipping(self: Vehicle, command: Command, _: Pose) -> None:
+    def slipping(self: Vehicle, command: Command, _: Pose) -> Iterator[None]:
         wanted = Pose(command.dx_m, command.dy_m, command.dyaw_rad)
         believed.append(believed[-1] @ wanted)
-        execute(self, command, Pose(-wanted.x_m, -wanted.y_m, -wanted.yaw_rad))
+        return execute(self, command, Pose(-wanted.x_m, -wanted.y_m, -wanted.yaw_rad))
 
     def forged(world: Any, _: Any, laser: Any, rng: Any, stamp_ns: int) -> Scan:
         return take(world, believed[-1], laser, rng, stamp_ns)
@@ -174,7 +197,8 @@ def test_noise_is_what_the_scenario_says() -> None:
     """True steps differ from the commanded ones by the vehicle's noise, drawn anew for every step."""
     rng = np.random.default_rng(0)
     scenario = load_scenario("corner", (), {"vehicle.noise_xy_mm": 30, "vehicle.noise_yaw_deg": 2})
-    drawn = np.array([flying._disturbance(scenario, rng).as_array() for _ in range(4000)])
+    ahead = Command(0.1, 0.0, 0.0)
+    drawn = np.array([flying._disturbance(scenario, rng, ahead).as_array() for _ in range(4000)])
     np.testing.assert_allclose(drawn.std(axis=0), [0.03, 0.03, 2 * DEG], rtol=0.04)
     assert abs(np.corrcoef(drawn.T)[np.triu_indices(3, 1)]).max() < 0.06
 
@@ -233,8 +257,8 @@ MOUNTED = {"vehicle.laser_x_mm": 120, "vehicle.laser_y_mm": -60, "vehicle.laser_
 
 def test_commands_are_of_the_laser_s_frame() -> None:
     base_T_laser = Pose(0.12, -0.06, 35 * DEG)
-    vehicle = Vehicle(base_T_laser, 100_000_000, [Pose(1.0, 2.0, 0.3)])
-    vehicle.execute(Command(0.1, -0.02, 0.2), Pose(0.01, 0.02, -0.05))
+    vehicle = Vehicle(base_T_laser, 100_000_000, 1, [Pose(1.0, 2.0, 0.3)])
+    assert len(list(vehicle.execute(Command(0.1, -0.02, 0.2), Pose(0.01, 0.02, -0.05)))) == 1
     before, after = (p @ base_T_laser for p in vehicle.world_T_base)
     np.testing.assert_allclose(before.between(after).as_array(), [0.11, 0.0, 0.15], atol=1e-12)
     then, now = vehicle.odometry(START_NS), vehicle.odometry(START_NS + 100_000_000)
@@ -257,13 +281,13 @@ def test_sweeps_lie_around_the_true_pose() -> None:
     """The middle beam is cast from the pose that the truth tells, the others along the last step."""
     scenario = load_scenario("corner", (), {"laser.moving": True})
     spec = scenario.laser.spec
-    vehicle = Vehicle(Pose(), 100_000_000, [Pose(1.0, 0.7, 0.0), Pose(1.1, 0.7, 0.2)])
+    vehicle = Vehicle(Pose(), 100_000_000, 1, [Pose(1.0, 0.7, 0.0), Pose(1.1, 0.7, 0.2)])
     at = flying._sweeping(vehicle, vehicle.world_T_base[-1], spec)
     middle_s = 340 * spec.time_increment_s
     np.testing.assert_allclose(at(middle_s).as_array(), [1.1, 0.7, 0.2], atol=1e-12)
     assert at(0.0).yaw_rad == pytest.approx(0.2 - 0.2 * 340 / 1024)
     assert at(2 * middle_s).yaw_rad == pytest.approx(0.2 + 0.2 * 340 / 1024)
-    first = flying._sweeping(Vehicle(Pose(), 100_000_000, [Pose(2.0, 0.0, 1.0)]), Pose(2.0, 0.0, 1.0), spec)
+    first = flying._sweeping(Vehicle(Pose(), 100_000_000, 1, [Pose(2.0, 0.0, 1.0)]), Pose(2.0, 0.0, 1.0), spec)
     assert first(0.0) == first(0.06) == Pose(2.0, 0.0, 1.0)
 
 

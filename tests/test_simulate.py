@@ -162,7 +162,7 @@ def test_two_outputs_need_two_names(tmp_path: Path, other: dict[str, str]) -> No
 
 
 def test_a_laser_that_sees_nothing_is_said_and_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(NoScansError, match=r"^corner.yaml: in 20 scans the laser saw too little"):
+    with pytest.raises(NoScansError, match=r"^corner.yaml: in 40 scans the laser saw too little"):
         simulate(request(tmp_path, settings={"laser.range_max_mm": 100}), lambda *_: None, 0.0)
     assert list(tmp_path.iterdir()) == []
 

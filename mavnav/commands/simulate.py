@@ -10,7 +10,7 @@ import typer
 
 from mavnav.commands.gating import Gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
-from mavnav.commands.options import Quiet, Sets
+from mavnav.commands.options import ConfigFile, Quiet, Sets
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.replay import page_row, print_table, wall_rows
 from mavnav.commands.terminal import emit, note
@@ -28,6 +28,8 @@ mavnav simulate corner.yaml
 mavnav simulate complex --seed 7 --grid 20x20 --animate complex.gif
 
 mavnav simulate u_trap --planner field
+
+mavnav simulate corner --method paper
 
 mavnav simulate corridor --record flight.mcap && mavnav replay flight.mcap
 
@@ -61,6 +63,7 @@ def simulate(
     animate: Annotated[
         Path | None, typer.Option(metavar="FILE.gif", help="Leave an animation too.", show_default=False)
     ] = None,
+    config: ConfigFile = None,
     sets: Sets = None,
     gates: Gates = None,
     preview: Preview = False,
@@ -82,6 +85,7 @@ def simulate(
         scenario,
         sets or [],
         {"seed": seed, "slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth, "planner.technique": planner},
+        config,
     )
     with reporting(quiet=quiet) as progress:
         started_s = perf_counter()
@@ -113,11 +117,11 @@ def _show(*, schema: bool) -> None:
         print_table([(name, load_scenario(name).about) for name in scenarios()])
 
 
-def _load(scenario: str, sets: list[str], options: dict[str, object]) -> Scenario:
+def _load(scenario: str, sets: list[str], options: dict[str, object], config: str | None) -> Scenario:
     """Load the scenario; options that were not given leave it alone."""
     from mavnav.world import load_scenario
 
-    return load_scenario(scenario, sets, {key: value for key, value in options.items() if value is not None})
+    return load_scenario(scenario, sets, {key: value for key, value in options.items() if value is not None}, config)
 
 
 def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:

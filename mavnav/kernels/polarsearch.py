@@ -150,14 +150,15 @@ def _compare(
     virtual: NDArray[np.float64], limits: NDArray[np.float64], seen: NDArray[np.float64], squares: NDArray[np.float64]
 ) -> tuple[float, float]:
     """Sum the squared differences of the beams that see the same, and count these."""
-    near, far, occlusion = limits[2], limits[3], limits[4]
+    near, far, occlusion, counted = limits[2], limits[3], limits[4], limits[7] > 0.0
     total, used = 0.0, 0
     for j in range(len(virtual)):
         # Step ix: empty cells match nothing. Step vi: too close or too far. Steps v and viii
         v, d = virtual[j], seen[j] - virtual[j]
-        same = (near < v) & (v < far) & (near < seen[j]) & (seen[j] < far) & (abs(d) < occlusion)
-        squares[j] = d * d if same else 0.0
-        used += same
+        both = (near < v) & (v < far) & (near < seen[j]) & (seen[j] < far)
+        same = abs(d) < occlusion
+        squares[j] = d * d if both & same else (occlusion * occlusion if both & counted else 0.0)
+        used += both & (same | counted)
     for j in range(len(virtual)):
         total += squares[j]
     return total, float(used)
@@ -214,8 +215,9 @@ def polar_cost(
     virtual : (beams,) ranges of the virtual scan, m, NaN where it saw no cell
     points : (5, n) the scan's good points in beam order: x, y (m), beam number, its range (m) and bearing (rad)
     x, y, yaw : proposed motion from the virtual scan's pose, m, rad
-    limits : (7,) bearing of beam 0 and bearing step (rad); near, far, occlusion threshold, range jump between
-        surfaces (m); least number of beams
+    limits : (8,) bearing of beam 0 and bearing step (rad); near, far, occlusion threshold, range jump between
+        surfaces (m); least number of beams; 1 where occluded beams count with the squared threshold, 0 where they are
+        left out
 
     The cost is inf where fewer beams than the least number contribute.
     """
@@ -764,6 +766,14 @@ def _shifts(
             motions[j * nx + i, 2], motions[j * nx + i, 3] = to_x + dx, to_y + dy
 
 
+@kernel(_F1(_F1, float64))
+def _at_occlusion(limits: NDArray[np.float64], occlusion_m: float) -> NDArray[np.float64]:
+    """Return the limits with another occlusion threshold."""
+    out = limits.copy()
+    out[4] = occlusion_m
+    return out
+
+
 @kernel(float64[::1](_F1, _F2, _F1, _F1, _F1))
 def search(
     virtual: NDArray[np.float64],
@@ -779,21 +789,25 @@ def search(
     virtual, limits : as for ``polar_cost``
     points : (n, 5), the columns of ``polar_cost``'s as rows
     grid : (5,) points of the azimuth grid, of the plane in x and in y, border extensions at most, 1 to prune
-    schedule : (7,) half-window in the plane (m) and in azimuth (rad), shrink factor, 1 to leave no gaps between grids,
-        spacings to stop at (m, rad), cost (m2) that is of no use
+    schedule : (11,) half-window in the plane (m) and in azimuth (rad), shrink factor, 1 to leave no gaps between
+        grids, spacings to stop at (m, rad), cost (m2) that is of no use, factor by which the occlusion threshold
+        shrinks from iteration to iteration and the least that it shrinks to (m), 1 to turn about the laser instead of
+        the points' centroid, 1 to stop where either spacing is reached instead of both
 
-    A motion changes ranges by about its length: the search ends as well where the root of the cost exceeds that of one
-    of no use by more than twice the half-window, and has not converged.
+    Where occluded beams count, no bounds are known and every candidate is evaluated. A motion changes ranges by about
+    its length: the search ends as well where the root of the cost exceeds that of one of no use by more than twice the
+    half-window, and has not converged.
     """
-    azimuths, nx, ny, extensions, prune = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3]), grid[4] > 0.0
-    half_m, half_rad, shrink, covered, stop_m, stop_rad, useless = schedule
+    azimuths, nx, ny, extensions = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3])
+    half_m, half_rad, shrink, covered, stop_m, stop_rad, useless, occlusion_shrink, least_m, at_laser, either = schedule
+    prune = grid[4] > 0.0 and limits[7] == 0.0
     n = len(points)
     scan = part = virtual, _joined(points.T, limits[5]), limits
     work = np.empty((6, max(2 * n, len(virtual)))), np.empty((2, 2 * n), np.int32)
     turns, by_turn, turn_bounds = np.empty((azimuths + 1, 5)), np.empty((azimuths, 2)), np.full(azimuths, -np.inf)
     shifts, by_shift, bounds = np.empty((nx * ny + 1, 5)), np.empty((nx * ny, 2)), np.full(nx * ny, -np.inf)
     # Turning about the points' centroid keeps the two searches from undoing each other.
-    pivot = np.array([points[:, 0].mean(), points[:, 1].mean()])
+    pivot = np.zeros(2) if at_laser > 0.0 else np.array([points[:, 0].mean(), points[:, 1].mean()])
     at = np.array([pivot[0], pivot[1], 0.0])
     best, used, evaluations, iterations, converged = np.inf, 0.0, 0, 0, 0.0
     for _ in range(MAX_ITERATIONS):
@@ -827,13 +841,17 @@ def search(
                 break
         # Step v; the grid's spacing bounds the change still to come, also where the centre stays the best.
         spacing = 2.0 * half_m / (min(nx, ny) - 1)
-        if spacing < stop_m and step_rad < stop_rad:
+        fine_xy, fine_yaw = spacing < stop_m, step_rad < stop_rad
+        if (fine_xy and fine_yaw) or (either > 0.0 and (fine_xy or fine_yaw)):
             converged = 1.0
             break
         if best == np.inf or np.sqrt(best) > np.sqrt(useless) + 2.0 * half_m:
             break
         half_m *= max(shrink, covered * min(spacing / half_m, 0.9))
         half_rad *= max(shrink, covered * min(step_rad / half_rad, 0.9))
+        if occlusion_shrink < 1.0:
+            smaller_m = max(scan[2][4] * occlusion_shrink, min(least_m, limits[4]))
+            scan = part = virtual, scan[1], _at_occlusion(limits, smaller_m)
     c, s = np.cos(at[2]), np.sin(at[2])
     x, y = at[0] - c * pivot[0] + s * pivot[1], at[1] - s * pivot[0] - c * pivot[1]
     return np.array([x, y, at[2], best, used, evaluations, iterations, converged])

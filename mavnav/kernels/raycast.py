@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int64, types, uint16, uint64
+from numba import boolean, float64, int64, types, uint16, uint64
 
 from mavnav.kernels._jit import kernel
 
@@ -14,12 +14,15 @@ if TYPE_CHECKING:
 
 WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its logarithm
 
+ROUNDING_M = 1e-9
+"""Two cells whose distances from the middle of a cluster differ by less are equally far from it."""
+
 _F1 = types.Array(float64, 1, "C", readonly=True)
 _F2 = types.Array(float64, 2, "C", readonly=True)
 _U3 = types.Array(uint16, 3, "C", readonly=True)
 
 
-@kernel(float64[::1](_U3, _F1, _F1, _F2, float64, int64))
+@kernel(float64[::1](_U3, _F1, _F1, _F2, float64, int64, boolean))
 def virtual_scan(
     hits: NDArray[np.uint16],
     lattice: NDArray[np.float64],
@@ -27,12 +30,14 @@ def virtual_scan(
     directions: NDArray[np.float64],
     far_m: float,
     gap_cells: int,
+    middle: bool,
 ) -> NDArray[np.float64]:
     """Return the range (beams,) in m at each direction, NaN where no occupied cell lies within ``far_m``.
 
     A ray walks the cells until the first occupied one, follows the cluster of occupied cells behind it, over empty
-    stretches of up to ``gap_cells``, and takes the cell of the cluster with most hits (the nearest of equals) as the
-    wall; the range is that to the cell's centre.
+    stretches of up to ``gap_cells``, and takes the cell of the cluster with most hits as the wall; the range is that to
+    the cell's centre. Of cells with equally many hits it takes the one nearest to the laser, or, with ``middle``, the
+    one nearest to the middle of the cluster (of two, the nearer to the laser).
 
     ``lattice`` is (3,): x and y of the corner of cell [0, 0] and the cell edge in m; ``pose`` (3,) x, y, yaw of the
     laser in the map; ``directions`` (beams, 2) cosines and sines in the laser's frame.
@@ -43,6 +48,7 @@ def virtual_scan(
     u0, v0 = (pose[0] - ox) / cell, (pose[1] - oy) / cell
     far = far_m / cell
     out = np.full(len(directions), np.nan)
+    equal = np.empty(hits.shape[1] + hits.shape[0] * WIDE if middle else 0)  # ranges of the cells with most hits
     for k in range(len(directions)):
         du = c * directions[k, 0] - s * directions[k, 1]
         dv = s * directions[k, 0] + c * directions[k, 1]
@@ -52,13 +58,21 @@ def virtual_scan(
         next_v = ((row + (dv > 0)) - v0) / dv if dv != 0.0 else np.inf
         each_u = abs(1.0 / du) if du != 0.0 else np.inf
         each_v = abs(1.0 / dv) if dv != 0.0 else np.inf
-        most, empty, at = 0, 0, 0.0
+        most, empty, at, ties, start, end = 0, 0, 0.0, 0, 0.0, 0.0
         while at <= far:
             inside = (uint64(row) < rows) & (uint64(col) < cols)
             n = int64(hits[uint64(col >> SHIFT), uint64(row), uint64(col & (WIDE - 1))]) if inside else 0
             if n > 0:
                 empty = 0
-                if n > most:
+                if middle:
+                    end = cell * np.hypot(col + 0.5 - u0, row + 0.5 - v0)
+                    start = start if most else end
+                    ties = 0 if n > most else ties
+                    if n >= most:
+                        most = n
+                        equal[ties] = end
+                        ties += 1
+                elif n > most:
                     most = n
                     out[k] = cell * np.hypot(col + 0.5 - u0, row + 0.5 - v0)
             elif most > 0:
@@ -69,4 +83,7 @@ def virtual_scan(
             at = next_u if along else next_v
             col, next_u = col + (step_col if along else 0), next_u + (each_u if along else 0.0)
             row, next_v = row + (0 if along else step_row), next_v + (0.0 if along else each_v)
+        for i in range(ties):
+            if i == 0 or abs(2.0 * equal[i] - start - end) < abs(2.0 * out[k] - start - end) - ROUNDING_M:
+                out[k] = equal[i]
     return out

@@ -87,9 +87,20 @@ class VehicleConfig(Strict):
     radius_mm: float = Field(150.0, gt=0, description="nearer to a wall is a collision")
     noise_xy_mm: float = Field(20.0, ge=0, description="standard deviation of a step in x and in y")
     noise_yaw_deg: float = Field(5.0, ge=0, description="standard deviation of a step in azimuth")
+    command_ms: float = Field(
+        100.0, gt=0, le=10_000, description="time that a command takes; a faster laser scans several times meanwhile"
+    )
     laser_x_mm: float = Field(0.0, description="laser on the base, forward")
     laser_y_mm: float = Field(0.0, description="laser on the base, to the left")
     laser_yaw_deg: float = Field(0.0, description="laser on the base, counter-clockwise")
+
+
+class RecoveryConfig(Strict):
+    """What the vehicle does while its scans are not accepted (paper, "Corridor Mapping": it repositions itself)."""
+
+    fly_on_steps: int = Field(6, ge=0, description="commands by dead reckoning after a rejected scan, then it hovers")
+    hover_steps: int = Field(40, ge=1, description="scans that it hovers for before it gives up")
+    hover_noise: bool = Field(False, description="hovering drifts like a command: by the vehicle's noise at each scan")
 
 
 class Scenario(Strict):
@@ -105,10 +116,11 @@ class Scenario(Strict):
     goal_m: XY = Field(description="position to reach, [x, y]")
     via_m: tuple[XY, ...] = Field((), description="positions to visit before the goal, in order, [[x, y], ...]")
     goal_radius_mm: float = Field(250.0, gt=0, description="the goal is reached within this distance")
-    max_steps: int = Field(500, ge=1, le=100_000, description="scans after which the mission is given up")
+    max_steps: int = Field(500, ge=1, le=100_000, description="commands after which the mission is given up")
     seed: int = Field(0, ge=0, le=2**63, description="every random number follows from it")
     laser: LaserConfig = Field(LaserConfig(), description="sensor: its name, or a section")
     vehicle: VehicleConfig = Field(VehicleConfig(), description="vehicle")
+    recovery: RecoveryConfig = Field(RecoveryConfig(), description="what happens after a rejected scan")
     planner: PlannerConfig = Field(PlannerConfig(), description="path planning")
     slam: Config = Field(Config(), description="method, grid, azimuth and what else configures a replay")
 
@@ -147,6 +159,11 @@ class Scenario(Strict):
     def world_T_base(self) -> Pose:
         """Where the vehicle's base begins."""
         return Pose(self.start.x_m, self.start.y_m, self.start.yaw_deg * DEG)
+
+    @property
+    def scans_a_command(self) -> int:
+        """Scans that the laser takes while the vehicle executes a command, 1 at least."""
+        return max(1, round(self.vehicle.command_ms * MS / self.laser.spec.scan_time_s))
 
     @property
     def base_T_laser(self) -> Pose:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mavnav.config_file import method_layer, origin, overlaid, presets_folder, scenarios, validated
+from mavnav.config_file import file_layer, method_layer, origin, overlaid, presets_folder, scenarios, validated
 from mavnav.errors import ConfigError
 from mavnav.layers import Key, Layer, read_yaml
 from mavnav.units import MM
@@ -24,7 +24,10 @@ STANDS_OUT_M = 0.5
 
 
 def load_scenario(
-    file: str | Path, sets: Iterable[str] = (), overrides: Mapping[str, object] | None = None
+    file: str | Path,
+    sets: Iterable[str] = (),
+    overrides: Mapping[str, object] | None = None,
+    config: str | Path | None = None,
 ) -> Scenario:
     """Load a scenario.
 
@@ -36,6 +39,8 @@ def load_scenario(
         ``key=value`` with dotted keys, values read as YAML; for example ``slam.method=paper``.
     overrides
         Values of command line options by dotted key.
+    config
+        Configuration file or preset, above the scenario's own ``slam`` section.
 
     Raises
     ------
@@ -43,7 +48,7 @@ def load_scenario(
         One line: file and line, key, what is wrong, what to do.
     """
     path = scenario_path(file)
-    layer = overlaid(read_yaml(path), sets, overrides or {})
+    layer = overlaid(file_layer(config).within("slam").over(read_yaml(path)), sets, overrides or {})
     layer = layer.over(method_layer(layer.values.get(("slam", "method"))).within("slam"))
     layer = layer.over(Layer({("name",): path.stem}))
     scenario = validated(Scenario, layer, str(path))

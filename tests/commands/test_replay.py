@@ -236,7 +236,7 @@ def test_unknown_configuration_key(mavnav: Callable, sample: Path, tmp_path: Pat
         (["--map", ".", "--method", "paper"], ["--map", "--method robust"]),
         (["--no-such-option"], ["--no-such-option", "see 'mavnav replay --help'"]),
         (["--start", "100"], ["--start"]),
-        (["--config", "none.yaml"], ["none.yaml", "paper, robust"]),
+        (["--config", "none.yaml"], ["none.yaml", "paper, paper-literal, robust"]),
     ],
     ids=" ".join,
 )

@@ -159,7 +159,7 @@ def test_a_failed_mission_is_written_and_told(mavnav: Callable, scenario: Path, 
 
 
 def test_a_lost_mission_is_told(mavnav: Callable, tmp_path: Path) -> None:
-    narrow = ["--set", "laser.field_of_view_deg=20"]
+    narrow = ["--set", "laser.field_of_view_deg=20", "--set", "recovery.fly_on_steps=0"]
     code, out, err = mavnav("simulate", "corner", "-o", tmp_path / "r", "-q", *narrow, "--json")
     assert code == json.loads(out)["exit_code"] == ExitCode.TRACKING_LOST
     assert json.loads(out)["mission"]["reason"] == "tracking lost"
@@ -200,7 +200,7 @@ def test_list_shows_the_scenarios(mavnav: Callable) -> None:
     code, out, err = mavnav("simulate", "--list")
     assert (code, err) == (0, "")
     names = [line.split()[0] for line in out.splitlines()]
-    assert names == ["complex", "corner", "corridor", "curved", "loop", "u_trap"]
+    assert names == ["complex", "complex-paper", "corner", "corner-paper", "corridor", "curved", "loop", "u_trap"]
 
 
 def test_the_schema_is_json(mavnav: Callable) -> None:
@@ -258,7 +258,7 @@ def test_scenarios_that_cannot_be(
     ("arguments", "words"),
     [
         ([], ["no scenario", "--list"]),
-        (["korner"], ["korner: no such file", "complex, corner"]),
+        (["korner"], ["korner: no such file", "complex, complex-paper, corner"]),
         (["korner.yaml"], ["korner.yaml: no such file"]),
         (["corner", "--planner", "magic"], ["--planner: planner.technique is 'magic'", "'wavefront', 'field'"]),
         (["corner", "--method", "magic"], ["--method: slam.method is 'magic'"]),

@@ -77,13 +77,13 @@ def test_counts_that_have_ended_stay() -> None:
 
 
 @settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), gap=st.integers(0, 3))
-def test_virtual_scan_is_its_twin(seed: int, gap: int) -> None:
+@given(seed=st.integers(0, 2**32 - 1), gap=st.integers(0, 3), middle=st.booleans())
+def test_virtual_scan_is_its_twin(seed: int, gap: int, middle: bool) -> None:
     rng = np.random.default_rng(seed)
-    counts = np.where(rng.random((40, 80)) < 0.06, rng.integers(1, 5, (40, 80)), 0).astype(np.int32)
+    counts = np.where(rng.random((40, 80)) < rng.choice((0.06, 0.3)), rng.integers(1, 5, (40, 80)), 0).astype(np.int32)
     pose = rng.uniform((-0.9, -0.4, -3), (2.9, 1.4, 3))
-    fast = raycast.virtual_scan(in_strips(counts.astype(np.uint16)), LATTICE, pose, directions(), 1.7, gap)
-    slow = naive.virtual_scan(counts, LATTICE, pose, directions(), 1.7, gap)
+    fast = raycast.virtual_scan(in_strips(counts.astype(np.uint16)), LATTICE, pose, directions(), 1.7, gap, middle)
+    slow = naive.virtual_scan(counts, LATTICE, pose, directions(), 1.7, gap, middle)
     # The last cell within reach is a matter of rounding; nothing else is.
     edge = np.isnan(fast) != np.isnan(slow)
     assert edge.sum() <= 1
@@ -99,6 +99,11 @@ def test_thick_wall_counts_as_its_cell_of_most_hits() -> None:
     here = Pose(0.025, 0.025)
     assert grid.virtual_scan(here, ahead, 5.0, 0)[0] == pytest.approx(1.05)  # nearest of two equals
     assert grid.virtual_scan(here, ahead, 5.0, 1)[0] == pytest.approx(1.2)  # over one empty cell
+    assert grid.virtual_scan(here, ahead, 5.0, 0, middle=True)[0] == pytest.approx(1.05)
+    for _ in range(4):
+        grid.insert(Pose(), np.array([(1.025, 0.025)]))
+    assert grid.virtual_scan(here, ahead, 5.0, 0)[0] == pytest.approx(1.0)
+    assert grid.virtual_scan(here, ahead, 5.0, 0, middle=True)[0] == pytest.approx(1.05)  # of three equals
     assert np.isnan(grid.virtual_scan(here, ahead, 0.9, 0)[0])
     assert np.isnan(grid.virtual_scan(here, -ahead, 5.0, 0)[0])
 

@@ -24,9 +24,9 @@ LASERS = pytest.mark.parametrize("spec", matches.LASERS, ids=["part", "full turn
 
 @LASERS
 @settings(max_examples=25, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_cost_is_its_twin(spec: LaserSpec, seed: int) -> None:
-    virtual, points, limits, rng = polar_problem(seed, spec)
+@given(seed=st.integers(0, 2**32 - 1), counted=st.booleans())
+def test_cost_is_its_twin(spec: LaserSpec, seed: int, counted: bool) -> None:
+    virtual, points, limits, rng = polar_problem(seed, spec, counted=counted)
     move = rng.uniform(-0.2, 0.2, 3) * rng.choice((1.0, 10.0))  # the farther one is beyond the series
     fast = polarsearch.polar_cost(virtual, np.ascontiguousarray(points.T), *move, limits)
     slow = naive.polar_cost(virtual, points, *move, limits)
@@ -42,14 +42,25 @@ def test_cost_is_its_twin(spec: LaserSpec, seed: int) -> None:
     half_m=st.sampled_from((0.3, 0.05, 0.005, 0.0005)),
     half_rad=st.sampled_from((0.3, 0.02, 0.002, 0.0002)),
     useless_m2=st.sampled_from((1e-3, np.inf)),
+    reading=st.sampled_from(((1.0, 0.1, 0.0, 0.0), (0.7, 0.06, 1.0, 1.0), (0.5, 0.1, 0.0, 1.0))),
+    counted=st.booleans(),
 )
-@example(seed=170, grid=5, half_m=3.0, half_rad=0.02, useless_m2=np.inf)  # moves a point straight behind the laser
+@example(
+    seed=170, grid=5, half_m=3.0, half_rad=0.02, useless_m2=np.inf, reading=(1.0, 0.1, 0.0, 0.0), counted=False
+)  # moves a point straight behind the laser
 def test_pruned_search_is_the_exhaustive_one(
-    spec: LaserSpec, seed: int, grid: int, half_m: float, half_rad: float, useless_m2: float
+    spec: LaserSpec,
+    seed: int,
+    grid: int,
+    half_m: float,
+    half_rad: float,
+    useless_m2: float,
+    reading: tuple[float, ...],
+    counted: bool,
 ) -> None:
     """The same pose, cost, beams, evaluations and iterations, to the bit."""
-    virtual, points, limits, _ = polar_problem(seed, spec)
-    schedule = np.array([half_m, half_rad, 0.3, 1.0, 1e-5, 1e-4, useless_m2])
+    virtual, points, limits, _ = polar_problem(seed, spec, counted=counted)
+    schedule = np.array([half_m, half_rad, 0.3, 1.0, 1e-5, 1e-4, useless_m2, *reading])
     pruned, exhaustive = (
         polarsearch.search(virtual, points, np.array([2.0 * grid, grid, grid, 2, prune]), schedule, limits)
         for prune in (1.0, 0.0)

@@ -37,7 +37,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 def shipped() -> list[str]:
-    return ["complex", "corner", "corridor", "curved", "loop", "u_trap"]
+    return ["complex", "complex-paper", "corner", "corner-paper", "corridor", "curved", "loop", "u_trap"]
 
 
 # ---- shipped ---------------------------------------------------------------------------------------------------------
@@ -262,7 +262,7 @@ def test_errors_of_options_name_the_option(tmp_path: Path) -> None:
         load_scenario(path, ["goal_m=[9, 9]"])
     with pytest.raises(ConfigError, match=r"^--seed: seed is -1"):
         load_scenario(path, [], {"seed": -1})
-    with pytest.raises(ConfigError, match=r"no such file; .* scenario: complex, corner"):
+    with pytest.raises(ConfigError, match=r"no such file; .* scenario: complex, complex-paper"):
         load_scenario("korner.yaml")
 
 

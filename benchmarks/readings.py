@@ -1,0 +1,353 @@
+"""Under which reading of its text does the paper's method work best?
+
+    python benchmarks/readings.py [search] [ablation] [missions] [--logs FOLDER] [--designs N] [--jobs N]
+
+``search``: a random design over the parameters of ``PaperConfig`` and of the recovery, flown at the paper's full noise
+in three heats: all readings on few training seeds, the better ones on more, the best and the named ones (presets, and
+the stages on the way to them) on the test seeds, which decide. Readings are ranked by goals reached, then by accepted
+scans, then by trajectory error. ``ablation``: each value of `paper` undone once. ``missions``: both presets, both
+noises, faster lasers. With ``--logs`` recordings are replayed as well (FOLDER/NAME/NAME.mcap). The tables are written
+to docs/paper/, where docs/paper.md refers to them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from mavnav import slam
+from mavnav.config_file import load_config
+from mavnav.flight import End, fly
+from mavnav.logs import open_log
+from mavnav.metrics.wall_thickness import wall_thickness
+from mavnav.replay import measured_quality, measured_sections
+from mavnav.simulate import truth_errors
+from mavnav.world.scenario_file import load_scenario
+
+DOCS = Path(__file__).parent.parent / "docs" / "paper"
+TRAINING_SEEDS, TEST_SEEDS = range(1000, 1008), range(20)
+TRAINING = ("corner", "complex", "corridor")
+SCENARIOS = ("corner-paper", "corner", "complex-paper", "complex", "corridor", "curved", "u_trap")
+LOGS = ("ccny_demo", "lego_robot4", "urg_exp1")
+KEPT = (24, 8)
+"""Readings that pass from the first heat to the second, and from there to the test."""
+
+LEVELS: dict[str, tuple[object, ...]] = {
+    "slam.paper.gate_mm2": (400, 500, 800),
+    "slam.paper.gate_range_mm": ("null", 1000),
+    "slam.paper.occlusion_mm": (150, 300, 500),
+    "slam.paper.occlusion_shrink": (1, 0.7),
+    "slam.paper.occlusion_least_mm": (60, 100, 200),
+    "slam.paper.occluded": ("left_out", "counted"),
+    "slam.paper.cluster_gap_cells": (0, 4, 11, 20),
+    "slam.paper.equal_cells": ("nearest", "middle"),
+    "slam.paper.cell_mm": (14, 20, 30),
+    "slam.paper.min_beams_share": (0.1, 0.4, 0.5),
+    "slam.paper.min_beams_of": ("scan", "valid"),
+    "slam.paper.mixed_pixel_mm": (50, 100, 300),
+    "slam.paper.far_mm": (2500, 5000),
+    "slam.paper.window_mm": (100, 200),
+    "slam.paper.window_deg": (15, 20, 25),
+    "slam.paper.shrink": (0.3, 0.5, 0.6),
+    "slam.paper.pivot": ("centroid", "laser"),
+    "slam.paper.converged": ("both", "either"),
+    "slam.paper.refine_above_mm2": (300, 500),
+    "slam.paper.refine_factor": (1, 2),
+    "recovery.fly_on_steps": (0, 3, 6),
+    "recovery.hover_noise": ("false", "true"),
+}
+
+A = {
+    "slam.paper.gate_mm2": 800, "slam.paper.gate_range_mm": 1000, "slam.paper.occlusion_mm": 250,
+    "slam.paper.cluster_gap_cells": 8, "slam.paper.cell_mm": 30, "slam.paper.shrink": 0.6, "slam.paper.window_mm": 80,
+    "slam.paper.min_beams_share": 0.5, "slam.paper.refine_factor": 1, "slam.paper.give_up": "false",
+    "recovery.fly_on_steps": 3, "recovery.hover_noise": "true",
+}  # fmt: skip
+E = A | {
+    "slam.paper.cluster_gap_cells": 12, "slam.paper.occlusion_mm": 300, "slam.paper.window_mm": 200,
+    "slam.paper.window_deg": 25, "slam.paper.mixed_pixel_mm": 300,
+}  # fmt: skip
+
+
+class Reading(NamedTuple):
+    """A named reading: a preset and what is set on top of it, ``key=value``."""
+
+    name: str
+    preset: str
+    sets: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, name: str, preset: str, values: dict[str, object]) -> Reading:
+        """Set some values."""
+        return cls(name, preset, tuple(f"{key}={value}" for key, value in values.items()))
+
+
+class Flown(NamedTuple):
+    """A mission's result: accepted share, ATE in mm, wall distance error in percent, thickness in cells and mm."""
+
+    goal: bool
+    accepted: float
+    ate_mm: float
+    wall_percent: float
+    evaluations: float
+    cells: tuple[float, ...]
+    tracked_away: bool
+
+
+NAMED = (
+    Reading("paper", "paper"),
+    Reading("paper-literal", "paper-literal"),
+    Reading.of("A", "paper-literal", A),
+    Reading.of("E", "paper-literal", E),
+)
+
+
+def mission(reading: Reading, scenario: str, seed: int, *, thickness: bool = False) -> Flown:
+    """Fly a mission with a reading."""
+    flight = fly(load_scenario(scenario, reading.sets, {"seed": seed}, reading.preset))
+    steps, truth = flight.slam.steps, truth_errors(flight)
+    cells = walls(flight.slam) if thickness else ()
+    return Flown(
+        flight.mission.end is End.GOAL,
+        steps.share("tracked"),
+        1e3 * truth.get("ate_rmse_m", np.nan),
+        100.0 * truth.get("wall_distance_error_share", np.nan),
+        float(steps.column("evaluations").mean()),
+        cells,
+        flight.slam.lost_for_good,
+    )
+
+
+def walls(outcome: slam.Slam) -> tuple[float, ...]:
+    """Return maximum and p95 of the wall thickness in cells, at 2 and at 5 hits."""
+    measured = [wall_thickness(outcome.grid.hits, outcome.grid.cell_m, hits) for hits in (2, 5)]
+    return tuple(cells for walls in measured for cells in (walls.max_cells, walls.p95_cells))
+
+
+def fly_all(
+    ex: Executor,
+    readings: Sequence[Reading],
+    scenarios: Sequence[str],
+    seeds: Iterable[int],
+    *,
+    thickness: bool = False,
+) -> dict[tuple[str, str], list[Flown]]:
+    """Fly every reading in every scenario with every seed; results by reading and scenario."""
+    tasks = list(product(readings, scenarios, seeds))
+    results = list(ex.map(partial(_mission, thickness=thickness), tasks, chunksize=4))
+    found: dict[tuple[str, str], list[Flown]] = {}
+    for (reading, scenario, _), result in zip(tasks, results, strict=True):
+        found.setdefault((reading.name, scenario), []).append(result)
+    return found
+
+
+def _mission(task: tuple[Reading, str, int], *, thickness: bool) -> Flown:
+    return mission(*task, thickness=thickness)
+
+
+def ranked(
+    readings: Sequence[Reading], found: dict[tuple[str, str], list[Flown]], scenarios: Sequence[str]
+) -> list[Reading]:
+    """Sort readings by goals, accepted share (to a percent) and the median ATE of the missions that reached a goal."""
+
+    def rank(reading: Reading) -> tuple[float, float, float]:
+        flown = [f for s in scenarios for f in found[reading.name, s]]
+        return -sum(f.goal for f in flown), -round(float(np.mean([f.accepted for f in flown])), 2), ate_mm(flown)
+
+    return sorted(readings, key=rank)
+
+
+def ate_mm(flown: Iterable[Flown]) -> float:
+    """Return the median ATE of the missions that reached their goal, NaN where none did."""
+    errors = [f.ate_mm for f in flown if f.goal]
+    return float(np.median(errors)) if errors else np.nan
+
+
+def interval(hits: int, n: int) -> str:
+    """Write a share in percent with its 95 % confidence interval (Wilson 1927)."""
+    z, p = 1.96, hits / n
+    middle, half = p + z * z / (2 * n), z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    low, high = (100 * (middle + sign * half) / (1 + z * z / n) for sign in (-1, 1))
+    return f"{100 * p:.0f} ({max(low, 0):.0f} to {min(high, 100):.0f})"
+
+
+def table(
+    readings: Sequence[Reading],
+    found: dict[tuple[str, str], list[Flown]],
+    scenarios: Sequence[str],
+    recorded: dict[tuple[str, str], str],
+) -> list[str]:
+    """Write a row for each reading: goals in percent, then goals, accepted scans and ATE by scenario."""
+    logs = [log for log in LOGS if any(log == key[1] for key in recorded)]
+    head = ["reading", "goals %", *scenarios, *logs]
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for reading in readings:
+        flown = [f for s in scenarios for f in found[reading.name, s]]
+        cells = [cell(found[reading.name, s]) for s in scenarios] + [recorded[reading.name, log] for log in logs]
+        share = interval(sum(f.goal for f in flown), len(flown))
+        lines.append("| " + " | ".join([reading.name, share, *cells]) + " |")
+    return lines
+
+
+def cell(flown: Sequence[Flown]) -> str:
+    """Write goals, accepted scans and ATE."""
+    accepted = 100 * np.mean([f.accepted for f in flown])
+    return f"{sum(f.goal for f in flown)} of {len(flown)}, {accepted:.0f} %, {ate_mm(flown):.0f}"
+
+
+def designed(count: int) -> list[Reading]:
+    """Draw readings: each level of a parameter equally often."""
+    rng = np.random.default_rng(0)
+    columns = {key: rng.permutation(np.resize(np.arange(len(levels)), count)) for key, levels in LEVELS.items()}
+    return [
+        Reading.of(f"design {k}", "paper-literal", {key: LEVELS[key][column[k]] for key, column in columns.items()})
+        for k in range(count)
+    ]
+
+
+def replays(ex: Executor, readings: Sequence[Reading], folder: Path | None) -> dict[tuple[str, str], str]:
+    """Replay the recordings that are there: accepted scans, distance between revisits."""
+    logs = [log for log in LOGS if folder and (folder / log / f"{log}.mcap").exists()]
+    tasks = list(product(readings, logs))
+    results = ex.map(_replay, [(reading, str(folder), log) for reading, log in tasks])
+    return {(reading.name, log): result for (reading, log), result in zip(tasks, results, strict=True)}
+
+
+def _replay(task: tuple[Reading, str, str]) -> str:
+    reading, folder, name = task
+    log = open_log(Path(folder) / name / f"{name}.mcap", odom="off")
+    sets = [s.removeprefix("slam.") for s in reading.sets if s.startswith("slam.")]
+    outcome = slam.replay(log.scans, load_config(reading.preset, sets), log.period_s)
+    quality = measured_quality(outcome, log, measured_sections(outcome.grid))
+    apart_mm = quality.revisits.nn_l_mm if quality.revisits else np.nan
+    ended = "" if not outcome.lost_for_good else ", lost"
+    return f"{100 * outcome.steps.share('tracked'):.0f} %, {apart_mm:.1f}{ended}"
+
+
+def search(ex: Executor, folder: Path | None, designs: int) -> list[str]:
+    """Run the three heats; returns the lines of the page."""
+    readings = designed(designs)
+    for kept, seeds in zip(KEPT, (TRAINING_SEEDS[:2], TRAINING_SEEDS), strict=True):
+        readings = ranked(readings, fly_all(ex, readings, TRAINING, seeds), TRAINING)[:kept]
+    finalists = [*NAMED, *readings]
+    found = fly_all(ex, finalists, SCENARIOS, TEST_SEEDS)
+    finalists = ranked(finalists, found, SCENARIOS)
+    values = [f"* {r.name}: " + ", ".join(s.removeprefix("slam.paper.") for s in r.sets) for r in finalists if r.sets]
+    return [*table(finalists, found, SCENARIOS, replays(ex, finalists, folder)), "", *values]
+
+
+def ablation(ex: Executor, folder: Path | None) -> list[str]:
+    """Undo each value of `paper` once; returns the lines of the page."""
+    best, literal = load_config("paper").paper, load_config("paper-literal").paper
+    undone = [
+        Reading.of(f"{key} {_yaml(was)}", "paper", {f"slam.paper.{key}": _yaml(was)})
+        for key, was in literal.model_dump().items()
+        if was != getattr(best, key)
+    ]
+    others = [
+        Reading.of("hovering at once", "paper", {"recovery.fly_on_steps": 0}),
+        Reading.of("occluded counted", "paper", {"slam.paper.occluded": "counted"}),
+        Reading.of("no refinement", "paper", {"slam.paper.refine_factor": 1}),
+        Reading.of("planner.min_hits 1", "paper", {"planner.min_hits": 1}),
+        Reading.of("planner.technique field", "paper", {"planner.technique": "field"}),
+    ]
+    readings = [NAMED[0], *undone, *others]
+    found = fly_all(ex, readings, SCENARIOS, TEST_SEEDS)
+    return table(readings, found, SCENARIOS, replays(ex, readings, folder))
+
+
+def _yaml(value: object) -> object:
+    return "null" if value is None else value
+
+
+@dataclass(frozen=True)
+class Case:
+    """A setting of the missions' table."""
+
+    name: str
+    sets: tuple[str, ...] = ()
+    scenarios: tuple[str, ...] = SCENARIOS
+    seeds: range = TEST_SEEDS
+
+
+HALF = ("vehicle.noise_xy_mm=10", "vehicle.noise_yaw_deg=2.5")
+CASES = (
+    Case("20 mm, 5 deg"),
+    Case("10 mm, 2.5 deg", HALF),
+    *(
+        Case(laser, (f"laser.preset={laser}",), ("corner", "corridor"), range(10))
+        for laser in ("urg-04lx", "ust-10lx", "utm-30lx")
+    ),
+    *(
+        Case(f"corridor, {2 * n} / {n}x{n}", (f"slam.grid={n}x{n}", f"slam.azimuth={2 * n}"), ("corridor",), range(10))
+        for n in (5, 10, 20, 40)
+    ),
+)
+
+
+def missions(ex: Executor) -> list[str]:
+    """Fly both presets of methods in all cases; returns the lines of the page."""
+    head = ["case", "method", "scenario", "goals", "accepted %", "ATE mm (worst)", "wall distance %",
+            "max, p95 cells (>= 2 hits)", "max, p95 cells (>= 5)", "evaluations a match", "lost"]  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for case, method in product(CASES, ("paper", "robust")):
+        reading = Reading(method, method, case.sets)
+        found = fly_all(ex, [reading], case.scenarios, case.seeds, thickness=True)
+        lines += [_row(case.name, method, s, found[method, s]) for s in case.scenarios]
+    return lines
+
+
+def _row(case: str, method: str, scenario: str, flown: Sequence[Flown]) -> str:
+    cells = np.array([f.cells for f in flown if f.goal and len(f.cells) == 4]).reshape(-1, 4)
+    max2, p2, max5, p5 = np.median(cells, axis=0) if len(cells) else np.full(4, np.nan)
+    wall = np.nanmedian([f.wall_percent for f in flown])
+    numbers = [
+        f"{sum(f.goal for f in flown)} of {len(flown)}",
+        f"{100 * np.mean([f.accepted for f in flown]):.1f}",
+        f"{ate_mm(flown):.1f} ({np.nanmax([f.ate_mm for f in flown]):.1f})",
+        f"{wall:.2f}",
+        f"{max2:.1f}, {p2:.1f}",
+        f"{max5:.1f}, {p5:.1f}",
+        f"{np.mean([f.evaluations for f in flown]):.0f}",
+        f"{sum(f.tracked_away for f in flown)}",
+    ]
+    return "| " + " | ".join([case, method, scenario, *numbers]) + " |"
+
+
+def main() -> None:
+    """Make the pages that the command line asks for, all by default."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("pages", nargs="*", default=[])
+    parser.add_argument("--logs", type=Path)
+    parser.add_argument("--designs", type=int, default=240)
+    parser.add_argument("--jobs", type=int, default=2)
+    args = parser.parse_args()
+    with ProcessPoolExecutor(args.jobs) as ex:
+        pages = {
+            "missions": partial(missions, ex),
+            "ablation": partial(ablation, ex, args.logs),
+            "search": partial(search, ex, args.logs, args.designs),
+        }
+        DOCS.mkdir(exist_ok=True)
+        for name in args.pages or pages:
+            lines = pages[name]()
+            print("\n".join([f"## {name}", *lines]), flush=True)
+            (DOCS / f"{name}.md").write_text("\n".join([f"# {HEADS[name]}", "", *lines, ""]))
+
+
+HEADS = {
+    "missions": "Missions, seeds 0 to 19",
+    "ablation": "Each value of the reading `paper` undone",
+    "search": "The best of the readings, on test seeds",
+}
+
+if __name__ == "__main__":
+    main()
