@@ -6,10 +6,10 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do command 
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test fuzz check format-check lint types bench samples golden clean
+.PHONY: help demo test fuzz check format-check lint types bench figures samples golden clean
 
 help:
-	@echo "make demo | test | fuzz | check | bench | samples | golden | clean"
+	@echo "make demo | test | fuzz | check | bench | figures | samples | golden | clean"
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=..."; exit 1; }
@@ -50,6 +50,9 @@ bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/replays.py
 	$(BIN)/python benchmarks/exactness.py
 	$(BIN)/python benchmarks/exactness.py --method paper
+
+figures: $(VENV)/.dev
+	$(BIN)/python benchmarks/figures.py
 
 samples: $(VENV)/.dev
 	MAVNAV_UPDATE_SAMPLES=1 $(BIN)/python -m pytest tests/test_sample_logs.py -k makes_it_again

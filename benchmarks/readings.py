@@ -1,13 +1,13 @@
 """Under which reading of its text does the paper's method work best?
 
-    python benchmarks/readings.py [search] [ablation] [missions] [--logs FOLDER] [--designs N] [--jobs N]
+    python benchmarks/readings.py [missions] [grids] [ablation] [search] [--logs FOLDER] [--designs N] [--jobs N]
 
 ``search``: a random design over the parameters of ``PaperConfig`` and of the recovery, flown at the paper's full noise
-in three heats: all readings on few training seeds, the better ones on more, the best and the named ones (presets, and
-the stages on the way to them) on the test seeds, which decide. Readings are ranked by goals reached, then by accepted
-scans, then by trajectory error. ``ablation``: each value of `paper` undone once. ``missions``: both presets, both
-noises, faster lasers. With ``--logs`` recordings are replayed as well (FOLDER/NAME/NAME.mcap). The tables are written
-to docs/paper/, where docs/paper.md refers to them.
+in three heats: all readings on few training seeds, the better ones on more, the best and the named ones on the test
+seeds, which decide. Readings are ranked by goals reached, then by accepted scans, then by trajectory error.
+``ablation``: each value of `paper` undone once. ``missions``: both methods, both noises, faster lasers. ``grids``: the
+search grids of the paper's figures 7 and 8. With ``--logs`` recordings are replayed as well (FOLDER/NAME/NAME.mcap).
+The tables are written to docs/paper/, where docs/paper.md refers to them.
 """
 
 from __future__ import annotations
@@ -27,15 +27,18 @@ from mavnav import slam
 from mavnav.config_file import load_config
 from mavnav.flight import End, fly
 from mavnav.logs import open_log
+from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import wall_thickness
 from mavnav.replay import measured_quality, measured_sections
 from mavnav.simulate import truth_errors
+from mavnav.stages import account
 from mavnav.world.scenario_file import load_scenario
 
 DOCS = Path(__file__).parent.parent / "docs" / "paper"
 TRAINING_SEEDS, TEST_SEEDS = range(1000, 1008), range(20)
 TRAINING = ("corner", "complex", "corridor")
 SCENARIOS = ("corner-paper", "corner", "complex-paper", "complex", "corridor", "curved", "u_trap")
+ABLATED = ("corner-paper", "complex", "corridor", "u_trap")
 LOGS = ("ccny_demo", "lego_robot4", "urg_exp1")
 KEPT = (24, 8)
 """Readings that pass from the first heat to the second, and from there to the test."""
@@ -256,12 +259,12 @@ def ablation(ex: Executor, folder: Path | None) -> list[str]:
         Reading.of("hovering at once", "paper", {"recovery.fly_on_steps": 0}),
         Reading.of("occluded counted", "paper", {"slam.paper.occluded": "counted"}),
         Reading.of("no refinement", "paper", {"slam.paper.refine_factor": 1}),
-        Reading.of("planner.min_hits 1", "paper", {"planner.min_hits": 1}),
+        Reading.of("every occupied cell an obstacle", "paper", {"planner.min_hits": 1, "planner.min_share": 0}),
         Reading.of("planner.technique field", "paper", {"planner.technique": "field"}),
     ]
     readings = [NAMED[0], *undone, *others]
-    found = fly_all(ex, readings, SCENARIOS, TEST_SEEDS)
-    return table(readings, found, SCENARIOS, replays(ex, readings, folder))
+    found = fly_all(ex, readings, ABLATED, TEST_SEEDS)
+    return table(readings, found, ABLATED, replays(ex, readings, folder))
 
 
 def _yaml(value: object) -> object:
@@ -286,10 +289,6 @@ CASES = (
         Case(laser, (f"laser.preset={laser}",), ("corner", "corridor"), range(10))
         for laser in ("urg-04lx", "ust-10lx", "utm-30lx")
     ),
-    *(
-        Case(f"corridor, {2 * n} / {n}x{n}", (f"slam.grid={n}x{n}", f"slam.azimuth={2 * n}"), ("corridor",), range(10))
-        for n in (5, 10, 20, 40)
-    ),
 )
 
 
@@ -303,6 +302,46 @@ def missions(ex: Executor) -> list[str]:
         found = fly_all(ex, [reading], case.scenarios, case.seeds, thickness=True)
         lines += [_row(case.name, method, s, found[method, s]) for s in case.scenarios]
     return lines
+
+
+GRIDS = ((10, 5), (20, 10), (40, 20), (40, 40))
+"""Yaw samples and points a side of the plane's grid: the paper's figures 7 and 8."""
+
+NARROW = ("slam.paper.shrink=0.1", "slam.paper.leave_no_gaps=false", "slam.paper.extend_border=false")
+"""A search that narrows faster than its grid is fine, so that it leaves gaps between the places it looks at."""
+
+
+def grids(ex: Executor) -> list[str]:
+    """Fly the corridor with each search grid (figures 7 and 8); returns the lines of the page."""
+    head = ["reading", "yaw samples / grid", "goals", "accepted %", "ATE mm (worst)", "ghost walls, maps", "m",
+            "evaluations a match", "ms a match"]  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for (name, sets), (yaw, n) in product((("paper", ()), ("paper, leaving gaps", NARROW)), GRIDS):
+        reading = Reading(name, "paper", (*sets, f"slam.grid={n}x{n}", f"slam.azimuth={yaw}"))
+        flown = list(ex.map(_drawn, [(reading, "corridor", seed) for seed in range(10)]))
+        goals = sum(f["goal"] for f in flown)
+        mean = {key: np.mean([f[key] for f in flown]) for key in flown[0]}
+        worst = max(f["ate_mm"] for f in flown)
+        numbers = [f"{goals} of 10", f"{100 * mean['accepted']:.0f}", f"{mean['ate_mm']:.0f} ({worst:.0f})",
+                   f"{sum(f['ghosts_m'] > 0 for f in flown)} of 10", f"{mean['ghosts_m']:.1f}",
+                   f"{mean['evaluations']:.0f}", f"{mean['ms']:.2f}"]  # fmt: skip
+        lines.append("| " + " | ".join([name, f"{yaw} / {n}x{n}", *numbers]) + " |")
+    return lines
+
+
+def _drawn(task: tuple[Reading, str, int]) -> dict[str, float]:
+    reading, scenario, seed = task
+    spent_s = account()
+    flight = fly(load_scenario(scenario, reading.sets, {"seed": seed}, reading.preset))
+    steps = flight.slam.steps
+    return {
+        "goal": flight.mission.end is End.GOAL,
+        "accepted": steps.share("tracked"),
+        "ate_mm": 1e3 * truth_errors(flight).get("ate_rmse_m", np.nan),
+        "ghosts_m": map_quality(flight.slam.grid).ghost_walls.length_m,
+        "evaluations": float(steps.column("evaluations").mean()),
+        "ms": 1e3 * spent_s.get("search", 0.0) / len(steps),
+    }
 
 
 def _row(case: str, method: str, scenario: str, flown: Sequence[Flown]) -> str:
@@ -327,12 +366,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("pages", nargs="*", default=[])
     parser.add_argument("--logs", type=Path)
-    parser.add_argument("--designs", type=int, default=240)
+    parser.add_argument("--designs", type=int, default=160)
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
     with ProcessPoolExecutor(args.jobs) as ex:
         pages = {
             "missions": partial(missions, ex),
+            "grids": partial(grids, ex),
             "ablation": partial(ablation, ex, args.logs),
             "search": partial(search, ex, args.logs, args.designs),
         }
@@ -345,6 +385,7 @@ def main() -> None:
 
 HEADS = {
     "missions": "Missions, seeds 0 to 19",
+    "grids": "Search grids in the corridor, seeds 0 to 9",
     "ablation": "Each value of the reading `paper` undone",
     "search": "The best of the readings, on test seeds",
 }

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 class Match(NamedTuple):
     """The best pose of a scan in the map, with its evidence.
 
-    ``cost_m2`` is the mean squared distance over ``beams_used`` contributing beams (inf where too few
-    contribute), ``inliers`` the share of the scan that agrees with the map, ``evaluations`` the number of
+    ``cost_m2`` is the mean squared distance over ``beams_used`` contributing beams (inf where too few of the usable
+    ones, which are counted then, contribute), ``inliers`` the share of the scan that agrees with the map, ``evaluations`` the number of
     candidate poses whose cost was asked for, ``iterations`` the number of grids searched. ``conflicts`` is the share
     that the map speaks against, ``surprise`` how far the place is from the expected one (1: as far as strong
     acceleration reaches), and ``ambiguous`` tells that another place would explain the scan about as well
@@ -147,8 +147,9 @@ def _search_polar(
         ),
     )
     pose = predicted @ Pose(float(x), float(y), wrap_angle(float(yaw)))
-    share = float(used) / max(len(points), 1)
-    return Match(pose, float(cost), int(used), share, int(evaluations), int(iterations), bool(converged))
+    beams = int(used) if cost < np.inf else len(points)
+    inliers = float(used) / max(len(points), 1)
+    return Match(pose, float(cost), beams, inliers, int(evaluations), int(iterations), bool(converged))
 
 
 @timed("cleaning")

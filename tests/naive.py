@@ -130,10 +130,8 @@ def polar_cost(virtual, points, x, y, yaw, limits):
         seen = min(radii)
         if not (near < expected < far and near < seen < far):
             continue
-        if abs(seen - expected) < occlusion:
-            contributions.append((seen - expected) ** 2)
-        elif counted:
-            contributions.append(occlusion**2)
+        if counted or abs(seen - expected) < occlusion:
+            contributions.append(min((seen - expected) ** 2, occlusion**2))
     if len(contributions) < max(least, 1):
         return math.inf, len(contributions)
     return sum(contributions) / len(contributions), len(contributions)

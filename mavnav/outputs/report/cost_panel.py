@@ -38,9 +38,13 @@ def cost_panels(entries: Sequence[Entry]) -> list[Image]:
 
 
 def gate_mm2(entry: Entry) -> float | None:
-    """Return the cost above which the paper's method rejects a scan; the robust method looks at inliers instead."""
+    """Return the cost above which the paper's method rejects a scan; None where it differs from scan to scan.
+
+    The robust method looks at inliers instead.
+    """
     config = entry.document.get("config") or {}
-    return (config.get("paper") or {}).get("gate_mm2") if config.get("method") == "paper" else None
+    paper = config.get("paper") or {}
+    return paper.get("gate_mm2") if config.get("method") == "paper" and not paper.get("gate_range_mm") else None
 
 
 def _panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
