@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 class Match(NamedTuple):
     """The best pose of a scan in the map, with its evidence.
 
-    ``cost_m2`` is the mean squared distance over ``beams_used`` contributing beams (inf where too few of the usable
-    ones, which are counted then, contribute), ``inliers`` the share of the scan that agrees with the map, ``evaluations`` the number of
-    candidate poses whose cost was asked for, ``iterations`` the number of grids searched. ``conflicts`` is the share
-    that the map speaks against, ``surprise`` how far the place is from the expected one (1: as far as strong
-    acceleration reaches), and ``ambiguous`` tells that another place would explain the scan about as well
-    (``relocalise``).
+    ``cost_m2`` is the mean squared distance over ``beams_used`` contributing beams; it is inf where too few contribute,
+    and ``beams_used`` is then the number of usable ones. ``inliers`` is the share of the scan that agrees with the map,
+    ``evaluations`` the number of candidate poses whose cost was asked for, ``iterations`` the number of grids searched.
+    ``conflicts`` is the share that the map speaks against, ``surprise`` how far the place is from the expected one
+    (1: as far as strong acceleration reaches), and ``ambiguous`` tells that another place would explain the scan about
+    as well (``relocalise``).
     """
 
     map_T_laser: Pose

@@ -14,9 +14,16 @@ from mavnav.commands.batch_rows import print_verdict, telling
 from mavnav.commands.cell_progress import watching
 from mavnav.commands.gating import Gates
 from mavnav.commands.options import (
+    CHECKS,
+    INPUT,
+    OUTPUT,
+    RESOURCES,
+    SEARCH,
     ConfigFile,
     End,
     Extrinsic,
+    Jobs,
+    Methods,
     Odom,
     Online,
     Quiet,
@@ -25,6 +32,7 @@ from mavnav.commands.options import (
     Start,
     Strict,
     Topic,
+    given,
 )
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.replay import pose
@@ -53,88 +61,118 @@ def batch(
     sources: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[MANIFEST.yaml | LOG ...]", help="A manifest; logs, folders, patterns.", show_default=False
+            metavar="[MANIFEST.yaml | LOG ...]", help="A manifest, or logs, folders and patterns.", show_default=False
         ),
     ] = None,
     *,
-    methods: Annotated[
-        list[str] | None, typer.Option("--method", help="robust (default) or paper; repeat it.", show_default=False)
-    ] = None,
-    grids: Annotated[
-        list[str] | None, typer.Option("--grid", metavar="NxM", help="A search grid; repeat it.", show_default=False)
-    ] = None,
-    azimuths: Annotated[
-        list[int] | None,
-        typer.Option("--azimuth", help="Points of the azimuth grid: one for all, or one a grid.", show_default=False),
-    ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option("--jobs", "-j", min=1, help="Runs at a time; by itself one a processor.", show_default=False),
-    ] = None,
-    directory: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Directory; runs/batch if not given.", show_default=False)
-    ] = None,
-    timeout: Annotated[
-        float | None, typer.Option(min=0.1, help="Seconds that a run may take.", show_default=False)
-    ] = None,
-    memory_mb: Annotated[
-        int | None, typer.Option("--memory-mb", min=1, help="Data that a run may hold (Linux).", show_default=False)
-    ] = None,
-    tries: Annotated[
-        int | None, typer.Option(min=1, help="Tries of a run whose process is killed; 3.", show_default=False)
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="tcp://HOST:PORT|local", help=r"Run on a Dask cluster, mavnav\[cluster].", show_default=False
-        ),
-    ] = None,
-    part: Annotated[
-        str | None, typer.Option(metavar="I/N", help="Run one of N parts; all share -o.", show_default=False)
-    ] = None,
-    gates: Gates = None,
-    accept: Annotated[
-        list[int] | None,
-        typer.Option("--accept", metavar="CODE", help="An exit code that counts as done.", show_default=False),
-    ] = None,
-    baseline: Annotated[
-        Path | None, typer.Option(metavar="DIR|FILE", help="An earlier batch to compare with.", show_default=False)
-    ] = None,
-    tolerances: Annotated[
-        list[str] | None,
-        typer.Option("--tolerance", metavar="NAME=X[%]", help="How far a number may move.", show_default=False),
-    ] = None,
-    update_baseline: Annotated[
-        bool, typer.Option("--update-baseline", help="Write the baseline file anew, whatever it says.")
-    ] = False,
-    junit: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write JUnit XML for CI.", show_default=False)
-    ] = None,
-    summary: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write a summary in Markdown; GitHub's by itself.", show_default=False),
-    ] = None,
-    annotations: Annotated[
-        bool, typer.Option("--annotations", help="GitHub annotations on stderr; there by itself.")
-    ] = False,
-    online: Online = False,
-    odom: Odom = None,
     topic: Topic = None,
     start: Start = None,
     end: End = None,
+    odom: Odom = None,
     extrinsic: Extrinsic = None,
+    strict: Strict = False,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON Schema of manifests.", rich_help_panel=INPUT)
+    ] = False,
+    methods: Methods = None,
+    grids: Annotated[
+        list[str] | None,
+        given("--grid", metavar="NxM", help="Search grid; repeatable.", rich_help_panel=SEARCH),
+    ] = None,
+    azimuths: Annotated[
+        list[int] | None,
+        given(
+            "--azimuth",
+            metavar="N",
+            help="Yaw samples: one number for all grids, or one for each.",
+            rich_help_panel=SEARCH,
+        ),
+    ] = None,
+    online: Online = False,
     config: ConfigFile = None,
     sets: Sets = None,
-    strict: Strict = False,
-    pages: Annotated[bool, typer.Option("--report", help="Draw a page of every run too.")] = False,
-    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON Schema of manifests.")] = False,
+    directory: Annotated[
+        Path | None,
+        given("--output", "-o", metavar="DIR", help="Output directory (default runs/batch).", rich_help_panel=OUTPUT),
+    ] = None,
     force: RunAgain = False,
+    pages: Annotated[
+        bool, typer.Option("--report", help="Also write a page for every run.", rich_help_panel=OUTPUT)
+    ] = False,
     json: Annotated[
-        bool, typer.Option("--json", help="A line of JSON a run on stdout, and a last one on all.")
+        bool,
+        typer.Option("--json", help="Print one line of JSON for each run, then one for all.", rich_help_panel=OUTPUT),
+    ] = False,
+    junit: Annotated[Path | None, given(metavar="FILE", help="Write JUnit XML for CI.", rich_help_panel=OUTPUT)] = None,
+    summary: Annotated[
+        Path | None,
+        given(
+            metavar="FILE",
+            help="Write a Markdown summary (default: GitHub's step summary, where there is one).",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
+    annotations: Annotated[
+        bool,
+        typer.Option(
+            "--annotations",
+            help="Print GitHub annotations on stderr (default on GitHub).",
+            rich_help_panel=OUTPUT,
+        ),
     ] = False,
     quiet: Quiet = False,
+    gates: Gates = None,
+    accept: Annotated[
+        list[int] | None,
+        given("--accept", metavar="CODE", help="Exit code that counts as done; repeatable.", rich_help_panel=CHECKS),
+    ] = None,
+    baseline: Annotated[
+        Path | None, given(metavar="DIR|FILE", help="Compare with an earlier batch.", rich_help_panel=CHECKS)
+    ] = None,
+    tolerances: Annotated[
+        list[str] | None,
+        given(
+            "--tolerance",
+            metavar="NAME=X[%]",
+            help="Allowed change of a metric against the baseline; repeatable.",
+            rich_help_panel=CHECKS,
+        ),
+    ] = None,
+    update_baseline: Annotated[
+        bool,
+        typer.Option("--update-baseline", help="Overwrite the baseline file with this batch.", rich_help_panel=CHECKS),
+    ] = False,
+    jobs: Jobs = None,
+    timeout: Annotated[
+        float | None, given(min=0.1, metavar="SECONDS", help="Time limit of a run.", rich_help_panel=RESOURCES)
+    ] = None,
+    memory_mb: Annotated[
+        int | None,
+        given("--memory-mb", min=1, metavar="MB", help="Memory limit of a run (Linux).", rich_help_panel=RESOURCES),
+    ] = None,
+    tries: Annotated[
+        int | None,
+        given(
+            min=1,
+            metavar="N",
+            help="Attempts if the process of a run is killed (default 3).",
+            rich_help_panel=RESOURCES,
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        given(
+            metavar="tcp://HOST:PORT|local",
+            help=r"Run on a Dask cluster (needs mavnav\[cluster]).",
+            rich_help_panel=RESOURCES,
+        ),
+    ] = None,
+    part: Annotated[
+        str | None,
+        given(metavar="I/N", help="Run part I of N; all parts share --output.", rich_help_panel=RESOURCES),
+    ] = None,
 ) -> None:
-    """Replay many logs with many settings; what fails fails alone, what was run before is not run again."""
+    """Replay many logs with many settings; a failed run does not stop the others, finished runs are reused."""
     if schema:
         _print_schema()
         return

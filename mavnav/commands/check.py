@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from mavnav.commands.gating import Gates, gates_of
+from mavnav.commands.options import Json
 from mavnav.commands.terminal import emit, note, printable
 from mavnav.errors import ExitCode, UsageError, worst
 
@@ -34,13 +35,13 @@ mavnav check runs/* --gate 'map.accepted_share>=0.95' --gate 'tracking.lost==fal
 def check(
     runs: Annotated[
         list[Path],
-        typer.Argument(metavar="RUN ...", help="Run directories, or of comparisons and batches.", show_default=False),
+        typer.Argument(metavar="RUN ...", help="Directories of runs, comparisons or batches.", show_default=False),
     ],
     *,
     gates: Gates = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the verdicts on stdout and nothing else.")] = False,
+    json: Json = False,
 ) -> None:
-    """Hold gates against finished runs; ends with the worst exit code of the runs and their gates."""
+    """Check finished runs against quality gates; exits with the worst code of the runs and their gates."""
     from mavnav.gates import check_known
 
     bounds = gates_of(gates)

@@ -11,7 +11,24 @@ from mavnav.commands.cell_progress import watching
 from mavnav.commands.comparison_table import print_comparison
 from mavnav.commands.gating import Gates, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
-from mavnav.commands.options import ConfigFile, End, Extrinsic, Odom, Online, Quiet, RunAgain, Sets, Start, Topic
+from mavnav.commands.options import (
+    OUTPUT,
+    SEARCH,
+    ConfigFile,
+    End,
+    Extrinsic,
+    Jobs,
+    Json,
+    Methods,
+    Odom,
+    Online,
+    Quiet,
+    RunAgain,
+    Sets,
+    Start,
+    Topic,
+    given,
+)
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.references import RelationsFile, Truth, TruthMap
 from mavnav.commands.replay import pose
@@ -37,57 +54,55 @@ mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.p95_c
 def compare(
     logs: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[LOG ...]", help="Logs; the sample corridor if none.", show_default=False),
+        typer.Argument(metavar="[LOG ...]", help="Logs (default: the sample corridor).", show_default=False),
     ] = None,
     *,
+    topic: Topic = None,
+    start: Start = None,
+    end: End = None,
+    odom: Odom = None,
+    extrinsic: Extrinsic = None,
+    methods: Methods = None,
     grids: Annotated[
         list[str] | None,
-        typer.Option(
+        given(
             "--grid",
             metavar="NxM",
-            help="A search grid; repeat it. One is compared with the default; 5x5, 10x10, 20x20 if none.",
-            show_default=False,
+            help="Search grid; repeatable. A single one is compared with 10x10 (default 5x5, 10x10, 20x20).",
+            rich_help_panel=SEARCH,
         ),
     ] = None,
     azimuths: Annotated[
         list[int] | None,
-        typer.Option(
+        given(
             "--azimuth",
-            help="Points of the azimuth grid: one for all grids, or one for each; by itself twice N, 40 at most.",
-            show_default=False,
+            metavar="N",
+            help="Yaw samples: one number for all grids, or one for each (default twice N, at most 40).",
+            rich_help_panel=SEARCH,
         ),
     ] = None,
-    methods: Annotated[
-        list[str] | None, typer.Option("--method", help="robust (default) or paper; repeat it.", show_default=False)
-    ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option("--jobs", "-j", min=1, help="Replays at a time; by itself one a processor.", show_default=False),
-    ] = None,
+    online: Online = False,
+    config: ConfigFile = None,
+    sets: Sets = None,
     directory: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Directory; runs/compare-LOG if not given.", show_default=False),
+        given(
+            "--output", "-o", metavar="DIR", help="Output directory (default runs/compare-LOG).", rich_help_panel=OUTPUT
+        ),
     ] = None,
+    force: RunAgain = False,
+    jobs: Jobs = None,
+    preview: Preview = False,
+    json: Json = False,
+    quiet: Quiet = False,
+    gates: Gates = None,
     truth: Truth = None,
     truth_map: TruthMap = None,
     relations: RelationsFile = None,
-    gates: Gates = None,
-    online: Online = False,
-    odom: Odom = None,
-    topic: Topic = None,
-    start: Start = None,
-    end: End = None,
-    extrinsic: Extrinsic = None,
-    config: ConfigFile = None,
-    sets: Sets = None,
-    preview: Preview = False,
-    force: RunAgain = False,
-    json: Annotated[bool, typer.Option("--json", help="Print comparison.json on stdout and nothing else.")] = False,
-    quiet: Quiet = False,
 ) -> None:
-    """Replay logs with several search grids and methods, and set the maps side by side, with their price.
+    """Replay logs with several search grids and methods and compare maps, metrics and cost.
 
-    A replay that was made before is not made again; one that fails takes no other along.
+    Finished replays are reused; a replay that fails does not stop the others.
     """
     from mavnav.jobs import usable_cores
 

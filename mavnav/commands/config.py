@@ -18,7 +18,9 @@ def show(
         str | None, typer.Argument(metavar="FILE", help="YAML file, or the name of a preset.", show_default=False)
     ] = None,
     sets: Sets = None,
-    method: Annotated[str | None, typer.Option(help="robust (default) or paper.", show_default=False)] = None,
+    method: Annotated[
+        str | None, typer.Option(metavar="robust|paper", help="SLAM method (default robust).", show_default=False)
+    ] = None,
 ) -> None:
     """Print the effective configuration as YAML, a comment for every value; it can be given to --config."""
     from mavnav.config_file import load_config, to_yaml

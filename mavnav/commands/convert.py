@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands.options import Quiet
+from mavnav.commands.options import Force, Json, LogFile, Quiet, Strict
 from mavnav.commands.progress import reporting
 from mavnav.commands.replay import print_table
 from mavnav.commands.terminal import emit, note_oddities
@@ -29,19 +29,15 @@ mavnav convert rosbag2_folder drive.mcap --strict --json | jq .left_out
 
 
 def convert(
-    log: Annotated[
-        Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False)
-    ],
+    log: LogFile,
     target: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="The file to write.", show_default=False)],
     *,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Leave out messages from where a checksum does not match.")
-    ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")] = False,
+    strict: Strict = False,
+    force: Force = False,
+    json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write what can be read of a log as a sound, indexed MCAP with ROS 2 messages."""
+    """Convert a log, as far as it can be read, to an indexed MCAP with ROS 2 messages."""
     from mavnav.logs.convert import convert as write
 
     with reporting(quiet=quiet) as report:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mavnav.commands.options import CHECKS
 from mavnav.commands.terminal import note
 from mavnav.errors import ExitCode, worst
 
@@ -14,7 +15,13 @@ if TYPE_CHECKING:
 
 Gates = Annotated[
     list[str] | None,
-    typer.Option("--gate", metavar="NAME<=X", help="What must hold of run.json; repeat it.", show_default=False),
+    typer.Option(
+        "--gate",
+        metavar="'NAME<=X'",
+        help="Exit with code 1 unless this holds of run.json, e.g. 'wall_thickness.2.p95_mm<=120'; repeatable.",
+        show_default=False,
+        rich_help_panel=CHECKS,
+    ),
 ]
 
 

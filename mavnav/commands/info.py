@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import asdict
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from mavnav.commands.options import Quiet, Strict
+from mavnav.commands.options import Json, LogFile, Quiet, Strict, Topic
 from mavnav.commands.progress import reporting
 from mavnav.commands.replay import print_table
 from mavnav.commands.terminal import LISTED, emit, note_oddities
@@ -33,13 +32,11 @@ mavnav info drive.bag --json | jq .scans
 
 
 def info(
-    log: Annotated[
-        Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False)
-    ],
+    log: LogFile,
     *,
-    topic: Annotated[str | None, typer.Option(help="This scan topic alone.", show_default=False)] = None,
+    topic: Topic = None,
     strict: Strict = False,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else.")] = False,
+    json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Examine a log: topics, sensor, scans, rate, validity of ranges, odometry, and everything that is damaged."""

@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
+from mavnav.commands.options import OUTPUT
 from mavnav.commands.terminal import can_print, printable
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-Preview = Annotated[bool, typer.Option("--preview", help="Show the map as text, on stderr with --json.")]
+Preview = Annotated[
+    bool, typer.Option("--preview", help="Print the map as text (on stderr with --json).", rich_help_panel=OUTPUT)
+]
 
 
 def show_preview(directory: Path, title: str = "", *, stderr: bool = False) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from mavnav.commands.options import Quiet
+from mavnav.commands.options import Json, Quiet
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows
 from mavnav.commands.references import RelationsFile, Truth, TruthMap
@@ -30,13 +30,15 @@ mavnav metrics map.yaml --truth-map corridor.yaml
 def metrics(
     paths: Annotated[
         list[Path],
-        typer.Argument(metavar="RUN|MAP.yaml ...", help="Run directories, or map_server maps.", show_default=False),
+        typer.Argument(
+            metavar="RUN|MAP.yaml ...", help="Run directories, or map_server maps (YAML).", show_default=False
+        ),
     ],
     *,
     truth: Truth = None,
     truth_map: TruthMap = None,
     relations: RelationsFile = None,
-    json: Annotated[bool, typer.Option("--json", help="Print one object on stdout and nothing else.")] = False,
+    json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Measure maps: wall thickness, ghost walls, crispness, support, errors against a reference."""

@@ -5,21 +5,27 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from mavnav.commands.options import CHECKS, given
 
 Truth = Annotated[
     Path | None,
-    typer.Option("--truth", metavar="FILE.tum", help="True trajectory of the laser: ATE and RPE.", show_default=False),
+    given("--truth", metavar="FILE.tum", help="Ground-truth laser trajectory: ATE and RPE.", rich_help_panel=CHECKS),
 ]
 TruthMap = Annotated[
     Path | None,
-    typer.Option(
-        "--truth-map", metavar="FILE.yaml", help="True map: a scenario, or a map_server map.", show_default=False
+    given(
+        "--truth-map",
+        metavar="FILE.yaml",
+        help="Ground-truth map: a scenario, or a map_server map.",
+        rich_help_panel=CHECKS,
     ),
 ]
 RelationsFile = Annotated[
     Path | None,
-    typer.Option(
-        "--relations", metavar="FILE", help="True motions, t1 t2 x y z roll pitch yaw a line.", show_default=False
+    given(
+        "--relations",
+        metavar="FILE",
+        help="Ground-truth relations, one 't1 t2 x y z roll pitch yaw' a line.",
+        rich_help_panel=CHECKS,
     ),
 ]

@@ -12,7 +12,28 @@ import typer
 from mavnav.commands import signals
 from mavnav.commands.gating import Gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
-from mavnav.commands.options import ConfigFile, End, Extrinsic, Odom, Online, Quiet, Sets, Start, Strict, Topic
+from mavnav.commands.options import (
+    OUTPUT,
+    SEARCH,
+    Azimuth,
+    ConfigFile,
+    End,
+    Extrinsic,
+    Force,
+    Grid,
+    Json,
+    LogFile,
+    Method,
+    Odom,
+    Online,
+    Quiet,
+    Report,
+    Sets,
+    Start,
+    Strict,
+    Topic,
+    given,
+)
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.quality_rows import quality_rows, reference_rows
 from mavnav.commands.references import RelationsFile, Truth, TruthMap
@@ -42,65 +63,73 @@ mavnav replay drive.mcap --set robust.cell_mm=25 --json | jq .wall_thickness
 
 
 def replay(
-    log: Annotated[
-        Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False)
-    ],
+    log: LogFile,
     *,
-    directory: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Run directory; runs/LOG-METHOD-GRID if not given.", show_default=False),
-    ] = None,
-    method: Annotated[str | None, typer.Option(help="robust (default) or paper.", show_default=False)] = None,
-    grid: Annotated[
-        str | None, typer.Option(metavar="NxM", help="Points of the search grid in the plane.", show_default=False)
-    ] = None,
-    azimuth: Annotated[int | None, typer.Option(help="Points of the azimuth grid.", show_default=False)] = None,
-    online: Online = False,
-    search: Annotated[
-        str | None,
-        typer.Option(metavar="pruned|exhaustive", help="Exhaustive: slower, the same minimum.", show_default=False),
-    ] = None,
-    odom: Odom = None,
-    deskew: Annotated[
-        str | None,
-        typer.Option(metavar="auto|on|off", help="Undo the motion of a sweep (robust).", show_default=False),
-    ] = None,
-    loop_closure: Annotated[
-        str | None,
-        typer.Option(
-            metavar="auto|off", help="Correct the way where it came back (never on line).", show_default=False
-        ),
-    ] = None,
     topic: Topic = None,
     start: Start = None,
     end: End = None,
+    odom: Odom = None,
     extrinsic: Extrinsic = None,
-    config: ConfigFile = None,
-    sets: Sets = None,
+    strict: Strict = False,
+    method: Method = None,
+    grid: Grid = None,
+    azimuth: Azimuth = None,
+    search: Annotated[
+        str | None,
+        given(
+            metavar="pruned|exhaustive",
+            help="Exhaustive evaluates every pose of the grid: slower, same result.",
+            rich_help_panel=SEARCH,
+        ),
+    ] = None,
+    deskew: Annotated[
+        str | None,
+        given(
+            metavar="auto|on|off", help="Correct scans for motion during the sweep (robust).", rich_help_panel=SEARCH
+        ),
+    ] = None,
+    loop_closure: Annotated[
+        str | None,
+        given(metavar="auto|off", help="Detect and close loops (ignored with --online).", rich_help_panel=SEARCH),
+    ] = None,
+    online: Online = False,
     known: Annotated[
         Path | None,
-        typer.Option(
+        given(
             "--map",
             metavar="MAP",
-            help="Localise in a map_server YAML file or a run; no map is made.",
-            show_default=False,
+            help="Localize in this map (YAML or run) instead of mapping.",
+            rich_help_panel=SEARCH,
         ),
     ] = None,
     start_pose: Annotated[
         str | None,
-        typer.Option(metavar="X,Y,YAW", help="About where in it the laser begins, m, m, rad.", show_default=False),
+        given(metavar="X,Y,YAW", help="Approximate first pose in the map (m, m, rad).", rich_help_panel=SEARCH),
     ] = None,
+    config: ConfigFile = None,
+    sets: Sets = None,
+    directory: Annotated[
+        Path | None,
+        given(
+            "--output",
+            "-o",
+            metavar="DIR",
+            help="Run directory (default runs/LOG-METHOD-GRID).",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
+    force: Force = False,
+    report: Report = False,
+    preview: Preview = False,
+    profile: Annotated[
+        bool, typer.Option("--profile", help="Print the time of each stage.", rich_help_panel=OUTPUT)
+    ] = False,
+    json: Json = False,
+    quiet: Quiet = False,
+    gates: Gates = None,
     truth: Truth = None,
     truth_map: TruthMap = None,
     relations: RelationsFile = None,
-    gates: Gates = None,
-    preview: Preview = False,
-    report: Annotated[bool, typer.Option("--report", help="Leave the run as one page too, report.html.")] = False,
-    strict: Strict = False,
-    profile: Annotated[bool, typer.Option("--profile", help="Tell the seconds by stage.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace the run directory if it exists.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print run.json on stdout and nothing else.")] = False,
-    quiet: Quiet = False,
 ) -> None:
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
     options = {"method": method, "grid": grid, "azimuth": azimuth, "search": search, "odom": odom}

@@ -10,7 +10,20 @@ import typer
 
 from mavnav.commands.gating import Gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
-from mavnav.commands.options import ConfigFile, Quiet, Sets
+from mavnav.commands.options import (
+    INPUT,
+    OUTPUT,
+    Azimuth,
+    ConfigFile,
+    Force,
+    Grid,
+    Json,
+    Method,
+    Quiet,
+    Report,
+    Sets,
+    given,
+)
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.replay import page_row, print_table, wall_rows
 from mavnav.commands.terminal import emit, note
@@ -42,37 +55,43 @@ def simulate(
         str | None, typer.Argument(metavar="SCENARIO", help="YAML file, or a shipped scenario.", show_default=False)
     ] = None,
     *,
-    directory: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Run directory; runs/SCENARIO-METHOD-GRID by itself.", show_default=False),
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of all random numbers.", show_default=False)] = None,
-    method: Annotated[str | None, typer.Option(help="robust or paper.", show_default=False)] = None,
-    grid: Annotated[
-        str | None, typer.Option(metavar="NxM", help="Points of the search grid in the plane.", show_default=False)
-    ] = None,
-    azimuth: Annotated[int | None, typer.Option(help="Points of the azimuth grid.", show_default=False)] = None,
+    seed: Annotated[int | None, given(metavar="N", help="Seed of all random numbers.", rich_help_panel=INPUT)] = None,
     planner: Annotated[
         str | None,
-        typer.Option(help="wavefront, field, wall_following or virtual_obstacles.", show_default=False),
+        given(metavar="NAME", help="wavefront, field, wall_following or virtual_obstacles.", rich_help_panel=INPUT),
+    ] = None,
+    list_: Annotated[bool, typer.Option("--list", help="List the shipped scenarios.", rich_help_panel=INPUT)] = False,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON Schema of scenario files.", rich_help_panel=INPUT)
+    ] = False,
+    method: Method = None,
+    grid: Grid = None,
+    azimuth: Azimuth = None,
+    config: ConfigFile = None,
+    sets: Sets = None,
+    directory: Annotated[
+        Path | None,
+        given(
+            "--output",
+            "-o",
+            metavar="DIR",
+            help="Run directory (default runs/SCENARIO-METHOD-GRID).",
+            rich_help_panel=OUTPUT,
+        ),
     ] = None,
     record: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Record the mission: .mcap, .bag, or a ROS 2 folder.", show_default=False),
+        given(metavar="FILE", help="Record the mission: .mcap, .bag, or a ROS 2 folder.", rich_help_panel=OUTPUT),
     ] = None,
     animate: Annotated[
-        Path | None, typer.Option(metavar="FILE.gif", help="Leave an animation too.", show_default=False)
+        Path | None, given(metavar="FILE.gif", help="Also write an animation.", rich_help_panel=OUTPUT)
     ] = None,
-    config: ConfigFile = None,
-    sets: Sets = None,
-    gates: Gates = None,
+    force: Force = False,
+    report: Report = False,
     preview: Preview = False,
-    list_: Annotated[bool, typer.Option("--list", help="Show the shipped scenarios.")] = False,
-    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON Schema of scenario files.")] = False,
-    report: Annotated[bool, typer.Option("--report", help="Leave the run as one page too, report.html.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace what exists.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print run.json on stdout and nothing else.")] = False,
+    json: Json = False,
     quiet: Quiet = False,
+    gates: Gates = None,
 ) -> None:
     """Fly a mission in closed loop: laser, scan matching, map, planner, noisy vehicle."""
     if list_ or schema:

@@ -8,7 +8,7 @@ EPILOG = "The result is kept beside the package, or in NUMBA_CACHE_DIR; later ru
 
 
 def warmup() -> None:
-    """Compile all kernels for this machine and keep them on disk; takes a minute after an install, then nothing."""
+    """Compile all kernels into the disk cache: about a minute after installation, nothing afterwards."""
     from importlib import import_module
     from pkgutil import iter_modules
     from time import perf_counter
