@@ -89,14 +89,14 @@ class PaperConfig(Strict):
         "rest", description="without commands the laser is expected at rest, or moving on as before"
     )
     window_mm: float = Field(200.0, gt=0, description="half-width of the first search in the plane")
-    window_deg: float = Field(15.0, gt=0, description="half-width of the first azimuth search")
+    window_deg: float = Field(15.0, gt=0, description="half-width of the first yaw search")
     pivot: Literal["centroid", "laser"] = Field("centroid", description="the search turns the scan about this point")
     shrink: float = Field(0.3, gt=0, lt=1, description="narrowing of the search from iteration to iteration")
     leave_no_gaps: bool = Field(True, description="narrow no further than to the grid's spacing")
     stop_mm: float = Field(0.01, gt=0, description="convergence in the plane")
-    stop_deg: float = Field(0.01, gt=0, description="convergence in azimuth")
+    stop_deg: float = Field(0.01, gt=0, description="convergence in yaw")
     converged: Literal["both", "either"] = Field(
-        "both", description="the search ends once both plane and azimuth have converged, or either"
+        "both", description="end the search once both plane and yaw have converged, or either"
     )
     extend_border: bool = Field(True, description="move the search when the minimum lies on its border")
     max_extensions: int = Field(5, ge=0, description="border extensions an iteration at most")
@@ -121,54 +121,63 @@ class RobustConfig(Strict):
     near_mm: float = Field(100.0, ge=0, description="nearer returns are not used")
     far_mm: float = Field(30000.0, gt=0, description="farther returns are not used")
     deskew: Literal["auto", "on", "off"] = Field(
-        "auto", description="undo the laser's motion during a sweep; auto finds out in which order the beams were fired"
+        "auto", description="correct scans for motion during the sweep; auto detects the beam order"
     )
     voxel_mm: float = Field(30.0, gt=0, description="points are averaged in voxels of this size before matching")
     line_sigma_mm: float = Field(60.0, gt=0, description="Gaussian window of the local line fit")
     line_noise_mm: float = Field(10.0, gt=0, description="noise floor of the local line fit")
     waiting_share: float = Field(
-        0.2, ge=0, description="new points of a cell change the lines once they exceed this share of the old ones"
+        0.2, ge=0, description="refit the lines of a cell once its new points exceed this share of the old ones"
     )
     truncate_mm: float = Field(150.0, gt=0, description="distances are capped here")
     near_window_mm: float = Field(
-        50.0, ge=0, description="half-width of the search about the prediction that often suffices; 0 leaves it out"
+        50.0, ge=0, description="half-width of the first search around the prediction; 0 skips it"
     )
-    near_window_deg: float = Field(5.0, gt=0, description="half-width of that search in azimuth")
+    near_window_deg: float = Field(5.0, gt=0, description="half-width of that search in yaw")
     window_mm: float = Field(
-        350.0, gt=0, description="from the prediction, how far a search looks that nearer did not convince"
+        350.0, gt=0, description="half-width of the second search, made where the first is not accepted"
     )
-    window_deg: float = Field(20.0, gt=0, description="how far that search looks in azimuth")
+    window_deg: float = Field(20.0, gt=0, description="half-width of that search in yaw")
     final_window_mm: float = Field(50.0, gt=0, description="half-width of the final pass in the plane")
-    final_window_deg: float = Field(3.0, gt=0, description="half-width of the final pass in azimuth")
+    final_window_deg: float = Field(3.0, gt=0, description="half-width of the final pass in yaw")
     final_truncate_mm: float = Field(50.0, gt=0, description="distances are capped here in the final pass")
-    stop_mm: float = Field(1.3, gt=0, description="search ends at this spacing in the plane, the final pass at half")
-    stop_deg: float = Field(0.02, gt=0, description="search ends at this spacing in azimuth, the final pass at half")
+    stop_mm: float = Field(
+        1.3, gt=0, description="search ends at this spacing in the plane, the final pass at half of it"
+    )
+    stop_deg: float = Field(0.02, gt=0, description="search ends at this yaw spacing, the final pass at half of it")
     max_extensions: int = Field(3, ge=0, description="border extensions a level at most")
     hold_below_mm: float = Field(
         51.0,
         ge=0,
-        description="levels from here down keep each point's line while azimuth and plane are searched jointly",
+        description="levels of this half-width or less keep correspondences fixed and search yaw and plane jointly",
     )
     overlap_mm: float = Field(
         120.0,
         ge=0,
-        description="within a cell only points this near to an occupied cell decide: others are on new ground; 0: all",
+        description="levels within a cell use only points this close to an occupied cell; 0: all points",
     )
-    overlap_points: float = Field(8.0, ge=0, description="and only if the line there rests on so many points")
-    prior: float = Field(0.01, ge=0, description="cost of a squared metre away from what odometry predicts")
-    first_level_points: int = Field(
-        100, ge=10, description="points that search until it is settled which of them decide"
+    overlap_points: float = Field(
+        8.0, ge=0, description="and only if the line there was fitted to at least this many points"
     )
-    sparse_points: int = Field(225, ge=0, description="scans of fewer points hold no lines on levels within a cell")
+    prior: float = Field(
+        0.01, ge=0, description="motion-prior cost of a squared meter of distance from the odometry prediction"
+    )
+    first_level_points: int = Field(100, ge=10, description="sample of points used on the first levels")
+    sparse_points: int = Field(
+        225, ge=0, description="scans with fewer points do not use fixed correspondences on levels within a cell"
+    )
     min_points: int = Field(30, ge=3, description="scans with fewer points are not matched")
     retry_below: float = Field(0.8, ge=0, le=1, description="search wider under this share of inliers")
     conflicts_below: float = Field(
-        0.15, ge=0, le=1, description="share of points in the open or behind walls that is not believed"
+        0.15,
+        ge=0,
+        le=1,
+        description="reject a match with this share of visibility conflicts (points in free space or behind walls)",
     )
-    track_above: float = Field(0.6, ge=0, le=1, description="a match is believed at this share of inliers")
-    regain_above: float = Field(0.7, ge=0, le=1, description="a match is believed after a gap at this share of inliers")
-    max_speed_m_s: float = Field(3.0, gt=0, description="faster motion is not believed")
-    max_turn_deg_s: float = Field(300.0, gt=0, description="faster turning is not believed")
+    track_above: float = Field(0.6, ge=0, le=1, description="accept a match at this share of inliers")
+    regain_above: float = Field(0.7, ge=0, le=1, description="accept a match after a gap at this share of inliers")
+    max_speed_m_s: float = Field(3.0, gt=0, description="reject faster motion")
+    max_turn_deg_s: float = Field(300.0, gt=0, description="reject faster turns")
 
 
 class Config(Strict):
@@ -176,17 +185,13 @@ class Config(Strict):
 
     method: MethodName = "robust"
     grid: GridSize = GridSize()
-    azimuth: int = Field(20, ge=2, le=2000, description="points of the azimuth grid")
-    odom: str = Field("auto", description="odometry as prediction: auto, off, or a topic")
+    azimuth: int = Field(20, ge=2, le=2000, description="yaw samples of the search")
+    odom: str = Field("auto", description="odometry used as motion prior: auto, off, or a topic")
     search: Literal["pruned", "exhaustive"] = Field(
-        "pruned", description="exhaustive evaluates every point of every grid, to the same minimum"
+        "pruned", description="exhaustive evaluates every pose of every grid and finds the same minimum"
     )
-    final_pass: bool = Field(
-        True, description="look back once all is tracked: each scan is matched once more against the finished map"
-    )
-    loop_closure: Literal["auto", "off"] = Field(
-        "auto", description="correct the way between places that the laser came back to (with the final pass)"
-    )
+    final_pass: bool = Field(True, description="match every scan once more against the finished map")
+    loop_closure: Literal["auto", "off"] = Field("auto", description="detect and close loops (with the final pass)")
     paper: PaperConfig = PaperConfig()
     robust: RobustConfig = RobustConfig()
 

@@ -38,24 +38,26 @@ class Start(Strict):
 class LaserConfig(Strict):
     """A sensor by name, changes to its geometry, and its errors; the defaults are what the paper measured."""
 
-    preset: LaserName = Field("urg-04lx", description="sensor to begin with; the paper's is urg-04lx")
+    preset: LaserName = Field("urg-04lx", description="sensor preset; the paper's is urg-04lx")
     field_of_view_deg: float | None = Field(None, gt=0, le=360, description="angle from first to last beam, or null")
     step_deg: float | None = Field(None, ge=0.05, le=90, description="angle between two beams, or null")
     range_min_mm: float | None = Field(None, ge=0, description="nearest range, or null for the preset's")
     range_max_mm: float | None = Field(None, gt=0, description="farthest range, or null for the preset's")
     period_ms: float | None = Field(None, ge=1, description="time from scan to scan, or null for the preset's")
     noise_percent: float = Field(1.5, ge=0, le=50, description="standard deviation of a range, of the distance")
-    bias_percent: float = Field(0.0, ge=0, le=50, description="largest factor that all ranges of a run are off by")
-    mixed_pixel_share: float = Field(0.3, ge=0, le=1, description="beams at an edge that fall between near and far")
-    min_reading_share: float = Field(0.002, ge=0, le=0.5, description="beams that read the least range: no return")
-    max_reading_share: float = Field(0.002, ge=0, le=0.5, description="beams that read the greatest range: no return")
+    bias_percent: float = Field(0.0, ge=0, le=50, description="largest scale error of all ranges of a run")
+    mixed_pixel_share: float = Field(
+        0.3, ge=0, le=1, description="share of the beams at an edge that read between near and far"
+    )
+    min_reading_share: float = Field(0.002, ge=0, le=0.5, description="share of beams that read the minimum range")
+    max_reading_share: float = Field(0.002, ge=0, le=0.5, description="share of beams that read the maximum range")
     incidence_max_deg: float | None = Field(
-        60.0, gt=0, le=90, description="no return beyond this angle to the normal; null: always"
+        60.0, gt=0, le=90, description="no return at larger angles to the wall's normal; null: always a return"
     )
     incidence_ramp_deg: float = Field(
-        10.0, ge=0, le=90, description="returns grow fewer over so many degrees before it"
+        10.0, ge=0, le=90, description="returns become rarer over this many degrees before it"
     )
-    moving: bool = Field(False, description="every beam at its own time while the vehicle moves")
+    moving: bool = Field(False, description="every beam is measured at its own time while the vehicle moves")
 
     @property
     def spec(self) -> LaserSpec:
@@ -84,7 +86,7 @@ class LaserConfig(Strict):
 class VehicleConfig(Strict):
     """The vehicle: how large it is, where its laser sits, and how badly it does what it is told."""
 
-    radius_mm: float = Field(150.0, gt=0, description="nearer to a wall is a collision")
+    radius_mm: float = Field(150.0, gt=0, description="closer to a wall is a collision")
     noise_xy_mm: float = Field(20.0, ge=0, description="standard deviation of a step in x and in y")
     noise_yaw_deg: float = Field(5.0, ge=0, description="standard deviation of a step in azimuth")
     command_ms: float = Field(
@@ -107,7 +109,7 @@ class Scenario(Strict):
     """Everything that decides a mission besides mavnav's version."""
 
     name: str = Field("", description="name of the mission; that of the file where it is not given")
-    about: str = Field("", description="what the scenario is for, in a line")
+    about: str = Field("", description="one line about the scenario")
     walls: tuple[Wall, ...] = Field(
         description="shapes: polyline, box, circle or arc", json_schema_extra={"minItems": 1}
     )
@@ -117,7 +119,7 @@ class Scenario(Strict):
     via_m: tuple[XY, ...] = Field((), description="positions to visit before the goal, in order, [[x, y], ...]")
     goal_radius_mm: float = Field(250.0, gt=0, description="the goal is reached within this distance")
     max_steps: int = Field(500, ge=1, le=100_000, description="commands after which the mission is given up")
-    seed: int = Field(0, ge=0, le=2**63, description="every random number follows from it")
+    seed: int = Field(0, ge=0, le=2**63, description="seed of all random numbers")
     laser: LaserConfig = Field(LaserConfig(), description="sensor: its name, or a section")
     vehicle: VehicleConfig = Field(VehicleConfig(), description="vehicle")
     recovery: RecoveryConfig = Field(RecoveryConfig(), description="what happens after a rejected scan")
