@@ -13,7 +13,7 @@ from mavnav.kernels import hits as hits_kernel
 from mavnav.kernels import passing
 from mavnav.kernels.points import extent
 from mavnav.lattice import NO_ROOM, WIDE, bands, blank_strips, covering, in_strips, moved, plain, room, within
-from mavnav.stages import timed
+from mavnav.profiling import timed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,7 +12,7 @@ from mavnav.kernels.linemap import FAR, NEAR, REACH_CELLS, insert_points, rebuil
 from mavnav.kernels.points import extent
 from mavnav.lattice import NO_ROOM, covering, moved, room, within
 from mavnav.memory import blank
-from mavnav.stages import timed
+from mavnav.profiling import timed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -19,8 +19,8 @@ from mavnav.linemap import LineMap
 from mavnav.matcher import Schedule, search_lines
 from mavnav.pose import Pose, Trajectory, blend, transform_points, wrap_angle
 from mavnav.pose_graph import Edge, optimised
+from mavnav.profiling import timed
 from mavnav.relocalise import apart, around, candidates, firmness, judged, unrivalled
-from mavnav.stages import timed
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import numpy as np
 
 from mavnav.kernels import linesearch
 from mavnav.pose import Pose, wrap_angle
-from mavnav.stages import timed
+from mavnav.profiling import timed
 from mavnav.units import DEG, MM, MM2
 
 if TYPE_CHECKING:

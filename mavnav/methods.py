@@ -25,8 +25,8 @@ from mavnav.matcher import (
 )
 from mavnav.motion import LONGEST_S
 from mavnav.pose import Pose, transform_points
+from mavnav.profiling import timed
 from mavnav.relocalise import around, best_of, candidates, everywhere, judged, within_reach
-from mavnav.stages import timed
 from mavnav.units import DEG, MM, MM2
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from mavnav.kernels.volume import volume
 from mavnav.lattice import bands, plain
 from mavnav.matcher import Match, Schedule, search_lines, with_effort
 from mavnav.pose import Pose, wrap_angle
-from mavnav.stages import timed
+from mavnav.profiling import timed
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:

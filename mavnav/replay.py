@@ -21,8 +21,8 @@ from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import sections_by_hits
 from mavnav.outputs import Run, Timing, check_directory, write_run
 from mavnav.outputs.gridmap import measured_part
+from mavnav.profiling import account, timed
 from mavnav.references import check_times, compared, load_references, occupied_xy_m, read_map
-from mavnav.stages import account, timed
 from mavnav.units import DEG
 
 if TYPE_CHECKING:

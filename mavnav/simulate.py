@@ -20,9 +20,9 @@ from mavnav.outputs import Run, Timing, check_directory, write_run
 from mavnav.outputs.animation import animate, check_animation
 from mavnav.outputs.run import Mission, Truth
 from mavnav.pose import Pose
+from mavnav.profiling import account
 from mavnav.references import LEAST_POSES, References, compared, occupied_xy_m, of_scenario
 from mavnav.replay import Progress, measured_quality, measured_sections
-from mavnav.stages import account
 from mavnav.units import DEG
 from mavnav.world.laser import EDGE_M
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.steadying import smooth
-from mavnav.stages import timed
+from mavnav.profiling import timed
 from mavnav.steps import jumps, tracked_way
 from mavnav.units import NS
 

@@ -17,7 +17,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "mavnav"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-GROUND = {"errors", "units", "pose", "scan", "config", "memory", "staging", "stages"}
+GROUND = {"errors", "units", "pose", "scan", "config", "memory", "atomic_files", "profiling"}
 CORE = {"lattice", "grid", "linemap", "matcher", "relocalise", "motion", "belief", "firing", "methods", "slam"} | {
     "steps",
     "pose_graph",
@@ -37,8 +37,8 @@ ALLOWED: dict[str, set[str]] = {
     "pose": set(),
     "scan": set(),
     "memory": set(),
-    "staging": set(),
-    "stages": set(),
+    "atomic_files": set(),
+    "profiling": set(),
     "config": {"errors", "units"},
     "gates": {"errors"},
     "figures": {"errors", "gates"},

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
 
+from mavnav.atomic_files import discard
 from mavnav.batch.baseline import missing, write_baseline
 from mavnav.batch.cases import Case, make_cases
 from mavnav.batch.document import batch_document, batch_row, judged
@@ -22,7 +23,6 @@ from mavnav.gates import check_names
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs, run_with_retries
 from mavnav.outputs import REPORT_FILE
 from mavnav.outputs.blank import blank_document
-from mavnav.staging import discard
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from mavnav.atomic_files import discard
 from mavnav.cells import REFERENCES, Cell, check_home, earlier, make_cells, replay_cell
 from mavnav.compare.document import NO_PRICE, comparison
 from mavnav.compare.files import COMPARISON_FILE, write_comparison
@@ -23,7 +24,6 @@ from mavnav.outputs import REPORT_FILE, write_page
 from mavnav.outputs.blank import blank_document
 from mavnav.outputs.document import plain
 from mavnav.replay import log_name
-from mavnav.staging import discard
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

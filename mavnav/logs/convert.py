@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from mavnav.atomic_files import beside
 from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.logs import formats, ros
 from mavnav.logs.decode import decoder
@@ -16,7 +17,6 @@ from mavnav.logs.mcap_writer import Channel as Written
 from mavnav.logs.messages import DecodeError
 from mavnav.logs.records import Channel, Damage, RawMessage, Schema, Topic
 from mavnav.logs.unpack import UnpackError, unpack_message
-from mavnav.staging import beside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -19,8 +19,8 @@ from mavnav.logs.stamps import KEPT_BYTES, StampSource, Timeline, period_and_gap
 from mavnav.logs.survey import Survey, survey
 from mavnav.memory import trim
 from mavnav.pose import Pose
+from mavnav.profiling import Stage, each
 from mavnav.scan import LaserSpec, Scan
-from mavnav.stages import Stage, each
 from mavnav.units import NS
 
 if TYPE_CHECKING:

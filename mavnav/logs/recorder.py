@@ -21,13 +21,13 @@ from heapq import merge
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
+from mavnav.atomic_files import beside
 from mavnav.errors import OutputError, UsageError
 from mavnav.logs import definitions, ros
 from mavnav.logs.containers import CONTAINERS
 from mavnav.logs.mcap_writer import Channel
 from mavnav.logs.rosbag2 import METADATA
 from mavnav.pose import Pose
-from mavnav.staging import beside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -20,7 +20,7 @@ from mavnav.logs.records import Channel, Damage, RawMessage, Topic
 from mavnav.logs.rosbag2 import METADATA
 from mavnav.logs.source import Source
 from mavnav.logs.stamps import TopicScans
-from mavnav.stages import timed
+from mavnav.profiling import timed
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,6 +10,7 @@ from hashlib import file_digest, sha256
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
+from mavnav.atomic_files import sync
 from mavnav.memory import give_back
 from mavnav.outputs.directory import RUN_FILE, check_directory, staged
 from mavnav.outputs.document import plain, run_document, to_json, write_metrics
@@ -23,8 +24,7 @@ from mavnav.outputs.trajectory import (
     write_truth_tum,
     write_tum,
 )
-from mavnav.stages import Stage
-from mavnav.staging import sync
+from mavnav.profiling import Stage
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -6,15 +6,15 @@ import time
 
 import pytest
 
-from mavnav import stages
-from mavnav.stages import OTHER, Stage, account, each, timed
+from mavnav import profiling
+from mavnav.profiling import OTHER, Stage, account, each, timed
 
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """A clock that tells, and advances by, what a test says."""
     now = [100.0]
-    monkeypatch.setattr(stages, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(profiling, "perf_counter", lambda: now[0])
     return now
 
 

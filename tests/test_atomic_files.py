@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mavnav import staging
-from mavnav.staging import beside
+from mavnav import atomic_files
+from mavnav.atomic_files import beside
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 WRITE = """
 import sys, time
 from pathlib import Path
-from mavnav.staging import beside
+from mavnav.atomic_files import beside
 with beside(Path(sys.argv[1])) as partial:
     partial.mkdir()
     (partial / "new").write_bytes(b"x" * int(sys.argv[2]))
@@ -77,7 +77,7 @@ def test_two_processes_that_write_the_same_do_not_touch_each_other(old: Path) ->
 @pytest.mark.parametrize("exchange", [True, False])
 def test_a_folder_takes_the_place_of_another(old: Path, exchange: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     if not exchange:
-        monkeypatch.setattr(staging, "_swapped", lambda one, other: False)
+        monkeypatch.setattr(atomic_files, "_swapped", lambda one, other: False)
     with beside(old) as partial:
         partial.mkdir()
         (partial / "new").touch()
@@ -89,7 +89,7 @@ def test_a_folder_takes_the_place_of_another(old: Path, exchange: bool, monkeypa
 def test_two_folders_swap_their_names_at_once(old: Path) -> None:
     new = old.with_name("new")
     new.mkdir()
-    assert staging._swapped(new, old)
+    assert atomic_files._swapped(new, old)
     assert (names(new), names(old)) == ({"old"}, set())
 
 
@@ -144,7 +144,7 @@ def test_a_folder_without_permission_is_an_oserror(tmp_path: Path) -> None:
 
 def test_every_file_is_brought_to_the_disk_before_the_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: list[str] = []
-    monkeypatch.setattr(staging, "sync", lambda path: synced.append(Path(path).name))
+    monkeypatch.setattr(atomic_files, "sync", lambda path: synced.append(Path(path).name))
     with beside(tmp_path / "run") as partial:
         (partial / "sub").mkdir(parents=True)
         (partial / "sub" / "file").touch()
