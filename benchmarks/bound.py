@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from mavnav import slam
-from mavnav.config_file import load_config
+from mavnav.config.loading import load_config
 from mavnav.kernels import linesearch
 from mavnav.logs import open_log
 from mavnav.methods import Robust

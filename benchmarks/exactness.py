@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from matches import GRIDS, LASERS, differences, polar_problem, random_problem
 
 from mavnav import kernels, matcher, slam
-from mavnav.config_file import load_config
+from mavnav.config.loading import load_config
 from mavnav.kernels import linesearch, polarsearch
 from mavnav.logs import open_log
 

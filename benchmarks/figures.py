@@ -21,7 +21,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.transforms import Affine2D
 
 from mavnav import slam
-from mavnav.config_file import load_config
+from mavnav.config.loading import load_config
 from mavnav.flight import Flight, fly
 from mavnav.logs import open_log
 from mavnav.metrics.map_distance import map_distance

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from synthetic import box, polyline, scan_at
 
 from mavnav import slam
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
 

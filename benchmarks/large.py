@@ -20,7 +20,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from numba import njit
 
-from mavnav.config_file import load_config
+from mavnav.config.loading import load_config
 from mavnav.logs import cdr, definitions
 from mavnav.methods import load_kernels
 from mavnav.pose import Pose

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavnav import slam
-from mavnav.config_file import load_config
+from mavnav.config.loading import load_config
 from mavnav.flight import End, fly
 from mavnav.logs import open_log
 from mavnav.metrics.wall_thickness import wall_thickness

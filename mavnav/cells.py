@@ -21,7 +21,7 @@ from mavnav.references import References, load_references
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from mavnav.config import Config
+    from mavnav.config.models import Config
     from mavnav.jobs import Outcome, Report
 
 SECTIONS: Final = (

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from mavnav.config import Config
+    from mavnav.config.models import Config
     from mavnav.known_map import KnownMap
     from mavnav.matcher import Match
     from mavnav.motion import Motion

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.config import Config
+    from mavnav.config.models import Config
     from mavnav.matcher import Match
 
     Points = NDArray[np.float64]

@@ -16,7 +16,7 @@ from mavnav.units import DEG, MM, MM2
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.config import Config, GridSize
+    from mavnav.config.models import Config, GridSize
     from mavnav.linemap import LineMap
     from mavnav.scan import LaserSpec
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.config import Config
+    from mavnav.config.models import Config
     from mavnav.motion import Motion
     from mavnav.scan import LaserSpec, Scan
 

@@ -20,8 +20,8 @@ from mavnav.units import DEG, MM
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mavnav.config.planner import PlannerConfig
     from mavnav.grid import Tally
-    from mavnav.planner_config import PlannerConfig
     from mavnav.pose import Pose
     from mavnav.techniques import XY
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.config import Config
+    from mavnav.config.models import Config
     from mavnav.methods import Method
     from mavnav.motion import Motion
     from mavnav.pose import Trajectory

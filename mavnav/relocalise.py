@@ -19,7 +19,7 @@ from mavnav.units import DEG, MM
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.config import Config
+    from mavnav.config.models import Config
     from mavnav.grid import Tally
     from mavnav.linemap import LineMap
 

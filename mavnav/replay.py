@@ -28,7 +28,7 @@ from mavnav.units import DEG
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mavnav.config import Config
+    from mavnav.config.models import Config
     from mavnav.grid import Grid
     from mavnav.known_map import KnownMap
     from mavnav.logs import Log

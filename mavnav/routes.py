@@ -13,7 +13,7 @@ from mavnav.units import MM
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.planner_config import PlannerConfig
+    from mavnav.config.planner import PlannerConfig
 
 _MARGIN_M = 1.0  # round all walls, vehicle and goal: there is a way round the end of every wall
 _BLOCKED_CELLS2 = 2  # a cell with a wall and the eight around it are blocked

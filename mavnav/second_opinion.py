@@ -9,7 +9,7 @@ import numpy as np
 from mavnav.steps import lost_intervals
 
 if TYPE_CHECKING:
-    from mavnav.config import Config
+    from mavnav.config.models import Config
     from mavnav.methods import Method
     from mavnav.steps import Steps
 

@@ -8,9 +8,9 @@ import numpy as np
 import synthetic
 from synthetic import Segments, box, polyline
 
+from mavnav.config.planner import PlannerConfig
 from mavnav.grid import Tally
 from mavnav.planner import Plan, Planner
-from mavnav.planner_config import PlannerConfig
 from mavnav.pose import Pose, transform_points
 
 BEARINGS = np.linspace(-120, 120, 681) * synthetic.DEG

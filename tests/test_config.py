@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavnav.config import Config, GridSize, PaperConfig
-from mavnav.config_file import fields, load_config, presets, to_yaml
+from mavnav.config.loading import fields, load_config, presets, to_yaml
+from mavnav.config.models import Config, GridSize, PaperConfig
 from mavnav.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def test_the_literal_reading_is_that_of_the_defaults() -> None:
 
 
 def load_layer(path: Path) -> dict[tuple[str, ...], object]:
-    from mavnav.layers import read_yaml
+    from mavnav.config.yaml_layers import read_yaml
 
     return read_yaml(path).values
 
@@ -174,7 +174,7 @@ def test_every_number_is_described() -> None:
 
 @given(st.text(alphabet="ab: -[]{}&*!#'\"\n0x", max_size=40))
 def test_any_text_is_read_or_refused_in_one_line(text: str) -> None:
-    from mavnav.layers import layer_of
+    from mavnav.config.yaml_layers import layer_of
 
     try:
         layer_of(text, "f.yaml")

@@ -10,7 +10,7 @@ import pytest
 from synthetic import URG_04LX, Recording, along, drifting_odometry, furnished_rooms, polyline, record, room
 
 from mavnav import slam
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.degeneracy import LEAST_HOLD, sliding
 from mavnav.kernels.hold import hold
 from mavnav.linemap import LineMap

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavnav import slam
-from mavnav.config_file import load_config
+from mavnav.config.loading import load_config
 from mavnav.metrics.ghost_walls import GhostWalls
 from mavnav.metrics.map_quality import map_quality
 from mavnav.pose import Pose

@@ -11,7 +11,7 @@ import pytest
 from synthetic import URG_04LX, along, furnished_rooms, scan_at
 
 from mavnav import slam
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.firing import STRETCH_SCANS, backwards, is_backwards, is_plainly_told, turning_stretch
 from mavnav.matcher import Match, no_match
 from mavnav.pose import Pose

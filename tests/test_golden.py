@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavnav.config_file import load_config
+from mavnav.config.loading import load_config
 from mavnav.logs import open_log
 from mavnav.slam import replay
 

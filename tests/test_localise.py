@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from synthetic import DEG, TOUR, Recording, Segments, along, box, furnished_rooms, polyline, record, room
 
 from mavnav import slam
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.grid import OCCUPIED, Grid, Tally, occupancy
 from mavnav.known_map import KnownMap, known_map
 from mavnav.localise import Localised

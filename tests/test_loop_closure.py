@@ -13,7 +13,7 @@ from matches import voxel_means
 from synthetic import DEG, Segments, along, box, polyline, scan_at
 
 from mavnav import redrawing, slam
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.loop_closure import LOOP_M, KeyFrame, Loop, Loops, close_loops, drift_bound, key_rows, witness
 from mavnav.matcher import first_match
 from mavnav.methods import Robust

@@ -7,7 +7,7 @@ import pytest
 from synthetic import URG_04LX, Segments, box, cast, room
 
 from mavnav import slam
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import Scan
 

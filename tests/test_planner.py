@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from synthetic import DEG, polyline
 
+from mavnav.config.planner import PlannerConfig
 from mavnav.grid import Tally
 from mavnav.planner import TECHNIQUES, Command, Planner
-from mavnav.planner_config import PlannerConfig
 from mavnav.pose import Pose
 from mavnav.techniques import unit
 

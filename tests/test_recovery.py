@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mavnav import slam
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.flight import Flight, fly
 from mavnav.metrics.trajectory_error import align
 from mavnav.metrics.wall_thickness import wall_thickness

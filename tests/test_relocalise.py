@@ -9,7 +9,7 @@ from synthetic import TOUR, along, box, furnished_rooms, polyline, record, room,
 
 from mavnav import relocalise, slam
 from mavnav.belief import Verdict
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.kernels.conflicts import conflicts
 from mavnav.known_map import known_map
 from mavnav.lattice import blank_strips

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from synthetic import TOUR, Recording, along, furnished_rooms, record
 
 from mavnav import slam
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.matcher import Match
 from mavnav.pose import Pose
 from mavnav.scan import Scan

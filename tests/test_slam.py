@@ -22,7 +22,7 @@ from synthetic import (
 )
 
 from mavnav import slam
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Scan

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mavnav import methods, slam
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.matcher import Match, first_match
 from mavnav.pose import Pose, Trajectory, wrap_angle

@@ -17,7 +17,7 @@ from mavnav.batch.document import batch_document, batch_row, judged
 from mavnav.batch.files import BATCH_FILE, write_batch
 from mavnav.batch.work import replay_fetched, replay_there
 from mavnav.cells import check_home, earlier
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.errors import UsageError
 from mavnav.gates import check_names
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs, run_with_retries

@@ -13,10 +13,10 @@ from mavnav.batch.files import BATCH_FILE
 from mavnav.batch.manifest import Entry, Manifest, read_manifest
 from mavnav.batch.settings import Setting, crossed_settings, listed_settings
 from mavnav.cluster import LOCAL
+from mavnav.config.yaml_layers import Layer
 from mavnav.errors import ExitCode, UsageError
 from mavnav.gates import Gate, parse_gate
 from mavnav.jobs import usable_cores
-from mavnav.layers import Layer
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -20,7 +20,7 @@ from mavnav.commands.terminal import console, emit, note, printable
 from mavnav.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
-    from mavnav.config import Config
+    from mavnav.config.models import Config
     from mavnav.pose import Pose
 
 _FEW_BEAMS = 20
@@ -150,7 +150,7 @@ def replay(
 
 def _config(file: str | None, sets: list[str], *, online: bool, **options: object) -> Config:
     """Load the configuration; options that were not given leave it alone."""
-    from mavnav.config_file import load_config
+    from mavnav.config.loading import load_config
 
     overrides = {name: value for name, value in options.items() if value is not None}
     return load_config(file, sets, overrides | ({"final_pass": False} if online else {}))

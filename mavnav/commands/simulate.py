@@ -106,7 +106,7 @@ def simulate(
 
 
 def _show(*, schema: bool) -> None:
-    from mavnav.config_file import scenarios
+    from mavnav.config.loading import scenarios
     from mavnav.world import load_scenario, scenario_schema
 
     if schema:

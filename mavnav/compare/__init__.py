@@ -16,7 +16,7 @@ from mavnav.cells import REFERENCES, Cell, check_home, earlier, make_cells, repl
 from mavnav.compare.document import NO_PRICE, comparison
 from mavnav.compare.files import COMPARISON_FILE, write_comparison
 from mavnav.compare.grids import settings
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.errors import UsageError
 from mavnav.gates import check_names
 from mavnav.jobs import Ended, Event, Fate, Job, run_jobs

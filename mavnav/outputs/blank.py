@@ -20,7 +20,7 @@ from mavnav.slam import Slam
 from mavnav.steps import Steps
 
 if TYPE_CHECKING:
-    from mavnav.config import Config
+    from mavnav.config.models import Config
 
 
 def blank_document(config: Config) -> dict[str, Any]:

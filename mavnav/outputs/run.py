@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from mavnav.config import Config
+    from mavnav.config.models import Config
     from mavnav.grid import Grid
     from mavnav.logs import Log
     from mavnav.metrics.map_distance import TrueMap

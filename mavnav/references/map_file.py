@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import UsageError
 from mavnav.grid import Grid, occupied_cells
-from mavnav.layers import read_yaml
 from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:

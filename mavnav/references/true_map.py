@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import UsageError
-from mavnav.layers import read_yaml
 from mavnav.metrics.map_distance import TrueMap
 from mavnav.references.map_file import read_map
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from mavnav.config import Config, Strict
-from mavnav.planner_config import PlannerConfig
+from mavnav.config.models import Config, Strict
+from mavnav.config.planner import PlannerConfig
 from mavnav.pose import Pose
 from mavnav.units import DEG, MM, MS
 from mavnav.world.laser import LASERS, LaserModel

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mavnav.config_file import file_layer, method_layer, origin, overlaid, presets_folder, scenarios, validated
+from mavnav.config.loading import file_layer, method_layer, origin, overlaid, presets_folder, scenarios, validated
+from mavnav.config.yaml_layers import Key, Layer, read_yaml
 from mavnav.errors import ConfigError
-from mavnav.layers import Key, Layer, read_yaml
 from mavnav.units import MM
 from mavnav.world.laser import LASERS
 from mavnav.world.scenario import Scenario

@@ -14,7 +14,7 @@ from small_batch import ASKED, NAME, batch
 
 from mavnav.batch import Part, plan
 from mavnav.batch.asked import Asked, request_of
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.errors import ConfigError, ExitCode, OutputError, UsageError
 from mavnav.gates import check_names, names
 from mavnav.jobs import Ended, Event, Started

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from matches import polar_problem
 from synthetic import furnished_rooms, room, scan_at
 
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.kernels import beams, polarsearch
 from mavnav.matcher import HOPELESS, Match, match_polar, polar_points
 from mavnav.pose import Pose, transform_points

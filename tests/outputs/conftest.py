@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from synthetic import along, furnished_rooms, scan_at
 
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.grid import Tally
 from mavnav.logs import Damage, Odometry, ScanCounts, Topic
 from mavnav.matcher import Match

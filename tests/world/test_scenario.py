@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mavnav.config_file import fields, presets, scenarios
+from mavnav.config.loading import fields, presets, scenarios
 from mavnav.errors import ConfigError, ExitCode
 from mavnav.units import DEG, MM
 from mavnav.world import LASERS, Scenario, laser_model, load_scenario, scenario_schema, take_scan

@@ -1,4 +1,4 @@
-"""The configuration: strict models and their defaults; ``config_file`` reads files and presets.
+"""The configuration: strict models and their defaults; ``loading`` reads files and presets.
 
 A configuration is the defaults below, overlaid by the method's preset in ``configs/``, a file (``--config``),
 single values (``--set robust.cell_mm=25``) and the command line's own options, in this order.

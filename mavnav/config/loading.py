@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from mavnav.config import Config
+from mavnav.config.models import Config
+from mavnav.config.yaml_layers import Key, Layer, layer_of, read_yaml
 from mavnav.errors import ConfigError
-from mavnav.layers import Key, Layer, layer_of, read_yaml
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -59,7 +59,7 @@ _PROBLEMS = {
 @cache
 def presets_folder() -> Path:
     """Return ``configs/``: in the installed package, or beside it in a checkout."""
-    package = Path(__file__).parent
+    package = Path(__file__).parents[1]
     installed = package / "configs"
     return installed if installed.is_dir() else package.parent / "configs"
 
