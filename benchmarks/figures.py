@@ -24,12 +24,12 @@ from mavnav import slam
 from mavnav.config.loading import load_config
 from mavnav.flight import Flight, fly
 from mavnav.logs import open_log
+from mavnav.mapping.occupancy_grid import known_part
 from mavnav.metrics.map_distance import map_distance
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.trajectory_error import absolute_error, matched
 from mavnav.metrics.wall_thickness import wall_thickness
 from mavnav.outputs import drawing
-from mavnav.outputs.gridmap import known_part
 from mavnav.outputs.map_picture import HIT_TICKS
 from mavnav.outputs.run import Truth
 from mavnav.pose import Pose, Trajectory
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.ghost_walls import GhostWall
     from mavnav.scan import Scan
 

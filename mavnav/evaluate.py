@@ -26,7 +26,7 @@ from mavnav.units import DEG, MM
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.pose import Trajectory
 
 SCHEMA_VERSION: Final = 1

@@ -21,7 +21,7 @@ from mavnav.world import LaserModel, Scenario, World, laser_model, take_scan
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from mavnav.grid import Tally
+    from mavnav.mapping.occupancy_grid import GridBuilder
     from mavnav.scan import LaserSpec, Scan
     from mavnav.steps import Step
 
@@ -176,7 +176,7 @@ class Pilot:
         map_T_laser, then = self.accepted or (Pose(), odom_T_laser)
         return map_T_laser @ then.between(odom_T_laser)
 
-    def decide(self, step: Step, here: Pose, grid: Tally) -> Command | End:
+    def decide(self, step: Step, here: Pose, grid: GridBuilder) -> Command | End:
         """Plan the next command from a pose of `locate`, or end the mission.
 
         After a rejected match the vehicle carries on by dead reckoning, then hovers, and at last gives up.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.grid import Grid, counts, occupied_cells
+from mavnav.mapping.occupancy_grid import Grid, counts, occupied_cells
 from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mavnav.grid import Tally
-from mavnav.linemap import LineMap
+from mavnav.mapping.line_map import LineMap
+from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.matcher import no_match
 from mavnav.methods import Robust
 from mavnav.pose import Pose, transform_points
@@ -40,7 +40,7 @@ class Localised(Robust):
         """Start anywhere in the map, or near where the laser is said to be."""
         super().__init__(config)
         robust, cell_m = config.robust, known.grid.cell_m
-        self.known = Tally.of(known.grid)
+        self.known = GridBuilder.of(known.grid)
         self.lines = LineMap(cell_m, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
         self.lines.insert(known.walls_xy_m)
         self.start, self.tries = known.start, 0

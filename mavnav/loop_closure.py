@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.grid import Tally
-from mavnav.linemap import LineMap
+from mavnav.mapping.line_map import LineMap
+from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.matcher import Schedule, search_lines
 from mavnav.pose import Pose, Trajectory, blend, transform_points, wrap_angle
 from mavnav.pose_graph import Edge, optimised
@@ -229,7 +229,7 @@ class Part:
     def __init__(self, config: Config) -> None:
         """Start empty."""
         robust = config.robust
-        self.grid = Tally(robust.cell_mm * MM)
+        self.grid = GridBuilder(robust.cell_mm * MM)
         self.lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
         self.count = 0
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config, GridSize
-    from mavnav.linemap import LineMap
+    from mavnav.mapping.line_map import LineMap
     from mavnav.scan import LaserSpec
 
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from mavnav.belief import Verdict
-from mavnav.grid import Grid, Tally
 from mavnav.kernels.hold import hold
 from mavnav.kernels.points import placed, scan_points
-from mavnav.linemap import LineMap
+from mavnav.mapping.line_map import LineMap
+from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.matcher import (
     Match,
     Schedule,
@@ -81,7 +81,7 @@ class Method(Protocol):
     the final pass above all; ``closes_loops``: so does drawing the map anew.
     """
 
-    grid: Tally
+    grid: GridBuilder
     expects_rest: bool
     places: bool
     closes_loops: bool
@@ -132,7 +132,7 @@ class Paper:
         """Start with an empty map."""
         self.config = config
         self.expects_rest = config.paper.predict == "rest"
-        self.grid = Tally(config.paper.cell_mm * MM)
+        self.grid = GridBuilder(config.paper.cell_mm * MM)
         self._seen: tuple[Pose, LaserSpec, NDArray[np.float64]] | None = None
 
     def first(self, scan: Scan) -> Match:
@@ -239,7 +239,7 @@ class Robust:
     def _begin(self) -> None:
         """Begin an empty map."""
         robust = self.config.robust
-        self.known = self.grid = Tally(robust.cell_mm * MM)
+        self.known = self.grid = GridBuilder(robust.cell_mm * MM)
         self.lines = LineMap(
             robust.cell_mm * MM,
             robust.line_sigma_mm * MM,

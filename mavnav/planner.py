@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.planner import PlannerConfig
-    from mavnav.grid import Tally
+    from mavnav.mapping.occupancy_grid import GridBuilder
     from mavnav.pose import Pose
     from mavnav.techniques import XY
 
@@ -71,7 +71,7 @@ class Planner:
         self.config = config
         self.memory: Memory | None = None
 
-    def plan(self, grid: Tally, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Plan:
+    def plan(self, grid: GridBuilder, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Plan:
         """Return the next command with its evidence, and remember what the next call needs."""
         scene = _scene(self.config, grid, map_T_laser, goal_xy_map_m)
         drive = TECHNIQUES[self.config.technique](scene, _noted(self.memory, scene))
@@ -88,7 +88,7 @@ class Planner:
         return Plan(_in_body(step, turn_rad, map_T_laser), _clearance_m(scene, step), drive.reason)
 
 
-def _scene(config: PlannerConfig, grid: Tally, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Scene:
+def _scene(config: PlannerConfig, grid: GridBuilder, map_T_laser: Pose, goal_xy_map_m: tuple[float, float]) -> Scene:
     walls = potential.occupied(grid.hits, grid.passes, grid.lattice, config.min_hits, config.min_share)
     xy = map_T_laser.as_array()[:2]
     reach_m = max(_LOOK_M, (config.safety_mm + config.max_step_mm) * MM)

@@ -10,7 +10,7 @@ import numpy as np
 
 from mavnav.kernels.conflicts import conflicts
 from mavnav.kernels.volume import volume
-from mavnav.lattice import bands, plain
+from mavnav.mapping.tiled_arrays import bands, plain
 from mavnav.matcher import Match, Schedule, search_lines, with_effort
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.grid import Tally
-    from mavnav.linemap import LineMap
+    from mavnav.mapping.line_map import LineMap
+    from mavnav.mapping.occupancy_grid import GridBuilder
 
     Region = tuple[NDArray[np.float64], NDArray[np.float64]]
     """Positions (p, 2), m, and yaws (q,), rad, map frame: every position with every yaw."""
@@ -60,7 +60,7 @@ TELLING = 150
 
 
 @timed("gate")
-def judged(match: Match, points: NDArray[np.float64], line_map: LineMap, grid: Tally) -> Match:
+def judged(match: Match, points: NDArray[np.float64], line_map: LineMap, grid: GridBuilder) -> Match:
     """Return the match with the share of its points (n, 2), laser frame, that the map speaks against."""
     pose, counts, some = match.map_T_laser.as_array(), (grid.lattice, grid.hits, grid.passes), points[:TELLING]
     count = conflicts(some, pose, *counts, line_map.nearest, line_map.geometry)
@@ -88,7 +88,7 @@ def around(pose: Pose, radius_m: float, half_rad: float) -> Region:
     return disc + pose.as_array()[:2], pose.yaw_rad + STEP_RAD * np.arange(-k, k + 1, dtype=np.float64)
 
 
-def everywhere(grid: Tally) -> Region:
+def everywhere(grid: GridBuilder) -> Region:
     """Return the positions (p, 2), row by row, where the map was seen free, and yaws (q,) all round, in m and rad."""
     shape, origin_m = grid.passes.shape, np.array(grid.origin_xy_m[::-1])
     low, wide = floor(origin_m[1] / STEP_M) - 1, int(shape[1] * grid.cell_m / STEP_M) + 4
@@ -105,7 +105,7 @@ def everywhere(grid: Tally) -> Region:
 def candidates(
     points: NDArray[np.float64],
     line_map: LineMap,
-    grid: Tally,
+    grid: GridBuilder,
     region: Region,
     config: Config,
     most: int = CANDIDATES,

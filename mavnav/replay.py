@@ -15,12 +15,12 @@ from mavnav import slam
 from mavnav.errors import ExitCode, StoppedError, UsageError
 from mavnav.known_map import known_map
 from mavnav.logs import check_log, open_log
+from mavnav.mapping.occupancy_grid import measured_part
 from mavnav.memory import give_back
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import sections_by_hits
 from mavnav.outputs import Run, Timing, check_directory, write_run
-from mavnav.outputs.gridmap import measured_part
 from mavnav.profiling import account, timed
 from mavnav.references import check_times, compared, load_references, occupied_xy_m, read_map
 from mavnav.units import DEG
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mavnav.config.models import Config
-    from mavnav.grid import Grid
     from mavnav.known_map import KnownMap
     from mavnav.logs import Log
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.map_quality import MapQuality
     from mavnav.metrics.wall_thickness import Sections
     from mavnav.pose import Pose

@@ -12,9 +12,9 @@ import numpy as np
 
 from mavnav.errors import NoScansError, UsageError
 from mavnav.flight import Flight, fly
-from mavnav.grid import Tally
 from mavnav.logs import open_log
 from mavnav.logs.recorder import Recording, check_recording, record
+from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.metrics.trajectory_error import absolute_error, align
 from mavnav.outputs import Run, Timing, check_directory, write_run
 from mavnav.outputs.animation import animate, check_animation
@@ -184,7 +184,7 @@ def wall_distances_m(flight: Flight, estimate: Pose, truth: Pose) -> tuple[float
     world, spec = flight.scenario.world, flight.scenario.laser.spec
     there = flight.world_T_map @ truth
     true_ranges, incidence_rad = world.cast((there.x_m, there.y_m), spec.angles_rad + there.yaw_rad)
-    tally = Tally.of(flight.slam.grid)
+    tally = GridBuilder.of(flight.slam.grid)
     seen = tally.virtual_scan(estimate, spec.directions, spec.range_max_m, WALL_GAP_CELLS, middle=True)
     with np.errstate(invalid="ignore"):  # inf - inf: two beams that meet nothing
         edges = np.abs(np.diff(true_ranges, prepend=true_ranges[0])) > EDGE_M

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from mavnav.config.models import Config
-    from mavnav.grid import Grid
     from mavnav.known_map import KnownMap
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.matcher import Match
     from mavnav.methods import Method
     from mavnav.motion import Odometry

@@ -9,7 +9,7 @@ import synthetic
 from synthetic import Segments, box, polyline
 
 from mavnav.config.planner import PlannerConfig
-from mavnav.grid import Tally
+from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.planner import Plan, Planner
 from mavnav.pose import Pose, transform_points
 
@@ -72,7 +72,7 @@ def true_clearance_m(walls: Segments, xy_m: tuple[float, float]) -> float:
     return float(np.hypot(*(np.array(xy_m) - a - share[:, None] * e).T).min())
 
 
-def paint(grid: Tally, walls: Segments, laser: Pose, hits: int = 3) -> None:
+def paint(grid: GridBuilder, walls: Segments, laser: Pose, hits: int = 3) -> None:
     """Insert the whole length of all walls, as if seen from the laser."""
     for x1, y1, x2, y2 in walls:
         n = int(np.hypot(x2 - x1, y2 - y1) / (0.5 * grid.cell_m)) + 2
@@ -81,7 +81,9 @@ def paint(grid: Tally, walls: Segments, laser: Pose, hits: int = 3) -> None:
     grid.passes[:] = 0
 
 
-def look(grid: Tally, walls: Segments, laser: Pose, rng: np.random.Generator, noise: float, far_m: float = 5.0) -> None:
+def look(
+    grid: GridBuilder, walls: Segments, laser: Pose, rng: np.random.Generator, noise: float, far_m: float = 5.0
+) -> None:
     """Insert one scan: 240 degrees ahead, 681 beams."""
     ranges = synthetic.cast(walls, (laser.x_m, laser.y_m), BEARINGS + laser.yaw_rad)
     ranges = ranges * (1.0 + noise * rng.standard_normal(len(ranges)))
@@ -101,7 +103,7 @@ def fly(
     **settings: float,
 ) -> Flight:
     """Fly until within 250 mm of the goal, stuck, or out of steps; ``known`` paints the whole map beforehand."""
-    rng, grid = np.random.default_rng(seed), Tally(cell_m)
+    rng, grid = np.random.default_rng(seed), GridBuilder(cell_m)
     planner = Planner(PlannerConfig(technique=technique, **settings))
     pose, plans = world.start, []
     xy = [(pose.x_m, pose.y_m)]

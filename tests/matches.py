@@ -9,7 +9,7 @@ import numpy as np
 from synthetic import furnished_rooms, scan_at
 
 from mavnav.kernels import linesearch, points
-from mavnav.linemap import LineMap
+from mavnav.mapping.line_map import LineMap
 from mavnav.matcher import polar_points
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavnav.grid import Grid, Tally, occupancy
+from mavnav.mapping.occupancy_grid import Grid, GridBuilder, occupancy
 from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
 from mavnav.metrics.wall_thickness import wall_sections
 from mavnav.pose import Pose
@@ -18,7 +18,7 @@ class Scene:
     """A map into which walls are drawn; everything is turned by ``angle_rad`` and moved off the lattice."""
 
     def __init__(self, angle_rad: float, sigma_m: float, seed: int) -> None:
-        self.tally, self.rng, self.sigma_m = Tally(CELL_M), np.random.default_rng(seed), sigma_m
+        self.tally, self.rng, self.sigma_m = GridBuilder(CELL_M), np.random.default_rng(seed), sigma_m
         c, s = np.cos(angle_rad), np.sin(angle_rad)
         self.turn = np.array([(c, s), (-s, c)])
 

@@ -13,7 +13,7 @@ from mavnav import slam
 from mavnav.config.models import Config
 from mavnav.degeneracy import LEAST_HOLD, sliding
 from mavnav.kernels.hold import hold
-from mavnav.linemap import LineMap
+from mavnav.mapping.line_map import LineMap
 from mavnav.matcher import first_match
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec

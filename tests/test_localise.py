@@ -13,9 +13,9 @@ from synthetic import DEG, TOUR, Recording, Segments, along, box, furnished_room
 
 from mavnav import slam
 from mavnav.config.models import Config
-from mavnav.grid import OCCUPIED, Grid, Tally, occupancy
 from mavnav.known_map import KnownMap, known_map
 from mavnav.localise import Localised
+from mavnav.mapping.occupancy_grid import OCCUPIED, Grid, GridBuilder, occupancy
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.scan import LaserSpec
 
@@ -25,7 +25,7 @@ CELL_M = 0.05  # as other tools' maps
 
 def drawn(walls: Segments, way: Trajectory) -> Grid:
     """Draw a map in the world's frame."""
-    grid = Tally(CELL_M)
+    grid = GridBuilder(CELL_M)
     for k, scan in enumerate(record(walls, way, LASER, noise=0.0).scans):
         grid.insert(way[k], transform_points(way[k], scan.points()))
     return grid.by_rows()

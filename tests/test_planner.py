@@ -12,14 +12,14 @@ from pydantic import ValidationError
 from synthetic import DEG, polyline
 
 from mavnav.config.planner import PlannerConfig
-from mavnav.grid import Tally
+from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.planner import TECHNIQUES, Command, Planner
 from mavnav.pose import Pose
 from mavnav.techniques import unit
 
 
-def grid_of(walls: np.ndarray, cell_m: float = 0.02) -> Tally:
-    grid = Tally(cell_m)
+def grid_of(walls: np.ndarray, cell_m: float = 0.02) -> GridBuilder:
+    grid = GridBuilder(cell_m)
     paint(grid, walls, Pose())
     return grid
 
@@ -225,10 +225,10 @@ def test_a_vehicle_too_near_to_a_wall_backs_off_though_it_does_not_look_there() 
 
 def test_an_empty_map_and_a_goal_at_hand_are_no_trouble() -> None:
     for technique in TECHNIQUES:
-        plan = Planner(PlannerConfig(technique=technique)).plan(Tally(0.02), Pose(), (2.0, 0.0))
+        plan = Planner(PlannerConfig(technique=technique)).plan(GridBuilder(0.02), Pose(), (2.0, 0.0))
         assert plan.command.dx_m > 0
         assert np.isinf(plan.clearance_m)
-        there = Planner(PlannerConfig(technique=technique)).plan(Tally(0.02), Pose(2.0, 0.0, 0.0), (2.0, 0.0))
+        there = Planner(PlannerConfig(technique=technique)).plan(GridBuilder(0.02), Pose(2.0, 0.0, 0.0), (2.0, 0.0))
         assert there.command == Command()
         assert not there.stuck
 

@@ -12,8 +12,8 @@ from mavnav.belief import Verdict
 from mavnav.config.models import Config
 from mavnav.kernels.conflicts import conflicts
 from mavnav.known_map import known_map
-from mavnav.lattice import blank_strips
 from mavnav.localise import Localised
+from mavnav.mapping.tiled_arrays import blank_strips
 from mavnav.matcher import Match, first_match, no_match
 from mavnav.memory import blank
 from mavnav.methods import Robust

@@ -13,9 +13,9 @@ import pytest
 
 from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.flight import Flight, fly
-from mavnav.grid import Grid, Tally
 from mavnav.logs import open_log
 from mavnav.logs.recorder import record
+from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.simulate import Request, check_outputs, recorded, simulate, truth_errors, wall_distances_m
 from mavnav.units import DEG
@@ -77,7 +77,7 @@ def test_only_tracked_poses_are_compared() -> None:
 
 def painted(flight: Flight, stretch: float = 1.0) -> Grid:
     """Return a map of the true walls all round, seen from the last pose, ``stretch`` times as far as they are."""
-    grid, here = Tally(0.01), flight.map_T_laser[14]
+    grid, here = GridBuilder(0.01), flight.map_T_laser[14]
     there = flight.world_T_map @ here
     bearings = np.linspace(-np.pi, np.pi, 8000)
     ranges, _ = flight.scenario.world.cast((there.x_m, there.y_m), bearings + there.yaw_rad)

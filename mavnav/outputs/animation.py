@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from mavnav.atomic_files import beside
 from mavnav.errors import OutputError, UsageError
-from mavnav.outputs.gridmap import known_part
+from mavnav.mapping.occupancy_grid import known_part
 from mavnav.outputs.map_picture import framed
 from mavnav.outputs.replay_log import placed_scans
 from mavnav.outputs.window import GOAL_RED, POSE_MAGENTA, START_BLUE, Window, wall_lines, window_of

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mavnav.grid import Grid
 from mavnav.logs import Log, ScanCounts
+from mavnav.mapping.occupancy_grid import Grid
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import sections_by_hits

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from mavnav.lattice import as_it_is, pooled
+from mavnav.mapping.tiled_arrays import as_it_is, pooled
 from mavnav.outputs.window import (
     DPI,
     GOAL_RED,
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
-    from mavnav.lattice import Told
+    from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.mapping.tiled_arrays import Told
 
     Box = tuple[int, int, int, int]
     XY = NDArray[np.float64]

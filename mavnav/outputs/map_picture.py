@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav.grid import FREE
-from mavnav.lattice import where
+from mavnav.mapping.occupancy_grid import FREE
+from mavnav.mapping.tiled_arrays import where
 from mavnav.outputs import canvas
 from mavnav.outputs.window import DPI, FREE_GREY, INK, MUTED, wall_lines, window_of
 from mavnav.units import MM
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.wall_thickness import WallThickness
     from mavnav.outputs.canvas import Canvas, Frame
     from mavnav.outputs.run import Run, Truth, Walls

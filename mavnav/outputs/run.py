@@ -7,9 +7,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from mavnav.errors import ExitCode
-from mavnav.grid import occupancy
+from mavnav.mapping.occupancy_grid import known_part, occupancy
 from mavnav.metrics.wall_thickness import wall_thicknesses
-from mavnav.outputs.gridmap import known_part
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -19,8 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.grid import Grid
     from mavnav.logs import Log
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.map_distance import TrueMap
     from mavnav.metrics.map_quality import MapQuality
     from mavnav.metrics.wall_thickness import Sections, WallThickness

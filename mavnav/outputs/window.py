@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.lattice import where
+from mavnav.mapping.tiled_arrays import where
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.outputs.run import Walls
 
 DPI: Final = 150

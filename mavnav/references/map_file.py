@@ -16,7 +16,7 @@ import numpy as np
 
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import UsageError
-from mavnav.grid import Grid, occupied_cells
+from mavnav.mapping.occupancy_grid import Grid, occupied_cells
 from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:

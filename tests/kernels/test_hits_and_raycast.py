@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavnav.grid import Tally
 from mavnav.kernels import hits, raycast
-from mavnav.lattice import blank_strips, in_strips, plain
+from mavnav.mapping.occupancy_grid import Tally
+from mavnav.mapping.tiled_arrays import blank_strips, in_strips, plain
 from mavnav.pose import Pose
 
 LATTICE = np.array([-1.0, -0.5, 0.05])

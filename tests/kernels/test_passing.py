@@ -7,9 +7,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavnav.grid import Tally
 from mavnav.kernels import passing
-from mavnav.lattice import in_strips
+from mavnav.mapping.occupancy_grid import Tally
+from mavnav.mapping.tiled_arrays import in_strips
 from mavnav.pose import Pose
 
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from mavnav.kernels.conflicts import conflicts
 from mavnav.kernels.volume import BLOCK, volume
-from mavnav.lattice import in_strips
-from mavnav.linemap import LineMap
+from mavnav.mapping.line_map import LineMap
+from mavnav.mapping.tiled_arrays import in_strips
 from mavnav.pose import Pose, transform_points
 
 LATTICE = np.array([-0.3, 0.1, 0.02])

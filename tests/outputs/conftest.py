@@ -10,12 +10,11 @@ import pytest
 from synthetic import along, furnished_rooms, scan_at
 
 from mavnav.config.models import Config
-from mavnav.grid import Tally
 from mavnav.logs import Damage, Odometry, ScanCounts, Topic
+from mavnav.mapping.occupancy_grid import GridBuilder, measured_part
 from mavnav.matcher import Match
 from mavnav.metrics.wall_thickness import sections_by_hits
 from mavnav.outputs import Run, Timing
-from mavnav.outputs.gridmap import measured_part
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam import Slam
 from mavnav.steps import LostInterval, Step, Steps
@@ -77,7 +76,7 @@ def fabricate(scans: int = 20, noise: float = 0.005) -> Run:
 
 
 def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
-    tally, steps = Tally(cell_m), []
+    tally, steps = GridBuilder(cell_m), []
     for k, (scan, pose) in enumerate(zip(recorded, poses, strict=True)):
         tracked = k not in LOST
         if tracked:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from memory_use import taking_less_than
 
-from mavnav.grid import Grid
+from mavnav.mapping.occupancy_grid import Grid
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import Sections, sections_by_hits
 from mavnav.outputs import WRITERS, Run

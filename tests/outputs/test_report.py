@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from mavnav.errors import OutputError
-from mavnav.grid import Grid
+from mavnav.mapping.occupancy_grid import Grid
 from mavnav.outputs import Truth
 from mavnav.outputs.document import run_document, to_json
 from mavnav.outputs.gridmap import write_npz

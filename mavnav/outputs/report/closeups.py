@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
 
 PLACES: Final = 3
 MIN_HITS: Final = 2

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
 
 FAILED: Final = "failed"
 

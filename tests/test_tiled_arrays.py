@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavnav import lattice
 from mavnav.kernels import conflicts, hits, passing, potential, raycast
-from mavnav.lattice import WIDE, blank_strips, covering, in_strips, moved, plain, pooled, room, within
+from mavnav.mapping import tiled_arrays
+from mavnav.mapping.tiled_arrays import WIDE, blank_strips, covering, in_strips, moved, plain, pooled, room, within
 from mavnav.memory import SMALL_BYTES, blank
 
 cells = st.tuples(st.integers(-500, 500), st.integers(-500, 500))
@@ -102,9 +102,9 @@ def test_pooling_keeps_the_largest_and_fills_up() -> None:
 def test_bands_are_all_rows_once_each_with_its_neighbours(
     rows: int, margin: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lattice, "BAND_CELLS", 70 * 10)
+    monkeypatch.setattr(tiled_arrays, "BAND_CELLS", 70 * 10)
     values, done = np.arange(rows), []
-    for around, inside, band in lattice.bands((rows, 10), margin):
+    for around, inside, band in tiled_arrays.bands((rows, 10), margin):
         np.testing.assert_array_equal(values[around][inside], values[band])
         assert around.start == max(band.start - margin, 0)
         assert around.stop == min(band.stop + margin, rows)

@@ -12,16 +12,28 @@ from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
 from mavnav.kernels import passing
 from mavnav.kernels.points import extent
-from mavnav.lattice import NO_ROOM, WIDE, bands, blank_strips, covering, in_strips, moved, plain, room, within
+from mavnav.mapping.tiled_arrays import (
+    NO_ROOM,
+    WIDE,
+    bands,
+    blank_strips,
+    covering,
+    in_strips,
+    moved,
+    plain,
+    room,
+    within,
+)
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.lattice import Extent
+    from mavnav.mapping.tiled_arrays import Extent
     from mavnav.pose import Pose
 
 BLOCK_CELLS = 64
+_MARGIN_CELLS: Final = 2
 MAX_CELLS = 1 << 28
 """819 m x 819 m in cells of 50 mm."""
 
@@ -36,7 +48,7 @@ class Grid:
     """Hit counts on a square lattice.
 
     ``hits[row, col]`` counts laser end points, ``passes[row, col]`` beams that crossed the cell on their way. Both are
-    (rows, cols), of any integers when given; they are kept in two bytes each, as in a `Tally`, and end where these do.
+    (rows, cols), of any integers when given; they are kept in two bytes each, as in a `GridBuilder`, and saturate alike.
     Row grows with +y. ``origin_xy_m`` is the corner of cell [0, 0] in the map frame, always a whole number of cells.
     """
 
@@ -57,11 +69,11 @@ class Grid:
 
 
 @dataclass(slots=True)
-class Tally:
+class GridBuilder:
     """The counts of a `Grid` while it grows, in two bytes each: they end at 65535, ``shielded`` at 32767.
 
     ``passes`` are (rows, cols). ``hits``, and ``shielded``, which counts those of the crossings during which something
-    near the cell was hit (the others went clear through), are blank but near walls, and in strips (``mavnav.lattice``).
+    near the cell was hit (the others went clear through), are blank but near walls, and in strips (``tiled_arrays``).
     """
 
     cell_m: float
@@ -80,7 +92,7 @@ class Tally:
         self.lattice = np.array([*self.origin_xy_m, self.cell_m])
 
     @classmethod
-    def of(cls, grid: Grid) -> Tally:
+    def of(cls, grid: Grid) -> GridBuilder:
         """Lay a grid in strips, to be looked up; of its crossings none was clear."""
         shielded = in_strips(np.minimum(grid.passes, hits_kernel.MOST_SHIELDED).astype(np.int16))
         return cls(grid.cell_m, grid.origin_xy_m, in_strips(grid.hits), grid.passes.copy(), shielded)
@@ -194,3 +206,51 @@ def occupied_cells(grid: Grid) -> NDArray[np.int64]:
         part = Grid(grid.cell_m, grid.origin_xy_m, grid.hits[band], grid.passes[band])
         found.append(np.argwhere(occupancy(part) == OCCUPIED) + np.array([band.start, 0]))
     return np.concatenate(found)
+
+
+def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:
+    """Cut the grid to the cells that a beam reached (or ended in) and a small margin; one cell if there is none.
+
+    The arrays are views of the grid's.
+    """
+    counts = [grid.hits] if hits_only else [grid.hits, grid.passes]
+    if not any(part.any() for part in counts):
+        return Grid(grid.cell_m, grid.origin_xy_m, np.zeros((1, 1), np.uint16), np.zeros((1, 1), np.uint16))
+    rows, cols = (_extent(np.flatnonzero(sum(np.any(p, axis=axis) for p in counts))) for axis in (1, 0))
+    return _part(grid, rows, cols)
+
+
+def measured_part(grid: Grid) -> Grid:
+    """Cut the grid to whole blocks of cells around the known ones, counted from the map's origin.
+
+    What is measured on it does not depend on how far the grid reaches beyond. The arrays are views of the grid's.
+    """
+    known = known_part(grid)
+    spans = [
+        _in_blocks(round((known.origin_xy_m[k] - grid.origin_xy_m[k]) / grid.cell_m), known.hits.shape[1 - k], size, at)
+        for k, (size, at) in enumerate(zip(grid.hits.shape[::-1], _corner(grid), strict=True))
+    ]
+    return _part(grid, spans[1], spans[0])
+
+
+def _in_blocks(first: int, count: int, size: int, at: int) -> slice:
+    """Widen a span of cells, less the outer one of its margin on either side, to whole blocks within the grid."""
+    start = (first + at + 1) // BLOCK_CELLS * BLOCK_CELLS - at
+    stop = ((first + at + count - 2) // BLOCK_CELLS + 1) * BLOCK_CELLS - at
+    return slice(max(start, 0), min(max(stop, start + 1), size))
+
+
+def _corner(grid: Grid) -> tuple[int, int]:
+    """Return column and row of cell [0, 0], counted from the map's origin."""
+    x_m, y_m = grid.origin_xy_m
+    return round(x_m / grid.cell_m), round(y_m / grid.cell_m)
+
+
+def _part(grid: Grid, rows: slice, cols: slice) -> Grid:
+    col, row = _corner(grid)
+    origin = ((col + cols.start) * grid.cell_m, (row + rows.start) * grid.cell_m)
+    return Grid(grid.cell_m, origin, grid.hits[rows, cols], grid.passes[rows, cols])
+
+
+def _extent(known: NDArray[np.intp]) -> slice:
+    return slice(max(int(known[0]) - _MARGIN_CELLS, 0), int(known[-1]) + 1 + _MARGIN_CELLS)

@@ -10,14 +10,14 @@ import numpy as np
 
 from mavnav.kernels.linemap import FAR, NEAR, REACH_CELLS, insert_points, rebuild
 from mavnav.kernels.points import extent
-from mavnav.lattice import NO_ROOM, covering, moved, room, within
+from mavnav.mapping.tiled_arrays import NO_ROOM, covering, moved, room, within
 from mavnav.memory import blank
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.lattice import Extent
+    from mavnav.mapping.tiled_arrays import Extent
 
 _BLOCK_CELLS = 256
 BEYOND = REACH_CELLS + 2
