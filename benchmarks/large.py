@@ -21,7 +21,7 @@ from mcap.writer import CompressionType, Writer
 from numba import njit
 
 from mavnav.config.loading import load_config
-from mavnav.logs import cdr, definitions
+from mavnav.logs.messages import cdr, definitions
 from mavnav.methods import load_kernels
 from mavnav.pose import Pose
 from mavnav.replay import Request, replay

@@ -25,8 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from mavnav.logs import cdr, definitions, open_log
-from mavnav.logs.mcap_writer import Channel, write_serialized
+from mavnav.logs import open_log
+from mavnav.logs.messages import cdr, definitions
+from mavnav.logs.writing.mcap_writer import Channel, write_serialized
 
 HERE = Path(__file__).parent
 SAMPLE = HERE.parent / "sample_logs" / "corridor.mcap"

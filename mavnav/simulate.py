@@ -13,7 +13,7 @@ import numpy as np
 from mavnav.errors import NoScansError, UsageError
 from mavnav.flight import Flight, fly
 from mavnav.logs import open_log
-from mavnav.logs.recorder import Recording, check_recording, record
+from mavnav.logs.writing.recorder import Recording, check_recording, record
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.metrics.trajectory_error import absolute_error, align
 from mavnav.outputs import Run, Timing, check_directory, write_run

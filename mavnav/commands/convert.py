@@ -15,7 +15,7 @@ from mavnav.commands.terminal import emit, note_oddities
 from mavnav.errors import ExitCode
 
 if TYPE_CHECKING:
-    from mavnav.logs.convert import Conversion
+    from mavnav.logs.writing.convert import Conversion
 
 SCHEMA_VERSION = 1
 
@@ -42,7 +42,7 @@ def convert(
     quiet: Quiet = False,
 ) -> None:
     """Write what can be read of a log as a sound, indexed MCAP with ROS 2 messages."""
-    from mavnav.logs.convert import convert as write
+    from mavnav.logs.writing.convert import convert as write
 
     with reporting(quiet=quiet) as report:
         done = write(log, target, strict=strict, force=force, progress=lambda n, total: report("converting", n, total))

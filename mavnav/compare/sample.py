@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from mavnav import __version__
 from mavnav.errors import OutputError
 from mavnav.flight import fly
-from mavnav.logs.recorder import record
+from mavnav.logs.writing.recorder import record
 from mavnav.simulate import recorded
 from mavnav.world import load_scenario
 

@@ -48,7 +48,7 @@ class Grid:
     """Hit counts on a square lattice.
 
     ``hits[row, col]`` counts laser end points, ``passes[row, col]`` beams that crossed the cell on their way. Both are
-    (rows, cols), of any integers when given; they are kept in two bytes each, as in a `GridBuilder`, and saturate alike.
+    (rows, cols), of any integers when given; they are kept in two bytes each, as in a `GridBuilder`, and saturate so.
     Row grows with +y. ``origin_xy_m`` is the corner of cell [0, 0] in the map frame, always a whole number of cells.
     """
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.logs import cdr, definitions
-from mavnav.logs.mcap_writer import Channel, write_serialized
+from mavnav.logs.messages import cdr, definitions
+from mavnav.logs.writing.mcap_writer import Channel, write_serialized
 from mavnav.mapping.occupancy_grid import UNKNOWN, show_ends
 from mavnav.mapping.tiled_arrays import pooled
 from mavnav.outputs.run import base_frame

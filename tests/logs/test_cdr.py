@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic import URG_04LX
 
-from mavnav.logs import cdr, definitions, ros
+from mavnav.logs.messages import cdr, definitions, ros
 from mavnav.pose import Pose
 from mavnav.scan import Scan
 

@@ -13,7 +13,7 @@ import zstandard
 from log_files import LASER, laser, serialized
 
 from mavnav.logs import survey
-from mavnav.logs.mcap_records import MAGIC
+from mavnav.logs.formats.mcap_records import MAGIC
 
 if TYPE_CHECKING:
     from collections.abc import Callable

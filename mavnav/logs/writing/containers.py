@@ -15,15 +15,15 @@ from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 
-from mavnav.logs import ros
-from mavnav.logs.mcap_writer import write_serialized
+from mavnav.logs.messages import ros
+from mavnav.logs.writing.mcap_writer import write_serialized
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from contextlib import AbstractContextManager
     from pathlib import Path
 
-    from mavnav.logs.mcap_writer import Channel
+    from mavnav.logs.writing.mcap_writer import Channel
 
     Put = Callable[[str, int, Any], None]
 

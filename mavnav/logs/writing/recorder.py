@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.atomic_files import beside
 from mavnav.errors import OutputError, UsageError
-from mavnav.logs import definitions, ros
-from mavnav.logs.containers import CONTAINERS
-from mavnav.logs.mcap_writer import Channel
-from mavnav.logs.rosbag2 import METADATA
+from mavnav.logs.formats.rosbag2 import METADATA
+from mavnav.logs.messages import definitions, ros
+from mavnav.logs.writing.containers import CONTAINERS
+from mavnav.logs.writing.mcap_writer import Channel
 from mavnav.pose import Pose
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The door: where every odd convention of sensors and drivers ends.
+"""The scan filter: where every odd convention of sensors and drivers ends.
 
 A range is told apart in the order of REP-117: within the limits it is valid, else -inf is too close, +inf is nothing
 in range, NaN is erroneous. Drivers older than the REP put 0, negative values and values beyond the limits. Whatever is
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.logs.messages import LaserMessage
+    from mavnav.logs.messages.records import LaserMessage
 
 KINDS: Final = ("valid", "zero", "below_min", "above_max", "nan", "plus_inf", "minus_inf", "negative")
 
@@ -77,7 +77,7 @@ def _count(odd_m: NDArray[np.float64], lowest_m: float, beams: int) -> tuple[int
     return valid, small - zero, low - small, plus - low, n - nan, nan - plus, minus, zero - minus
 
 
-class Door:
+class ScanFilter:
     """The cleaning of one topic's scans; remembers the last geometry, so that equal scans share one LaserSpec.
 
     ``warn`` takes a line about something odd that was put right. ``doubt`` says, in the end, why the topic as a whole

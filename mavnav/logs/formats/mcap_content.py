@@ -6,12 +6,12 @@ import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from mavnav.logs.guess import channel_of, is_vague, typed
-from mavnav.logs.mcap_records import MESSAGE_HEAD, Fields, Op
+from mavnav.logs.formats.mcap_records import MESSAGE_HEAD, Fields, Op
+from mavnav.logs.formats.untyped import channel_of, is_vague, typed
 from mavnav.logs.records import Channel, RawMessage, Schema, ros_type
 
 if TYPE_CHECKING:
-    from mavnav.logs.ledger import Ledger
+    from mavnav.logs.read_report import ReadReport
 
 _ENCODING_OF_SCHEMA = {"ros2msg": "cdr", "ros2idl": "cdr", "ros1msg": "ros1"}
 _NO_SCHEMA = Schema()
@@ -25,7 +25,7 @@ class State:
     believed over the chunk's own.
     """
 
-    ledger: Ledger
+    report: ReadReport
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     spare: dict[int, Channel] = field(default_factory=dict)
@@ -55,7 +55,7 @@ def take(opcode: int, content: bytes, where: str, state: State) -> RawMessage | 
         elif opcode == Op.FOOTER:
             state.closed = True
     except struct.error as error:
-        state.ledger.damage(f"a record cannot be read ({error})", where)
+        state.report.damage(f"a record cannot be read ({error})", where)
     return None
 
 
@@ -65,7 +65,7 @@ def _message(content: bytes, where: str, state: State) -> RawMessage | None:
     data = content[MESSAGE_HEAD.size :]
     channel = state.channels.get(number) or _spare_channel(number, state)
     if channel is not None and is_vague(channel):
-        channel = state.channels[number] = typed(channel, data, where, state.ledger)
+        channel = state.channels[number] = typed(channel, data, where, state.report)
     if channel is not None:
         return RawMessage(channel, log_ns, data)
     return _stranger(number, log_ns, data, where, state)
@@ -74,17 +74,17 @@ def _message(content: bytes, where: str, state: State) -> RawMessage | None:
 def _spare_channel(number: int, state: State) -> Channel | None:
     channel = state.spare.get(number)
     if channel is not None:
-        state.channels[number] = state.ledger.declare(channel)
+        state.channels[number] = state.report.declare(channel)
     return channel
 
 
 def _stranger(number: int, log_ns: int, data: bytes, where: str, state: State) -> RawMessage | None:
     """Return a message of an undeclared channel as suspect, if it is a scan by its bytes."""
-    channel = channel_of(data, f"/channel_{number}", state.ledger)
+    channel = channel_of(data, f"/channel_{number}", state.report)
     if number not in state.strangers:
         state.strangers.add(number)
         fate = f"scans by their bytes, and taken for {channel.topic}" if channel else "left out"
-        state.ledger.damage(f"messages of channel {number}, which is declared nowhere before, are {fate}", where)
+        state.report.damage(f"messages of channel {number}, which is declared nowhere before, are {fate}", where)
     return None if channel is None else RawMessage(channel, log_ns, data, suspect=True)
 
 
@@ -92,7 +92,7 @@ def _declare_schema(fields: Fields, where: str, state: State) -> None:
     number, name, encoding = fields.number("H"), fields.text(), fields.text()
     schema = Schema(name, encoding, fields.block())
     if number in state.schemas and state.schemas[number] != schema:
-        state.ledger.damage(f"schema {number} is declared twice, and differently; the later counts", where)
+        state.report.damage(f"schema {number} is declared twice, and differently; the later counts", where)
     state.schemas[number] = schema
 
 
@@ -107,14 +107,14 @@ def _declare_channel(fields: Fields, where: str, state: State) -> None:
     before = state.channels.get(number)
     if before is not None and before != channel and before.topic != topic:
         text = f"channel {number} is declared twice, as {before.topic!r} and {topic!r}; the later counts"
-        state.ledger.damage(text, where)
-    state.channels[number] = state.ledger.declare(channel)
+        state.report.damage(text, where)
+    state.channels[number] = state.report.declare(channel)
 
 
 def _check_count(content: bytes, where: str, state: State) -> None:
     (declared,) = struct.unpack_from("<Q", content)
     if declared > state.messages:
         missing = declared - state.messages
-        state.ledger.damage(f"{missing} of the {declared} messages that the summary counts are not there", where)
+        state.report.damage(f"{missing} of the {declared} messages that the summary counts are not there", where)
     elif declared < state.messages:
-        state.ledger.warn(f"the summary counts {declared} messages, {state.messages} are there")
+        state.report.warn(f"the summary counts {declared} messages, {state.messages} are there")

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from mavnav.logs.definitions import FOXGLOVE_SCAN, ODOMETRY, SCAN, TF, TF_ROS1
-from mavnav.logs.layout import laser_of, odometry_of, transforms_of
-from mavnav.logs.messages import DecodeError, LaserMessage, TransformMessage
-from mavnav.logs.unpack import UnpackError, unpack_message
+from mavnav.logs.formats.decompress import DecompressError, unpack_message
+from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, ODOMETRY, SCAN, TF, TF_ROS1
+from mavnav.logs.messages.fast_cdr import laser_of, odometry_of, transforms_of
+from mavnav.logs.messages.records import DecodeError, LaserMessage, TransformMessage
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,7 +34,7 @@ def decoder(channel: Channel) -> Callable[[bytes], Any] | None:
     def checked(data: bytes) -> Any:  # noqa: ANN401
         try:
             return decode(unpack_message(data))
-        except UnpackError as error:
+        except DecompressError as error:
             raise DecodeError(str(error)) from error
 
     return checked
@@ -49,7 +49,7 @@ def _deserialized(data: bytes, encoding: str, type_name: str) -> Any:  # noqa: A
     """Decode a message by its standard definition; raises DecodeError."""
     from rosbags.serde import SerdeError  # noqa: PLC0415
 
-    from mavnav.logs import ros  # noqa: PLC0415  its type stores take some 0.1 s to load
+    from mavnav.logs.messages import ros  # noqa: PLC0415  its type stores take some 0.1 s to load
 
     try:
         if encoding == "cdr":
@@ -114,13 +114,13 @@ def _transform(stamped: Any) -> TransformMessage:  # noqa: ANN401
 
 
 def _foxglove_json(channel: Channel) -> Callable[[bytes], LaserMessage]:
-    from mavnav.logs.foxglove import json_decoder  # noqa: PLC0415
+    from mavnav.logs.messages.foxglove import json_decoder  # noqa: PLC0415
 
     return json_decoder(channel)
 
 
 def _foxglove_protobuf(channel: Channel) -> Callable[[bytes], LaserMessage]:
-    from mavnav.logs.foxglove import protobuf_decoder  # noqa: PLC0415
+    from mavnav.logs.messages.foxglove import protobuf_decoder  # noqa: PLC0415
 
     return protobuf_decoder(channel)
 

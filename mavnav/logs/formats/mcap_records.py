@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from mavnav.logs.unpack import CODECS
+from mavnav.logs.formats.decompress import CODECS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from mavnav.logs.source import Source
+    from mavnav.logs.formats.source import Source
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 HEAD: Final = struct.Struct("<BQ")

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 from log_files import drive, serialized
 
-from mavnav.logs.decode import decoder
-from mavnav.logs.definitions import ODOMETRY, TF
-from mavnav.logs.layout import odometry_of, transforms_of
-from mavnav.logs.messages import DecodeError
+from mavnav.logs.messages.decode import decoder
+from mavnav.logs.messages.definitions import ODOMETRY, TF
+from mavnav.logs.messages.fast_cdr import odometry_of, transforms_of
+from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.records import Channel
 
 BY_LAYOUT = {TF: transforms_of, ODOMETRY: odometry_of}
@@ -22,7 +22,7 @@ def by_definition(monkeypatch: pytest.MonkeyPatch):
     """Return what decodes a message by its definition alone."""
 
     def decode(data, encoding, kind):
-        from mavnav.logs import decode as room
+        from mavnav.logs.messages import decode as room
 
         convert = {TF: room._transforms, ODOMETRY: room._odometry}[kind]
         return convert(room._deserialized(data, encoding, kind))

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mavnav.logs.ledger import Ledger
-    from mavnav.logs.source import Source
+    from mavnav.logs.formats.source import Source
+    from mavnav.logs.read_report import ReadReport
 
 OP_FIELD: Final = b"\x04\x00\x00\x00op="
 _MAX_HEADER_BYTES = 1 << 16
@@ -57,7 +57,7 @@ def is_flat(record: Record) -> bool:
     return record.opcode == Op.CHUNK and record.fields.get(b"compression", b"none") == b"none"
 
 
-def sound_records(source: Source, offset: int, ledger: Ledger) -> Iterator[Record]:
+def sound_records(source: Source, offset: int, report: ReadReport) -> Iterator[Record]:
     """Yield the records that are whole; behind a loss, go on at the next sound header."""
     pending: Record | None = None
     while offset < source.size or (pending and offset > source.size):
@@ -66,7 +66,7 @@ def sound_records(source: Source, offset: int, ledger: Ledger) -> Iterator[Recor
             found = _find_header(source, (pending.start if pending else offset) + 1)
             if pending and _is_whole(source, pending, found):
                 yield _clipped(source, pending, found)
-            _tell_loss(source, pending, offset, found, ledger)
+            _tell_loss(source, pending, offset, found, report)
             pending = None
             if found is None:
                 return
@@ -86,7 +86,7 @@ def _clipped(source: Source, pending: Record, found: int | None) -> Record:
     return pending._replace(end=end, suspect=True)
 
 
-def _tell_loss(source: Source, pending: Record | None, offset: int, found: int | None, ledger: Ledger) -> None:
+def _tell_loss(source: Source, pending: Record | None, offset: int, found: int | None, report: ReadReport) -> None:
     """Tell which bytes are lost, or whose length lies; ``offset`` is where a header should stand."""
     upto = source.size if found is None else found
     if offset > source.size and found is None and pending:
@@ -97,7 +97,7 @@ def _tell_loss(source: Source, pending: Record | None, offset: int, found: int |
         text, at = "the length of a record lies", pending.start
     else:
         text, at = f"{upto - offset} bytes are no record", offset
-    ledger.damage(text, source.where(at))
+    report.damage(text, source.where(at))
 
 
 def _is_whole(source: Source, pending: Record, found: int | None) -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mavnav.logs.messages import DecodeError, LaserMessage
+from mavnav.logs.messages.records import DecodeError, LaserMessage
 
 if TYPE_CHECKING:
     from collections.abc import Callable

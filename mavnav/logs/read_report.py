@@ -1,4 +1,4 @@
-"""What a reader tells while it reads: the channels met, damage, warnings, and how far it is."""
+"""The read report: the channels met, damage, warnings, and how far the reader is."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 from operator import ne
 from typing import TYPE_CHECKING
 
-from mavnav.logs.definitions import FOXGLOVE_SCAN, ODOMETRY, SCAN, TF, TF_ROS1
+from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, ODOMETRY, SCAN, TF, TF_ROS1
 from mavnav.logs.records import Damage
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ KNOWN_ENCODINGS = ("cdr", "ros1", "ros2", "json", "protobuf")
 """Encodings of messages; ``ros2`` is none, and no misspelt ``ros1`` either."""
 
 
-class Ledger:
+class ReadReport:
     """Notes of one pass over a log.
 
     ``done_bytes`` grows from 0 to ``total_bytes``, the bytes that are to be read.

@@ -15,16 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from mavnav.logs.guess import channel_of, is_vague, typed
+from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
+from mavnav.logs.formats.source import Source
+from mavnav.logs.formats.sqlite_pages import page_size, rows
+from mavnav.logs.formats.untyped import channel_of, is_vague, typed
 from mavnav.logs.records import Channel, RawMessage, ros_type
-from mavnav.logs.source import Source
-from mavnav.logs.sqlite_pages import page_size, rows
-from mavnav.logs.unpack import MAX_CHUNK_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mavnav.logs.ledger import Ledger
+    from mavnav.logs.read_report import ReadReport
 
 MAGIC = b"SQLite format 3\x00"
 
@@ -45,7 +45,7 @@ class _State:
     """What has been read: channels, and in ``missing`` the row numbers that sqlite did not give."""
 
     path: Path
-    ledger: Ledger
+    report: ReadReport
     channels: dict[int, Channel] = field(default_factory=dict)
     missing: list[range] = field(default_factory=list)
     messages: int = 0
@@ -59,18 +59,18 @@ class _State:
         self.messages += 1
 
 
-def read_sqlite(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
+def read_sqlite(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     """Yield the messages of a .db3 file, in the order in which they were written, in constant memory.
 
     Rows are read without the index on their times. Where sqlite gives up, or row numbers are missing, the remaining
     rows are looked for in the pages; what is lost is noted.
     """
-    with _whole(path, ledger) as whole:
-        state = _State(path, ledger)
+    with _whole(path, report) as whole:
+        state = _State(path, report)
         try:
             yield from _rows(whole, state)
         except (sqlite3.Error, UnicodeError) as error:
-            ledger.damage(f"sqlite cannot read on: {error}", f"{path.name}, after {state.messages} messages")
+            report.damage(f"sqlite cannot read on: {error}", f"{path.name}, after {state.messages} messages")
             state.missing.append(range(state.last + 1, _NO_END))
         if state.missing:
             yield from _rescued(whole, state)
@@ -89,7 +89,7 @@ def _rows(path: Path, state: _State) -> Iterator[RawMessage]:
         if tables != 2:
             raise sqlite3.DatabaseError("there are no tables of messages and topics")
         for number, name, kind, encoding in connection.execute(_TOPICS):
-            state.channels[number] = state.ledger.declare(Channel(str(name), ros_type(str(kind)), str(encoding)))
+            state.channels[number] = state.report.declare(Channel(str(name), ros_type(str(kind)), str(encoding)))
         for number, topic_id, log_ns, data in connection.execute(_MESSAGES):
             state.passed(number)
             yield from _message(topic_id, log_ns, data, state)
@@ -100,13 +100,13 @@ def _message(topic_id: object, log_ns: object, data: object, state: _State) -> I
     channel = state.channels.get(number)
     suspect = channel is None
     if isinstance(data, bytes) and channel is None:
-        channel = channel_of(data, f"/topic_{topic_id}", state.ledger)
+        channel = channel_of(data, f"/topic_{topic_id}", state.report)
     elif isinstance(data, bytes) and channel is not None and is_vague(channel):
-        channel = state.channels[number] = typed(channel, data, state.path.name, state.ledger)
+        channel = state.channels[number] = typed(channel, data, state.path.name, state.report)
     if suspect or not isinstance(log_ns, int) or not isinstance(data, bytes):
-        state.ledger.damage("a message row is broken, or of an undeclared topic", state.path.name)
+        state.report.damage("a message row is broken, or of an undeclared topic", state.path.name)
     if channel is not None and isinstance(log_ns, int) and isinstance(data, bytes):
-        state.ledger.at(state.ledger.here_bytes + len(data))
+        state.report.at(state.report.here_bytes + len(data))
         yield RawMessage(channel, log_ns, data, suspect)
 
 
@@ -125,9 +125,9 @@ def _rescued(path: Path, state: _State) -> Iterator[RawMessage]:
                     yield message._replace(suspect=True)
     lost = sum(len(gap) for gap in state.missing if gap.stop != _NO_END) - found
     if found:
-        state.ledger.damage(f"{found} messages were read from the pages themselves, and are suspect", state.path.name)
+        state.report.damage(f"{found} messages were read from the pages themselves, and are suspect", state.path.name)
     elif lost > 0:
-        state.ledger.warn(f"{state.path.name}: {lost} row numbers are not in use, as after rows were deleted")
+        state.report.warn(f"{state.path.name}: {lost} row numbers are not in use, as after rows were deleted")
 
 
 def _is_missing(number: int, state: _State) -> bool:
@@ -137,11 +137,11 @@ def _is_missing(number: int, state: _State) -> bool:
 def _rescue_channels(source: Source, state: _State) -> None:
     for number, (_, name, kind, encoding, *_) in rows(source):
         if isinstance(encoding, str) and "/" in str(kind):
-            state.channels[number] = state.ledger.declare(Channel(str(name), ros_type(str(kind)), encoding))
+            state.channels[number] = state.report.declare(Channel(str(name), ros_type(str(kind)), encoding))
 
 
 @contextmanager
-def _whole(path: Path, ledger: Ledger) -> Iterator[Path]:
+def _whole(path: Path, report: ReadReport) -> Iterator[Path]:
     """Yield a path that sqlite agrees to open.
 
     It refuses a cut file as a whole, because the header tells more pages than there are: a copy whose header tells
@@ -156,10 +156,10 @@ def _whole(path: Path, ledger: Ledger) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="mavnav-") as folder:
         copy = Path(folder) / path.name
         shutil.copyfile(path, copy)
-        _mend_magic(copy, ledger)
+        _mend_magic(copy, report)
         for journal in journals:
-            _take_in(copy, journal, ledger)
-        _keep_whole_pages(copy, ledger)
+            _take_in(copy, journal, report)
+        _keep_whole_pages(copy, report)
         yield copy
 
 
@@ -178,15 +178,15 @@ def _pages(head: bytes) -> int:
     return int.from_bytes(head[_COUNT_AT : _COUNT_AT + 4], "big")
 
 
-def _mend_magic(copy: Path, ledger: Ledger) -> None:
+def _mend_magic(copy: Path, report: ReadReport) -> None:
     with copy.open("r+b") as file:
         if file.read(len(MAGIC)) != MAGIC:
-            ledger.damage("the file does not begin with the magic of sqlite", copy.name)
+            report.damage("the file does not begin with the magic of sqlite", copy.name)
             file.seek(0)
             file.write(MAGIC)
 
 
-def _take_in(copy: Path, journal: Path, ledger: Ledger) -> None:
+def _take_in(copy: Path, journal: Path, report: ReadReport) -> None:
     """Let sqlite take in what a recorder that did not close the file left beside it."""
     shutil.copyfile(journal, copy.parent / journal.name)
     try:
@@ -196,10 +196,10 @@ def _take_in(copy: Path, journal: Path, ledger: Ledger) -> None:
             connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
         if (written := _frames(journal)) > taken >= 0:
             text = f"{written - taken} of the {written} pages in {journal.name} are broken, or of no finished write"
-            ledger.damage(f"{text}; they are left out", copy.name)
-        ledger.warn(f"{copy.name}: {journal.name} beside it was read too (the recorder did not close the file)")
+            report.damage(f"{text}; they are left out", copy.name)
+        report.warn(f"{copy.name}: {journal.name} beside it was read too (the recorder did not close the file)")
     except sqlite3.Error as error:
-        ledger.damage(f"{journal.name} beside it cannot be read: {error}", copy.name)
+        report.damage(f"{journal.name} beside it cannot be read: {error}", copy.name)
         with suppress(OSError):
             (copy.parent / journal.name).unlink()
 
@@ -221,14 +221,14 @@ def _frames(wal: Path) -> int:
     return count
 
 
-def _keep_whole_pages(copy: Path, ledger: Ledger) -> None:
+def _keep_whole_pages(copy: Path, report: ReadReport) -> None:
     size = copy.stat().st_size
     with copy.open("r+b") as file:
         head = file.read(_COUNT_AT + 4)
         page_bytes, pages = page_size(head), _pages(head)
         if size >= page_bytes * pages:
             return
-        ledger.damage(f"the file is cut: {size} of {page_bytes * pages} bytes are there", copy.name)
+        report.damage(f"the file is cut: {size} of {page_bytes * pages} bytes are there", copy.name)
         if whole := size // page_bytes:
             file.seek(_COUNT_AT)
             file.write(whole.to_bytes(4, "big"))

@@ -5,16 +5,16 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from mavnav.logs import mcap_file, mcap_records, rosbag1, rosbag1_records, sqlite_file, sqlite_pages
-from mavnav.logs.rosbag2 import METADATA, compare_count, read_metadata, storage_files
-from mavnav.logs.source import Source
-from mavnav.logs.unpack import ZSTD_MAGIC, first_bytes, unpacked_file
+from mavnav.logs.formats import mcap_file, mcap_records, rosbag1, rosbag1_records, sqlite_file, sqlite_pages
+from mavnav.logs.formats.decompress import ZSTD_MAGIC, first_bytes, unpacked_file
+from mavnav.logs.formats.rosbag2 import METADATA, compare_count, read_metadata, storage_files
+from mavnav.logs.formats.source import Source
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from mavnav.logs.ledger import Ledger
+    from mavnav.logs.read_report import ReadReport
     from mavnav.logs.records import RawMessage
 
 UNKNOWN = "unknown"
@@ -94,9 +94,9 @@ def _sniff_folder(folder: Path) -> str:
     return "rosbag2" if (folder / METADATA).is_file() else UNKNOWN
 
 
-def parts(path: Path, ledger: Ledger) -> list[Path]:
+def parts(path: Path, report: ReadReport) -> list[Path]:
     """Return the files of a log in their order: those of a ROS 2 bag's folder, or the file itself."""
-    return storage_files(path, ledger, _is_storage, read_metadata(path, ledger)) if path.is_dir() else [path]
+    return storage_files(path, report, _is_storage, read_metadata(path, report)) if path.is_dir() else [path]
 
 
 def _is_storage(path: Path) -> bool:
@@ -107,32 +107,32 @@ def _is_storage(path: Path) -> bool:
     return _sniff_strictly(path) != UNKNOWN or (named and sniff(path) != UNKNOWN)
 
 
-def read(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
+def read(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     """Yield the messages of a log, file after file, each by the reader of its format. Raises UsageError."""
-    metadata = read_metadata(path, ledger) if path.is_dir() else None
-    files = storage_files(path, ledger, _is_storage, metadata) if path.is_dir() else [path]
-    ledger.total_bytes = sum(file.stat().st_size for file in files)
+    metadata = read_metadata(path, report) if path.is_dir() else None
+    files = storage_files(path, report, _is_storage, metadata) if path.is_dir() else [path]
+    report.total_bytes = sum(file.stat().st_size for file in files)
     messages = 0
     for file in files:
-        for message in _read_file(file, ledger):
+        for message in _read_file(file, report):
             messages += 1
             yield message
-        ledger.next_file(file.stat().st_size)
+        report.next_file(file.stat().st_size)
     if metadata is not None:
-        compare_count(metadata, messages, ledger)
+        compare_count(metadata, messages, report)
 
 
-def _read_file(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
+def _read_file(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     reader = READERS.get(sniff(path))
     if reader is None:
-        ledger.damage(refusal(path), path.name)
+        report.damage(refusal(path), path.name)
         return
-    yield from reader(path, ledger)
+    yield from reader(path, report)
 
 
-def _read_zstd(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
-    with unpacked_file(path, ledger) as inner:
-        yield from _read_file(inner, ledger)
+def _read_zstd(path: Path, report: ReadReport) -> Iterator[RawMessage]:
+    with unpacked_file(path, report) as inner:
+        yield from _read_file(inner, report)
 
 
 def refusal(path: Path) -> str:
@@ -162,7 +162,7 @@ MAGICS: dict[bytes, str] = {
     rosbag1.OLD_MAGIC: "rosbag1",
     sqlite_file.MAGIC: "rosbag2-sqlite3",
 }
-READERS: dict[str, Callable[[Path, Ledger], Iterator[RawMessage]]] = {
+READERS: dict[str, Callable[[Path, ReadReport], Iterator[RawMessage]]] = {
     "mcap": mcap_file.read_mcap,
     "rosbag1": rosbag1.read_rosbag1,
     "rosbag2-sqlite3": sqlite_file.read_sqlite,

@@ -9,14 +9,14 @@ import struct
 import zlib
 from typing import TYPE_CHECKING
 
-from mavnav.logs.ledger import Ledger
-from mavnav.logs.mcap_content import State, take
-from mavnav.logs.mcap_records import HEAD, MAGIC, Op, plain_records, record_at
-from mavnav.logs.unpack import MAX_CHUNK_BYTES
+from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
+from mavnav.logs.formats.mcap_content import State, take
+from mavnav.logs.formats.mcap_records import HEAD, MAGIC, Op, plain_records, record_at
+from mavnav.logs.read_report import ReadReport
 
 if TYPE_CHECKING:
+    from mavnav.logs.formats.source import Source
     from mavnav.logs.records import Channel
-    from mavnav.logs.source import Source
 
 _KINDS = frozenset(
     {Op.SCHEMA, Op.CHANNEL, Op.STATISTICS, Op.CHUNK_INDEX, Op.ATTACHMENT_INDEX, Op.METADATA_INDEX, Op.SUMMARY_OFFSET}
@@ -26,7 +26,7 @@ _DATA_END_HEAD = HEAD.pack(Op.DATA_END, 4)
 _BLOCK_BYTES = 1 << 20
 
 
-def summary_channels(source: Source, ledger: Ledger) -> dict[int, Channel]:
+def summary_channels(source: Source, report: ReadReport) -> dict[int, Channel]:
     """Return the channels that the summary repeats: needed only where the chunk that declares them is damaged."""
     footer_at = source.size - len(MAGIC) - HEAD.size - _FOOTER_BYTES
     record = record_at(source, footer_at) if footer_at > 0 else None
@@ -42,19 +42,19 @@ def summary_channels(source: Source, ledger: Ledger) -> dict[int, Channel]:
     summary = source.read(start, footer_at - start)
     guarded = summary + source.read(footer_at, HEAD.size + _FOOTER_BYTES - 4)
     if crc and zlib.crc32(guarded) != crc:
-        ledger.damage("the CRC of the summary does not match; it is not needed", f"byte {start}")
+        report.damage("the CRC of the summary does not match; it is not needed", f"byte {start}")
     return _channels(summary)
 
 
 def _channels(summary: bytes) -> dict[int, Channel]:
-    state = State(Ledger())
+    state = State(ReadReport())
     for opcode, content in plain_records(summary):
         if opcode in (Op.SCHEMA, Op.CHANNEL):
             take(opcode, content, "summary", state)
     return state.channels
 
 
-def data_crc_fails(source: Source, start: int, ledger: Ledger) -> bool:
+def data_crc_fails(source: Source, start: int, report: ReadReport) -> bool:
     """Tell, and note, whether the data section that begins with the magic at ``start`` has a CRC that does not match.
 
     False where it has none, or lost its end.
@@ -64,7 +64,7 @@ def data_crc_fails(source: Source, start: int, ledger: Ledger) -> bool:
     if end is None or declared in (0, _crc(source, start, end)):
         return False
     text = "the CRC of the data section does not match; which record is wrong cannot be known"
-    ledger.damage(f"{text}, so all that no chunk's own CRC guards are suspect", source.where(end))
+    report.damage(f"{text}, so all that no chunk's own CRC guards are suspect", source.where(end))
     return True
 
 

@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 from mavnav.atomic_files import beside
 from mavnav.errors import NoScansError, OutputError, UsageError
-from mavnav.logs import formats, ros
-from mavnav.logs.decode import decoder
-from mavnav.logs.definitions import TF, TF_ROS1
-from mavnav.logs.ledger import Ledger
-from mavnav.logs.mcap_writer import CHUNK_BYTES, qos_text
-from mavnav.logs.mcap_writer import Channel as Written
-from mavnav.logs.messages import DecodeError
+from mavnav.logs.formats import detect
+from mavnav.logs.formats.decompress import DecompressError, unpack_message
+from mavnav.logs.messages import ros
+from mavnav.logs.messages.decode import decoder
+from mavnav.logs.messages.definitions import TF, TF_ROS1
+from mavnav.logs.messages.records import DecodeError
+from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Damage, RawMessage, Schema, Topic
-from mavnav.logs.unpack import UnpackError, unpack_message
+from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, qos_text
+from mavnav.logs.writing.mcap_writer import Channel as Written
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -64,19 +65,19 @@ def convert(
         The target exists (and ``force`` does not say to replace it), or cannot be written.
     """
     _check(source, target, force=force)
-    ledger = Ledger()
+    report = ReadReport()
     try:
         with beside(target) as partial:
-            writing = _Writing(strict, ledger)
+            writing = _Writing(strict, report)
             _write(source, partial, writing, progress)
             topics = writing.topics()
             if not topics:
-                raise NoScansError(f"{source}: no message can be read; {_first(ledger, source)}")
+                raise NoScansError(f"{source}: no message can be read; {_first(report, source)}")
             _compare(partial, target, topics)
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"{target} cannot be written: {reason}; make room or choose another place") from error
-    return Conversion(topics, dict(sorted(writing.left_out.items())), ledger.damages(), tuple(ledger.warnings))
+    return Conversion(topics, dict(sorted(writing.left_out.items())), report.damages(), tuple(report.warnings))
 
 
 def _check(source: Path, target: Path, *, force: bool) -> None:
@@ -90,9 +91,9 @@ def _check(source: Path, target: Path, *, force: bool) -> None:
         raise OutputError(f"{target} exists; choose another name, or --force to replace it")
 
 
-def _first(ledger: Ledger, source: Path) -> str:
-    damages = ledger.damages()
-    return f"{damages[0].what} ({damages[0].where})" if damages else formats.refusal(source)
+def _first(report: ReadReport, source: Path) -> str:
+    damages = report.damages()
+    return f"{damages[0].what} ({damages[0].where})" if damages else detect.refusal(source)
 
 
 @dataclass
@@ -100,7 +101,7 @@ class _Writing:
     """The state of a conversion: for every channel of the source its number in the target and its translation."""
 
     strict: bool
-    ledger: Ledger
+    report: ReadReport
     left_out: Counter[str] = field(default_factory=Counter)
     counts: Counter[Channel] = field(default_factory=Counter)
     numbers: dict[Channel, int] = field(default_factory=dict)
@@ -119,9 +120,9 @@ class _Writing:
             channel, translate, check = self.ways[message.channel]
             check(data)
             data = translate(data)
-        except (DecodeError, UnpackError) as error:
+        except (DecodeError, DecompressError) as error:
             self.left_out["undecodable"] += 1
-            self.ledger.damage(f"a message does not decode ({error})", f"{message.channel.topic}, {message.log_ns} ns")
+            self.report.damage(f"a message does not decode ({error})", f"{message.channel.topic}, {message.log_ns} ns")
             return
         number = self.numbers.get(channel)
         if number is None:
@@ -151,16 +152,16 @@ def _write(source: Path, partial: Path, writing: _Writing, progress: Callable[[i
 
     from mavnav import __version__  # noqa: PLC0415
 
-    ledger = writing.ledger
-    if formats.sniff(source) == formats.UNKNOWN:
-        raise NoScansError(f"{source}: {formats.refusal(source)}")
+    report = writing.report
+    if detect.sniff(source) == detect.UNKNOWN:
+        raise NoScansError(f"{source}: {detect.refusal(source)}")
     with partial.open("wb") as file:
         writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library=f"mavnav {__version__}")
-        for message in formats.read(source, ledger):
+        for message in detect.read(source, report):
             writing.put(writer, message)
             if progress:
-                progress(min(ledger.done_bytes, ledger.total_bytes), ledger.total_bytes)
+                progress(min(report.done_bytes, report.total_bytes), report.total_bytes)
         writer.finish()
 
 
@@ -210,14 +211,14 @@ def _compare(partial: Path, target: Path, topics: tuple[Topic, ...]) -> None:
     """Open the new file, by its messages and by its index; raises OutputError where it is not what was written."""
     from mcap.reader import make_reader  # noqa: PLC0415
 
-    ledger, counts = Ledger(), Counter[str]()
-    for message in formats.read(partial, ledger):
+    report, counts = ReadReport(), Counter[str]()
+    for message in detect.read(partial, report):
         counts[message.channel.topic] += 1
     expected = _by_name(topics)
     with partial.open("rb") as file:
         summary = make_reader(file).get_summary()
     indexed = summary.statistics.message_count if summary and summary.statistics else -1
-    if counts != expected or ledger.damages() or indexed != sum(expected.values()):
+    if counts != expected or report.damages() or indexed != sum(expected.values()):
         raise OutputError(f"{target}: what was written reads back differently; is the disk sound? Try another place")
 
 

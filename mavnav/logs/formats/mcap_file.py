@@ -11,8 +11,9 @@ import zlib
 from io import BytesIO
 from typing import TYPE_CHECKING
 
-from mavnav.logs.mcap_content import State, take
-from mavnav.logs.mcap_records import (
+from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, DecompressError, decompress
+from mavnav.logs.formats.mcap_content import State, take
+from mavnav.logs.formats.mcap_records import (
     HEAD,
     MAGIC,
     PRIVATE,
@@ -25,15 +26,14 @@ from mavnav.logs.mcap_records import (
     plain_records,
     record_at,
 )
-from mavnav.logs.mcap_summary import data_crc_fails, summary_channels
-from mavnav.logs.source import Source
-from mavnav.logs.unpack import MAX_CHUNK_BYTES, UnpackError, unpack
+from mavnav.logs.formats.mcap_summary import data_crc_fails, summary_channels
+from mavnav.logs.formats.source import Source
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from mavnav.logs.ledger import Ledger
+    from mavnav.logs.read_report import ReadReport
     from mavnav.logs.records import RawMessage
 
 _READ = frozenset({Op.HEADER, Op.FOOTER, Op.SCHEMA, Op.CHANNEL, Op.MESSAGE, Op.CHUNK, Op.STATISTICS, Op.DATA_END})
@@ -42,18 +42,18 @@ _BLOCK_BYTES = 1 << 20
 _SEARCH_BYTES = 1 << 16
 
 
-def read_mcap(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
+def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     """Yield the messages of an MCAP file, in the order of the file, in constant memory.
 
     What cannot be read is left out and noted. What is read from a chunk whose CRC does not match, or that does not
     decompress to its end, is suspect, and noted as well.
     """
-    state = State(ledger)
+    state = State(report)
     with path.open("rb") as file:
         source = Source(file, path.stat().st_size)
-        state.spare = summary_channels(source, ledger)
+        state.spare = summary_channels(source, report)
         for record in _records(source, _begin(source, state), state):
-            ledger.at(record.start)
+            report.at(record.start)
             if record.opcode == Op.CHUNK:
                 yield from _chunk_messages(source, record, state)
             elif record.opcode in _READ:
@@ -62,7 +62,7 @@ def read_mcap(path: Path, ledger: Ledger) -> Iterator[RawMessage]:
                     doubtful = state.unsound or _runs_into_loss(source, record.end)
                     yield message._replace(suspect=True) if doubtful else message
         if not state.closed:
-            ledger.damage("the file ends without a footer; it was cut or not closed", source.where(source.size))
+            report.damage("the file ends without a footer; it was cut or not closed", source.where(source.size))
 
 
 def _begin(source: Source, state: State) -> int:
@@ -70,10 +70,10 @@ def _begin(source: Source, state: State) -> int:
     at = source.read(0, _SEARCH_BYTES).find(MAGIC)
     if at == 0:
         return 0
-    state.ledger.damage("the file does not begin with the magic of MCAP", source.where(0))
+    state.report.damage("the file does not begin with the magic of MCAP", source.where(0))
     if at > 0 and record_at(source, at + len(MAGIC)) is not None:
         return at
-    state.unsound = data_crc_fails(source, 0, state.ledger)
+    state.unsound = data_crc_fails(source, 0, state.report)
     return 0
 
 
@@ -92,9 +92,9 @@ def _records(source: Source, offset: int, state: State) -> Iterator[Record]:
             offset = _lose(source, offset, offset + 1, state)
             continue
         if Op.DATA_END < record.opcode < PRIVATE:
-            state.ledger.warn(f"a record of an unknown kind ({record.opcode}) was passed over")
+            state.report.warn(f"a record of an unknown kind ({record.opcode}) was passed over")
         if record.odd:
-            state.ledger.damage(record.odd, source.where(offset))
+            state.report.damage(record.odd, source.where(offset))
         followed = record.opcode == Op.CHUNK or is_boundary(source, record.end)
         yield record
         if state.closed:
@@ -121,16 +121,16 @@ def _lose(source: Source, offset: int, search_from: int, state: State) -> int:
         return found
     empty = not any(source.read(offset, min(found - offset, _BLOCK_BYTES)))
     kind = "zeros" if empty else "bytes that are no record"
-    state.ledger.damage(f"{found - offset} {kind}; what they held is lost", source.where(offset))
+    state.report.damage(f"{found - offset} {kind}; what they held is lost", source.where(offset))
     return found
 
 
 def _pass_magic(source: Source, offset: int, state: State) -> int:
     """Pass the magic at the beginning; one further on begins another file."""
     if state.closed or state.messages:
-        state.ledger.warn("several MCAP files lie one behind the other in this one; all were read")
+        state.report.warn("several MCAP files lie one behind the other in this one; all were read")
         state.begin()
-    state.unsound = data_crc_fails(source, offset, state.ledger)
+    state.unsound = data_crc_fails(source, offset, state.report)
     return offset + len(MAGIC)
 
 
@@ -138,7 +138,7 @@ def _pass_end(source: Source, offset: int, state: State) -> int:
     """Pass the magic behind the footer."""
     if source.read(offset, len(MAGIC)) == MAGIC:
         return offset + len(MAGIC)
-    state.ledger.damage("the magic at the end is missing", source.where(offset))
+    state.report.damage("the magic at the end is missing", source.where(offset))
     return offset if offset == source.size else _lose(source, offset, offset, state)
 
 
@@ -146,8 +146,8 @@ def _chunk_messages(source: Source, record: Record, state: State) -> Iterator[Ra
     where = f"chunk at byte {record.start}"
     try:
         records, suspect = _chunk_records(source, record, where, state)
-    except (UnpackError, struct.error) as error:
-        state.ledger.damage(f"chunk left out: {error}", where)
+    except (DecompressError, struct.error) as error:
+        state.report.damage(f"chunk left out: {error}", where)
         return
     inner = Source(BytesIO(records), len(records), f"{where}, ")
     if not suspect:
@@ -162,7 +162,9 @@ def _chunk_messages(source: Source, record: Record, state: State) -> Iterator[Ra
 def _chunk_records(source: Source, record: Record, where: str, state: State) -> tuple[bytes, bool]:
     """Decompress a chunk as far as that goes; tell what is wrong, and return whether it is suspect."""
     if record.end - record.start > MAX_CHUNK_BYTES:
-        raise UnpackError(f"of {record.end - record.start} bytes; no more than {MAX_CHUNK_BYTES} are taken into memory")
+        raise DecompressError(
+            f"of {record.end - record.start} bytes; no more than {MAX_CHUNK_BYTES} are taken into memory"
+        )
     content = source.read(record.start, record.end - record.start)
     head = chunk_head(content)
     records, problem = _unpacked(head, content[head.start :])
@@ -173,17 +175,17 @@ def _chunk_records(source: Source, record: Record, where: str, state: State) -> 
         problem = f"{problem}, and the CRC does not match" if problem else "the CRC does not match"
     if problem:
         text = "" if verified else "; what can be read of the chunk is suspect"
-        state.ledger.damage(problem + text, where)
+        state.report.damage(problem + text, where)
     doubtful = problem is not None or (state.unsound and not head.crc)
     return records, doubtful and not verified
 
 
 def _unpacked(head: ChunkHead, data: bytes) -> tuple[bytes, str | None]:
     """Decompress the bytes that a chunk tells, and all that are there where their number lies."""
-    records, problem = unpack(head.compression, data[: head.stored_bytes])
+    records, problem = decompress(head.compression, data[: head.stored_bytes])
     if problem is None or len(data) <= head.stored_bytes:
         return records, problem
-    return unpack(head.compression, data)
+    return decompress(head.compression, data)
 
 
 def _sound_messages(records: bytes, inner: Source, state: State) -> Iterator[RawMessage]:

@@ -9,32 +9,32 @@ from __future__ import annotations
 from math import isfinite, isnan, tau
 from typing import TYPE_CHECKING
 
-from mavnav.logs.definitions import SCAN
-from mavnav.logs.layout import laser_of
+from mavnav.logs.messages.definitions import SCAN
+from mavnav.logs.messages.fast_cdr import laser_of
 from mavnav.logs.records import Channel
 
 if TYPE_CHECKING:
-    from mavnav.logs.ledger import Ledger
-    from mavnav.logs.messages import LaserMessage
+    from mavnav.logs.messages.records import LaserMessage
+    from mavnav.logs.read_report import ReadReport
 
 _MAX_FRAME = 256
 
 ENCODINGS = ("cdr", "ros1")
 
 
-def channel_of(data: bytes, name: str, ledger: Ledger) -> Channel | None:
+def channel_of(data: bytes, name: str, report: ReadReport) -> Channel | None:
     """Return the channel of a message on one that is declared nowhere; None unless it is a scan by its bytes.
 
     It is taken for one of the only scan channel that is known, else for one of a channel of this ``name``.
     """
     encoding = laser_encoding(data)
-    known = ledger.only(SCAN)
+    known = report.only(SCAN)
     if encoding is None or (known is not None and known.encoding != encoding):
         return None
-    return known or ledger.declare(Channel(name, SCAN, encoding))
+    return known or report.declare(Channel(name, SCAN, encoding))
 
 
-def typed(channel: Channel, data: bytes, where: str, ledger: Ledger) -> Channel:
+def typed(channel: Channel, data: bytes, where: str, report: ReadReport) -> Channel:
     """Return the channel with the type and encoding that a message of it turns out to have, told as damage.
 
     Only of one that ``is_vague``.
@@ -43,8 +43,8 @@ def typed(channel: Channel, data: bytes, where: str, ledger: Ledger) -> Channel:
     if encoding is None:
         return channel
     lacks = f"is in no encoding {channel.encoding!r}" if channel.type else "has a type that is told nowhere"
-    ledger.damage(f"{channel.topic} {lacks}; its messages are scans by their bytes", where)
-    return ledger.declare(Channel(channel.topic, SCAN, encoding))
+    report.damage(f"{channel.topic} {lacks}; its messages are scans by their bytes", where)
+    return report.declare(Channel(channel.topic, SCAN, encoding))
 
 
 def is_vague(channel: Channel) -> bool:

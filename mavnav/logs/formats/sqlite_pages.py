@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from mavnav.logs.unpack import MAX_CHUNK_BYTES
+from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mavnav.logs.source import Source
+    from mavnav.logs.formats.source import Source
 
 _LEAF = 0x0D
 _FILE_HEADER_BYTES = 100

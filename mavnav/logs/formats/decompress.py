@@ -12,7 +12,7 @@ from typing import IO, TYPE_CHECKING, Any, Protocol
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from mavnav.logs.ledger import Ledger
+    from mavnav.logs.read_report import ReadReport
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 MAX_CHUNK_BYTES = 128 << 20
@@ -26,7 +26,7 @@ _MAX_WINDOW_BYTES = 1 << 27
 _MAX_FILE_RATIO = 200
 
 
-class UnpackError(Exception):
+class DecompressError(Exception):
     """Data cannot be decompressed, or to far more than any log would."""
 
 
@@ -38,7 +38,7 @@ class _Decompressor(Protocol):
     def decompress(self, data: bytes) -> bytes: ...
 
 
-def unpack(compression: str, data: bytes) -> tuple[bytes, str | None]:
+def decompress(compression: str, data: bytes) -> tuple[bytes, str | None]:
     """Decompress as much as there is.
 
     Parameters
@@ -56,11 +56,11 @@ def unpack(compression: str, data: bytes) -> tuple[bytes, str | None]:
 
     Raises
     ------
-    UnpackError
+    DecompressError
         Unknown compression, or a bomb: more than a thousand times the data (and a MiB), or ``MAX_CHUNK_BYTES``.
     """
     if compression not in CODECS:
-        raise UnpackError(f"unknown compression {compression!r}")
+        raise DecompressError(f"unknown compression {compression!r}")
     if compression not in FRAMES:
         return data, None
     limit = min(MAX_CHUNK_BYTES, _FREE_BYTES + _MAX_RATIO * len(data))
@@ -78,7 +78,7 @@ def _gather(compression: str, data: bytes, limit: int) -> bytes:
         blocks.append(block)
         size += len(block)
         if size > limit:
-            raise UnpackError(f"{len(data)} bytes of {compression} decompress to more than {limit}")
+            raise DecompressError(f"{len(data)} bytes of {compression} decompress to more than {limit}")
     return blocks[0] if len(blocks) == 1 else b"".join(blocks)
 
 
@@ -107,7 +107,7 @@ def _in_pieces(compression: str, data: bytes, limit: int, fine_from: int) -> tup
             blocks.append(decompressor.decompress(piece))
             size += len(blocks[-1])
             if size > limit:
-                raise UnpackError(f"{len(data)} bytes of {compression} decompress to more than {limit}")
+                raise DecompressError(f"{len(data)} bytes of {compression} decompress to more than {limit}")
             offset += len(piece) - len(decompressor.unused_data or b"")
     except (*_ERRORS, _zstd_error()) as error:
         return b"".join(blocks), offset, str(error)
@@ -192,13 +192,13 @@ FRAMES: dict[str, tuple[tuple[bytes, ...], Callable[[], Any]]] = {
 def unpack_message(data: bytes) -> bytes:
     """Decompress a message that its recorder compressed by itself (rosbag2, ``compression_mode: message``).
 
-    No CDR message begins like a zstd frame: its first byte is 0. Raises UnpackError.
+    No CDR message begins like a zstd frame: its first byte is 0. Raises DecompressError.
     """
     if data[:4] != ZSTD_MAGIC:
         return data
-    unpacked, problem = unpack("zstd", data)
+    unpacked, problem = decompress("zstd", data)
     if problem:
-        raise UnpackError(problem)
+        raise DecompressError(problem)
     return unpacked
 
 
@@ -215,7 +215,7 @@ def first_bytes(path: Path, count: int) -> bytes:
 
 
 @contextmanager
-def unpacked_file(path: Path, ledger: Ledger) -> Iterator[Path]:
+def unpacked_file(path: Path, report: ReadReport) -> Iterator[Path]:
     """Decompress a file into a temporary one, deleted at the end; what is broken is noted and left out."""
     import zstandard  # noqa: PLC0415
 
@@ -228,9 +228,9 @@ def unpacked_file(path: Path, ledger: Ledger) -> Iterator[Path]:
                 while size <= limit and (block := stream.read(_PIECE_BYTES)):
                     size += file.write(block)
             except (zstandard.ZstdError, MemoryError) as error:
-                ledger.damage(f"zstd data cannot be decompressed ({error})", f"{path.name}, after {size} bytes")
+                report.damage(f"zstd data cannot be decompressed ({error})", f"{path.name}, after {size} bytes")
         if size > limit:
-            ledger.damage(f"decompresses to more than {limit} bytes; the rest is not read", path.name)
+            report.damage(f"decompresses to more than {limit} bytes; the rest is not read", path.name)
         yield target
 
 

@@ -1,4 +1,4 @@
-"""The door: every kind of odd range, and scans that cannot be used."""
+"""The scan filter: every kind of odd range, and scans that cannot be used."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavnav.logs.door import FARTHEST_M, KINDS, Door, clean
-from mavnav.logs.messages import LaserMessage
+from mavnav.logs.messages.records import LaserMessage
+from mavnav.logs.preprocessing import FARTHEST_M, KINDS, ScanFilter, clean
 
 NAN, INF = math.nan, math.inf
 
@@ -74,15 +74,15 @@ def message(**changes: object) -> LaserMessage:
     ],
 )
 def test_unusable_scans_are_refused_with_the_reason(changes: dict[str, object], reason: str) -> None:
-    assert Door("/scan", [].append).admit(message(**changes)) == reason
+    assert ScanFilter("/scan", [].append).admit(message(**changes)) == reason
 
 
 @pytest.mark.parametrize("limits", [(0.0, 0.0), (5.0, 1.0), (NAN, 10.0), (0.1, NAN), (-INF, INF)])
 def test_unusable_limits_let_every_positive_range_pass_with_a_warning(limits: tuple[float, float]) -> None:
     warnings: list[str] = []
     ranges = np.array([0.0, 1e-3, 99.0, -1.0, INF])
-    door = Door("/scan", warnings.append)
-    spec, cleaned, _ = door.admit(message(ranges_m=ranges, range_min_m=limits[0], range_max_m=limits[1]))
+    scan_filter = ScanFilter("/scan", warnings.append)
+    spec, cleaned, _ = scan_filter.admit(message(ranges_m=ranges, range_min_m=limits[0], range_max_m=limits[1]))
     np.testing.assert_array_equal(cleaned, [NAN, 1e-3, 99.0, NAN, NAN])
     assert (spec.range_min_m, spec.range_max_m) == (0.0, INF)
     assert any("range limits" in w for w in warnings)
@@ -90,11 +90,11 @@ def test_unusable_limits_let_every_positive_range_pass_with_a_warning(limits: tu
 
 def test_a_maximum_that_stands_for_no_return_is_none_from_then_on() -> None:
     warnings: list[str] = []
-    door = Door("/scan", warnings.append)
+    scan_filter = ScanFilter("/scan", warnings.append)
     few, many = np.full(600, 2.0), np.full(600, 2.0)
     few[:12] = many[:13] = 10.0
     counts = [
-        dict(zip(KINDS, door.admit(message(ranges_m=r, angle_step_rad=0.001))[2], strict=True))
+        dict(zip(KINDS, scan_filter.admit(message(ranges_m=r, angle_step_rad=0.001))[2], strict=True))
         for r in (few, many, few)
     ]
     assert [c["above_max"] for c in counts] == [0, 13, 12]
@@ -106,7 +106,7 @@ def test_a_maximum_that_stands_for_no_return_is_none_from_then_on() -> None:
 
 def test_readings_of_a_sensor_without_a_limit_are_none_of_its_maximum() -> None:
     warnings: list[str] = []
-    _, _, counts = Door("/scan", warnings.append).admit(
+    _, _, counts = ScanFilter("/scan", warnings.append).admit(
         message(ranges_m=np.repeat((INF, 1.0), 20), range_max_m=INF, angle_step_rad=0.01)
     )
     assert counts[KINDS.index("plus_inf")] == 20
@@ -115,28 +115,28 @@ def test_readings_of_a_sensor_without_a_limit_are_none_of_its_maximum() -> None:
 
 def test_infinite_maximum_is_a_sensor_without_one() -> None:
     warnings: list[str] = []
-    spec, _, _ = Door("/scan", warnings.append).admit(message(range_max_m=INF))
+    spec, _, _ = ScanFilter("/scan", warnings.append).admit(message(range_max_m=INF))
     assert (spec.range_min_m, spec.range_max_m, warnings) == (0.1, INF, [])
 
 
 def test_number_of_beams_and_increment_are_believed_over_angle_max() -> None:
     warnings: list[str] = []
-    spec, _, _ = Door("/scan", warnings.append).admit(message(last_angle_rad=3.0))
+    spec, _, _ = ScanFilter("/scan", warnings.append).admit(message(last_angle_rad=3.0))
     assert (spec.beams, spec.angle_step_rad) == (3, 1.0)
     assert "angle_max" in warnings[0]
 
 
 def test_one_beam_too_many_in_angle_max_is_no_news() -> None:
     warnings: list[str] = []
-    Door("/scan", warnings.append).admit(message(last_angle_rad=2.0))
+    ScanFilter("/scan", warnings.append).admit(message(last_angle_rad=2.0))
     assert warnings == []
 
 
 def test_geometry_may_change_and_equal_ones_are_shared() -> None:
     warnings: list[str] = []
-    door = Door("/scan", warnings.append)
-    first, again = door.admit(message())[0], door.admit(message(stamp_ns=5))[0]
-    other = door.admit(message(angle_step_rad=-0.5, last_angle_rad=-2.0))[0]
+    scan_filter = ScanFilter("/scan", warnings.append)
+    first, again = scan_filter.admit(message())[0], scan_filter.admit(message(stamp_ns=5))[0]
+    other = scan_filter.admit(message(angle_step_rad=-0.5, last_angle_rad=-2.0))[0]
     assert first is again
     assert other.angle_step_rad == -0.5
     assert len(warnings) == 1
@@ -154,31 +154,31 @@ def test_geometry_may_change_and_equal_ones_are_shared() -> None:
     ],
 )
 def test_a_topic_in_millimetres_is_doubted(ranges: list[float], doubted: bool) -> None:
-    door = Door("/scan", [].append)
-    door.admit(message(ranges_m=np.array(ranges, float), range_max_m=5600.0))
-    assert door.doubt.startswith("more than half of the ranges lie beyond 250 m") is doubted
-    assert bool(door.doubt) is doubted
+    scan_filter = ScanFilter("/scan", [].append)
+    scan_filter.admit(message(ranges_m=np.array(ranges, float), range_max_m=5600.0))
+    assert scan_filter.doubt.startswith("more than half of the ranges lie beyond 250 m") is doubted
+    assert bool(scan_filter.doubt) is doubted
 
 
 def test_a_topic_in_degrees_is_doubted_until_a_scan_is_sound() -> None:
-    door, degrees = Door("/scan", [].append), message(ranges_m=np.ones(241), angle_step_rad=1.0)
-    assert (door.admit(degrees), "look like degrees" in door.doubt) == ("impossible_geometry", True)
-    door.admit(message())
-    assert door.doubt == ""
+    scan_filter, degrees = ScanFilter("/scan", [].append), message(ranges_m=np.ones(241), angle_step_rad=1.0)
+    assert (scan_filter.admit(degrees), "look like degrees" in scan_filter.doubt) == ("impossible_geometry", True)
+    scan_filter.admit(message())
+    assert scan_filter.doubt == ""
 
 
 @pytest.mark.parametrize(("turns", "sound"), [(1.05, True), (1.15, False), (2.0, False), (80.0, False)])
 def test_a_scan_may_overlap_itself_a_little(turns: float, sound: bool) -> None:
-    door = Door("/scan", [].append)
-    assert isinstance(door.admit(message(angle_step_rad=turns * math.tau / 2)), tuple) is sound
-    assert door.doubt == ""
+    scan_filter = ScanFilter("/scan", [].append)
+    assert isinstance(scan_filter.admit(message(angle_step_rad=turns * math.tau / 2)), tuple) is sound
+    assert scan_filter.doubt == ""
 
 
 def test_a_scan_of_a_million_beams_is_thinned() -> None:
     warnings: list[str] = []
     ranges = np.linspace(1.0, 9.0, 1_000_000, dtype=np.float32)
     told = {"angle_step_rad": 2e-6, "time_increment_s": 1e-7, "last_angle_rad": 1.0, "ranges_m": ranges}
-    spec, thinned, counts = Door("/scan", warnings.append).admit(message(**told))
+    spec, thinned, counts = ScanFilter("/scan", warnings.append).admit(message(**told))
     assert (spec.beams, sum(counts)) == (32259, 32259)
     assert thinned.tolist() == ranges[::31].astype(float).tolist()
     assert (spec.angle_step_rad, spec.time_increment_s) == pytest.approx((31 * 2e-6, 31e-7))

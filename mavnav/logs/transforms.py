@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.logs.messages import TransformMessage
+    from mavnav.logs.messages.records import TransformMessage
 
 BASE_FRAMES = ("base_link", "base_footprint")
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from mavnav import __version__
-from mavnav.logs.definitions import definition
+from mavnav.logs.messages.definitions import definition
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mavnav.logs.definitions import ODOMETRY, POSE, SCAN, TF
+from mavnav.logs.messages.definitions import ODOMETRY, POSE, SCAN, TF
 
 if TYPE_CHECKING:
     from mavnav.pose import Pose

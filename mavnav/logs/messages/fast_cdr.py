@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavnav.logs.messages import LaserMessage, TransformMessage
+from mavnav.logs.messages.records import LaserMessage, TransformMessage
 
 _ENCAPSULATIONS = {0: (">", 0), 1: ("<", 0), 6: (">", 0), 7: ("<", 0), 8: (">", 4), 9: ("<", 4)}
 """Kind of a CDR message -> byte order, and bytes of a header before the fields."""
