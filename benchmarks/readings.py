@@ -23,13 +23,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavnav import slam
 from mavnav.config.loading import load_config
 from mavnav.flight import End, fly
 from mavnav.logs import open_log
 from mavnav.metrics.wall_thickness import wall_thickness
 from mavnav.replay import measured_quality, measured_sections
 from mavnav.simulate import truth_errors
+from mavnav.slam import pipeline
 from mavnav.world.scenario_file import load_scenario
 
 DOCS = Path(__file__).parent.parent / "docs" / "paper"
@@ -126,7 +126,7 @@ def mission(reading: Reading, scenario: str, seed: int, *, thickness: bool = Fal
     )
 
 
-def walls(outcome: slam.Slam) -> tuple[float, ...]:
+def walls(outcome: pipeline.Slam) -> tuple[float, ...]:
     """Return maximum and p95 of the wall thickness in cells, at 2 and at 5 hits."""
     measured = [wall_thickness(outcome.grid.hits, outcome.grid.cell_m, hits) for hits in (2, 5)]
     return tuple(cells for walls in measured for cells in (walls.max_cells, walls.p95_cells))
@@ -225,7 +225,7 @@ def _replay(task: tuple[Reading, str, str]) -> str:
     reading, folder, name = task
     log = open_log(Path(folder) / name / f"{name}.mcap", odom="off")
     sets = [s.removeprefix("slam.") for s in reading.sets if s.startswith("slam.")]
-    outcome = slam.replay(log.scans, load_config(reading.preset, sets), log.period_s)
+    outcome = pipeline.replay(log.scans, load_config(reading.preset, sets), log.period_s)
     quality = measured_quality(outcome, log, measured_sections(outcome.grid))
     apart_mm = quality.revisits.nn_l_mm if quality.revisits else np.nan
     ended = "" if not outcome.lost_for_good else ", lost"

@@ -10,7 +10,7 @@ import pytest
 
 from mavnav.config.loading import load_config
 from mavnav.logs import open_log
-from mavnav.slam import replay
+from mavnav.slam.pipeline import replay
 
 SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
 

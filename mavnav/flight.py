@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav import slam
-from mavnav.methods import METHODS
-from mavnav.motion import Motion
 from mavnav.planner import Command, Planner
 from mavnav.pose import Pose, Trajectory
-from mavnav.steps import Steps
+from mavnav.slam import pipeline as slam
+from mavnav.slam.method import METHODS
+from mavnav.slam.motion_model import Motion
+from mavnav.slam.steps import Steps
 from mavnav.units import DEG, MM, NS
 from mavnav.world import LaserModel, Scenario, World, laser_model, take_scan
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import GridBuilder
     from mavnav.scan import LaserSpec, Scan
-    from mavnav.steps import Step
+    from mavnav.slam.steps import Step
 
 START_NS = 1_700_000_000_000_000_000
 """Stamp of the first scan, the same for every mission."""

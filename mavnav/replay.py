@@ -11,9 +11,7 @@ from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
 
-from mavnav import slam
 from mavnav.errors import ExitCode, StoppedError, UsageError
-from mavnav.known_map import known_map
 from mavnav.logs import check_log, open_log
 from mavnav.mapping.occupancy_grid import measured_part
 from mavnav.memory import give_back
@@ -23,13 +21,14 @@ from mavnav.metrics.wall_thickness import sections_by_hits
 from mavnav.outputs import Run, Timing, check_directory, write_run
 from mavnav.profiling import account, timed
 from mavnav.references import check_times, compared, load_references, occupied_xy_m, read_map
+from mavnav.slam import pipeline
+from mavnav.slam.prior_map import known_map
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mavnav.config.models import Config
-    from mavnav.known_map import KnownMap
     from mavnav.logs import Log
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.map_quality import MapQuality
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
     from mavnav.pose import Pose
     from mavnav.references import References
     from mavnav.scan import Scan
+    from mavnav.slam.prior_map import KnownMap
 
 
 Stop = Callable[[], ExitCode | None]
@@ -102,7 +102,7 @@ def map_yaml(path: Path) -> Path:
     return path / "map.yaml" if path.is_dir() else path
 
 
-def localisation(request: Request, outcome: slam.Slam) -> dict[str, Any]:
+def localisation(request: Request, outcome: pipeline.Slam) -> dict[str, Any]:
     """Tell of run.json how a laser was found in a known map: where it was said to begin, and where it did."""
     first = next((step for step in outcome.steps if step.tracked), None)
     return {
@@ -206,7 +206,7 @@ def measured_sections(grid: Grid) -> dict[int, Sections]:
 
 
 @timed("measuring")
-def measured_quality(outcome: slam.Slam, log: Log, sections: dict[int, Sections]) -> MapQuality:
+def measured_quality(outcome: pipeline.Slam, log: Log, sections: dict[int, Sections]) -> MapQuality:
     """Measure the map of a run, with the scans behind it."""
     journey = Journey(outcome.trajectory, log.scans, outcome.tracked_share, outcome.lost_for_good)
     return map_quality(measured_part(outcome.grid), journey, sections=sections)
@@ -226,13 +226,13 @@ def _open(request: Request, progress: Progress) -> Log:
     )
 
 
-def _track(log: Log, config: Config, known: KnownMap | None, progress: Progress, stop: Stop) -> slam.Slam:
+def _track(log: Log, config: Config, known: KnownMap | None, progress: Progress, stop: Stop) -> pipeline.Slam:
     total = log.counts.usable
 
     def scans() -> Iterator[Scan]:
         return takewhile(lambda _: stop() is None, log.scans())
 
-    return slam.replay(
+    return pipeline.replay(
         scans,
         config,
         log.period_s,

@@ -10,9 +10,9 @@ from synthetic import furnished_rooms, scan_at
 
 from mavnav.kernels import linesearch, points
 from mavnav.mapping.line_map import LineMap
-from mavnav.matcher import polar_points
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
+from mavnav.slam.scan_matching import polar_points
 
 GRIDS = (5, 10, 20, 40)
 LASERS = (

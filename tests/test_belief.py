@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from mavnav.belief import PROOFS, Belief, Verdict
-from mavnav.motion import Motion
 from mavnav.pose import Pose
+from mavnav.slam.motion_model import Motion
+from mavnav.slam.track_state import PROOFS, Belief, Verdict
 
 MS = 1_000_000
 HERE, THERE = Pose(1.0, 0.0, 0.0), Pose(4.0, 2.0, 1.0)

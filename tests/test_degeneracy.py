@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from synthetic import URG_04LX, Recording, along, drifting_odometry, furnished_rooms, polyline, record, room
 
-from mavnav import slam
 from mavnav.config.models import Config
-from mavnav.degeneracy import LEAST_HOLD, sliding
 from mavnav.kernels.hold import hold
 from mavnav.mapping.line_map import LineMap
-from mavnav.matcher import first_match
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
-from mavnav.steps import Step, Steps
+from mavnav.slam import pipeline
+from mavnav.slam.degeneracy import LEAST_HOLD, sliding
+from mavnav.slam.scan_matching import first_match
+from mavnav.slam.steps import Step, Steps
 
 CIRCLE = polyline(*((2.5 * np.cos(a), 2.5 * np.sin(a)) for a in np.arange(0.0, 2 * pi, pi / 60)), closed=True)
 CORRIDOR = polyline((-20, -1), (20, -1)), polyline((-20, 1), (20, 1))
@@ -39,20 +39,20 @@ def driven(walls: np.ndarray, *way_m: tuple[float, float]) -> Recording:
 )
 def test_a_direction_that_is_left_open_is_told(walls: np.ndarray, way: list[tuple[float, float]]) -> None:
     drive = driven(walls, *way)
-    (warning,) = slam.replay(lambda: drive.scans, Config(), 0.1).warnings
+    (warning,) = pipeline.replay(lambda: drive.scans, Config(), 0.1).warnings
     assert "leave a direction open" in warning
 
 
 @pytest.mark.parametrize("walls", [furnished_rooms(), room(4.0, 3.5)], ids=["furnished", "empty room"])
 def test_a_room_holds_the_laser(walls: np.ndarray) -> None:
     drive = driven(walls, (0.8, 0.7), (2.8, 0.7), (2.9, 1.5))
-    assert slam.replay(lambda: drive.scans, Config(), 0.1).warnings == ()
+    assert pipeline.replay(lambda: drive.scans, Config(), 0.1).warnings == ()
 
 
 def test_odometry_holds_it_too() -> None:
     drive = driven(np.vstack(CORRIDOR), (0.0, 0.0), (2.0, 0.1))
     odometry = drifting_odometry(drive.world_T_laser)
-    assert slam.replay(lambda: drive.scans, Config(), 0.1, odometry).warnings == ()
+    assert pipeline.replay(lambda: drive.scans, Config(), 0.1, odometry).warnings == ()
 
 
 @pytest.mark.parametrize(("loose", "told"), [(4, ""), (5, "from 0.3 to 0.7 s): ")])

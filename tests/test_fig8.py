@@ -7,12 +7,12 @@ from math import radians
 import numpy as np
 import pytest
 
-from mavnav import slam
 from mavnav.config.loading import load_config
 from mavnav.metrics.ghost_walls import GhostWalls
 from mavnav.metrics.map_quality import map_quality
 from mavnav.pose import Pose
 from mavnav.scan import Scan
+from mavnav.slam import pipeline
 from mavnav.world.laser import take_scan
 from mavnav.world.scenario import laser_model
 from mavnav.world.scenario_file import load_scenario
@@ -33,7 +33,7 @@ def corridor() -> list[Scan]:
 
 def ghosts(scans: list[Scan], grid: str, azimuth: int) -> GhostWalls:
     config = load_config("fig8", [], {"grid": grid, "azimuth": azimuth})
-    return map_quality(slam.replay(lambda: iter(scans), config, 0.1).grid).ghost_walls
+    return map_quality(pipeline.replay(lambda: iter(scans), config, 0.1).grid).ghost_walls
 
 
 def test_a_coarse_grid_draws_walls_twice_finer_ones_do_not(corridor: list[Scan]) -> None:

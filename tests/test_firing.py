@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from synthetic import URG_04LX, along, furnished_rooms, scan_at
 
-from mavnav import slam
 from mavnav.config.models import Config
-from mavnav.firing import STRETCH_SCANS, backwards, is_backwards, is_plainly_told, turning_stretch
-from mavnav.matcher import Match, no_match
 from mavnav.pose import Pose
 from mavnav.scan import Scan
+from mavnav.slam import pipeline
+from mavnav.slam.beam_order import STRETCH_SCANS, backwards, is_backwards, is_plainly_told, turning_stretch
+from mavnav.slam.scan_matching import Match, no_match
 
 SLOW = replace(URG_04LX, beams=171, angle_step_rad=4 * URG_04LX.angle_step_rad, time_increment_s=0.095 / 171)
 """A sweep that takes all the time between two scans, so that a turn shears it."""
@@ -53,23 +53,25 @@ def sweeps() -> list[Scan]:
 
 
 def test_the_right_order_is_kept(sweeps: list[Scan]) -> None:
-    assert slam.replay(lambda: sweeps, Config(), 0.1).warnings == ()
+    assert pipeline.replay(lambda: sweeps, Config(), 0.1).warnings == ()
 
 
 def test_a_wrong_order_is_found_out_and_said(sweeps: list[Scan]) -> None:
     wrong = [backwards(scan) for scan in sweeps]
-    (warning,) = slam.replay(lambda: wrong, Config(), 0.1).warnings
+    (warning,) = pipeline.replay(lambda: wrong, Config(), 0.1).warnings
     assert "reverse" in warning
-    right = slam.replay(lambda: sweeps, Config(), 0.1)
-    np.testing.assert_array_equal(slam.replay(lambda: wrong, Config(), 0.1).trajectory.xyyaw, right.trajectory.xyyaw)
+    right = pipeline.replay(lambda: sweeps, Config(), 0.1)
+    np.testing.assert_array_equal(
+        pipeline.replay(lambda: wrong, Config(), 0.1).trajectory.xyyaw, right.trajectory.xyyaw
+    )
 
 
 @pytest.mark.parametrize(
     "config", [Config(robust={"deskew": "on"}), Config(robust={"deskew": "off"}), Config(method="paper")]
 )
 def test_only_auto_tries_both_orders(sweeps: list[Scan], config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(slam, "turning_stretch", lambda _: pytest.fail("it was looked for"))
-    slam.replay(lambda: sweeps[:9], config, 0.1)
+    monkeypatch.setattr(pipeline, "turning_stretch", lambda _: pytest.fail("it was looked for"))
+    pipeline.replay(lambda: sweeps[:9], config, 0.1)
 
 
 def test_the_stretch_is_where_the_laser_turns() -> None:
@@ -100,8 +102,8 @@ def test_the_right_order_is_tracked_once_and_a_wrong_one_tried(
     sweeps: list[Scan], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     maps: list[object] = []
-    monkeypatch.setattr(slam.Start, "tracked", _counted(slam.Start.tracked, maps))
-    slam.replay(lambda: sweeps, Config(), 0.1)
+    monkeypatch.setattr(pipeline.Start, "tracked", _counted(pipeline.Start.tracked, maps))
+    pipeline.replay(lambda: sweeps, Config(), 0.1)
     assert len(maps) == 1
-    slam.replay(lambda: [backwards(scan) for scan in sweeps], Config(), 0.1)
+    pipeline.replay(lambda: [backwards(scan) for scan in sweeps], Config(), 0.1)
     assert len(maps) == 1 + 4  # as told, the trial of both, and the whole track again

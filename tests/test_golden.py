@@ -12,7 +12,7 @@ import pytest
 
 from mavnav.config.loading import load_config
 from mavnav.logs import open_log
-from mavnav.slam import replay
+from mavnav.slam.pipeline import replay
 
 GOLDEN = Path(__file__).parent / "golden"
 RUNS: dict[str, tuple[str, dict[str, Any]]] = {

@@ -11,13 +11,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from synthetic import DEG, TOUR, Recording, Segments, along, box, furnished_rooms, polyline, record, room
 
-from mavnav import slam
 from mavnav.config.models import Config
-from mavnav.known_map import KnownMap, known_map
-from mavnav.localise import Localised
 from mavnav.mapping.occupancy_grid import OCCUPIED, Grid, GridBuilder, occupancy
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.scan import LaserSpec
+from mavnav.slam import pipeline
+from mavnav.slam.localization import Localised
+from mavnav.slam.prior_map import KnownMap, known_map
 
 LASER = LaserSpec(-135 * DEG, 0.75 * DEG, 361, 0.05, 8.0)
 CELL_M = 0.05  # as other tools' maps
@@ -43,11 +43,11 @@ def visit() -> Recording:
     return record(furnished_rooms(), way, LASER, noise=0.01)
 
 
-def localised(recording: Recording, known: KnownMap) -> slam.Slam:
-    return slam.replay(lambda: recording.scans, Config(), 0.25, known=known)
+def localised(recording: Recording, known: KnownMap) -> pipeline.Slam:
+    return pipeline.replay(lambda: recording.scans, Config(), 0.25, known=known)
 
 
-def off_m(outcome: slam.Slam, truth: Trajectory) -> np.ndarray:
+def off_m(outcome: pipeline.Slam, truth: Trajectory) -> np.ndarray:
     rows = np.searchsorted(truth.stamps_ns, outcome.trajectory.stamps_ns)
     error: np.ndarray = np.hypot(*(outcome.trajectory.xyyaw - truth.xyyaw[rows])[:, :2].T)
     return error
@@ -71,7 +71,7 @@ def test_the_map_stays_as_it_is() -> None:
     known = known_map(rooms_grid(), Pose())
     method = Localised(Config(), known)
     lines, hits = method.lines.moments.copy(), known.grid.hits.copy()
-    method.insert(visit().scans[0], visit().world_T_laser[0], slam.Motion(0.25))
+    method.insert(visit().scans[0], visit().world_T_laser[0], pipeline.Motion(0.25))
     np.testing.assert_array_equal(method.lines.moments, lines)
     np.testing.assert_array_equal(known.grid.hits, hits)
     assert method.grid.hits.sum() > 0.9 * len(visit().scans[0].ranges_m)

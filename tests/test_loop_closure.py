@@ -12,15 +12,25 @@ import pytest
 from matches import voxel_means
 from synthetic import DEG, Segments, along, box, polyline, scan_at
 
-from mavnav import redrawing, slam
 from mavnav.config.models import Config
-from mavnav.loop_closure import LOOP_M, KeyFrame, Loop, Loops, close_loops, drift_bound, key_rows, witness
-from mavnav.matcher import first_match
-from mavnav.methods import Robust
-from mavnav.motion import Motion
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
-from mavnav.steps import Step, Steps
+from mavnav.slam import pipeline
+from mavnav.slam.loop_closure import remap
+from mavnav.slam.loop_closure.detection import (
+    LOOP_M,
+    KeyFrame,
+    Loop,
+    Loops,
+    close_loops,
+    drift_bound,
+    key_rows,
+    witness,
+)
+from mavnav.slam.method import Robust
+from mavnav.slam.motion_model import Motion
+from mavnav.slam.scan_matching import first_match
+from mavnav.slam.steps import Step, Steps
 
 LASER = LaserSpec(-120 * DEG, DEG, 241, 0.05, 5.6)
 WRONG_M = 0.3
@@ -227,8 +237,8 @@ def test_the_map_is_drawn_anew_with_the_loop_closed() -> None:
     rows = range(len(drifted))
     scans, steps, method = track_of(ring_walk, drifted, rows)
     drawn = method.grid.hits.sum()
-    on = slam.conclude(steps, lambda: scans, method, Motion(0.4), Config())
-    off = slam.conclude(steps, lambda: scans, method, Motion(0.4), Config(loop_closure="off"))
+    on = pipeline.conclude(steps, lambda: scans, method, Motion(0.4), Config())
+    off = pipeline.conclude(steps, lambda: scans, method, Motion(0.4), Config(loop_closure="off"))
     assert on.loops.closed
     assert not off.loops.closed
     assert rmse_m(on.trajectory, ring_walk.truth) < 0.35 * rmse_m(off.trajectory, ring_walk.truth)
@@ -243,9 +253,9 @@ def test_a_correction_that_blurs_the_map_is_refused(monkeypatch: pytest.MonkeyPa
     scans, steps, method = track_of(ring_walk, truth, rows)
     bent = [truth[row] @ Pose(0.0, 0.01 * k, 0.0) for k, row in enumerate(rows)]
     wrong = Loops((Loop(0, 5, Pose(), Pose(0.5, 0, 0), 0.9),), 3, Trajectory.of([s.stamp_ns for s in scans], bent))
-    monkeypatch.setattr(redrawing, "close_loops", lambda *_: wrong)
+    monkeypatch.setattr(remap, "close_loops", lambda *_: wrong)
     before = method.grid.by_rows()
-    outcome = slam.conclude(steps, lambda: scans, method, Motion(0.4), Config())
+    outcome = pipeline.conclude(steps, lambda: scans, method, Motion(0.4), Config())
     assert outcome.loops == Loops(refused=4)
     np.testing.assert_array_equal(outcome.grid.passes, before.passes)
 
@@ -255,11 +265,9 @@ def test_a_run_that_is_stopped_while_its_map_is_drawn_anew_keeps_the_old_one(mon
     rows = range(0, len(ring_walk.truth), 4)
     scans, steps, method = track_of(ring_walk, ring_walk.drifted(Pose(0.0, 0.0, 0.12 * DEG)), rows)
     right = Trajectory.of([s.stamp_ns for s in scans], [ring_walk.truth[row] for row in rows])
-    monkeypatch.setattr(
-        redrawing, "close_loops", lambda *_: Loops((Loop(0, 5, Pose(), Pose(0.5, 0, 0), 0.9),), 3, right)
-    )
+    monkeypatch.setattr(remap, "close_loops", lambda *_: Loops((Loop(0, 5, Pose(), Pose(0.5, 0, 0), 0.9),), 3, right))
     before = method.grid.by_rows()
-    outcome = slam.conclude(steps, lambda: scans[:5], method, Motion(0.4), Config())
+    outcome = pipeline.conclude(steps, lambda: scans[:5], method, Motion(0.4), Config())
     assert outcome.loops == Loops(refused=4)
     np.testing.assert_array_equal(outcome.grid.passes, before.passes)
     assert len(outcome.trajectory) == len(scans)

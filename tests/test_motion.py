@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from mavnav.motion import Motion, misleads
 from mavnav.pose import Pose, Trajectory
+from mavnav.slam.motion_model import Motion, misleads
 
 MS = 1_000_000
 STEP = Pose(0.1, 0.02, 0.05)

@@ -9,13 +9,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mavnav import slam
 from mavnav.config.models import Config
 from mavnav.flight import Flight, fly
 from mavnav.metrics.trajectory_error import align
 from mavnav.metrics.wall_thickness import wall_thickness
 from mavnav.pose import Pose, Trajectory, transform_points, wrap_angle
 from mavnav.scan import Scan
+from mavnav.slam import pipeline
 from mavnav.units import DEG
 from mavnav.world import World, laser_model, load_scenario, take_scan
 
@@ -109,13 +109,13 @@ FAULTS: dict[str, Callable[[Drive], Drive]] = {
 
 
 @cache
-def replayed(fault: str, *, odometry: bool, final_pass: bool = False) -> tuple[Drive, slam.Slam]:
+def replayed(fault: str, *, odometry: bool, final_pass: bool = False) -> tuple[Drive, pipeline.Slam]:
     drive = FAULTS[fault](clean())
     odom = Trajectory.of([s.stamp_ns for s in drive.scans], drive.odom_T_laser) if odometry else None
-    return drive, slam.replay(lambda: drive.scans, Config(final_pass=final_pass), 0.1, odom)
+    return drive, pipeline.replay(lambda: drive.scans, Config(final_pass=final_pass), 0.1, odom)
 
 
-def true_map(drive: Drive, outcome: slam.Slam) -> Pose:
+def true_map(drive: Drive, outcome: pipeline.Slam) -> Pose:
     """Return the motion that brings the map of the scans before the fault to the truth: no fault is to blame for it."""
     before = [s for s in outcome.steps[:FAULT] if s.tracked]
     xy = [[(p.x_m, p.y_m) for p in poses] for poses in (
@@ -123,7 +123,7 @@ def true_map(drive: Drive, outcome: slam.Slam) -> Pose:
     return align(np.array(xy[0]), np.array(xy[1]))
 
 
-def scans_until_right(drive: Drive, outcome: slam.Slam) -> int:
+def scans_until_right(drive: Drive, outcome: pipeline.Slam) -> int:
     """Count the scans from the end of the fault to the first pose within 50 mm and 2 degrees of the truth."""
     correction = true_map(drive, outcome)
     for count, step in enumerate(outcome.steps[drive.faulty.stop :], start=1):
@@ -133,7 +133,7 @@ def scans_until_right(drive: Drive, outcome: slam.Slam) -> int:
     pytest.fail("never right again")
 
 
-def cells_in_the_open(drive: Drive, outcome: slam.Slam) -> int:
+def cells_in_the_open(drive: Drive, outcome: pipeline.Slam) -> int:
     """Count cells of two hits and more that lie over 200 mm from any wall."""
     grid = outcome.grid
     row, col = np.nonzero(grid.hits >= 2)

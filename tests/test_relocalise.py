@@ -7,19 +7,18 @@ import pytest
 from memory_use import taking_less_than
 from synthetic import TOUR, along, box, furnished_rooms, polyline, record, room, scan_at
 
-from mavnav import relocalise, slam
-from mavnav.belief import Verdict
 from mavnav.config.models import Config
 from mavnav.kernels.conflicts import conflicts
-from mavnav.known_map import known_map
-from mavnav.localise import Localised
 from mavnav.mapping.tiled_arrays import blank_strips
-from mavnav.matcher import Match, first_match, no_match
 from mavnav.memory import blank
-from mavnav.methods import Robust
-from mavnav.motion import Motion
 from mavnav.pose import Pose
-from mavnav.relocalise import (
+from mavnav.scan import Scan
+from mavnav.slam import pipeline, relocalization
+from mavnav.slam.localization import Localised
+from mavnav.slam.method import Robust
+from mavnav.slam.motion_model import Motion
+from mavnav.slam.prior_map import known_map
+from mavnav.slam.relocalization import (
     CANDIDATES,
     STEP_M,
     TELLING,
@@ -34,7 +33,8 @@ from mavnav.relocalise import (
     unrivalled,
     within_reach,
 )
-from mavnav.scan import Scan
+from mavnav.slam.scan_matching import Match, first_match, no_match
+from mavnav.slam.track_state import Verdict
 
 PERIOD_NS = 100_000_000
 
@@ -94,7 +94,7 @@ def test_a_large_region_is_searched_in_parts(monkeypatch: pytest.MonkeyPatch) ->
     region = everywhere(method.known)
     found = []
     for parts in (1, 7):
-        monkeypatch.setattr(relocalise, "AT_ONCE", -(-len(region[0]) // parts))
+        monkeypatch.setattr(relocalization, "AT_ONCE", -(-len(region[0]) // parts))
         found.append(candidates(points, method.lines, method.known, region, method.config))
     assert len(found[0]) == len(found[1]) == CANDIDATES
     best = [unrivalled(some, 0.0, method.config) for some in found]
@@ -183,7 +183,7 @@ def test_a_laser_carried_through_its_map_is_found_again_and_the_gap_is_told() ->
     truth, n = recording.map_T_laser, len(recording.scans)
     scans = [*with_blanks(recording.scans, range(n - 2, n)), *recording.scans[20:40]]
     scans = [Scan(k * PERIOD_NS, s.ranges_m, s.spec) for k, s in enumerate(scans)]
-    outcome = slam.replay(lambda: scans, Config(), 0.1)
+    outcome = pipeline.replay(lambda: scans, Config(), 0.1)
     assert [lost.recovered for lost in outcome.lost] == [True]
     assert outcome.lost[0].scans < 18
     assert truth[39].between(outcome.trajectory[-1]).distance_m < 0.05
@@ -193,8 +193,8 @@ def test_scans_that_wait_are_believed_once_the_track_goes_on() -> None:
     recording = record(furnished_rooms(), along(TOUR[:3]))
     gap = range(30, 37)
     blind = with_blanks(recording.scans, gap)
-    on_line = slam.replay(lambda: blind, Config(final_pass=False), 0.1)
-    settled = slam.replay(lambda: blind, Config(), 0.1)
+    on_line = pipeline.replay(lambda: blind, Config(final_pass=False), 0.1)
+    settled = pipeline.replay(lambda: blind, Config(), 0.1)
     assert {s.index for s in settled.steps if not s.tracked} == set(gap)
     assert set(gap) <= {s.index for s in on_line.steps if not s.tracked}
 
@@ -225,7 +225,7 @@ def test_a_laser_carried_into_another_room_is_not_found_in_the_first() -> None:
     first = record(walls, along([(-1, 0.2), (1.2, -0.2), (-0.5, 0.1)]), seed=seed).scans
     way = along([(29, 0.2), (31.2, -0.2), (29.5, 0.1)], start_ns=first[-1].stamp_ns + PERIOD_NS)
     other = record(walls, way, seed=seed + 100).scans
-    outcome = slam.replay(lambda: [*first, *other[:80]], Config(), 0.1)
+    outcome = pipeline.replay(lambda: [*first, *other[:80]], Config(), 0.1)
     assert outcome.lost_for_good
     assert outcome.trajectory.stamps_ns[-1] == first[-1].stamp_ns
 

@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from synthetic import TOUR, Recording, along, furnished_rooms, record
 
-from mavnav import slam
 from mavnav.config.models import Config
-from mavnav.matcher import Match
 from mavnav.pose import Pose
 from mavnav.scan import Scan
-from mavnav.second_opinion import FEW_POINTS, SPARSE_SCANS, blur, coarser, in_doubt
-from mavnav.steps import Step, Steps
+from mavnav.slam import pipeline
+from mavnav.slam.resampled_track import FEW_POINTS, SPARSE_SCANS, blur, coarser, in_doubt
+from mavnav.slam.scan_matching import Match
+from mavnav.slam.steps import Step, Steps
 
 PERIOD_S = 0.1
 
@@ -37,8 +37,8 @@ def sparse(tour: Recording) -> list[Scan]:
     return [thinned(scan) for scan in tour.scans]
 
 
-def replay(scans: list[Scan], config: Config | None = None) -> slam.Slam:
-    return slam.replay(lambda: scans, config or Config(loop_closure="off"), PERIOD_S)
+def replay(scans: list[Scan], config: Config | None = None) -> pipeline.Slam:
+    return pipeline.replay(lambda: scans, config or Config(loop_closure="off"), PERIOD_S)
 
 
 @given(points=st.lists(st.integers(30, 200), max_size=30), untracked=st.sets(st.integers(0, 29)))
@@ -51,7 +51,7 @@ def test_a_track_is_in_doubt_where_believed_scans_have_few_points(points: list[i
 
 def test_the_crisper_of_two_tracks_is_kept(sparse: list[Scan], monkeypatch: pytest.MonkeyPatch) -> None:
     both = replay(sparse)
-    monkeypatch.setattr(slam, "in_doubt", lambda steps: False)
+    monkeypatch.setattr(pipeline, "in_doubt", lambda steps: False)
     alone = [replay(sparse, config) for config in (Config(loop_closure="off"), coarser(Config(loop_closure="off")))]
     blurs = [int(np.count_nonzero(one.grid.hits)) for one in alone]
     kept = alone[int(np.argmin(blurs))]
@@ -61,9 +61,9 @@ def test_the_crisper_of_two_tracks_is_kept(sparse: list[Scan], monkeypatch: pyte
 
 
 def test_scans_lost_weigh_more_than_cells(tour: Recording) -> None:
-    whole = slam.Start(Config(), PERIOD_S, None).tracked(tour.scans)
+    whole = pipeline.Start(Config(), PERIOD_S, None).tracked(tour.scans)
     blind = replace(tour.scans[0], ranges_m=np.full(tour.scans[0].spec.beams, np.nan))
-    gap = slam.Start(Config(), PERIOD_S, None).tracked(
+    gap = pipeline.Start(Config(), PERIOD_S, None).tracked(
         [replace(blind, stamp_ns=s.stamp_ns) if 40 <= k < 60 else s for k, s in enumerate(tour.scans)]
     )
     assert np.count_nonzero(gap[0].grid.hits) < np.count_nonzero(whole[0].grid.hits)
@@ -78,7 +78,7 @@ def test_plenty_of_points_on_line_and_the_paper_want_no_second_opinion(tour: Rec
 
 def test_the_second_track_is_told_as_such(sparse: list[Scan]) -> None:
     passes: dict[str, int] = {}
-    slam.replay(lambda: sparse[:20], Config(), PERIOD_S, None, passes.__setitem__)
+    pipeline.replay(lambda: sparse[:20], Config(), PERIOD_S, None, passes.__setitem__)
     assert passes == {"track": 20, "track again": 20, "final pass": 20}
 
 
@@ -90,5 +90,5 @@ def test_a_stopped_run_keeps_the_first_track(sparse: list[Scan]) -> None:
         calls += 1
         return iter(sparse[:40] if calls == 1 else sparse[:10])
 
-    outcome = slam.replay(scans, Config(), PERIOD_S)
+    outcome = pipeline.replay(scans, Config(), PERIOD_S)
     assert (outcome.opinions, len(outcome.steps)) == (1, 40)

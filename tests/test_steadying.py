@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavnav.kernels.steadying import smooth
-from mavnav.matcher import Match
 from mavnav.pose import Pose
-from mavnav.steadying import FEWEST, rests, steady
-from mavnav.steps import Step, Steps
+from mavnav.slam.scan_matching import Match
+from mavnav.slam.smoothing import FEWEST, rests, steady
+from mavnav.slam.steps import Step, Steps
 
 PERIOD_S = 0.1
 NS = 1_000_000_000

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavnav.matcher import Match, first_match, no_match
 from mavnav.pose import Pose
-from mavnav.steps import LostInterval, Step, Steps, lost_intervals, tracked_way
+from mavnav.slam.scan_matching import Match, first_match, no_match
+from mavnav.slam.steps import LostInterval, Step, Steps, lost_intervals, tracked_way
 
 MS = 1_000_000
 

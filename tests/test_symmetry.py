@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mavnav import methods, slam
 from mavnav.config.models import Config
 from mavnav.logs import open_log
-from mavnav.matcher import Match, first_match
 from mavnav.pose import Pose, Trajectory, wrap_angle
 from mavnav.scan import Scan
+from mavnav.slam import method, pipeline
+from mavnav.slam.scan_matching import Match, first_match
 from mavnav.units import DEG
 
 NAMES = ("ccny_demo", "lego_robot4")
@@ -31,7 +31,7 @@ def drive(request: pytest.FixtureRequest, real_logs: Path) -> tuple[list[Scan], 
 
 
 def way(scans: list[Scan], period_s: float) -> Trajectory:
-    outcome = slam.replay(lambda: scans, Config(), period_s)
+    outcome = pipeline.replay(lambda: scans, Config(), period_s)
     assert len(outcome.trajectory) == SCANS
     return outcome.trajectory
 
@@ -67,7 +67,7 @@ def test_another_start_shifts_and_turns_the_way(
     def elsewhere(beams: int) -> Match:
         return first_match(beams)._replace(map_T_laser=start)
 
-    monkeypatch.setattr(methods, "first_match", elsewhere)
+    monkeypatch.setattr(method, "first_match", elsewhere)
     found = way(scans, period_s)
     same(straight, [start.inverse() @ found[k] for k in range(SCANS)])
 

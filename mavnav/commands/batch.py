@@ -141,7 +141,7 @@ def batch(
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
             from mavnav import batch as pipeline
-            from mavnav.methods import load_kernels
+            from mavnav.slam.method import load_kernels
         from mavnav.batch.asked import Asked, request_of
         from mavnav.batch.files import PAGE_FILE, check_file
 

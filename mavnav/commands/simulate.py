@@ -91,7 +91,7 @@ def simulate(
         started_s = perf_counter()
         with loading_kernels(progress):
             from mavnav import simulate as pipeline
-            from mavnav.methods import load_kernels
+            from mavnav.slam.method import load_kernels
             from mavnav.world.scenario_file import scenario_path
 
             load_kernels(chosen.slam)

@@ -43,7 +43,7 @@ class Log:
 
     ``sensor`` and ``frame_id`` are those of the first usable scan, as recorded; the beams of a laser that is mounted
     ``upside_down`` are turned over in ``scans``. ``cleaning`` counts the beams of the usable scans
-    by kind (``preprocessing.KINDS``). ``period_s`` is the median. ``stamp_source`` is ``log`` where the scans' own stamps
+    by kind (``preprocessing.KINDS``). ``period_s`` is the median; ``stamp_source`` is ``log`` where the scans' stamps
     are unusable. ``base_T_laser`` is projected to the plane.
     """
 

@@ -16,8 +16,8 @@ from mavnav.outputs.document import plain, run_document
 from mavnav.outputs.run import Run, Timing
 from mavnav.pose import Trajectory
 from mavnav.scan import LaserSpec
-from mavnav.slam import Slam
-from mavnav.steps import Steps
+from mavnav.slam.pipeline import Slam
+from mavnav.slam.steps import Steps
 
 if TYPE_CHECKING:
     from mavnav.config.models import Config

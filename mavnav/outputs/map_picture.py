@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mavnav.outputs.canvas import Canvas, Frame
     from mavnav.outputs.run import Run, Truth, Walls
     from mavnav.pose import Trajectory
-    from mavnav.slam import Slam
+    from mavnav.slam.pipeline import Slam
 
 CIRCLE_SPACING: Final = 0.018
 """Between two circles along the path, of the picture's longer side: so that they touch at most."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mavnav.metrics.map_quality import MapQuality
     from mavnav.metrics.wall_thickness import Sections, WallThickness
     from mavnav.pose import Trajectory
-    from mavnav.slam import Slam
+    from mavnav.slam.pipeline import Slam
 
 
 KEPT_CELLS: Final = 1 << 24

@@ -15,9 +15,9 @@ from synthetic import furnished_rooms, room, scan_at
 
 from mavnav.config.models import Config
 from mavnav.kernels import beams, polarsearch
-from mavnav.matcher import HOPELESS, Match, match_polar, polar_points
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
+from mavnav.slam.scan_matching import HOPELESS, Match, match_polar, polar_points
 
 LASERS = pytest.mark.parametrize("spec", matches.LASERS, ids=["part", "full turn", "clockwise"])
 

@@ -12,12 +12,12 @@ from synthetic import along, furnished_rooms, scan_at
 from mavnav.config.models import Config
 from mavnav.logs import Damage, Odometry, ScanCounts, Topic
 from mavnav.mapping.occupancy_grid import GridBuilder, measured_part
-from mavnav.matcher import Match
 from mavnav.metrics.wall_thickness import sections_by_hits
 from mavnav.outputs import Run, Timing
 from mavnav.pose import Pose, Trajectory, transform_points
-from mavnav.slam import Slam
-from mavnav.steps import LostInterval, Step, Steps
+from mavnav.slam.pipeline import Slam
+from mavnav.slam.scan_matching import Match
+from mavnav.slam.steps import LostInterval, Step, Steps
 
 LOST = (10, 11)
 """Scans without a pose."""

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.loop_closure import Loops, close_loops
-from mavnav.methods import METHODS
-from mavnav.steps import Steps, tracked_way
+from mavnav.slam.loop_closure.detection import Loops, close_loops
+from mavnav.slam.method import METHODS
+from mavnav.slam.steps import Steps, tracked_way
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.methods import Method
-    from mavnav.motion import Motion
     from mavnav.pose import Trajectory
     from mavnav.scan import Scan
-    from mavnav.steps import Step
+    from mavnav.slam.method import Method
+    from mavnav.slam.motion_model import Motion
+    from mavnav.slam.steps import Step
 
 
 def close(

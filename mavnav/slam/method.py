@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from mavnav.belief import Verdict
 from mavnav.kernels.hold import hold
 from mavnav.kernels.points import placed, scan_points
 from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
-from mavnav.matcher import (
+from mavnav.pose import Pose, transform_points
+from mavnav.profiling import timed
+from mavnav.slam.motion_model import LONGEST_S
+from mavnav.slam.relocalization import around, best_of, candidates, everywhere, judged, within_reach
+from mavnav.slam.scan_matching import (
     Match,
     Schedule,
     acceptance_scale,
@@ -23,10 +26,7 @@ from mavnav.matcher import (
     search_lines,
     with_effort,
 )
-from mavnav.motion import LONGEST_S
-from mavnav.pose import Pose, transform_points
-from mavnav.profiling import timed
-from mavnav.relocalise import around, best_of, candidates, everywhere, judged, within_reach
+from mavnav.slam.track_state import Verdict
 from mavnav.units import DEG, MM, MM2
 
 if TYPE_CHECKING:
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.motion import Motion
     from mavnav.scan import LaserSpec, Scan
+    from mavnav.slam.motion_model import Motion
 
     Points = tuple[NDArray[np.float64], NDArray[np.float64]]
     """The good end points (n, 2) of a scan and their means (m, 2), m, laser frame."""

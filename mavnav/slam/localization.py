@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.matcher import no_match
-from mavnav.methods import Robust
 from mavnav.pose import Pose, transform_points
-from mavnav.relocalise import CLEAR_BY, around, candidates, everywhere, unrivalled
+from mavnav.slam.method import Robust
+from mavnav.slam.relocalization import CLEAR_BY, around, candidates, everywhere, unrivalled
+from mavnav.slam.scan_matching import no_match
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.known_map import KnownMap
-    from mavnav.matcher import Match
-    from mavnav.motion import Motion
-    from mavnav.relocalise import Region
     from mavnav.scan import Scan
+    from mavnav.slam.motion_model import Motion
+    from mavnav.slam.prior_map import KnownMap
+    from mavnav.slam.relocalization import Region
+    from mavnav.slam.scan_matching import Match
 
 START_M, START_RAD = 1.0, 45 * DEG
 """The laser begins so near to where it is said to."""

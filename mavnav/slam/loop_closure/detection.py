@@ -16,11 +16,11 @@ import numpy as np
 
 from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.matcher import Schedule, search_lines
 from mavnav.pose import Pose, Trajectory, blend, transform_points, wrap_angle
-from mavnav.pose_graph import Edge, optimised
 from mavnav.profiling import timed
-from mavnav.relocalise import apart, around, candidates, firmness, judged, unrivalled
+from mavnav.slam.loop_closure.pose_graph import Edge, optimised
+from mavnav.slam.relocalization import apart, around, candidates, firmness, judged, unrivalled
+from mavnav.slam.scan_matching import Schedule, search_lines
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.matcher import Match
+    from mavnav.slam.scan_matching import Match
 
     Points = NDArray[np.float64]
 

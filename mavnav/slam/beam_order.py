@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.matcher import Match
     from mavnav.scan import Scan
+    from mavnav.slam.scan_matching import Match
 
 STRETCH_SCANS = 80
 """Both orders are tried on so many scans, where the laser turns most."""

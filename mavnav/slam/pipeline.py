@@ -10,32 +10,32 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.belief import Belief, Verdict
-from mavnav.degeneracy import NOT_ASKED, sliding
-from mavnav.firing import GLANCE_EVERY, backwards, is_backwards, is_plainly_told, turning_stretch
-from mavnav.localise import Localised
-from mavnav.loop_closure import Loops
-from mavnav.matcher import with_effort
-from mavnav.methods import METHODS
-from mavnav.motion import LONGEST_S, Motion, misleads
-from mavnav.redrawing import close
-from mavnav.relocalise import apart
-from mavnav.second_opinion import blur, coarser, in_doubt
-from mavnav.steadying import steady
-from mavnav.steps import LostInterval, Step, Steps, lost_intervals, tracked_way
+from mavnav.slam.beam_order import GLANCE_EVERY, backwards, is_backwards, is_plainly_told, turning_stretch
+from mavnav.slam.degeneracy import NOT_ASKED, sliding
+from mavnav.slam.localization import Localised
+from mavnav.slam.loop_closure.detection import Loops
+from mavnav.slam.loop_closure.remap import close
+from mavnav.slam.method import METHODS
+from mavnav.slam.motion_model import LONGEST_S, Motion, misleads
+from mavnav.slam.relocalization import apart
+from mavnav.slam.resampled_track import blur, coarser, in_doubt
+from mavnav.slam.scan_matching import with_effort
+from mavnav.slam.smoothing import steady
+from mavnav.slam.steps import LostInterval, Step, Steps, lost_intervals, tracked_way
+from mavnav.slam.track_state import Belief, Verdict
 from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from mavnav.config.models import Config
-    from mavnav.known_map import KnownMap
     from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.matcher import Match
-    from mavnav.methods import Method
-    from mavnav.motion import Odometry
     from mavnav.pose import Trajectory
     from mavnav.scan import Scan
+    from mavnav.slam.method import Method
+    from mavnav.slam.motion_model import Odometry
+    from mavnav.slam.prior_map import KnownMap
+    from mavnav.slam.scan_matching import Match
 
 LONG_LOST_SCANS, RARELY_SCANS = 8, 64
 """The whole map is searched after so many scans without a believed pose, then ever more rarely, down to one in 64."""

@@ -6,8 +6,8 @@ from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from mavnav.motion import Motion
     from mavnav.pose import Pose
+    from mavnav.slam.motion_model import Motion
 
 PROOFS = 3
 """So many scans in a row must agree on a place before it is believed after a gap."""

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.steps import LOST_SCANS
+from mavnav.slam.steps import LOST_SCANS
 from mavnav.units import NS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.steps import Steps
+    from mavnav.slam.steps import Steps
 
 LEAST_HOLD = 0.01
 """A scan that the map holds less (``kernels.hold``) may slide: 0.033 at the least on the recordings, 0.002 or less in

@@ -10,7 +10,7 @@ import numpy as np
 
 from mavnav.kernels.steadying import smooth
 from mavnav.profiling import timed
-from mavnav.steps import jumps, tracked_way
+from mavnav.slam.steps import jumps, tracked_way
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.steps import Steps
+    from mavnav.slam.steps import Steps
 
 FEWEST = 10
 """Poses in a row from which a stretch tells how much of its motion is jitter."""

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.steps import lost_intervals
+from mavnav.slam.steps import lost_intervals
 
 if TYPE_CHECKING:
     from mavnav.config.models import Config
-    from mavnav.methods import Method
-    from mavnav.steps import Steps
+    from mavnav.slam.method import Method
+    from mavnav.slam.steps import Steps
 
 FEW_POINTS, SPARSE_SCANS = 80, 5
 """With so many scans believed on fewer points a track is in doubt: a turn rests on a few walls then."""

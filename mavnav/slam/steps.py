@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 
-from mavnav.matcher import Match
 from mavnav.pose import Pose, Trajectory
+from mavnav.slam.scan_matching import Match
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ import numpy as np
 from mavnav.kernels.conflicts import conflicts
 from mavnav.kernels.volume import volume
 from mavnav.mapping.tiled_arrays import bands, plain
-from mavnav.matcher import Match, Schedule, search_lines, with_effort
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
+from mavnav.slam.scan_matching import Match, Schedule, search_lines, with_effort
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
