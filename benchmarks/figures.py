@@ -21,7 +21,6 @@ from matplotlib.patches import Rectangle
 from matplotlib.transforms import Affine2D
 
 from mavnav.config.loading import load_config
-from mavnav.flight import Flight, fly
 from mavnav.logs import open_log
 from mavnav.mapping.occupancy_grid import known_part
 from mavnav.metrics.map_distance import map_distance
@@ -33,9 +32,10 @@ from mavnav.outputs.map_picture import HIT_TICKS
 from mavnav.outputs.run import Truth
 from mavnav.pose import Pose, Trajectory
 from mavnav.references import occupied_xy_m, of_scenario
+from mavnav.simulation.mission import Flight, fly
+from mavnav.simulation.world import Scenario, laser_model, load_scenario, take_scan
 from mavnav.slam import pipeline
 from mavnav.units import DEG, MM
-from mavnav.world import Scenario, laser_model, load_scenario, take_scan
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -24,13 +24,13 @@ from typing import NamedTuple
 import numpy as np
 
 from mavnav.config.loading import load_config
-from mavnav.flight import End, fly
 from mavnav.logs import open_log
 from mavnav.metrics.wall_thickness import wall_thickness
 from mavnav.replay import measured_quality, measured_sections
 from mavnav.simulate import truth_errors
+from mavnav.simulation.mission import End, fly
+from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.slam import pipeline
-from mavnav.world.scenario_file import load_scenario
 
 DOCS = Path(__file__).parent.parent / "docs" / "paper"
 TRAINING_SEEDS, TEST_SEEDS = range(1000, 1008), range(20)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mavnav.errors import NoScansError, UsageError
-from mavnav.flight import Flight, fly
 from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import Recording, check_recording, record
 from mavnav.mapping.occupancy_grid import GridBuilder
@@ -23,11 +22,12 @@ from mavnav.pose import Pose
 from mavnav.profiling import account
 from mavnav.references import LEAST_POSES, References, compared, occupied_xy_m, of_scenario
 from mavnav.replay import Progress, measured_quality, measured_sections
+from mavnav.simulation.mission import Flight, fly
+from mavnav.simulation.world.laser import EDGE_M
 from mavnav.units import DEG
-from mavnav.world.laser import EDGE_M
 
 if TYPE_CHECKING:
-    from mavnav.world import Scenario
+    from mavnav.simulation.world import Scenario
 
 
 EDGE_BEAMS, STEEP_RAD = 10, 60 * DEG

@@ -10,8 +10,8 @@ from synthetic import Segments, box, polyline
 
 from mavnav.config.planner import PlannerConfig
 from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.planner import Plan, Planner
 from mavnav.pose import Pose, transform_points
+from mavnav.simulation.planner.potential_field import Plan, Planner
 
 BEARINGS = np.linspace(-120, 120, 681) * synthetic.DEG
 

@@ -12,10 +12,10 @@ from mavnav.metrics.ghost_walls import GhostWalls
 from mavnav.metrics.map_quality import map_quality
 from mavnav.pose import Pose
 from mavnav.scan import Scan
+from mavnav.simulation.world.laser import take_scan
+from mavnav.simulation.world.scenario import laser_model
+from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.slam import pipeline
-from mavnav.world.laser import take_scan
-from mavnav.world.scenario import laser_model
-from mavnav.world.scenario_file import load_scenario
 
 
 @pytest.fixture(scope="module")

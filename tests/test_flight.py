@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mavnav import flight as flying
-from mavnav.flight import START_NS, End, Flight, Vehicle, fly
-from mavnav.planner import Command, Planner
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import Scan
 from mavnav.simulate import truth_errors
+from mavnav.simulation import mission as flying
+from mavnav.simulation.mission import START_NS, End, Flight, Vehicle, fly
+from mavnav.simulation.planner.potential_field import Command, Planner
+from mavnav.simulation.world import Scenario, load_scenario
 from mavnav.units import DEG
-from mavnav.world import Scenario, load_scenario
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

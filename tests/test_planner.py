@@ -13,9 +13,9 @@ from synthetic import DEG, polyline
 
 from mavnav.config.planner import PlannerConfig
 from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.planner import TECHNIQUES, Command, Planner
 from mavnav.pose import Pose
-from mavnav.techniques import unit
+from mavnav.simulation.planner.local_minima import unit
+from mavnav.simulation.planner.potential_field import TECHNIQUES, Command, Planner
 
 
 def grid_of(walls: np.ndarray, cell_m: float = 0.02) -> GridBuilder:

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from mavnav.config.models import Config
-from mavnav.flight import Flight, fly
 from mavnav.metrics.trajectory_error import align
 from mavnav.metrics.wall_thickness import wall_thickness
 from mavnav.pose import Pose, Trajectory, transform_points, wrap_angle
 from mavnav.scan import Scan
+from mavnav.simulation.mission import Flight, fly
+from mavnav.simulation.world import World, laser_model, load_scenario, take_scan
 from mavnav.slam import pipeline
 from mavnav.units import DEG
-from mavnav.world import World, laser_model, load_scenario, take_scan
 
 FAULT = 30
 """The first faulty scan."""

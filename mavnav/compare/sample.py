@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav import __version__
 from mavnav.errors import OutputError
-from mavnav.flight import fly
 from mavnav.logs.writing.recorder import record
 from mavnav.simulate import recorded
-from mavnav.world import load_scenario
+from mavnav.simulation.mission import fly
+from mavnav.simulation.world import load_scenario
 
 if TYPE_CHECKING:
     from mavnav.replay import Progress

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.pose import Pose
-    from mavnav.world import Scenario, World
+    from mavnav.simulation.world import Scenario, World
 
 SPACING_M: Final = 0.02
 
@@ -29,7 +29,7 @@ def read_true_map(path: Path) -> TrueMap:
     the frame of the map that it is compared with. A shipped scenario may be named where no such file lies there. Raises
     UsageError.
     """
-    from mavnav.world.scenario_file import load_scenario, scenario_path  # noqa: PLC0415  models take time to build
+    from mavnav.simulation.world.scenario_file import load_scenario, scenario_path  # noqa: PLC0415  models take time to build
 
     if not path.exists():
         path = scenario_path(path)

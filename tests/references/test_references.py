@@ -12,7 +12,7 @@ from mavnav.pose import Pose, Trajectory
 from mavnav.references import References, check_times, compared, load_references, of_scenario, read_tum
 from mavnav.references.tables import read_relations
 from mavnav.references.true_map import read_true_map
-from mavnav.world import load_scenario
+from mavnav.simulation.world import load_scenario
 
 TUM = (
     "# t x y z qx qy qz qw\n2.000000002 1 2 9 0 0 0.7071067811865476 0.7071067811865476\n\n1.5 0 0 0 0 0 0 1 # first\n"

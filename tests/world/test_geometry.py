@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavnav.pose import Pose, transform_points
-from mavnav.world import World
-from mavnav.world.shapes import Box, Circle, Polyline, Wall, world_of
+from mavnav.simulation.world import World
+from mavnav.simulation.world.shapes import Box, Circle, Polyline, Wall, world_of
 
 BEARINGS = np.linspace(-math.pi, math.pi, 181)
 

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavnav.pose import Pose
+from mavnav.simulation.world import LASERS, LaserModel, World, take_scan
 from mavnav.units import DEG
-from mavnav.world import LASERS, LaserModel, World, take_scan
 
 NO_ARCS = np.empty((0, 5))
 ROUND_ROOM = World(np.empty((0, 4)), np.array([(0.0, 0.0, 2.0, 0.0, 2 * math.pi)]))

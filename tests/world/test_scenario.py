@@ -12,9 +12,9 @@ from scipy import ndimage
 
 from mavnav.config.loading import fields, presets, scenarios
 from mavnav.errors import ConfigError, ExitCode
+from mavnav.simulation.world import LASERS, Scenario, laser_model, load_scenario, scenario_schema, take_scan
+from mavnav.simulation.world.scenario import LaserConfig
 from mavnav.units import DEG, MM
-from mavnav.world import LASERS, Scenario, laser_model, load_scenario, scenario_schema, take_scan
-from mavnav.world.scenario import LaserConfig
 
 if TYPE_CHECKING:
     from pathlib import Path

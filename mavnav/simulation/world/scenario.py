@@ -16,13 +16,13 @@ from pydantic import Field, field_validator
 from mavnav.config.models import Config, Strict
 from mavnav.config.planner import PlannerConfig
 from mavnav.pose import Pose
+from mavnav.simulation.world.laser import LASERS, LaserModel
+from mavnav.simulation.world.shapes import XY, Metre, Wall, world_of
 from mavnav.units import DEG, MM, MS
-from mavnav.world.laser import LASERS, LaserModel
-from mavnav.world.shapes import XY, Metre, Wall, world_of
 
 if TYPE_CHECKING:
     from mavnav.scan import LaserSpec
-    from mavnav.world.geometry import World
+    from mavnav.simulation.world.geometry import World
 
 LaserName = Literal["urg-04lx", "utm-30lx", "ust-10lx", "lds-01"]
 

@@ -10,14 +10,14 @@ import numpy as np
 from mavnav.config.loading import file_layer, method_layer, origin, overlaid, presets_folder, scenarios, validated
 from mavnav.config.yaml_layers import Key, Layer, read_yaml
 from mavnav.errors import ConfigError
+from mavnav.simulation.world.laser import LASERS
+from mavnav.simulation.world.scenario import Scenario
 from mavnav.units import MM
-from mavnav.world.laser import LASERS
-from mavnav.world.scenario import Scenario
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from mavnav.world.shapes import XY, Wall
+    from mavnav.simulation.world.shapes import XY, Wall
 
 STANDS_OUT_M = 0.5
 """How far other walls may stand out of the world's outline: a column in a wall, a porch."""

@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from mavnav.config.models import Strict
+from mavnav.simulation.world.geometry import World
 from mavnav.units import DEG
-from mavnav.world.geometry import World
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.planner import Command, Planner
 from mavnav.pose import Pose, Trajectory
+from mavnav.simulation.planner.potential_field import Command, Planner
+from mavnav.simulation.world import LaserModel, Scenario, World, laser_model, take_scan
 from mavnav.slam import pipeline as slam
 from mavnav.slam.method import METHODS
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.steps import Steps
 from mavnav.units import DEG, MM, NS
-from mavnav.world import LaserModel, Scenario, World, laser_model, take_scan
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -10,7 +10,7 @@ import numpy as np
 
 from mavnav.kernels import potential
 from mavnav.pose import wrap_angle
-from mavnav.routes import aim_on_shortest_way
+from mavnav.simulation.planner.shortest_path import aim_on_shortest_way
 from mavnav.units import MM
 
 if TYPE_CHECKING:

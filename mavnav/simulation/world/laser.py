@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.world.geometry import World
+    from mavnav.simulation.world.geometry import World
 
     Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from mavnav.kernels import potential
 from mavnav.pose import wrap_angle
-from mavnav.techniques import TECHNIQUES, Memory, Scene
+from mavnav.simulation.planner.local_minima import TECHNIQUES, Memory, Scene
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mavnav.config.planner import PlannerConfig
     from mavnav.mapping.occupancy_grid import GridBuilder
     from mavnav.pose import Pose
-    from mavnav.techniques import XY
+    from mavnav.simulation.planner.local_minima import XY
 
 _LOOK_M = 1.0  # walls farther away decide no single step
 _LAST_SAFETY_M = 0.1  # no step goes nearer to a wall than this, unless it leads away from it
