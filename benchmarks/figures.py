@@ -21,6 +21,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.transforms import Affine2D
 
 from mavnav.config.loading import load_config
+from mavnav.ground_truth import occupied_xy_m, of_scenario
 from mavnav.logs import open_log
 from mavnav.mapping.occupancy_grid import known_part
 from mavnav.metrics.map_distance import map_distance
@@ -31,7 +32,6 @@ from mavnav.outputs import drawing
 from mavnav.outputs.map_picture import HIT_TICKS
 from mavnav.outputs.run import Truth
 from mavnav.pose import Pose, Trajectory
-from mavnav.references import occupied_xy_m, of_scenario
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.world import Scenario, laser_model, load_scenario, take_scan
 from mavnav.slam import pipeline

@@ -14,9 +14,9 @@ import numpy as np
 
 from mavnav import __version__, replay
 from mavnav.errors import ExitCode, OutputError
+from mavnav.ground_truth import References, load_references
 from mavnav.logs import content_sha256
 from mavnav.outputs.directory import RUN_FILE
-from mavnav.references import References, load_references
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

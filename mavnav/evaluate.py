@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from mavnav import __version__
 from mavnav.errors import MavnavError, UsageError
+from mavnav.ground_truth import References, check_times, compared, occupied_xy_m, read_map, read_tum
 from mavnav.logs import open_log
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.journey import Journey
@@ -20,7 +21,6 @@ from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.document import plain, thickness_document
 from mavnav.outputs.gridmap import read_npz
 from mavnav.pose import Pose, transform_points
-from mavnav.references import References, check_times, compared, occupied_xy_m, read_map, read_tum
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
 
 from mavnav.errors import ExitCode, StoppedError, UsageError
+from mavnav.ground_truth import check_times, compared, load_references, occupied_xy_m, read_map
 from mavnav.logs import check_log, open_log
 from mavnav.mapping.occupancy_grid import measured_part
 from mavnav.memory import give_back
@@ -20,7 +21,6 @@ from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import sections_by_hits
 from mavnav.outputs import Run, Timing, check_directory, write_run
 from mavnav.profiling import account, timed
-from mavnav.references import check_times, compared, load_references, occupied_xy_m, read_map
 from mavnav.slam import pipeline
 from mavnav.slam.prior_map import known_map
 from mavnav.units import DEG
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mavnav.config.models import Config
+    from mavnav.ground_truth import References
     from mavnav.logs import Log
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.map_quality import MapQuality
     from mavnav.metrics.wall_thickness import Sections
     from mavnav.pose import Pose
-    from mavnav.references import References
     from mavnav.scan import Scan
     from mavnav.slam.prior_map import KnownMap
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mavnav.errors import NoScansError, UsageError
+from mavnav.ground_truth import LEAST_POSES, References, compared, occupied_xy_m, of_scenario
 from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import Recording, check_recording, record
 from mavnav.mapping.occupancy_grid import GridBuilder
@@ -20,7 +21,6 @@ from mavnav.outputs.animation import animate, check_animation
 from mavnav.outputs.run import Mission, Truth
 from mavnav.pose import Pose
 from mavnav.profiling import account
-from mavnav.references import LEAST_POSES, References, compared, occupied_xy_m, of_scenario
 from mavnav.replay import Progress, measured_quality, measured_sections
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.world.laser import EDGE_M

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from mavnav.errors import ExitCode, UsageError, worst
-from mavnav.gates import Gate, check_known, check_names, find, judge, judge_some, names, parse_gate
+from mavnav.metrics.gates import Gate, check_known, check_names, find, judge, judge_some, names, parse_gate
 
 RUN: dict[str, Any] = {
     "grid": "10x10",

@@ -19,10 +19,10 @@ from mavnav.batch.work import replay_fetched, replay_there
 from mavnav.cells import check_home, earlier
 from mavnav.config.models import Config
 from mavnav.errors import UsageError
-from mavnav.gates import check_names
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs, run_with_retries
+from mavnav.metrics.gates import check_names
 from mavnav.outputs import REPORT_FILE
-from mavnav.outputs.blank import blank_document
+from mavnav.outputs.empty_run import blank_document
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from mavnav.batch.settings import Setting
     from mavnav.cells import Cell
     from mavnav.cluster import Cluster
-    from mavnav.gates import Gate
+    from mavnav.metrics.gates import Gate
     from mavnav.replay import Progress
 
     Row = dict[str, Any]

@@ -15,8 +15,8 @@ from mavnav.batch.settings import Setting, crossed_settings, listed_settings
 from mavnav.cluster import LOCAL
 from mavnav.config.yaml_layers import Layer
 from mavnav.errors import ExitCode, UsageError
-from mavnav.gates import Gate, parse_gate
 from mavnav.jobs import usable_cores
+from mavnav.metrics.gates import Gate, parse_gate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

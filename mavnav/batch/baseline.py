@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav import __version__
 from mavnav.atomic_files import beside
 from mavnav.errors import SEVERITY, ExitCode, OutputError, UsageError
-from mavnav.figures import number
-from mavnav.gates import full_name
+from mavnav.metrics.figures import number
+from mavnav.metrics.gates import full_name
 from mavnav.outputs import to_json
 
 if TYPE_CHECKING:

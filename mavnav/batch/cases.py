@@ -12,10 +12,10 @@ from mavnav.batch.remote import fetched
 from mavnav.batch.settings import told
 from mavnav.cells import Cell, make_cell, references_sha256
 from mavnav.errors import ExitCode, MavnavError, UsageError
-from mavnav.gates import Gate, parse_gate
+from mavnav.ground_truth import load_references
 from mavnav.logs import content_sha256
+from mavnav.metrics.gates import Gate, parse_gate
 from mavnav.pose import Pose
-from mavnav.references import load_references
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -9,7 +9,7 @@ from mavnav import __version__
 from mavnav.batch.baseline import Change, changes
 from mavnav.cells import cell_row
 from mavnav.errors import SEVERITY, ExitCode, worst
-from mavnav.gates import judge_some
+from mavnav.metrics.gates import judge_some
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from mavnav.batch.baseline import Baseline, Tolerance
     from mavnav.batch.cases import Case
-    from mavnav.gates import Gate
     from mavnav.jobs import Outcome
+    from mavnav.metrics.gates import Gate
 
 SCHEMA_VERSION: Final = 1
 

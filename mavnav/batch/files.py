@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav.atomic_files import beside
 from mavnav.batch.page import to_page
 from mavnav.errors import OutputError
-from mavnav.figures import number
+from mavnav.metrics.figures import number
 from mavnav.outputs import to_json
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from mavnav.batch.document import ENDS, why, worst_first
 from mavnav.batch.summary import changed, headline
 from mavnav.batch.thumbnail import thumbnail
 from mavnav.errors import ExitCode
-from mavnav.figures import NAMED, TIME, WAY, Figure
+from mavnav.metrics.figures import NAMED, TIME, WAY, Figure
 from mavnav.outputs import REPORT_FILE
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.html import environment, inlined

@@ -16,7 +16,7 @@ from mavnav.errors import ExitCode, UsageError, worst
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mavnav.gates import Gate
+    from mavnav.metrics.gates import Gate
 
 RUN_FILE: Final = "run.json"
 WHOLE_FILES: Final = ("batch.json", "comparison.json")
@@ -41,7 +41,7 @@ def check(
     json: Annotated[bool, typer.Option("--json", help="Print the verdicts on stdout and nothing else.")] = False,
 ) -> None:
     """Hold gates against finished runs; ends with the worst exit code of the runs and their gates."""
-    from mavnav.gates import check_known
+    from mavnav.metrics.gates import check_known
 
     bounds = gates_of(gates)
     found = [run for path in runs for run in _found(path)]
@@ -117,7 +117,7 @@ def _reading(file: Path) -> Iterator[None]:
 
 
 def _checked(found: _Found, bounds: list[Gate]) -> dict[str, Any]:
-    from mavnav.gates import judge_some
+    from mavnav.metrics.gates import judge_some
 
     verdicts = [] if found.document is None else judge_some(bounds, found.document)
     told = [{"gate": v.gate.text, "value": v.value, "passed": v.passed, "why": v.why} for v in verdicts]

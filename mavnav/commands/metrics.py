@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
+from mavnav.commands.ground_truth import RelationsFile, Truth, TruthMap
 from mavnav.commands.options import Quiet
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows
-from mavnav.commands.references import RelationsFile, Truth, TruthMap
 from mavnav.commands.replay import print_table, wall_rows
 from mavnav.commands.terminal import emit
 
@@ -43,7 +43,7 @@ def metrics(
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
             from mavnav.evaluate import evaluate
-            from mavnav.references import load_references
+            from mavnav.ground_truth import load_references
         document = evaluate(paths, load_references(truth, truth_map, relations), report)
     if json:
         from json import dumps

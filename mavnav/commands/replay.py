@@ -11,11 +11,11 @@ import typer
 
 from mavnav.commands import signals
 from mavnav.commands.gating import Gates, gated_code, gates_of
+from mavnav.commands.ground_truth import RelationsFile, Truth, TruthMap
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import ConfigFile, End, Extrinsic, Odom, Online, Quiet, Sets, Start, Strict, Topic
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.quality_rows import quality_rows, reference_rows
-from mavnav.commands.references import RelationsFile, Truth, TruthMap
 from mavnav.commands.terminal import console, emit, note, printable
 from mavnav.errors import ExitCode, UsageError
 

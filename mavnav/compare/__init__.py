@@ -18,17 +18,17 @@ from mavnav.compare.files import COMPARISON_FILE, write_comparison
 from mavnav.compare.grids import settings
 from mavnav.config.models import Config
 from mavnav.errors import UsageError
-from mavnav.gates import check_names
 from mavnav.jobs import Ended, Event, Fate, Job, run_jobs
+from mavnav.metrics.gates import check_names
 from mavnav.outputs import REPORT_FILE, write_page
-from mavnav.outputs.blank import blank_document
 from mavnav.outputs.document import plain
+from mavnav.outputs.empty_run import blank_document
 from mavnav.replay import log_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from mavnav.gates import Gate
+    from mavnav.metrics.gates import Gate
     from mavnav.replay import Progress
 
 __all__ = [

@@ -8,15 +8,15 @@ from mavnav import __version__
 from mavnav.cells import cell_row
 from mavnav.compare.figures import PRICES, best, prices
 from mavnav.errors import ExitCode, worst
-from mavnav.gates import judge_some
+from mavnav.metrics.gates import judge_some
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from mavnav.cells import Cell
-    from mavnav.gates import Gate
     from mavnav.jobs import Outcome
+    from mavnav.metrics.gates import Gate
 
 SCHEMA_VERSION: Final = 1
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav.atomic_files import beside
 from mavnav.compare.figures import PRICES
 from mavnav.errors import OutputError
-from mavnav.figures import FIGURES, number
-from mavnav.markdown import escaped, table_row
+from mavnav.metrics.figures import FIGURES, number
 from mavnav.outputs import to_json
+from mavnav.outputs.markdown import escaped, table_row
 
 if TYPE_CHECKING:
     from collections.abc import Callable

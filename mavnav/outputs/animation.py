@@ -16,7 +16,7 @@ from mavnav.errors import OutputError, UsageError
 from mavnav.mapping.occupancy_grid import known_part
 from mavnav.outputs.map_picture import framed
 from mavnav.outputs.replay_log import placed_scans
-from mavnav.outputs.window import GOAL_RED, POSE_MAGENTA, START_BLUE, Window, wall_lines, window_of
+from mavnav.outputs.viewport import GOAL_RED, POSE_MAGENTA, START_BLUE, Window, wall_lines, window_of
 from mavnav.pose import transform_points
 from mavnav.units import NS
 

@@ -17,17 +17,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from mavnav.mapping.tiled_arrays import as_it_is, pooled
-from mavnav.outputs.window import (
-    DPI,
-    GOAL_RED,
-    INK,
-    MAX_CELLS,
-    MUTED,
-    POSE_MAGENTA,
-    START_BLUE,
-    TRUE_ORANGE,
-    Window,
-)
+from mavnav.outputs.viewport import DPI, GOAL_RED, INK, MAX_CELLS, MUTED, POSE_MAGENTA, START_BLUE, TRUE_ORANGE, Window
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

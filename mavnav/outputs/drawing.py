@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from mavnav.mapping.occupancy_grid import FREE, occupancy
 from mavnav.mapping.tiled_arrays import pooled
-from mavnav.outputs.window import (
+from mavnav.outputs.viewport import (
     DPI,
     FREE_GREY,
     GOAL_RED,

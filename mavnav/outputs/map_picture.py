@@ -13,7 +13,7 @@ import numpy as np
 from mavnav.mapping.occupancy_grid import FREE
 from mavnav.mapping.tiled_arrays import where
 from mavnav.outputs import canvas
-from mavnav.outputs.window import DPI, FREE_GREY, INK, MUTED, wall_lines, window_of
+from mavnav.outputs.viewport import DPI, FREE_GREY, INK, MUTED, wall_lines, window_of
 from mavnav.units import MM
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from PIL import ImageDraw
 from mavnav.mapping.occupancy_grid import measured_part
 from mavnav.outputs import canvas
 from mavnav.outputs.map_picture import draw_free
-from mavnav.outputs.window import DPI, INK, MUTED, WALL_GREY, window_of
+from mavnav.outputs.viewport import DPI, INK, MUTED, WALL_GREY, window_of
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -16,9 +16,9 @@ from mavnav.batch import Part, plan
 from mavnav.batch.asked import Asked, request_of
 from mavnav.config.models import Config
 from mavnav.errors import ConfigError, ExitCode, OutputError, UsageError
-from mavnav.gates import check_names, names
 from mavnav.jobs import Ended, Event, Started
-from mavnav.outputs.blank import blank_document
+from mavnav.metrics.gates import check_names, names
+from mavnav.outputs.empty_run import blank_document
 
 
 def rows(document: dict) -> dict[str, dict]:

@@ -16,8 +16,8 @@ import pytest
 from mavnav.cells import cell_key
 from mavnav.compare import Request, compare, draw, plan, settings
 from mavnav.errors import ExitCode, OutputError, UsageError
-from mavnav.gates import parse_gate
 from mavnav.jobs import Event, Started
+from mavnav.metrics.gates import parse_gate
 
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "corridor.mcap"
 GRIDS = ("5x5", "12x12")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mavnav.ground_truth import occupied_xy_m
 from mavnav.mapping import tiled_arrays
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy
 from mavnav.metrics.map_quality import only_occupied
@@ -12,7 +13,6 @@ from mavnav.metrics.shape import corners, enclosed_areas, occupied_share
 from mavnav.metrics.support import near_walls
 from mavnav.metrics.wall_thickness import wall_sections
 from mavnav.metrics.walls import straight_walls
-from mavnav.references import occupied_xy_m
 
 CELL_M = 0.02
 

@@ -12,7 +12,7 @@ from mavnav.mapping.occupancy_grid import Grid
 from mavnav.mapping.tiled_arrays import pooled
 from mavnav.metrics.wall_thickness import sections_by_hits, wall_sections
 from mavnav.outputs import canvas, map_picture, wall_picture
-from mavnav.outputs.window import Window, window_of
+from mavnav.outputs.viewport import Window, window_of
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.loop_closure.detection import Loop, Loops
 

@@ -20,7 +20,7 @@ from mavnav.outputs.report.closeups import differing_places
 from mavnav.outputs.report.entry import Entry, load
 from mavnav.outputs.report.headline import headline
 from mavnav.outputs.trajectory import write_csv, write_true_walls
-from mavnav.outputs.window import Window
+from mavnav.outputs.viewport import Window
 from mavnav.pose import Trajectory
 
 EVIL = 'logs/<script>alert(1)</script>"onload="x.mcap'

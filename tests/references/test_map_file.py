@@ -8,8 +8,8 @@ from map_files import FREE, KINDS, OCCUPIED, UNKNOWN, pgm
 from PIL import Image
 
 from mavnav.errors import UsageError
+from mavnav.ground_truth import read_map
 from mavnav.mapping.occupancy_grid import occupancy
-from mavnav.references import read_map
 
 THRESHOLDS = {"occupied_thresh": 0.65, "free_thresh": 0.196}
 

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavnav.errors import MavnavError, UsageError
+from mavnav.ground_truth import References, check_times, compared, load_references, of_scenario, read_tum
+from mavnav.ground_truth.tables import read_relations
+from mavnav.ground_truth.true_map import read_true_map
 from mavnav.pose import Pose, Trajectory
-from mavnav.references import References, check_times, compared, load_references, of_scenario, read_tum
-from mavnav.references.tables import read_relations
-from mavnav.references.true_map import read_true_map
 from mavnav.simulation.world import load_scenario
 
 TUM = (

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
-from mavnav.outputs.window import Window
+from mavnav.outputs.viewport import Window
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -6,12 +6,12 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from mavnav.errors import UsageError
+from mavnav.ground_truth.map_file import occupied_xy_m, read_map
+from mavnav.ground_truth.tables import read_relations, read_tum
+from mavnav.ground_truth.true_map import of_scenario, read_true_map
 from mavnav.metrics.map_distance import TrueMap, map_distance
 from mavnav.metrics.relations import TOLERANCE_NS, Relations, relation_errors
 from mavnav.metrics.trajectory_error import absolute_error, matched, relative_error
-from mavnav.references.map_file import occupied_xy_m, read_map
-from mavnav.references.tables import read_relations, read_tum
-from mavnav.references.true_map import of_scenario, read_true_map
 from mavnav.units import NS
 
 if TYPE_CHECKING:

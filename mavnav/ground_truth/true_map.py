@@ -8,8 +8,8 @@ import numpy as np
 
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import UsageError
+from mavnav.ground_truth.map_file import read_map
 from mavnav.metrics.map_distance import TrueMap
-from mavnav.references.map_file import read_map
 
 if TYPE_CHECKING:
     from pathlib import Path

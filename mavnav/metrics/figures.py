@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.errors import ExitCode, UsageError
-from mavnav.gates import find
+from mavnav.metrics.gates import find
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
