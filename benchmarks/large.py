@@ -22,8 +22,8 @@ from numba import njit
 
 from mavnav.config.loading import load_config
 from mavnav.logs.messages import cdr, definitions
+from mavnav.pipelines.replay import Request, replay
 from mavnav.pose import Pose
-from mavnav.replay import Request, replay
 from mavnav.scan import LaserSpec, Scan
 from mavnav.slam.method import load_kernels
 

@@ -26,8 +26,8 @@ import numpy as np
 from mavnav.config.loading import load_config
 from mavnav.logs import open_log
 from mavnav.metrics.wall_thickness import wall_thickness
-from mavnav.replay import measured_quality, measured_sections
-from mavnav.simulate import truth_errors
+from mavnav.pipelines.replay import measured_quality, measured_sections
+from mavnav.pipelines.simulate import truth_errors
 from mavnav.simulation.mission import End, fly
 from mavnav.simulation.world.scenario_file import load_scenario
 from mavnav.slam import pipeline

@@ -72,7 +72,7 @@ def cut(log: Path, path: Path) -> None:
 
 def imports_s() -> float:
     """Return the processor time of a process that loads the program and does nothing."""
-    command = [sys.executable, "-c", "import mavnav.cli, mavnav.replay, mavnav.outputs.map_picture"]
+    command = [sys.executable, "-c", "import mavnav.cli, mavnav.pipelines.replay, mavnav.outputs.map_picture"]
     _, _, usage = os.wait4(os.posix_spawn(sys.executable, command, environment()), 0)
     return usage.ru_utime + usage.ru_stime
 

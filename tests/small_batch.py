@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mavnav.batch import plan, run_batch
-from mavnav.batch.asked import Asked, request_of
+from mavnav.batch.request import Asked, request_of
 
 ASKED: dict[str, Any] = {
     "sources": ("logs", "gone.bag"),

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from mavnav.pipelines.simulate import truth_errors
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import Scan
-from mavnav.simulate import truth_errors
 from mavnav.simulation import mission as flying
 from mavnav.simulation.mission import START_NS, End, Flight, Vehicle, fly
 from mavnav.simulation.planner.potential_field import Command, Planner

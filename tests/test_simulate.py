@@ -15,8 +15,8 @@ from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import record
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
+from mavnav.pipelines.simulate import Request, check_outputs, recorded, simulate, truth_errors, wall_distances_m
 from mavnav.pose import Pose, Trajectory, transform_points
-from mavnav.simulate import Request, check_outputs, recorded, simulate, truth_errors, wall_distances_m
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.world import World, load_scenario
 from mavnav.units import DEG

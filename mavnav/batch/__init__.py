@@ -15,11 +15,11 @@ from mavnav.batch.baseline import missing, write_baseline
 from mavnav.batch.cases import Case, make_cases
 from mavnav.batch.document import batch_document, batch_row, judged
 from mavnav.batch.files import BATCH_FILE, write_batch
-from mavnav.batch.work import replay_fetched, replay_there
-from mavnav.cells import check_home, earlier
+from mavnav.batch.jobs import replay_fetched, replay_there
 from mavnav.config.models import Config
 from mavnav.errors import UsageError
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs, run_with_retries
+from mavnav.jobs.run_cache import check_home, earlier
 from mavnav.metrics.gates import check_names
 from mavnav.outputs import REPORT_FILE
 from mavnav.outputs.empty_run import blank_document
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from mavnav import replay
     from mavnav.batch.baseline import Baseline, Tolerance
     from mavnav.batch.manifest import Entry
     from mavnav.batch.settings import Setting
-    from mavnav.cells import Cell
-    from mavnav.cluster import Cluster
+    from mavnav.jobs.dask import Cluster
+    from mavnav.jobs.run_cache import Cell
     from mavnav.metrics.gates import Gate
-    from mavnav.replay import Progress
+    from mavnav.pipelines import replay
+    from mavnav.pipelines.replay import Progress
 
     Row = dict[str, Any]
     OnRow = Callable[[Row], None]

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
 from mavnav.batch.baseline import Change, changes
-from mavnav.cells import cell_row
 from mavnav.errors import SEVERITY, ExitCode, worst
+from mavnav.jobs.run_cache import cell_row
 from mavnav.metrics.gates import judge_some
 
 if TYPE_CHECKING:

@@ -11,7 +11,6 @@ import typer
 
 from mavnav.commands import signals
 from mavnav.commands.batch_rows import print_verdict, telling
-from mavnav.commands.cell_progress import watching
 from mavnav.commands.gating import Gates
 from mavnav.commands.options import (
     ConfigFile,
@@ -28,13 +27,14 @@ from mavnav.commands.options import (
 )
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.replay import pose
+from mavnav.commands.run_progress import watching
 from mavnav.commands.terminal import emit, note
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mavnav.batch import Request
-    from mavnav.cluster import Cluster
+    from mavnav.jobs.dask import Cluster
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -142,8 +142,8 @@ def batch(
         with loading_kernels(report):
             from mavnav import batch as pipeline
             from mavnav.slam.method import load_kernels
-        from mavnav.batch.asked import Asked, request_of
         from mavnav.batch.files import PAGE_FILE, check_file
+        from mavnav.batch.request import Asked, request_of
 
         for file in filter(None, (junit, summary)):
             check_file(file)
@@ -203,7 +203,7 @@ def _cluster(request: Request, *, quiet: bool) -> Iterator[Cluster | None]:
     if limits.scheduler is None:
         yield None
         return
-    from mavnav.cluster import connected
+    from mavnav.jobs.dask import connected
 
     with connected(limits.scheduler, request.directory, limits.workers, limits.memory_mb, limits.tries) as cluster:
         if not quiet:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands.cell_progress import watching
 from mavnav.commands.comparison_table import print_comparison
 from mavnav.commands.gating import Gates, gates_of
 from mavnav.commands.ground_truth import RelationsFile, Truth, TruthMap
@@ -15,6 +14,7 @@ from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import ConfigFile, End, Extrinsic, Odom, Online, Quiet, RunAgain, Sets, Start, Topic
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.replay import pose
+from mavnav.commands.run_progress import watching
 from mavnav.commands.terminal import emit, note
 from mavnav.errors import UsageError
 

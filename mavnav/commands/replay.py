@@ -116,7 +116,7 @@ def replay(
     with reporting(quiet=quiet) as progress:
         startup_s, started_s = process_time(), perf_counter()
         with loading_kernels(progress):
-            from mavnav import replay as pipeline
+            from mavnav.pipelines import replay as pipeline
             from mavnav.slam.method import load_kernels
 
             load_kernels(chosen)

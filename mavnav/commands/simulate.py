@@ -90,7 +90,7 @@ def simulate(
     with reporting(quiet=quiet) as progress:
         started_s = perf_counter()
         with loading_kernels(progress):
-            from mavnav import simulate as pipeline
+            from mavnav.pipelines import simulate as pipeline
             from mavnav.simulation.world.scenario_file import scenario_path
             from mavnav.slam.method import load_kernels
 

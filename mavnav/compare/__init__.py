@@ -12,24 +12,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.atomic_files import discard
-from mavnav.cells import REFERENCES, Cell, check_home, earlier, make_cells, replay_cell
 from mavnav.compare.document import NO_PRICE, comparison
 from mavnav.compare.files import COMPARISON_FILE, write_comparison
 from mavnav.compare.grids import settings
 from mavnav.config.models import Config
 from mavnav.errors import UsageError
 from mavnav.jobs import Ended, Event, Fate, Job, run_jobs
+from mavnav.jobs.run_cache import REFERENCES, Cell, check_home, earlier, make_cells, replay_cell
 from mavnav.metrics.gates import check_names
 from mavnav.outputs import REPORT_FILE, write_page
 from mavnav.outputs.document import plain
 from mavnav.outputs.empty_run import blank_document
-from mavnav.replay import log_name
+from mavnav.pipelines.replay import log_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from mavnav.metrics.gates import Gate
-    from mavnav.replay import Progress
+    from mavnav.pipelines.replay import Progress
 
 __all__ = [
     "Plan",
@@ -49,7 +49,7 @@ _OURS: Final = ("cells", "logs", COMPARISON_FILE)
 class Request:
     """What is asked for: logs, settings, where to, how many at a time, and what must hold.
 
-    ``options`` are further values of the `mavnav.replay.Request` of every cell; ``force`` runs again what is there.
+    ``options`` are further values of the `pipelines.replay.Request` of every cell; ``force`` runs again what is there.
     """
 
     logs: tuple[Path, ...]

@@ -5,17 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
-from mavnav.cells import cell_row
 from mavnav.compare.figures import PRICES, best, prices
 from mavnav.errors import ExitCode, worst
+from mavnav.jobs.run_cache import cell_row
 from mavnav.metrics.gates import judge_some
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from mavnav.cells import Cell
     from mavnav.jobs import Outcome
+    from mavnav.jobs.run_cache import Cell
     from mavnav.metrics.gates import Gate
 
 SCHEMA_VERSION: Final = 1

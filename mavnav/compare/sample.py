@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Final
 from mavnav import __version__
 from mavnav.errors import OutputError
 from mavnav.logs.writing.recorder import record
-from mavnav.simulate import recorded
+from mavnav.pipelines.simulate import recorded
 from mavnav.simulation.mission import fly
 from mavnav.simulation.world import load_scenario
 
 if TYPE_CHECKING:
-    from mavnav.replay import Progress
+    from mavnav.pipelines.replay import Progress
 
 SCENARIO: Final = "corridor"
 SETS: Final = ("seed=1", "vehicle.laser_x_mm=60")

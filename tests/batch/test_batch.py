@@ -13,7 +13,7 @@ import pytest
 from small_batch import ASKED, NAME, batch
 
 from mavnav.batch import Part, plan
-from mavnav.batch.asked import Asked, request_of
+from mavnav.batch.request import Asked, request_of
 from mavnav.config.models import Config
 from mavnav.errors import ConfigError, ExitCode, OutputError, UsageError
 from mavnav.jobs import Ended, Event, Started

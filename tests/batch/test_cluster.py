@@ -13,12 +13,12 @@ import strange_jobs
 from small_batch import ASKED
 
 from mavnav.batch import plan, run_batch
-from mavnav.batch.asked import Asked, request_of
-from mavnav.cluster import LOCAL, Cluster, connected
-from mavnav.cluster import client as cluster_client
-from mavnav.cluster.client import _why_not
+from mavnav.batch.request import Asked, request_of
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started
+from mavnav.jobs.dask import LOCAL, Cluster, connected
+from mavnav.jobs.dask import client as cluster_client
+from mavnav.jobs.dask.client import _why_not
 
 distributed = pytest.importorskip("distributed", reason="the extra mavnav[cluster]")
 
@@ -139,7 +139,7 @@ def test_workers_that_will_not_do(version, seen, said: str) -> None:
 
 @pytest.mark.slow
 def test_workers_of_another_version_are_refused(processes: Cluster, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr("mavnav.cluster.worker.__version__", "0.0.9")
+    monkeypatch.setattr("mavnav.jobs.dask.worker.__version__", "0.0.9")
     with (
         pytest.raises(UsageError, match=r"the worker has mavnav .*, not 0\.0\.9: install mavnav 0\.0\.9"),
         connected(processes.client.scheduler.address, tmp_path, 1, None, 1),

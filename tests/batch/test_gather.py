@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.batch.gather import check_found, gather, is_address
+from mavnav.batch.find_logs import check_found, gather, is_address
 from mavnav.errors import NoScansError, UsageError
 
 

@@ -225,9 +225,9 @@ def expect(result: tuple[int, str, str], code: int, *words: str) -> None:
 @pytest.fixture
 def grounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fail where a mission is flown."""
-    import mavnav.simulate
+    import mavnav.pipelines.simulate
 
-    monkeypatch.setattr(mavnav.simulate, "fly", lambda *_: pytest.fail("flew"))
+    monkeypatch.setattr(mavnav.pipelines.simulate, "fly", lambda *_: pytest.fail("flew"))
 
 
 @pytest.mark.usefixtures("grounded")

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.cells import cell_key
 from mavnav.compare import Request, compare, draw, plan, settings
 from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.jobs import Event, Started
+from mavnav.jobs.run_cache import cell_key
 from mavnav.metrics.gates import parse_gate
 
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "corridor.mcap"
@@ -127,10 +127,10 @@ def test_the_key_holds_all_that_decides_the_result(tmp_path: Path, monkeypatch: 
     assert not set(keys(grids=("4x5", "5x4"))) & set(first)
     wanted = plan(request(tmp_path / "out", log), silent).cells[0].request
     assert cell_key(wanted, "other log", "") not in first
-    monkeypatch.setattr("mavnav.cells.__version__", "0.2.0")
+    monkeypatch.setattr("mavnav.jobs.run_cache.__version__", "0.2.0")
     assert not set(keys()) & set(first)
     monkeypatch.undo()
-    monkeypatch.setattr("mavnav.cells.source_sha256", lambda: "other code")
+    monkeypatch.setattr("mavnav.jobs.run_cache.source_sha256", lambda: "other code")
     assert not set(keys()) & set(first)
 
 

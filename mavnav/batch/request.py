@@ -12,10 +12,10 @@ from mavnav.batch.cases import BASELINE_GATE
 from mavnav.batch.files import BATCH_FILE
 from mavnav.batch.manifest import Entry, Manifest, read_manifest
 from mavnav.batch.settings import Setting, crossed_settings, listed_settings
-from mavnav.cluster import LOCAL
 from mavnav.config.yaml_layers import Layer
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import usable_cores
+from mavnav.jobs.dask import LOCAL
 from mavnav.metrics.gates import Gate, parse_gate
 
 if TYPE_CHECKING:

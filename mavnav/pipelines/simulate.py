@@ -19,9 +19,9 @@ from mavnav.metrics.trajectory_error import absolute_error, align
 from mavnav.outputs import Run, Timing, check_directory, write_run
 from mavnav.outputs.animation import animate, check_animation
 from mavnav.outputs.run import Mission, Truth
+from mavnav.pipelines.replay import Progress, measured_quality, measured_sections
 from mavnav.pose import Pose
 from mavnav.profiling import account
-from mavnav.replay import Progress, measured_quality, measured_sections
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.world.laser import EDGE_M
 from mavnav.units import DEG

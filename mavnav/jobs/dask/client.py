@@ -13,9 +13,9 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
 from uuid import uuid4
 
-from mavnav.cluster.worker import Terms, our_version, run_there, sees
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started, run_with_retries
+from mavnav.jobs.dask.worker import Terms, our_version, run_there, sees
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

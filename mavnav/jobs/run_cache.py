@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav import __version__, replay
+from mavnav import __version__
 from mavnav.errors import ExitCode, OutputError
 from mavnav.ground_truth import References, load_references
 from mavnav.logs import content_sha256
 from mavnav.outputs.directory import RUN_FILE
+from mavnav.pipelines import replay
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -141,7 +142,7 @@ def references_sha256(references: References) -> str:
 @cache
 def source_sha256() -> str:
     """Return the SHA-256 over all modules of this package."""
-    package = Path(__file__).parent
+    package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for module in sorted(package.rglob("*.py")):
         digest.update(f"{module.relative_to(package).as_posix()}\n".encode() + module.read_bytes())

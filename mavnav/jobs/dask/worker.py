@@ -11,9 +11,9 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from mavnav import __version__
-from mavnav.cells import source_sha256
 from mavnav.errors import UsageError
 from mavnav.jobs import Fate, Outcome, attempt, failed
+from mavnav.jobs.run_cache import source_sha256
 
 if TYPE_CHECKING:
     from collections.abc import Callable

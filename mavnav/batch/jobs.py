@@ -7,9 +7,9 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mavnav import replay
 from mavnav.batch.remote import fetched
 from mavnav.errors import MavnavError
+from mavnav.pipelines import replay
 
 if TYPE_CHECKING:
     from mavnav.jobs import Report

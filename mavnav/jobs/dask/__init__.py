@@ -4,6 +4,6 @@ Needs ``mavnav[cluster]``. Workers have the same mavnav, and see the same folder
 one job at a time, in itself: what it dies of, Dask tries on another, and gives up after some.
 """
 
-from mavnav.cluster.client import LOCAL, Cluster, connected
+from mavnav.jobs.dask.client import LOCAL, Cluster, connected
 
 __all__ = ["LOCAL", "Cluster", "connected"]
