@@ -19,13 +19,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
-from matches import GRIDS, LASERS, differences, polar_problem, random_problem
-
 from mavnav import kernels
 from mavnav.config.loading import load_config
 from mavnav.kernels import linesearch, polarsearch
 from mavnav.logs import open_log
 from mavnav.slam import pipeline, scan_matching
+from support.matches import GRIDS, LASERS, differences, polar_problem, random_problem
 
 SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
 HALF_WINDOWS = ((0.35, 0.35), (0.05, 0.09), (0.017, 0.008), (0.006, 0.0015), (0.002, 0.0002))

@@ -169,7 +169,7 @@ def corridor(name: str) -> None:
 
 
 def cart() -> tuple[list[Scan], Trajectory]:
-    """Push a cart through the corridor as tests/test_fig8.py does; return its scans and true poses (world frame)."""
+    """Push a cart through the corridor as test_fig8 does; return its scans and true poses (world frame)."""
     scenario = load_scenario("corridor", ["laser.noise_percent=0.2"])
     rng, scans, poses, (x_m, y_m, yaw_rad) = np.random.default_rng(10), [], [], (0.8, 1.0, 0.0)
     for k in range(40):

@@ -15,12 +15,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
-from synthetic import box, polyline, scan_at
-
 from mavnav.config.models import Config
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
 from mavnav.slam import pipeline
+from support.synthetic import box, polyline, scan_at
 
 SPEC = LaserSpec(-np.pi, np.pi / 180, 360, 0.1, 12.0)
 STEP_M, BLOCK, NEAR_M = 0.1, 200, 15.0

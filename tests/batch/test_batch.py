@@ -10,7 +10,6 @@ import signal
 from pathlib import Path
 
 import pytest
-from small_batch import ASKED, NAME, batch
 
 from mavnav.batch import Part, plan
 from mavnav.batch.request import Asked, request_of
@@ -19,6 +18,7 @@ from mavnav.errors import ConfigError, ExitCode, OutputError, UsageError
 from mavnav.jobs import Ended, Event, Started
 from mavnav.metrics.gates import check_names, names
 from mavnav.outputs.empty_run import blank_document
+from support.small_batch import ASKED, NAME, batch
 
 
 def rows(document: dict) -> dict[str, dict]:

@@ -9,8 +9,6 @@ from hashlib import sha256
 from pathlib import Path
 
 import pytest
-import strange_jobs
-from small_batch import ASKED
 
 from mavnav.batch import plan, run_batch
 from mavnav.batch.request import Asked, request_of
@@ -19,6 +17,8 @@ from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started
 from mavnav.jobs.dask import LOCAL, Cluster, connected
 from mavnav.jobs.dask import client as cluster_client
 from mavnav.jobs.dask.client import _why_not
+from support import strange_jobs
+from support.small_batch import ASKED
 
 distributed = pytest.importorskip("distributed", reason="the extra mavnav[cluster]")
 

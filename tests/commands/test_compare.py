@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from conftest import SHORT_COMPARISON
 
+from conftest import SHORT_COMPARISON
 from mavnav.commands.comparison_table import bar, print_comparison
 from mavnav.commands.gating import gated_code, gates_of
 from mavnav.commands.run_progress import watching

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import naive
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,6 +11,7 @@ from mavnav.kernels import hits, raycast
 from mavnav.mapping.occupancy_grid import Tally
 from mavnav.mapping.tiled_arrays import blank_strips, in_strips, plain
 from mavnav.pose import Pose
+from support import naive
 
 LATTICE = np.array([-1.0, -0.5, 0.05])
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import naive
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matches import voxel_means
-from synthetic import URG_04LX, furnished_rooms, scan_at
 
 from mavnav.kernels import conflicts, hold, linesearch, volume
 from mavnav.kernels import linemap as linemap_kernel
@@ -20,6 +17,9 @@ from mavnav.kernels.points import extent, placed, scan_points
 from mavnav.mapping import line_map as line_map_module
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, transform_points
+from support import naive
+from support.matches import voxel_means
+from support.synthetic import URG_04LX, furnished_rooms, scan_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import naive
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,6 +10,7 @@ from mavnav.kernels import passing
 from mavnav.mapping.occupancy_grid import Tally
 from mavnav.mapping.tiled_arrays import in_strips
 from mavnav.pose import Pose
+from support import naive
 
 
 @settings(max_examples=40, deadline=None)

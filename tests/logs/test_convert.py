@@ -6,13 +6,13 @@ import json
 from typing import TYPE_CHECKING
 
 import pytest
-from log_files import ODOM, WRITERS, drive, foxglove_json, laser, write_bag1, write_mcap
 from mcap.reader import make_reader
 
 from mavnav.cli import run
 from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.logs import open_log
 from mavnav.logs.writing.convert import convert
+from support.log_files import ODOM, WRITERS, drive, foxglove_json, laser, write_bag1, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path

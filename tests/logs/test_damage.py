@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from log_files import PERIOD_NS, START_NS, WRITERS, drive, laser, serialized, write_bag1, write_bag2, write_mcap
 
 from mavnav.errors import NoScansError
 from mavnav.logs import Log, open_log, survey
@@ -18,6 +17,7 @@ from mavnav.logs.formats.decompress import DecompressError, decompress
 from mavnav.logs.messages.decode import DECODERS
 from mavnav.logs.read_report import KNOWN_ENCODINGS, KNOWN_TYPES, MAX_DAMAGE, ReadReport
 from mavnav.logs.records import Channel
+from support.log_files import PERIOD_NS, START_NS, WRITERS, drive, laser, serialized, write_bag1, write_bag2, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from log_files import drive, serialized
 
 from mavnav.logs.messages.decode import decoder
 from mavnav.logs.messages.definitions import ODOMETRY, TF
 from mavnav.logs.messages.fast_cdr import odometry_of, transforms_of
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.records import Channel
+from support.log_files import drive, serialized
 
 BY_LAYOUT = {TF: transforms_of, ODOMETRY: odometry_of}
 MESSAGES = [message for message in drive(2) if message.type in BY_LAYOUT]

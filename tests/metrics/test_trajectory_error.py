@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic import TOUR, along, drifting_odometry
 
 from mavnav.ground_truth import References, compared, read_tum
 from mavnav.metrics.trajectory_error import absolute_error, align
 from mavnav.pose import Pose, Trajectory, transform_points
+from support.synthetic import TOUR, along, drifting_odometry
 
 coordinate = st.floats(-50, 50)
 

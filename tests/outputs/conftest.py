@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import along, furnished_rooms, scan_at
 
 from mavnav.config.models import Config
 from mavnav.logs import Damage, Odometry, ScanCounts, Topic
@@ -18,6 +17,7 @@ from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.pipeline import Slam
 from mavnav.slam.scan_matching import Match
 from mavnav.slam.steps import LostInterval, Step, Steps
+from support.synthetic import along, furnished_rooms, scan_at
 
 LOST = (10, 11)
 """Scans without a pose."""

@@ -6,13 +6,13 @@ from math import pi
 import numpy as np
 import pytest
 from PIL import Image
-from synthetic import furnished_rooms
 
 from mavnav.errors import OutputError, UsageError
 from mavnav.outputs import Truth, animation, map_picture, mission_picture, viewport, write_run
 from mavnav.outputs.animation import animate
 from mavnav.outputs.trajectory import write_true_walls, write_truth_tum
 from mavnav.pose import Pose, Trajectory, transform_points
+from support.synthetic import furnished_rooms
 
 START = Pose(1.0, 1.0, 0.0)
 """Where `fabricate` begins, in the coordinates of `furnished_rooms`."""

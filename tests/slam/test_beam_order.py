@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from synthetic import URG_04LX, along, furnished_rooms, scan_at
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose
@@ -16,6 +15,7 @@ from mavnav.scan import Scan
 from mavnav.slam import pipeline
 from mavnav.slam.beam_order import STRETCH_SCANS, backwards, is_backwards, is_plainly_told, turning_stretch
 from mavnav.slam.scan_matching import Match, no_match
+from support.synthetic import URG_04LX, along, furnished_rooms, scan_at
 
 SLOW = replace(URG_04LX, beams=171, angle_step_rad=4 * URG_04LX.angle_step_rad, time_increment_s=0.095 / 171)
 """A sweep that takes all the time between two scans, so that a turn shears it."""

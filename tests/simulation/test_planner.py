@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import closed_loop
 import numpy as np
 import pytest
-from closed_loop import CLOSED, CORNER, DOORWAY, OPEN, U_TRAP, World, fly, paint
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
-from synthetic import DEG, polyline
 
 from mavnav.config.planner import PlannerConfig
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.simulation.planner.local_minima import unit
 from mavnav.simulation.planner.potential_field import TECHNIQUES, Command, Planner
+from support import closed_loop
+from support.closed_loop import CLOSED, CORNER, DOORWAY, OPEN, U_TRAP, World, fly, paint
+from support.synthetic import DEG, polyline
 
 
 def grid_of(walls: np.ndarray, cell_m: float = 0.02) -> GridBuilder:

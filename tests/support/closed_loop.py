@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import synthetic
-from synthetic import Segments, box, polyline
 
 from mavnav.config.planner import PlannerConfig
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points
 from mavnav.simulation.planner.potential_field import Plan, Planner
+from support import synthetic
+from support.synthetic import Segments, box, polyline
 
 BEARINGS = np.linspace(-120, 120, 681) * synthetic.DEG
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from memory_use import taking_less_than
-from synthetic import TOUR, along, box, furnished_rooms, polyline, record, room, scan_at
 
 from mavnav.config.models import Config
 from mavnav.kernels.conflicts import conflicts
@@ -35,6 +33,8 @@ from mavnav.slam.relocalization import (
 )
 from mavnav.slam.scan_matching import Match, first_match, no_match
 from mavnav.slam.track_state import Verdict
+from support.memory_use import taking_less_than
+from support.synthetic import TOUR, along, box, furnished_rooms, polyline, record, room, scan_at
 
 PERIOD_NS = 100_000_000
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from synthetic import URG_04LX, Segments, box, cast, room
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import Scan
 from mavnav.slam import pipeline
+from support.synthetic import URG_04LX, Segments, box, cast, room
 
 SCANS, STEP_M = 60, 0.09
 AT = Pose(2.9, 1.0, 1.2)

@@ -22,7 +22,7 @@ from rosbags.highlevel import AnyReader
 
 from mavnav.cli import run
 
-SAMPLES = Path(__file__).parent.parent / "sample_logs"
+SAMPLES = Path(__file__).parents[2] / "sample_logs"
 README = SAMPLES / "README.md"
 LOGS = ("corridor.mcap", "complex.bag", "corner")
 TYPED = [line.split() for line in re.findall(r"^ {4}mavnav (.*)$", README.read_text(), re.MULTILINE)]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from map_files import FREE, KINDS, OCCUPIED, UNKNOWN, pgm
 from PIL import Image
 
 from mavnav.errors import UsageError
 from mavnav.ground_truth import read_map
 from mavnav.mapping.occupancy_grid import occupancy
+from support.map_files import FREE, KINDS, OCCUPIED, UNKNOWN, pgm
 
 THRESHOLDS = {"occupied_thresh": 0.65, "free_thresh": 0.196}
 

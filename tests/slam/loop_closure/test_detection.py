@@ -9,8 +9,6 @@ from math import hypot
 
 import numpy as np
 import pytest
-from matches import voxel_means
-from synthetic import DEG, Segments, along, box, polyline, scan_at
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
@@ -31,6 +29,8 @@ from mavnav.slam.method import Robust
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.scan_matching import first_match
 from mavnav.slam.steps import Step, Steps
+from support.matches import voxel_means
+from support.synthetic import DEG, Segments, along, box, polyline, scan_at
 
 LASER = LaserSpec(-120 * DEG, DEG, 241, 0.05, 5.6)
 WRONG_M = 0.3

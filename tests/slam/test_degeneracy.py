@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from math import pi
 
-import naive
 import numpy as np
 import pytest
-from synthetic import URG_04LX, Recording, along, drifting_odometry, furnished_rooms, polyline, record, room
 
 from mavnav.config.models import Config
 from mavnav.kernels.hold import hold
@@ -18,6 +16,8 @@ from mavnav.slam import pipeline
 from mavnav.slam.degeneracy import LEAST_HOLD, sliding
 from mavnav.slam.scan_matching import first_match
 from mavnav.slam.steps import Step, Steps
+from support import naive
+from support.synthetic import URG_04LX, Recording, along, drifting_odometry, furnished_rooms, polyline, record, room
 
 CIRCLE = polyline(*((2.5 * np.cos(a), 2.5 * np.sin(a)) for a in np.arange(0.0, 2 * pi, pi / 60)), closed=True)
 CORRIDOR = polyline((-20, -1), (20, -1)), polyline((-20, 1), (20, 1))

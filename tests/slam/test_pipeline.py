@@ -9,7 +9,13 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from synthetic import (
+
+from mavnav.config.models import Config
+from mavnav.logs import open_log
+from mavnav.pose import Pose, Trajectory
+from mavnav.scan import Scan
+from mavnav.slam import pipeline
+from support.synthetic import (
     LDS_01,
     TOUR,
     Recording,
@@ -20,12 +26,6 @@ from synthetic import (
     room,
     scan_at,
 )
-
-from mavnav.config.models import Config
-from mavnav.logs import open_log
-from mavnav.pose import Pose, Trajectory
-from mavnav.scan import Scan
-from mavnav.slam import pipeline
 
 PERIOD_S = 0.1
 

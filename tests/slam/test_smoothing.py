@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import naive
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,6 +14,7 @@ from mavnav.pose import Pose
 from mavnav.slam.scan_matching import Match
 from mavnav.slam.smoothing import FEWEST, rests, steady
 from mavnav.slam.steps import Step, Steps
+from support import naive
 
 PERIOD_S = 0.1
 NS = 1_000_000_000

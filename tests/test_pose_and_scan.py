@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from synthetic import LDS_01, URG_04LX, cast, furnished_rooms, record, room, scan_at
 
 from mavnav import errors
 from mavnav.errors import ExitCode, MavnavError
 from mavnav.pose import Pose, Trajectory, transform_points, wrap_angle, yaw_of_quaternion
 from mavnav.scan import LaserSpec, Scan
+from support.synthetic import LDS_01, URG_04LX, cast, furnished_rooms, record, room, scan_at
 
 metres = st.floats(-1e3, 1e3)
 poses = st.builds(Pose, metres, metres, st.floats(-pi, 3.14))

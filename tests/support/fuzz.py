@@ -1,6 +1,6 @@
 """Mutations of whole logs, and what must hold of every one of them; `make fuzz` runs it for longer than the suite does.
 
-    python tests/logs/fuzz.py [CASES [SEED [LOG ...]]]
+    PYTHONPATH=tests python -m support.fuzz [CASES [SEED [LOG ...]]]
 
 Logs are the small ones of `log_files`, or those that are named.
 """
@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from log_files import WRITERS, laser
 
 from mavnav.errors import NoScansError, TopicError
 from mavnav.logs import Log, choose, survey
+from support.log_files import WRITERS, laser
 
 if TYPE_CHECKING:
     from collections.abc import Callable

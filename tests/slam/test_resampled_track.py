@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from synthetic import TOUR, Recording, along, furnished_rooms, record
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose
@@ -18,6 +17,7 @@ from mavnav.slam import pipeline
 from mavnav.slam.resampled_track import FEW_POINTS, SPARSE_SCANS, blur, coarser, in_doubt
 from mavnav.slam.scan_matching import Match
 from mavnav.slam.steps import Step, Steps
+from support.synthetic import TOUR, Recording, along, furnished_rooms, record
 
 PERIOD_S = 0.1
 

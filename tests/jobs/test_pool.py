@@ -11,10 +11,10 @@ import time
 from pathlib import Path
 
 import pytest
-import strange_jobs as strange
 
 from mavnav.errors import ExitCode
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started, run_jobs, usable_cores
+from support import strange_jobs as strange
 
 
 def run(*jobs: Job, workers: int = 1, **limits: float) -> list[Outcome]:
@@ -118,8 +118,8 @@ def test_workers_follow_a_parent_that_is_killed(tmp_path: Path) -> None:
     script.write_text(
         textwrap.dedent(f"""
         import pathlib, sys
-        sys.path.insert(0, {str(Path(__file__).parent)!r})
-        import strange_jobs
+        sys.path.insert(0, {str(Path(__file__).parents[1])!r})
+        from support import strange_jobs
         from mavnav.jobs import Job, run_jobs
         if __name__ == "__main__":
             job = Job("long", strange_jobs.sleep_with_a_file, (pathlib.Path({str(file)!r}),))

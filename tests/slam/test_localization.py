@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from synthetic import DEG, TOUR, Recording, Segments, along, box, furnished_rooms, polyline, record, room
 
 from mavnav.config.models import Config
 from mavnav.mapping.occupancy_grid import OCCUPIED, Grid, GridBuilder, occupancy
@@ -18,6 +17,7 @@ from mavnav.scan import LaserSpec
 from mavnav.slam import pipeline
 from mavnav.slam.localization import Localised
 from mavnav.slam.prior_map import KnownMap, known_map
+from support.synthetic import DEG, TOUR, Recording, Segments, along, box, furnished_rooms, polyline, record, room
 
 LASER = LaserSpec(-135 * DEG, 0.75 * DEG, 361, 0.05, 8.0)
 CELL_M = 0.05  # as other tools' maps
