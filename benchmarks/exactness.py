@@ -17,13 +17,15 @@ from typing import Any
 
 import numpy as np
 
+from mavnav.slam.pipeline import run_slam
+
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 from mavnav import kernels
 from mavnav.config.loading import load_config
 from mavnav.kernels import linesearch, polarsearch
 from mavnav.logs import open_log
-from mavnav.slam import pipeline, scan_matching
+from mavnav.slam import scan_matching
 from support.matches import GRIDS, LASERS, differences, polar_problem, random_problem
 
 SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
@@ -61,7 +63,7 @@ def recorded(path: Path, method: str, grid: int) -> int:
         kernels.polarsearch = both
     config = load_config(None, [], {"method": method, "grid": f"{grid}x{grid}", "azimuth": 2 * grid, "odom": "off"})
     log = open_log(path, odom="off")
-    pipeline.replay(log.scans, config, log.period_s)
+    run_slam(log.scans, config, log.period_s)
     pruned_s, exhaustive_s = both.spent_s[True], both.spent_s[False]
     print(
         f"{path.name:20} {2 * grid:3} / {grid}x{grid}: {both.matches:5} matches, 0 differences; a match "

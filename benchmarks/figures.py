@@ -34,7 +34,8 @@ from mavnav.outputs.run import Truth
 from mavnav.pose import Pose, Trajectory
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.world import Scenario, laser_model, load_scenario, take_scan
-from mavnav.slam import pipeline
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.result import SlamResult
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -78,9 +79,7 @@ def finish(fig: Figure, name: str) -> None:
     drawing.save(fig, PICTURES / f"{name}.png")
 
 
-def report(
-    name: str, outcome: pipeline.Slam, truth: Trajectory | None = None, scenario: Scenario | None = None
-) -> None:
+def report(name: str, outcome: SlamResult, truth: Trajectory | None = None, scenario: Scenario | None = None) -> None:
     """Print the metrics of a map; ``truth`` holds the true poses in the map frame, ``scenario`` the true walls."""
     walls = wall_thickness(outcome.grid.hits, outcome.grid.cell_m, 2)
     parts = [f"{name}: {outcome.tracked_share:.0%} of {len(outcome.steps)} scans accepted"]
@@ -130,7 +129,7 @@ def recorded(name: str, path: Path) -> None:
         print(f"{name}: skipped, {path} does not exist", file=sys.stderr)
         return
     log = open_log(path, odom="off")
-    outcome = pipeline.replay(log.scans, load_config("paper"), log.period_s)
+    outcome = run_slam(log.scans, load_config("paper"), log.period_s)
     fig, xy_m = drawing.figure(6.0, 8.0), outcome.trajectory.xyyaw[:, :2]
     axes = fig.add_subplot()
     draw_hits(axes, outcome.grid, Pose())
@@ -152,7 +151,7 @@ def corridor(name: str) -> None:
     fig, cpu_s, evaluations = drawing.figure(11.0, 5.6), [], []
     for ax, (yaws, grid) in zip(fig.subplots(2, 1, sharex=True), ((20, "10x10"), (40, "40x40")), strict=True):
         config, began_s = load_config("paper", [], {"grid": grid, "azimuth": yaws}), process_time()
-        outcome = pipeline.replay(lambda: iter(flight.scans), config, 0.1, odometry)
+        outcome = run_slam(lambda: iter(flight.scans), config, 0.1, odometry)
         cpu_s.append(process_time() - began_s)
         evaluations.append(outcome.steps.column("evaluations").mean())
         draw_hits(ax, outcome.grid, flight.world_T_map)
@@ -196,7 +195,7 @@ def grids(name: str) -> None:
     (scans, truth), walls = cart(), flown("corridor")[1]
     fig = drawing.figure(13.0, 2.9)
     for ax, (yaws, grid) in zip(fig.subplots(1, 3), ((10, "5x5"), (20, "10x10"), (40, "20x20")), strict=True):
-        outcome = pipeline.replay(lambda: iter(scans), load_config("fig8", [], {"grid": grid, "azimuth": yaws}), 0.1)
+        outcome = run_slam(lambda: iter(scans), load_config("fig8", [], {"grid": grid, "azimuth": yaws}), 0.1)
         drawing.draw_walls(ax, walls, color=drawing.PATH_GREY, lw=0.8, zorder=-1, label="true wall")
         draw_hits(ax, outcome.grid, truth[0])
         for ghost in map_quality(outcome.grid).ghost_walls.places:

@@ -30,7 +30,8 @@ from mavnav.pipelines.replay import measured_quality, measured_sections
 from mavnav.pipelines.simulate import truth_errors
 from mavnav.simulation.mission import End, fly
 from mavnav.simulation.world.scenario_file import load_scenario
-from mavnav.slam import pipeline
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.result import SlamResult
 
 DOCS = Path(__file__).parent.parent / "docs" / "paper"
 TRAINING_SEEDS, TEST_SEEDS = range(1000, 1008), range(20)
@@ -126,7 +127,7 @@ def mission(reading: Reading, scenario: str, seed: int, *, thickness: bool = Fal
     )
 
 
-def walls(outcome: pipeline.Slam) -> tuple[float, ...]:
+def walls(outcome: SlamResult) -> tuple[float, ...]:
     """Return maximum and p95 of the wall thickness in cells, at 2 and at 5 hits."""
     measured = [wall_thickness(outcome.grid.hits, outcome.grid.cell_m, hits) for hits in (2, 5)]
     return tuple(cells for walls in measured for cells in (walls.max_cells, walls.p95_cells))
@@ -225,7 +226,7 @@ def _replay(task: tuple[Reading, str, str]) -> str:
     reading, folder, name = task
     log = open_log(Path(folder) / name / f"{name}.mcap", odom="off")
     sets = [s.removeprefix("slam.") for s in reading.sets if s.startswith("slam.")]
-    outcome = pipeline.replay(log.scans, load_config(reading.preset, sets), log.period_s)
+    outcome = run_slam(log.scans, load_config(reading.preset, sets), log.period_s)
     quality = measured_quality(outcome, log, measured_sections(outcome.grid))
     apart_mm = quality.revisits.nn_l_mm if quality.revisits else np.nan
     ended = "" if not outcome.lost_for_good else ", lost"

@@ -141,7 +141,7 @@ def batch(
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
             from mavnav import batch as pipeline
-            from mavnav.slam.method import load_kernels
+            from mavnav.slam.registry import load_kernels
         from mavnav.batch.files import PAGE_FILE, check_file
         from mavnav.batch.request import Asked, request_of
 

@@ -108,7 +108,7 @@ def compare(
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
             from mavnav import compare as pipeline
-            from mavnav.slam.method import load_kernels
+            from mavnav.slam.registry import load_kernels
         target = directory or pipeline.default_directory(logs or ())
         if not logs:
             logs, true_map = _sample(target, report)

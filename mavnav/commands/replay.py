@@ -117,7 +117,7 @@ def replay(
         startup_s, started_s = process_time(), perf_counter()
         with loading_kernels(progress):
             from mavnav.pipelines import replay as pipeline
-            from mavnav.slam.method import load_kernels
+            from mavnav.slam.registry import load_kernels
 
             load_kernels(chosen)
         compile_s = perf_counter() - started_s

@@ -92,7 +92,7 @@ def simulate(
         with loading_kernels(progress):
             from mavnav.pipelines import simulate as pipeline
             from mavnav.simulation.world.scenario_file import scenario_path
-            from mavnav.slam.method import load_kernels
+            from mavnav.slam.registry import load_kernels
 
             load_kernels(chosen.slam)
         compile_s = perf_counter() - started_s

@@ -118,7 +118,7 @@ class GridBuilder:
             self._room_m = room(self.origin_xy_m, self.passes.shape, self.cell_m, 1)
         hits_kernel.add_scan(xy_map_m, np.array([x, y]), self.lattice, self.hits, self.passes, self.shielded)
 
-    def clear_passing(self) -> NDArray[np.float64]:
+    def remove_dynamic_cells(self) -> NDArray[np.float64]:
         """Take back the hits of cells where nothing stayed; return their middles (n, 2), m."""
         row, col = passing.passing_cells(self.hits, self.passes, self.shielded).T
         self.hits[col // WIDE, row, col % WIDE] = 0

@@ -16,7 +16,7 @@ from mavnav.outputs.document import plain, run_document
 from mavnav.outputs.run import Run, Timing
 from mavnav.pose import Trajectory
 from mavnav.scan import LaserSpec
-from mavnav.slam.pipeline import Slam
+from mavnav.slam.result import SlamResult
 from mavnav.slam.steps import Steps
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def blank_document(config: Config) -> dict[str, Any]:
     run = Run(
         log=_blank_log(),
         config=config,
-        slam=Slam(Steps(), way, grid, ()),
+        slam=SlamResult(Steps(), way, grid, ()),
         sections=sections,
         timing=Timing(0.0, 0.0, 0.0),
         quality=map_quality(grid, Journey(way, lambda: iter(()), 0.0), sections=sections),

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mavnav.metrics.map_quality import MapQuality
     from mavnav.metrics.wall_thickness import Sections, WallThickness
     from mavnav.pose import Trajectory
-    from mavnav.slam.pipeline import Slam
+    from mavnav.slam.result import SlamResult
 
 
 KEPT_CELLS: Final = 1 << 24
@@ -97,7 +97,7 @@ class Run:
 
     log: Log
     config: Config
-    slam: Slam
+    slam: SlamResult
     sections: dict[int, Sections]
     timing: Timing
     truth: Truth | None = None

@@ -21,8 +21,9 @@ from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import sections_by_hits
 from mavnav.outputs import Run, Timing, check_directory, write_run
 from mavnav.profiling import account, timed
-from mavnav.slam import pipeline
-from mavnav.slam.prior_map import known_map
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.prior_map import prior_map_of
+from mavnav.slam.registry import uses_odometry
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -36,7 +37,8 @@ if TYPE_CHECKING:
     from mavnav.metrics.wall_thickness import Sections
     from mavnav.pose import Pose
     from mavnav.scan import Scan
-    from mavnav.slam.prior_map import KnownMap
+    from mavnav.slam.prior_map import PriorMap
+    from mavnav.slam.result import SlamResult
 
 
 Stop = Callable[[], ExitCode | None]
@@ -83,15 +85,15 @@ class Given:
     """What files besides the log tell: references to compare with, and the map to localise in, None without one."""
 
     references: References
-    known: KnownMap | None
+    known: PriorMap | None
 
 
-def known_map_of(request: Request) -> KnownMap | None:
+def read_prior_map(request: Request) -> PriorMap | None:
     """Read the map to localise in: a map_server YAML file, or the one in a run directory; raises UsageError."""
     if request.map is None:
         return None
     file = read_map(map_yaml(request.map))
-    known = known_map(file.grid, file.map_T_grid, request.start_pose)
+    known = prior_map_of(file.grid, file.map_T_grid, request.start_pose)
     if not len(known.walls_xy_m):
         raise UsageError(f"{request.map}: the map has no occupied cell; name a map with walls")
     return known
@@ -102,7 +104,7 @@ def map_yaml(path: Path) -> Path:
     return path / "map.yaml" if path.is_dir() else path
 
 
-def localisation(request: Request, outcome: pipeline.Slam) -> dict[str, Any]:
+def localisation(request: Request, outcome: SlamResult) -> dict[str, Any]:
     """Tell of run.json how a laser was found in a known map: where it was said to begin, and where it did."""
     first = next((step for step in outcome.steps if step.tracked), None)
     return {
@@ -155,7 +157,7 @@ def replay(
     """
     check_log(request.log, request.start_s, request.end_s)
     check_directory(request.directory, force=request.force)
-    given = Given(load_references(request.truth, request.truth_map, request.relations), known_map_of(request))
+    given = Given(load_references(request.truth, request.truth_map, request.relations), read_prior_map(request))
     wall_s, cpu_s, stages = perf_counter(), process_time(), account(loading=compile_s, starting=startup_s)
     log = _open(request, progress)
     if request.log_sha256 not in {None, log.sha256}:
@@ -206,7 +208,7 @@ def measured_sections(grid: Grid) -> dict[int, Sections]:
 
 
 @timed("measuring")
-def measured_quality(outcome: pipeline.Slam, log: Log, sections: dict[int, Sections]) -> MapQuality:
+def measured_quality(outcome: SlamResult, log: Log, sections: dict[int, Sections]) -> MapQuality:
     """Measure the map of a run, with the scans behind it."""
     journey = Journey(outcome.trajectory, log.scans, outcome.tracked_share, outcome.lost_for_good)
     return map_quality(measured_part(outcome.grid), journey, sections=sections)
@@ -217,7 +219,7 @@ def _open(request: Request, progress: Progress) -> Log:
     return open_log(
         request.log,
         topic=request.topic,
-        odom="off" if request.config.method == "paper" else request.config.odom,
+        odom=request.config.odom if uses_odometry(request.config) else "off",
         start_s=request.start_s,
         end_s=request.end_s,
         extrinsic=request.extrinsic,
@@ -226,17 +228,17 @@ def _open(request: Request, progress: Progress) -> Log:
     )
 
 
-def _track(log: Log, config: Config, known: KnownMap | None, progress: Progress, stop: Stop) -> pipeline.Slam:
+def _track(log: Log, config: Config, known: PriorMap | None, progress: Progress, stop: Stop) -> SlamResult:
     total = log.counts.usable
 
     def scans() -> Iterator[Scan]:
         return takewhile(lambda _: stop() is None, log.scans())
 
-    return pipeline.replay(
+    return run_slam(
         scans,
         config,
         log.period_s,
         log.odometry.odom_T_laser if log.odometry else None,
         on_step=lambda phase, done: progress(phase, done, total),
-        known=known,
+        prior_map=known,
     )

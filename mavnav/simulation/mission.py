@@ -12,10 +12,12 @@ import numpy as np
 from mavnav.pose import Pose, Trajectory
 from mavnav.simulation.planner.potential_field import Command, Planner
 from mavnav.simulation.world import LaserModel, Scenario, World, laser_model, take_scan
-from mavnav.slam import pipeline as slam
-from mavnav.slam.method import METHODS
 from mavnav.slam.motion_model import Motion
+from mavnav.slam.pipeline import finish
+from mavnav.slam.registry import make_method
 from mavnav.slam.steps import Steps
+from mavnav.slam.track import Track
+from mavnav.slam.tracker import track
 from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import GridBuilder
     from mavnav.scan import LaserSpec, Scan
+    from mavnav.slam.result import SlamResult
     from mavnav.slam.steps import Step
 
 START_NS = 1_700_000_000_000_000_000
@@ -106,7 +109,7 @@ class Flight:
     """
 
     scenario: Scenario
-    slam: slam.Slam
+    slam: SlamResult
     mission: Mission
     scans: tuple[Scan, ...]
     map_T_laser: Trajectory
@@ -125,13 +128,13 @@ def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -
         scenario.base_T_laser, round(laser.spec.scan_time_s / NS), scenario.scans_a_command, [scenario.world_T_base]
     )
     pilot = Pilot(scenario)
-    method = METHODS[config.method](config)
+    method = make_method(config)
     motion = Motion(laser.spec.scan_time_s, vehicle.odometry, method.expects_rest)
     scans: list[Scan] = []
     steps = Steps()
     end = End.STEP_LIMIT
     executing: Iterator[None] = iter(())
-    for step in slam.track(_scans(scenario, vehicle, scans), method, motion):
+    for step in track(_scans(scenario, vehicle, scans), method, motion):
         steps.append(step)
         if on_step:
             on_step("fly", len(steps))
@@ -146,7 +149,8 @@ def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -
         if _closest_m(scenario.world, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
             end = End.COLLISION
             break
-    return _landed(scenario, vehicle, scans, end, slam.conclude(steps, lambda: scans, method, motion, config, on_step))
+    flown = Track(lambda: scans, config, motion, method, steps, on_step=on_step)
+    return _landed(scenario, vehicle, scans, end, finish(flown))
 
 
 DONE = object()
@@ -244,7 +248,7 @@ def _closest_m(world: World, poses: list[Pose]) -> float:
     return float(world.clearance_m(np.vstack(way)).min())
 
 
-def _landed(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, outcome: slam.Slam) -> Flight:
+def _landed(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, outcome: SlamResult) -> Flight:
     """Sum up a flight: only here does anybody look at the truth."""
     n = len(scans)
     stamps, world_T_base = vehicle.stamps_ns[:n], vehicle.world_T_base

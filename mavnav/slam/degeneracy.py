@@ -23,11 +23,11 @@ LEAST_HOLD = 0.01
 """A scan that the map holds less (``kernels.hold``) may slide: 0.033 at the least on the recordings, 0.002 or less in
 plain corridors, before a wall and in round rooms."""
 
-NOT_ASKED = 1.0
+UNMEASURED = 1.0
 """The hold of a scan without a pose."""
 
 
-def sliding(steps: Steps, holds: NDArray[np.float64]) -> str:
+def degeneracy_warning(steps: Steps, holds: NDArray[np.float64]) -> str:
     """Say where so many scans in a row as may be lost could slide; ``holds`` (n,) are those of the steps, in order.
 
     Empty where none do.

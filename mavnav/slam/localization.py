@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points
-from mavnav.slam.method import Robust
 from mavnav.slam.relocalization import CLEAR_BY, around, candidates, everywhere, unrivalled
+from mavnav.slam.robust import Robust
 from mavnav.slam.scan_matching import no_match
 from mavnav.units import DEG, MM
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.scan import Scan
     from mavnav.slam.motion_model import Motion
-    from mavnav.slam.prior_map import KnownMap
+    from mavnav.slam.prior_map import PriorMap
     from mavnav.slam.relocalization import Region
     from mavnav.slam.scan_matching import Match
 
@@ -30,13 +30,13 @@ MANY = 30
 """So many places of a whole map are compared closely."""
 
 
-class Localised(Robust):
+class Localizer(Robust):
     """Follows the laser in a known map; ``grid`` counts what the scans saw, in the map's frame."""
 
-    closes_loops = False
+    builds_map = False
     found_conflicts = 1.0  # furniture that was moved since the map was made speaks against every place
 
-    def __init__(self, config: Config, known: KnownMap) -> None:
+    def __init__(self, config: Config, known: PriorMap) -> None:
         """Start anywhere in the map, or near where the laser is said to be."""
         super().__init__(config)
         robust, cell_m = config.robust, known.grid.cell_m
@@ -66,6 +66,6 @@ class Localised(Robust):
         """Count what the scan saw; the map that is matched against stays."""
         self.grid.insert(map_T_laser, transform_points(map_T_laser, self._points(scan, motion)[0]))
 
-    def clear_passing(self) -> None:
+    def remove_dynamic_cells(self) -> None:
         """Take back what did not stay; the map that is matched against stays."""
-        self.grid.clear_passing()
+        self.grid.remove_dynamic_cells()

@@ -5,15 +5,11 @@ from __future__ import annotations
 from math import copysign
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from mavnav.pose import Pose
 from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from mavnav.pose import Trajectory
 
     Odometry = Callable[[int], Pose | None]
     """Stamp (ns) -> odom_T_laser, None where odometry does not cover it."""
@@ -23,7 +19,6 @@ if TYPE_CHECKING:
 
 LONGEST_S = 1.2  # a velocity is trusted no further
 NEW_SHARE = 0.7  # of a new velocity in the running one
-LEAST_STEPS, MISLEADING = 20, 0.3  # steps that judge odometry; the share of the motion by which it may be wrong
 
 
 class Motion(NamedTuple):
@@ -98,25 +93,3 @@ def _twist(a: Pose, b: Pose, elapsed_s: float) -> Twist:
     """Return the velocity that leads from one pose to another of the same frame, seen from the first."""
     moved = a.between(b)
     return moved.x_m / elapsed_s, moved.y_m / elapsed_s, moved.yaw_rad / elapsed_s
-
-
-def misleads(odometry: Odometry, map_T_laser: Trajectory) -> bool:
-    """Tell whether odometry predicts the tracked poses worse than constant velocity, and badly.
-
-    Errors are root mean squares over steps, in m; a radian counts as a metre.
-    """
-    errors = []
-    stamps = map_T_laser.stamps_ns.tolist()
-    for k in range(2, len(stamps)):
-        then, now = odometry(stamps[k - 1]), odometry(stamps[k])
-        if then and now:
-            went, moved = map_T_laser[k - 2].between(map_T_laser[k - 1]), map_T_laser[k - 1].between(map_T_laser[k])
-            errors.append([_size(p) for p in (then.between(now).between(moved), went.between(moved), moved)])
-    if len(errors) < LEAST_STEPS:
-        return False
-    by_odometry, by_velocity, motion = np.sqrt(np.square(errors).mean(axis=0))
-    return bool(by_odometry > max(by_velocity, MISLEADING * motion))
-
-
-def _size(motion: Pose) -> float:
-    return float(np.hypot(motion.distance_m, motion.yaw_rad))

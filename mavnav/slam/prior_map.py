@@ -22,7 +22,7 @@ TIE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class KnownMap:
+class PriorMap:
     """A map in its own frame: what is known of its cells, the middles of the occupied ones (n, 2), m.
 
     ``start`` is about where the laser begins, None where that is not known.
@@ -33,11 +33,11 @@ class KnownMap:
     start: Pose | None = None
 
 
-def known_map(grid: Grid, map_T_grid: Pose, start: Pose | None = None) -> KnownMap:
+def prior_map_of(grid: Grid, map_T_grid: Pose, start: Pose | None = None) -> PriorMap:
     """Bring a grid that lies anywhere in its map frame to that frame, each cell from the old one at its middle."""
     rows, cols = occupied_cells(grid).T
     walls_xy_m = (np.column_stack((cols, rows)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
-    return KnownMap(_upright(grid, map_T_grid), transform_points(map_T_grid, walls_xy_m), start)
+    return PriorMap(_upright(grid, map_T_grid), transform_points(map_T_grid, walls_xy_m), start)
 
 
 def _upright(grid: Grid, map_T_grid: Pose) -> Grid:

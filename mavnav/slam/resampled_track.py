@@ -1,7 +1,8 @@
-"""A second track where scans are sparse: one slip in a sharp turn bends the whole map, and crisper maps tell it."""
+"""A resampled track where scans are sparse: one slip in a sharp turn bends the whole map, a sharper map shows it."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,14 +11,24 @@ from mavnav.slam.steps import lost_intervals
 
 if TYPE_CHECKING:
     from mavnav.config.models import Config
-    from mavnav.slam.method import Method
     from mavnav.slam.steps import Steps
+    from mavnav.slam.track import Track
 
 FEW_POINTS, SPARSE_SCANS = 80, 5
 """With so many scans believed on fewer points a track is in doubt: a turn rests on a few walls then."""
 
 COARSER = 4 / 3
 """Voxels of the second track: other points, and so other slips."""
+
+
+def with_coarser_voxels(track: Track) -> Track:
+    """Track again with coarser voxels where scans are sparse; keep the sharper of the two maps."""
+    if track.refiner is None or not track.refiner.builds_map or not in_doubt(track.steps):
+        return track
+    other = track.again(replace(track, config=coarser(track.config)))
+    if other is None:
+        return track
+    return replace(other if blur(other) < blur(track) else track, tracks_compared=2)
 
 
 def in_doubt(steps: Steps) -> bool:
@@ -32,7 +43,7 @@ def coarser(config: Config) -> Config:
     return config.model_copy(update={"robust": robust})
 
 
-def blur(method: Method, steps: Steps) -> tuple[int, int]:
+def blur(track: Track) -> tuple[int, int]:
     """Rank a track, the better one first: scans lost, jumps included, then cells of its map that were hit."""
-    lost = sum(max(1, interval.scans) for interval in lost_intervals(steps))
-    return lost, int(np.count_nonzero(method.grid.hits))
+    lost = sum(max(1, interval.scans) for interval in lost_intervals(track.steps))
+    return lost, int(np.count_nonzero(track.method.grid.hits))

@@ -10,7 +10,7 @@ import numpy as np
 
 from mavnav.kernels.steadying import smooth
 from mavnav.profiling import timed
-from mavnav.slam.steps import jumps, tracked_way
+from mavnav.slam.steps import jumps, tracked_trajectory
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.slam.steps import Steps
+    from mavnav.slam.track import Track
 
 FEWEST = 10
 """Poses in a row from which a stretch tells how much of its motion is jitter."""
@@ -33,8 +34,15 @@ LONGEST_S = 1.2
 """A longer gap parts two stretches."""
 
 
+def smooth_jitter(track: Track) -> Track:
+    """Smooth the positions of the finished trajectory; the steps themselves take them."""
+    if track.refiner:
+        smooth_positions(track.steps, track.motion.period_s)
+    return track
+
+
 @timed("smoothing")
-def steady(steps: Steps, period_s: float) -> None:
+def smooth_positions(steps: Steps, period_s: float) -> None:
     """Move the steps to smooth positions: the jitter of the scans would lengthen every way, and move a rest.
 
     How much of the motion is jitter is asked of each stretch itself: positions with white noise, of a way whose
@@ -50,7 +58,7 @@ def steady(steps: Steps, period_s: float) -> None:
 
 def stretches(steps: Steps) -> list[NDArray[np.intp]]:
     """Return the numbers of tracked steps that follow each other without a long gap or a leap, ``FEWEST`` or more."""
-    tracked, way = np.flatnonzero(steps.column("tracked")), tracked_way(steps)
+    tracked, way = np.flatnonzero(steps.column("tracked")), tracked_trajectory(steps)
     parted = (np.diff(way.stamps_ns) * NS > LONGEST_S) | jumps(way)[1]
     runs = np.split(tracked, np.flatnonzero(parted) + 1)
     return [run for run in runs if len(run) >= FEWEST]

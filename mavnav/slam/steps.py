@@ -126,7 +126,7 @@ class LostInterval:
     recovered: bool
 
 
-def tracked_way(steps: Steps) -> Trajectory:
+def tracked_trajectory(steps: Steps) -> Trajectory:
     """Return the poses that are believed (map_T_laser)."""
     tracked = steps.column("tracked")
     return Trajectory(steps.column("stamp_ns")[tracked], steps.column("map_T_laser")[tracked])
@@ -138,7 +138,7 @@ def lost_intervals(steps: Steps) -> Iterator[LostInterval]:
     A jump that no vehicle makes is one even where no scan is missing.
     """
     stamps_ns, tracked = steps.column("stamp_ns").tolist(), np.flatnonzero(steps.column("tracked"))
-    jumped, leapt = (np.pad(found, 1) for found in jumps(tracked_way(steps)))
+    jumped, leapt = (np.pad(found, 1) for found in jumps(tracked_trajectory(steps)))
     starts, ends = np.append(0, tracked + 1), np.append(tracked, len(steps))  # of what is between tracked steps
     for k in np.flatnonzero((ends > starts) | leapt[: len(ends)]).tolist():
         start, end, recovered = int(starts[k]), int(ends[k]), k < len(tracked)

@@ -21,7 +21,7 @@ class Verdict(Enum):
     REFUSED = "refused"
 
 
-class Belief(NamedTuple):
+class TrackState(NamedTuple):
     """The last believed motion, and perhaps a trial: a motion that ``proofs`` scans in a row agreed on.
 
     ``missed`` counts the scans since the last believed one.
@@ -37,14 +37,14 @@ class Belief(NamedTuple):
         """The motion that predicts the next scan."""
         return self.trial or self.motion
 
-    def after(self, verdict: Verdict, map_T_laser: Pose, stamp_ns: int) -> Belief:
+    def after(self, verdict: Verdict, map_T_laser: Pose, stamp_ns: int) -> TrackState:
         """Return the belief after a scan; it was believed if ``missed`` is 0."""
         if self.trial is None and verdict is Verdict.SURE:
-            return Belief(self.motion.moved_to(map_T_laser, stamp_ns))
+            return TrackState(self.motion.moved_to(map_T_laser, stamp_ns))
         if verdict is Verdict.REFUSED:
             return self._replace(trial=None, proofs=0, missed=self.missed + 1)
         far = verdict is Verdict.PROBABLE and not self.trial
         moved = (self.here.started_at if far else self.here.moved_to)(map_T_laser, stamp_ns)
         if self.trial and self.proofs + 1 >= PROOFS:
-            return Belief(moved)
-        return Belief(self.motion, moved, self.proofs + 1, self.missed + 1)
+            return TrackState(moved)
+        return TrackState(self.motion, moved, self.proofs + 1, self.missed + 1)

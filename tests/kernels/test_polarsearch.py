@@ -13,7 +13,8 @@ from mavnav.config.models import Config
 from mavnav.kernels import beams, polarsearch
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
-from mavnav.slam.scan_matching import HOPELESS, Match, match_polar, polar_points
+from mavnav.slam.paper_matching import HOPELESS, match_polar, polar_points
+from mavnav.slam.scan_matching import Match
 from support import matches, naive
 from support.matches import polar_problem
 from support.synthetic import furnished_rooms, room, scan_at

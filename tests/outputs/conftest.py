@@ -14,7 +14,7 @@ from mavnav.mapping.occupancy_grid import GridBuilder, measured_part
 from mavnav.metrics.wall_thickness import sections_by_hits
 from mavnav.outputs import Run, Timing
 from mavnav.pose import Pose, Trajectory, transform_points
-from mavnav.slam.pipeline import Slam
+from mavnav.slam.result import SlamResult
 from mavnav.slam.scan_matching import Match
 from mavnav.slam.steps import LostInterval, Step, Steps
 from support.synthetic import along, furnished_rooms, scan_at
@@ -89,7 +89,7 @@ def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
     grid = tally.by_rows()
     sections = sections_by_hits(measured_part(grid).hits, grid.cell_m)
     log = FabricatedLog(recorded, cleaning={"valid": 600, "zero": 7})
-    return Run(log, Config(), Slam(Steps(steps), trajectory, grid, lost), sections, Timing(2.0, 1.5, 0.5))
+    return Run(log, Config(), SlamResult(Steps(steps), trajectory, grid, lost), sections, Timing(2.0, 1.5, 0.5))
 
 
 @pytest.fixture(scope="session")

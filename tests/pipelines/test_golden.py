@@ -12,7 +12,7 @@ import pytest
 
 from mavnav.config.loading import load_config
 from mavnav.logs import open_log
-from mavnav.slam.pipeline import replay
+from mavnav.slam.pipeline import run_slam
 
 GOLDEN = Path(__file__).parent / "golden"
 RUNS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -29,7 +29,7 @@ def figures(log_path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
     """Run a log and return what must not change unnoticed."""
     config = load_config(None, [], overrides)
     log = open_log(log_path, odom=config.odom, end_s=SECONDS)
-    slam = replay(log.scans, config, log.period_s, log.odometry.odom_T_laser if log.odometry else None)
+    slam = run_slam(log.scans, config, log.period_s, log.odometry.odom_T_laser if log.odometry else None)
     return {
         "scans": len(slam.steps),
         "tracked": sum(step.tracked for step in slam.steps),

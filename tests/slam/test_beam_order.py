@@ -12,9 +12,11 @@ import pytest
 from mavnav.config.models import Config
 from mavnav.pose import Pose
 from mavnav.scan import Scan
-from mavnav.slam import pipeline
-from mavnav.slam.beam_order import STRETCH_SCANS, backwards, is_backwards, is_plainly_told, turning_stretch
+from mavnav.slam import beam_order
+from mavnav.slam.beam_order import STRETCH_SCANS, backwards, is_backwards, is_plainly_listed, turning_stretch
+from mavnav.slam.pipeline import run_slam
 from mavnav.slam.scan_matching import Match, no_match
+from mavnav.slam.track import Track
 from support.synthetic import URG_04LX, along, furnished_rooms, scan_at
 
 SLOW = replace(URG_04LX, beams=171, angle_step_rad=4 * URG_04LX.angle_step_rad, time_increment_s=0.095 / 171)
@@ -53,25 +55,23 @@ def sweeps() -> list[Scan]:
 
 
 def test_the_right_order_is_kept(sweeps: list[Scan]) -> None:
-    assert pipeline.replay(lambda: sweeps, Config(), 0.1).warnings == ()
+    assert run_slam(lambda: sweeps, Config(), 0.1).warnings == ()
 
 
 def test_a_wrong_order_is_found_out_and_said(sweeps: list[Scan]) -> None:
     wrong = [backwards(scan) for scan in sweeps]
-    (warning,) = pipeline.replay(lambda: wrong, Config(), 0.1).warnings
+    (warning,) = run_slam(lambda: wrong, Config(), 0.1).warnings
     assert "reverse" in warning
-    right = pipeline.replay(lambda: sweeps, Config(), 0.1)
-    np.testing.assert_array_equal(
-        pipeline.replay(lambda: wrong, Config(), 0.1).trajectory.xyyaw, right.trajectory.xyyaw
-    )
+    right = run_slam(lambda: sweeps, Config(), 0.1)
+    np.testing.assert_array_equal(run_slam(lambda: wrong, Config(), 0.1).trajectory.xyyaw, right.trajectory.xyyaw)
 
 
 @pytest.mark.parametrize(
     "config", [Config(robust={"deskew": "on"}), Config(robust={"deskew": "off"}), Config(method="paper")]
 )
 def test_only_auto_tries_both_orders(sweeps: list[Scan], config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipeline, "turning_stretch", lambda _: pytest.fail("it was looked for"))
-    pipeline.replay(lambda: sweeps[:9], config, 0.1)
+    monkeypatch.setattr(beam_order, "turning_stretch", lambda _: pytest.fail("it was looked for"))
+    run_slam(lambda: sweeps[:9], config, 0.1)
 
 
 def test_the_stretch_is_where_the_laser_turns() -> None:
@@ -93,17 +93,17 @@ def test_the_other_order_must_be_clearly_better() -> None:
 
 
 def test_a_glance_at_the_map_spares_the_trial_where_the_told_order_is_plainly_right() -> None:
-    assert is_plainly_told([at(1.0)] * 5, [at(1.4)] * 5)
-    assert not is_plainly_told([at(1.0)] * 5, [at(1.3)] * 5)
-    assert not is_plainly_told([at(np.inf)] * 5, [at(1.4)] * 5)
+    assert is_plainly_listed([at(1.0)] * 5, [at(1.4)] * 5)
+    assert not is_plainly_listed([at(1.0)] * 5, [at(1.3)] * 5)
+    assert not is_plainly_listed([at(np.inf)] * 5, [at(1.4)] * 5)
 
 
 def test_the_right_order_is_tracked_once_and_a_wrong_one_tried(
     sweeps: list[Scan], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     maps: list[object] = []
-    monkeypatch.setattr(pipeline.Start, "tracked", _counted(pipeline.Start.tracked, maps))
-    pipeline.replay(lambda: sweeps, Config(), 0.1)
+    monkeypatch.setattr(Track, "over", _counted(Track.over, maps))
+    run_slam(lambda: sweeps, Config(), 0.1)
     assert len(maps) == 1
-    pipeline.replay(lambda: [backwards(scan) for scan in sweeps], Config(), 0.1)
+    run_slam(lambda: [backwards(scan) for scan in sweeps], Config(), 0.1)
     assert len(maps) == 1 + 4  # as told, the trial of both, and the whole track again

@@ -12,8 +12,8 @@ from mavnav.kernels.hold import hold
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
-from mavnav.slam import pipeline
-from mavnav.slam.degeneracy import LEAST_HOLD, sliding
+from mavnav.slam.degeneracy import LEAST_HOLD, degeneracy_warning
+from mavnav.slam.pipeline import run_slam
 from mavnav.slam.scan_matching import first_match
 from mavnav.slam.steps import Step, Steps
 from support import naive
@@ -39,20 +39,20 @@ def driven(walls: np.ndarray, *way_m: tuple[float, float]) -> Recording:
 )
 def test_a_direction_that_is_left_open_is_told(walls: np.ndarray, way: list[tuple[float, float]]) -> None:
     drive = driven(walls, *way)
-    (warning,) = pipeline.replay(lambda: drive.scans, Config(), 0.1).warnings
+    (warning,) = run_slam(lambda: drive.scans, Config(), 0.1).warnings
     assert "leave a direction open" in warning
 
 
 @pytest.mark.parametrize("walls", [furnished_rooms(), room(4.0, 3.5)], ids=["furnished", "empty room"])
 def test_a_room_holds_the_laser(walls: np.ndarray) -> None:
     drive = driven(walls, (0.8, 0.7), (2.8, 0.7), (2.9, 1.5))
-    assert pipeline.replay(lambda: drive.scans, Config(), 0.1).warnings == ()
+    assert run_slam(lambda: drive.scans, Config(), 0.1).warnings == ()
 
 
 def test_odometry_holds_it_too() -> None:
     drive = driven(np.vstack(CORRIDOR), (0.0, 0.0), (2.0, 0.1))
     odometry = drifting_odometry(drive.world_T_laser)
-    assert pipeline.replay(lambda: drive.scans, Config(), 0.1, odometry).warnings == ()
+    assert run_slam(lambda: drive.scans, Config(), 0.1, odometry).warnings == ()
 
 
 @pytest.mark.parametrize(("loose", "told"), [(4, ""), (5, "from 0.3 to 0.7 s): ")])
@@ -60,13 +60,13 @@ def test_a_few_scans_are_no_slide(loose: int, told: str) -> None:
     steps = Steps(Step(k, k * 100_000_000, first_match(100), tracked=True) for k in range(20))
     holds = np.ones(20)
     holds[3 : 3 + loose] = 0.5 * LEAST_HOLD
-    assert told in sliding(steps, holds)
-    assert bool(sliding(steps, holds)) == bool(told)
+    assert told in degeneracy_warning(steps, holds)
+    assert bool(degeneracy_warning(steps, holds)) == bool(told)
 
 
 def test_a_run_that_was_stopped_tells_of_the_scans_that_came() -> None:
     steps = Steps(Step(k, k * 100_000_000, first_match(100), tracked=True) for k in range(20))
-    assert "25 % of the scans" in sliding(steps, np.zeros(5))
+    assert "25 % of the scans" in degeneracy_warning(steps, np.zeros(5))
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -15,7 +15,7 @@ from mavnav.scan import Scan
 from mavnav.simulation.world.laser import take_scan
 from mavnav.simulation.world.scenario import laser_model
 from mavnav.simulation.world.scenario_file import load_scenario
-from mavnav.slam import pipeline
+from mavnav.slam.pipeline import run_slam
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def corridor() -> list[Scan]:
 
 def ghosts(scans: list[Scan], grid: str, azimuth: int) -> GhostWalls:
     config = load_config("fig8", [], {"grid": grid, "azimuth": azimuth})
-    return map_quality(pipeline.replay(lambda: iter(scans), config, 0.1).grid).ghost_walls
+    return map_quality(run_slam(lambda: iter(scans), config, 0.1).grid).ghost_walls
 
 
 def test_a_coarse_grid_draws_walls_twice_finer_ones_do_not(corridor: list[Scan]) -> None:

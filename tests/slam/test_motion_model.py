@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from mavnav.pose import Pose, Trajectory
-from mavnav.slam.motion_model import Motion, misleads
+from mavnav.slam.motion_model import Motion
+from mavnav.slam.odometry_check import misleads
 
 MS = 1_000_000
 STEP = Pose(0.1, 0.02, 0.05)

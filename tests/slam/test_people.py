@@ -8,7 +8,8 @@ import pytest
 from mavnav.config.models import Config
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import Scan
-from mavnav.slam import pipeline
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.result import SlamResult
 from support.synthetic import URG_04LX, Segments, box, cast, room
 
 SCANS, STEP_M = 60, 0.09
@@ -29,7 +30,7 @@ def walks(people: int, rng: np.random.Generator) -> list[Segments]:
     return outlines
 
 
-def watched(people: int, seed: int) -> pipeline.Slam:
+def watched(people: int, seed: int) -> SlamResult:
     rng, bearings = np.random.default_rng(seed), URG_04LX.angles_rad + AT.yaw_rad
     still = cast(FURNITURE, (AT.x_m, AT.y_m), bearings)
     scans = [
@@ -37,10 +38,10 @@ def watched(people: int, seed: int) -> pipeline.Slam:
         for k, outline in enumerate(walks(people, rng))
         for fuzz in [1.0 + 0.01 * rng.standard_normal(URG_04LX.beams)]
     ]
-    return pipeline.replay(lambda: scans, Config(), 0.1)
+    return run_slam(lambda: scans, Config(), 0.1)
 
 
-def cells_off_the_walls(outcome: pipeline.Slam) -> int:
+def cells_off_the_walls(outcome: SlamResult) -> int:
     """Count cells of two hits and more that lie over 200 mm from any wall."""
     grid = outcome.grid
     cells = (np.argwhere(grid.hits >= 2)[:, ::-1] + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)

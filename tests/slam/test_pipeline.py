@@ -14,7 +14,8 @@ from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Scan
-from mavnav.slam import pipeline
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.result import SlamResult
 from support.synthetic import (
     LDS_01,
     TOUR,
@@ -35,11 +36,11 @@ def tour() -> Recording:
     return record(furnished_rooms(), along(TOUR), noise=0.01)
 
 
-def replay(scans: list[Scan], odom: Trajectory | None = None, **config: object) -> pipeline.Slam:
-    return pipeline.replay(lambda: scans, Config(**config), PERIOD_S, odom)  # type: ignore[arg-type]
+def replay(scans: list[Scan], odom: Trajectory | None = None, **config: object) -> SlamResult:
+    return run_slam(lambda: scans, Config(**config), PERIOD_S, odom)  # type: ignore[arg-type]
 
 
-def errors_m(outcome: pipeline.Slam, recording: Recording) -> np.ndarray:
+def errors_m(outcome: SlamResult, recording: Recording) -> np.ndarray:
     """Distances of the tracked poses to the truth; both begin at the first laser pose, nothing is aligned."""
     truth = {
         int(t): xy for t, xy in zip(recording.world_T_laser.stamps_ns, recording.map_T_laser.xyyaw[:, :2], strict=True)
@@ -60,9 +61,7 @@ def test_robust_follows_the_tour(tour: Recording, grid: str) -> None:
 def test_on_line_leaves_the_final_pass_out(tour: Recording) -> None:
     passes: list[str] = []
     scans = tour.scans[:30]
-    on_line = pipeline.replay(
-        lambda: scans, Config(final_pass=False), PERIOD_S, None, lambda name, _: passes.append(name)
-    )
+    on_line = run_slam(lambda: scans, Config(final_pass=False), PERIOD_S, None, lambda name, _: passes.append(name))
     assert set(passes) == {"track"}
     both = replay(scans)
     assert sum(s.match.evaluations for s in both.steps) > sum(s.match.evaluations for s in on_line.steps)
@@ -71,7 +70,7 @@ def test_on_line_leaves_the_final_pass_out(tour: Recording) -> None:
 def test_odometry_leads_where_the_laser_moves_too_far_to_be_followed(tour: Recording) -> None:
     sparse = Recording(tour.scans[::12], Trajectory(tour.world_T_laser.stamps_ns[::12], tour.world_T_laser.xyyaw[::12]))
     odometry = drifting_odometry(tour.world_T_laser)
-    with_odometry = pipeline.replay(lambda: sparse.scans, Config(), 1.2, odometry)
+    with_odometry = run_slam(lambda: sparse.scans, Config(), 1.2, odometry)
     assert len(with_odometry.trajectory) == len(sparse.scans)
     assert errors_m(with_odometry, sparse).max() < 0.15
 
@@ -88,7 +87,7 @@ def test_full_turn_scanner_with_clockwise_beams_is_followed() -> None:
 
     spec = replace(LDS_01, angle_min_rad=np.pi, angle_step_rad=-LDS_01.angle_step_rad)
     recording = record(room(3.0, 2.5), along([(0.6, 0.6), (2.2, 0.7), (2.2, 1.8)], period_s=0.2), spec, noise=0.01)
-    outcome = pipeline.replay(lambda: recording.scans, Config(), 0.2)
+    outcome = run_slam(lambda: recording.scans, Config(), 0.2)
     assert len(outcome.trajectory) == len(recording.scans)
     assert errors_m(outcome, recording).max() < 0.05
 
@@ -136,7 +135,7 @@ def test_a_log_with_poses_for_fewer_than_half_of_its_scans_is_lost_though_it_end
 
 
 def test_a_log_of_one_scan_has_no_period_and_one_pose() -> None:
-    outcome = pipeline.replay(lambda: [scan_at(room(), Pose(1, 1))], Config(), 0.0)
+    outcome = run_slam(lambda: [scan_at(room(), Pose(1, 1))], Config(), 0.0)
     np.testing.assert_allclose(outcome.trajectory.xyyaw, [[0.0, 0.0, 0.0]], atol=0.005)  # the final pass may nudge it
     assert not outcome.lost
 
@@ -189,7 +188,7 @@ def scored(judge: ModuleType, real_logs: Path, name: str, mask: int) -> tuple[ob
     """Replay a real log without odometry; return the judge's log, the placed views and the coverage."""
     path = real_logs / name / f"{name}.mcap"
     log = open_log(path, odom="off")
-    outcome = pipeline.replay(log.scans, Config(odom="off"), log.period_s)
+    outcome = run_slam(log.scans, Config(odom="off"), log.period_s)
     assert not outcome.lost
     judged = judge.read_log(path, "/scan", 0.1, None, mask)
     stamps = outcome.trajectory.stamps_ns * 1e-9
@@ -221,7 +220,7 @@ def test_urg_exp1_keeps_its_heading(judge: ModuleType, real_logs: Path) -> None:
 @pytest.mark.real_logs
 def test_lego_robot4_lies_on_the_camera_track(judge: ModuleType, real_logs: Path) -> None:
     log = open_log(real_logs / "lego_robot4" / "lego_robot4.mcap", odom="off")
-    outcome = pipeline.replay(log.scans, Config(odom="off"), log.period_s)
+    outcome = run_slam(log.scans, Config(odom="off"), log.period_s)
     truth_t, truth = judge.read_tum(real_logs / "lego_robot4" / "groundtruth.tum")
     look = outcome.trajectory.stamps_ns * 1e-9 - 0.233
     inside = (look >= truth_t[0]) & (look <= truth_t[-1])
@@ -248,7 +247,7 @@ def test_a_run_that_is_stopped_keeps_the_longest_track(after: int) -> None:
             given += 1
             yield scan
 
-    outcome = pipeline.replay(log_scans, Config(), PERIOD_S, wrong)
+    outcome = run_slam(log_scans, Config(), PERIOD_S, wrong)
     assert len(outcome.steps) == min(after, len(scans))
     assert [step.index for step in outcome.steps] == list(range(len(outcome.steps)))
     assert bool(outcome.warnings) == (after >= 2 * len(scans))

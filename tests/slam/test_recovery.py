@@ -16,7 +16,8 @@ from mavnav.pose import Pose, Trajectory, transform_points, wrap_angle
 from mavnav.scan import Scan
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.world import World, laser_model, load_scenario, take_scan
-from mavnav.slam import pipeline
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.result import SlamResult
 from mavnav.units import DEG
 
 FAULT = 30
@@ -109,13 +110,13 @@ FAULTS: dict[str, Callable[[Drive], Drive]] = {
 
 
 @cache
-def replayed(fault: str, *, odometry: bool, final_pass: bool = False) -> tuple[Drive, pipeline.Slam]:
+def replayed(fault: str, *, odometry: bool, final_pass: bool = False) -> tuple[Drive, SlamResult]:
     drive = FAULTS[fault](clean())
     odom = Trajectory.of([s.stamp_ns for s in drive.scans], drive.odom_T_laser) if odometry else None
-    return drive, pipeline.replay(lambda: drive.scans, Config(final_pass=final_pass), 0.1, odom)
+    return drive, run_slam(lambda: drive.scans, Config(final_pass=final_pass), 0.1, odom)
 
 
-def true_map(drive: Drive, outcome: pipeline.Slam) -> Pose:
+def true_map(drive: Drive, outcome: SlamResult) -> Pose:
     """Return the motion that brings the map of the scans before the fault to the truth: no fault is to blame for it."""
     before = [s for s in outcome.steps[:FAULT] if s.tracked]
     xy = [[(p.x_m, p.y_m) for p in poses] for poses in (
@@ -123,7 +124,7 @@ def true_map(drive: Drive, outcome: pipeline.Slam) -> Pose:
     return align(np.array(xy[0]), np.array(xy[1]))
 
 
-def scans_until_right(drive: Drive, outcome: pipeline.Slam) -> int:
+def scans_until_right(drive: Drive, outcome: SlamResult) -> int:
     """Count the scans from the end of the fault to the first pose within 50 mm and 2 degrees of the truth."""
     correction = true_map(drive, outcome)
     for count, step in enumerate(outcome.steps[drive.faulty.stop :], start=1):
@@ -133,7 +134,7 @@ def scans_until_right(drive: Drive, outcome: pipeline.Slam) -> int:
     pytest.fail("never right again")
 
 
-def cells_in_the_open(drive: Drive, outcome: pipeline.Slam) -> int:
+def cells_in_the_open(drive: Drive, outcome: SlamResult) -> int:
     """Count cells of two hits and more that lie over 200 mm from any wall."""
     grid = outcome.grid
     row, col = np.nonzero(grid.hits >= 2)

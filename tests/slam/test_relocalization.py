@@ -11,11 +11,11 @@ from mavnav.mapping.tiled_arrays import blank_strips
 from mavnav.memory import blank
 from mavnav.pose import Pose
 from mavnav.scan import Scan
-from mavnav.slam import pipeline, relocalization
-from mavnav.slam.localization import Localised
-from mavnav.slam.method import Robust
+from mavnav.slam import relocalization
+from mavnav.slam.localization import Localizer
 from mavnav.slam.motion_model import Motion
-from mavnav.slam.prior_map import known_map
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.prior_map import prior_map_of
 from mavnav.slam.relocalization import (
     CANDIDATES,
     STEP_M,
@@ -31,6 +31,7 @@ from mavnav.slam.relocalization import (
     unrivalled,
     within_reach,
 )
+from mavnav.slam.robust import Robust
 from mavnav.slam.scan_matching import Match, first_match, no_match
 from mavnav.slam.track_state import Verdict
 from support.memory_use import taking_less_than
@@ -50,7 +51,7 @@ def mapped(segments: np.ndarray, poses: list[Pose]) -> Robust:
 
 
 def look_everywhere(method: Robust, scan: Scan) -> Match | None:
-    return method.relocalise(scan, no_match(Pose()), Motion(0.1).started_at(Pose(1.0, 1.0), -5_000_000_000))
+    return method.relocalize(scan, no_match(Pose()), Motion(0.1).started_at(Pose(1.0, 1.0), -5_000_000_000))
 
 
 def test_a_laser_is_found_anywhere_in_its_map() -> None:
@@ -183,7 +184,7 @@ def test_a_laser_carried_through_its_map_is_found_again_and_the_gap_is_told() ->
     truth, n = recording.map_T_laser, len(recording.scans)
     scans = [*with_blanks(recording.scans, range(n - 2, n)), *recording.scans[20:40]]
     scans = [Scan(k * PERIOD_NS, s.ranges_m, s.spec) for k, s in enumerate(scans)]
-    outcome = pipeline.replay(lambda: scans, Config(), 0.1)
+    outcome = run_slam(lambda: scans, Config(), 0.1)
     assert [lost.recovered for lost in outcome.lost] == [True]
     assert outcome.lost[0].scans < 18
     assert truth[39].between(outcome.trajectory[-1]).distance_m < 0.05
@@ -193,8 +194,8 @@ def test_scans_that_wait_are_believed_once_the_track_goes_on() -> None:
     recording = record(furnished_rooms(), along(TOUR[:3]))
     gap = range(30, 37)
     blind = with_blanks(recording.scans, gap)
-    on_line = pipeline.replay(lambda: blind, Config(final_pass=False), 0.1)
-    settled = pipeline.replay(lambda: blind, Config(), 0.1)
+    on_line = run_slam(lambda: blind, Config(final_pass=False), 0.1)
+    settled = run_slam(lambda: blind, Config(), 0.1)
     assert {s.index for s in settled.steps if not s.tracked} == set(gap)
     assert set(gap) <= {s.index for s in on_line.steps if not s.tracked}
 
@@ -225,7 +226,7 @@ def test_a_laser_carried_into_another_room_is_not_found_in_the_first() -> None:
     first = record(walls, along([(-1, 0.2), (1.2, -0.2), (-0.5, 0.1)]), seed=seed).scans
     way = along([(29, 0.2), (31.2, -0.2), (29.5, 0.1)], start_ns=first[-1].stamp_ns + PERIOD_NS)
     other = record(walls, way, seed=seed + 100).scans
-    outcome = pipeline.replay(lambda: [*first, *other[:80]], Config(), 0.1)
+    outcome = run_slam(lambda: [*first, *other[:80]], Config(), 0.1)
     assert outcome.lost_for_good
     assert outcome.trajectory.stamps_ns[-1] == first[-1].stamp_ns
 
@@ -240,5 +241,5 @@ def test_after_a_long_gap_little_may_speak_against_a_place() -> None:
     assert method.gate(match._replace(conflicts=0.03), late, here) is Verdict.PROBABLE
     led = here._replace(odometry=lambda _: Pose())
     assert method.gate(match, late, led) is Verdict.PROBABLE
-    known = known_map(method.grid.by_rows(), Pose())
-    assert Localised(Config(), known).gate(match, late, here) is Verdict.PROBABLE
+    known = prior_map_of(method.grid.by_rows(), Pose())
+    assert Localizer(Config(), known).gate(match, late, here) is Verdict.PROBABLE

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mavnav.kernels.steadying import smooth
 from mavnav.pose import Pose
 from mavnav.slam.scan_matching import Match
-from mavnav.slam.smoothing import FEWEST, rests, steady
+from mavnav.slam.smoothing import FEWEST, rests, smooth_positions
 from mavnav.slam.steps import Step, Steps
 from support import naive
 
@@ -31,7 +31,7 @@ def steps_of(xy_m: np.ndarray, cost_m2: float = 0.02**2, untracked: tuple[int, .
 
 def steadied(steps: Iterable[Step]) -> Steps:
     out = Steps(steps)
-    steady(out, PERIOD_S)
+    smooth_positions(out, PERIOD_S)
     return out
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from mavnav.pose import Pose
 from mavnav.slam.scan_matching import Match, first_match, no_match
-from mavnav.slam.steps import LostInterval, Step, Steps, lost_intervals, tracked_way
+from mavnav.slam.steps import LostInterval, Step, Steps, lost_intervals, tracked_trajectory
 
 MS = 1_000_000
 
@@ -26,7 +26,7 @@ def test_packed_steps_are_the_steps(steps: list[Step]) -> None:
     assert [packed[k - len(steps)] for k in range(len(steps))] == steps
     assert packed.column("tracked").tolist() == [s.tracked for s in steps]
     assert packed.column("evaluations").tolist() == [s.match.evaluations for s in steps]
-    way = tracked_way(packed)
+    way = tracked_trajectory(packed)
     assert [(way.stamps_ns[k], way[k]) for k in range(len(way))] == [
         (s.stamp_ns, s.match.map_T_laser) for s in steps if s.tracked
     ]

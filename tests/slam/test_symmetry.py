@@ -12,7 +12,8 @@ from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.pose import Pose, Trajectory, wrap_angle
 from mavnav.scan import Scan
-from mavnav.slam import method, pipeline
+from mavnav.slam import robust
+from mavnav.slam.pipeline import run_slam
 from mavnav.slam.scan_matching import Match, first_match
 from mavnav.units import DEG
 
@@ -31,7 +32,7 @@ def drive(request: pytest.FixtureRequest, real_logs: Path) -> tuple[list[Scan], 
 
 
 def way(scans: list[Scan], period_s: float) -> Trajectory:
-    outcome = pipeline.replay(lambda: scans, Config(), period_s)
+    outcome = run_slam(lambda: scans, Config(), period_s)
     assert len(outcome.trajectory) == SCANS
     return outcome.trajectory
 
@@ -67,7 +68,7 @@ def test_another_start_shifts_and_turns_the_way(
     def elsewhere(beams: int) -> Match:
         return first_match(beams)._replace(map_T_laser=start)
 
-    monkeypatch.setattr(method, "first_match", elsewhere)
+    monkeypatch.setattr(robust, "first_match", elsewhere)
     found = way(scans, period_s)
     same(straight, [start.inverse() @ found[k] for k in range(SCANS)])
 

@@ -11,7 +11,7 @@ from mavnav.kernels import linesearch, points
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
-from mavnav.slam.scan_matching import polar_points
+from mavnav.slam.paper_matching import polar_points
 from support.synthetic import furnished_rooms, scan_at
 
 GRIDS = (5, 10, 20, 40)

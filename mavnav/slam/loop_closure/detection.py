@@ -141,7 +141,7 @@ class Loops:
 
 
 @timed("loops")
-def close_loops(map_T_laser: Trajectory, points_of: Callable[[list[int]], Iterable[Points]], config: Config) -> Loops:
+def find_loops(map_T_laser: Trajectory, points_of: Callable[[list[int]], Iterable[Points]], config: Config) -> Loops:
     """Find the places that the laser came back to, and correct the way between.
 
     ``map_T_laser`` holds the tracked poses; ``points_of`` gives the points (n, 2) of the scans of some rows, thinned

@@ -13,22 +13,23 @@ import pytest
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
-from mavnav.slam import pipeline
 from mavnav.slam.loop_closure import remap
 from mavnav.slam.loop_closure.detection import (
     LOOP_M,
     KeyFrame,
     Loop,
     Loops,
-    close_loops,
     drift_bound,
+    find_loops,
     key_rows,
     witness,
 )
-from mavnav.slam.method import Robust
 from mavnav.slam.motion_model import Motion
+from mavnav.slam.pipeline import finish
+from mavnav.slam.robust import Robust
 from mavnav.slam.scan_matching import first_match
 from mavnav.slam.steps import Step, Steps
+from mavnav.slam.track import Track
 from support.matches import voxel_means
 from support.synthetic import DEG, Segments, along, box, polyline, scan_at
 
@@ -113,7 +114,7 @@ class Walk:
         return Trajectory.of(truth.stamps_ns.tolist(), poses)
 
     def closed(self, tracked: Trajectory, seed: int = 0) -> Loops:
-        return close_loops(tracked, lambda rows: self.points_of(seed, rows), Config())
+        return find_loops(tracked, lambda rows: self.points_of(seed, rows), Config())
 
     def wrong(self, loops: Loops) -> list[float]:
         """Return how far off the closures are that join different places, m."""
@@ -161,18 +162,18 @@ def test_a_way_that_never_comes_back_reads_no_scan() -> None:
     def points_of(rows: list[int]) -> list[np.ndarray]:
         raise AssertionError(rows)
 
-    assert close_loops(straight, points_of, Config()) == Loops()
+    assert find_loops(straight, points_of, Config()) == Loops()
 
 
 def test_no_pose_and_one_pose_are_no_loop() -> None:
-    assert close_loops(Trajectory.of([], []), lambda _: [], Config()) == Loops()
-    assert close_loops(Trajectory.of([0], [Pose()]), lambda _: [], Config()) == Loops()
+    assert find_loops(Trajectory.of([], []), lambda _: [], Config()) == Loops()
+    assert find_loops(Trajectory.of([0], [Pose()]), lambda _: [], Config()) == Loops()
 
 
 def test_a_run_that_is_stopped_before_its_loops_are_found_has_none() -> None:
     ring_walk = walk("ring")
     drifted = ring_walk.drifted(Pose(0.0, 0.0, 0.12 * DEG))
-    assert close_loops(drifted, lambda rows: ring_walk.points_of(0, rows[:3]), Config()) == Loops()
+    assert find_loops(drifted, lambda rows: ring_walk.points_of(0, rows[:3]), Config()) == Loops()
 
 
 def closures_without_a_wrong_one(name: str, seed: int) -> int:
@@ -237,8 +238,8 @@ def test_the_map_is_drawn_anew_with_the_loop_closed() -> None:
     rows = range(len(drifted))
     scans, steps, method = track_of(ring_walk, drifted, rows)
     drawn = method.grid.hits.sum()
-    on = pipeline.conclude(steps, lambda: scans, method, Motion(0.4), Config())
-    off = pipeline.conclude(steps, lambda: scans, method, Motion(0.4), Config(loop_closure="off"))
+    on = finish(Track(lambda: scans, Config(), Motion(0.4), method, steps))
+    off = finish(Track(lambda: scans, Config(loop_closure="off"), Motion(0.4), method, steps))
     assert on.loops.closed
     assert not off.loops.closed
     assert rmse_m(on.trajectory, ring_walk.truth) < 0.35 * rmse_m(off.trajectory, ring_walk.truth)
@@ -253,9 +254,9 @@ def test_a_correction_that_blurs_the_map_is_refused(monkeypatch: pytest.MonkeyPa
     scans, steps, method = track_of(ring_walk, truth, rows)
     bent = [truth[row] @ Pose(0.0, 0.01 * k, 0.0) for k, row in enumerate(rows)]
     wrong = Loops((Loop(0, 5, Pose(), Pose(0.5, 0, 0), 0.9),), 3, Trajectory.of([s.stamp_ns for s in scans], bent))
-    monkeypatch.setattr(remap, "close_loops", lambda *_: wrong)
+    monkeypatch.setattr(remap, "find_loops", lambda *_: wrong)
     before = method.grid.by_rows()
-    outcome = pipeline.conclude(steps, lambda: scans, method, Motion(0.4), Config())
+    outcome = finish(Track(lambda: scans, Config(), Motion(0.4), method, steps))
     assert outcome.loops == Loops(refused=4)
     np.testing.assert_array_equal(outcome.grid.passes, before.passes)
 
@@ -265,9 +266,9 @@ def test_a_run_that_is_stopped_while_its_map_is_drawn_anew_keeps_the_old_one(mon
     rows = range(0, len(ring_walk.truth), 4)
     scans, steps, method = track_of(ring_walk, ring_walk.drifted(Pose(0.0, 0.0, 0.12 * DEG)), rows)
     right = Trajectory.of([s.stamp_ns for s in scans], [ring_walk.truth[row] for row in rows])
-    monkeypatch.setattr(remap, "close_loops", lambda *_: Loops((Loop(0, 5, Pose(), Pose(0.5, 0, 0), 0.9),), 3, right))
+    monkeypatch.setattr(remap, "find_loops", lambda *_: Loops((Loop(0, 5, Pose(), Pose(0.5, 0, 0), 0.9),), 3, right))
     before = method.grid.by_rows()
-    outcome = pipeline.conclude(steps, lambda: scans[:5], method, Motion(0.4), Config())
+    outcome = finish(Track(lambda: scans[:5], Config(), Motion(0.4), method, steps))
     assert outcome.loops == Loops(refused=4)
     np.testing.assert_array_equal(outcome.grid.passes, before.passes)
     assert len(outcome.trajectory) == len(scans)
