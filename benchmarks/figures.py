@@ -21,7 +21,8 @@ from matplotlib.patches import Rectangle
 from matplotlib.transforms import Affine2D
 
 from mavnav.config.loading import load_config
-from mavnav.ground_truth import occupied_xy_m, of_scenario
+from mavnav.ground_truth.map_file import occupied_xy_m
+from mavnav.ground_truth.true_map import of_scenario
 from mavnav.logs import open_log
 from mavnav.mapping.occupancy_grid import known_part
 from mavnav.metrics.map_distance import map_distance

@@ -14,7 +14,7 @@ from mavnav.atomic_files import beside
 from mavnav.errors import SEVERITY, ExitCode, OutputError, UsageError
 from mavnav.metrics.figures import number
 from mavnav.metrics.gates import full_name
-from mavnav.outputs import to_json
+from mavnav.outputs.document import to_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -10,7 +10,7 @@ from mavnav.batch.find_logs import check_found, gather, is_address
 from mavnav.batch.remote import fetched
 from mavnav.batch.settings import told
 from mavnav.errors import ExitCode, MavnavError, UsageError
-from mavnav.ground_truth import load_references
+from mavnav.ground_truth.references import load_references
 from mavnav.jobs.run_cache import Cell, make_cell, references_sha256
 from mavnav.logs import content_sha256
 from mavnav.metrics.gates import Gate, parse_gate

@@ -10,7 +10,7 @@ from mavnav.atomic_files import beside
 from mavnav.batch.page import to_page
 from mavnav.errors import OutputError
 from mavnav.metrics.figures import number
-from mavnav.outputs import to_json
+from mavnav.outputs.document import to_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mavnav.batch import Limits, Part, Request, Rules
 from mavnav.batch.baseline import parse_tolerance, read_baseline, tolerances
 from mavnav.batch.cases import BASELINE_GATE
 from mavnav.batch.files import BATCH_FILE
 from mavnav.batch.manifest import Entry, Manifest, read_manifest
+from mavnav.batch.plan import Limits, Part, Request, Rules
 from mavnav.batch.settings import Setting, crossed_settings, listed_settings
 from mavnav.config.yaml_layers import Layer
 from mavnav.errors import ExitCode, UsageError
@@ -27,7 +27,7 @@ MANIFEST_SUFFIXES = (".yaml", ".yml")
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class Options:
     """The command line: what was not given is None or empty.
 
     ``sources`` are a manifest and logs; ``options`` values of the configuration, ``reading`` those of an `Entry`.
@@ -57,26 +57,26 @@ class Asked:
     update_baseline: bool = False
 
 
-def request_of(asked: Asked) -> Request:
+def request_of(options: Options) -> Request:
     """Read the manifest, if one is named, and return the request.
 
     Raises ConfigError for a manifest that is wrong, UsageError for anything else that cannot be done.
     """
-    path = _manifest_path(asked.sources)
+    path = _manifest_path(options.sources)
     manifest, layer = read_manifest(path) if path else (Manifest(), Layer())
     base = path.parent if path else Path()
-    baseline = asked.baseline or (base / manifest.baseline if manifest.baseline else None)
+    baseline = options.baseline or (base / manifest.baseline if manifest.baseline else None)
     return Request(
-        entries=_entries(asked, manifest, base),
-        settings=tuple(_settings(asked, manifest, layer, base)),
+        entries=_entries(options, manifest, base),
+        settings=tuple(_settings(options, manifest, layer, base)),
         base=base,
-        directory=asked.directory or (base / manifest.output if manifest.output else _default_directory(path)),
-        limits=_limits(asked, manifest),
-        rules=_rules(asked, manifest, baseline),
-        part=_part(asked.part),
-        force=asked.force,
-        report=asked.report or manifest.report,
-        new_baseline=baseline if asked.update_baseline else None,
+        directory=options.directory or (base / manifest.output if manifest.output else _default_directory(path)),
+        limits=_limits(options, manifest),
+        rules=_rules(options, manifest, baseline),
+        part=_part(options.part),
+        force=options.force,
+        report=options.report or manifest.report,
+        new_baseline=baseline if options.update_baseline else None,
     )
 
 
@@ -91,54 +91,56 @@ def _default_directory(path: Path | None) -> Path:
     return Path("runs") / (f"batch-{path.stem}" if path else "batch")
 
 
-def _entries(asked: Asked, manifest: Manifest, base: Path) -> tuple[Entry, ...]:
+def _entries(options: Options, manifest: Manifest, base: Path) -> tuple[Entry, ...]:
     """Return the manifest's logs and those of the command line, which count from the current folder."""
-    logs = [source for source in asked.sources if not source.endswith(MANIFEST_SUFFIXES)]
+    logs = [source for source in options.sources if not source.endswith(MANIFEST_SUFFIXES)]
     absolute = [log if "://" in log or not base.parts else str(Path(log).absolute()) for log in logs]
     entries = (*manifest.logs, *((Entry(log=tuple(absolute)),) if absolute else ()))
-    return tuple(entry.model_copy(update=dict(asked.reading)) for entry in entries)
+    return tuple(entry.model_copy(update=dict(options.reading)) for entry in entries)
 
 
-def _settings(asked: Asked, manifest: Manifest, layer: Layer, base: Path) -> list[Setting]:
-    if manifest.runs and not (asked.methods or asked.grids or asked.azimuths or asked.config):
-        return listed_settings(manifest.runs, layer, base, asked.sets, asked.options)
-    return crossed_settings(asked.config, asked.sets, asked.methods, asked.grids, asked.azimuths, asked.options)
-
-
-def _limits(asked: Asked, manifest: Manifest) -> Limits:
-    if asked.memory_mb and asked.scheduler not in {None, LOCAL}:
-        raise UsageError("--memory-mb is not for workers that run already; start them with dask worker --memory-limit")
-    return Limits(
-        workers=asked.jobs or manifest.jobs or usable_cores(),
-        timeout_s=asked.timeout_s or manifest.timeout_s,
-        memory_mb=asked.memory_mb or manifest.memory_mb,
-        tries=asked.tries or manifest.tries,
-        scheduler=asked.scheduler,
+def _settings(options: Options, manifest: Manifest, layer: Layer, base: Path) -> list[Setting]:
+    if manifest.runs and not (options.methods or options.grids or options.azimuths or options.config):
+        return listed_settings(manifest.runs, layer, base, options.sets, options.options)
+    return crossed_settings(
+        options.config, options.sets, options.methods, options.grids, options.azimuths, options.options
     )
 
 
-def _rules(asked: Asked, manifest: Manifest, path: Path | None) -> Rules:
-    texts = [*manifest.gates, *asked.gates]
+def _limits(options: Options, manifest: Manifest) -> Limits:
+    if options.memory_mb and options.scheduler not in {None, LOCAL}:
+        raise UsageError("--memory-mb is not for workers that run already; start them with dask worker --memory-limit")
+    return Limits(
+        workers=options.jobs or manifest.jobs or usable_cores(),
+        timeout_s=options.timeout_s or manifest.timeout_s,
+        memory_mb=options.memory_mb or manifest.memory_mb,
+        tries=options.tries or manifest.tries,
+        scheduler=options.scheduler,
+    )
+
+
+def _rules(options: Options, manifest: Manifest, path: Path | None) -> Rules:
+    texts = [*manifest.gates, *options.gates]
     gated = BASELINE_GATE in texts
     for entry in manifest.logs:  # before any log is read
         _gates(entry.gates)
         _codes(entry.accept)
-    needed = gated or asked.update_baseline or any(BASELINE_GATE in entry.gates for entry in manifest.logs)
+    needed = gated or options.update_baseline or any(BASELINE_GATE in entry.gates for entry in manifest.logs)
     if path is None and needed:
         raise UsageError("no baseline; name one with --baseline, an earlier batch or a file")
-    if asked.update_baseline and path and path.is_dir():
+    if options.update_baseline and path and path.is_dir():
         raise UsageError(f"{path} is a directory; name a file for --update-baseline to write")
-    if asked.update_baseline and path and path.name == BATCH_FILE:
+    if options.update_baseline and path and path.name == BATCH_FILE:
         raise UsageError(f"{path} would be lost; name another file for --update-baseline to write")
-    if asked.update_baseline and asked.part:
+    if options.update_baseline and options.part:
         raise UsageError("--update-baseline is for all runs of a batch, --part for some; give one of them")
-    fresh = asked.update_baseline and path is not None and not path.exists()
+    fresh = options.update_baseline and path is not None and not path.exists()
     return Rules(
         gates=tuple(_gates(texts)),
-        accept=frozenset(_codes([*manifest.accept, *asked.accept])),
+        accept=frozenset(_codes([*manifest.accept, *options.accept])),
         baseline=None if path is None or fresh else read_baseline(path),
-        watched=tolerances([*_given(manifest.tolerances), *(_tolerance(text) for text in asked.tolerances)]),
-        baseline_gate=gated and not asked.update_baseline,
+        watched=tolerances([*_given(manifest.tolerances), *(_tolerance(text) for text in options.tolerances)]),
+        baseline_gate=gated and not options.update_baseline,
     )
 
 

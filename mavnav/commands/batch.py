@@ -33,7 +33,7 @@ from mavnav.commands.terminal import emit, note
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mavnav.batch import Request
+    from mavnav.batch.plan import Request
     from mavnav.jobs.dask import Cluster
 
 EPILOG = """
@@ -140,17 +140,18 @@ def batch(
         return
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
-            from mavnav import batch as pipeline
+            from mavnav.batch.plan import plan as make_plan
+            from mavnav.batch.run import run_batch
             from mavnav.slam.registry import load_kernels
         from mavnav.batch.files import PAGE_FILE, check_file
-        from mavnav.batch.request import Asked, request_of
+        from mavnav.batch.request import Options, request_of
 
         for file in filter(None, (junit, summary)):
             check_file(file)
         mounting = pose(extrinsic) if extrinsic else None
         place = (mounting.x_m, mounting.y_m, mounting.yaw_rad) if mounting else None
         request = request_of(
-            Asked(
+            Options(
                 sources=sources or (),
                 methods=methods or (),
                 grids=grids or (),
@@ -175,7 +176,7 @@ def batch(
                 update_baseline=update_baseline,
             )
         )
-        plan = pipeline.plan(request, report)
+        plan = make_plan(request, report)
         with loading_kernels(report):  # not in every worker, by the clock of its first run
             for case in plan.missing if request.limits.scheduler is None else ():
                 load_kernels(case.setting.config)
@@ -185,7 +186,7 @@ def batch(
         telling(len(plan.cases), json=json, quiet=quiet) as tell,
     ):
         try:
-            document = pipeline.run_batch(plan, listen, tell, cluster)
+            document = run_batch(plan, listen, tell, cluster)
         except signals.Stopped:
             note(f"mavnav: runs that are finished stay in {request.directory}; the same call makes the others")
             raise

@@ -107,7 +107,7 @@ def compare(
     bounds = tuple(gates_of(gates))
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
-            from mavnav import compare as pipeline
+            from mavnav.compare import comparison as pipeline
             from mavnav.slam.registry import load_kernels
         target = directory or pipeline.default_directory(logs or ())
         if not logs:
@@ -140,7 +140,7 @@ def compare(
 
 def _sample(directory: Path, report: Report) -> tuple[list[Path], Path]:
     """Return the sample corridor, flown and kept in the directory where it is not shipped, and its true map."""
-    from mavnav.compare import check_directory
+    from mavnav.compare.comparison import check_directory
 
     check_directory(directory)
     with loading_kernels(report):

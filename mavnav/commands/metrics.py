@@ -42,7 +42,7 @@ def metrics(
     """Measure maps: wall thickness, ghost walls, crispness, support, errors against a reference."""
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
-            from mavnav.ground_truth import load_references
+            from mavnav.ground_truth.references import load_references
             from mavnav.pipelines.evaluate import evaluate
         document = evaluate(paths, load_references(truth, truth_map, relations), report)
     if json:

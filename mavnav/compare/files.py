@@ -10,7 +10,7 @@ from mavnav.atomic_files import beside
 from mavnav.compare.figures import PRICES
 from mavnav.errors import OutputError
 from mavnav.metrics.figures import FIGURES, number
-from mavnav.outputs import to_json
+from mavnav.outputs.document import to_json
 from mavnav.outputs.markdown import escaped, table_row
 
 if TYPE_CHECKING:

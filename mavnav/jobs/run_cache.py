@@ -14,7 +14,7 @@ import numpy as np
 
 from mavnav import __version__
 from mavnav.errors import ExitCode, OutputError
-from mavnav.ground_truth import References, load_references
+from mavnav.ground_truth.references import References, load_references
 from mavnav.logs import content_sha256
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.pipelines import replay

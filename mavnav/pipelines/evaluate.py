@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from mavnav import __version__
 from mavnav.errors import MavnavError, UsageError
-from mavnav.ground_truth import References, check_times, compared, occupied_xy_m, read_map, read_tum
+from mavnav.ground_truth.map_file import occupied_xy_m, read_map
+from mavnav.ground_truth.references import References, check_times, compared
+from mavnav.ground_truth.tables import read_tum
 from mavnav.logs import open_log
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.journey import Journey

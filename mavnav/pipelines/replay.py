@@ -12,14 +12,17 @@ from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
 
 from mavnav.errors import ExitCode, StoppedError, UsageError
-from mavnav.ground_truth import check_times, compared, load_references, occupied_xy_m, read_map
+from mavnav.ground_truth.map_file import occupied_xy_m, read_map
+from mavnav.ground_truth.references import check_times, compared, load_references
 from mavnav.logs import check_log, open_log
 from mavnav.mapping.occupancy_grid import measured_part
 from mavnav.memory import give_back
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import sections_by_hits
-from mavnav.outputs import Run, Timing, check_directory, write_run
+from mavnav.outputs.directory import check_directory
+from mavnav.outputs.run import Run, Timing
+from mavnav.outputs.writers import write_run
 from mavnav.profiling import account, timed
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.prior_map import prior_map_of
@@ -30,7 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mavnav.config.models import Config
-    from mavnav.ground_truth import References
+    from mavnav.ground_truth.references import References
     from mavnav.logs import Log
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.map_quality import MapQuality
@@ -42,7 +45,7 @@ if TYPE_CHECKING:
 
 
 Stop = Callable[[], ExitCode | None]
-"""Asked between two scans: the code to end with, None to go on."""
+"""Options between two scans: the code to end with, None to go on."""
 
 Progress = Callable[[str, int, int | None], None]
 """What is being done, how much of it is done, how much there is or None."""

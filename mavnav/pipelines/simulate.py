@@ -11,14 +11,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mavnav.errors import NoScansError, UsageError
-from mavnav.ground_truth import LEAST_POSES, References, compared, occupied_xy_m, of_scenario
+from mavnav.ground_truth.map_file import occupied_xy_m
+from mavnav.ground_truth.references import LEAST_POSES, References, compared
+from mavnav.ground_truth.true_map import of_scenario
 from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import Recording, check_recording, record
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.metrics.trajectory_error import absolute_error, align
-from mavnav.outputs import Run, Timing, check_directory, write_run
 from mavnav.outputs.animation import animate, check_animation
-from mavnav.outputs.run import Mission, Truth
+from mavnav.outputs.directory import check_directory
+from mavnav.outputs.run import Mission, Run, Timing, Truth
+from mavnav.outputs.writers import write_run
 from mavnav.pipelines.replay import Progress, measured_quality, measured_sections
 from mavnav.pose import Pose
 from mavnav.profiling import account

@@ -48,7 +48,7 @@ def corner(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.C
 @pytest.fixture(autouse=True)
 def _no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the pictures out of runs in this process: they take two seconds each."""
-    from mavnav.outputs import WRITERS
+    from mavnav.outputs.writers import WRITERS
 
     for name in PICTURES:
         monkeypatch.delitem(WRITERS, name)

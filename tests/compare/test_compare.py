@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.compare import Request, compare, draw, plan, settings
+from mavnav.compare.comparison import Request, compare, draw, plan
+from mavnav.compare.grids import settings
 from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.jobs import Event, Started
 from mavnav.jobs.run_cache import cell_key
@@ -83,7 +84,7 @@ def test_what_was_run_is_not_run_again(copied: Path, finished: tuple[Path, dict]
 
 def test_a_report_of_the_same_results_is_not_drawn_again(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Path] = []
-    monkeypatch.setattr("mavnav.compare.write_page", lambda document, directory: drawn.append(directory))
+    monkeypatch.setattr("mavnav.compare.comparison.write_page", lambda document, directory: drawn.append(directory))
 
     def draw_again(grids: tuple[str, ...] = GRIDS) -> int:
         found = plan(request(copied, grids=grids), silent)

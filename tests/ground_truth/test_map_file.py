@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from mavnav.errors import UsageError
-from mavnav.ground_truth import read_map
+from mavnav.ground_truth.map_file import read_map
 from mavnav.mapping.occupancy_grid import occupancy
 from support.map_files import FREE, KINDS, OCCUPIED, UNKNOWN, pgm
 

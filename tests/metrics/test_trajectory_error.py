@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavnav.ground_truth import References, compared, read_tum
+from mavnav.ground_truth.references import References, compared
+from mavnav.ground_truth.tables import read_tum
 from mavnav.metrics.trajectory_error import absolute_error, align
 from mavnav.pose import Pose, Trajectory, transform_points
 from support.synthetic import TOUR, along, drifting_odometry

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavnav.ground_truth import occupied_xy_m
+from mavnav.ground_truth.map_file import occupied_xy_m
 from mavnav.mapping import tiled_arrays
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy
 from mavnav.metrics.map_quality import only_occupied

@@ -12,7 +12,7 @@ from mavnav.config.models import Config
 from mavnav.logs import Damage, Odometry, ScanCounts, Topic
 from mavnav.mapping.occupancy_grid import GridBuilder, measured_part
 from mavnav.metrics.wall_thickness import sections_by_hits
-from mavnav.outputs import Run, Timing
+from mavnav.outputs.run import Run, Timing
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.result import SlamResult
 from mavnav.slam.scan_matching import Match

@@ -10,8 +10,8 @@ import pytest
 from mavnav.mapping.occupancy_grid import Grid
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import Sections, sections_by_hits
-from mavnav.outputs import WRITERS, Run
-from mavnav.outputs.run import KEPT_CELLS
+from mavnav.outputs.run import KEPT_CELLS, Run
+from mavnav.outputs.writers import WRITERS
 from support.memory_use import taking_less_than
 
 SIDE = 4200

@@ -8,9 +8,11 @@ import pytest
 from PIL import Image
 
 from mavnav.errors import OutputError, UsageError
-from mavnav.outputs import Truth, animation, map_picture, mission_picture, viewport, write_run
+from mavnav.outputs import animation, map_picture, mission_picture, viewport
 from mavnav.outputs.animation import animate
+from mavnav.outputs.run import Truth
 from mavnav.outputs.trajectory import write_true_walls, write_truth_tum
+from mavnav.outputs.writers import write_run
 from mavnav.pose import Pose, Trajectory, transform_points
 from support.synthetic import furnished_rooms
 
