@@ -1,7 +1,7 @@
 """Where a run's time goes: seconds by stage, each without the stages inside it.
 
-The clock is the wall's: the processor's takes 5 us to read, and a scan has twenty stages. There is one account a
-process, as there is one clock; ``account`` begins a new one. Time outside of all stages is ``other``.
+The clock is the wall's: the processor's takes 5 us to read, and a scan has twenty stages. There is one profile a
+process, as there is one clock; ``new_profile`` begins a new one. Time outside of all stages is ``other``.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ _on = OTHER
 _since_s = 0.0
 
 
-def account(**before_s: float) -> dict[str, float]:
-    """Begin a new account and return it: stage -> seconds, kept up to date whenever a stage begins or ends.
+def new_profile(**before_s: float) -> dict[str, float]:
+    """Begin a new profile and return it: stage -> seconds, kept up to date whenever a stage begins or ends.
 
     ``before_s`` is what stages took that are over.
     """

@@ -1,4 +1,4 @@
-"""The account of time by stage."""
+"""The profile of a run: seconds by stage."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 import pytest
 
 from mavnav import profiling
-from mavnav.profiling import OTHER, Stage, account, each, timed
+from mavnav.profiling import OTHER, Stage, each, new_profile, timed
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def test_inner_stages_are_not_charged_to_outer_ones(clock: list[float]) -> None:
-    spent = account()
+    spent = new_profile()
     clock[0] += 1
     with Stage("outer"):
         clock[0] += 2
@@ -38,7 +38,7 @@ def test_a_decorated_function_is_a_stage_even_when_it_fails(clock: list[float]) 
         clock[0] += seconds
         raise ValueError
 
-    spent = account()
+    spent = new_profile()
     for _ in range(2):
         with pytest.raises(ValueError, match=r"^$"):
             work(3)
@@ -53,7 +53,7 @@ def test_making_items_is_a_stage_and_using_them_is_not(clock: list[float]) -> No
             clock[0] += 1
             yield k
 
-    spent, used = account(), []
+    spent, used = new_profile(), []
     for k in each("making", items()):
         clock[0] += 10
         used.append(k)
@@ -64,8 +64,8 @@ def test_making_items_is_a_stage_and_using_them_is_not(clock: list[float]) -> No
 
 
 def test_a_new_account_begins_empty_and_the_real_clock_runs() -> None:
-    account()
-    spent = account()
+    new_profile()
+    spent = new_profile()
     with Stage("busy"):
         end = time.process_time() + 0.01
         while time.process_time() < end:

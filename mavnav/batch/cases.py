@@ -11,7 +11,7 @@ from mavnav.batch.remote import fetched
 from mavnav.batch.settings import told
 from mavnav.errors import ExitCode, MavnavError, UsageError
 from mavnav.ground_truth.references import load_references
-from mavnav.jobs.run_cache import Cell, make_cell, references_sha256
+from mavnav.jobs.run_cache import PlannedRun, make_run, references_sha256
 from mavnav.logs import content_sha256
 from mavnav.metrics.gates import Gate, parse_gate
 from mavnav.pipelines import replay
@@ -40,7 +40,7 @@ class Case:
     name: str
     log: str
     setting: Setting
-    cell: Cell | None
+    cell: PlannedRun | None
     gates: tuple[Gate, ...] = ()
     accept: frozenset[int] = frozenset()
     has_references: bool = False
@@ -98,7 +98,7 @@ def _cases(
         return
     for setting in settings:
         request = replay.Request(path, config=setting.config, **options)
-        yield Case(_name(entry, log, setting), setting=setting, cell=make_cell(request, digest, references), **shared)
+        yield Case(_name(entry, log, setting), setting=setting, cell=make_run(request, digest, references), **shared)
 
 
 def _digest(log: str, path: Path, address: str | None) -> str:

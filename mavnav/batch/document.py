@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav import __version__
 from mavnav.batch.baseline import Change, changes
 from mavnav.errors import SEVERITY, ExitCode, worst
-from mavnav.jobs.run_cache import cell_row
+from mavnav.jobs.run_cache import run_row
 from mavnav.metrics.gates import judge_some
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ SCHEMA_VERSION: Final = 1
 
 def batch_row(case: Case, outcome: Outcome | None, run: Mapping[str, Any] | None, directory: Path) -> dict[str, Any]:
     """Describe a run; as in comparison.json, with ``setting`` and ``seconds`` besides."""
-    row = _unread(case) if case.cell is None else cell_row(case.cell, outcome, run, directory)
+    row = _unread(case) if case.cell is None else run_row(case.cell, outcome, run, directory)
     more = {"setting": case.setting.name, "seconds": outcome.seconds if outcome else None}
     return row | {"name": case.name, "log": case.log, **more}
 

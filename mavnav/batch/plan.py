@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mavnav.batch.baseline import Baseline, Tolerance
     from mavnav.batch.manifest import Entry
     from mavnav.batch.settings import Setting
-    from mavnav.jobs.run_cache import Cell
+    from mavnav.jobs.run_cache import PlannedRun
     from mavnav.metrics.gates import Gate
     from mavnav.pipelines.replay import Progress
 
@@ -126,7 +126,7 @@ def plan(request: Request, progress: Progress) -> Plan:
     return Plan(request, tuple(cases), frozenset(cell.request.directory for cell in there))
 
 
-def _is_there(cell: Cell) -> bool:
+def _is_there(cell: PlannedRun) -> bool:
     """Tell whether a run is there, and its page where that is asked for."""
     place = cell.request.directory
     return earlier(cell) is not None and (not cell.request.report or (place / REPORT_FILE).is_file())

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 RUN_FILE: Final = "run.json"
 WHOLE_FILES: Final = ("batch.json", "comparison.json")
-"""What tells of all runs of a directory. Said once more: the rooms that write them take longer to load than a check."""
+"""What tells of all runs of a directory. Repeated: the modules that write them load longer than a check takes."""
 
 EPILOG = """
 [bold]Examples[/bold]

@@ -18,7 +18,7 @@ from mavnav.compare.grids import settings
 from mavnav.config.models import Config
 from mavnav.errors import UsageError
 from mavnav.jobs import Ended, Event, Fate, Job, run_jobs
-from mavnav.jobs.run_cache import REFERENCES, Cell, check_home, earlier, make_cells, replay_cell
+from mavnav.jobs.run_cache import REFERENCES, PlannedRun, check_home, earlier, make_runs, replay_run
 from mavnav.metrics.gates import check_names
 from mavnav.outputs.document import plain
 from mavnav.outputs.empty_run import blank_document
@@ -69,12 +69,12 @@ class Plan:
     """
 
     request: Request
-    cells: tuple[Cell, ...]
+    cells: tuple[PlannedRun, ...]
     kept: Mapping[str, dict[str, Any]]
     drawn: bool
 
     @property
-    def missing(self) -> list[Cell]:
+    def missing(self) -> list[PlannedRun]:
         """The cells that are to be run."""
         return [cell for cell in self.cells if cell.key not in self.kept]
 
@@ -94,7 +94,7 @@ def plan(request: Request, progress: Progress) -> Plan:
     if len(request.logs) > 1 and any(request.options.get(name) for name in REFERENCES):
         raise UsageError("--truth, --truth-map and --relations tell of one log; compare one log at a time with them")
     progress("reading", 0, None)
-    found = make_cells(request.logs, request.configs, request.options, request.directory)
+    found = make_runs(request.logs, request.configs, request.options, request.directory)
     check_names((gate.name for gate in request.gates), _blank(request))
     documents = {} if request.force else {cell.key: document for cell in found if (document := earlier(cell))}
     drawn = len(documents) == len(found) and _drawn(request.directory, [cell.key for cell in found])
@@ -135,7 +135,7 @@ def compare(plan: Plan, on_event: Callable[[Event], None]) -> dict[str, Any]:
             discard(missing[event.index].request.directory, event.outcome.pid)
         on_event(event)
 
-    jobs = [Job(cell.name, replay_cell, (cell.request,)) for cell in missing]
+    jobs = [Job(cell.name, replay_run, (cell.request,)) for cell in missing]
     outcomes = run_jobs(jobs, plan.request.workers, watch)
     ran = dict(zip((cell.key for cell in missing), outcomes, strict=True))
     document: dict[str, Any] = plain(comparison(plan.cells, plan.kept, ran, plan.request.directory, plan.request.gates))

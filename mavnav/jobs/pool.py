@@ -1,4 +1,4 @@
-"""The parent's side: a crew of workers, who has what in hand, and who has died of it."""
+"""The process pool: worker processes, which job each has in hand, and what it died of."""
 
 from __future__ import annotations
 
@@ -59,38 +59,38 @@ def run_jobs(
     """
     waiting = deque(enumerate(jobs))
     outcomes: dict[int, Outcome] = {}
-    crew: list[_Worker] = []
+    pool: list[_Worker] = []
     try:
         while len(outcomes) < len(jobs):
-            for event in chain(_hand_out(waiting, crew, workers, memory_mb), _listen(crew, timeout_s)):
+            for event in chain(_hand_out(waiting, pool, workers, memory_mb), _listen(pool, timeout_s)):
                 if isinstance(event, Ended):
                     outcomes[event.index] = event.outcome
                 on_event(event)
     finally:
-        _dismiss(crew)
+        _dismiss(pool)
     return [outcomes[index] for index in range(len(jobs))]
 
 
 def _hand_out(
-    waiting: deque[tuple[int, Job]], crew: list[_Worker], workers: int, memory_mb: int | None
+    waiting: deque[tuple[int, Job]], pool: list[_Worker], workers: int, memory_mb: int | None
 ) -> Iterator[Event]:
     """Give a job to everyone who has none; new workers take the places of those that died."""
-    crew[:] = [worker for worker in crew if worker.process.is_alive() or worker.index is not None]
+    pool[:] = [worker for worker in pool if worker.process.is_alive() or worker.index is not None]
     while waiting:
-        idle = next((worker for worker in crew if worker.index is None), None)
-        if idle is None and len(crew) == workers:
+        idle = next((worker for worker in pool if worker.index is None), None)
+        if idle is None and len(pool) == workers:
             return
         if idle is None:
             idle = _Worker(memory_mb)
-            crew.append(idle)
+            pool.append(idle)
         index, job = waiting.popleft()
         idle.give(index, job)
         yield Started(index, idle.pid)
 
 
-def _listen(crew: list[_Worker], timeout_s: float | None) -> Iterator[Event]:
+def _listen(pool: list[_Worker], timeout_s: float | None) -> Iterator[Event]:
     """Hear those who have something to say, and stop those whose time is over."""
-    busy = {worker.channel: worker for worker in crew if worker.index is not None}
+    busy = {worker.channel: worker for worker in pool if worker.index is not None}
     ready = connection.wait(list(busy), LISTEN_S)
     for channel, worker in busy.items():
         if channel in ready:
@@ -99,12 +99,12 @@ def _listen(crew: list[_Worker], timeout_s: float | None) -> Iterator[Event]:
             yield worker.give_up(timeout_s)
 
 
-def _dismiss(crew: list[_Worker]) -> None:
+def _dismiss(pool: list[_Worker]) -> None:
     """Ask all workers to leave at once, and see to it that they do."""
-    for worker in crew:
+    for worker in pool:
         worker.process.terminate()
     deadline_s = monotonic() + GRACE_S
-    for worker in crew:
+    for worker in pool:
         worker.process.join(max(deadline_s - monotonic(), 0.0))
         worker.end()
 

@@ -1,4 +1,4 @@
-"""Cells of a comparison or a batch: one log replayed with one setting, known by everything that decides its result."""
+"""Runs of a comparison or a batch, known by all that decides their result, so that none is made twice."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _NOT_OPTIONS = {"log", "log_sha256", "address", "directory", "config", "force", 
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class PlannedRun:
     """A replay to make or to find, and its key: SHA-256 of all that decides its result."""
 
     request: replay.Request
@@ -59,38 +59,38 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """What people call it: ``drive.mcap robust 40/20x20``, azimuth grid before the grid as the paper writes."""
+        """Its display name: ``drive.mcap robust 40/20x20``, azimuth grid before the grid as the paper writes."""
         return f"{self.request.log.name} {self.config.method} {self.config.azimuth}/{self.config.grid}"
 
 
-def make_cells(
+def make_runs(
     logs: Iterable[Path], configs: Iterable[Config], options: Mapping[str, Any], directory: Path
-) -> list[Cell]:
-    """Return every log with every configuration, logs first; what comes twice is one cell.
+) -> list[PlannedRun]:
+    """Return every log with every configuration, logs first; what comes twice is one run.
 
-    ``options`` are further values of a `replay.Request`. Each cell has a run directory of its own below
+    ``options`` are further values of a `replay.Request`. Each has a run directory of its own below
     ``directory/cells``: ``<log>-<method>-<grid>-<the first 8 digits of its key>``. Raises UsageError for a log or
     another file that cannot be read.
     """
-    found: dict[str, Cell] = {}
+    found: dict[str, PlannedRun] = {}
     references = references_sha256(load_references(**{name: options.get(name) for name in REFERENCES}))
     configs = list(configs)
     for log, digest in {log: content_sha256(log) for log in logs}.items():
         for config in configs:
             request = replay.Request(log=log, directory=directory, config=config, force=True, **options)
-            cell = make_cell(request, digest, references)
+            cell = make_run(request, digest, references)
             found.setdefault(cell.key, cell)
     return list(found.values())
 
 
-def make_cell(request: replay.Request, log_sha256: str, references: str) -> Cell:
-    """Return the cell of a request, given the hashes of its log and of its references.
+def make_run(request: replay.Request, log_sha256: str, references: str) -> PlannedRun:
+    """Return the run of a request, given the hashes of its log and of its references.
 
     Its run directory lies below ``request.directory`` / ``cells``.
     """
-    key = cell_key(request, log_sha256, references)
+    key = run_key(request, log_sha256, references)
     name = f"{replay.default_directory(request.log, request.config).name}-{key[:8]}"
-    return Cell(replace(request, directory=request.directory / "cells" / name, log_sha256=log_sha256), key)
+    return PlannedRun(replace(request, directory=request.directory / "cells" / name, log_sha256=log_sha256), key)
 
 
 def check_home(directory: Path, ours: Sequence[str]) -> None:
@@ -109,7 +109,7 @@ def check_home(directory: Path, ours: Sequence[str]) -> None:
         raise OutputError(f"{directory} is not writable; choose another with -o")
 
 
-def cell_key(request: replay.Request, log_sha256: str, references: str) -> str:
+def run_key(request: replay.Request, log_sha256: str, references: str) -> str:
     """Return the SHA-256 over the log's content, the effective configuration, options, references, and mavnav itself.
 
     Of mavnav the version and the source enter: between releases the version
@@ -149,8 +149,8 @@ def source_sha256() -> str:
     return digest.hexdigest()
 
 
-def earlier(cell: Cell) -> dict[str, Any] | None:
-    """Return the document of a finished run of this cell; None where there is none, or none that can be read."""
+def earlier(cell: PlannedRun) -> dict[str, Any] | None:
+    """Return the document of this run if it is finished; None where there is none, or none that can be read."""
     try:
         document: dict[str, Any] = json.loads((cell.request.directory / RUN_FILE).read_bytes())
         ExitCode(document["exit_code"])
@@ -159,14 +159,16 @@ def earlier(cell: Cell) -> dict[str, Any] | None:
     return document
 
 
-def replay_cell(request: replay.Request, report: Report) -> dict[str, Any]:
-    """Replay one cell and return its document; the job of a worker process, in which the kernels are loaded by now."""
+def replay_run(request: replay.Request, report: Report) -> dict[str, Any]:
+    """Replay one run and return its document; the job of a worker process, in which the kernels are loaded by now."""
     _, document = replay.replay(request, report, compile_s=0.0)
     return document
 
 
-def cell_row(cell: Cell, outcome: Outcome | None, run: Mapping[str, Any] | None, directory: Path) -> dict[str, Any]:
-    """Describe a cell: what it is, what became of it, and the sections of its run.json.
+def run_row(
+    cell: PlannedRun, outcome: Outcome | None, run: Mapping[str, Any] | None, directory: Path
+) -> dict[str, Any]:
+    """Describe a run: what it is, what became of it, and the sections of its run.json.
 
     ``outcome`` is None for a run that was there before, ``run`` for one that failed; directories are told from
     ``directory`` on.

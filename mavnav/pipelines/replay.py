@@ -23,7 +23,7 @@ from mavnav.metrics.wall_thickness import sections_by_hits
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.run import Run, Timing
 from mavnav.outputs.writers import write_run
-from mavnav.profiling import account, timed
+from mavnav.profiling import new_profile, timed
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.prior_map import prior_map_of
 from mavnav.slam.registry import uses_odometry
@@ -153,15 +153,15 @@ def replay(
     """Run the whole job and return the run with its document (run.json).
 
     ``compile_s`` is what it took to import this module: kernels compile on import; ``startup_s`` is what the process
-    took before, of which the account of stages tells. Whether the run directory can be written is asked before the
+    took before, of which the profile tells. Whether the run directory can be written is asked before the
     work. Within ``stoppable`` there are scans to keep: when its function gives a code, the
-    run ends there, and is written and marked as partial. Raises what the rooms raise: TopicError, NoScansError,
+    run ends there, and is written and marked as partial. Raises what the packages raise: TopicError, NoScansError,
     UsageError, OutputError; and StoppedError where nothing was tracked yet.
     """
     check_log(request.log, request.start_s, request.end_s)
     check_directory(request.directory, force=request.force)
     given = Given(load_references(request.truth, request.truth_map, request.relations), read_prior_map(request))
-    wall_s, cpu_s, stages = perf_counter(), process_time(), account(loading=compile_s, starting=startup_s)
+    wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile(loading=compile_s, starting=startup_s)
     log = _open(request, progress)
     if request.log_sha256 not in {None, log.sha256}:
         raise UsageError(f"{request.log}: changed since it was looked at; run again once it is complete")

@@ -24,7 +24,7 @@ from mavnav.outputs.run import Mission, Run, Timing, Truth
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.replay import Progress, measured_quality, measured_sections
 from mavnav.pose import Pose
-from mavnav.profiling import account
+from mavnav.profiling import new_profile
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.world.laser import EDGE_M
 from mavnav.units import DEG
@@ -61,11 +61,11 @@ def default_directory(scenario: Scenario) -> Path:
 def simulate(request: Request, progress: Progress, compile_s: float) -> tuple[Run, dict[str, Any]]:
     """Fly a mission and return the run with its document (run.json).
 
-    Raises what the rooms raise: UsageError, OutputError; whether the outputs can be written is asked before the work.
+    Raises what the steps raise: UsageError, OutputError; whether the outputs can be written is asked before the work.
     NoScansError where no scan could even begin a map.
     """
     check_outputs(request)
-    wall_s, cpu_s, stages = perf_counter(), process_time(), account()
+    wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile()
     flight = fly(request.scenario, lambda phase, done: progress(phase, done, None))
     timing = Timing(perf_counter() - wall_s, process_time() - cpu_s, compile_s, stages)
     if not len(flight.slam.trajectory):
@@ -187,8 +187,8 @@ def wall_distances_m(flight: Flight, estimate: Pose, truth: Pose) -> tuple[float
     world, spec = flight.scenario.world, flight.scenario.laser.spec
     there = flight.world_T_map @ truth
     true_ranges, incidence_rad = world.cast((there.x_m, there.y_m), spec.angles_rad + there.yaw_rad)
-    tally = GridBuilder.of(flight.slam.grid)
-    seen = tally.virtual_scan(estimate, spec.directions, spec.range_max_m, WALL_GAP_CELLS, middle=True)
+    builder = GridBuilder.of(flight.slam.grid)
+    seen = builder.virtual_scan(estimate, spec.directions, spec.range_max_m, WALL_GAP_CELLS, middle=True)
     with np.errstate(invalid="ignore"):  # inf - inf: two beams that meet nothing
         edges = np.abs(np.diff(true_ranges, prepend=true_ranges[0])) > EDGE_M
     near_edge = np.convolve(edges, np.ones(2 * EDGE_BEAMS + 1), mode="same") > 0

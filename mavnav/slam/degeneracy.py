@@ -1,4 +1,4 @@
-"""Where the walls in sight leave a direction open, and a laser without odometry may slide unnoticed (docs/method.md).
+"""Degenerate geometry: where motion along the walls in sight is not observable without odometry (docs/method.md).
 
 Along a plain corridor, before a single wall and in a round room every scan fits as well a little farther on: cost,
 inliers and the figures of the map are then as good as ever (Zhang, Kaess and Singh 2016, "On degeneracy of
@@ -19,20 +19,20 @@ if TYPE_CHECKING:
 
     from mavnav.slam.steps import Steps
 
-LEAST_HOLD = 0.01
-"""A scan that the map holds less (``kernels.hold``) may slide: 0.033 at the least on the recordings, 0.002 or less in
+LEAST_OBSERVABILITY = 0.01
+"""Below this observability (``kernels.hold``) a scan may slide: 0.033 at the least on the recordings, 0.002 or less in
 plain corridors, before a wall and in round rooms."""
 
 UNMEASURED = 1.0
-"""The hold of a scan without a pose."""
+"""The observability of a scan without a pose."""
 
 
-def degeneracy_warning(steps: Steps, holds: NDArray[np.float64]) -> str:
-    """Say where so many scans in a row as may be lost could slide; ``holds`` (n,) are those of the steps, in order.
+def degeneracy_warning(steps: Steps, observed: NDArray[np.float64]) -> str:
+    """Say where so many scans in a row as may be lost could slide; ``observed`` (n,) are those of the steps, in order.
 
     Empty where none do.
     """
-    padded = np.concatenate(([False], holds < LEAST_HOLD, [False])).astype(np.int8)
+    padded = np.concatenate(([False], observed < LEAST_OBSERVABILITY, [False])).astype(np.int8)
     starts, ends = (np.flatnonzero(np.diff(padded) == turn) for turn in (1, -1))
     long = ends - starts >= LOST_SCANS
     if not long.any():

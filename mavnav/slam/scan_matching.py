@@ -27,7 +27,7 @@ class Match(NamedTuple):
     candidate poses whose cost was asked for, ``iterations`` the number of grids searched. ``conflicts`` is the share
     that the map speaks against, ``surprise`` how far the place is from the expected one (1: as far as strong
     acceleration reaches), and ``ambiguous`` tells that another place would explain the scan about as well
-    (``relocalise``).
+    (``relocalization``).
     """
 
     map_T_laser: Pose

@@ -17,7 +17,7 @@ from mavnav.compare.comparison import Request, compare, draw, plan
 from mavnav.compare.grids import settings
 from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.jobs import Event, Started
-from mavnav.jobs.run_cache import cell_key
+from mavnav.jobs.run_cache import run_key
 from mavnav.metrics.gates import parse_gate
 
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "corridor.mcap"
@@ -127,7 +127,7 @@ def test_the_key_holds_all_that_decides_the_result(tmp_path: Path, monkeypatch: 
     assert [cell.key for cell in plan(request(tmp_path / "out", moved), silent).cells] == first
     assert not set(keys(grids=("4x5", "5x4"))) & set(first)
     wanted = plan(request(tmp_path / "out", log), silent).cells[0].request
-    assert cell_key(wanted, "other log", "") not in first
+    assert run_key(wanted, "other log", "") not in first
     monkeypatch.setattr("mavnav.jobs.run_cache.__version__", "0.2.0")
     assert not set(keys()) & set(first)
     monkeypatch.undo()

@@ -12,7 +12,7 @@ from mavnav.kernels.hold import hold
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
-from mavnav.slam.degeneracy import LEAST_HOLD, degeneracy_warning
+from mavnav.slam.degeneracy import LEAST_OBSERVABILITY, degeneracy_warning
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.scan_matching import first_match
 from mavnav.slam.steps import Step, Steps
@@ -59,7 +59,7 @@ def test_odometry_holds_it_too() -> None:
 def test_a_few_scans_are_no_slide(loose: int, told: str) -> None:
     steps = Steps(Step(k, k * 100_000_000, first_match(100), tracked=True) for k in range(20))
     holds = np.ones(20)
-    holds[3 : 3 + loose] = 0.5 * LEAST_HOLD
+    holds[3 : 3 + loose] = 0.5 * LEAST_OBSERVABILITY
     assert told in degeneracy_warning(steps, holds)
     assert bool(degeneracy_warning(steps, holds)) == bool(told)
 

@@ -64,7 +64,7 @@ PART_M = 1.0
 """A closure is measured against what was seen within so much way of its witness, because that is rigid."""
 
 LEAST_FIRMNESS = 0.03
-"""A closure is loose if it can be moved at less cost (``relocalise.firmness``): along a corridor it says nothing."""
+"""A closure is loose if it moves at less cost (``relocalization.firmness``): along a corridor it says nothing."""
 
 WITNESS_M = 10.0
 """Closures testify on each other if the ways between them are no longer."""
