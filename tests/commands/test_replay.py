@@ -385,16 +385,16 @@ def test_a_second_signal_gives_up_and_leaves_nothing_half_written(
 
 WHILE_WRITING = """
 import os, signal, sys, time
-from mavnav import outputs
+from mavnav.outputs.writers import WRITERS
 from mavnav.cli import main
-write = outputs.WRITERS["map.pgm"]
+write = WRITERS["map.pgm"]
 
 def befallen(run, path):
     for number in sys.argv.pop().split(","):
         os.kill(os.getpid(), int(number))
     write(run, path)
 
-outputs.WRITERS["map.pgm"] = befallen
+WRITERS["map.pgm"] = befallen
 main(sys.argv[1:-1])
 """
 
