@@ -32,7 +32,7 @@ test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2
 
 fuzz: $(VENV)/.dev
-	$(BIN)/python tests/logs/fuzz.py 5000
+	PYTHONPATH=tests $(BIN)/python -m support.fuzz 5000
 
 check: format-check lint types test
 
@@ -55,10 +55,10 @@ figures: $(VENV)/.dev
 	$(BIN)/python benchmarks/figures.py
 
 samples: $(VENV)/.dev
-	MAVNAV_UPDATE_SAMPLES=1 $(BIN)/python -m pytest tests/test_sample_logs.py -k makes_it_again
+	MAVNAV_UPDATE_SAMPLES=1 $(BIN)/python -m pytest tests/pipelines/test_sample_logs.py -k makes_it_again
 
 golden: $(VENV)/.dev
-	MAVNAV_UPDATE_GOLDEN=1 $(BIN)/python -m pytest tests/test_golden.py
+	MAVNAV_UPDATE_GOLDEN=1 $(BIN)/python -m pytest tests/pipelines/test_golden.py
 
 clean:
 	rm -rf $(VENV) runs build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks

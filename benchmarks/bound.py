@@ -16,12 +16,14 @@ from time import process_time
 import numpy as np
 from numba import njit
 
-from mavnav import slam
-from mavnav.config_file import load_config
+from mavnav.config.loading import load_config
 from mavnav.kernels import linesearch
 from mavnav.logs import open_log
-from mavnav.methods import Robust
 from mavnav.pose import transform_points
+from mavnav.slam.motion_model import Motion
+from mavnav.slam.registry import make_method
+from mavnav.slam.robust import Robust
+from mavnav.slam.track import Track
 
 SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
 REPEATS = 300
@@ -63,7 +65,8 @@ def main() -> None:
     """Time the parts on the last scan of a log."""
     path = Path(sys.argv[1]) if len(sys.argv) > 1 else SAMPLE
     log, config = open_log(path, odom="off"), load_config(None, [], {"odom": "off"})
-    method, steps = slam.Start(config, log.period_s, None).tracked(log.scans())
+    track = Track(log.scans, config, Motion(log.period_s), make_method(config)).over(log.scans())
+    method, steps = track.method, track.steps
     assert isinstance(method, Robust)
     lines, scan = method.lines, list(log.scans())[-1]
     xy = np.tile(transform_points(steps[-1].match.map_T_laser, method.match_points(scan)), (8, 1))

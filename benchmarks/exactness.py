@@ -17,14 +17,16 @@ from typing import Any
 
 import numpy as np
 
+from mavnav.slam.pipeline import run_slam
+
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
-from matches import GRIDS, LASERS, differences, polar_problem, random_problem
-
-from mavnav import kernels, matcher, slam
-from mavnav.config_file import load_config
+from mavnav import kernels
+from mavnav.config.loading import load_config
 from mavnav.kernels import linesearch, polarsearch
 from mavnav.logs import open_log
+from mavnav.slam import scan_matching
+from support.matches import GRIDS, LASERS, differences, polar_problem, random_problem
 
 SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
 HALF_WINDOWS = ((0.35, 0.35), (0.05, 0.09), (0.017, 0.008), (0.006, 0.0015), (0.002, 0.0002))
@@ -56,12 +58,12 @@ def recorded(path: Path, method: str, grid: int) -> int:
     """Replay a log and return the number of matches compared."""
     both = Both({"robust": linesearch, "paper": polarsearch}[method])
     if method == "robust":
-        matcher.linesearch = both  # type: ignore[assignment]
+        scan_matching.linesearch = both  # type: ignore[assignment]
     else:
         kernels.polarsearch = both
     config = load_config(None, [], {"method": method, "grid": f"{grid}x{grid}", "azimuth": 2 * grid, "odom": "off"})
     log = open_log(path, odom="off")
-    slam.replay(log.scans, config, log.period_s)
+    run_slam(log.scans, config, log.period_s)
     pruned_s, exhaustive_s = both.spent_s[True], both.spent_s[False]
     print(
         f"{path.name:20} {2 * grid:3} / {grid}x{grid}: {both.matches:5} matches, 0 differences; a match "

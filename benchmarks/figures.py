@@ -21,21 +21,24 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogLocator
 from matplotlib.transforms import Affine2D
 
-from mavnav import slam
-from mavnav.config_file import load_config
-from mavnav.flight import Flight, fly
-from mavnav.grid import Grid
+from mavnav.config.loading import load_config
+from mavnav.ground_truth.map_file import occupied_xy_m
+from mavnav.ground_truth.references import References, compared
+from mavnav.ground_truth.true_map import of_scenario
 from mavnav.logs import open_log
+from mavnav.mapping.occupancy_grid import Grid
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import wall_thickness
 from mavnav.outputs import drawing
 from mavnav.outputs.run import Truth
 from mavnav.pose import Pose, Trajectory
-from mavnav.references import References, compared, occupied_xy_m, of_scenario
 from mavnav.scan import Scan
+from mavnav.simulation.mission import Flight, fly
+from mavnav.simulation.world import Scenario, laser_model, load_scenario, take_scan
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.result import SlamResult
 from mavnav.units import DEG, MM
-from mavnav.world import Scenario, laser_model, load_scenario, take_scan
 
 PICTURES = Path(__file__).parent.parent / "docs" / "paper"
 
@@ -68,7 +71,7 @@ def finish(fig: Figure, name: str, window: drawing.Window) -> None:
     fig.savefig(PICTURES / f"{name}.png", metadata={"Software": None}, bbox_inches="tight")
 
 
-def report(name: str, outcome: slam.Slam, truth: Trajectory | None = None, scenario: Scenario | None = None) -> None:
+def report(name: str, outcome: SlamResult, truth: Trajectory | None = None, scenario: Scenario | None = None) -> None:
     """Print the metrics of a map; ``truth`` holds the true poses in the map frame, ``scenario`` the true walls."""
     true_map = of_scenario(scenario, scenario.world_T_base @ scenario.base_T_laser) if scenario else None
     errors = compared(References(truth, true_map), outcome.trajectory, occupied_xy_m(outcome.grid)) or {}
@@ -116,7 +119,7 @@ def recorded(name: str, path: Path) -> None:
         print(f"{name}: skipped, {path} does not exist", file=sys.stderr)
         return
     log = open_log(path, odom="off")
-    outcome = slam.replay(log.scans, load_config("paper"), log.period_s)
+    outcome = run_slam(log.scans, load_config("paper"), log.period_s)
     fig, xy_m = drawing.figure(6.0, 8.0), outcome.trajectory.xyyaw[:, :2]
     axes = fig.add_subplot()
     draw_hits(axes, outcome.grid, Pose())
@@ -133,7 +136,7 @@ def corridor(name: str) -> None:
     for ax, (yaws, grid) in zip(fig.subplots(2, 1, sharex=True), ((20, "10x10"), (40, "40x40")), strict=True):
         config, clock_s = load_config("paper", [], {"grid": grid, "azimuth": yaws}), [process_time()]
         for _ in range(3):  # the least time counts
-            outcome = slam.replay(lambda: iter(flight.scans), config, 0.1, flight.odom_T_base)
+            outcome = run_slam(lambda: iter(flight.scans), config, 0.1, flight.odom_T_base)
             clock_s.append(process_time())
         effort.append((np.diff(clock_s).min(), outcome.steps.column("evaluations").mean()))
         draw_hits(ax, outcome.grid, flight.world_T_map)
@@ -147,7 +150,7 @@ def corridor(name: str) -> None:
 
 
 def cart(scenario: Scenario) -> tuple[list[Scan], Trajectory]:
-    """Push a cart through the corridor as tests/test_fig8.py does; return its scans and true poses, world frame."""
+    """Push a cart through the corridor as the test of Figure 8 does; return its scans and true poses, world frame."""
     rng, scans, poses, (x_m, y_m, yaw_rad) = np.random.default_rng(22), [], [], (0.8, 1.0, 0.0)
     for k in range(40):
         poses.append(Pose(x_m, y_m, yaw_rad))
@@ -173,7 +176,7 @@ def grids(name: str) -> None:
     (scans, way), fig, found = cart(scenario), drawing.figure(13.0, 2.9), []
     truth = Truth(way, scenario.world.segments, scenario.world.arcs, scenario.goals_xy_m[-1])
     for ax, (yaws, grid) in zip(fig.subplots(1, 3), ((10, "5x5"), (20, "10x10"), (40, "20x20")), strict=True):
-        outcome = slam.replay(lambda: iter(scans), load_config("fig8", [], {"grid": grid, "azimuth": yaws}), 0.1)
+        outcome = run_slam(lambda: iter(scans), load_config("fig8", [], {"grid": grid, "azimuth": yaws}), 0.1)
         drawing.draw_walls(ax, truth, color=drawing.PATH_GREY, lw=0.8, zorder=-1, label="true wall")
         draw_hits(ax, outcome.grid, way[0])
         for ghost in map_quality(outcome.grid).ghost_walls.places:

@@ -13,14 +13,14 @@ from time import process_time
 
 import numpy as np
 
+from mavnav.slam.pipeline import run_slam
+
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
-from synthetic import box, polyline, scan_at
-
-from mavnav import slam
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
+from support.synthetic import box, polyline, scan_at
 
 SPEC = LaserSpec(-np.pi, np.pi / 180, 360, 0.1, 12.0)
 STEP_M, BLOCK, NEAR_M = 0.1, 200, 15.0
@@ -66,7 +66,7 @@ def main() -> None:
 
     spent_s = process_time()
     config = Config()
-    found = slam.replay(scans, config, 0.1, on_step=told)
+    found = run_slam(scans, config, 0.1, on_step=told)
     end = found.trajectory.xyyaw[-1]
     print(f"end at {end[0]:.2f} m of {int((length_m - 4.0) / STEP_M - 1) * STEP_M:.2f} m, map {found.grid.hits.shape}")
 

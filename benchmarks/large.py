@@ -20,12 +20,12 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from numba import njit
 
-from mavnav.config_file import load_config
-from mavnav.logs import cdr, definitions
-from mavnav.methods import load_kernels
+from mavnav.config.loading import load_config
+from mavnav.logs.messages import cdr, definitions
+from mavnav.pipelines.replay import Request, replay
 from mavnav.pose import Pose
-from mavnav.replay import Request, replay
 from mavnav.scan import LaserSpec, Scan
+from mavnav.slam.registry import load_kernels
 
 SPEC = LaserSpec(-np.pi, 2 * np.pi / 720, 720, 0.1, 12.0)
 LENGTH_M, AISLES, PITCH_M, WIDE_M, BLOCK = 200.0, 10, 20.0, 3.0, 2000

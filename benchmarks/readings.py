@@ -23,16 +23,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavnav import slam
-from mavnav.config_file import load_config
-from mavnav.flight import End, fly
+from mavnav.config.loading import load_config
 from mavnav.logs import open_log
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import wall_thickness
-from mavnav.replay import measured_quality, measured_sections
-from mavnav.simulate import truth_errors
-from mavnav.stages import account
-from mavnav.world.scenario_file import load_scenario
+from mavnav.pipelines.replay import measured_quality, measured_sections
+from mavnav.pipelines.simulate import truth_errors
+from mavnav.profiling import new_profile
+from mavnav.simulation.mission import End, fly
+from mavnav.simulation.world.scenario_file import load_scenario
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.result import SlamResult
 
 DOCS = Path(__file__).parent.parent / "docs" / "paper"
 TRAINING_SEEDS, TEST_SEEDS = range(1000, 1008), range(20)
@@ -129,7 +130,7 @@ def mission(reading: Reading, scenario: str, seed: int, *, thickness: bool = Fal
     )
 
 
-def walls(outcome: slam.Slam) -> tuple[float, ...]:
+def walls(outcome: SlamResult) -> tuple[float, ...]:
     """Return maximum and p95 of the wall thickness in cells, at 2 and at 5 hits."""
     measured = [wall_thickness(outcome.grid.hits, outcome.grid.cell_m, hits) for hits in (2, 5)]
     return tuple(cells for walls in measured for cells in (walls.max_cells, walls.p95_cells))
@@ -228,7 +229,7 @@ def _replay(task: tuple[Reading, str, str]) -> str:
     reading, folder, name = task
     log = open_log(Path(folder) / name / f"{name}.mcap", odom="off")
     sets = [s.removeprefix("slam.") for s in reading.sets if s.startswith("slam.")]
-    outcome = slam.replay(log.scans, load_config(reading.preset, sets), log.period_s)
+    outcome = run_slam(log.scans, load_config(reading.preset, sets), log.period_s)
     quality = measured_quality(outcome, log, measured_sections(outcome.grid))
     apart_mm = quality.revisits.nn_l_mm if quality.revisits else np.nan
     ended = "" if not outcome.lost_for_good else ", lost"
@@ -331,7 +332,7 @@ def grids(ex: Executor) -> list[str]:
 
 def _drawn(task: tuple[Reading, str, int]) -> dict[str, float]:
     reading, scenario, seed = task
-    spent_s = account()
+    spent_s = new_profile()
     flight = fly(load_scenario(scenario, reading.sets, {"seed": seed}, reading.preset))
     steps = flight.slam.steps
     return {

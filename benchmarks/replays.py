@@ -25,8 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from mavnav.logs import cdr, definitions, open_log
-from mavnav.logs.mcap_writer import Channel, write_serialized
+from mavnav.logs import open_log
+from mavnav.logs.messages import cdr, definitions
+from mavnav.logs.writing.mcap_writer import Channel, write_serialized
 
 HERE = Path(__file__).parent
 SAMPLE = HERE.parent / "sample_logs" / "corridor.mcap"
@@ -71,7 +72,7 @@ def cut(log: Path, path: Path) -> None:
 
 def imports_s() -> float:
     """Return the processor time of a process that loads the program and does nothing."""
-    command = [sys.executable, "-c", "import mavnav.cli, mavnav.replay, mavnav.outputs.map_picture"]
+    command = [sys.executable, "-c", "import mavnav.cli, mavnav.pipelines.replay, mavnav.outputs.map_picture"]
     _, _, usage = os.wait4(os.posix_spawn(sys.executable, command, environment()), 0)
     return usage.ru_utime + usage.ru_stime
 

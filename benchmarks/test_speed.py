@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from mavnav.config_file import load_config
+from mavnav.config.loading import load_config
 from mavnav.logs import open_log
-from mavnav.slam import replay
+from mavnav.slam.pipeline import run_slam
 
 SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
 
@@ -26,5 +26,5 @@ def test_read(benchmark: Any) -> None:
 def test_map(benchmark: Any, method: str, grid: str) -> None:
     config = load_config(None, [], {"method": method, "grid": grid, "odom": "off"})
     scans = list(open_log(SAMPLE, end_s=3.0).scans())
-    benchmark.pedantic(lambda: replay(lambda: scans, config, 0.1), rounds=3, warmup_rounds=1)
+    benchmark.pedantic(lambda: run_slam(lambda: scans, config, 0.1), rounds=3, warmup_rounds=1)
     benchmark.extra_info["scans"] = len(scans)

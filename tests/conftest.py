@@ -1,18 +1,13 @@
-"""What every test may use: the real recordings, and helper modules that lie in this folder."""
+"""Fixtures that every test may use: a finished comparison, and the real recordings."""
 
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 
 import pytest
 
-HERE = Path(__file__).parent
-ROOT = HERE.parent
-
-# With --import-mode=importlib nothing is on the path: `from synthetic import ...` needs this folder.
-sys.path.insert(0, str(HERE))
+ROOT = Path(__file__).parent.parent
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""The picture of docs/architecture.md, executed: arrows between rooms, who may print, what --help may import."""
+"""The rules of docs/architecture.md, executed: who imports whom, who may print, what --help may import."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,92 +18,59 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "mavnav"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-GROUND = {"errors", "units", "pose", "scan", "config", "memory", "staging", "stages"}
-CORE = {"lattice", "grid", "linemap", "matcher", "relocalise", "motion", "belief", "firing", "methods", "slam"} | {
-    "steps",
-    "pose_graph",
-    "degeneracy",
-    "known_map",
-    "localise",
-    "loop_closure",
-    "redrawing",
-    "second_opinion",
-    "steadying",
-}
-RUNS = {"", "cells", "config_file", "figures", "gates", "jobs", "logs", "markdown", "outputs", "references", "replay"}
+SHARED = {"atomic_files", "errors", "memory", "pose", "profiling", "scan", "units"}
+"""Modules that import nothing of ours, and that every package but the kernels may import."""
+
 ALLOWED: dict[str, set[str]] = {
-    "": set(),
-    "errors": set(),
-    "units": set(),
-    "pose": set(),
-    "scan": set(),
-    "memory": set(),
-    "staging": set(),
-    "stages": set(),
-    "config": {"errors", "units"},
-    "gates": {"errors"},
-    "figures": {"errors", "gates"},
-    "jobs": {"errors"},
-    "layers": {"errors"},
-    "config_file": {"errors", "config", "layers"},
     "kernels": set(),
-    "logs": GROUND | {""},
-    "world": GROUND | {"config_file", "layers", "planner_config"},
-    "lattice": GROUND,
-    "grid": GROUND | {"kernels", "lattice"},
-    "linemap": GROUND | {"lattice", "kernels"},
-    "matcher": GROUND | {"kernels", "linemap"},
-    "motion": GROUND,
-    "pose_graph": GROUND,
-    "relocalise": GROUND | {"kernels", "lattice", "grid", "linemap", "matcher"},
-    "belief": GROUND | {"motion"},
-    "firing": GROUND | {"matcher"},
-    "methods": GROUND | {"kernels", "grid", "linemap", "matcher", "relocalise", "motion", "belief"},
-    "steps": GROUND | {"matcher"},
-    "degeneracy": GROUND | {"steps"},
-    "known_map": GROUND | {"grid"},
-    "localise": GROUND | {"grid", "linemap", "matcher", "relocalise", "motion", "methods", "known_map"},
-    "loop_closure": GROUND | {"grid", "linemap", "matcher", "relocalise", "pose_graph"},
-    "steadying": GROUND | {"kernels", "steps"},
-    "second_opinion": GROUND | {"methods", "steps"},
-    "redrawing": GROUND | {"motion", "methods", "steps", "loop_closure"},
-    "slam": GROUND
-    | {"grid", "matcher", "relocalise", "motion", "belief", "firing", "methods", "steps", "loop_closure", "redrawing"}
-    | {"degeneracy", "known_map", "localise", "second_opinion", "steadying"},
-    "metrics": GROUND | {"kernels", "lattice", "grid"},
-    "references": GROUND | {"grid", "layers", "metrics", "world"},
-    "planner_config": GROUND,
-    "routes": GROUND | {"kernels", "planner_config"},
-    "techniques": GROUND | {"kernels", "planner_config", "routes"},
-    "planner": GROUND | {"kernels", "grid", "planner_config", "techniques"},
-    "flight": GROUND | {"planner", "world"} | CORE,
-    "outputs": GROUND | {"", "figures", "logs", "metrics"} | CORE,
-    "evaluate": GROUND | {"", "grid", "logs", "metrics", "outputs", "references"},
-    "replay": GROUND | {"logs", "metrics", "outputs", "references"} | CORE,
-    "simulate": GROUND | {"flight", "logs", "metrics", "outputs", "references", "replay", "world"} | CORE,
-    "markdown": set(),
-    "cells": GROUND | {"", "jobs", "logs", "outputs", "references", "replay"},
-    "cluster": {"", "cells", "errors", "jobs"},
-    "batch": GROUND | RUNS | {"cluster", "layers"},
-    "compare": GROUND | RUNS | {"flight", "simulate", "world"},
-    "commands": GROUND
-    | RUNS
-    | {"batch", "cluster", "compare", "evaluate", "kernels", "metrics", "simulate", "world"}
-    | CORE,
-    "cli": {"", "commands", "errors"},
-}
-"""Room -> rooms that it may import; "" is the package itself (its version)."""
+    "config": SHARED,
+    "mapping": SHARED | {"kernels"},
+    "logs": SHARED,
+    "slam": SHARED | {"config", "kernels", "mapping"},
+    "simulation": SHARED | {"mapping", "simulation.planner", "simulation.world", "slam"},
+    "simulation.planner": SHARED | {"config", "kernels", "mapping"},
+    "simulation.world": SHARED | {"config"},
+    "metrics": SHARED | {"kernels", "mapping"},
+    "outputs": SHARED | {"config", "logs", "mapping", "metrics", "slam"},
+    "ground_truth": SHARED | {"config", "mapping", "metrics", "simulation.world"},
+    "pipelines": SHARED
+    | {"config", "ground_truth", "logs", "mapping", "metrics", "outputs", "simulation", "simulation.world", "slam"},
+    "jobs": SHARED | {"config", "ground_truth", "logs", "outputs", "pipelines"},
+    "compare": SHARED | {"config", "jobs", "logs", "metrics", "outputs", "pipelines", "simulation", "simulation.world"},
+    "batch": SHARED | {"config", "ground_truth", "jobs", "logs", "metrics", "outputs", "pipelines"},
+    "commands": SHARED
+    | {"batch", "compare", "config", "ground_truth", "jobs", "kernels", "logs", "metrics", "outputs", "pipelines"}
+    | {"simulation.world", "slam"},
+    "cli": {"commands", "errors"},
+    "__main__": {"cli"},
+} | {module: set() for module in SHARED}
+"""Package -> packages that it may import besides itself; every one may import ``mavnav`` for its version."""
 
-ABOVE_THE_ROOMS = {"commands", "cli"}
+SPEAKING = {"__main__", "cli", "commands"}
+"""Packages that may print and exit."""
+
+MOST_ENTRIES, MOST_LINES = 26, 400
 
 
-def room(path: Path) -> str:
-    first = path.relative_to(PACKAGE).parts[0]
-    return {"__init__.py": "", "__main__.py": "cli"}.get(first) if first.startswith("__") else first.removesuffix(".py")
+def name_of(path: Path) -> str:
+    """Return the dotted name of a module within mavnav, "" for mavnav itself."""
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imports(path: Path) -> set[str]:
-    """Return the full dotted names that a file imports, anywhere in it."""
+MODULES = {name_of(path): path for path in FILES}
+
+
+def package(module: str) -> str:
+    """Return the row of the table that a module belongs to: the longest that its name begins with."""
+    parts = module.split(".")
+    rows = (".".join(parts[:length]) for length in range(len(parts), 0, -1))
+    return next((row for row in rows if row in ALLOWED), module)
+
+
+@cache
+def imports(path: Path) -> frozenset[str]:
+    """Return the full dotted names that a file imports, anywhere in it; for typing only, too."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -110,38 +78,68 @@ def imports(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             names |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return names
+    return frozenset(names)
 
 
-def rooms_imported(path: Path) -> set[str]:
-    ours = [name.split(".")[1:] for name in imports(path) if name.split(".")[0] == "mavnav"]
-    known = {room(file) for file in FILES}
-    return {parts[0] if parts and parts[0] in known else "" for parts in ours}
+def imported(module: str) -> set[str]:
+    """Return the modules of ours that a module imports."""
+    ours = [name.split(".")[1:] for name in imports(MODULES[module]) if name.split(".")[0] == "mavnav"]
+    found = {name if (name := ".".join(parts)) in MODULES else ".".join(parts[:-1]) for parts in ours}
+    return found - {module}
 
 
-def test_every_room_has_a_line_in_the_table() -> None:
-    assert {room(path) for path in FILES} <= set(ALLOWED)
+def test_imports_follow_the_table() -> None:
+    pairs = {(module, other) for module in MODULES for other in imported(module) if other}
+    wrong = [
+        f"{module} imports {other}"
+        for module, other in sorted(pairs)
+        if package(other) not in {package(module), *ALLOWED.get(package(module), set())}
+    ]
+    assert wrong == []
+    assert {package(module) for module in MODULES if module} == set(ALLOWED)
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_arrows(path: Path) -> None:
-    here = room(path)
-    assert rooms_imported(path) - {here} <= ALLOWED[here]
+def test_the_table_allows_nothing_that_is_not_used() -> None:
+    used = {(package(module), package(other)) for module in MODULES for other in imported(module)}
+    unused = [
+        (row, other)
+        for row, others in ALLOWED.items()
+        for other in others - SHARED - {"kernels"}
+        if (row, other) not in used
+    ]
+    assert sorted(unused) == []
 
 
-def test_the_table_has_no_cycle() -> None:
-    left, order = dict(ALLOWED), []
-    while free := [name for name, needs in left.items() if not needs & set(left) - {name}]:
-        order += free
-        for name in free:
-            del left[name]
-    assert left == {}
+def test_the_table_of_the_document_is_this_one() -> None:
+    text = (ROOT / "docs/architecture.md").read_text()
+    rows = re.findall(r"^\| `([a-z_.]+)` \|([^|]*)\|", text, re.MULTILINE)
+    documented = {name: set(re.findall(r"`([a-z_.]+)`", cells)) for name, cells in rows if name in ALLOWED}
+    assert documented == {row: others - SHARED for row, others in ALLOWED.items() if row not in {*SHARED, "__main__"}}
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_only_kernels_import_numba(path: Path) -> None:
-    if room(path) != "kernels":
-        assert not {name for name in imports(path) if name.split(".")[0] in {"numba", "llvmlite"}}
+def test_no_modules_import_each_other() -> None:
+    left = {module: imported(module) for module in MODULES}
+    while free := [module for module, others in left.items() if not others & set(left)]:
+        for module in free:
+            del left[module]
+    assert sorted(left) == []  # each imports another of them, round in a circle
+
+
+def test_sizes() -> None:
+    entries = [path.name for path in PACKAGE.iterdir() if path.name != "__pycache__"]
+    lines = {module: len(path.read_text().splitlines()) for module, path in MODULES.items()}
+    long = [module for module, count in lines.items() if count > MOST_LINES and package(module) != "kernels"]
+    assert len(entries) <= MOST_ENTRIES
+    assert long == []
+
+
+def test_only_kernels_import_numba() -> None:
+    wrong = [
+        module
+        for module, path in MODULES.items()
+        if package(module) != "kernels" and {name.split(".")[0] for name in imports(path)} & {"numba", "llvmlite"}
+    ]
+    assert wrong == []
 
 
 def test_kernels_call_no_kernel_of_another_file() -> None:
@@ -150,13 +148,15 @@ def test_kernels_call_no_kernel_of_another_file() -> None:
         assert not others, f"{path.name}: numba's cache would miss an edit in {others}"
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_rooms_neither_print_nor_exit(path: Path) -> None:
-    if room(path) in ABOVE_THE_ROOMS:
-        return
-    called = {ast.unparse(node.func) for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)}
-    assert not called & {"print", "exit", "quit", "sys.exit", "os._exit", "sys.stdout.write", "sys.stderr.write"}
-    assert not {name for name in imports(path) if name.split(".")[0] in {"rich", "typer"}}
+def test_only_the_command_line_prints_and_exits() -> None:
+    ways = {"print", "exit", "quit", "sys.exit", "os._exit", "sys.stdout.write", "sys.stderr.write"}
+    wrong = []
+    for module, path in MODULES.items():
+        tree = ast.parse(path.read_text())
+        called = {ast.unparse(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+        used = called & ways | {name.split(".")[0] for name in imports(path)} & {"rich", "typer"}
+        wrong += [(module, sorted(used))] if used and package(module) not in SPEAKING else []
+    assert wrong == []
 
 
 @pytest.mark.parametrize(

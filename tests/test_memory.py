@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from memory_use import in_use_mb, taking_less_than
 from numba import njit
 
 from mavnav import memory
-from mavnav.lattice import WIDE, blank_strips, moved
+from mavnav.mapping.tiled_arrays import WIDE, blank_strips, moved
 from mavnav.memory import SMALL_BYTES, blank, drop_compiler, forget, give_back
+from support.memory_use import in_use_mb, taking_less_than
 
 MB = 1 << 20
 

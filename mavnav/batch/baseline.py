@@ -10,11 +10,11 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
+from mavnav.atomic_files import beside
 from mavnav.errors import SEVERITY, ExitCode, OutputError, UsageError
-from mavnav.figures import number
-from mavnav.gates import full_name
-from mavnav.outputs import to_json
-from mavnav.staging import beside
+from mavnav.metrics.figures import number
+from mavnav.metrics.gates import full_name
+from mavnav.outputs.document import to_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -6,23 +6,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mavnav import replay
-from mavnav.batch.gather import check_found, gather, is_address
+from mavnav.batch.find_logs import check_found, gather, is_address
 from mavnav.batch.remote import fetched
 from mavnav.batch.settings import told
-from mavnav.cells import Cell, make_cell, references_sha256
 from mavnav.errors import ExitCode, MavnavError, UsageError
-from mavnav.gates import Gate, parse_gate
+from mavnav.ground_truth.references import load_references
+from mavnav.jobs.run_cache import PlannedRun, make_run, references_sha256
 from mavnav.logs import content_sha256
+from mavnav.metrics.gates import Gate, parse_gate
+from mavnav.pipelines import replay
 from mavnav.pose import Pose
-from mavnav.references import load_references
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from mavnav.batch.manifest import Entry
     from mavnav.batch.settings import Setting
-    from mavnav.replay import Progress
+    from mavnav.pipelines.replay import Progress
 
 BASELINE_GATE = "baseline"
 """The gate that holds where nothing is worse than in the baseline."""
@@ -40,7 +40,7 @@ class Case:
     name: str
     log: str
     setting: Setting
-    cell: Cell | None
+    cell: PlannedRun | None
     gates: tuple[Gate, ...] = ()
     accept: frozenset[int] = frozenset()
     has_references: bool = False
@@ -54,7 +54,7 @@ def make_cases(
 ) -> list[Case]:
     """Return the cases of a batch, logs first, in order.
 
-    ``common`` are values of every `mavnav.replay.Request`, its directory for one. Every log is read once, for the hash
+    ``common`` are values of every `replay.Request`, its directory for one. Every log is read once, for the hash
     of its content; one that cannot be read, or whose references cannot, is a case that has failed already. What several
     entries say of one case holds together. Raises UsageError for a gate that cannot be read, and for two references.
     """
@@ -98,7 +98,7 @@ def _cases(
         return
     for setting in settings:
         request = replay.Request(path, config=setting.config, **options)
-        yield Case(_name(entry, log, setting), setting=setting, cell=make_cell(request, digest, references), **shared)
+        yield Case(_name(entry, log, setting), setting=setting, cell=make_run(request, digest, references), **shared)
 
 
 def _digest(log: str, path: Path, address: str | None) -> str:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
 from mavnav.batch.baseline import Change, changes
-from mavnav.cells import cell_row
 from mavnav.errors import SEVERITY, ExitCode, worst
-from mavnav.gates import judge_some
+from mavnav.jobs.run_cache import run_row
+from mavnav.metrics.gates import judge_some
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
     from mavnav.batch.baseline import Baseline, Tolerance
     from mavnav.batch.cases import Case
-    from mavnav.gates import Gate
     from mavnav.jobs import Outcome
+    from mavnav.metrics.gates import Gate
 
 SCHEMA_VERSION: Final = 1
 
 
 def batch_row(case: Case, outcome: Outcome | None, run: Mapping[str, Any] | None, directory: Path) -> dict[str, Any]:
     """Describe a run; as in comparison.json, with ``setting`` and ``seconds`` besides."""
-    row = _unread(case) if case.cell is None else cell_row(case.cell, outcome, run, directory)
+    row = _unread(case) if case.cell is None else run_row(case.cell, outcome, run, directory)
     more = {"setting": case.setting.name, "seconds": outcome.seconds if outcome else None}
     return row | {"name": case.name, "log": case.log, **more}
 

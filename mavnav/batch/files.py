@@ -6,11 +6,11 @@ import csv
 import io
 from typing import TYPE_CHECKING, Any, Final
 
+from mavnav.atomic_files import beside
 from mavnav.batch.page import to_page
 from mavnav.errors import OutputError
-from mavnav.figures import number
-from mavnav.outputs import to_json
-from mavnav.staging import beside
+from mavnav.metrics.figures import number
+from mavnav.outputs.document import to_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable

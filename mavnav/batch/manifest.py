@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
-from mavnav.config import Strict
-from mavnav.config_file import validated
-from mavnav.layers import read_yaml
+from mavnav.config.loading import validated
+from mavnav.config.models import Strict
+from mavnav.config.yaml_layers import read_yaml
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mavnav.layers import Layer
+    from mavnav.config.yaml_layers import Layer
 
 
 def _listed(value: object) -> object:

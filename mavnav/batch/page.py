@@ -10,10 +10,10 @@ from mavnav.batch.document import ENDS, why, worst_first
 from mavnav.batch.summary import changed, headline
 from mavnav.batch.thumbnail import thumbnail
 from mavnav.errors import ExitCode
-from mavnav.figures import NAMED, TIME, WAY, Figure
-from mavnav.outputs import REPORT_FILE
+from mavnav.metrics.figures import NAMED, TIME, WAY, Figure
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.html import environment, inlined
+from mavnav.outputs.writers import REPORT_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

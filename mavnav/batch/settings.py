@@ -6,16 +6,16 @@ from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
-from mavnav.config_file import load_config
+from mavnav.config.loading import load_config
+from mavnav.config.yaml_layers import Layer
 from mavnav.errors import ConfigError, UsageError
-from mavnav.layers import Layer
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from mavnav.config import Config
-    from mavnav.layers import Key
+    from mavnav.config.models import Config
+    from mavnav.config.yaml_layers import Key
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ import typer
 
 from mavnav.commands import signals
 from mavnav.commands.batch_rows import print_verdict, telling
-from mavnav.commands.cell_progress import watching
 from mavnav.commands.gating import Gates
 from mavnav.commands.options import (
     CHECKS,
@@ -36,13 +35,14 @@ from mavnav.commands.options import (
 )
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.replay import pose
+from mavnav.commands.run_progress import watching
 from mavnav.commands.terminal import emit, note
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mavnav.batch import Request
-    from mavnav.cluster import Cluster
+    from mavnav.batch.plan import Request
+    from mavnav.jobs.dask import Cluster
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -178,17 +178,18 @@ def batch(
         return
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
-            from mavnav import batch as pipeline
-            from mavnav.methods import load_kernels
-        from mavnav.batch.asked import Asked, request_of
+            from mavnav.batch.plan import plan as make_plan
+            from mavnav.batch.run import run_batch
+            from mavnav.slam.registry import load_kernels
         from mavnav.batch.files import PAGE_FILE, check_file
+        from mavnav.batch.request import Options, request_of
 
         for file in filter(None, (junit, summary)):
             check_file(file)
         mounting = pose(extrinsic) if extrinsic else None
         place = (mounting.x_m, mounting.y_m, mounting.yaw_rad) if mounting else None
         request = request_of(
-            Asked(
+            Options(
                 sources=sources or (),
                 methods=methods or (),
                 grids=grids or (),
@@ -213,7 +214,7 @@ def batch(
                 update_baseline=update_baseline,
             )
         )
-        plan = pipeline.plan(request, report)
+        plan = make_plan(request, report)
         with loading_kernels(report):  # not in every worker, by the clock of its first run
             for case in plan.missing if request.limits.scheduler is None else ():
                 load_kernels(case.setting.config)
@@ -223,7 +224,7 @@ def batch(
         telling(len(plan.cases), json=json, quiet=quiet) as tell,
     ):
         try:
-            document = pipeline.run_batch(plan, listen, tell, cluster)
+            document = run_batch(plan, listen, tell, cluster)
         except signals.Stopped:
             note(f"mavnav: runs that are finished stay in {request.directory}; the same call makes the others")
             raise
@@ -241,7 +242,7 @@ def _cluster(request: Request, *, quiet: bool) -> Iterator[Cluster | None]:
     if limits.scheduler is None:
         yield None
         return
-    from mavnav.cluster import connected
+    from mavnav.jobs.dask import connected
 
     with connected(limits.scheduler, request.directory, limits.workers, limits.memory_mb, limits.tries) as cluster:
         if not quiet:

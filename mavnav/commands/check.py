@@ -17,11 +17,11 @@ from mavnav.errors import ExitCode, UsageError, worst
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mavnav.gates import Gate
+    from mavnav.metrics.gates import Gate
 
 RUN_FILE: Final = "run.json"
 WHOLE_FILES: Final = ("batch.json", "comparison.json")
-"""What tells of all runs of a directory. Said once more: the rooms that write them take longer to load than a check."""
+"""What tells of all runs of a directory. Repeated: the modules that write them load longer than a check takes."""
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -42,7 +42,7 @@ def check(
     json: Json = False,
 ) -> None:
     """Check finished runs against quality gates; exits with the worst code of the runs and their gates."""
-    from mavnav.gates import check_known
+    from mavnav.metrics.gates import check_known
 
     bounds = gates_of(gates)
     found = [run for path in runs for run in _found(path)]
@@ -118,7 +118,7 @@ def _reading(file: Path) -> Iterator[None]:
 
 
 def _checked(found: _Found, bounds: list[Gate]) -> dict[str, Any]:
-    from mavnav.gates import judge_some
+    from mavnav.metrics.gates import judge_some
 
     verdicts = [] if found.document is None else judge_some(bounds, found.document)
     told = [{"gate": v.gate.text, "value": v.value, "passed": v.passed, "why": v.why} for v in verdicts]

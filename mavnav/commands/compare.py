@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands.cell_progress import watching
 from mavnav.commands.comparison_table import print_comparison
 from mavnav.commands.gating import Gates, gates_of
+from mavnav.commands.ground_truth import RelationsFile, Truth, TruthMap
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
     OUTPUT,
@@ -30,8 +30,8 @@ from mavnav.commands.options import (
     given,
 )
 from mavnav.commands.progress import loading_kernels, reporting
-from mavnav.commands.references import RelationsFile, Truth, TruthMap
 from mavnav.commands.replay import pose
+from mavnav.commands.run_progress import watching
 from mavnav.commands.terminal import emit, note
 from mavnav.errors import UsageError
 
@@ -122,8 +122,8 @@ def compare(
     bounds = tuple(gates_of(gates))
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
-            from mavnav import compare as pipeline
-            from mavnav.methods import load_kernels
+            from mavnav.compare import comparison as pipeline
+            from mavnav.slam.registry import load_kernels
         target = directory or pipeline.default_directory(logs or ())
         if not logs:
             logs, true_map = _sample(target, report)
@@ -155,7 +155,7 @@ def compare(
 
 def _sample(directory: Path, report: Report) -> tuple[list[Path], Path]:
     """Return the sample corridor, flown and kept in the directory where it is not shipped, and its true map."""
-    from mavnav.compare import check_directory
+    from mavnav.compare.comparison import check_directory
 
     check_directory(directory)
     with loading_kernels(report):

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-    from mavnav.figures import Figure
+    from mavnav.metrics.figures import Figure
 
 BARRED = {"wall_thickness.2.p95_mm", "timing.cpu_s"}
 """Figures that are shown with a bar."""
@@ -72,7 +72,7 @@ def _table(document: dict[str, Any], left_out: set[str]) -> Table:
 
 def _known(document: dict[str, Any]) -> list[Figure]:
     """Return the figures that any cell has."""
-    from mavnav.figures import FIGURES
+    from mavnav.metrics.figures import FIGURES
 
     return [figure for figure in FIGURES if any(figure.of(cell["run"]) is not None for cell in document["cells"])]
 

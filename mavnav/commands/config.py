@@ -23,7 +23,7 @@ def show(
     ] = None,
 ) -> None:
     """Print the effective configuration as YAML, a comment for every value; it can be given to --config."""
-    from mavnav.config_file import load_config, to_yaml
+    from mavnav.config.loading import load_config, to_yaml
 
     emit(to_yaml(load_config(config, sets or [], {"method": method} if method else {})).rstrip())
 
@@ -33,6 +33,6 @@ def schema() -> None:
     """Print the JSON Schema of configuration files, for editors that check while you type."""
     from json import dumps
 
-    from mavnav.config import Config
+    from mavnav.config.models import Config
 
     emit(dumps(Config.model_json_schema(), indent=2))

@@ -15,7 +15,7 @@ from mavnav.commands.terminal import emit, note_oddities
 from mavnav.errors import ExitCode
 
 if TYPE_CHECKING:
-    from mavnav.logs.convert import Conversion
+    from mavnav.logs.writing.convert import Conversion
 
 SCHEMA_VERSION = 1
 
@@ -38,7 +38,7 @@ def convert(
     quiet: Quiet = False,
 ) -> None:
     """Convert a log, as far as it can be read, to an indexed MCAP with ROS 2 messages."""
-    from mavnav.logs.convert import convert as write
+    from mavnav.logs.writing.convert import convert as write
 
     with reporting(quiet=quiet) as report:
         done = write(log, target, strict=strict, force=force, progress=lambda n, total: report("converting", n, total))

@@ -11,7 +11,7 @@ from mavnav.commands.terminal import note
 from mavnav.errors import ExitCode, worst
 
 if TYPE_CHECKING:
-    from mavnav.gates import Gate
+    from mavnav.metrics.gates import Gate
 
 Gates = Annotated[
     list[str] | None,
@@ -27,7 +27,7 @@ Gates = Annotated[
 
 def gates_of(texts: list[str] | None) -> list[Gate]:
     """Read the gates; raises UsageError, before the work."""
-    from mavnav.gates import parse_gate
+    from mavnav.metrics.gates import parse_gate
 
     return [parse_gate(text) for text in texts or []]
 
@@ -37,7 +37,7 @@ def gated_code(document: dict[str, Any], gates: list[Gate]) -> ExitCode:
 
     Raises UsageError for a name that run.json does not have: the run is written by then.
     """
-    from mavnav.gates import judge
+    from mavnav.metrics.gates import judge
 
     failed = [verdict for verdict in judge(gates, document) if not verdict.passed]
     for verdict in failed:

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
+from mavnav.commands.ground_truth import RelationsFile, Truth, TruthMap
 from mavnav.commands.options import Json, Quiet
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows
-from mavnav.commands.references import RelationsFile, Truth, TruthMap
 from mavnav.commands.replay import print_table, wall_rows
 from mavnav.commands.terminal import emit
 
@@ -44,8 +44,8 @@ def metrics(
     """Measure maps: wall thickness, ghost walls, crispness, support, errors against a reference."""
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
-            from mavnav.evaluate import evaluate
-            from mavnav.references import load_references
+            from mavnav.ground_truth.references import load_references
+            from mavnav.pipelines.evaluate import evaluate
         document = evaluate(paths, load_references(truth, truth_map, relations), report)
     if json:
         from json import dumps

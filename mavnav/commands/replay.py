@@ -11,6 +11,7 @@ import typer
 
 from mavnav.commands import signals
 from mavnav.commands.gating import Gates, gated_code, gates_of
+from mavnav.commands.ground_truth import RelationsFile, Truth, TruthMap
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
     OUTPUT,
@@ -36,12 +37,11 @@ from mavnav.commands.options import (
 )
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.quality_rows import quality_rows, reference_rows
-from mavnav.commands.references import RelationsFile, Truth, TruthMap
 from mavnav.commands.terminal import console, emit, note, printable
 from mavnav.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
-    from mavnav.config import Config
+    from mavnav.config.models import Config
     from mavnav.pose import Pose
 
 _FEW_BEAMS = 20
@@ -145,8 +145,8 @@ def replay(
     with reporting(quiet=quiet) as progress:
         startup_s, started_s = process_time(), perf_counter()
         with loading_kernels(progress):
-            from mavnav import replay as pipeline
-            from mavnav.methods import load_kernels
+            from mavnav.pipelines import replay as pipeline
+            from mavnav.slam.registry import load_kernels
 
             load_kernels(chosen)
         compile_s = perf_counter() - started_s
@@ -179,7 +179,7 @@ def replay(
 
 def _config(file: str | None, sets: list[str], *, online: bool, **options: object) -> Config:
     """Load the configuration; options that were not given leave it alone."""
-    from mavnav.config_file import load_config
+    from mavnav.config.loading import load_config
 
     overrides = {name: value for name, value in options.items() if value is not None}
     return load_config(file, sets, overrides | ({"final_pass": False} if online else {}))

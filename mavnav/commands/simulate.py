@@ -31,7 +31,7 @@ from mavnav.errors import ExitCode, UsageError
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from mavnav.world import Scenario
+    from mavnav.simulation.world import Scenario
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -109,9 +109,9 @@ def simulate(
     with reporting(quiet=quiet) as progress:
         started_s = perf_counter()
         with loading_kernels(progress):
-            from mavnav import simulate as pipeline
-            from mavnav.methods import load_kernels
-            from mavnav.world.scenario_file import scenario_path
+            from mavnav.pipelines import simulate as pipeline
+            from mavnav.simulation.world.scenario_file import scenario_path
+            from mavnav.slam.registry import load_kernels
 
             load_kernels(chosen.slam)
         compile_s = perf_counter() - started_s
@@ -125,8 +125,8 @@ def simulate(
 
 
 def _show(*, schema: bool) -> None:
-    from mavnav.config_file import scenarios
-    from mavnav.world import load_scenario, scenario_schema
+    from mavnav.config.loading import scenarios
+    from mavnav.simulation.world import load_scenario, scenario_schema
 
     if schema:
         from json import dumps
@@ -138,7 +138,7 @@ def _show(*, schema: bool) -> None:
 
 def _load(scenario: str, sets: list[str], options: dict[str, object], config: str | None) -> Scenario:
     """Load the scenario; options that were not given leave it alone."""
-    from mavnav.world import load_scenario
+    from mavnav.simulation.world import load_scenario
 
     return load_scenario(scenario, sets, {key: value for key, value in options.items() if value is not None}, config)
 

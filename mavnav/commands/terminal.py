@@ -38,7 +38,7 @@ def console(*, stderr: bool = False) -> Console:
 
 def note(text: str) -> None:
     """Say one line on stderr."""
-    print(printable(text), file=sys.stderr, flush=True)  # noqa: T201  this room is the one that prints
+    print(printable(text), file=sys.stderr, flush=True)  # noqa: T201  only the command line prints
 
 
 def note_oddities(document: dict[str, Any]) -> None:

@@ -5,18 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
-from mavnav.cells import cell_row
 from mavnav.compare.figures import PRICES, best, prices
 from mavnav.errors import ExitCode, worst
-from mavnav.gates import judge_some
+from mavnav.jobs.run_cache import run_row
+from mavnav.metrics.gates import judge_some
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from mavnav.cells import Cell
-    from mavnav.gates import Gate
     from mavnav.jobs import Outcome
+    from mavnav.jobs.run_cache import PlannedRun
+    from mavnav.metrics.gates import Gate
 
 SCHEMA_VERSION: Final = 1
 
@@ -25,7 +25,7 @@ NO_PRICE: Final[dict[str, Any]] = {"price": dict.fromkeys(PRICES)}
 
 
 def comparison(
-    cells: Sequence[Cell],
+    cells: Sequence[PlannedRun],
     kept: Mapping[str, dict[str, Any]],
     outcomes: Mapping[str, Outcome],
     directory: Path,
@@ -39,7 +39,7 @@ def comparison(
     runs = [kept.get(cell.key) or outcomes[cell.key].value for cell in cells]
     price = prices([_group(cell) for cell in cells], runs)
     verdicts = [verdict for k, run in enumerate(runs) if run for verdict in _judge(gates, run, price, k)]
-    rows = [cell_row(cell, outcomes.get(cell.key), run, directory) for cell, run in zip(cells, runs, strict=True)]
+    rows = [run_row(cell, outcomes.get(cell.key), run, directory) for cell, run in zip(cells, runs, strict=True)]
     logs = _logs(cells, runs)
     return {
         "schema_version": SCHEMA_VERSION,
@@ -54,11 +54,11 @@ def comparison(
     }
 
 
-def _group(cell: Cell) -> tuple[object, int]:
+def _group(cell: PlannedRun) -> tuple[object, int]:
     return (cell.request.log, cell.config.method), cell.config.grid.points + cell.config.azimuth
 
 
-def _logs(cells: Sequence[Cell], runs: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]]:
+def _logs(cells: Sequence[PlannedRun], runs: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]]:
     """Return for every log its cells, and by figure which of them are the best."""
     groups: dict[Path, list[int]] = {}
     for k, cell in enumerate(cells):

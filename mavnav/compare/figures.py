@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.figures import FIGURES, number, winners
+from mavnav.metrics.figures import FIGURES, number, winners
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mavnav.figures import Run
+    from mavnav.metrics.figures import Run
 
 PRICES: Final = {
     "evaluations": "search.evaluations_per_scan.mean",

@@ -6,12 +6,12 @@ import csv
 import io
 from typing import TYPE_CHECKING, Any, Final
 
+from mavnav.atomic_files import beside
 from mavnav.compare.figures import PRICES
 from mavnav.errors import OutputError
-from mavnav.figures import FIGURES, number
-from mavnav.markdown import escaped, table_row
-from mavnav.outputs import to_json
-from mavnav.staging import beside
+from mavnav.metrics.figures import FIGURES, number
+from mavnav.outputs.document import to_json
+from mavnav.outputs.markdown import escaped, table_row
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from mavnav.config import GridSize
-from mavnav.config_file import load_config
+from mavnav.config.loading import load_config
+from mavnav.config.models import GridSize
 from mavnav.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from mavnav.config import Config
+    from mavnav.config.models import Config
 
 PAPER_GRIDS: Final = ("5x5", "10x10", "20x20")
 """What the paper compares in its Fig. 8, and what is compared where no grid is named."""

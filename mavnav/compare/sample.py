@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav import __version__
 from mavnav.errors import OutputError
-from mavnav.flight import fly
-from mavnav.logs.recorder import record
-from mavnav.simulate import recorded
-from mavnav.world import load_scenario
+from mavnav.logs.writing.recorder import record
+from mavnav.pipelines.simulate import recorded
+from mavnav.simulation.mission import fly
+from mavnav.simulation.world import load_scenario
 
 if TYPE_CHECKING:
-    from mavnav.replay import Progress
+    from mavnav.pipelines.replay import Progress
 
 SCENARIO: Final = "corridor"
 SETS: Final = ("seed=1", "vehicle.laser_x_mm=60")

@@ -5,7 +5,7 @@ mid-job, whatever ended it, costs that job alone: another worker takes its place
 that they share no state with their parent, and they follow it when it dies. What they print goes nowhere.
 """
 
-from mavnav.jobs.crew import run_jobs, usable_cores
+from mavnav.jobs.pool import run_jobs, usable_cores
 from mavnav.jobs.records import Ended, Event, Fate, Job, Outcome, Progressed, Report, Retried, Started
 from mavnav.jobs.retry import run_with_retries
 from mavnav.jobs.worker import attempt, failed

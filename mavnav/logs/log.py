@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Final, Literal
 import numpy as np
 
 from mavnav.errors import NoScansError, TopicError
-from mavnav.logs import formats
-from mavnav.logs.decode import decoder, is_laser
-from mavnav.logs.door import KINDS, Door
-from mavnav.logs.frames import BASE_FRAMES, mounting
-from mavnav.logs.ledger import Ledger
-from mavnav.logs.messages import DecodeError
+from mavnav.logs.formats import detect
+from mavnav.logs.messages.decode import decoder, is_laser
+from mavnav.logs.messages.records import DecodeError
+from mavnav.logs.preprocessing import KINDS, ScanFilter
+from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Damage, Gap, Odometry, ScanCounts, Topic
 from mavnav.logs.stamps import KEPT_BYTES, StampSource, Timeline, period_and_gaps
 from mavnav.logs.survey import Survey, survey
+from mavnav.logs.transforms import BASE_FRAMES, mounting
 from mavnav.memory import trim
 from mavnav.pose import Pose
+from mavnav.profiling import Stage, each
 from mavnav.scan import LaserSpec, Scan
-from mavnav.stages import Stage, each
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.logs.messages import LaserMessage
+    from mavnav.logs.messages.records import LaserMessage
     from mavnav.logs.stamps import TopicScans
 
 _MOST_NAMED: Final = 8
@@ -43,7 +43,7 @@ class Log:
 
     ``sensor`` and ``frame_id`` are those of the first usable scan, as recorded; the beams of a laser that is mounted
     ``upside_down`` are turned over in ``scans``. ``cleaning`` counts the beams of the usable scans
-    by the kinds of ``door.KINDS``. ``period_s`` is the median. ``stamp_source`` is ``log`` where the scans' own stamps
+    by kind (``preprocessing.KINDS``). ``period_s`` is the median; ``stamp_source`` is ``log`` where the scans' stamps
     are unusable. ``base_T_laser`` is projected to the plane.
     """
 
@@ -117,23 +117,23 @@ class Log:
                     due += 1
 
     def _admitted(self) -> Iterator[tuple[LaserSpec, NDArray[np.float64]]]:
-        """Return the scans that the door admits, in the order of the file, as seen from above."""
+        """Return the scans that the filter admits, in the order of the file, as seen from above."""
         admitted = self._reread() if self._ranges is None else iter(self._ranges)
         return ((spec.turned_over(), ranges_m) for spec, ranges_m in admitted) if self.upside_down else admitted
 
     def _reread(self) -> Iterator[tuple[LaserSpec, NDArray[np.float64]]]:
-        ledger = Ledger()  # the survey told everything already
-        door = Door(self.topic, ledger.warn)
-        for message in _laser_messages(self.path, self.topic, ledger, strict=self.strict):
-            admitted = door.admit(message)
+        report = ReadReport()  # the survey told everything already
+        scan_filter = ScanFilter(self.topic, report.warn)
+        for message in _laser_messages(self.path, self.topic, report, strict=self.strict):
+            admitted = scan_filter.admit(message)
             if not isinstance(admitted, str):
                 spec, ranges_m, _ = admitted
                 yield spec, ranges_m
 
 
-def _laser_messages(path: Path, topic: str, ledger: Ledger, *, strict: bool) -> Iterator[LaserMessage]:
+def _laser_messages(path: Path, topic: str, report: ReadReport, *, strict: bool) -> Iterator[LaserMessage]:
     decoders: dict[object, Callable[[bytes], LaserMessage] | None] = {}
-    for channel, _, data, suspect in formats.read(path, ledger):
+    for channel, _, data, suspect in detect.read(path, report):
         if channel.topic != topic or not is_laser(channel) or (strict and suspect):
             continue
         try:

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from mavnav.errors import TopicError
-from mavnav.logs.frames import frame_name, planar_pose
+from mavnav.logs.transforms import frame_name, planar_pose
 from mavnav.pose import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mavnav.logs.messages import TransformMessage
+    from mavnav.logs.messages.records import TransformMessage
 
 TF_TOPIC = "/tf"
 _ODOM_FRAME = "odom"

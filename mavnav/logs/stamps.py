@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from mavnav.logs.door import KINDS
+from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import Gap
 from mavnav.units import NS
 
@@ -80,7 +80,7 @@ class Timeline:
     """The usable scans of a topic, in the order of use, by one source of stamps.
 
     ``order`` (m,) holds their numbers in the file, ``stamps_ns`` (m,) ascends strictly, ``cleaning`` (8,) counts their
-    beams by ``door.KINDS``; ``first`` is geometry and frame of the first.
+    beams by ``preprocessing.KINDS``; ``first`` is geometry and frame of the first.
     """
 
     source: StampSource
@@ -94,7 +94,7 @@ class Timeline:
 
 @dataclass
 class TopicScans:
-    """The scans of one topic: those that the door admitted in the order of the file, and the number of all others.
+    """The scans of one topic: those that the filter admitted in the order of the file, and the number of all others.
 
     Some 50 bytes a scan. ``ranges`` are the admitted scans themselves, so that a short log is read once; None where
     they would take more than `KEPT_BYTES`. ``doubt`` says why the whole topic cannot be what it claims, as where its

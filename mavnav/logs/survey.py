@@ -8,25 +8,25 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from mavnav.errors import NoScansError, UsageError
-from mavnav.logs import formats
-from mavnav.logs.decode import decoder, is_laser
-from mavnav.logs.definitions import ODOMETRY
-from mavnav.logs.door import Door
-from mavnav.logs.frames import FrameTree
-from mavnav.logs.ledger import Ledger
-from mavnav.logs.messages import DecodeError
+from mavnav.logs.formats import detect
+from mavnav.logs.formats.rosbag2 import METADATA
+from mavnav.logs.formats.source import Source
+from mavnav.logs.messages.decode import decoder, is_laser
+from mavnav.logs.messages.definitions import ODOMETRY
+from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.odometry import OdometryTracks
+from mavnav.logs.preprocessing import ScanFilter
+from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Damage, RawMessage, Topic
-from mavnav.logs.rosbag2 import METADATA
-from mavnav.logs.source import Source
 from mavnav.logs.stamps import TopicScans
-from mavnav.stages import timed
+from mavnav.logs.transforms import FrameTree
+from mavnav.profiling import timed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from mavnav.logs.messages import LaserMessage
+    from mavnav.logs.messages.records import LaserMessage
 
 _PROGRESS_STEPS = 200
 _ZEROS = memoryview(bytes(1 << 16))
@@ -68,9 +68,9 @@ class _Pass:
 
     topic: str | None
     strict: bool
-    ledger: Ledger
+    report: ReadReport
     kinds: dict[Channel, _Kind] = field(default_factory=dict)
-    doors: dict[str, Door] = field(default_factory=dict)
+    doors: dict[str, ScanFilter] = field(default_factory=dict)
     scans: dict[str, TopicScans] = field(default_factory=dict)
     odometry: OdometryTracks = field(default_factory=OdometryTracks)
     frames: FrameTree = field(default_factory=FrameTree)
@@ -88,7 +88,7 @@ class _Pass:
         try:
             decoded = kind.decode(message.data)
         except DecodeError as error:
-            self.ledger.damage(f"a message does not decode ({error})", f"{channel.topic}, {message.log_ns} ns")
+            self.report.damage(f"a message does not decode ({error})", f"{channel.topic}, {message.log_ns} ns")
             self._refuse(channel, "undecodable")
             return
         if kind.is_laser:
@@ -106,7 +106,7 @@ class _Pass:
         try:
             return decoder(channel)
         except DecodeError as error:
-            self.ledger.damage(str(error), channel.topic)
+            self.report.damage(str(error), channel.topic)
             return None
 
     def _take_motion(self, message: RawMessage, decoded: Any) -> None:  # noqa: ANN401
@@ -139,7 +139,7 @@ class _Pass:
 
     def _scans(self, topic: str) -> TopicScans:
         if topic not in self.scans:
-            self.doors[topic] = Door(topic, self.ledger.warn)
+            self.doors[topic] = ScanFilter(topic, self.report.warn)
             self.scans[topic] = TopicScans()
         return self.scans[topic]
 
@@ -149,7 +149,7 @@ class _Pass:
             scans.doubt = self.doors[topic].doubt
             if len(scans.frames) > 1:
                 names = ", ".join(sorted(scans.frames)[:4])
-                self.ledger.warn(f"{topic}: the frame of the scans changes on the way ({names}); the first is used")
+                self.report.warn(f"{topic}: the frame of the scans changes on the way ({names}); the first is used")
 
 
 @timed("reading")
@@ -184,12 +184,12 @@ def survey(
         never raises: it stands in the survey.
     """
     _check(path, start_s, end_s)
-    ledger = Ledger()
-    state = _Pass(topic, strict, ledger)
+    report = ReadReport()
+    state = _Pass(topic, strict, report)
     try:
-        name = formats.sniff(path)
-        if name == formats.UNKNOWN:
-            ledger.damage(formats.refusal(path), path.name)
+        name = detect.sniff(path)
+        if name == detect.UNKNOWN:
+            report.damage(detect.refusal(path), path.name)
         else:
             _run(path, state, progress)
             state.conclude()
@@ -201,12 +201,12 @@ def survey(
         format=name,
         size_bytes=size_bytes,
         sha256=sha256,
-        topics=_topics(ledger, state.kinds),
+        topics=_topics(report, state.kinds),
         scans=state.scans,
         odometry=state.odometry,
         frames=state.frames,
-        damage=ledger.damages(),
-        warnings=tuple(ledger.warnings),
+        damage=report.damages(),
+        warnings=tuple(report.warnings),
         window_s=(start_s, end_s),
         strict=strict,
     )
@@ -225,8 +225,8 @@ def check_log(path: Path, start_s: float | None = None, end_s: float | None = No
     """Raise UsageError or NoScansError for what shows at a glance: no such log, no log at all, an empty window."""
     _check(path, start_s, end_s)
     try:
-        if formats.sniff(path) == formats.UNKNOWN:
-            raise NoScansError(f"{path}: no usable scans; {formats.refusal(path)}")
+        if detect.sniff(path) == detect.UNKNOWN:
+            raise NoScansError(f"{path}: no usable scans; {detect.refusal(path)}")
     except OSError as error:
         raise _unreadable(path, error) from error
 
@@ -249,19 +249,19 @@ def _check(path: Path, start_s: float | None, end_s: float | None) -> None:
 
 def _run(path: Path, state: _Pass, progress: Callable[[int, int], None] | None) -> None:
     told = -1
-    for message in formats.read(path, state.ledger):
+    for message in detect.read(path, state.report):
         state.take(message)
         if progress is None:
             continue
-        total = state.ledger.total_bytes
-        done = min(state.ledger.done_bytes, total)
+        total = state.report.total_bytes
+        done = min(state.report.done_bytes, total)
         if (step := done * _PROGRESS_STEPS // max(total, 1)) > told:
             told = step
             progress(done, total)
 
 
-def _topics(ledger: Ledger, kinds: dict[Channel, _Kind]) -> tuple[Topic, ...]:
-    channels = sorted(ledger.channels.values(), key=lambda c: (c.topic, c.type))
+def _topics(report: ReadReport, kinds: dict[Channel, _Kind]) -> tuple[Topic, ...]:
+    channels = sorted(report.channels.values(), key=lambda c: (c.topic, c.type))
     counts = {channel: kind.count for channel, kind in kinds.items()}
     return tuple(Topic(c.topic, c.type, c.encoding, counts.get(c, 0)) for c in channels)
 
@@ -270,7 +270,7 @@ def _identity(path: Path) -> tuple[int, str]:
     """Return size and SHA-256: of a file; of a folder, over the lines ``<sha256>  <name>`` of its bag's files."""
     if path.is_file():
         return path.stat().st_size, _sha256(path)
-    files = sorted({*formats.parts(path, Ledger()), *[f for f in [path / METADATA] if f.is_file()]})
+    files = sorted({*detect.parts(path, ReadReport()), *[f for f in [path / METADATA] if f.is_file()]})
     lines = "".join(f"{_sha256(file)}  {file.relative_to(path)}\n" for file in files)
     return sum(file.stat().st_size for file in files), hashlib.sha256(lines.encode()).hexdigest()
 

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.grid import OCCUPIED
-from mavnav.lattice import count, where
+from mavnav.mapping.occupancy_grid import OCCUPIED
+from mavnav.mapping.tiled_arrays import count, where
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
 
 
 @dataclass(frozen=True, slots=True)

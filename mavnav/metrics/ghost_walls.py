@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.wall_thickness import Sections
 
 LEAST_OFFSET_CELLS: Final = 1.5

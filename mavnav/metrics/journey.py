@@ -21,7 +21,7 @@ class Journey:
     """How a map came about.
 
     ``map_T_laser`` are the poses of the tracked scans, ``scans`` reads all of them again, ``mapped_share`` is the part
-    of the usable scans that went into the map, ``lost_for_good`` as `mavnav.slam.Slam` has it.
+    of the usable scans that went into the map, ``lost_for_good`` as `mavnav.slam.SlamResult` has it.
     """
 
     map_T_laser: Trajectory

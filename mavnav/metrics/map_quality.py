@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.grid import UNKNOWN, occupancy, occupied_cells
-from mavnav.lattice import pooled
+from mavnav.mapping.occupancy_grid import UNKNOWN, occupancy, occupied_cells
+from mavnav.mapping.tiled_arrays import pooled
 from mavnav.memory import blank
 from mavnav.metrics.crispness import Crispness, crispness
 from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
@@ -26,7 +26,7 @@ from mavnav.metrics.walls import Wall, straight_walls
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.journey import Journey, PlacedScans
     from mavnav.metrics.wall_thickness import Sections
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.grid import OCCUPIED, UNKNOWN
 from mavnav.kernels.regions import region_sizes
 from mavnav.kernels.smoothing import smoothed
-from mavnav.lattice import bands, count
+from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN
+from mavnav.mapping.tiled_arrays import bands, count
 from mavnav.memory import blank
 
 if TYPE_CHECKING:

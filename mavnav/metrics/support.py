@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.grid import OCCUPIED
 from mavnav.kernels.hits import show_ends
-from mavnav.lattice import bands
+from mavnav.mapping.occupancy_grid import OCCUPIED
+from mavnav.mapping.tiled_arrays import bands
 from mavnav.memory import blank
 from mavnav.metrics.journey import spread
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.journey import Journey, PlacedScans
     from mavnav.metrics.wall_thickness import Sections
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav.grid import counts
 from mavnav.kernels.thickness import column_runs, run_moments
-from mavnav.lattice import bands, count
+from mavnav.mapping.occupancy_grid import counts
+from mavnav.mapping.tiled_arrays import bands, count
 from mavnav.units import MM
 
 if TYPE_CHECKING:

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from mavnav.atomic_files import beside
 from mavnav.errors import OutputError, UsageError
-from mavnav.outputs.gridmap import known_part
+from mavnav.mapping.occupancy_grid import known_part
 from mavnav.outputs.map_picture import framed
 from mavnav.outputs.replay_log import placed_scans
-from mavnav.outputs.window import GOAL_RED, POSE_MAGENTA, START_BLUE, Window, wall_lines, window_of
+from mavnav.outputs.viewport import GOAL_RED, POSE_MAGENTA, START_BLUE, Window, wall_lines, window_of
 from mavnav.pose import transform_points
-from mavnav.staging import beside
 from mavnav.units import NS
 
 if TYPE_CHECKING:

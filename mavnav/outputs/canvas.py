@@ -16,26 +16,16 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from mavnav.lattice import as_it_is, pooled
-from mavnav.outputs.window import (
-    DPI,
-    GOAL_RED,
-    INK,
-    MAX_CELLS,
-    MUTED,
-    POSE_MAGENTA,
-    START_BLUE,
-    TRUE_ORANGE,
-    Window,
-)
+from mavnav.mapping.tiled_arrays import as_it_is, pooled
+from mavnav.outputs.viewport import DPI, GOAL_RED, INK, MAX_CELLS, MUTED, POSE_MAGENTA, START_BLUE, TRUE_ORANGE, Window
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
-    from mavnav.lattice import Told
+    from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.mapping.tiled_arrays import Told
 
     Box = tuple[int, int, int, int]
     XY = NDArray[np.float64]

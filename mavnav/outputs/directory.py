@@ -6,8 +6,8 @@ import os
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
+from mavnav.atomic_files import beside
 from mavnav.errors import OutputError
-from mavnav.staging import beside
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

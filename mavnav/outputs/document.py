@@ -160,7 +160,7 @@ def _tracking(run: Run) -> Document:
             for i in slam.lost
         ],
         "tracked_share": slam.tracked_share,
-        "opinions": slam.opinions,
+        "opinions": slam.tracks_compared,
         "path_length_m": slam.trajectory.length_m,
         "frames": {"trajectory.tum": ["map", run.log.frame_id]}
         | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),

@@ -11,9 +11,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-from mavnav.grid import FREE, occupancy
-from mavnav.lattice import pooled
-from mavnav.outputs.window import (
+from mavnav.mapping.occupancy_grid import FREE, occupancy
+from mavnav.mapping.tiled_arrays import pooled
+from mavnav.outputs.viewport import (
     DPI,
     FREE_GREY,
     GOAL_RED,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.outputs.run import Truth
 
 __all__ = [

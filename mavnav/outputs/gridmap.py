@@ -7,8 +7,8 @@ from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav.grid import BLOCK_CELLS, FREE, OCCUPIED, UNKNOWN, Grid
-from mavnav.lattice import bands
+from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid
+from mavnav.mapping.tiled_arrays import bands
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from mavnav.outputs.run import Run
 
 _PIXELS: Final = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
-_MARGIN_CELLS: Final = 2
 
 _PACKED: Final = 1
 """Of zlib's levels: a fifth of the time of 6, up to a fifth larger."""
@@ -32,54 +31,6 @@ negate: 0
 occupied_thresh: 0.65
 free_thresh: 0.196
 """
-
-
-def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:
-    """Cut the grid to the cells that a beam reached (or ended in) and a small margin; one cell if there is none.
-
-    The arrays are views of the grid's.
-    """
-    counts = [grid.hits] if hits_only else [grid.hits, grid.passes]
-    if not any(part.any() for part in counts):
-        return Grid(grid.cell_m, grid.origin_xy_m, np.zeros((1, 1), np.uint16), np.zeros((1, 1), np.uint16))
-    rows, cols = (_extent(np.flatnonzero(sum(np.any(p, axis=axis) for p in counts))) for axis in (1, 0))
-    return _part(grid, rows, cols)
-
-
-def measured_part(grid: Grid) -> Grid:
-    """Cut the grid to whole blocks of cells around the known ones, counted from the map's origin.
-
-    What is measured on it does not depend on how far the grid reaches beyond. The arrays are views of the grid's.
-    """
-    known = known_part(grid)
-    spans = [
-        _in_blocks(round((known.origin_xy_m[k] - grid.origin_xy_m[k]) / grid.cell_m), known.hits.shape[1 - k], size, at)
-        for k, (size, at) in enumerate(zip(grid.hits.shape[::-1], _corner(grid), strict=True))
-    ]
-    return _part(grid, spans[1], spans[0])
-
-
-def _in_blocks(first: int, count: int, size: int, at: int) -> slice:
-    """Widen a span of cells, less the outer one of its margin on either side, to whole blocks within the grid."""
-    start = (first + at + 1) // BLOCK_CELLS * BLOCK_CELLS - at
-    stop = ((first + at + count - 2) // BLOCK_CELLS + 1) * BLOCK_CELLS - at
-    return slice(max(start, 0), min(max(stop, start + 1), size))
-
-
-def _corner(grid: Grid) -> tuple[int, int]:
-    """Return column and row of cell [0, 0], counted from the map's origin."""
-    x_m, y_m = grid.origin_xy_m
-    return round(x_m / grid.cell_m), round(y_m / grid.cell_m)
-
-
-def _part(grid: Grid, rows: slice, cols: slice) -> Grid:
-    col, row = _corner(grid)
-    origin = ((col + cols.start) * grid.cell_m, (row + rows.start) * grid.cell_m)
-    return Grid(grid.cell_m, origin, grid.hits[rows, cols], grid.passes[rows, cols])
-
-
-def _extent(known: NDArray[np.intp]) -> slice:
-    return slice(max(int(known[0]) - _MARGIN_CELLS, 0), int(known[-1]) + 1 + _MARGIN_CELLS)
 
 
 def write_pgm(run: Run, path: Path) -> None:

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav.grid import FREE
-from mavnav.lattice import where
+from mavnav.mapping.occupancy_grid import FREE
+from mavnav.mapping.tiled_arrays import where
 from mavnav.outputs import canvas
-from mavnav.outputs.window import DPI, FREE_GREY, INK, MUTED, wall_lines, window_of
+from mavnav.outputs.viewport import DPI, FREE_GREY, INK, MUTED, wall_lines, window_of
 from mavnav.units import MM
 
 if TYPE_CHECKING:
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.wall_thickness import WallThickness
     from mavnav.outputs.canvas import Canvas, Frame
     from mavnav.outputs.run import Run, Truth, Walls
     from mavnav.pose import Trajectory
-    from mavnav.slam import Slam
+    from mavnav.slam.result import SlamResult
 
 CIRCLE_SPACING: Final = 0.018
 """Between two circles along the path, of the picture's longer side: so that they touch at most."""
@@ -102,7 +102,7 @@ def framed(run: Run) -> NDArray[np.float64]:
     return np.vstack((xy_m, *mission, *walls))
 
 
-def _draw_path(frame: Frame, slam: Slam) -> None:
+def _draw_path(frame: Frame, slam: SlamResult) -> None:
     """Draw the line of all estimated poses, fainter than the circles; nothing where the track was lost."""
     lines = [frame.to_marks(part) for part in parts_of_path(slam) if len(part) > 1]
 
@@ -113,7 +113,7 @@ def _draw_path(frame: Frame, slam: Slam) -> None:
     frame.canvas.marks(frame.box, canvas.POSE.colour, draw)
 
 
-def parts_of_path(slam: Slam) -> list[NDArray[np.float64]]:
+def parts_of_path(slam: SlamResult) -> list[NDArray[np.float64]]:
     """Return the positions of the path (n, 2), in parts between the stretches where the track was lost."""
     breaks = np.searchsorted(slam.trajectory.stamps_ns, [lost.start_ns for lost in slam.lost], side="right")
     return np.split(slam.trajectory.xyyaw[:, :2], breaks)

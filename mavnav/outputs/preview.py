@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.grid import OCCUPIED, occupancy
-from mavnav.lattice import pooled
+from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
+from mavnav.mapping.tiled_arrays import pooled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
 
 DOTS: Final = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], np.uint32)
 """Bit of each dot in a character of Unicode's block U+2800: four rows of two."""

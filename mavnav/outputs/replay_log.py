@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.grid import UNKNOWN, show_ends
-from mavnav.lattice import pooled
-from mavnav.logs import cdr, definitions
-from mavnav.logs.mcap_writer import Channel, write_serialized
+from mavnav.logs.messages import cdr, definitions
+from mavnav.logs.writing.mcap_writer import Channel, write_serialized
+from mavnav.mapping.occupancy_grid import UNKNOWN, show_ends
+from mavnav.mapping.tiled_arrays import pooled
 from mavnav.outputs.run import base_frame
 from mavnav.pose import Pose
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.outputs.run import Run
     from mavnav.scan import Scan
 

@@ -7,9 +7,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from mavnav.errors import ExitCode
-from mavnav.grid import occupancy
+from mavnav.mapping.occupancy_grid import known_part, occupancy
 from mavnav.metrics.wall_thickness import wall_thicknesses
-from mavnav.outputs.gridmap import known_part
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -18,14 +17,14 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from mavnav.config import Config
-    from mavnav.grid import Grid
+    from mavnav.config.models import Config
     from mavnav.logs import Log
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.map_distance import TrueMap
     from mavnav.metrics.map_quality import MapQuality
     from mavnav.metrics.wall_thickness import Sections, WallThickness
     from mavnav.pose import Trajectory
-    from mavnav.slam import Slam
+    from mavnav.slam.result import SlamResult
 
 
 KEPT_CELLS: Final = 1 << 24
@@ -98,7 +97,7 @@ class Run:
 
     log: Log
     config: Config
-    slam: Slam
+    slam: SlamResult
     sections: dict[int, Sections]
     timing: Timing
     truth: Truth | None = None

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from PIL import ImageDraw
 
+from mavnav.mapping.occupancy_grid import measured_part
 from mavnav.outputs import canvas
-from mavnav.outputs.gridmap import measured_part
 from mavnav.outputs.map_picture import draw_free
-from mavnav.outputs.window import DPI, INK, MUTED, WALL_GREY, window_of
+from mavnav.outputs.viewport import DPI, INK, MUTED, WALL_GREY, window_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.wall_thickness import Sections, WallThickness
     from mavnav.outputs.canvas import Canvas, Frame
     from mavnav.outputs.run import Run

@@ -7,7 +7,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from small_batch import batch
+
+from support.small_batch import batch
 
 
 @pytest.fixture(scope="session")

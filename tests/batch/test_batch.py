@@ -10,15 +10,15 @@ import signal
 from pathlib import Path
 
 import pytest
-from small_batch import ASKED, NAME, batch
 
-from mavnav.batch import Part, plan
-from mavnav.batch.asked import Asked, request_of
-from mavnav.config import Config
+from mavnav.batch.plan import Part, plan
+from mavnav.batch.request import Options, request_of
+from mavnav.config.models import Config
 from mavnav.errors import ConfigError, ExitCode, OutputError, UsageError
-from mavnav.gates import check_names, names
 from mavnav.jobs import Ended, Event, Started
-from mavnav.outputs.blank import blank_document
+from mavnav.metrics.gates import check_names, names
+from mavnav.outputs.empty_run import blank_document
+from support.small_batch import ASKED, NAME, batch
 
 
 def rows(document: dict) -> dict[str, dict]:
@@ -67,12 +67,12 @@ def test_a_page_that_is_asked_for_later_is_drawn(home: Path) -> None:
 def test_a_run_that_was_spoilt_is_made_again(home: Path, broken: str) -> None:
     path = next(Path("runs/batch/cells").glob("good-*/run.json"))
     path.write_text(broken)
-    planned = plan(request_of(Asked(**ASKED)), lambda *args: None)
+    planned = plan(request_of(Options(**ASKED)), lambda *args: None)
     assert f"logs/good.mcap robust {NAME}" in [case.name for case in planned.missing]
 
 
 def test_force_runs_again(home: Path) -> None:
-    asked = Asked(sources=("logs/good.mcap",), grids=("5x5",), azimuths=(6,), reading={"end_s": 0.5}, force=True)
+    asked = Options(sources=("logs/good.mcap",), grids=("5x5",), azimuths=(6,), reading={"end_s": 0.5}, force=True)
     assert len(plan(request_of(asked), lambda *args: None).missing) == 1
 
 
@@ -214,14 +214,14 @@ def test_the_same_results_whoever_makes_them(home: Path) -> None:
 def test_runs_that_share_a_directory_are_made_once(home: Path) -> None:
     Path("copies").mkdir()
     shutil.copy("logs/good.mcap", "copies/good.mcap")
-    asked = Asked(sources=("logs/good.mcap", "copies/good.mcap"), directory=Path("new"))
+    asked = Options(sources=("logs/good.mcap", "copies/good.mcap"), directory=Path("new"))
     planned = plan(request_of(asked), lambda *args: None)
     assert (len(planned.cases), len(planned.missing)) == (2, 1)
 
 
 def test_parts_are_the_whole(home: Path) -> None:
     def names(part: str | None) -> list[str]:
-        asked = Asked(sources=("logs", "gone.bag"), grids=("5x5", "6x6"), part=part)
+        asked = Options(sources=("logs", "gone.bag"), grids=("5x5", "6x6"), part=part)
         return [case.name for case in plan(request_of(asked), lambda *args: None).cases]
 
     parts = [names(f"{k}/3") for k in (1, 2, 3)]
@@ -332,7 +332,7 @@ def test_references_of_a_log_that_a_pattern_names_as_well(home: Path) -> None:
 
     def truths(text: str) -> dict[str, Path | None]:
         Path("night.yaml").write_text(text)
-        cases = plan(request_of(Asked(sources=("night.yaml",))), lambda *args: None).cases
+        cases = plan(request_of(Options(sources=("night.yaml",))), lambda *args: None).cases
         return {case.log: case.cell.request.truth for case in cases if case.cell}
 
     assert truths(f"{logs}, logs/good.mcap]") == dict.fromkeys(("logs/cut.mcap", "logs/empty.mcap")) | {
@@ -357,4 +357,4 @@ def test_a_part_misses_nothing_and_makes_no_baseline(home: Path) -> None:
 def test_what_an_entry_asks_is_read_before_the_logs(home: Path, wrong: str) -> None:
     Path("night.yaml").write_text(f"logs: [{{log: logs/good.mcap, {wrong}}}]")
     with pytest.raises(UsageError, match=r"--accept 9|m' is not NAME|no baseline"):
-        request_of(Asked(sources=("night.yaml",)))
+        request_of(Options(sources=("night.yaml",)))

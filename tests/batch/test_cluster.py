@@ -9,16 +9,17 @@ from hashlib import sha256
 from pathlib import Path
 
 import pytest
-import strange_jobs
-from small_batch import ASKED
 
-from mavnav.batch import plan, run_batch
-from mavnav.batch.asked import Asked, request_of
-from mavnav.cluster import LOCAL, Cluster, connected
-from mavnav.cluster import client as cluster_client
-from mavnav.cluster.client import _why_not
+from mavnav.batch.plan import plan
+from mavnav.batch.request import Options, request_of
+from mavnav.batch.run import run_batch
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started
+from mavnav.jobs.dask import LOCAL, Cluster, connected
+from mavnav.jobs.dask import client as cluster_client
+from mavnav.jobs.dask.client import _why_not
+from support import strange_jobs
+from support.small_batch import ASKED
 
 distributed = pytest.importorskip("distributed", reason="the extra mavnav[cluster]")
 
@@ -106,7 +107,7 @@ def files(directory: Path) -> dict[str, str]:
 
 
 def test_a_batch_has_the_same_bytes_as_one_made_here(cluster: Cluster, home: Path) -> None:
-    planned = plan(request_of(Asked(**ASKED, directory=Path("runs/there"))), lambda *args: None)
+    planned = plan(request_of(Options(**ASKED, directory=Path("runs/there"))), lambda *args: None)
     document = run_batch(planned, ignore, lambda row: None, cluster)
     assert [row["exit_code"] for row in document["cells"]] == [3, 4, 0, 2]
     assert len(files(Path("runs/there"))) >= 10
@@ -139,7 +140,7 @@ def test_workers_that_will_not_do(version, seen, said: str) -> None:
 
 @pytest.mark.slow
 def test_workers_of_another_version_are_refused(processes: Cluster, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr("mavnav.cluster.worker.__version__", "0.0.9")
+    monkeypatch.setattr("mavnav.jobs.dask.worker.__version__", "0.0.9")
     with (
         pytest.raises(UsageError, match=r"the worker has mavnav .*, not 0\.0\.9: install mavnav 0\.0\.9"),
         connected(processes.client.scheduler.address, tmp_path, 1, None, 1),
@@ -168,4 +169,4 @@ def test_without_dask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_memory_is_not_for_workers_that_run_already() -> None:
     with pytest.raises(UsageError, match="--memory-limit"):
-        request_of(Asked(sources=("logs",), scheduler="tcp://127.0.0.1:9", memory_mb=100))
+        request_of(Options(sources=("logs",), scheduler="tcp://127.0.0.1:9", memory_mb=100))

@@ -11,10 +11,10 @@ from pathlib import Path
 from threading import Thread
 
 import pytest
-from small_batch import batch
 
 from mavnav.batch.remote import fetched
 from mavnav.errors import ExitCode, UsageError
+from support.small_batch import batch
 
 fsspec = pytest.importorskip("fsspec", reason="the extra mavnav[cluster]")
 

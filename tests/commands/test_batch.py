@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from mavnav import batch, methods
+from mavnav.batch import run
 from mavnav.commands import signals
 from mavnav.errors import ExitCode
+from mavnav.slam import registry
 
 
 @pytest.fixture
@@ -73,7 +74,7 @@ def test_an_interrupted_batch_says_what_stays(mavnav: Callable, empty: Path, mon
     def interrupted(*_: object) -> None:
         raise signals.Interrupted
 
-    monkeypatch.setattr(batch, "run_batch", interrupted)
+    monkeypatch.setattr(run, "run_batch", interrupted)
     code, out, err = mavnav("batch", "logs", "-q")
     assert (code, out) == (ExitCode.INTERRUPTED, "")
     assert err.splitlines() == [
@@ -85,8 +86,8 @@ def test_an_interrupted_batch_says_what_stays(mavnav: Callable, empty: Path, mon
 def test_kernels_are_there_before_the_workers(mavnav: Callable, empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Or all of them would compile at once, and what that takes would count against the time of a run."""
     loaded: list[str] = []
-    monkeypatch.setattr(methods, "load_kernels", lambda config: loaded.append(config.method))
-    monkeypatch.setattr(batch, "run_batch", lambda *_: pytest.fail("too early") if not loaded else _stop())
+    monkeypatch.setattr(registry, "load_kernels", lambda config: loaded.append(config.method))
+    monkeypatch.setattr(run, "run_batch", lambda *_: pytest.fail("too early") if not loaded else _stop())
     Path("logs/a.mcap").write_bytes(b"")
     mavnav("batch", "logs", "gone.bag", "--method", "robust", "--method", "paper", "-q")
     assert loaded == ["robust", "paper"]

@@ -85,7 +85,7 @@ def test_every_end_has_its_code(
     def fail(*args: object, **kwargs: object) -> None:
         raise error
 
-    monkeypatch.setattr("mavnav.config_file.load_config", fail)
+    monkeypatch.setattr("mavnav.config.loading.load_config", fail)
     got, out, err = mavnav("config", "show")
     assert (got, out) == (code, "")
     assert err.count("\n") == (0 if isinstance(error, BrokenPipeError) else 1)
@@ -97,7 +97,7 @@ def test_every_end_has_its_code(
 
 
 def test_debug_shows_the_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("mavnav.config_file.load_config", lambda *_: 1 / 0)
+    monkeypatch.setattr("mavnav.config.loading.load_config", lambda *_: 1 / 0)
     for args, env in (
         (["config", "show", "--debug"], ""),
         (["--debug", "config", "show"], ""),

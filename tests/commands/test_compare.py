@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from conftest import SHORT_COMPARISON
 
-from mavnav.commands.cell_progress import watching
+from conftest import SHORT_COMPARISON
 from mavnav.commands.comparison_table import bar, print_comparison
 from mavnav.commands.gating import gated_code, gates_of
+from mavnav.commands.run_progress import watching
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import Ended, Fate, Outcome, Retried, Started
 

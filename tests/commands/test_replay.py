@@ -145,15 +145,15 @@ def test_the_default_directory_names_log_method_and_grid(
     ],
 )
 def test_log_names(tmp_path: Path, name: str, stem: str) -> None:
-    from mavnav.config import Config
-    from mavnav.replay import default_directory
+    from mavnav.config.models import Config
+    from mavnav.pipelines.replay import default_directory
 
     assert default_directory(tmp_path / name, Config()) == Path("runs") / f"{stem}-robust-10x10"
 
 
 def test_a_folder_is_named_as_it_is(tmp_path: Path) -> None:
-    from mavnav.config import Config
-    from mavnav.replay import default_directory
+    from mavnav.config.models import Config
+    from mavnav.pipelines.replay import default_directory
 
     (tmp_path / "drive.mcap").mkdir()
     assert default_directory(tmp_path / "drive.mcap", Config()).name == "drive.mcap-robust-10x10"
@@ -385,16 +385,16 @@ def test_a_second_signal_gives_up_and_leaves_nothing_half_written(
 
 WHILE_WRITING = """
 import os, signal, sys, time
-from mavnav import outputs
+from mavnav.outputs.writers import WRITERS
 from mavnav.cli import main
-write = outputs.WRITERS["map.pgm"]
+write = WRITERS["map.pgm"]
 
 def befallen(run, path):
     for number in sys.argv.pop().split(","):
         os.kill(os.getpid(), int(number))
     write(run, path)
 
-outputs.WRITERS["map.pgm"] = befallen
+WRITERS["map.pgm"] = befallen
 main(sys.argv[1:-1])
 """
 

@@ -48,7 +48,7 @@ def corner(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.C
 @pytest.fixture(autouse=True)
 def _no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the pictures out of runs in this process: they take two seconds each."""
-    from mavnav.outputs import WRITERS
+    from mavnav.outputs.writers import WRITERS
 
     for name in PICTURES:
         monkeypatch.delitem(WRITERS, name)
@@ -225,9 +225,9 @@ def expect(result: tuple[int, str, str], code: int, *words: str) -> None:
 @pytest.fixture
 def grounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fail where a mission is flown."""
-    import mavnav.simulate
+    import mavnav.pipelines.simulate
 
-    monkeypatch.setattr(mavnav.simulate, "fly", lambda *_: pytest.fail("flew"))
+    monkeypatch.setattr(mavnav.pipelines.simulate, "fly", lambda *_: pytest.fail("flew"))
 
 
 @pytest.mark.usefixtures("grounded")

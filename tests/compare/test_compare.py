@@ -13,11 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.cells import cell_key
-from mavnav.compare import Request, compare, draw, plan, settings
+from mavnav.compare.comparison import Request, compare, draw, plan
+from mavnav.compare.grids import settings
 from mavnav.errors import ExitCode, OutputError, UsageError
-from mavnav.gates import parse_gate
 from mavnav.jobs import Event, Started
+from mavnav.jobs.run_cache import run_key
+from mavnav.metrics.gates import parse_gate
 
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "corridor.mcap"
 GRIDS = ("5x5", "12x12")
@@ -83,7 +84,7 @@ def test_what_was_run_is_not_run_again(copied: Path, finished: tuple[Path, dict]
 
 def test_a_report_of_the_same_results_is_not_drawn_again(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Path] = []
-    monkeypatch.setattr("mavnav.compare.write_page", lambda document, directory: drawn.append(directory))
+    monkeypatch.setattr("mavnav.compare.comparison.write_page", lambda document, directory: drawn.append(directory))
 
     def draw_again(grids: tuple[str, ...] = GRIDS) -> int:
         found = plan(request(copied, grids=grids), silent)
@@ -126,11 +127,11 @@ def test_the_key_holds_all_that_decides_the_result(tmp_path: Path, monkeypatch: 
     assert [cell.key for cell in plan(request(tmp_path / "out", moved), silent).cells] == first
     assert not set(keys(grids=("4x5", "5x4"))) & set(first)
     wanted = plan(request(tmp_path / "out", log), silent).cells[0].request
-    assert cell_key(wanted, "other log", "") not in first
-    monkeypatch.setattr("mavnav.cells.__version__", "0.2.0")
+    assert run_key(wanted, "other log", "") not in first
+    monkeypatch.setattr("mavnav.jobs.run_cache.__version__", "0.2.0")
     assert not set(keys()) & set(first)
     monkeypatch.undo()
-    monkeypatch.setattr("mavnav.cells.source_sha256", lambda: "other code")
+    monkeypatch.setattr("mavnav.jobs.run_cache.source_sha256", lambda: "other code")
     assert not set(keys()) & set(first)
 
 

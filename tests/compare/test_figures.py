@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mavnav.compare.figures import best, prices
-from mavnav.figures import FIGURES
+from mavnav.metrics.figures import FIGURES
 
 
 def run(p95: float | None = 100.0, *, cpu_s: float = 1.0, code: int = 0, cell_mm: float = 20.0, **more: Any) -> dict:

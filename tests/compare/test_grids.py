@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mavnav.compare.grids import paired_azimuth, settings
-from mavnav.config import Config, GridSize
+from mavnav.config.models import Config, GridSize
 from mavnav.errors import ConfigError, UsageError
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mavnav.compare import sample
+from mavnav.ground_truth.true_map import read_true_map
 from mavnav.logs import open_log
-from mavnav.references.true_map import read_true_map
 
 ROOT = Path(__file__).parents[2]
 

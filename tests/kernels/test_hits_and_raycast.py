@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import naive
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavnav.grid import Tally
 from mavnav.kernels import hits, raycast
-from mavnav.lattice import blank_strips, in_strips, plain
+from mavnav.mapping.occupancy_grid import GridBuilder
+from mavnav.mapping.tiled_arrays import blank_strips, in_strips, plain
 from mavnav.pose import Pose
+from support import naive
 
 LATTICE = np.array([-1.0, -0.5, 0.05])
 
@@ -91,7 +91,7 @@ def test_virtual_scan_is_its_twin(seed: int, gap: int, middle: bool) -> None:
 
 
 def test_thick_wall_counts_as_its_cell_of_most_hits() -> None:
-    grid = Tally(0.05)
+    grid = GridBuilder(0.05)
     for x, times in ((1.025, 1), (1.075, 5), (1.125, 5), (1.225, 9)):
         for _ in range(times):
             grid.insert(Pose(), np.array([(x, 0.025)]))
@@ -111,7 +111,7 @@ def test_thick_wall_counts_as_its_cell_of_most_hits() -> None:
 @given(st.lists(st.tuples(st.integers(-40_000, 40_000), st.integers(-40_000, 40_000)), min_size=1, max_size=8))
 @settings(max_examples=50, deadline=None)
 def test_grid_grows_without_losing_a_hit(points_mm: list[tuple[int, int]]) -> None:
-    grid = Tally(0.1)
+    grid = GridBuilder(0.1)
     points = [(x / 1000 + 0.0005, y / 1000 + 0.0005) for x, y in points_mm]
     for x, y in points:
         grid.insert(Pose(), np.array([(x, y)]))

@@ -5,21 +5,21 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import naive
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matches import voxel_means
-from synthetic import URG_04LX, furnished_rooms, scan_at
 
-from mavnav import linemap
 from mavnav.kernels import conflicts, hold, linesearch, volume
 from mavnav.kernels import linemap as linemap_kernel
 from mavnav.kernels.linemap import NEAR
 from mavnav.kernels.points import extent, placed, scan_points
-from mavnav.linemap import LineMap
+from mavnav.mapping import line_map as line_map_module
+from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, transform_points
+from support import naive
+from support.matches import voxel_means
+from support.synthetic import URG_04LX, furnished_rooms, scan_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -128,7 +128,7 @@ def test_points_wait_until_they_are_a_share_of_those_before(seed: int, share: fl
 
 
 def test_where_too_many_points_would_wait_none_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(linemap, "MOST_WAITING", 8)
+    monkeypatch.setattr(line_map_module, "MOST_WAITING", 8)
     points = wall_points(np.random.default_rng(3))
     grown = LineMap(0.02, 0.06, 0.01, waiting_share=2.0)
     for scan in (points, points):

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import naive_metrics as naive
 import numpy as np
 import pytest
 from scipy import ndimage
-from synthetic import LDS_01, URG_04LX, furnished_rooms, scan_at
 
 from mavnav.kernels.overlap import scan_distances
 from mavnav.kernels.profiles import wall_profiles
@@ -15,6 +13,8 @@ from mavnav.kernels.smoothing import smoothed
 from mavnav.metrics.lines import linked
 from mavnav.metrics.shape import gaussian, highest
 from mavnav.pose import Pose
+from support import naive_metrics as naive
+from support.synthetic import LDS_01, URG_04LX, furnished_rooms, scan_at
 
 
 def test_profiles_across_walls() -> None:

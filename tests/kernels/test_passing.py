@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import naive
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavnav.grid import Tally
 from mavnav.kernels import passing
-from mavnav.lattice import in_strips
+from mavnav.mapping.occupancy_grid import GridBuilder
+from mavnav.mapping.tiled_arrays import in_strips
 from mavnav.pose import Pose
+from support import naive
 
 
 @settings(max_examples=40, deadline=None)
@@ -31,21 +31,21 @@ def wall(y_m: float) -> np.ndarray:
 
 
 def test_who_walks_by_is_cleared_and_what_stands_is_kept() -> None:
-    grid, person, post = Tally(0.02), np.array([(0.005, 1.005)]), np.array([(0.305, 1.005)])
+    grid, person, post = GridBuilder(0.02), np.array([(0.005, 1.005)]), np.array([(0.305, 1.005)])
     grid.insert(Pose(), person)
     for _ in range(10):
         grid.insert(Pose(), np.vstack((wall(2.005), post)))
-    np.testing.assert_allclose(grid.clear_passing(), [(0.01, 1.01)])
+    np.testing.assert_allclose(grid.remove_dynamic_cells(), [(0.01, 1.01)])
     assert grid.hits.sum() == 10 * 61
-    assert not len(grid.clear_passing())
+    assert not len(grid.remove_dynamic_cells())
 
 
 def test_beams_beside_a_thin_post_do_not_speak_against_it() -> None:
     """Its fuzzy edge is hit now and then; in the same scans beams go past it."""
-    grid, rng = Tally(0.02), np.random.default_rng(0)
+    grid, rng = GridBuilder(0.02), np.random.default_rng(0)
     for _ in range(40):
         post = rng.normal((0.0, 1.0), 0.02, (6, 2))
         grid.insert(Pose(), np.vstack((wall(2.005), post)))
     before = grid.hits.copy()
-    assert not len(grid.clear_passing())
+    assert not len(grid.remove_dynamic_cells())
     np.testing.assert_array_equal(grid.hits, before)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import naive_planner as naive
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavnav.kernels import potential, wavefront
-from mavnav.lattice import in_strips
+from mavnav.mapping.tiled_arrays import in_strips
+from support import naive_planner as naive
 
 LATTICE = np.array([-1.0, -0.5, 0.05])
 SEEDS = st.integers(0, 2**32 - 1)

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 
-import matches
-import naive
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from matches import polar_problem
-from synthetic import furnished_rooms, room, scan_at
 
-from mavnav.config import Config
+from mavnav.config.models import Config
 from mavnav.kernels import beams, polarsearch
-from mavnav.matcher import HOPELESS, Match, match_polar, polar_points
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
+from mavnav.slam.paper_matching import HOPELESS, match_polar, polar_points
+from mavnav.slam.scan_matching import Match
+from support import matches, naive
+from support.matches import polar_problem
+from support.synthetic import furnished_rooms, room, scan_at
 
 LASERS = pytest.mark.parametrize("spec", matches.LASERS, ids=["part", "full turn", "clockwise"])
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 
-import naive
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from matches import GRIDS, Problem, differences, random_problem
 
 from mavnav.kernels import linesearch
+from support import naive
+from support.matches import GRIDS, Problem, differences, random_problem
 
 HALF_WINDOWS_M = (0.35, 0.12, 0.05, 0.02, 0.008, 0.001)
 HALF_WINDOWS_RAD = (0.35, 0.05, 0.005, 0.0005)

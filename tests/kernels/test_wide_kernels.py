@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import naive
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,9 +9,10 @@ from hypothesis import strategies as st
 
 from mavnav.kernels.conflicts import conflicts
 from mavnav.kernels.volume import BLOCK, volume
-from mavnav.lattice import in_strips
-from mavnav.linemap import LineMap
+from mavnav.mapping.line_map import LineMap
+from mavnav.mapping.tiled_arrays import in_strips
 from mavnav.pose import Pose, transform_points
+from support import naive
 
 LATTICE = np.array([-0.3, 0.1, 0.02])
 CORNER = np.array([0.0, 0.0, 0.02])

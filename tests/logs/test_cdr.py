@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from synthetic import URG_04LX
 
-from mavnav.logs import cdr, definitions, ros
+from mavnav.logs.messages import cdr, definitions, ros
 from mavnav.pose import Pose
 from mavnav.scan import Scan
+from support.synthetic import URG_04LX
 
 STAMP_NS = 1_282_836_370_971_000_123
 POSE = Pose(1.25, -0.5, 2.0)

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from log_files import LASER, ODOM, PERIOD_NS, START_NS, TF, Message, drive, laser, write_mcap
 
 from mavnav.errors import NoScansError, TopicError, UsageError
 from mavnav.logs import open_log
 from mavnav.pose import Pose
+from support.log_files import LASER, ODOM, PERIOD_NS, START_NS, TF, Message, drive, laser, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path

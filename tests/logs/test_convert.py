@@ -6,13 +6,13 @@ import json
 from typing import TYPE_CHECKING
 
 import pytest
-from log_files import ODOM, WRITERS, drive, foxglove_json, laser, write_bag1, write_mcap
 from mcap.reader import make_reader
 
 from mavnav.cli import run
 from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.logs import open_log
-from mavnav.logs.convert import convert
+from mavnav.logs.writing.convert import convert
+from support.log_files import ODOM, WRITERS, drive, foxglove_json, laser, write_bag1, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -97,7 +97,7 @@ def test_refusals_say_why_and_leave_everything_alone(tmp_path: Path) -> None:
 
 
 def test_what_does_not_read_back_gets_no_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mavnav.logs.convert._by_name", lambda topics: {"/scan": 99})
+    monkeypatch.setattr("mavnav.logs.writing.convert._by_name", lambda topics: {"/scan": 99})
     with pytest.raises(OutputError, match="reads back differently"):
         convert(write_mcap(tmp_path / "a.mcap", drive(3)), tmp_path / "b.mcap")
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from log_files import PERIOD_NS, START_NS, WRITERS, drive, laser, serialized, write_bag1, write_bag2, write_mcap
 
 from mavnav.errors import NoScansError
 from mavnav.logs import Log, open_log, survey
-from mavnav.logs.decode import DECODERS
-from mavnav.logs.ledger import KNOWN_ENCODINGS, KNOWN_TYPES, MAX_DAMAGE, Ledger
+from mavnav.logs.formats.decompress import DecompressError, decompress
+from mavnav.logs.messages.decode import DECODERS
+from mavnav.logs.read_report import KNOWN_ENCODINGS, KNOWN_TYPES, MAX_DAMAGE, ReadReport
 from mavnav.logs.records import Channel
-from mavnav.logs.unpack import UnpackError, unpack
+from support.log_files import PERIOD_NS, START_NS, WRITERS, drive, laser, serialized, write_bag1, write_bag2, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -209,7 +209,7 @@ def test_no_byte_before_a_break_is_lost(compression: str) -> None:
         )
         packed = [writer.begin() + writer.compress(blocks[0]), *map(writer.compress, blocks[1:])]
     broken = packed[0] + packed[1] + b"\xff" * 20 + packed[2]
-    part, problem = unpack(compression, broken)
+    part, problem = decompress(compression, broken)
     assert part == blocks[0] + blocks[1]
     assert problem is not None
 
@@ -224,24 +224,24 @@ def test_what_comes_before_a_break_is_unpacked_and_bombs_are_refused(compression
     pack = {"zstd": zstandard.compress, "lz4": lz4.frame.compress, "bz2": bz2.compress}[compression]
     content = np.random.default_rng(1).bytes(2_000_000)
     packed = pack(content)
-    assert unpack(compression, packed) == (content, None)
-    part, problem = unpack(compression, packed[: len(packed) // 2])
+    assert decompress(compression, packed) == (content, None)
+    part, problem = decompress(compression, packed[: len(packed) // 2])
     assert content.startswith(part)
     assert len(part) > 0.4 * len(content) or compression == "bz2"
-    assert unpack(compression, packed + pack(b"more")) == (content + b"more", None)
-    assert unpack(compression, packed + b"no frame") == (content, None)
+    assert decompress(compression, packed + pack(b"more")) == (content + b"more", None)
+    assert decompress(compression, packed + b"no frame") == (content, None)
     assert problem is not None or compression == "zstd"  # told by the size and the CRC of the container
-    assert unpack(compression, b"rubbish" * 20)[1] is not None
+    assert decompress(compression, b"rubbish" * 20)[1] is not None
     if compression != "lz4":  # whose ratio is never above 255
-        with pytest.raises(UnpackError, match="decompress to more than"):
-            unpack(compression, pack(bytes(20_000_000)))
+        with pytest.raises(DecompressError, match="decompress to more than"):
+            decompress(compression, pack(bytes(20_000_000)))
 
 
-def test_ledger_lists_a_hundred_and_counts_the_rest() -> None:
-    ledger = Ledger()
+def test_read_report_lists_a_hundred_and_counts_the_rest() -> None:
+    report = ReadReport()
     for k in range(MAX_DAMAGE + 50):
-        ledger.damage("broken", f"byte {k}")
-    damages = ledger.damages()
+        report.damage("broken", f"byte {k}")
+    damages = report.damages()
     assert len(damages) == MAX_DAMAGE + 1
     assert damages[-1].what == "broken (50 more)"
 
@@ -326,11 +326,11 @@ def test_a_type_with_a_flipped_bit_is_known_all_the_same(name: str, at: int, tmp
 
 
 def test_types_of_others_are_left_alone() -> None:
-    ledger = Ledger()
+    report = ReadReport()
     for kind, encoding in [("sensor_msgs/msg/LaserEcho", "cdr"), ("sensor_msgs/msg/LaserScan", "ros2")]:
         channel = Channel("/a", kind, encoding)
-        assert ledger.declare(channel) == channel
-    assert ledger.damages() == ()
+        assert report.declare(channel) == channel
+    assert report.damages() == ()
     assert {(c, n) for c in KNOWN_ENCODINGS for n in KNOWN_TYPES} >= set(DECODERS)
     assert {n for _, n in DECODERS} == set(KNOWN_TYPES)
 

@@ -7,10 +7,13 @@ import struct
 import tracemalloc
 from typing import TYPE_CHECKING
 
-import log_files
 import numpy as np
 import pytest
-from log_files import (
+
+from mavnav.logs import open_log, survey
+from mavnav.pose import Pose
+from support import log_files
+from support.log_files import (
     START_NS,
     WRITERS,
     Message,
@@ -22,9 +25,6 @@ from log_files import (
     write_bag2,
     write_mcap,
 )
-
-from mavnav.logs import open_log, survey
-from mavnav.pose import Pose
 
 if TYPE_CHECKING:
     from pathlib import Path

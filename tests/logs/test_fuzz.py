@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import fuzz
 import pytest
-from log_files import WRITERS, laser
 
 from mavnav.logs import choose, survey
+from support import fuzz
+from support.log_files import WRITERS, laser
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,10 +7,10 @@ import json
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from log_files import drive, foxglove_json, laser, write_mcap
 
 from mavnav.cli import run
 from mavnav.logs import survey
+from support.log_files import drive, foxglove_json, laser, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path

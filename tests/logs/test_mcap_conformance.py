@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import lz4.frame
 import pytest
 import zstandard
-from log_files import LASER, laser, serialized
 
 from mavnav.logs import survey
-from mavnav.logs.mcap_records import MAGIC
+from mavnav.logs.formats.mcap_records import MAGIC
+from support.log_files import LASER, laser, serialized
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from mavnav.logs import definitions, ros
-from mavnav.logs.mcap_writer import CHUNK_BYTES, Channel, write_serialized
+from mavnav.logs.messages import definitions, ros
+from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, Channel, write_serialized
 
 CHANNELS = {
     "/tf_static": Channel(definitions.TF, latched=True),

@@ -11,13 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
-from synthetic import LDS_01, URG_04LX, along, drifting_odometry, furnished_rooms, record
 
 from mavnav.errors import OutputError, UsageError
-from mavnav.logs import containers, open_log, recorder
-from mavnav.logs.recorder import Recording, check_recording
+from mavnav.logs import open_log
+from mavnav.logs.writing import containers, recorder
+from mavnav.logs.writing.recorder import Recording, check_recording
 from mavnav.pose import Pose, Trajectory, yaw_of_quaternion
 from mavnav.scan import Scan
+from support.synthetic import LDS_01, URG_04LX, along, drifting_odometry, furnished_rooms, record
 
 BASE_T_LASER = Pose(0.06, -0.02, 0.1)
 NAMES = {"mcap": "drive.mcap", "rosbag1": "drive.bag", "rosbag2-sqlite3": "drive"}

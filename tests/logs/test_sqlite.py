@@ -8,9 +8,9 @@ from contextlib import closing
 from typing import TYPE_CHECKING
 
 import pytest
-from log_files import laser, write_bag2
 
 from mavnav.logs import open_log
+from support.log_files import laser, write_bag2
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from log_files import PERIOD_NS, START_NS, Message, laser, write_mcap
 
 from mavnav.errors import NoScansError, UsageError
 from mavnav.logs import open_log
 from mavnav.logs.stamps import ascending, period_and_gaps
+from support.log_files import PERIOD_NS, START_NS, Message, laser, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from planted import CELL_M, PLANTED, REAL, Scene, as_published, found, ghost, ghosts_of, map_of
 
-from mavnav.grid import Grid
+from mavnav.mapping.occupancy_grid import Grid
+from support.planted import CELL_M, PLANTED, REAL, Scene, as_published, found, ghost, ghosts_of, map_of
 
 ANGLES_DEG = (0.0, 17.0, 45.0, 68.0, 90.0, 131.0)
 

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import ndimage
-from synthetic import TOUR, along, furnished_rooms, record
 
-from mavnav.grid import Grid, Tally
+from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import MapQuality, map_quality
 from mavnav.metrics.wall_thickness import wall_thickness
 from mavnav.pose import Pose, Trajectory, transform_points
+from support.synthetic import TOUR, along, furnished_rooms, record
 
 
 def mapped(recording, poses: Trajectory, every: int = 1) -> Grid:
-    tally = Tally(0.02)
+    tally = GridBuilder(0.02)
     for k in range(0, len(poses), every):
         tally.insert(poses[k], transform_points(poses[k], recording.scans[k].points()))
     return tally.by_rows()

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic import TOUR, along, drifting_odometry
 
+from mavnav.ground_truth.references import References, compared
+from mavnav.ground_truth.tables import read_tum
 from mavnav.metrics.trajectory_error import absolute_error, align
 from mavnav.pose import Pose, Trajectory, transform_points
-from mavnav.references import References, compared, read_tum
+from support.synthetic import TOUR, along, drifting_odometry
 
 coordinate = st.floats(-50, 50)
 

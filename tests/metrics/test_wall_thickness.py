@@ -6,7 +6,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mavnav import lattice
+from mavnav.mapping import tiled_arrays
 from mavnav.metrics import wall_thickness as module
 from mavnav.metrics.wall_thickness import wall_sections, wall_thickness
 
@@ -187,8 +187,8 @@ def test_nothing_is_occupied_from_zero_hits_on():
 def test_bands_of_a_map_are_cut_as_the_whole_map(hits, cell_m):
     whole = wall_sections(hits, cell_m, 1)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lattice, "BAND_CELLS", 1)
-        patch.setattr(lattice, "LEAST_ROWS", 5)
+        patch.setattr(tiled_arrays, "BAND_CELLS", 1)
+        patch.setattr(tiled_arrays, "LEAST_ROWS", 5)
         banded = wall_sections(hits, cell_m, 1)
     for name in ("row", "col", "thickness_cells", "length_m", "vertical", "direction_rad"):
         np.testing.assert_array_equal(getattr(banded, name), getattr(whole, name))

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavnav import lattice
-from mavnav.grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy
+from mavnav.ground_truth.map_file import occupied_xy_m
+from mavnav.mapping import tiled_arrays
+from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy
 from mavnav.metrics.map_quality import only_occupied
 from mavnav.metrics.shape import corners, enclosed_areas, occupied_share
 from mavnav.metrics.support import near_walls
 from mavnav.metrics.wall_thickness import wall_sections
 from mavnav.metrics.walls import straight_walls
-from mavnav.references import occupied_xy_m
 
 CELL_M = 0.02
 
@@ -121,7 +121,7 @@ def test_a_map_measured_in_bands_is_the_map_measured_at_once(monkeypatch: pytest
         return [np.array(corners(cells, CELL_M)), near_walls(only_occupied(grid)), occupied_xy_m(grid)]
 
     whole = measured()
-    monkeypatch.setattr(lattice, "BAND_CELLS", 1)
+    monkeypatch.setattr(tiled_arrays, "BAND_CELLS", 1)
     for banded, at_once in zip(measured(), whole, strict=True):
         np.testing.assert_array_equal(banded, at_once)
     assert whole[0] > 5

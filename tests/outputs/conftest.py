@@ -7,18 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import along, furnished_rooms, scan_at
 
-from mavnav.config import Config
-from mavnav.grid import Tally
+from mavnav.config.models import Config
 from mavnav.logs import Damage, Odometry, ScanCounts, Topic
-from mavnav.matcher import Match
+from mavnav.mapping.occupancy_grid import GridBuilder, measured_part
 from mavnav.metrics.wall_thickness import sections_by_hits
-from mavnav.outputs import Run, Timing
-from mavnav.outputs.gridmap import measured_part
+from mavnav.outputs.run import Run, Timing
 from mavnav.pose import Pose, Trajectory, transform_points
-from mavnav.slam import Slam
-from mavnav.steps import LostInterval, Step, Steps
+from mavnav.slam.result import SlamResult
+from mavnav.slam.scan_matching import Match
+from mavnav.slam.steps import LostInterval, Step, Steps
+from support.synthetic import along, furnished_rooms, scan_at
 
 LOST = (10, 11)
 """Scans without a pose."""
@@ -77,7 +76,7 @@ def fabricate(scans: int = 20, noise: float = 0.005) -> Run:
 
 
 def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
-    tally, steps = Tally(cell_m), []
+    tally, steps = GridBuilder(cell_m), []
     for k, (scan, pose) in enumerate(zip(recorded, poses, strict=True)):
         tracked = k not in LOST
         if tracked:
@@ -90,7 +89,7 @@ def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
     grid = tally.by_rows()
     sections = sections_by_hits(measured_part(grid).hits, grid.cell_m)
     log = FabricatedLog(recorded, cleaning={"valid": 600, "zero": 7})
-    return Run(log, Config(), Slam(Steps(steps), trajectory, grid, lost), sections, Timing(2.0, 1.5, 0.5))
+    return Run(log, Config(), SlamResult(Steps(steps), trajectory, grid, lost), sections, Timing(2.0, 1.5, 0.5))
 
 
 @pytest.fixture(scope="session")

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from mavnav import outputs
 from mavnav.errors import ExitCode, OutputError
-from mavnav.outputs import check_directory, write_run
+from mavnav.outputs import writers
+from mavnav.outputs.directory import check_directory
+from mavnav.outputs.writers import write_run
 
 ALWAYS = {
     "trajectory.tum", "trajectory.csv", "map.pgm", "map.yaml", "hits.npz", "map.png", "wall_thickness.png",
@@ -21,8 +22,8 @@ ALWAYS = {
 @pytest.fixture
 def light(monkeypatch):
     """Leave the pictures out: failures are about the directory."""
-    few = {name: outputs.WRITERS[name] for name in ("trajectory.tum", "map.yaml")}
-    monkeypatch.setattr(outputs, "WRITERS", few)
+    few = {name: writers.WRITERS[name] for name in ("trajectory.tum", "map.yaml")}
+    monkeypatch.setattr(writers, "WRITERS", few)
 
 
 def break_writer(monkeypatch, error):
@@ -30,7 +31,7 @@ def break_writer(monkeypatch, error):
         path.write_text("half")
         raise error
 
-    monkeypatch.setitem(outputs.WRITERS, "map.yaml", fail)
+    monkeypatch.setitem(writers.WRITERS, "map.yaml", fail)
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +159,7 @@ def test_the_old_run_comes_back_where_the_new_cannot_take_its_place(run, tmp_pat
         return rename(self, target)
 
     monkeypatch.setattr(type(tmp_path), "rename", refuse)
-    monkeypatch.setattr("mavnav.staging._swapped", lambda one, other: False)
+    monkeypatch.setattr("mavnav.atomic_files._swapped", lambda one, other: False)
     with pytest.raises(OutputError, match="Permission denied"):
         write_run(run, tmp_path / "x", force=True)
     assert [p.name for p in tmp_path.iterdir()] == ["x"]

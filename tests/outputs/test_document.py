@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from mavnav.logs import Damage
-from mavnav.loop_closure import Loop, Loops
 from mavnav.metrics.wall_thickness import wall_sections
 from mavnav.outputs.document import plain, run_document, to_json
 from mavnav.pose import Pose, Trajectory
-from mavnav.steps import LostInterval, Steps
+from mavnav.slam.loop_closure.detection import Loop, Loops
+from mavnav.slam.steps import LostInterval, Steps
 
 KEYS = {
     "schema_version", "mavnav_version", "input", "config", "method", "grid", "azimuth", "scans", "cleaning", "tracking",

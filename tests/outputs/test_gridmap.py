@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 import yaml
 
-from mavnav.grid import FREE, OCCUPIED, UNKNOWN, Grid, Tally, occupancy
-from mavnav.outputs.gridmap import known_part, measured_part, write_npz, write_pgm, write_yaml
+from mavnav.mapping.occupancy_grid import (
+    FREE,
+    OCCUPIED,
+    UNKNOWN,
+    Grid,
+    GridBuilder,
+    known_part,
+    measured_part,
+    occupancy,
+)
+from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
 from mavnav.pose import Pose
 
 
@@ -95,7 +104,7 @@ def test_an_empty_map_is_one_unknown_cell(run, shape, tmp_path):
 
 
 def test_the_measured_part_does_not_depend_on_how_far_the_grid_reaches():
-    tally = Tally(0.02)
+    tally = GridBuilder(0.02)
     tally.insert(Pose(0.3, 0.2, 0.0), np.array([(1.5, 0.9), (-0.7, -1.9)]))
     part = measured_part(tally.by_rows())
     tally._cover((-700, -500), (900, 300))

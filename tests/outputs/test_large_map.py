@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from memory_use import taking_less_than
 
-from mavnav.grid import Grid
+from mavnav.mapping.occupancy_grid import Grid
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import Sections, sections_by_hits
-from mavnav.outputs import WRITERS, Run
-from mavnav.outputs.run import KEPT_CELLS
+from mavnav.outputs.run import KEPT_CELLS, Run
+from mavnav.outputs.writers import WRITERS
+from support.memory_use import taking_less_than
 
 SIDE = 4200
 """Cells; a mask of them all takes 17 MB, and one of them more fails what follows."""

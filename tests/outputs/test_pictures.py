@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from mavnav.grid import Grid
-from mavnav.lattice import pooled
-from mavnav.loop_closure import Loop, Loops
+from mavnav.mapping.occupancy_grid import Grid
+from mavnav.mapping.tiled_arrays import pooled
 from mavnav.metrics.wall_thickness import sections_by_hits, wall_sections
 from mavnav.outputs import canvas, map_picture, wall_picture
-from mavnav.outputs.window import Window, window_of
+from mavnav.outputs.viewport import Window, window_of
 from mavnav.pose import Pose, Trajectory
+from mavnav.slam.loop_closure.detection import Loop, Loops
 
 WRITERS = pytest.mark.parametrize("write", [map_picture.write, wall_picture.write], ids=["map", "walls"])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavnav.grid import Grid
+from mavnav.mapping.occupancy_grid import Grid
 from mavnav.outputs.preview import preview
 
 

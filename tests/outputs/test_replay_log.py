@@ -8,9 +8,8 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from mavnav.grid import occupancy
+from mavnav.mapping.occupancy_grid import known_part, occupancy
 from mavnav.outputs import replay_log
-from mavnav.outputs.gridmap import known_part
 from mavnav.outputs.replay_log import write
 from mavnav.pose import Pose, yaw_of_quaternion
 

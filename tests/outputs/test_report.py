@@ -11,16 +11,16 @@ import pytest
 from PIL import Image
 
 from mavnav.errors import OutputError
-from mavnav.grid import Grid
-from mavnav.outputs import Truth
+from mavnav.mapping.occupancy_grid import Grid
 from mavnav.outputs.document import run_document, to_json
 from mavnav.outputs.gridmap import write_npz
 from mavnav.outputs.report import columns, cost_panel, details, panels, single, write_report
 from mavnav.outputs.report.closeups import differing_places
 from mavnav.outputs.report.entry import Entry, load
 from mavnav.outputs.report.headline import headline
+from mavnav.outputs.run import Truth
 from mavnav.outputs.trajectory import write_csv, write_true_walls
-from mavnav.outputs.window import Window
+from mavnav.outputs.viewport import Window
 from mavnav.pose import Trajectory
 
 EVIL = 'logs/<script>alert(1)</script>"onload="x.mcap'

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
-from mavnav.outputs.window import Window
+from mavnav.outputs.viewport import Window
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
 
 PLACES: Final = 3
 MIN_HITS: Final = 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from mavnav.figures import FIGURES, Figure, number, why_not_meaningful, winners
+from mavnav.metrics.figures import FIGURES, Figure, number, why_not_meaningful, winners
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,7 +14,7 @@ from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.gridmap import read_npz
 from mavnav.outputs.run import Truth
 from mavnav.outputs.trajectory import TRUE_WALLS_FILE
-from mavnav.outputs.window import wall_lines
+from mavnav.outputs.viewport import wall_lines
 from mavnav.pose import Trajectory
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.grid import Grid
+    from mavnav.mapping.occupancy_grid import Grid
 
 FAILED: Final = "failed"
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from mavnav.figures import FIGURES, NAMED, number, why_not_meaningful, winners
+from mavnav.metrics.figures import FIGURES, NAMED, number, why_not_meaningful, winners
 from mavnav.outputs.report import columns
 from mavnav.units import MM
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mavnav.figures import Figure
+    from mavnav.metrics.figures import Figure
     from mavnav.outputs.report.entry import Entry
 
 QUALITY: Final = tuple(f for f in FIGURES if not f.price)

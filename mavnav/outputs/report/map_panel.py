@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
     from mavnav.outputs.report.entry import Entry
-    from mavnav.outputs.window import Window
+    from mavnav.outputs.viewport import Window
 
 HITS: Final = LinearSegmentedColormap.from_list("hits", colormaps["viridis"](np.linspace(0.92, 0.0, 256)))
 GHOST_RED: Final = drawing.GOAL_RED

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
+from mavnav.atomic_files import beside
 from mavnav.errors import OutputError
 from mavnav.outputs.html import environment, inlined
 from mavnav.outputs.report import details, panels
@@ -13,7 +14,6 @@ from mavnav.outputs.report.columns import Table, table
 from mavnav.outputs.report.entry import Entry, Failure, load
 from mavnav.outputs.report.headline import headline
 from mavnav.outputs.report.pictures import Pictures, draw
-from mavnav.staging import beside
 
 if TYPE_CHECKING:
     from pathlib import Path

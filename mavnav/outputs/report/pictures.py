@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from string import ascii_uppercase
 from typing import TYPE_CHECKING
 
-from mavnav.figures import why_not_meaningful
+from mavnav.metrics.figures import why_not_meaningful
 from mavnav.outputs.report.closeups import LEAST_SIDE_M, differing_places
 from mavnav.outputs.report.cost_panel import cost_panels
 from mavnav.outputs.report.map_panel import (
@@ -20,7 +20,7 @@ from mavnav.outputs.report.map_panel import (
 )
 from mavnav.outputs.report.panels import sheet, stacked
 from mavnav.outputs.report.thickness_panel import thickness_panels
-from mavnav.outputs.window import Window
+from mavnav.outputs.viewport import Window
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

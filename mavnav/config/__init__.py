@@ -1,0 +1,1 @@
+"""The strict configuration: models and defaults, YAML with line numbers, and how the layers are merged."""

@@ -1,0 +1,165 @@
+"""Map files of map_server: a YAML description beside a picture, ours or another tool's.
+
+Format: the ROS wiki's map_server page and nav2_map_server's README. PGM pictures (P2, P5, any depth up to 16 bits) are
+read here, PNG by Pillow.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from mavnav.config.yaml_layers import read_yaml
+from mavnav.errors import UsageError
+from mavnav.mapping.occupancy_grid import Grid, occupied_cells
+from mavnav.pose import Pose, transform_points
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+MODES: Final = ("trinary", "scale", "raw")
+MAX_CELLS: Final = 400_000_000
+SAVED_UNKNOWN: Final = 205
+SAVED_SHADES: Final = (0, SAVED_UNKNOWN, 254)
+"""What map savers write. Some write a ``free_thresh`` of 0.25 beside it, by which unknown cells would be free."""
+
+_GAP: Final = rb"(?:\s|#[^\n\r]*[\n\r])+"
+_HEADER: Final = re.compile(rb"P([25])" + 3 * (_GAP + rb"(\d{1,9})") + rb"\s")
+
+
+@dataclass(frozen=True, slots=True)
+class MapFile:
+    """A map read from a file: ``grid`` has a hit where a cell is occupied and a crossing where it is free.
+
+    ``map_T_grid`` is the pose of the picture's lower left corner, the grid's own origin.
+    """
+
+    grid: Grid
+    map_T_grid: Pose
+
+    def occupied_xy_m(self) -> NDArray[np.float64]:
+        """Return the middles of the occupied cells in the map frame, (n, 2) in m."""
+        return transform_points(self.map_T_grid, occupied_xy_m(self.grid))
+
+
+def occupied_xy_m(grid: Grid) -> NDArray[np.float64]:
+    """Return the middles of the occupied cells of a grid, (n, 2) in m, in its frame."""
+    row, col = occupied_cells(grid).T
+    xy_m: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
+    return xy_m
+
+
+def read_map(path: Path) -> MapFile:
+    """Read a map: the YAML file names the picture, its scale and its thresholds.
+
+    Cells above ``occupied_thresh`` are occupied, below ``free_thresh`` free, others unknown; in mode ``raw`` the value
+    of a pixel is the occupancy in per cent, and above 100 unknown. What is transparent is unknown.
+
+    Raises
+    ------
+    UsageError
+        One line: which file, what is wrong with it, what to do.
+    """
+    about = read_yaml(path).tree()
+    if "image" not in about or "resolution" not in about:
+        raise UsageError(f"{path} describes no map, it has no image or no resolution; name a map_server YAML file")
+    cell_m = _number(path, about, "resolution", None)
+    if not 0.0 < cell_m < 1e3:
+        raise UsageError(f"{path}: resolution {cell_m:g} is no size of a cell; write metres, for example 0.05")
+    picture = path.parent / str(about["image"])
+    shade, solid = _read_picture(picture, path)
+    cells = _kinds(path, about, shade)
+    occupied, free = (np.ascontiguousarray((kind & solid)[::-1], np.uint16) for kind in cells)
+    return MapFile(Grid(cell_m, (0.0, 0.0), occupied, free), _origin(path, about))
+
+
+def _origin(path: Path, about: dict[str, Any]) -> Pose:
+    origin = about.get("origin", [0.0, 0.0, 0.0])
+    numbers = isinstance(origin, list) and all(isinstance(v, int | float) and isfinite(v) for v in origin)
+    if not numbers or len(origin) not in {2, 3}:
+        raise UsageError(f"{path}: origin {origin} is no pose; write [x, y, yaw] in m, m, rad")
+    return Pose(*(float(v) for v in origin))
+
+
+def _number(path: Path, about: dict[str, Any], key: str, default: float | None) -> float:
+    value = about.get(key, default)
+    if not isinstance(value, int | float) or not isfinite(value):
+        raise UsageError(f"{path}: {key} {value!r} is no number; write one")
+    return float(value)
+
+
+def _kinds(
+    path: Path, about: dict[str, Any], shade: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell occupied and free pixels of a picture (rows, cols), 0 black to 255 white."""
+    mode = about.get("mode", "trinary")
+    if mode not in MODES:
+        raise UsageError(f"{path}: mode {mode!r} is none of {', '.join(MODES)}; write one of them")
+    least, most = _number(path, about, "occupied_thresh", 0.65), _number(path, about, "free_thresh", 0.196)
+    if not 0.0 <= most < least <= 1.0:
+        raise UsageError(
+            f"{path}: free_thresh {most:g} is not below occupied_thresh {least:g} within 0 to 1; mend them"
+        )
+    negate = bool(_number(path, about, "negate", 0))
+    if mode == "raw":
+        share = np.where(shade <= 100.0, shade / 100.0, np.nan)
+    else:
+        share = (shade if negate else 255.0 - shade) / 255.0
+    if mode == "trinary" and not negate and np.isin(shade, SAVED_SHADES).all():
+        share = np.where(shade == SAVED_UNKNOWN, np.nan, share)
+    return share > least, share < most
+
+
+def _read_picture(path: Path, described_by: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the shade of the pixels, 0 to 255, and which of them are not transparent, (rows, cols) each."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        reason = f"cannot be read: {error.strerror}"
+        raise UsageError(f"{path}, the image of {described_by}, {reason}; mend 'image:'") from error
+    header = _HEADER.match(data)
+    if header is None:
+        return _read_by_pillow(path)
+    shade = _read_pgm(path, header, data)
+    return shade, np.ones(shade.shape, np.bool_)
+
+
+def _read_pgm(path: Path, header: re.Match[bytes], data: bytes) -> NDArray[np.float64]:
+    kind, cols, rows, depth = (int(group) for group in header.groups())
+    if not (0 < cols * rows <= MAX_CELLS and 0 < depth < 65536):
+        raise UsageError(f"{path}: {cols} x {rows} pixels of depth {depth} is no map; mend its header")
+    if kind == 5:
+        body = data[header.end() :]
+        pixels = np.frombuffer(body[: len(body) // 2 * 2], ">u2") if depth > 255 else np.frombuffer(body, np.uint8)
+    else:
+        pixels = _plain_pixels(path, data[header.end() :])
+    if len(pixels) < rows * cols:
+        raise UsageError(f"{path} is cut short, {len(pixels)} of {rows * cols} pixels; get a whole copy")
+    return pixels[: rows * cols].reshape(rows, cols).astype(np.float64) * (255.0 / depth)
+
+
+def _plain_pixels(path: Path, text: bytes) -> NDArray[np.int64]:
+    try:
+        return np.array(re.sub(rb"#[^\n\r]*", b"", text).split(), np.int64)
+    except ValueError as error:
+        raise UsageError(f"{path}: a pixel is no number; get a sound copy") from error
+
+
+def _read_by_pillow(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    from PIL import Image  # noqa: PLC0415  only for pictures that need it
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(path, formats=("PNG", "BMP")) as image:
+                pixels = np.asarray(image.convert("RGBA"), np.float64)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise UsageError(f"{path} is no picture of a map (PGM or PNG): {error}; mend 'image:'") from error
+    return pixels[:, :, :3].mean(axis=2), pixels[:, :, 3] > 0.0

@@ -1,0 +1,108 @@
+"""References: what is known besides the log, to compare a run with: a truth, a true map, relations."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from mavnav.errors import UsageError
+from mavnav.ground_truth.map_file import occupied_xy_m, read_map
+from mavnav.ground_truth.tables import read_relations, read_tum
+from mavnav.ground_truth.true_map import of_scenario, read_true_map
+from mavnav.metrics.map_distance import TrueMap, map_distance
+from mavnav.metrics.relations import TOLERANCE_NS, Relations, relation_errors
+from mavnav.metrics.trajectory_error import absolute_error, matched, relative_error
+from mavnav.units import NS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from mavnav.pose import Trajectory
+
+__all__ = [
+    "LEAST_POSES",
+    "References",
+    "check_times",
+    "compared",
+    "load_references",
+    "occupied_xy_m",
+    "of_scenario",
+    "read_map",
+    "read_tum",
+]
+
+LEAST_POSES = 3
+"""Fewer poses lie on any truth after the best rigid motion, or nearly so: they measure nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class References:
+    """What a run is compared with, each None where it is not given.
+
+    ``truth`` is the true trajectory of the laser in any frame; ``true_map`` the true walls in the map frame.
+    """
+
+    truth: Trajectory | None = None
+    true_map: TrueMap | None = None
+    relations: Relations | None = None
+
+
+def load_references(
+    truth: Path | None = None, truth_map: Path | None = None, relations: Path | None = None
+) -> References:
+    """Read the files that are given; raises UsageError, before any work is done."""
+    return References(
+        truth=None if truth is None else read_tum(truth),
+        true_map=None if truth_map is None else read_true_map(truth_map),
+        relations=None if relations is None else read_relations(relations),
+    )
+
+
+def check_times(references: References, first_ns: int, last_ns: int) -> None:
+    """Raise UsageError where a truth or relations lie outside of the time of a log: before the work."""
+    known = {"the truth": references.truth, "the relations": references.relations}
+    for what, given in known.items():
+        if given is None:
+            continue
+        first, last = int(given.stamps_ns.min()), int(given.stamps_ns.max())
+        if last < first_ns - TOLERANCE_NS or first > last_ns + TOLERANCE_NS:
+            spans = f"{first * NS:.1f} to {last * NS:.1f} s, and the log, {first_ns * NS:.1f} to {last_ns * NS:.1f} s"
+            raise UsageError(f"{what}, {spans}, share no time; give a reference of the same log and clock")
+
+
+def compared(
+    references: References, trajectory: Trajectory | None, occupied_xy_map_m: NDArray[np.float64]
+) -> dict[str, Any] | None:
+    """Compare a run with its references: plain data for run.json, None where there are none.
+
+    ``occupied_xy_map_m`` (n, 2) are the middles of the occupied cells. Without a trajectory (a lone map file) only maps
+    are compared. ATE and RPE are None where fewer than `LEAST_POSES` poses have a truth.
+    """
+    found: dict[str, Any] = {}
+    if references.truth is not None and trajectory is not None:
+        found |= _trajectory_errors(trajectory, references.truth)
+    if references.true_map is not None:
+        found["map_distance"] = asdict(map_distance(occupied_xy_map_m, references.true_map))
+    if references.relations is not None and trajectory is not None:
+        errors = relation_errors(references.relations, trajectory)
+        found["relations"] = {name: asdict(value) for name, value in errors.items()}
+    return found or None
+
+
+def _trajectory_errors(trajectory: Trajectory, truth: Trajectory) -> dict[str, Any]:
+    estimate, true = matched(trajectory, truth)
+    if len(estimate) < LEAST_POSES:
+        return {"ate": None, "rpe": None}
+    plain = absolute_error(estimate[:, :2], true[:, :2], aligned=False)
+    return {
+        "ate": {
+            "alignment": "best rigid motion",
+            **asdict(absolute_error(estimate[:, :2], true[:, :2])),
+            "share": len(estimate) / len(trajectory),
+            "unaligned_rmse_m": plain.rmse_m,
+        },
+        "rpe": asdict(relative_error(estimate, true)),
+    }

@@ -1,0 +1,77 @@
+"""True maps: a scenario's walls, or a map file that is taken for true."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from mavnav.config.yaml_layers import read_yaml
+from mavnav.errors import UsageError
+from mavnav.ground_truth.map_file import read_map
+from mavnav.metrics.map_distance import TrueMap
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from mavnav.pose import Pose
+    from mavnav.simulation.world import Scenario, World
+
+SPACING_M: Final = 0.02
+
+
+def read_true_map(path: Path) -> TrueMap:
+    """Read a scenario (it has ``walls``) or a map_server map (it has an ``image``).
+
+    A scenario's walls are seen from the laser's first pose, which is the origin of a map; a map file is taken to have
+    the frame of the map that it is compared with. A shipped scenario may be named where no such file lies there. Raises
+    UsageError.
+    """
+    from mavnav.simulation.world.scenario_file import load_scenario, scenario_path  # noqa: PLC0415  models take time to build
+
+    if not path.exists():
+        path = scenario_path(path)
+    keys = {key[0] for key in read_yaml(path).values}
+    if "image" in keys:
+        return _of_map(path)
+    if "walls" not in keys:
+        raise UsageError(f"{path} is neither a scenario (walls) nor a map (image); name one of them")
+    scenario = load_scenario(path)
+    return of_scenario(scenario, scenario.world_T_base @ scenario.base_T_laser)
+
+
+def of_scenario(scenario: Scenario, world_T_map: Pose) -> TrueMap:
+    """Take exact walls for the truth, and draw the measured ones; ``world_T_map`` is the laser's first pose."""
+    walls, overlay = scenario.world.seen_from(world_T_map), scenario.overlay.seen_from(world_T_map)
+    xy_m = np.concatenate((_on_segments(walls), _on_arcs(walls)))
+    return TrueMap(walls.clearance_m, xy_m, "start pose", overlay.segments, overlay.arcs)
+
+
+def _of_map(path: Path) -> TrueMap:
+    from scipy.spatial import cKDTree  # noqa: PLC0415  takes 0.3 s to load
+
+    xy_m = read_map(path).occupied_xy_m()
+    if not len(xy_m):
+        raise UsageError(f"{path} has no occupied cell; name a map with walls")
+    tree: Any = cKDTree(xy_m)
+    return TrueMap(lambda points: tree.query(points)[0], xy_m, "same frame")
+
+
+def _on_segments(world: World) -> NDArray[np.float64]:
+    """Return points all along the straight walls, (n, 2) in the world frame."""
+    parts = [np.zeros((0, 2))]
+    for x1, y1, x2, y2 in world.segments:
+        count = int(np.ceil(np.hypot(x2 - x1, y2 - y1) / SPACING_M)) + 1
+        parts.append(np.linspace((x1, y1), (x2, y2), count))
+    return np.concatenate(parts)
+
+
+def _on_arcs(world: World) -> NDArray[np.float64]:
+    """Return points all along the curved walls, (n, 2) in the world frame."""
+    parts = [np.zeros((0, 2))]
+    for x, y, radius, start, sweep in world.arcs:
+        angle = start + np.linspace(0.0, sweep, int(np.ceil(abs(sweep) * radius / SPACING_M)) + 1)
+        parts.append(np.column_stack((x + radius * np.cos(angle), y + radius * np.sin(angle))))
+    return np.concatenate(parts)

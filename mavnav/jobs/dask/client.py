@@ -1,0 +1,228 @@
+"""The side of the batch: who works, what is handed out, and what comes back."""
+
+from __future__ import annotations
+
+import pickle
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass
+from logging import CRITICAL
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from tempfile import NamedTemporaryFile
+from time import monotonic
+from typing import TYPE_CHECKING, Any, Final
+from uuid import uuid4
+
+from mavnav.errors import ExitCode, UsageError
+from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started, run_with_retries
+from mavnav.jobs.dask.worker import Terms, our_version, run_there, sees
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+LOCAL: Final = "local"
+"""The scheduler that is started here, with workers, and ends with the batch."""
+
+LISTEN_S: Final = 0.2
+CONNECT_S: Final = 20.0
+"""How long a scheduler and its first worker are waited for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cluster:
+    """A scheduler whose workers have been looked at; ``dashboard`` is the address of its pages."""
+
+    client: Any
+    dashboard: str
+
+    @property
+    def workers(self) -> int:
+        """How many workers there are now."""
+        return len(self.client.nthreads())
+
+    def run_jobs(self, jobs: Sequence[Job], on_event: Callable[[Event], None], timeout_s: float | None = None) -> None:
+        """Run jobs on the cluster; ``on_event`` hears the same as of `mavnav.jobs.run_with_retries`.
+
+        Dask tries jobs of a lost worker on others, and suspects all that a dying worker had in hand. So there are never
+        more jobs under way than workers, and those that it has given up are tried once more, one at a time. What
+        ``on_event`` raises cancels what has not begun, and is passed on. Raises UsageError when the scheduler is gone.
+        """
+        most = iter((None, 1))
+
+        def once(jobs: Sequence[Job], listen: Callable[[Event], None]) -> list[Outcome]:
+            return self._round(jobs, listen, timeout_s, next(most))
+
+        run_with_retries(jobs, once, on_event, 2)
+
+    def _round(
+        self, jobs: Sequence[Job], on_event: Callable[[Event], None], timeout_s: float | None, most: int | None
+    ) -> list[Outcome]:
+        """Run jobs, ``most`` at a time, or as many as there are workers."""
+        topic = f"mavnav-{uuid4()}"
+        terms = Terms(*our_version(), str(Path.cwd()), topic, timeout_s)
+        heard: SimpleQueue[Any] = SimpleQueue()
+        self.client.subscribe_topic(topic, lambda event: heard.put(Progressed(*event[1]["progress"])))
+        under_way: dict[int, _Submitted] = {}
+        try:
+            return self._outcomes(jobs, terms, heard, under_way, on_event, most)
+        finally:
+            self.client.cancel([job.future for job in under_way.values()])
+            self.client.unsubscribe_topic(topic)
+
+    def _outcomes(
+        self,
+        jobs: Sequence[Job],
+        terms: Terms,
+        heard: SimpleQueue[Any],
+        under_way: dict[int, _Submitted],
+        on_event: Callable[[Event], None],
+        most: int | None,
+    ) -> list[Outcome]:
+        outcomes: dict[int, Outcome] = {}
+        waiting = list(enumerate(jobs))[::-1]
+        while len(outcomes) < len(jobs):
+            while waiting and len(under_way) < (most or max(self._count(), 1)):
+                index, job = waiting.pop()
+                under_way[index] = self._submit(index, job, terms, heard)
+                on_event(Started(index, 0))
+            for event in _events(heard, under_way):
+                if isinstance(event, Ended):
+                    del under_way[event.index]
+                    outcomes[event.index] = event.outcome
+                on_event(event)
+        return [outcomes[index] for index in range(len(jobs))]
+
+    def _count(self) -> int:
+        try:
+            return self.workers
+        except (OSError, TimeoutError) as error:
+            raise UsageError("the scheduler is gone; start it again and call again: what is finished stays") from error
+
+    def _submit(self, index: int, job: Job, terms: Terms, heard: SimpleQueue[Any]) -> _Submitted:
+        key = f"{job.name} {uuid4().hex[:8]}"
+        future = self.client.submit(run_there, index, pickle.dumps(job), asdict(terms), key=key, pure=False)
+        future.add_done_callback(lambda _: heard.put(index))
+        return _Submitted(future, monotonic())
+
+
+@dataclass(frozen=True, slots=True)
+class _Submitted:
+    future: Any
+    began_s: float
+
+
+def _events(heard: SimpleQueue[Any], under_way: dict[int, _Submitted]) -> Iterator[Event]:
+    """Return what was heard, of jobs that are under way; waits for a moment when there is nothing."""
+    try:
+        item = heard.get(timeout=LISTEN_S)
+    except Empty:
+        return
+    if isinstance(item, Progressed):
+        if item.index in under_way:
+            yield item
+    elif item in under_way:
+        yield Ended(item, _outcome(under_way[item]))
+
+
+def _outcome(job: _Submitted) -> Outcome:
+    """Return how a job ended; of a worker that died, what Dask says."""
+    from distributed.scheduler import KilledWorker  # noqa: PLC0415  an extra
+
+    future = job.future
+    if future.status == "finished":
+        outcome: Outcome = future.result()
+        return outcome
+    seconds = monotonic() - job.began_s
+    if future.status != "error":
+        raise UsageError("the scheduler is gone; start it again and call again: what is finished stays")
+    error = future.exception()
+    if isinstance(error, KilledWorker):
+        count = error.allowed_failures + 1
+        text = f"{count} workers died of it, the last {error.last_worker.address}"
+        return Outcome(Fate.DIED, 0, seconds, error=text, exit_code=ExitCode.BUG)
+    text = f"its worker could not run it: {type(error).__name__}: {error}"
+    return Outcome(Fate.FAILED, 0, seconds, error=text, exit_code=ExitCode.BUG)
+
+
+@contextmanager
+def connected(scheduler: str, directory: Path, workers: int, memory_mb: int | None, tries: int) -> Iterator[Cluster]:
+    """Connect to a scheduler, or start one with ``workers`` here for `LOCAL`, and see whether its workers will do.
+
+    Parameters
+    ----------
+    scheduler
+        Its address, ``tcp://HOST:PORT``, or `LOCAL`.
+    directory
+        Where results go; every worker must see it.
+    workers, memory_mb, tries
+        Of `LOCAL`: how many workers, how large each may get, and how many may die of a job.
+
+    Raises
+    ------
+    UsageError
+        Without ``mavnav[cluster]``, where nobody answers, and for workers that have another mavnav, none, or do not
+        see the directory.
+    """
+    distributed = _distributed()
+    with ExitStack() as stack:
+        try:
+            address = scheduler
+            if scheduler == LOCAL:
+                address = stack.enter_context(_started(workers, memory_mb, tries))
+            client = stack.enter_context(distributed.Client(address, timeout=CONNECT_S, set_as_default=False))
+            client.wait_for_workers(1, timeout=CONNECT_S)
+        except (OSError, TimeoutError, ValueError) as error:
+            advice = "start one with `dask scheduler`, and `dask worker ADDRESS` where the work is to be done"
+            raise UsageError(f"{scheduler}: no scheduler with workers answers; {advice}") from error
+        _check_workers(client, directory)
+        yield Cluster(client, client.dashboard_link)
+
+
+@contextmanager
+def _started(workers: int, memory_mb: int | None, tries: int) -> Iterator[Any]:
+    """Start a scheduler with workers here."""
+    import dask  # noqa: PLC0415  an extra
+
+    distributed = _distributed()
+    memory = "auto" if memory_mb is None else memory_mb * 2**20
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": tries - 1}),
+        distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, memory_limit=memory, silence_logs=CRITICAL, dashboard_address=":0"
+        ) as cluster,
+    ):
+        yield cluster
+
+
+def _distributed() -> Any:  # noqa: ANN401  a module
+    try:
+        import distributed  # noqa: PLC0415  an extra
+    except ImportError as error:
+        raise UsageError("a cluster needs Dask; install mavnav[cluster]") from error
+    return distributed
+
+
+def _check_workers(client: Any, directory: Path) -> None:  # noqa: ANN401  a client of dask
+    """Refuse workers with another mavnav or none, and those that do not see the directory."""
+    directory.mkdir(parents=True, exist_ok=True)
+    ours = our_version()
+    with NamedTemporaryFile(dir=directory, prefix=".seen-") as file:
+        versions = client.run(our_version, on_error="return")
+        seen = client.run(sees, str(Path(file.name).absolute()), on_error="return")
+    problems = [
+        f"{worker}: {why}" for worker in versions if (why := _why_not(versions[worker], seen.get(worker), ours))
+    ]
+    if problems:
+        advice = f"install mavnav {ours[0]} there, and share the folder"
+        raise UsageError(f"{'; '.join(problems)}: {advice}, or stop these workers")
+
+
+def _why_not(version: Any, seen: Any, ours: tuple[str, str]) -> str:  # noqa: ANN401  what a worker answered
+    if isinstance(version, ImportError | AttributeError):
+        return "the worker has no mavnav, or one without clusters"
+    if isinstance(version, Exception):
+        return f"the worker cannot be asked ({version})"
+    if tuple(version) != ours:
+        same = " of other sources" if version[0] == ours[0] else ""
+        return f"the worker has mavnav {version[0]}{same}, not {ours[0]}"
+    return "" if seen is True else "the worker does not see the directory of the results"

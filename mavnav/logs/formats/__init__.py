@@ -1,0 +1,1 @@
+"""Containers: which format a file has, and a reader for each."""

@@ -1,0 +1,120 @@
+"""What the records of an MCAP file tell: schemas, channels and messages, each compared with what was told before."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from mavnav.logs.formats.mcap_records import MESSAGE_HEAD, Fields, Op
+from mavnav.logs.formats.untyped import channel_of, is_vague, typed
+from mavnav.logs.records import Channel, RawMessage, Schema, ros_type
+
+if TYPE_CHECKING:
+    from mavnav.logs.read_report import ReadReport
+
+_ENCODING_OF_SCHEMA = {"ros2msg": "cdr", "ros2idl": "cdr", "ros1msg": "ros1"}
+_NO_SCHEMA = Schema()
+
+
+@dataclass
+class State:
+    """What the records read so far have told.
+
+    The data section is ``unsound`` where its CRC does not match. In a ``suspect`` chunk the summary's channels are
+    believed over the chunk's own.
+    """
+
+    report: ReadReport
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    spare: dict[int, Channel] = field(default_factory=dict)
+    strangers: set[int] = field(default_factory=set)
+    messages: int = 0
+    closed: bool = False
+    suspect: bool = False
+    unsound: bool = False
+
+    def begin(self) -> None:
+        """Forget what belongs to the file before, where several lie one behind the other."""
+        self.schemas, self.channels, self.strangers = {}, {}, set()
+        self.messages, self.closed = 0, False
+
+
+def take(opcode: int, content: bytes, where: str, state: State) -> RawMessage | None:
+    """Return the message, or take in what the record tells about others."""
+    try:
+        if opcode == Op.MESSAGE:
+            return _message(content, where, state)
+        if opcode == Op.SCHEMA:
+            _declare_schema(Fields(content), where, state)
+        elif opcode == Op.CHANNEL:
+            _declare_channel(Fields(content), where, state)
+        elif opcode == Op.STATISTICS:
+            _check_count(content, where, state)
+        elif opcode == Op.FOOTER:
+            state.closed = True
+    except struct.error as error:
+        state.report.damage(f"a record cannot be read ({error})", where)
+    return None
+
+
+def _message(content: bytes, where: str, state: State) -> RawMessage | None:
+    number, _, log_ns, _ = MESSAGE_HEAD.unpack_from(content)
+    state.messages += 1
+    data = content[MESSAGE_HEAD.size :]
+    channel = state.channels.get(number) or _spare_channel(number, state)
+    if channel is not None and is_vague(channel):
+        channel = state.channels[number] = typed(channel, data, where, state.report)
+    if channel is not None:
+        return RawMessage(channel, log_ns, data)
+    return _stranger(number, log_ns, data, where, state)
+
+
+def _spare_channel(number: int, state: State) -> Channel | None:
+    channel = state.spare.get(number)
+    if channel is not None:
+        state.channels[number] = state.report.declare(channel)
+    return channel
+
+
+def _stranger(number: int, log_ns: int, data: bytes, where: str, state: State) -> RawMessage | None:
+    """Return a message of an undeclared channel as suspect, if it is a scan by its bytes."""
+    channel = channel_of(data, f"/channel_{number}", state.report)
+    if number not in state.strangers:
+        state.strangers.add(number)
+        fate = f"scans by their bytes, and taken for {channel.topic}" if channel else "left out"
+        state.report.damage(f"messages of channel {number}, which is declared nowhere before, are {fate}", where)
+    return None if channel is None else RawMessage(channel, log_ns, data, suspect=True)
+
+
+def _declare_schema(fields: Fields, where: str, state: State) -> None:
+    number, name, encoding = fields.number("H"), fields.text(), fields.text()
+    schema = Schema(name, encoding, fields.block())
+    if number in state.schemas and state.schemas[number] != schema:
+        state.report.damage(f"schema {number} is declared twice, and differently; the later counts", where)
+    state.schemas[number] = schema
+
+
+def _declare_channel(fields: Fields, where: str, state: State) -> None:
+    """Take in a channel; equal repetitions are usual. One without its schema is made up for by the summary."""
+    number, schema_number, topic, encoding = fields.number("H"), fields.number("H"), fields.text(), fields.text()
+    schema = state.schemas.get(schema_number, _NO_SCHEMA)
+    encoding = encoding or _ENCODING_OF_SCHEMA.get(schema.encoding, "")
+    channel = Channel(topic, ros_type(schema.name), encoding, schema)
+    if state.suspect or (schema_number and not schema.name):
+        channel = state.spare.get(number, channel)
+    before = state.channels.get(number)
+    if before is not None and before != channel and before.topic != topic:
+        text = f"channel {number} is declared twice, as {before.topic!r} and {topic!r}; the later counts"
+        state.report.damage(text, where)
+    state.channels[number] = state.report.declare(channel)
+
+
+def _check_count(content: bytes, where: str, state: State) -> None:
+    (declared,) = struct.unpack_from("<Q", content)
+    if declared > state.messages:
+        missing = declared - state.messages
+        state.report.damage(f"{missing} of the {declared} messages that the summary counts are not there", where)
+    elif declared < state.messages:
+        state.report.warn(f"the summary counts {declared} messages, {state.messages} are there")

@@ -1,0 +1,206 @@
+"""MCAP: the records in the order of the file, so that neither index nor summary is needed.
+
+Whatever a record, chunk or summary claims is compared with what is there; where bytes are no record, reading goes on at
+the next that is.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from io import BytesIO
+from typing import TYPE_CHECKING
+
+from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, DecompressError, decompress
+from mavnav.logs.formats.mcap_content import State, take
+from mavnav.logs.formats.mcap_records import (
+    HEAD,
+    MAGIC,
+    PRIVATE,
+    ChunkHead,
+    Op,
+    Record,
+    chunk_head,
+    find_record,
+    is_boundary,
+    plain_records,
+    record_at,
+)
+from mavnav.logs.formats.mcap_summary import data_crc_fails, summary_channels
+from mavnav.logs.formats.source import Source
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from mavnav.logs.read_report import ReadReport
+    from mavnav.logs.records import RawMessage
+
+_READ = frozenset({Op.HEADER, Op.FOOTER, Op.SCHEMA, Op.CHANNEL, Op.MESSAGE, Op.CHUNK, Op.STATISTICS, Op.DATA_END})
+_IN_CHUNKS = frozenset({Op.SCHEMA, Op.CHANNEL, Op.MESSAGE})
+_BLOCK_BYTES = 1 << 20
+_SEARCH_BYTES = 1 << 16
+
+
+def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
+    """Yield the messages of an MCAP file, in the order of the file, in constant memory.
+
+    What cannot be read is left out and noted. What is read from a chunk whose CRC does not match, or that does not
+    decompress to its end, is suspect, and noted as well.
+    """
+    state = State(report)
+    with path.open("rb") as file:
+        source = Source(file, path.stat().st_size)
+        state.spare = summary_channels(source, report)
+        for record in _records(source, _begin(source, state), state):
+            report.at(record.start)
+            if record.opcode == Op.CHUNK:
+                yield from _chunk_messages(source, record, state)
+            elif record.opcode in _READ:
+                content = source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES))
+                if message := take(record.opcode, content, source.where(record.start), state):
+                    doubtful = state.unsound or _runs_into_loss(source, record.end)
+                    yield message._replace(suspect=True) if doubtful else message
+        if not state.closed:
+            report.damage("the file ends without a footer; it was cut or not closed", source.where(source.size))
+
+
+def _begin(source: Source, state: State) -> int:
+    """Return where the file begins: with the magic, which may be broken or have other bytes before it."""
+    at = source.read(0, _SEARCH_BYTES).find(MAGIC)
+    if at == 0:
+        return 0
+    state.report.damage("the file does not begin with the magic of MCAP", source.where(0))
+    if at > 0 and record_at(source, at + len(MAGIC)) is not None:
+        return at
+    state.unsound = data_crc_fails(source, 0, state.report)
+    return 0
+
+
+def _records(source: Source, offset: int, state: State) -> Iterator[Record]:
+    """Yield the sound records; behind a loss, go on at the next one.
+
+    A record that is not followed by another is yielded all the same, unless it is a chunk, and what it claims to hold
+    is searched for records: its length may lie.
+    """
+    while offset < source.size:
+        if source.read(offset, len(MAGIC)) == MAGIC:
+            offset = _pass_magic(source, offset, state)
+            continue
+        record = record_at(source, offset)
+        if record is None:
+            offset = _lose(source, offset, offset + 1, state)
+            continue
+        if Op.DATA_END < record.opcode < PRIVATE:
+            state.report.warn(f"a record of an unknown kind ({record.opcode}) was passed over")
+        if record.odd:
+            state.report.damage(record.odd, source.where(offset))
+        followed = record.opcode == Op.CHUNK or is_boundary(source, record.end)
+        yield record
+        if state.closed:
+            offset = _pass_end(source, record.end, state)
+        elif followed:
+            offset = record.end
+        else:
+            offset = _lose(source, offset, record.start, state)
+
+
+def _runs_into_loss(source: Source, end: int) -> bool:
+    """Tell whether what follows a record is none, not even one that is cut: then its own end may be lost, too."""
+    head = source.read(end, HEAD.size)
+    if len(head) < HEAD.size or is_boundary(source, end):
+        return False
+    opcode, length = HEAD.unpack(head)
+    return not (0 < opcode <= Op.DATA_END and source.size - end < length < 1 << 32)
+
+
+def _lose(source: Source, offset: int, search_from: int, state: State) -> int:
+    """Return the offset of the next record, having told of the bytes before it."""
+    found = find_record(source, search_from)
+    if found == offset:
+        return found
+    empty = not any(source.read(offset, min(found - offset, _BLOCK_BYTES)))
+    kind = "zeros" if empty else "bytes that are no record"
+    state.report.damage(f"{found - offset} {kind}; what they held is lost", source.where(offset))
+    return found
+
+
+def _pass_magic(source: Source, offset: int, state: State) -> int:
+    """Pass the magic at the beginning; one further on begins another file."""
+    if state.closed or state.messages:
+        state.report.warn("several MCAP files lie one behind the other in this one; all were read")
+        state.begin()
+    state.unsound = data_crc_fails(source, offset, state.report)
+    return offset + len(MAGIC)
+
+
+def _pass_end(source: Source, offset: int, state: State) -> int:
+    """Pass the magic behind the footer."""
+    if source.read(offset, len(MAGIC)) == MAGIC:
+        return offset + len(MAGIC)
+    state.report.damage("the magic at the end is missing", source.where(offset))
+    return offset if offset == source.size else _lose(source, offset, offset, state)
+
+
+def _chunk_messages(source: Source, record: Record, state: State) -> Iterator[RawMessage]:
+    where = f"chunk at byte {record.start}"
+    try:
+        records, suspect = _chunk_records(source, record, where, state)
+    except (DecompressError, struct.error) as error:
+        state.report.damage(f"chunk left out: {error}", where)
+        return
+    inner = Source(BytesIO(records), len(records), f"{where}, ")
+    if not suspect:
+        yield from _sound_messages(records, inner, state)
+        return
+    state.suspect = True
+    for message in _walk(inner, 0, state):
+        yield message._replace(suspect=True)
+    state.suspect = False
+
+
+def _chunk_records(source: Source, record: Record, where: str, state: State) -> tuple[bytes, bool]:
+    """Decompress a chunk as far as that goes; tell what is wrong, and return whether it is suspect."""
+    if record.end - record.start > MAX_CHUNK_BYTES:
+        raise DecompressError(
+            f"of {record.end - record.start} bytes; no more than {MAX_CHUNK_BYTES} are taken into memory"
+        )
+    content = source.read(record.start, record.end - record.start)
+    head = chunk_head(content)
+    records, problem = _unpacked(head, content[head.start :])
+    if problem is None and len(records) != head.declared_bytes:
+        problem = f"the chunk declares {head.declared_bytes} bytes and holds {len(records)}"
+    verified = head.crc != 0 and zlib.crc32(records) == head.crc
+    if head.crc and not verified:
+        problem = f"{problem}, and the CRC does not match" if problem else "the CRC does not match"
+    if problem:
+        text = "" if verified else "; what can be read of the chunk is suspect"
+        state.report.damage(problem + text, where)
+    doubtful = problem is not None or (state.unsound and not head.crc)
+    return records, doubtful and not verified
+
+
+def _unpacked(head: ChunkHead, data: bytes) -> tuple[bytes, str | None]:
+    """Decompress the bytes that a chunk tells, and all that are there where their number lies."""
+    records, problem = decompress(head.compression, data[: head.stored_bytes])
+    if problem is None or len(data) <= head.stored_bytes:
+        return records, problem
+    return decompress(head.compression, data)
+
+
+def _sound_messages(records: bytes, inner: Source, state: State) -> Iterator[RawMessage]:
+    """Yield the messages of a chunk that is as it was written; walk on with care where its records still lie."""
+    offset = 0
+    for opcode, content in plain_records(records):
+        if opcode in _IN_CHUNKS and (message := take(opcode, content, inner.where(offset), state)):
+            yield message
+        offset += HEAD.size + len(content)
+    yield from _walk(inner, offset, state)
+
+
+def _walk(inner: Source, offset: int, state: State) -> Iterator[RawMessage]:
+    for record in _records(inner, offset, state):
+        if record.opcode in _IN_CHUNKS:
+            content = inner.read(record.start, record.end - record.start)
+            if message := take(record.opcode, content, inner.where(record.start), state):
+                yield message

@@ -1,0 +1,251 @@
+"""MCAP records: what their fields say, and whether bytes can be the head of one (https://mcap.dev/spec).
+
+A record is ``opcode u8, length u64, content``, little-endian. Nothing guards a record's head, so a head is believed
+only if its content can be what its opcode says.
+"""
+
+from __future__ import annotations
+
+import struct
+from enum import IntEnum
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from mavnav.logs.formats.decompress import CODECS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from mavnav.logs.formats.source import Source
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+HEAD: Final = struct.Struct("<BQ")
+MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
+_CHUNK_HEAD = struct.Struct("<QQQI")
+_PREFIX_BYTES = 64
+_BLOCK_BYTES = 1 << 20
+_MOST_CANDIDATES = 200_000
+
+
+class Op(IntEnum):
+    """Opcodes."""
+
+    HEADER = 1
+    FOOTER = 2
+    SCHEMA = 3
+    CHANNEL = 4
+    MESSAGE = 5
+    CHUNK = 6
+    MESSAGE_INDEX = 7
+    CHUNK_INDEX = 8
+    ATTACHMENT = 9
+    ATTACHMENT_INDEX = 10
+    STATISTICS = 11
+    METADATA = 12
+    METADATA_INDEX = 13
+    SUMMARY_OFFSET = 14
+    DATA_END = 15
+
+
+PRIVATE: Final = 0x80
+"""Opcodes from here on are free for anybody's use."""
+
+
+class Record(NamedTuple):
+    """A record: its content lies from ``start`` to ``end``. ``odd`` says what had to be put right to read it."""
+
+    opcode: int
+    start: int
+    end: int
+    odd: str = ""
+
+
+class Fields:
+    """The fields of a record's content, one after the other; raises struct.error where they are cut."""
+
+    def __init__(self, content: bytes) -> None:
+        self._content = content
+        self.offset = 0
+
+    def number(self, kind: str) -> int:
+        """Read a number of a ``struct`` format."""
+        (value,) = struct.unpack_from(f"<{kind}", self._content, self.offset)
+        self.offset += struct.calcsize(f"<{kind}")
+        return int(value)
+
+    def block(self) -> bytes:
+        """Read bytes with their length (u32) before them."""
+        length = self.number("I")
+        end = self.offset + length
+        if end > len(self._content):
+            raise struct.error("a field is longer than its record")
+        block = self._content[self.offset : end]
+        self.offset = end
+        return block
+
+    def text(self) -> str:
+        """Read a string; bytes that are no UTF-8 are replaced."""
+        return self.block().decode(errors="replace")
+
+
+class ChunkHead(NamedTuple):
+    """The fields of a chunk before its data; ``start`` is where these begin in the content."""
+
+    declared_bytes: int
+    crc: int
+    compression: str
+    stored_bytes: int
+    start: int
+
+
+def chunk_head(content: bytes) -> ChunkHead:
+    """Read the fields of a chunk; raises struct.error."""
+    _, _, declared, crc = _CHUNK_HEAD.unpack_from(content)
+    fields = Fields(content)
+    fields.offset = _CHUNK_HEAD.size
+    compression = fields.text()
+    return ChunkHead(declared, crc, compression, fields.number("Q"), fields.offset)
+
+
+def record_at(source: Source, offset: int, *, mend: bool = True) -> Record | None:
+    """Read the record head at an offset; None where none is, or where its content cannot be what it says.
+
+    A chunk whose own fields tell its length is believed over a wrong length or opcode of the record (``mend``), unless
+    another record follows where the head says.
+    """
+    prefix = source.read(offset, HEAD.size + _PREFIX_BYTES)
+    if len(prefix) < HEAD.size:
+        return None
+    opcode, length = HEAD.unpack_from(prefix)
+    start, rest, content = offset + HEAD.size, source.size - offset - HEAD.size, prefix[HEAD.size :]
+    stored = _chunk_length(content)
+    known = _CHECKS.get(opcode, _never if opcode == 0 else _any)
+    told = None if length > rest or not known(content, length) else Record(opcode, start, start + length)
+    lies = mend and stored is not None and (opcode, length) != (Op.CHUNK, stored)
+    if lies and stored is not None and _is_chunk_instead(source, told, opcode, start + stored):
+        return Record(Op.CHUNK, start, start + stored, f"the record says kind {opcode} and {length} bytes")
+    if opcode == Op.CHUNK and stored == length > rest:
+        return Record(Op.CHUNK, start, source.size, "the chunk is cut by the end of the file")
+    return told
+
+
+def _is_chunk_instead(source: Source, told: Record | None, opcode: int, end: int) -> bool:
+    """Tell whether a chunk that ends there stands where a record's head says otherwise.
+
+    A record that follows where the head says speaks for the head, but that anything can be a private one.
+    """
+    if opcode != Op.CHUNK and (opcode ^ Op.CHUNK).bit_count() != 1:
+        return False
+    if told is not None and told.opcode < PRIVATE and is_boundary(source, told.end):
+        return False
+    return end == source.size or (end < source.size and is_boundary(source, end))
+
+
+def _chunk_length(content: bytes) -> int | None:
+    """Return the length of a chunk by its own fields; None where these cannot be a chunk's."""
+    try:
+        head = chunk_head(content[:_PREFIX_BYTES])
+    except struct.error:
+        return None
+    return head.start + head.stored_bytes if head.compression in CODECS else None
+
+
+def plain_records(records: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of records in memory, up to the first that is cut."""
+    offset = 0
+    while len(records) - offset >= HEAD.size:
+        opcode, length = HEAD.unpack_from(records, offset)
+        start = offset + HEAD.size
+        if length > len(records) - start:
+            return
+        yield opcode, records[start : start + length]
+        offset = start + length
+
+
+def is_boundary(source: Source, offset: int) -> bool:
+    """Tell whether a record, the magic or the end stands at an offset."""
+    if offset == source.size or source.read(offset, len(MAGIC)) == MAGIC:
+        return True
+    return record_at(source, offset, mend=False) is not None
+
+
+def find_record(source: Source, offset: int) -> int:
+    """Return the offset of the next record that is followed by another, a chunk, or the magic; the size if none.
+
+    Only heads whose length is below 4 GiB are looked at, and only so many that hostile bytes cost seconds at most.
+    """
+    tried = 0
+    while offset < source.size:
+        block = source.read(offset, _BLOCK_BYTES + HEAD.size)
+        for at in _candidates(block):
+            tried += 1
+            if _is_record(source, offset + at):
+                return offset + at
+        if tried > _MOST_CANDIDATES:
+            return source.size
+        offset = max(offset + _BLOCK_BYTES, source.next_data(offset + _BLOCK_BYTES) - HEAD.size)
+    return source.size
+
+
+def _candidates(block: bytes) -> list[int]:
+    """Return the places in a block that have an opcode, and zeros where a length has its upper half."""
+    count = len(block) - HEAD.size + 1
+    if count <= 0:
+        return []
+    values = np.frombuffer(block, np.uint8)
+    upper = values[5 : 5 + count] | values[6 : 6 + count] | values[7 : 7 + count] | values[8 : 8 + count]
+    good = (values[:count] > 0) & (values[:count] <= Op.DATA_END) & (upper == 0)
+    places: list[int] = np.flatnonzero(good)[:_MOST_CANDIDATES].tolist()
+    magic = block.find(MAGIC)
+    return sorted({*places, magic}) if magic >= 0 else places
+
+
+def _is_record(source: Source, offset: int) -> bool:
+    if source.read(offset, len(MAGIC)) == MAGIC:
+        return True
+    record = record_at(source, offset)
+    return record is not None and (record.opcode == Op.CHUNK or is_boundary(source, record.end))
+
+
+def _never(_content: bytes, _length: int) -> bool:
+    return False
+
+
+def _any(_content: bytes, _length: int) -> bool:
+    return True
+
+
+def _at_least(least: int, most: int = 1 << 63) -> Callable[[bytes, int], bool]:
+    return lambda _content, length: least <= length <= most
+
+
+def _text_within(offset: int, behind: int) -> Callable[[bytes, int], bool]:
+    """Make the check of a record with a string at ``offset`` and at least ``behind`` bytes after it."""
+
+    def fits(content: bytes, length: int) -> bool:
+        if length < offset + 4 + behind or len(content) < offset + 4:
+            return False
+        return offset + 4 + int.from_bytes(content[offset : offset + 4], "little") + behind <= length
+
+    return fits
+
+
+_CHECKS: Final[dict[int, Callable[[bytes, int], bool]]] = {
+    Op.HEADER: _text_within(0, 4),
+    Op.FOOTER: _at_least(20, 1 << 10),
+    Op.SCHEMA: _text_within(2, 8),
+    Op.CHANNEL: _text_within(4, 8),
+    Op.MESSAGE: _at_least(MESSAGE_HEAD.size),
+    Op.CHUNK: _text_within(_CHUNK_HEAD.size, 8),  # whatever its compression is called
+    Op.MESSAGE_INDEX: _text_within(2, 0),
+    Op.CHUNK_INDEX: _at_least(60),
+    Op.ATTACHMENT: _text_within(16, 16),
+    Op.ATTACHMENT_INDEX: _at_least(40),
+    Op.STATISTICS: _at_least(46),
+    Op.METADATA: _text_within(0, 4),
+    Op.METADATA_INDEX: _text_within(16, 0),
+    Op.SUMMARY_OFFSET: _at_least(17, 1 << 10),
+    Op.DATA_END: _at_least(4, 1 << 10),
+}
+"""Opcode -> whether content (its beginning) and length can be such a record; padding behind the fields is legal."""

@@ -1,0 +1,197 @@
+"""ROS 1 bags, formats 2.0 and 1.2, read from front to back, so that no index is needed.
+
+Formats: http://wiki.ros.org/Bags/Format/2.0, and 1.2, which has no chunks and tells topic and type in every message. A
+bag is a magic line and records of ``header length u32, header, data length u32, data``; a header is fields of ``length
+u32, name=value``. A chunk's data are records again. The records of an uncompressed chunk are read as if they stood in
+the file itself: so nothing depends on the chunk's length, and memory does not grow with it.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from io import BytesIO
+from typing import TYPE_CHECKING
+
+from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, DecompressError, decompress
+from mavnav.logs.formats.rosbag1_records import U32, Op, Record, is_flat, parse_fields, parse_header, sound_records
+from mavnav.logs.formats.source import Source
+from mavnav.logs.formats.untyped import channel_of, is_vague, typed
+from mavnav.logs.read_report import ReadReport
+from mavnav.logs.records import Channel, RawMessage, Schema, ros_type
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+MAGIC = b"#ROSBAG V2.0\n"
+OLD_MAGIC = b"#ROSRECORD V1.2\n"
+
+_SEARCH_BYTES = 1 << 16
+_U32_PAIR = struct.Struct("<II")
+
+
+@dataclass
+class _State:
+    report: ReadReport
+    channels: dict[int, Channel] = field(default_factory=dict)
+    spare: dict[int, Channel] = field(default_factory=dict)
+    strangers: set[int] = field(default_factory=set)
+    messages: int = 0
+    declared: int = 0
+
+
+def read_rosbag1(path: Path, report: ReadReport) -> Iterator[RawMessage]:
+    """Yield the messages of a ROS 1 bag, in the order of the file, in constant memory.
+
+    What cannot be read is left out and noted. A message counts as whole only if a sound record, or the end,
+    follows right behind it: in a bag that lost bytes, a message that spans the loss would decode to wrong values. What
+    is read of a chunk that does not decompress to its end is suspect.
+    """
+    state = _State(report)
+    with path.open("rb") as file:
+        source = Source(file, path.stat().st_size)
+        begin = _begin(source, report)
+        if source.size == begin:
+            report.damage("the bag ends behind its magic line", source.where(source.size))
+        state.spare = _index_connections(source)
+        for record in sound_records(source, begin, report):
+            report.at(record.start)
+            if record.opcode == Op.CHUNK and not is_flat(record):
+                yield from _chunk_messages(source, record, state)
+            else:
+                yield from _take(source, record, state)
+    if state.declared > state.messages:
+        missing = state.declared - state.messages
+        report.damage(f"{missing} of the {state.declared} messages that the index counts are not there", path.name)
+
+
+def _begin(source: Source, report: ReadReport) -> int:
+    """Return where the records begin: behind the magic line, which may be broken or have other bytes before it."""
+    head = source.read(0, _SEARCH_BYTES)
+    for magic in (MAGIC, OLD_MAGIC):
+        at = head.find(magic)
+        if at >= 0:
+            if at:
+                report.damage(f"{at} bytes that are no bag lie before the magic line", source.where(0))
+            return at + len(magic)
+    report.damage("the bag does not begin with its magic line", source.where(0))
+    return head.find(b"\n", 0, len(OLD_MAGIC)) + 1
+
+
+def _index_connections(source: Source) -> dict[int, Channel]:
+    """Return the connections that the index repeats: needed only where the chunk that declares them is damaged."""
+    spare = _State(ReadReport())
+    bag = parse_header(source, len(MAGIC))
+    index_at = _index_pos(bag) if bag else 0
+    record = parse_header(source, index_at) if len(MAGIC) < index_at < source.size else None
+    while record is not None and record.opcode == Op.CONNECTION and record.end <= source.size:
+        for _ in _take(source, record, spare):
+            pass
+        record = parse_header(source, record.end)
+    return spare.channels
+
+
+def _chunk_messages(source: Source, record: Record, state: _State) -> Iterator[RawMessage]:
+    """Yield the messages of a compressed chunk."""
+    name = record.fields.get(b"compression", b"").decode(errors="replace")
+    where = f"chunk at byte {record.start}"
+    try:
+        data, problem = decompress(name, source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES)))
+    except DecompressError as error:
+        state.report.damage(f"chunk left out: {error}", where)
+        return
+    declared = int.from_bytes(record.fields.get(b"size", b"")[:4], "little")
+    if problem is None and len(data) != declared:
+        problem = f"the chunk declares {declared} bytes and holds {len(data)}"
+    if problem:
+        state.report.damage(f"{problem}; what can be read of the chunk is suspect", where)
+    inner = Source(BytesIO(data), len(data), f"{where}, ")
+    for inner_record in sound_records(inner, 0, state.report):
+        for message in _take(inner, inner_record, state):
+            yield message._replace(suspect=message.suspect or problem is not None)
+
+
+def _take(source: Source, record: Record, state: _State) -> Iterator[RawMessage]:
+    """Yield the message, or take in the connection; other records tell nothing that is needed."""
+    try:
+        if record.opcode == Op.MESSAGE:
+            yield from _message(source, record, state)
+        elif record.opcode == Op.CONNECTION:
+            _declare(source, record, state)
+        elif record.opcode == Op.BAG:
+            _check_index(source, record, state)
+        elif record.opcode == Op.CHUNK_INFO:
+            pairs = source.read(record.start, record.end - record.start)
+            state.declared += sum(count for _, count in _U32_PAIR.iter_unpack(pairs[: len(pairs) // 8 * 8]))
+    except (struct.error, KeyError) as error:
+        state.report.damage(f"a record lacks a field ({error})", source.where(record.start))
+
+
+def _check_index(source: Source, record: Record, state: _State) -> None:
+    index_at = _index_pos(record)
+    if not index_at:
+        state.report.warn("the bag has no index, as after a crash of the recorder; it was read from front to back")
+    elif index_at >= source.size:
+        state.report.damage("the bag is cut: it ends before its index", source.where(source.size))
+
+
+def _index_pos(bag: Record) -> int:
+    return int.from_bytes(bag.fields.get(b"index_pos", b"")[:8], "little")
+
+
+def _message(source: Source, record: Record, state: _State) -> Iterator[RawMessage]:
+    state.messages += 1
+    data = source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES))
+    channel = _old_channel(record, state) if b"topic" in record.fields else _channel(record, state)
+    if channel is not None and is_vague(channel) and b"conn" in record.fields:
+        channel = typed(channel, data, source.where(record.start), state.report)
+        state.channels[U32.unpack(record.fields[b"conn"])[0]] = channel
+    if channel is not None:
+        yield RawMessage(channel, _time_ns(record), data, record.suspect)
+    else:
+        yield from _stranger(source, record, data, state)
+
+
+def _time_ns(record: Record) -> int:
+    fields = record.fields
+    seconds, nanoseconds = _U32_PAIR.unpack(fields[b"time"] if b"time" in fields else fields[b"sec"] + fields[b"nsec"])
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
+def _old_channel(record: Record, state: _State) -> Channel:
+    """Return the channel that a message of format 1.2 names itself."""
+    topic, kind = (record.fields[name].decode(errors="replace") for name in (b"topic", b"type"))
+    return state.report.declare(Channel(topic, ros_type(kind), "ros1"))
+
+
+def _channel(record: Record, state: _State) -> Channel | None:
+    """Return the channel of a message's connection, as declared or by the index."""
+    (number,) = U32.unpack(record.fields[b"conn"])
+    if number not in state.channels and number in state.spare:
+        state.channels[number] = state.report.declare(state.spare[number])
+    return state.channels.get(number)
+
+
+def _stranger(source: Source, record: Record, data: bytes, state: _State) -> Iterator[RawMessage]:
+    """Yield a message of an undeclared connection as suspect, if it is a scan by its bytes."""
+    (number,) = U32.unpack(record.fields[b"conn"])
+    channel = channel_of(data, f"/connection_{number}", state.report)
+    if number not in state.strangers:
+        state.strangers.add(number)
+        fate = f"scans by their bytes, and taken for {channel.topic}" if channel else "left out"
+        text = f"messages of connection {number}, which is declared nowhere before, are {fate}"
+        state.report.damage(text, source.where(record.start))
+    if channel is not None:
+        yield RawMessage(channel, _time_ns(record), data, suspect=True)
+
+
+def _declare(source: Source, record: Record, state: _State) -> None:
+    (number,) = U32.unpack(record.fields[b"conn"])
+    fields = parse_fields(source.read(record.start, record.end - record.start)) or {}
+    topic = record.fields[b"topic"].decode(errors="replace")
+    name = fields.get(b"type", b"").decode(errors="replace")
+    channel = Channel(topic, ros_type(name), "ros1", Schema(name, "ros1msg", fields.get(b"message_definition", b"")))
+    if not name:
+        channel = state.spare.get(number, channel)
+    state.channels[number] = state.report.declare(channel)

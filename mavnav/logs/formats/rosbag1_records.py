@@ -1,0 +1,176 @@
+"""Records of a ROS 1 bag: their headers, and how reading goes on behind bytes that are none.
+
+A record is ``header length u32, header, data length u32, data``; a header is fields of ``length u32, name=value``
+(http://wiki.ros.org/Bags/Format/2.0).
+"""
+
+from __future__ import annotations
+
+import struct
+from enum import IntEnum
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mavnav.logs.formats.source import Source
+    from mavnav.logs.read_report import ReadReport
+
+OP_FIELD: Final = b"\x04\x00\x00\x00op="
+_MAX_HEADER_BYTES = 1 << 16
+_USUAL_HEADER_BYTES = 256
+_REACH_BYTES = 256
+_BLOCK_BYTES = 1 << 20
+U32: Final = struct.Struct("<I")
+
+
+class Op(IntEnum):
+    """Kinds of records."""
+
+    DEFINITION = 1
+    MESSAGE = 2
+    BAG = 3
+    INDEX = 4
+    CHUNK = 5
+    CHUNK_INFO = 6
+    CONNECTION = 7
+
+
+_OPCODES = frozenset(Op)
+
+
+class Record(NamedTuple):
+    """A record whose header is sound. ``start`` is where its data begin, ``end`` where they should end.
+
+    It is ``suspect`` where no sound record follows.
+    """
+
+    opcode: int
+    fields: dict[bytes, bytes]
+    start: int
+    end: int
+    suspect: bool = False
+
+
+def is_flat(record: Record) -> bool:
+    """Tell whether a record is a chunk that is not compressed: its records are read as if they stood in the file."""
+    return record.opcode == Op.CHUNK and record.fields.get(b"compression", b"none") == b"none"
+
+
+def sound_records(source: Source, offset: int, report: ReadReport) -> Iterator[Record]:
+    """Yield the records that are whole; behind a loss, go on at the next sound header."""
+    pending: Record | None = None
+    while offset < source.size or (pending and offset > source.size):
+        record = parse_header(source, offset)
+        if record is None:
+            found = _find_header(source, (pending.start if pending else offset) + 1)
+            if pending and _is_whole(source, pending, found):
+                yield _clipped(source, pending, found)
+            _tell_loss(source, pending, offset, found, report)
+            pending = None
+            if found is None:
+                return
+            offset = found
+            continue
+        if pending:
+            yield pending
+        pending = record
+        offset = record.start if is_flat(record) else record.end
+    if pending:
+        yield pending
+
+
+def _clipped(source: Source, pending: Record, found: int | None) -> Record:
+    """Let a compressed chunk reach to the next sound header, because its length may lie."""
+    end = pending.end if pending.opcode != Op.CHUNK else source.size if found is None else found
+    return pending._replace(end=end, suspect=True)
+
+
+def _tell_loss(source: Source, pending: Record | None, offset: int, found: int | None, report: ReadReport) -> None:
+    """Tell which bytes are lost, or whose length lies; ``offset`` is where a header should stand."""
+    upto = source.size if found is None else found
+    if offset > source.size and found is None and pending:
+        text, at = "the last record is cut by the end", pending.start
+    elif pending and not _is_whole(source, pending, found):
+        text, at = f"{upto - pending.start} bytes are no record", pending.start
+    elif offset >= upto and pending:
+        text, at = "the length of a record lies", pending.start
+    else:
+        text, at = f"{upto - offset} bytes are no record", offset
+    report.damage(text, source.where(at))
+
+
+def _is_whole(source: Source, pending: Record, found: int | None) -> bool:
+    """Tell whether a record before bytes that are no header lost none of its own.
+
+    It did, if the next sound header stands within the length that it claims. A compressed chunk is asked itself.
+    """
+    if pending.opcode == Op.CHUNK:
+        return True
+    if found is not None:
+        return found >= pending.end
+    left = source.read(pending.end, 4)  # the header that follows is cut by the end, or zeros follow
+    return pending.end <= source.size and (len(left) < 4 or 0 < U32.unpack(left)[0] <= _MAX_HEADER_BYTES)
+
+
+def parse_header(source: Source, offset: int) -> Record | None:
+    """Parse the record header at an offset; None where none is."""
+    block = source.read(offset, _USUAL_HEADER_BYTES)
+    if len(block) < 4:
+        return None
+    (length,) = U32.unpack_from(block)
+    if not 0 < length <= min(_MAX_HEADER_BYTES, source.size - offset - 8):
+        return None
+    if length + 8 > len(block):
+        block = source.read(offset, length + 8)
+    fields = parse_fields(block[4 : 4 + length])
+    op = fields.get(b"op", b"") if fields is not None else b""
+    if fields is None or len(op) != 1 or op[0] not in _OPCODES:
+        return None
+    start = offset + 8 + length
+    return Record(op[0], fields, start, start + U32.unpack_from(block, 4 + length)[0])
+
+
+def parse_fields(header: bytes) -> dict[bytes, bytes] | None:
+    """Split a header into its fields; None unless they fill it exactly."""
+    fields: dict[bytes, bytes] = {}
+    offset = 0
+    while offset + 4 <= len(header):
+        (length,) = U32.unpack_from(header, offset)
+        name, equals, value = header[offset + 4 : offset + 4 + length].partition(b"=")
+        offset += 4 + length
+        if not equals or offset > len(header):
+            return None
+        fields[name] = value
+    return fields if offset == len(header) else None
+
+
+def _find_header(source: Source, offset: int) -> int | None:
+    """Return the offset of the next sound header; found by its ``op`` field, which every header has."""
+    while offset < source.size:
+        block = source.read(offset, _BLOCK_BYTES)
+        for at in _candidates(block):
+            record = parse_header(source, offset + at)
+            if record is not None and _is_followed(source, record):
+                return offset + at
+        if len(block) < _BLOCK_BYTES:
+            return None
+        offset += len(block) - 2 * _REACH_BYTES
+        offset = max(offset, source.next_data(offset) - 2 * _REACH_BYTES)
+    return None
+
+
+def _is_followed(source: Source, record: Record) -> bool:
+    """Tell whether a header is one of the bag's, and none that shows through in compressed data."""
+    return record.opcode == Op.CHUNK or record.end == source.size or parse_header(source, record.end) is not None
+
+
+def _candidates(block: bytes) -> Iterator[int]:
+    """Yield, each once, the places shortly before an ``op`` field where a header of fields may begin."""
+    tried, op_at = 0, block.find(OP_FIELD)
+    while op_at >= 0:
+        for at in range(max(tried, op_at - _REACH_BYTES), op_at - 3):
+            if block[at + 2 : at + 4] == b"\0\0" == block[at + 6 : at + 8]:  # two lengths below 64 KiB
+                yield at
+        tried = max(tried, op_at - 3)
+        op_at = block.find(OP_FIELD, op_at + 1)

@@ -1,0 +1,183 @@
+"""ROS 2 bag folders: which files belong to the bag, and in which order (REP-2005, rosbag2's metadata.yaml)."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from mavnav.errors import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+    from pathlib import Path
+
+    from mavnav.logs.read_report import ReadReport
+
+METADATA = "metadata.yaml"
+_MAX_METADATA_BYTES = 1 << 20
+_MAX_DEPTH = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Metadata:
+    """What metadata.yaml claims: the storage files, and the number of messages, None where it does not tell."""
+
+    names: tuple[str, ...]
+    messages: int | None
+
+
+def storage_files(
+    folder: Path, report: ReadReport, is_storage: Callable[[Path], bool], metadata: Metadata | None
+) -> list[Path]:
+    """Return the storage files of a bag: those that metadata.yaml lists, else all that are found, by number.
+
+    Names and links that lead out of the folder are not followed. Listed files that are missing are damage. Found ones
+    that are not listed are read if their name says that they are parts of the same bag, as after a crash.
+
+    Raises
+    ------
+    UsageError
+        The folder holds several logs, and nothing says that they are parts of one bag.
+    """
+    found = _found(folder, report, is_storage)
+    names = metadata.names if metadata else ()
+    inside = [file for name in dict.fromkeys(names) if (file := _inside(folder, name, report)) is not None]
+    listed = list(dict.fromkeys(inside))
+    if len(set(names)) < len(names) or len(listed) < len(inside):
+        report.warn("metadata.yaml lists a file more than once; it was read once")
+    strangers = [file for file in found if file not in listed]
+    parts = [file for file in strangers if not listed or _family(file) in set(map(_family, listed))]
+    if len({_family(file) for file in parts}) > 1:
+        names_found = ", ".join(file.name for file in found[:5]) + (", ..." if len(found) > 5 else "")
+        raise UsageError(f"{folder}: {len(found)} logs that are no parts of one bag ({names_found}); name one of them")
+    for file in strangers if metadata else ():
+        fate = "was read too" if file in parts else "was not read"
+        report.warn(f"{file.name} lies in the folder, but metadata.yaml does not list it; it {fate}")
+    return listed + parts
+
+
+def _found(folder: Path, report: ReadReport, is_storage: Callable[[Path], bool]) -> list[Path]:
+    """Return the storage files of a folder by number; links that lead out of it are told."""
+    files = []
+    for file in sorted(folder.iterdir(), key=_natural):
+        if file.is_file() and not file.resolve().is_relative_to(folder.resolve()):
+            report.damage(f"{file.name!r} is a link that leads out of the folder; it is not read", folder.name)
+        elif is_storage(file):
+            files.append(file)
+    return files
+
+
+def _natural(path: Path) -> list[tuple[bool, int, str]]:
+    """Sort x_2 before x_10."""
+    return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in re.split(r"(\d+)", path.name)]
+
+
+def _family(path: Path) -> str:
+    """Return what the names of a bag's parts have in common: ``x`` of ``x_2.db3.zstd``."""
+    return re.sub(r"(_\d+)?(\.(mcap|db3|bag|active|zstd|zst))*$", "", path.name)
+
+
+def _inside(folder: Path, name: str, report: ReadReport) -> Path | None:
+    """Return the file of a listed name; None, and told, where it leads out of the folder or is missing."""
+    try:
+        return _listed_file(folder, name, report)
+    except (OSError, ValueError):  # too long, or with a zero in it
+        report.damage(f"metadata.yaml lists {name[:80]!r}, which cannot be a file's name", METADATA)
+        return None
+
+
+def _listed_file(folder: Path, name: str, report: ReadReport) -> Path | None:
+    if not (folder / name).resolve().is_relative_to(folder.resolve()):
+        report.damage(f"metadata.yaml lists {name!r}, which leads out of the folder; it is not read", METADATA)
+        return None
+    # Before version 4 names began with the folder's; and who unpacks a file by hand leaves the list as it was.
+    base = folder / (folder / name).name
+    for path in (folder / name, base, base.with_name(base.name + ".zstd"), base.with_name(base.stem)):
+        if path.is_file():
+            return path
+    report.damage(f"metadata.yaml lists {name!r}, which is missing", METADATA)
+    return None
+
+
+def read_metadata(folder: Path, report: ReadReport) -> Metadata | None:
+    """Read metadata.yaml; None, and told, where it is missing or broken.
+
+    Nothing is built from it but names and numbers: tags are never run, aliases never expanded.
+    """
+    import yaml  # noqa: PLC0415
+
+    path = folder / METADATA
+    if not path.is_file() or not path.resolve().is_relative_to(folder.resolve()):
+        report.warn("the folder has no metadata.yaml; the storage files found were read")
+        return None
+    try:
+        with path.open("rb") as file:
+            text = file.read(_MAX_METADATA_BYTES + 1)
+        return _metadata(_plain_tree(text, report))
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError, KeyError, TypeError) as error:
+        reason = " ".join(str(error).split())[:160]
+        report.damage(f"metadata.yaml cannot be read ({reason}); the storage files found were read", METADATA)
+        return None
+
+
+def _metadata(tree: Any) -> Metadata:  # noqa: ANN401  (whatever YAML holds)
+    bag = tree["rosbag2_bagfile_information"]
+    names = bag["relative_file_paths"]
+    if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
+        raise TypeError("relative_file_paths is no list of names")
+    count = bag.get("message_count")
+    return Metadata(tuple(names), int(count) if isinstance(count, str) and count.isdecimal() else None)
+
+
+def _plain_tree(text: bytes, report: ReadReport) -> Any:  # noqa: ANN401
+    """Build dictionaries, lists and words of YAML without tags and aliases; raises ValueError for what is hostile."""
+    import yaml  # noqa: PLC0415
+
+    if len(text) > _MAX_METADATA_BYTES:
+        raise ValueError(f"it is larger than {_MAX_METADATA_BYTES} bytes")
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    _refuse_tricks(yaml.parse(text, loader))
+    root = yaml.compose(text, loader)
+    return _plain(root, report)
+
+
+def _refuse_tricks(events: Iterable[Any]) -> None:
+    import yaml  # noqa: PLC0415
+
+    depth = 0
+    for event in events:
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        tag = getattr(event, "tag", None)
+        if isinstance(event, yaml.AliasEvent) or "python" in str(tag):
+            raise yaml.YAMLError(f"it has the tag {tag}" if tag else "it has aliases")
+        if depth > _MAX_DEPTH:
+            raise ValueError(f"it is nested deeper than {_MAX_DEPTH} levels")
+
+
+def _plain(node: Any, report: ReadReport) -> Any:  # noqa: ANN401
+    import yaml  # noqa: PLC0415
+
+    if isinstance(node, yaml.SequenceNode):
+        return [_plain(item, report) for item in node.value]
+    if not isinstance(node, yaml.MappingNode):
+        return node.value if node is not None else None
+    tree: dict[str, Any] = {}
+    for key, value in node.value:
+        name = str(key.value)
+        if name in tree:
+            report.damage(f"{name} stands there twice; the first counts", METADATA)
+        else:
+            tree[name] = _plain(value, report)
+    return tree
+
+
+def compare_count(metadata: Metadata, messages: int, report: ReadReport) -> None:
+    """Tell where metadata.yaml counts other messages than were read."""
+    if metadata.messages is None or metadata.messages == messages:
+        return
+    text = f"metadata.yaml counts {metadata.messages} messages, {messages} were read"
+    if metadata.messages > messages:
+        report.damage(text, METADATA)
+    else:
+        report.warn(text)

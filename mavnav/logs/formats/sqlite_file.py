@@ -1,0 +1,234 @@
+"""ROS 2 sqlite3 storage (``.db3``): tables ``topics`` and ``messages``, read in the order of the rows.
+
+Layout: rosbag2_storage_sqlite3. The file is opened read-only and immutable, so that nothing is written beside it. What
+sqlite cannot reach is read from the pages themselves.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import tempfile
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import quote
+
+from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
+from mavnav.logs.formats.source import Source
+from mavnav.logs.formats.sqlite_pages import page_size, rows
+from mavnav.logs.formats.untyped import channel_of, is_vague, typed
+from mavnav.logs.records import Channel, RawMessage, ros_type
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mavnav.logs.read_report import ReadReport
+
+MAGIC = b"SQLite format 3\x00"
+
+_TABLES = """SELECT count(*) FROM sqlite_master
+WHERE type = 'table' AND name IN ('topics', 'messages') AND sql NOT LIKE '%VIRTUAL%'"""
+_TOPICS = "SELECT id, name, type, serialization_format FROM topics"
+_MESSAGES = "SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED ORDER BY rowid"
+_COUNT_AT = 28
+_JOURNALS = ("-wal", "-journal")
+_NO_END = 1 << 63
+_WAL_MAGIC = b"\x37\x7f\x06"
+_WAL_HEAD_BYTES = 32
+_FRAME_HEAD_BYTES = 24
+
+
+@dataclass
+class _State:
+    """What has been read: channels, and in ``missing`` the row numbers that sqlite did not give."""
+
+    path: Path
+    report: ReadReport
+    channels: dict[int, Channel] = field(default_factory=dict)
+    missing: list[range] = field(default_factory=list)
+    messages: int = 0
+    last: int = 0
+
+    def passed(self, number: int) -> None:
+        """Note the next row's number, and what is missing before it."""
+        if number > self.last + 1:
+            self.missing.append(range(self.last + 1, number))
+        self.last = number
+        self.messages += 1
+
+
+def read_sqlite(path: Path, report: ReadReport) -> Iterator[RawMessage]:
+    """Yield the messages of a .db3 file, in the order in which they were written, in constant memory.
+
+    Rows are read without the index on their times. Where sqlite gives up, or row numbers are missing, the remaining
+    rows are looked for in the pages; what is lost is noted.
+    """
+    with _whole(path, report) as whole:
+        state = _State(path, report)
+        try:
+            yield from _rows(whole, state)
+        except (sqlite3.Error, UnicodeError) as error:
+            report.damage(f"sqlite cannot read on: {error}", f"{path.name}, after {state.messages} messages")
+            state.missing.append(range(state.last + 1, _NO_END))
+        if state.missing:
+            yield from _rescued(whole, state)
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro&immutable=1", uri=True)
+    connection.text_factory = lambda content: content.decode(errors="replace")
+    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CHUNK_BYTES)
+    return connection
+
+
+def _rows(path: Path, state: _State) -> Iterator[RawMessage]:
+    with closing(_connect(path)) as connection:
+        (tables,) = connection.execute(_TABLES).fetchone()
+        if tables != 2:
+            raise sqlite3.DatabaseError("there are no tables of messages and topics")
+        for number, name, kind, encoding in connection.execute(_TOPICS):
+            state.channels[number] = state.report.declare(Channel(str(name), ros_type(str(kind)), str(encoding)))
+        for number, topic_id, log_ns, data in connection.execute(_MESSAGES):
+            state.passed(number)
+            yield from _message(topic_id, log_ns, data, state)
+
+
+def _message(topic_id: object, log_ns: object, data: object, state: _State) -> Iterator[RawMessage]:
+    number = topic_id if isinstance(topic_id, int) else -1
+    channel = state.channels.get(number)
+    suspect = channel is None
+    if isinstance(data, bytes) and channel is None:
+        channel = channel_of(data, f"/topic_{topic_id}", state.report)
+    elif isinstance(data, bytes) and channel is not None and is_vague(channel):
+        channel = state.channels[number] = typed(channel, data, state.path.name, state.report)
+    if suspect or not isinstance(log_ns, int) or not isinstance(data, bytes):
+        state.report.damage("a message row is broken, or of an undeclared topic", state.path.name)
+    if channel is not None and isinstance(log_ns, int) and isinstance(data, bytes):
+        state.report.at(state.report.here_bytes + len(data))
+        yield RawMessage(channel, log_ns, data, suspect)
+
+
+def _rescued(path: Path, state: _State) -> Iterator[RawMessage]:
+    """Yield the missing rows that the pages still hold."""
+    with path.open("rb") as file:
+        source = Source(file, path.stat().st_size)
+        if not state.channels:
+            _rescue_channels(source, state)
+        found, seen = 0, set()
+        for number, values in rows(source):
+            if isinstance(values[3], bytes) and number not in seen and _is_missing(number, state):
+                seen.add(number)
+                for message in _message(values[1], values[2], values[3], state):
+                    found += 1
+                    yield message._replace(suspect=True)
+    lost = sum(len(gap) for gap in state.missing if gap.stop != _NO_END) - found
+    if found:
+        state.report.damage(f"{found} messages were read from the pages themselves, and are suspect", state.path.name)
+    elif lost > 0:
+        state.report.warn(f"{state.path.name}: {lost} row numbers are not in use, as after rows were deleted")
+
+
+def _is_missing(number: int, state: _State) -> bool:
+    return any(number in gap for gap in state.missing)
+
+
+def _rescue_channels(source: Source, state: _State) -> None:
+    for number, (_, name, kind, encoding, *_) in rows(source):
+        if isinstance(encoding, str) and "/" in str(kind):
+            state.channels[number] = state.report.declare(Channel(str(name), ros_type(str(kind)), encoding))
+
+
+@contextmanager
+def _whole(path: Path, report: ReadReport) -> Iterator[Path]:
+    """Yield a path that sqlite agrees to open.
+
+    It refuses a cut file as a whole, because the header tells more pages than there are: a copy whose header tells
+    the truth lets the whole pages be read, and a row that reaches into the lost ones is an error, not zeros.
+    Rows still in a write-ahead log are read from a copy as well, and a transaction that was begun is rolled back.
+    """
+    journals = [journal for suffix in _JOURNALS if _has_content(journal := path.with_name(path.name + suffix))]
+    sound = not journals and _needs_no_copy(path)
+    if sound:
+        yield path
+        return
+    with tempfile.TemporaryDirectory(prefix="mavnav-") as folder:
+        copy = Path(folder) / path.name
+        shutil.copyfile(path, copy)
+        _mend_magic(copy, report)
+        for journal in journals:
+            _take_in(copy, journal, report)
+        _keep_whole_pages(copy, report)
+        yield copy
+
+
+def _has_content(path: Path) -> bool:
+    return path.is_file() and path.stat().st_size > 0
+
+
+def _needs_no_copy(path: Path) -> bool:
+    with path.open("rb") as file:
+        head = file.read(_COUNT_AT + 4)
+    return head.startswith(MAGIC) and path.stat().st_size >= page_size(head) * _pages(head)
+
+
+def _pages(head: bytes) -> int:
+    """Return the number of pages that the header tells (https://sqlite.org/fileformat.html, 1.3.8)."""
+    return int.from_bytes(head[_COUNT_AT : _COUNT_AT + 4], "big")
+
+
+def _mend_magic(copy: Path, report: ReadReport) -> None:
+    with copy.open("r+b") as file:
+        if file.read(len(MAGIC)) != MAGIC:
+            report.damage("the file does not begin with the magic of sqlite", copy.name)
+            file.seek(0)
+            file.write(MAGIC)
+
+
+def _take_in(copy: Path, journal: Path, report: ReadReport) -> None:
+    """Let sqlite take in what a recorder that did not close the file left beside it."""
+    shutil.copyfile(journal, copy.parent / journal.name)
+    try:
+        with closing(sqlite3.connect(copy)) as connection:
+            _, taken, _ = connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        if (written := _frames(journal)) > taken >= 0:
+            text = f"{written - taken} of the {written} pages in {journal.name} are broken, or of no finished write"
+            report.damage(f"{text}; they are left out", copy.name)
+        report.warn(f"{copy.name}: {journal.name} beside it was read too (the recorder did not close the file)")
+    except sqlite3.Error as error:
+        report.damage(f"{journal.name} beside it cannot be read: {error}", copy.name)
+        with suppress(OSError):
+            (copy.parent / journal.name).unlink()
+
+
+def _frames(wal: Path) -> int:
+    """Return the number of pages, whole or cut, in a write-ahead log; 0 for another file (fileformat.html, 4).
+
+    Frames of an earlier turn of the log have other salts than its header.
+    """
+    with wal.open("rb") as file:
+        head = file.read(_WAL_HEAD_BYTES)
+        if head[:3] != _WAL_MAGIC or len(head) < _WAL_HEAD_BYTES:
+            return 0
+        frame_bytes = _FRAME_HEAD_BYTES + int.from_bytes(head[8:12], "big")
+        count = 0
+        while file.read(_FRAME_HEAD_BYTES)[8:16] == head[16:24]:
+            count += 1
+            file.seek(_WAL_HEAD_BYTES + count * frame_bytes)
+    return count
+
+
+def _keep_whole_pages(copy: Path, report: ReadReport) -> None:
+    size = copy.stat().st_size
+    with copy.open("r+b") as file:
+        head = file.read(_COUNT_AT + 4)
+        page_bytes, pages = page_size(head), _pages(head)
+        if size >= page_bytes * pages:
+            return
+        report.damage(f"the file is cut: {size} of {page_bytes * pages} bytes are there", copy.name)
+        if whole := size // page_bytes:
+            file.seek(_COUNT_AT)
+            file.write(whole.to_bytes(4, "big"))

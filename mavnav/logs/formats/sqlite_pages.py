@@ -1,0 +1,166 @@
+"""Rows of a sqlite file read from its leaf pages, without the tree above them: for files that sqlite gives up on.
+
+Format: https://sqlite.org/fileformat.html, 1.6 (b-tree pages) and 2.1 (records). The tables of a ROS 2 bag are told by
+the shape of their rows: a message is (NULL, integer, integer, blob), a topic (NULL, text, text, text, ...), because a
+column that is the row's number is stored as NULL.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mavnav.logs.formats.source import Source
+
+_LEAF = 0x0D
+_FILE_HEADER_BYTES = 100
+_INTEGER_BYTES = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
+_MOST_COLUMNS = 16
+
+Value = int | bytes | str | None
+
+
+class Row(NamedTuple):
+    """A row: its number, and its columns."""
+
+    number: int
+    values: tuple[Value, ...]
+
+
+def rows(source: Source) -> Iterator[Row]:
+    """Yield the rows of messages and topics, in the order of the pages; rows that reach into lost pages are left out.
+
+    Nothing is believed but the page size; where that is none of sqlite's, 4096 bytes are taken.
+    """
+    head = source.read(0, _FILE_HEADER_BYTES)
+    page_bytes = page_size(head)
+    usable = page_bytes - (head[20] if len(head) > 20 and head[20] < 64 else 0)
+    for page in range(-(-source.size // page_bytes)):
+        content = source.read(page * page_bytes, page_bytes)
+        yield from _rows_of(source, content, _FILE_HEADER_BYTES if page == 0 else 0, usable)
+
+
+def page_size(head: bytes) -> int:
+    """Return the page size that a file's header tells (1.3.2)."""
+    size = int.from_bytes(head[16:18], "big")
+    size = 65536 if size == 1 else size
+    return size if size >= 512 and size.bit_count() == 1 else 4096
+
+
+def _rows_of(source: Source, page: bytes, start: int, usable: int) -> Iterator[Row]:
+    if len(page) < start + 8 or page[start] != _LEAF:
+        return
+    cells = int.from_bytes(page[start + 3 : start + 5], "big")
+    for at in range(start + 8, min(start + 8 + 2 * cells, usable - 1), 2):
+        row = _cell(source, page, int.from_bytes(page[at : at + 2], "big"), usable)
+        if row is not None:
+            yield row
+
+
+def _cell(source: Source, page: bytes, offset: int, usable: int) -> Row | None:
+    """Read the cell at an offset; None where it is cut, or of another table."""
+    try:
+        length, offset = _varint(page, offset)
+        number, offset = _varint(page, offset)
+    except IndexError:
+        return None
+    local = _local_bytes(length, usable)
+    if not 4 <= length <= MAX_CHUNK_BYTES or offset + local > len(page) or not _is_ours(page[offset : offset + local]):
+        return None
+    payload = page[offset : offset + local]
+    if local < length:
+        payload = _overflow(source, page, offset + local, payload, length, usable)
+    values = _record(payload) if len(payload) == length else None
+    return None if values is None else Row(number, values)
+
+
+def _varint(data: bytes, offset: int) -> tuple[int, int]:
+    """Read a big-endian number of 7 bits a byte, 8 in the ninth; return it and the offset behind it."""
+    value = 0
+    for count in range(9):
+        byte = data[offset + count]
+        if count == 8:
+            return (value << 8) | byte, offset + 9
+        value = (value << 7) | (byte & 0x7F)
+        if byte < 0x80:
+            return value, offset + count + 1
+    raise AssertionError
+
+
+def _local_bytes(length: int, usable: int) -> int:
+    """Return how much of a payload lies in the leaf itself (1.6)."""
+    if length <= usable - 35:
+        return length
+    least = (usable - 12) * 32 // 255 - 23
+    local = least + (length - least) % (usable - 4)
+    return local if local <= usable - 35 else least
+
+
+def _overflow(source: Source, page: bytes, pointer: int, payload: bytes, length: int, usable: int) -> bytes:
+    """Follow the chain of overflow pages; what is returned is short where it breaks."""
+    pieces, missing = [payload], length - len(payload)
+    following = int.from_bytes(page[pointer : pointer + 4], "big")
+    while missing > 0 and following > 0:
+        block = source.read((following - 1) * len(page), usable)
+        piece = block[4 : 4 + missing]
+        if not piece:
+            break
+        pieces.append(piece)
+        missing -= len(piece)
+        following = int.from_bytes(block[:4], "big")
+    return b"".join(pieces)
+
+
+def _types(payload: bytes) -> tuple[list[int], int] | None:
+    """Return the serial types of a record's columns and the offset of their values; None where they are none."""
+    try:
+        end, offset = _varint(payload, 0)
+        types: list[int] = []
+        while offset < end and len(types) <= _MOST_COLUMNS:
+            kind, offset = _varint(payload, offset)
+            types.append(kind)
+    except IndexError:
+        return None
+    return (types, end) if offset == end else None
+
+
+def _is_ours(payload: bytes) -> bool:
+    """Tell by the types of the columns whether a record is a message or a topic."""
+    found = _types(payload)
+    if found is None or len(found[0]) < 4 or found[0][0] != 0:
+        return False
+    kinds = found[0][1:4]
+    message = kinds[0] in _INTEGER_BYTES and kinds[1] in _INTEGER_BYTES and _is_blob(kinds[2]) and len(found[0]) == 4
+    return message or all(kind >= 13 and kind % 2 for kind in kinds)
+
+
+def _is_blob(kind: int) -> bool:
+    return kind >= 12 and kind % 2 == 0
+
+
+def _record(payload: bytes) -> tuple[Value, ...] | None:
+    """Read the columns of a record; None where their lengths do not add up to its own."""
+    found = _types(payload)
+    if found is None:
+        return None
+    values: list[Value] = []
+    types, offset = found
+    for kind in types:
+        size = (kind - 12) // 2 if kind >= 12 else _INTEGER_BYTES.get(kind, 8 if kind == 7 else 0)
+        values.append(_value(kind, payload[offset : offset + size]))
+        offset += size
+    return tuple(values) if offset == len(payload) else None
+
+
+def _value(kind: int, content: bytes) -> Value:
+    if kind in (8, 9):
+        return kind - 8
+    if kind in _INTEGER_BYTES:
+        return int.from_bytes(content, "big", signed=True)
+    if kind >= 12:
+        return content if kind % 2 == 0 else content.decode(errors="replace")
+    return None

@@ -1,0 +1,1 @@
+"""Messages: from the bytes of a message to a record, and back."""

@@ -1,0 +1,137 @@
+"""Decoding messages by encoding and type: a dict from both to a function from bytes to a record.
+
+ROS messages are decoded by the standard definitions, whatever schema text the log holds: ros2msg and ros2idl mean
+the same.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from mavnav.logs.formats.decompress import DecompressError, unpack_message
+from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, ODOMETRY, SCAN, TF, TF_ROS1
+from mavnav.logs.messages.fast_cdr import laser_of, odometry_of, transforms_of
+from mavnav.logs.messages.records import DecodeError, LaserMessage, TransformMessage
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mavnav.logs.records import Channel
+
+LASER_TYPES = frozenset({SCAN, FOXGLOVE_SCAN})
+
+
+def decoder(channel: Channel) -> Callable[[bytes], Any] | None:
+    """Return the function that decodes a channel's messages; None for kinds that mavnav has no use for.
+
+    It returns a LaserMessage, or a list of TransformMessage for odometry and transforms, and raises DecodeError.
+    """
+    make = DECODERS.get((channel.encoding, channel.type))
+    if make is None:
+        return None
+    decode = make(channel)
+
+    def checked(data: bytes) -> Any:  # noqa: ANN401
+        try:
+            return decode(unpack_message(data))
+        except DecompressError as error:
+            raise DecodeError(str(error)) from error
+
+    return checked
+
+
+def is_laser(channel: Channel) -> bool:
+    """Tell whether a channel holds scans that can be decoded."""
+    return channel.type in LASER_TYPES and (channel.encoding, channel.type) in DECODERS
+
+
+def _deserialized(data: bytes, encoding: str, type_name: str) -> Any:  # noqa: ANN401
+    """Decode a message by its standard definition; raises DecodeError."""
+    from rosbags.serde import SerdeError  # noqa: PLC0415
+
+    from mavnav.logs.messages import ros  # noqa: PLC0415  its type stores take some 0.1 s to load
+
+    try:
+        if encoding == "cdr":
+            return ros.types_ros2().deserialize_cdr(data, type_name)
+        return ros.types_ros1().deserialize_ros1(data, type_name)
+    except (SerdeError, ValueError, IndexError) as error:
+        raise DecodeError(str(error)) from error
+
+
+def _ros(
+    by_layout: Callable[[bytes, str], Any], convert: Callable[[Any], Any], type_name: str
+) -> Callable[[Channel], Callable[[bytes], Any]]:
+    def make(channel: Channel) -> Callable[[bytes], Any]:
+        def decode(data: bytes) -> Any:  # noqa: ANN401
+            found = by_layout(data, channel.encoding)
+            return convert(_deserialized(data, channel.encoding, type_name)) if found is None else found
+
+        return decode
+
+    return make
+
+
+def _stamp_ns(stamp: Any) -> int:  # noqa: ANN401  (rosbags generates its classes)
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def _laser(message: Any) -> LaserMessage:  # noqa: ANN401
+    return LaserMessage(
+        _stamp_ns(message.header.stamp),
+        message.header.frame_id,
+        message.angle_min,
+        message.angle_increment,
+        message.angle_max,
+        message.range_min,
+        message.range_max,
+        message.time_increment,
+        message.scan_time,
+        message.ranges,
+    )
+
+
+def _odometry(message: Any) -> list[TransformMessage]:  # noqa: ANN401
+    p, q = message.pose.pose.position, message.pose.pose.orientation
+    header = message.header
+    stamp_ns = _stamp_ns(header.stamp)
+    return [TransformMessage(stamp_ns, header.frame_id, message.child_frame_id, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))]
+
+
+def _transforms(message: Any) -> list[TransformMessage]:  # noqa: ANN401
+    return [_transform(stamped) for stamped in message.transforms]
+
+
+def _transform(stamped: Any) -> TransformMessage:  # noqa: ANN401
+    t, q = stamped.transform.translation, stamped.transform.rotation
+    return TransformMessage(
+        _stamp_ns(stamped.header.stamp),
+        stamped.header.frame_id,
+        stamped.child_frame_id,
+        (t.x, t.y, t.z),
+        (q.x, q.y, q.z, q.w),
+    )
+
+
+def _foxglove_json(channel: Channel) -> Callable[[bytes], LaserMessage]:
+    from mavnav.logs.messages.foxglove import json_decoder  # noqa: PLC0415
+
+    return json_decoder(channel)
+
+
+def _foxglove_protobuf(channel: Channel) -> Callable[[bytes], LaserMessage]:
+    from mavnav.logs.messages.foxglove import protobuf_decoder  # noqa: PLC0415
+
+    return protobuf_decoder(channel)
+
+
+_ROS_KINDS: dict[str, Callable[[Channel], Callable[[bytes], Any]]] = {
+    SCAN: _ros(laser_of, _laser, SCAN),
+    ODOMETRY: _ros(odometry_of, _odometry, ODOMETRY),
+    **dict.fromkeys((TF, TF_ROS1), _ros(transforms_of, _transforms, TF)),
+}
+DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
+    ("json", FOXGLOVE_SCAN): _foxglove_json,
+    ("protobuf", FOXGLOVE_SCAN): _foxglove_protobuf,
+    **{(encoding, name): make for name, make in _ROS_KINDS.items() for encoding in ("cdr", "ros1")},
+}

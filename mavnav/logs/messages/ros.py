@@ -1,0 +1,111 @@
+"""ROS messages to write: built from plain values, serialised as CDR (ROS 2) or for ROS 1."""
+
+from __future__ import annotations
+
+from functools import cache
+from math import cos, sin
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from mavnav.logs.messages.definitions import ODOMETRY, POSE, SCAN, TF
+
+if TYPE_CHECKING:
+    from mavnav.pose import Pose
+    from mavnav.scan import Scan
+
+
+@cache
+def types_ros2() -> Any:  # noqa: ANN401  rosbags' types are made at run time
+    """Return the type store of ROS 2."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+@cache
+def types_ros1() -> Any:  # noqa: ANN401
+    """Return the type store of ROS 1, with the transforms that it lacks."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+    return store
+
+
+def definition(msgtype: str) -> str:
+    """Return the message definition with all that it contains (MCAP's ``ros2msg``)."""
+    text, _ = types_ros2().generate_msgdef(msgtype, ros_version=2)
+    return str(text)
+
+
+def cdr(message: Any) -> bytes:  # noqa: ANN401
+    """Serialise a message for ROS 2."""
+    return bytes(types_ros2().serialize_cdr(message, message.__msgtype__))
+
+
+def ros1(message: Any) -> bytes:  # noqa: ANN401
+    """Serialise a message for ROS 1; the sequence number, which ROS 2 does not have, is 0."""
+    return bytes(types_ros2().cdr_to_ros1(cdr(message), message.__msgtype__))
+
+
+def _new(msgtype: str, *fields: object) -> Any:  # noqa: ANN401
+    return types_ros2().types[msgtype](*fields)
+
+
+def _time(stamp_ns: int) -> Any:  # noqa: ANN401
+    return _new("builtin_interfaces/msg/Time", *divmod(stamp_ns, 1_000_000_000))
+
+
+def _header(stamp_ns: int, frame: str) -> Any:  # noqa: ANN401
+    return _new("std_msgs/msg/Header", _time(stamp_ns), frame)
+
+
+def _turn(yaw_rad: float) -> Any:  # noqa: ANN401
+    return _new("geometry_msgs/msg/Quaternion", 0.0, 0.0, sin(yaw_rad / 2.0), cos(yaw_rad / 2.0))
+
+
+def _pose(pose: Pose) -> Any:  # noqa: ANN401
+    point = _new("geometry_msgs/msg/Point", pose.x_m, pose.y_m, 0.0)
+    return _new("geometry_msgs/msg/Pose", point, _turn(pose.yaw_rad))
+
+
+def transform(stamp_ns: int, parent: str, child: str, parent_T_child: Pose) -> Any:  # noqa: ANN401
+    """Return a TFMessage of one transform."""
+    shift = _new("geometry_msgs/msg/Vector3", parent_T_child.x_m, parent_T_child.y_m, 0.0)
+    body = _new("geometry_msgs/msg/Transform", shift, _turn(parent_T_child.yaw_rad))
+    return _new(TF, [_new("geometry_msgs/msg/TransformStamped", _header(stamp_ns, parent), child, body)])
+
+
+def pose_stamped(stamp_ns: int, frame: str, pose: Pose) -> Any:  # noqa: ANN401
+    """Return a PoseStamped."""
+    return _new(POSE, _header(stamp_ns, frame), _pose(pose))
+
+
+def odometry(stamp_ns: int, parent: str, child: str, parent_T_child: Pose) -> Any:  # noqa: ANN401
+    """Return an Odometry; velocities and covariances are zero, which means that they are not told."""
+    still = _new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
+    twist = _new("geometry_msgs/msg/Twist", still, still)
+    return _new(
+        ODOMETRY,
+        _header(stamp_ns, parent),
+        child,
+        _new("geometry_msgs/msg/PoseWithCovariance", _pose(parent_T_child), np.zeros(36)),
+        _new("geometry_msgs/msg/TwistWithCovariance", twist, np.zeros(36)),
+    )
+
+
+def laser_scan(scan: Scan, frame: str, no_return_m: float = np.nan) -> Any:  # noqa: ANN401
+    """Return a LaserScan with ``no_return_m`` where there is no valid return; no intensities."""
+    spec = scan.spec
+    last = spec.angle_min_rad + spec.angle_step_rad * max(spec.beams - 1, 0)
+    return _new(
+        SCAN,
+        _header(scan.stamp_ns, frame),
+        spec.angle_min_rad,
+        last,
+        spec.angle_step_rad,
+        spec.time_increment_s,
+        spec.scan_time_s,
+        spec.range_min_m,
+        spec.range_max_m,
+        np.where(np.isnan(scan.ranges_m), no_return_m, scan.ranges_m).astype(np.float32),
+        np.empty(0, np.float32),
+    )

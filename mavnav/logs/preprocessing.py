@@ -1,0 +1,221 @@
+"""The scan filter: where every odd convention of sensors and drivers ends.
+
+A range is told apart in the order of REP-117: within the limits it is valid, else -inf is too close, +inf is nothing
+in range, NaN is erroneous. Drivers older than the REP put 0, negative values and values beyond the limits. Whatever is
+not valid becomes NaN, and is counted by kind.
+"""
+
+from __future__ import annotations
+
+from math import isfinite, isnan, nextafter, tau
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mavnav.scan import LaserSpec
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from mavnav.logs.messages.records import LaserMessage
+
+KINDS: Final = ("valid", "zero", "below_min", "above_max", "nan", "plus_inf", "minus_inf", "negative")
+
+_LEAST_M: Final = -1.7976931348623157e308
+_SMALLEST_M: Final = 5e-324
+FARTHEST_M: Final = 250.0
+"""No planar laser sees farther; a reading beyond is no return, whatever the limits say."""
+
+_LOOKED_AT: Final = 20
+"""So many scans decide on the unit of the ranges."""
+
+_MOST_BEAMS: Final = 1 << 15
+"""More than any planar laser has; what has more is thinned, so that no scan costs seconds."""
+
+_AT_MAX_SHARE, _AT_MAX_LEAST = 0.02, 10
+"""More readings of exactly the maximum are no wall: simulators and some drivers write it where nothing is in range."""
+
+_MOST_TURNS: Final = 1.1
+"""A scan may overlap itself a little; one of several turns has a wrong increment."""
+
+
+def clean(
+    ranges_m: NDArray[np.floating], range_min_m: float, range_max_m: float
+) -> tuple[NDArray[np.float64], tuple[int, ...]]:
+    """Turn every range that is no return into NaN.
+
+    Parameters
+    ----------
+    ranges_m
+        Shape (beams,), as the driver wrote them.
+    range_min_m, range_max_m
+        Limits, both inclusive. 0 and infinity are never valid, whatever the limits.
+
+    Returns
+    -------
+    cleaned, counts
+        (beams,) float64 with NaN for no return, and the number of beams of each of ``KINDS``.
+    """
+    with np.errstate(invalid="ignore"):  # a signalling NaN, as damage may leave it
+        cleaned = ranges_m.astype(np.float64)
+    lowest, highest = max(range_min_m, _SMALLEST_M), min(range_max_m, FARTHEST_M)
+    (odd,) = (~((cleaned >= lowest) & (cleaned <= highest))).nonzero()
+    counts = _count(cleaned[odd], lowest, len(cleaned))
+    cleaned[odd] = np.nan
+    return cleaned, counts
+
+
+def _count(odd_m: NDArray[np.float64], lowest_m: float, beams: int) -> tuple[int, ...]:
+    """Count the kinds of ranges that are not valid: sorted, NaN last, they lie between these edges."""
+    odd_m.sort()
+    minus, zero, small, low, plus, nan = odd_m.searchsorted(
+        np.array((_LEAST_M, 0.0, _SMALLEST_M, lowest_m, np.inf, np.nan))
+    ).tolist()
+    valid, n = beams - len(odd_m), len(odd_m)
+    return valid, small - zero, low - small, plus - low, n - nan, nan - plus, minus, zero - minus
+
+
+class ScanFilter:
+    """The cleaning of one topic's scans; remembers the last geometry, so that equal scans share one LaserSpec.
+
+    ``warn`` takes a line about something odd that was put right. ``doubt`` says, in the end, why the topic as a whole
+    cannot be what it claims: its ranges or angles are of another unit.
+    """
+
+    def __init__(self, topic: str, warn: Callable[[str], None]) -> None:
+        self._topic = topic
+        self._warn = warn
+        self._key: tuple[float | None, ...] = ()
+        self._spec: LaserSpec | None = None
+        self._looked_at = 0
+        self._far, self._positive = 0, 0
+        self._turns = ""
+        self._max_is_none = False
+
+    @property
+    def doubt(self) -> str:
+        """The reason to refuse the whole topic, empty where there is none."""
+        if self._far * 2 > self._positive:
+            text = "more than half of the ranges lie beyond 250 m: they look like millimetres, not metres"
+            return f"{text}; divide them by 1000, range_min and range_max too"
+        return self._turns if self._spec is None else ""
+
+    def _look_at_units(self, ranges_m: NDArray[np.floating]) -> None:
+        """Count what is too far; the farthest value of a scan may be a driver's word for no return."""
+        self._looked_at += 1
+        finite = ranges_m[np.isfinite(ranges_m) & (ranges_m > 0)]
+        far = finite[finite > FARTHEST_M]
+        self._positive += len(finite)
+        self._far += int(np.count_nonzero(far < far.max())) if len(far) else 0
+
+    def admit(self, message: LaserMessage) -> tuple[LaserSpec, NDArray[np.float64], tuple[int, ...]] | str:
+        """Return geometry, cleaned ranges and counts; or, in a word, the reason why the scan is unusable."""
+        if self._looked_at < _LOOKED_AT:
+            self._look_at_units(message.ranges_m)
+        if reason := _refusal(message):
+            if reason == "impossible_geometry" and _in_degrees(message):
+                self._turns = (
+                    f"{len(message.ranges_m)} beams of angle_increment {message.angle_step_rad:g} are more than a turn:"
+                    " the angles look like degrees, and LaserScan is in radians"
+                )
+            return reason
+        message = self._thinned(message)
+        spec = self._spec_of(message)
+        cleaned, counts = clean(message.ranges_m, spec.range_min_m, self._farthest_m(message.ranges_m, spec))
+        if not counts[0]:
+            return "no_valid_beam"
+        return spec, cleaned, counts
+
+    def _farthest_m(self, ranges_m: NDArray[np.floating], spec: LaserSpec) -> float:
+        """Return the greatest valid range: below the sensor's maximum, from where that stands for no return."""
+        if not self._max_is_none and isfinite(spec.range_max_m):
+            most = max(_AT_MAX_SHARE * len(ranges_m), _AT_MAX_LEAST)
+            self._max_is_none = bool(np.count_nonzero(ranges_m == spec.range_max_m) > most)
+            if self._max_is_none:
+                told = f"many ranges are range_max itself ({spec.range_max_m:g} m)"
+                self._warn(f"{self._topic}: {told}; from there on they are taken for no return")
+        return nextafter(spec.range_max_m, 0.0) if self._max_is_none else spec.range_max_m
+
+    def _thinned(self, message: LaserMessage) -> LaserMessage:
+        """Take one of every so many beams where a scan has far too many."""
+        every = -(-len(message.ranges_m) // _MOST_BEAMS)
+        if every == 1:
+            return message
+        self._warn(f"{self._topic}: a scan has more than {_MOST_BEAMS} beams; one of {every} is used")
+        return message._replace(
+            angle_step_rad=message.angle_step_rad * every,
+            time_increment_s=message.time_increment_s * every,
+            ranges_m=message.ranges_m[::every],
+        )
+
+    def _spec_of(self, message: LaserMessage) -> LaserSpec:
+        # angle_min .. scan_time and the number of beams; frame and stamp are not geometry
+        key = (*message[2:9], len(message.ranges_m))
+        if self._spec is None or key != self._key:
+            spec = self._make_spec(message)
+            if self._spec is not None and _geometry(spec) != _geometry(self._spec):
+                self._warn(f"{self._topic}: the geometry of the scans changes on the way; each scan keeps its own")
+            self._key, self._spec = key, spec
+        return self._spec
+
+    def _make_spec(self, message: LaserMessage) -> LaserSpec:
+        self._check(message)
+        low, high = _limits(message)
+        return LaserSpec(
+            message.angle_min_rad,
+            message.angle_step_rad,
+            len(message.ranges_m),
+            low,
+            high,
+            _finite_or_zero(message.time_increment_s),
+            _finite_or_zero(message.scan_time_s),
+        )
+
+    def _check(self, message: LaserMessage) -> None:
+        """Warn about fields that contradict the rest and are not believed."""
+        if message.has_limits and _limits(message) == (0.0, np.inf):
+            told = f"{message.range_min_m:g} to {message.range_max_m:g} m"
+            self._warn(f"{self._topic}: the range limits ({told}) are unusable; every positive range is taken")
+        if message.has_pose:
+            self._warn(f"{self._topic}: the scans carry a pose of their own, which is not used")
+        last = message.angle_min_rad + message.angle_step_rad * (len(message.ranges_m) - 1)
+        told_last = message.last_angle_rad
+        # Many drivers are one beam out here; that is no news.
+        if told_last is not None and not abs(told_last - last) <= 1.5 * abs(message.angle_step_rad):
+            told = f"angle_max is {told_last:.4f} rad, but {len(message.ranges_m)} beams end at {last:.4f}"
+            self._warn(f"{self._topic}: {told}; number of beams and increment are believed")
+
+
+def _refusal(message: LaserMessage) -> str | None:
+    beams = len(message.ranges_m)
+    if not beams:
+        return "empty"
+    if not (isfinite(message.angle_min_rad) and isfinite(message.angle_step_rad)):
+        return "non_finite_angle"
+    if message.angle_step_rad == 0.0:
+        return "zero_angle_increment"
+    too_wide = abs(message.angle_step_rad) * (beams - 1) > _MOST_TURNS * tau
+    return "impossible_geometry" if too_wide or abs(message.angle_min_rad) > 2 * tau else None
+
+
+def _in_degrees(message: LaserMessage) -> bool:
+    turn = abs(message.angle_step_rad) * (len(message.ranges_m) - 1)
+    return 20.0 < turn <= 400.0
+
+
+def _limits(message: LaserMessage) -> tuple[float, float]:
+    """Return the range limits, (0, inf) where they are unusable. A maximum of +inf is a sensor without one."""
+    low, high = message.range_min_m, message.range_max_m
+    if not isfinite(low) or isnan(high) or high <= low:
+        return 0.0, np.inf
+    return max(low, 0.0), high
+
+
+def _geometry(spec: LaserSpec) -> tuple[float, float, int]:
+    return spec.angle_min_rad, spec.angle_step_rad, spec.beams
+
+
+def _finite_or_zero(seconds: float) -> float:
+    return seconds if isfinite(seconds) else 0.0

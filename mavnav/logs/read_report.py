@@ -1,0 +1,104 @@
+"""The read report: the channels met, damage, warnings, and how far the reader is."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from operator import ne
+from typing import TYPE_CHECKING
+
+from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, ODOMETRY, SCAN, TF, TF_ROS1
+from mavnav.logs.records import Damage
+
+if TYPE_CHECKING:
+    from mavnav.logs.records import Channel
+
+MAX_DAMAGE = 100
+"""Damage is listed singly up to here, so that a log of rubbish does not fill the memory; the rest is counted."""
+
+KNOWN_TYPES = (SCAN, FOXGLOVE_SCAN, ODOMETRY, TF, TF_ROS1)
+"""Types that a scan, a pose or a mounting can come from."""
+
+KNOWN_ENCODINGS = ("cdr", "ros1", "ros2", "json", "protobuf")
+"""Encodings of messages; ``ros2`` is none, and no misspelt ``ros1`` either."""
+
+
+class ReadReport:
+    """Notes of one pass over a log.
+
+    ``done_bytes`` grows from 0 to ``total_bytes``, the bytes that are to be read.
+    """
+
+    def __init__(self) -> None:
+        self.channels: dict[tuple[str, str, str], Channel] = {}
+        self._declared: dict[tuple[str, str, str], Channel] = {}
+        self.warnings: list[str] = []
+        self.total_bytes = 0
+        self._base_bytes = 0
+        self.here_bytes = 0
+        self._damage: list[Damage] = []
+        self._unlisted: Counter[str] = Counter()
+
+    def declare(self, channel: Channel) -> Channel:
+        """Note a channel, with or without messages; return the one to use for it.
+
+        Where a letter or two of a type are wrong, as from a flipped bit, it is the one that is known.
+        """
+        key = (channel.topic, channel.type, channel.encoding)
+        if key not in self._declared:
+            mended = _mended(channel)
+            if mended != channel:
+                was, now = (f"{c.type} ({c.encoding})" for c in (channel, mended))
+                self.damage(f"the type {was} is damaged, and taken for {now}", channel.topic)
+            self._declared[key] = self.channels.setdefault((mended.topic, mended.type, mended.encoding), mended)
+        return self._declared[key]
+
+    def only(self, message_type: str) -> Channel | None:
+        """Return the channel of this type, if there is just one."""
+        found = [channel for channel in self.channels.values() if channel.type == message_type]
+        return found[0] if len(found) == 1 else None
+
+    def damage(self, what: str, where: str) -> None:
+        """Note something that could not be read, or is suspect."""
+        if len(self._damage) < MAX_DAMAGE:
+            self._damage.append(Damage(what, where))
+        else:
+            self._unlisted[what] += 1
+
+    def warn(self, text: str) -> None:
+        """Note something odd by which no data are lost; once, however often it is told."""
+        if text not in self.warnings:
+            self.warnings.append(text)
+
+    def at(self, offset: int) -> None:
+        """Note the place in the present file."""
+        self.here_bytes = offset
+
+    def next_file(self, size_bytes: int) -> None:
+        """Note that a file of this size is done."""
+        self._base_bytes += size_bytes
+        self.here_bytes = 0
+
+    @property
+    def done_bytes(self) -> int:
+        """Bytes read so far."""
+        return self._base_bytes + self.here_bytes
+
+    def damages(self) -> tuple[Damage, ...]:
+        """Return what was noted, the unlisted rest in one line a kind."""
+        rest = (Damage(f"{what} ({count} more)", "further on") for what, count in self._unlisted.items())
+        return (*self._damage, *rest)
+
+
+def _mended(channel: Channel) -> Channel:
+    """Return the channel with its type and encoding as they were, if only a letter or two are wrong."""
+    kind = _nearest(channel.type, KNOWN_TYPES, 2)
+    encoding = _nearest(channel.encoding, KNOWN_ENCODINGS, 1)
+    return replace(channel, type=kind, encoding=encoding) if kind and encoding else channel
+
+
+def _nearest(word: str, known: tuple[str, ...], most: int) -> str | None:
+    """Return the known word that is as long and has at most so many other letters."""
+    wrong = {name: sum(map(ne, name, word)) for name in known if len(name) == len(word)}
+    name = min(wrong, key=wrong.__getitem__, default=None)
+    return name if name and wrong[name] <= most else None

@@ -1,0 +1,122 @@
+"""The tree of frames in a log: where the laser sits on the vehicle (REP-105, tf2)."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from math import atan2, cos, radians
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mavnav.pose import Pose, yaw_of_quaternion
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from numpy.typing import NDArray
+
+    from mavnav.logs.messages.records import TransformMessage
+
+BASE_FRAMES = ("base_link", "base_footprint")
+
+_SAME = 1e-6
+_UPRIGHT = cos(radians(10.0))
+
+
+def frame_name(name: str) -> str:
+    """Drop the leading slash of tf1."""
+    return name.lstrip("/")
+
+
+def matrix_of(message: TransformMessage) -> NDArray[np.float64] | None:
+    """Return ``parent_T_child`` as (4, 4); None where it is not finite or its quaternion is zero."""
+    q = np.array(message.xyzw, dtype=np.float64)
+    norm = float(np.linalg.norm(q))
+    if not (np.isfinite(message.xyz).all() and np.isfinite(norm) and norm > _SAME):
+        return None
+    x, y, z, w = q / norm
+    matrix = np.eye(4)
+    matrix[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    matrix[:3, 3] = message.xyz
+    return matrix
+
+
+def planar_pose(message: TransformMessage) -> Pose | None:
+    """Return x, y and yaw of a transform; None where they are not finite."""
+    x, y, _ = message.xyz
+    yaw = yaw_of_quaternion(*message.xyzw)
+    return Pose(x, y, yaw) if np.isfinite((x, y, yaw)).all() and any(message.xyzw) else None
+
+
+@dataclass
+class FrameTree:
+    """Transforms met in a log: ``static`` ones (the last word counts), and those of /tf, noted if they ``changed``."""
+
+    static: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
+    moving: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
+    changed: set[tuple[str, str]] = field(default_factory=set)
+
+    def add(self, messages: Iterable[TransformMessage], *, static: bool) -> None:
+        """Take in the transforms of one message."""
+        for message in messages:
+            edge = frame_name(message.parent), frame_name(message.child)
+            if not static and edge in self.changed:
+                continue
+            matrix = matrix_of(message)
+            if matrix is None:
+                continue
+            if static:
+                self.static[edge] = matrix
+            elif not np.allclose(self.moving.setdefault(edge, matrix), matrix, atol=_SAME, rtol=0.0):
+                self.changed.add(edge)
+
+    def find(self, base: str, laser: str) -> NDArray[np.floating] | None:
+        """Return ``base_T_laser`` (4, 4) by the static transforms, and the constant ones of /tf if need be."""
+        constant = {edge: matrix for edge, matrix in self.moving.items() if edge not in self.changed}
+        direct = _chain(self.static, base, laser)
+        return direct if direct is not None else _chain({**constant, **self.static}, base, laser)
+
+
+def _chain(edges: dict[tuple[str, str], NDArray[np.float64]], base: str, laser: str) -> NDArray[np.floating] | None:
+    """Walk from frame to frame, breadth first, up and down."""
+    steps: dict[str, list[tuple[str, NDArray[np.floating]]]] = {}
+    for (parent, child), matrix in edges.items():
+        steps.setdefault(parent, []).append((child, matrix))
+        steps.setdefault(child, []).append((parent, np.linalg.inv(matrix)))
+    found: dict[str, NDArray[np.floating]] = {base: np.eye(4)}
+    queue = deque([base])
+    while queue and laser not in found:
+        frame = queue.popleft()
+        for other, step in steps.get(frame, []):
+            if other not in found:
+                found[other] = found[frame] @ step
+                queue.append(other)
+    return found.get(laser)
+
+
+class Mounting(NamedTuple):
+    """Where the laser sits: ``base_T_laser`` projected to the plane, with z up and the laser's own x axis."""
+
+    base_frame: str
+    base_T_laser: Pose
+    upside_down: bool
+
+
+def mounting(
+    tree: FrameTree, laser_frame: str, base_frames: Iterable[str], warn: Callable[[str], None]
+) -> Mounting | None:
+    """Return how the laser is mounted on the first base frame that leads to it."""
+    laser = frame_name(laser_frame)
+    for base in base_frames:
+        matrix = tree.find(frame_name(base), laser)
+        if matrix is not None:
+            if abs(matrix[2, 2]) < _UPRIGHT:
+                warn(f"the transforms say that the laser ({laser}) is tilted; its scans are used as if it were level")
+            pose = Pose(float(matrix[0, 3]), float(matrix[1, 3]), atan2(matrix[1, 0], matrix[0, 0]))
+            return Mounting(frame_name(base), pose, bool(matrix[2, 2] < 0.0))
+    return None

@@ -1,0 +1,1 @@
+"""Writing logs: recordings of a simulation, and conversion to MCAP."""

@@ -1,0 +1,108 @@
+"""Containers to write logs to: MCAP and ROS 2 bag folders (CDR), ROS 1 bags.
+
+Each is a context manager that gives a function ``put(topic, stamp_ns, message)``, in constant memory. Nothing in the
+files depends on the clock: the time of recording is the one that is passed in, so that equal messages give equal bytes.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Final
+
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag1 import Writer as Bag1Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Bag2Writer
+
+from mavnav.logs.messages import ros
+from mavnav.logs.writing.mcap_writer import write_serialized
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from contextlib import AbstractContextManager
+    from pathlib import Path
+
+    from mavnav.logs.writing.mcap_writer import Channel
+
+    Put = Callable[[str, int, Any], None]
+
+
+_FOREVER = QosTime(9223372036, 854775807)
+
+
+def _qos(channel: Channel) -> Qos:
+    return Qos(
+        QosHistory.KEEP_LAST,
+        1 if channel.latched else 10,
+        QosReliability.RELIABLE,
+        QosDurability.TRANSIENT_LOCAL if channel.latched else QosDurability.VOLATILE,
+        _FOREVER,
+        _FOREVER,
+        QosLiveliness.AUTOMATIC,
+        _FOREVER,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+@contextmanager
+def write_mcap(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
+    """Write an MCAP file of ROS 2 messages with their definitions, chunks compressed with zstd."""
+    with write_serialized(path, channels) as put_bytes:
+
+        def put(topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
+            put_bytes(topic, stamp_ns, ros.cdr(message))
+
+        yield put
+
+
+@contextmanager
+def write_bag1(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
+    """Write a ROS 1 bag, chunks compressed with bz2: the codec whose output does not change with its version."""
+    writer = Bag1Writer(path)
+    writer.set_compression(Bag1Writer.CompressionFormat.BZ2)
+    with writer:
+        connections = {
+            topic: writer.add_connection(
+                topic,
+                channel.type,
+                typestore=ros.types_ros1(),
+                callerid="/mavnav",
+                latching=int(channel.latched),
+            )
+            for topic, channel in channels.items()
+        }
+
+        def put(topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
+            writer.write(connections[topic], stamp_ns, ros.ros1(message))
+
+        yield put
+
+
+@contextmanager
+def write_bag2(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
+    """Write the folder of a ROS 2 bag: sqlite3 storage and metadata.yaml. Raises OSError for what sqlite refuses."""
+    writer = Bag2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    try:
+        with writer:
+            connections = {
+                topic: writer.add_connection(
+                    topic, channel.type, typestore=ros.types_ros2(), offered_qos_profiles=[_qos(channel)]
+                )
+                for topic, channel in channels.items()
+            }
+
+            def put(topic: str, stamp_ns: int, message: Any) -> None:  # noqa: ANN401
+                writer.write(connections[topic], stamp_ns, ros.cdr(message))
+
+            yield put
+    except sqlite3.Error as error:
+        raise OSError(f"sqlite: {error}") from error
+
+
+CONTAINERS: Final[dict[str, Callable[[Path, Mapping[str, Channel]], AbstractContextManager[Put]]]] = {
+    ".mcap": write_mcap,
+    ".bag": write_bag1,
+    "": write_bag2,
+}
+"""Suffix of a log's name -> its writer; a name without one is the folder of a ROS 2 bag."""

@@ -1,0 +1,229 @@
+"""Whatever can be read of a log, written as a sound, indexed MCAP: ROS 1 messages as ROS 2 where both know the type."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from mavnav.atomic_files import beside
+from mavnav.errors import NoScansError, OutputError, UsageError
+from mavnav.logs.formats import detect
+from mavnav.logs.formats.decompress import DecompressError, unpack_message
+from mavnav.logs.messages import ros
+from mavnav.logs.messages.decode import decoder
+from mavnav.logs.messages.definitions import TF, TF_ROS1
+from mavnav.logs.messages.records import DecodeError
+from mavnav.logs.read_report import ReadReport
+from mavnav.logs.records import Channel, Damage, RawMessage, Schema, Topic
+from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, qos_text
+from mavnav.logs.writing.mcap_writer import Channel as Written
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+_LATEST_NS = (1 << 63) - 1
+_ROS1_ONLY = {TF_ROS1: TF}
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """What was written: topics with the number of messages; what was left out by reason; what was odd on the way."""
+
+    topics: tuple[Topic, ...]
+    left_out: dict[str, int]
+    damage: tuple[Damage, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def messages(self) -> int:
+        """Number of messages written."""
+        return sum(topic.count for topic in self.topics)
+
+
+def convert(
+    source: Path,
+    target: Path,
+    *,
+    strict: bool = False,
+    force: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Conversion:
+    """Write a log anew as MCAP; it is opened again and compared before it gets its name.
+
+    Messages whose type is known and that do not decode are left out, and with ``strict`` those from where a checksum
+    does not match. Messages of types that are not known are copied as they are.
+
+    Raises
+    ------
+    UsageError
+        No such log, or a target that is no ``.mcap`` or is the log itself.
+    NoScansError
+        Nothing in the log can be read.
+    OutputError
+        The target exists (and ``force`` does not say to replace it), or cannot be written.
+    """
+    _check(source, target, force=force)
+    report = ReadReport()
+    try:
+        with beside(target) as partial:
+            writing = _Writing(strict, report)
+            _write(source, partial, writing, progress)
+            topics = writing.topics()
+            if not topics:
+                raise NoScansError(f"{source}: no message can be read; {_first(report, source)}")
+            _compare(partial, target, topics)
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(f"{target} cannot be written: {reason}; make room or choose another place") from error
+    return Conversion(topics, dict(sorted(writing.left_out.items())), report.damages(), tuple(report.warnings))
+
+
+def _check(source: Path, target: Path, *, force: bool) -> None:
+    if not (source.is_file() or source.is_dir()):
+        raise UsageError(f"{source}: no such file or folder; give the path of a log")
+    if target.suffix != ".mcap":
+        raise UsageError(f"{target}: a log is written as MCAP; let the name end in .mcap")
+    if target.exists() and (target.samefile(source) or not target.is_file()):
+        raise UsageError(f"{target} is in the way; choose another name")
+    if target.exists() and not force:
+        raise OutputError(f"{target} exists; choose another name, or --force to replace it")
+
+
+def _first(report: ReadReport, source: Path) -> str:
+    damages = report.damages()
+    return f"{damages[0].what} ({damages[0].where})" if damages else detect.refusal(source)
+
+
+@dataclass
+class _Writing:
+    """The state of a conversion: for every channel of the source its number in the target and its translation."""
+
+    strict: bool
+    report: ReadReport
+    left_out: Counter[str] = field(default_factory=Counter)
+    counts: Counter[Channel] = field(default_factory=Counter)
+    numbers: dict[Channel, int] = field(default_factory=dict)
+    schemas: dict[Schema, int] = field(default_factory=dict)
+    ways: dict[Channel, tuple[Channel, Callable[[bytes], bytes], Callable[[bytes], Any]]] = field(default_factory=dict)
+
+    def put(self, writer: Any, message: RawMessage) -> None:  # noqa: ANN401  (mcap is untyped here)
+        """Write a message, or count why not."""
+        if self.strict and message.suspect:
+            self.left_out["suspect"] += 1
+            return
+        try:
+            data = unpack_message(message.data)
+            if message.channel not in self.ways:
+                self.ways[message.channel] = _way(message.channel, data)
+            channel, translate, check = self.ways[message.channel]
+            check(data)
+            data = translate(data)
+        except (DecodeError, DecompressError) as error:
+            self.left_out["undecodable"] += 1
+            self.report.damage(f"a message does not decode ({error})", f"{message.channel.topic}, {message.log_ns} ns")
+            return
+        number = self.numbers.get(channel)
+        if number is None:
+            number = self.numbers[channel] = self._register(writer, channel)
+        log_ns = min(max(message.log_ns, 0), _LATEST_NS)
+        writer.add_message(number, log_ns, data, log_ns)
+        self.counts[channel] += 1
+
+    def _register(self, writer: Any, channel: Channel) -> int:  # noqa: ANN401
+        schema = channel.schema
+        if schema.name and schema not in self.schemas:
+            self.schemas[schema] = writer.register_schema(schema.name, schema.encoding, schema.data)
+        qos = {"offered_qos_profiles": qos_text(Written(channel.type, latched=channel.topic.endswith("tf_static")))}
+        metadata = qos if channel.encoding == "cdr" else {}
+        return int(writer.register_channel(channel.topic, channel.encoding, self.schemas.get(schema, 0), metadata))
+
+    def topics(self) -> tuple[Topic, ...]:
+        """Return what was written."""
+        return tuple(
+            Topic(c.topic, c.type, c.encoding, n)
+            for c, n in sorted(self.counts.items(), key=lambda item: (item[0].topic, item[0].type))
+        )
+
+
+def _write(source: Path, partial: Path, writing: _Writing, progress: Callable[[int, int], None] | None) -> None:
+    from mcap.writer import CompressionType, Writer  # noqa: PLC0415
+
+    from mavnav import __version__  # noqa: PLC0415
+
+    report = writing.report
+    if detect.sniff(source) == detect.UNKNOWN:
+        raise NoScansError(f"{source}: {detect.refusal(source)}")
+    with partial.open("wb") as file:
+        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        writer.start(profile="ros2", library=f"mavnav {__version__}")
+        for message in detect.read(source, report):
+            writing.put(writer, message)
+            if progress:
+                progress(min(report.done_bytes, report.total_bytes), report.total_bytes)
+        writer.finish()
+
+
+def _way(channel: Channel, data: bytes) -> tuple[Channel, Callable[[bytes], bytes], Callable[[bytes], Any]]:
+    """Return the channel to write, how its messages are translated, and what fails for those that do not decode."""
+    check = decoder(channel) or _nothing
+    name = _ROS1_ONLY.get(channel.type, channel.type)
+    if channel.encoding == "ros1" and _translates(name, data):
+        return _ros2(channel.topic, name), lambda message: _to_cdr(message, name), check
+    if channel.encoding == "cdr" and not channel.schema.data and name in ros.types_ros2().types:
+        return _ros2(channel.topic, name), _same, check
+    return channel, _same, check
+
+
+def _ros2(topic: str, name: str) -> Channel:
+    return Channel(topic, name, "cdr", Schema(name, "ros2msg", ros.definition(name).encode()))
+
+
+def _translates(name: str, data: bytes) -> bool:
+    if name not in ros.types_ros2().types:
+        return False
+    try:
+        _to_cdr(data, name)
+    except DecodeError:
+        return False
+    return True
+
+
+def _to_cdr(data: bytes, name: str) -> bytes:
+    from rosbags.serde import SerdeError  # noqa: PLC0415
+
+    try:
+        return bytes(ros.types_ros2().ros1_to_cdr(data, name))
+    except (SerdeError, ValueError, IndexError, AssertionError) as error:
+        raise DecodeError(str(error)) from error
+
+
+def _same(data: bytes) -> bytes:
+    return data
+
+
+def _nothing(_data: bytes) -> None:
+    return None
+
+
+def _compare(partial: Path, target: Path, topics: tuple[Topic, ...]) -> None:
+    """Open the new file, by its messages and by its index; raises OutputError where it is not what was written."""
+    from mcap.reader import make_reader  # noqa: PLC0415
+
+    report, counts = ReadReport(), Counter[str]()
+    for message in detect.read(partial, report):
+        counts[message.channel.topic] += 1
+    expected = _by_name(topics)
+    with partial.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    indexed = summary.statistics.message_count if summary and summary.statistics else -1
+    if counts != expected or report.damages() or indexed != sum(expected.values()):
+        raise OutputError(f"{target}: what was written reads back differently; is the disk sound? Try another place")
+
+
+def _by_name(topics: tuple[Topic, ...]) -> Mapping[str, int]:
+    counts = Counter[str]()
+    for topic in topics:
+        counts[topic.name] += topic.count
+    return counts

@@ -1,0 +1,153 @@
+"""Recording: what a vehicle sees, believes of its motion and truly does, as a log that any reader of logs takes.
+
+=================  ==========================  ====================================================================
+topic              type                        what
+=================  ==========================  ====================================================================
+``/scan``          sensor_msgs/LaserScan       frame ``laser``; 0.0 where there is no return, as a URG tells it
+``/odom``          nav_msgs/Odometry           ``odom`` -> ``base_link``; velocities and covariances are not told
+``/ground_truth``  geometry_msgs/PoseStamped   the base in the frame ``world``
+``/tf``            tf2_msgs/TFMessage          ``odom`` -> ``base_link``, with every ``/odom``
+``/tf_static``     tf2_msgs/TFMessage          ``base_link`` -> ``laser``, once, before everything else
+=================  ==========================  ====================================================================
+
+The truth is no Odometry and not in ``/tf``: nothing that looks for odometry can take it by mistake.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from heapq import merge
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav.atomic_files import beside
+from mavnav.errors import OutputError, UsageError
+from mavnav.logs.formats.rosbag2 import METADATA
+from mavnav.logs.messages import definitions, ros
+from mavnav.logs.writing.containers import CONTAINERS
+from mavnav.logs.writing.mcap_writer import Channel
+from mavnav.pose import Pose
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from pathlib import Path
+
+    from mavnav.pose import Trajectory
+    from mavnav.scan import Scan
+
+CHANNELS: Final = {
+    "/tf_static": Channel(definitions.TF, latched=True),
+    "/tf": Channel(definitions.TF),
+    "/odom": Channel(definitions.ODOMETRY),
+    "/ground_truth": Channel(definitions.POSE),
+    "/scan": Channel(definitions.SCAN),
+}
+NO_RETURN_M: Final = 0.0
+WORLD, ODOM, BASE, LASER = "world", "odom", "base_link", "laser"
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A drive to be recorded: scans, odometry and truth of the base, and where the laser sits on it.
+
+    Trajectories are empty where there is none; stamps of all three are of one clock.
+    """
+
+    scans: Sequence[Scan]
+    odom_T_base: Trajectory
+    world_T_base: Trajectory
+    base_T_laser: Pose = field(default_factory=Pose)
+
+
+@dataclass(slots=True)
+class Recorder:
+    """A log being written, message by message, in the order of their stamps; made by ``recorder``."""
+
+    put: Callable[[str, int, Any], None]
+    base_T_laser: Pose
+    _begun: bool = False
+
+    def scan(self, scan: Scan) -> None:
+        """Record a scan."""
+        self._begin(scan.stamp_ns)
+        self.put("/scan", scan.stamp_ns, ros.laser_scan(scan, LASER, NO_RETURN_M))
+
+    def odometry(self, stamp_ns: int, odom_T_base: Pose) -> None:
+        """Record a pose of the odometry, as a message and as a transform."""
+        self._begin(stamp_ns)
+        link = (stamp_ns, ODOM, BASE, odom_T_base)
+        self.put("/tf", stamp_ns, ros.transform(*link))
+        self.put("/odom", stamp_ns, ros.odometry(*link))
+
+    def truth(self, stamp_ns: int, world_T_base: Pose) -> None:
+        """Record the true pose."""
+        self._begin(stamp_ns)
+        self.put("/ground_truth", stamp_ns, ros.pose_stamped(stamp_ns, WORLD, world_T_base))
+
+    def _begin(self, stamp_ns: int) -> None:
+        """Tell the mounting once, at the first stamp."""
+        if not self._begun:
+            self._begun = True
+            link = (stamp_ns, BASE, LASER, self.base_T_laser)
+            self.put("/tf_static", stamp_ns, ros.transform(*link))
+
+
+@contextmanager
+def recorder(path: Path, base_T_laser: Pose | None = None, *, force: bool = False) -> Iterator[Recorder]:
+    """Give a Recorder; the log appears under its name, complete, when the block ends well.
+
+    The name tells the format: ``.mcap``, ``.bag`` (ROS 1), or the folder of a ROS 2 bag. Equal calls write equal bytes.
+
+    Raises
+    ------
+    UsageError
+        Another suffix.
+    OutputError
+        The target exists (and ``force`` does not say to replace it), is no log of this kind, or cannot be written.
+    """
+    check_recording(path, force=force)
+    try:
+        with beside(path) as partial, CONTAINERS[path.suffix](partial, CHANNELS) as put:
+            yield Recorder(put, base_T_laser or Pose())
+    except OSError as error:
+        reason = error.strerror or error
+        raise OutputError(f"{path} cannot be written: {reason}; make room or choose another place") from error
+
+
+def check_recording(path: Path, *, force: bool) -> None:
+    """Raise what ``recorder`` would raise for this name; cheap enough to ask before the work begins."""
+    if path.suffix not in CONTAINERS:
+        raise UsageError(
+            f"{path}: no format of this name can be recorded; end it in .mcap or .bag (ROS 1), "
+            "or leave the ending out for the folder of a ROS 2 bag"
+        )
+    if path.is_dir():
+        _check_folder(path)
+    elif path.exists() and (not path.suffix or not path.is_file()):
+        raise OutputError(f"{path} is in the way; choose another name for the recording")
+    if path.exists() and not force:
+        raise OutputError(f"{path} exists; choose another name for the recording, or --force to replace it")
+
+
+def _check_folder(path: Path) -> None:
+    """Refuse folders that are no ROS 2 bag."""
+    if path.suffix or (any(path.iterdir()) and not (path / METADATA).is_file()):
+        raise OutputError(f"{path} is a folder, but no ROS 2 bag; choose another name for the recording")
+
+
+def record(recording: Recording, path: Path, *, force: bool = False) -> None:
+    """Write a whole recording in the order of time; of one stamp, truth and odometry come before the scan."""
+    r = recording
+    with recorder(path, r.base_T_laser, force=force) as log:
+        truth = ((stamp, log.truth, (stamp, pose)) for stamp, pose in _poses(r.world_T_base))
+        odometry = ((stamp, log.odometry, (stamp, pose)) for stamp, pose in _poses(r.odom_T_base))
+        scans = ((scan.stamp_ns, log.scan, (scan,)) for scan in r.scans)
+        streams: list[Iterable[tuple[int, Callable[..., None], tuple[Any, ...]]]] = [truth, odometry, scans]
+        for _, tell, what in merge(*streams, key=itemgetter(0)):
+            tell(*what)
+
+
+def _poses(trajectory: Trajectory) -> Iterator[tuple[int, Pose]]:
+    for k, stamp_ns in enumerate(trajectory.stamps_ns.tolist()):
+        yield stamp_ns, trajectory[k]

@@ -1,0 +1,153 @@
+"""The robust method's map: occupied cells, each with the local line through the points around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import floor
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.kernels.linemap import FAR, NEAR, REACH_CELLS, insert_points, rebuild
+from mavnav.kernels.points import extent
+from mavnav.mapping.tiled_arrays import NO_ROOM, covering, moved, room, within
+from mavnav.memory import blank
+from mavnav.profiling import timed
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.mapping.tiled_arrays import Extent
+
+_BLOCK_CELLS = 256
+BEYOND = REACH_CELLS + 2
+"""So many cells around a point are in the lattice."""
+MOST_WAITING = 1 << 12
+"""So many cells may have points that their neighbours do not know of yet."""
+_AT_ONCE = 1 << 14
+"""Lines that are moved at once."""
+
+NOWHERE = (1e9, 1e9, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+"""The line of index 0: so far away that the cost of every point is truncated."""
+
+
+@dataclass(slots=True)
+class LineMap:
+    """A growing map of local lines; see ``mavnav.kernels.linemap`` for the arrays.
+
+    ``origin_cells`` is the lattice index (col, row) of cell [0, 0], so that the map frame's origin is a corner of
+    cells however the map grows. Ground is known where a line rests on ``known_points`` points (``linesearch``).
+    """
+
+    cell_m: float
+    line_sigma_m: float
+    line_noise_m: float
+    known_points: float = 0.0
+    waiting_share: float = 0.0
+    origin_cells: tuple[int, int] = (0, 0)
+    count: int = 1
+    nearest: NDArray[np.uint32] = field(default_factory=lambda: np.empty((0, 0), np.uint32))
+    cells: NDArray[np.int32] = field(default_factory=lambda: np.empty((1, 2), np.int32))
+    moments: NDArray[np.float64] = field(default_factory=lambda: np.empty((1, 12)))
+    lines: NDArray[np.float64] = field(default_factory=lambda: np.array([NOWHERE]))
+    waiting: NDArray[np.float64] = field(default_factory=lambda: np.zeros((MOST_WAITING + 1, 8)))
+
+    geometry: NDArray[np.float64] = field(init=False)
+    """Origin x, origin y, cell, line sigma, line noise in m, the share that may wait, shape (6,)."""
+    _room_m: Extent = field(init=False, default=NO_ROOM)
+
+    def __post_init__(self) -> None:
+        """Say once what the kernels are told of the lattice."""
+        self.geometry = np.array(
+            [*self.origin_xy_m, self.cell_m, self.line_sigma_m, self.line_noise_m, self.waiting_share]
+        )
+
+    @property
+    def origin_xy_m(self) -> tuple[float, float]:
+        """Corner of cell [0, 0] in the map frame."""
+        col, row = self.origin_cells
+        return col * self.cell_m, row * self.cell_m
+
+    def closeness_at(self, distance_m: float) -> float:
+        """Return what ``nearest`` tells of a cell whose nearest occupied one is so far away, m: how near that is."""
+        return FAR + 1 - 1e-9 - (distance_m / self.cell_m) ** 2
+
+    @timed("field update")
+    def insert(self, xy_map_m: NDArray[np.float64], extent_m: Extent | None = None) -> None:
+        """Add points (n, 2), in m, and refit the lines around them; their ``extent`` may be known."""
+        if len(xy_map_m) == 0:
+            return
+        extent_m = extent_m or extent(np.ascontiguousarray(xy_map_m))
+        if not within(extent_m, self._room_m):
+            self._cover(extent_m)
+            self._room_m = room(self.origin_xy_m, self.nearest.shape, self.cell_m, BEYOND)
+        self._reserve(self.count + len(xy_map_m))
+        for first in range(0, len(xy_map_m), MOST_WAITING):
+            self.count = insert_points(
+                np.ascontiguousarray(xy_map_m[first : first + MOST_WAITING]),
+                self.geometry,
+                self.count,
+                self.nearest,
+                self.cells,
+                self.moments,
+                self.lines,
+                self.waiting,
+            )
+
+    @timed("field update")
+    def remove(self, xy_map_m: NDArray[np.float64]) -> None:
+        """Forget what the cells of some points (n, 2), in m, hold; cells that hold nothing may be among them.
+
+        No points wait any longer.
+        """
+        at = np.floor(xy_map_m / self.cell_m).astype(np.int64) - np.array(self.origin_cells)
+        inside = ((at >= 0) & (at < np.array(self.nearest.shape[::-1]))).all(axis=1)
+        col, row = at[inside].T
+        there = self.nearest[row, col]
+        gone = there[there % NEAR > FAR] // NEAR
+        self._settle()
+        kept = np.delete(np.arange(self.count), gone)
+        self.count = n = len(kept)
+        for first in range(0, n, _AT_ONCE):  # in place: a copy of a large map would not fit beside it
+            band = slice(first, min(first + _AT_ONCE, n))
+            for held in (self.cells, self.moments, self.lines):
+                held[band] = held[kept[band]]
+        self.nearest = blank(self.nearest.shape, np.uint32)
+        rebuild(self.geometry, self.nearest, self.cells[:n], self.moments[:n], self.lines[:n])
+
+    def _settle(self) -> None:
+        """Count the points that wait among their cells'; the map must be drawn anew."""
+        new = self.waiting[1 : int(self.waiting[0, 0]) + 1]
+        at = new[:, 6].astype(np.int64)
+        self.moments[at, :6] += new[:, :6]
+        self.lines[at, 6] = self.waiting[0, 0] = 0.0
+
+    def _cover(self, extent_m: Extent) -> None:
+        """Grow the lattice until points of this extent and the reach around them lie inside."""
+        x0, y0, x1, y1 = extent_m
+        low = (floor(x0 / self.cell_m) - BEYOND, floor(y0 / self.cell_m) - BEYOND)
+        high = (floor(x1 / self.cell_m) + BEYOND, floor(y1 / self.cell_m) + BEYOND)
+        origin = self.origin_cells
+        grown = covering(low, high, self.nearest.shape, origin, _BLOCK_CELLS)
+        if grown is None:
+            return
+        new_origin, shape = grown
+        dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
+        self.nearest = moved(self.nearest, shape, dr, dc)
+        self.cells[1 : self.count] += np.array([dr, dc], np.int32)
+        self.origin_cells = new_origin
+        self.geometry[:2] = self.origin_xy_m
+
+    def _reserve(self, needed: int) -> None:
+        """Make room for ``needed`` cells, four times as many as now at least: room takes memory once it is used."""
+        capacity = len(self.cells)
+        if needed <= capacity:
+            return
+        capacity = max(needed, 4 * capacity, 4096)
+        cells = np.zeros((capacity, 2), np.int32)
+        cells[: self.count] = self.cells[: self.count]
+        self.cells = cells
+        for name in ("moments", "lines"):
+            grown = np.zeros((capacity, getattr(self, name).shape[1]))
+            grown[: self.count] = getattr(self, name)[: self.count]
+            setattr(self, name, grown)

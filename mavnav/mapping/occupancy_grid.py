@@ -1,0 +1,256 @@
+"""The occupancy grid: an integer count of laser hits a cell (paper, "Occupancy Grid Representation")."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import floor
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from mavnav.errors import MapTooLargeError
+from mavnav.kernels import hits as hits_kernel
+from mavnav.kernels import passing
+from mavnav.kernels.points import extent
+from mavnav.mapping.tiled_arrays import (
+    NO_ROOM,
+    WIDE,
+    bands,
+    blank_strips,
+    covering,
+    in_strips,
+    moved,
+    plain,
+    room,
+    within,
+)
+from mavnav.profiling import timed
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.mapping.tiled_arrays import Extent
+    from mavnav.pose import Pose
+
+BLOCK_CELLS = 64
+_MARGIN_CELLS: Final = 2
+MAX_CELLS = 1 << 28
+"""819 m x 819 m in cells of 50 mm."""
+
+OCCUPIED_SHARE: Final = 0.2
+"""A cell is occupied where at least this share of the beams that reached it ended in it."""
+
+FREE, OCCUPIED, UNKNOWN = 0, 100, -1
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Hit counts on a square lattice.
+
+    ``hits[row, col]`` counts laser end points, ``passes[row, col]`` beams that crossed the cell on their way. Both are
+    (rows, cols), of any integers when given; they are kept in two bytes each, as in a `GridBuilder`, and saturate so.
+    Row grows with +y. ``origin_xy_m`` is the corner of cell [0, 0] in the map frame, always a whole number of cells.
+    """
+
+    cell_m: float
+    origin_xy_m: tuple[float, float] = (0.0, 0.0)
+    hits: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
+    passes: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
+
+    def __post_init__(self) -> None:
+        """Take the counts in as `counts` does."""
+        object.__setattr__(self, "hits", counts(self.hits))
+        object.__setattr__(self, "passes", counts(self.passes))
+
+    @property
+    def lattice(self) -> NDArray[np.float64]:
+        """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
+        return np.array([*self.origin_xy_m, self.cell_m])
+
+
+@dataclass(slots=True)
+class GridBuilder:
+    """The counts of a `Grid` while it grows, in two bytes each: they end at 65535, ``shielded`` at 32767.
+
+    ``passes`` are (rows, cols). ``hits``, and ``shielded``, which counts those of the crossings during which something
+    near the cell was hit (the others went clear through), are blank but near walls, and in strips (``tiled_arrays``).
+    """
+
+    cell_m: float
+    origin_xy_m: tuple[float, float] = (0.0, 0.0)
+    hits: NDArray[np.uint16] = field(default_factory=lambda: blank_strips((0, 0), np.uint16))
+    passes: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
+    shielded: NDArray[np.int16] = field(default_factory=lambda: blank_strips((0, 0), np.int16))
+
+    lattice: NDArray[np.float64] = field(init=False)
+    """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
+
+    _room_m: Extent = field(init=False, default=NO_ROOM)
+
+    def __post_init__(self) -> None:
+        """Say once what the kernels are told of the lattice."""
+        self.lattice = np.array([*self.origin_xy_m, self.cell_m])
+
+    @classmethod
+    def of(cls, grid: Grid) -> GridBuilder:
+        """Lay a grid in strips, to be looked up; of its crossings none was clear."""
+        shielded = in_strips(np.minimum(grid.passes, hits_kernel.MOST_SHIELDED).astype(np.int16))
+        return cls(grid.cell_m, grid.origin_xy_m, in_strips(grid.hits), grid.passes.copy(), shielded)
+
+    def by_rows(self) -> Grid:
+        """Return the counts by rows and columns; the crossings are these, not a copy."""
+        return Grid(self.cell_m, self.origin_xy_m, plain(self.hits), self.passes)
+
+    @timed("insert")
+    def insert(self, laser: Pose, xy_map_m: NDArray[np.float64], extent_m: Extent | None = None) -> None:
+        """Count the end points (n, 2) of one scan, in m, and the cells that its beams crossed.
+
+        The points' ``extent`` may be known.
+        """
+        if len(xy_map_m) == 0:
+            return
+        extent_m, (x, y, _) = extent_m or extent(np.ascontiguousarray(xy_map_m)), laser
+        if not (within(extent_m, self._room_m) and within((x, y, x, y), self._room_m)):
+            x0, y0, x1, y1 = extent_m
+            low = (floor(min(x0, x) / self.cell_m) - 1, floor(min(y0, y) / self.cell_m) - 1)
+            high = (floor(max(x1, x) / self.cell_m) + 1, floor(max(y1, y) / self.cell_m) + 1)
+            self._cover(low, high)
+            self._room_m = room(self.origin_xy_m, self.passes.shape, self.cell_m, 1)
+        hits_kernel.add_scan(xy_map_m, np.array([x, y]), self.lattice, self.hits, self.passes, self.shielded)
+
+    def remove_dynamic_cells(self) -> NDArray[np.float64]:
+        """Take back the hits of cells where nothing stayed; return their middles (n, 2), m."""
+        row, col = passing.passing_cells(self.hits, self.passes, self.shielded).T
+        self.hits[col // WIDE, row, col % WIDE] = 0
+        middles: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * self.cell_m + np.array(self.origin_xy_m)
+        return middles
+
+    @timed("virtual scan")
+    def virtual_scan(
+        self, laser: Pose, directions: NDArray[np.float64], far_m: float, gap_cells: int, *, middle: bool = False
+    ) -> NDArray[np.float64]:
+        """Cast the laser's beams over the map (paper, "Virtual Scan").
+
+        ``directions`` (beams, 2) are the beams' cosines and sines in the laser's frame. Returns ranges (beams,) in m
+        to the centres of the cells seen, NaN where none lies within ``far_m``; a wall of several cells counts as its
+        cell of most hits, and may contain ``gap_cells`` empty ones. Of cells with equally many hits the nearest counts,
+        or, with ``middle``, the one nearest to the middle of the wall.
+        """
+        from mavnav.kernels import raycast  # noqa: PLC0415  the paper's alone
+
+        return raycast.virtual_scan(self.hits, self.lattice, laser.as_array(), directions, far_m, gap_cells, middle)
+
+    def _check_size(self, shape: tuple[int, int]) -> None:
+        rows, cols = shape
+        if rows * cols > MAX_CELLS:
+            size = f"{cols * self.cell_m:.0f} m x {rows * self.cell_m:.0f} m in cells of {self.cell_m * 1e3:g} mm"
+            raise MapTooLargeError(
+                f"the map would be {size}, too large for the memory: a pose or a range is far off, "
+                "or the cells are too small; see the ranges with 'mavnav info', or --set ...cell_mm"
+            )
+
+    def _cover(self, low: tuple[int, int], high: tuple[int, int]) -> None:
+        """Grow until cells ``low`` to ``high`` (col, row) lie inside."""
+        origin = (round(self.origin_xy_m[0] / self.cell_m), round(self.origin_xy_m[1] / self.cell_m))
+        grown = covering(low, high, self.passes.shape, origin, BLOCK_CELLS)
+        if grown is None:
+            return
+        new_origin, shape = grown
+        self._check_size(shape)
+        dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
+        self.hits = moved(self.hits, shape, dr, dc)  # one by one: the old array goes before the next is made
+        self.passes = moved(self.passes, shape, dr, dc)
+        self.shielded = moved(self.shielded, shape, dr, dc)
+        self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))
+        self.lattice[:2] = self.origin_xy_m
+
+
+def counts(values: NDArray[Any]) -> NDArray[np.uint16]:
+    """Return integers, 0 or more, in two bytes each, those that are too large as the largest; others are not copied."""
+    return values if values.dtype == np.uint16 else np.minimum(values, hits_kernel.MOST).astype(np.uint16)
+
+
+def show_ends(
+    ranges_m: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    laser: Pose,
+    grid: Grid,
+    walls: NDArray[np.int8],
+    cells: NDArray[np.int8],
+) -> None:
+    """Copy the occupied cells of ``walls`` (rows, cols) to ``cells`` in which beams of one scan ended.
+
+    ``ranges_m`` (beams,) are NaN without a return, ``directions`` (beams, 2) cosines and sines in the laser's frame.
+    """
+    hits_kernel.show_ends(ranges_m, directions, laser.as_array(), grid.lattice, walls, cells)
+
+
+def occupancy(grid: Grid) -> NDArray[np.int8]:
+    """Tell free (0), occupied (100) and unknown (-1) cells apart, as nav_msgs/OccupancyGrid does; (rows, cols).
+
+    Occupied: hit, by at least `OCCUPIED_SHARE` of the beams that ended in the cell or crossed it. Free: any other
+    cell that a beam reached.
+    """
+    out = np.empty(grid.hits.shape, np.int8)
+    for _, _, band in bands(out.shape):
+        hits, seen = grid.hits[band], grid.hits[band].astype(np.int64) + grid.passes[band]
+        out[band] = np.where(seen > 0, FREE, UNKNOWN)
+        out[band][(hits > 0) & (hits >= OCCUPIED_SHARE * seen)] = OCCUPIED
+    return out
+
+
+def occupied_cells(grid: Grid) -> NDArray[np.int64]:
+    """Return row and column of the occupied cells, (n, 2), without a copy of the whole map."""
+    found = [np.zeros((0, 2), np.int64)]
+    for _, _, band in bands(grid.hits.shape):
+        part = Grid(grid.cell_m, grid.origin_xy_m, grid.hits[band], grid.passes[band])
+        found.append(np.argwhere(occupancy(part) == OCCUPIED) + np.array([band.start, 0]))
+    return np.concatenate(found)
+
+
+def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:
+    """Cut the grid to the cells that a beam reached (or ended in) and a small margin; one cell if there is none.
+
+    The arrays are views of the grid's.
+    """
+    counts = [grid.hits] if hits_only else [grid.hits, grid.passes]
+    if not any(part.any() for part in counts):
+        return Grid(grid.cell_m, grid.origin_xy_m, np.zeros((1, 1), np.uint16), np.zeros((1, 1), np.uint16))
+    rows, cols = (_extent(np.flatnonzero(sum(np.any(p, axis=axis) for p in counts))) for axis in (1, 0))
+    return _part(grid, rows, cols)
+
+
+def measured_part(grid: Grid) -> Grid:
+    """Cut the grid to whole blocks of cells around the known ones, counted from the map's origin.
+
+    What is measured on it does not depend on how far the grid reaches beyond. The arrays are views of the grid's.
+    """
+    known = known_part(grid)
+    spans = [
+        _in_blocks(round((known.origin_xy_m[k] - grid.origin_xy_m[k]) / grid.cell_m), known.hits.shape[1 - k], size, at)
+        for k, (size, at) in enumerate(zip(grid.hits.shape[::-1], _corner(grid), strict=True))
+    ]
+    return _part(grid, spans[1], spans[0])
+
+
+def _in_blocks(first: int, count: int, size: int, at: int) -> slice:
+    """Widen a span of cells, less the outer one of its margin on either side, to whole blocks within the grid."""
+    start = (first + at + 1) // BLOCK_CELLS * BLOCK_CELLS - at
+    stop = ((first + at + count - 2) // BLOCK_CELLS + 1) * BLOCK_CELLS - at
+    return slice(max(start, 0), min(max(stop, start + 1), size))
+
+
+def _corner(grid: Grid) -> tuple[int, int]:
+    """Return column and row of cell [0, 0], counted from the map's origin."""
+    x_m, y_m = grid.origin_xy_m
+    return round(x_m / grid.cell_m), round(y_m / grid.cell_m)
+
+
+def _part(grid: Grid, rows: slice, cols: slice) -> Grid:
+    col, row = _corner(grid)
+    origin = ((col + cols.start) * grid.cell_m, (row + rows.start) * grid.cell_m)
+    return Grid(grid.cell_m, origin, grid.hits[rows, cols], grid.passes[rows, cols])
+
+
+def _extent(known: NDArray[np.intp]) -> slice:
+    return slice(max(int(known[0]) - _MARGIN_CELLS, 0), int(known[-1]) + 1 + _MARGIN_CELLS)

@@ -1,0 +1,92 @@
+"""What pictures show: a rectangle of the map in metres, at most so many cells of it; and the colours of them all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, pi
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mavnav.mapping.tiled_arrays import where
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.outputs.run import Walls
+
+DPI: Final = 150
+MAX_CELLS: Final = 1100
+"""Cells along the picture's longer side: about its pixels. More are pooled, or thin walls would fall between them."""
+STRAY_SHARE: Final = 5e-4
+
+ARC_STEP_RAD: Final = pi / 90.0
+START_BLUE, GOAL_RED, POSE_MAGENTA, TRUE_ORANGE = "#0033ff", "#e00000", "#d6009a", "#ff6a00"
+GOAL_SIGN: Final = "$\\bigotimes$"
+INK, MUTED, FREE_GREY, WALL_GREY, PATH_GREY = "#222222", "#666666", "#eef1f4", "#b9bec4", "#8a929a"
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A rectangle of the map in metres: what a picture shows."""
+
+    x0_m: float
+    x1_m: float
+    y0_m: float
+    y1_m: float
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Width and height."""
+        return self.x1_m - self.x0_m, self.y1_m - self.y0_m
+
+    def cells_of(self, grid: Grid) -> tuple[int, int, int, int]:
+        """Return the first and the end column, and the first and the end row, of the grid's cells inside.
+
+        At least one of each: of a grid beside the window, the nearest.
+        """
+        (x0, y0), (rows, cols) = grid.origin_xy_m, grid.hits.shape
+        ends = [(x - x0, cols) for x in (self.x0_m, self.x1_m)] + [(y - y0, rows) for y in (self.y0_m, self.y1_m)]
+        a, b, c, d = (min(max(int(distance / grid.cell_m), 0), count) for distance, count in ends)
+        a, c = min(a, cols - 1), min(c, rows - 1)
+        return a, max(b, a + 1), c, max(d, c + 1)
+
+    def figure_size(self, longest_in: float, least_in: float) -> tuple[float, float]:
+        """Return the width and height in inches that show the rectangle undistorted; no side under ``least_in``."""
+        width, height = self.size_m
+        scale = longest_in / max(width, height)
+        return max(width * scale, least_in), max(height * scale, least_in)
+
+
+def window_of(grid: Grid, xy_m: NDArray[np.float64]) -> Window:
+    """Frame the hit cells and the points ``xy_m`` (n, 2), with a margin.
+
+    On each side the outermost `STRAY_SHARE` of the cells may fall outside: single far returns through a window
+    would otherwise shrink the room to a spot.
+    """
+    hit = where(grid.hits, lambda hits: hits > 0)[:, ::-1]
+    corners = [xy_m] if len(xy_m) else [np.array([grid.origin_xy_m])]
+    if len(hit):
+        ends = np.quantile(hit, (STRAY_SHARE, 1.0 - STRAY_SHARE), axis=0, method="nearest")
+        ends[1] += 1
+        corners.append(grid.origin_xy_m + ends * grid.cell_m)
+    return window_around(np.vstack(corners), least_margin_m=5 * grid.cell_m)
+
+
+def window_around(xy_m: NDArray[np.float64], least_margin_m: float) -> Window:
+    """Frame points (n, 2), with a margin."""
+    (x0, y0), (x1, y1) = xy_m.min(axis=0), xy_m.max(axis=0)
+    margin = max(0.04 * max(x1 - x0, y1 - y0), least_margin_m)
+    return Window(float(x0 - margin), float(x1 + margin), float(y0 - margin), float(y1 + margin))
+
+
+def wall_lines(walls: Walls) -> list[NDArray[np.float64]]:
+    """Return the true walls as lines (k, 2) in the map frame, m; arcs in steps of `ARC_STEP_RAD` at most."""
+    return [*walls.segments_map.reshape(-1, 2, 2), *map(_arc_line, walls.arcs_map)]
+
+
+def _arc_line(arc: NDArray[np.float64]) -> NDArray[np.float64]:
+    x, y, radius, start, sweep = arc.tolist()
+    angles = start + np.linspace(0.0, sweep, max(2, ceil(abs(sweep) / ARC_STEP_RAD) + 1))
+    return np.column_stack((x + radius * np.cos(angles), y + radius * np.sin(angles)))

@@ -1,0 +1,98 @@
+"""Outputs: the files of a run, each by one writer, and the directory that holds them.
+
+A new file is one function ``(Run, Path) -> None`` and one line in `WRITERS`.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from hashlib import file_digest, sha256
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav.atomic_files import sync
+from mavnav.memory import give_back
+from mavnav.outputs.directory import RUN_FILE, check_directory, staged
+from mavnav.outputs.document import plain, run_document, to_json, write_metrics
+from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
+from mavnav.outputs.run import Run, Timing, Truth
+from mavnav.outputs.trajectory import (
+    TRUE_WALLS_FILE,
+    write_base_tum,
+    write_csv,
+    write_true_walls,
+    write_truth_tum,
+    write_tum,
+)
+from mavnav.profiling import Stage
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+__all__ = ["WRITERS", "Run", "Timing", "Truth", "check_directory", "to_json", "write_page", "write_run"]
+
+
+REPORT_FILE: Final = "report.html"
+
+
+def _late(module: str, run: Run, path: Path) -> None:
+    """Call the ``write`` of a module that imports a heavy library, so that nobody waits for it before."""
+    import_module(f"mavnav.outputs.{module}").write(run, path)
+
+
+WRITERS: Final[dict[str, Callable[[Run, Path], None]]] = {
+    "trajectory.tum": write_tum,
+    "trajectory_base.tum": write_base_tum,
+    "trajectory.csv": write_csv,
+    "truth.tum": write_truth_tum,
+    TRUE_WALLS_FILE: write_true_walls,
+    "map.pgm": write_pgm,
+    "map.yaml": write_yaml,
+    "hits.npz": write_npz,
+    "map.png": partial(_late, "map_picture"),
+    "true_map.png": partial(_late, "mission_picture"),
+    "wall_thickness.png": partial(_late, "wall_picture"),
+    "result.mcap": partial(_late, "replay_log"),
+    "metrics.json": write_metrics,
+}
+
+
+def write_run(run: Run, directory: Path, *, force: bool = False, report: bool = False) -> dict[str, Any]:
+    """Write all files of a run and return its document, which is run.json; with ``report`` its page as well.
+
+    The directory appears complete or not at all. Raises OutputError where it exists (and ``force`` does not say to
+    replace it), holds something else than a run, or cannot be written.
+    """
+    with staged(directory, force=force) as folder:
+        digests = {name: _write(run, folder / name) for name in _names(run)}
+        document: dict[str, Any] = plain(run_document(run, digests))
+        path = folder / RUN_FILE
+        path.write_text(to_json(document), encoding="utf-8")
+        sync(path)
+        if report:
+            write_page(import_module("mavnav.outputs.report").single(document), folder)
+    return document
+
+
+def write_page(comparison: dict[str, Any], folder: Path) -> None:
+    """Write report.html and its pictures of runs below a folder; it shows what their files say, so it comes after."""
+    import_module("mavnav.outputs.report").write_report(comparison, folder, folder / REPORT_FILE)
+
+
+def _names(run: Run) -> list[str]:
+    """Return the files that can be written: some need to know more than every log tells."""
+    known = {"trajectory_base.tum": run.log.base_T_laser is not None}
+    known |= dict.fromkeys(("truth.tum", "true_map.png"), run.truth is not None)
+    known[TRUE_WALLS_FILE] = run.true_walls is not None
+    return [name for name in WRITERS if known.get(name, True)]
+
+
+def _write(run: Run, path: Path) -> str:
+    """Write one file to the disk and return its SHA-256."""
+    with Stage("pictures" if path.suffix == ".png" else "outputs"):
+        give_back()
+        WRITERS[path.name](run, path)
+        sync(path)
+        with path.open("rb") as file:
+            return file_digest(file, sha256).hexdigest()

@@ -1,0 +1,1 @@
+"""The pipelines behind the commands: from an input file to a written run directory or document."""

@@ -1,0 +1,134 @@
+"""The pipeline of ``mavnav metrics``: a run directory or a map file -> metrics, references -> document."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+from mavnav import __version__
+from mavnav.errors import MavnavError, UsageError
+from mavnav.ground_truth.map_file import occupied_xy_m, read_map
+from mavnav.ground_truth.references import References, check_times, compared
+from mavnav.ground_truth.tables import read_tum
+from mavnav.logs import open_log
+from mavnav.metrics.ghost_walls import GhostWall
+from mavnav.metrics.journey import Journey
+from mavnav.metrics.lines import half_turn
+from mavnav.metrics.map_quality import MapQuality, map_quality
+from mavnav.metrics.wall_thickness import THRESHOLDS, sections_by_hits, wall_thicknesses
+from mavnav.metrics.walls import Wall
+from mavnav.outputs.directory import RUN_FILE
+from mavnav.outputs.document import plain, thickness_document
+from mavnav.outputs.gridmap import read_npz
+from mavnav.pose import Pose, transform_points
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.pose import Trajectory
+
+SCHEMA_VERSION: Final = 1
+
+Progress = Callable[[str, int, int | None], None]
+"""What is being done, how much of it is done, how much there is."""
+
+Place = TypeVar("Place", GhostWall, Wall)
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """What is measured: a map, where its cells lie in the map frame, and the scans behind it where they are known."""
+
+    kind: str
+    grid: Grid
+    map_T_grid: Pose
+    journey: Journey | None = None
+
+    @property
+    def counted(self) -> bool:
+        """Whether hits and crossings are counts; a map file only tells occupied from free."""
+        return self.kind == "run"
+
+    @property
+    def trajectory(self) -> Trajectory | None:
+        """The tracked poses of the laser, map_T_laser, where they are known."""
+        return None if self.journey is None else self.journey.map_T_laser
+
+
+def evaluate(paths: list[Path], references: References, progress: Progress) -> dict[str, Any]:
+    """Measure run directories and map files; raises UsageError for what is neither."""
+    subjects = [subject(path) for path in paths]
+    documents = []
+    for number, (path, what) in enumerate(zip(paths, subjects, strict=True)):
+        progress("measuring", number, len(paths))
+        documents.append(_document(path, what, references))
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "mavnav_version": __version__,
+        "maps": documents,
+    }
+
+
+def subject(path: Path) -> Subject:
+    """Read a run directory, or the map that a map_server YAML file describes; raises UsageError."""
+    if path.is_dir():
+        return _run(path)
+    if not path.exists():
+        raise UsageError(f"{path}: no such file; name a run directory, or the YAML file of a map")
+    file = read_map(path)
+    return Subject("map", file.grid, file.map_T_grid)
+
+
+def _run(directory: Path) -> Subject:
+    if not (directory / RUN_FILE).is_file():
+        raise UsageError(f"{directory} holds no run (no {RUN_FILE}); name a run directory, or the YAML file of a map")
+    try:
+        document = json.loads((directory / RUN_FILE).read_text(encoding="utf-8"))
+        grid = read_npz(directory / "hits.npz")
+        journey = Journey(
+            map_T_laser=read_tum(directory / "trajectory.tum"),
+            scans=open_log(directory / "result.mcap", odom="off").scans,
+            mapped_share=document["scans"]["accepted"] / max(document["scans"]["processed"], 1),
+            lost_for_good=document["tracking"]["lost"],
+        )
+    except (OSError, ValueError, KeyError, TypeError, MavnavError) as error:
+        raise UsageError(f"{directory} is no whole run: {error}; make it again with mavnav replay --force") from error
+    return Subject("run", grid, Pose(), journey)
+
+
+def _document(path: Path, what: Subject, references: References) -> dict[str, Any]:
+    grid = what.grid
+    if what.trajectory is not None and len(what.trajectory):
+        check_times(references, *(int(what.trajectory.stamps_ns[k]) for k in (0, -1)))
+    sections = sections_by_hits(grid.hits, grid.cell_m, THRESHOLDS if what.counted else (1,))
+    quality = map_quality(grid, what.journey, counted=what.counted, sections=sections)
+    walls = wall_thicknesses(sections, grid.cell_m)
+    reference = compared(references, what.trajectory, transform_points(what.map_T_grid, occupied_xy_m(grid)))
+    document: dict[str, Any] = plain(
+        {
+            "path": str(path),
+            "kind": what.kind,
+            "cell_mm": grid.cell_m / MM,
+            "wall_thickness": {str(hits): thickness_document(wall) for hits, wall in walls.items()},
+            "map_quality": asdict(_seen_from_map(quality, what.map_T_grid)),
+            **({} if reference is None else {"reference": reference}),
+        }
+    )
+    return document
+
+
+def _seen_from_map(quality: MapQuality, map_T_grid: Pose) -> MapQuality:
+    """Bring the places of a map file's walls to the map frame."""
+    ghosts = quality.ghost_walls
+    places = tuple(_moved(place, map_T_grid) for place in ghosts.places)
+    walls = tuple(_moved(wall, map_T_grid) for wall in quality.walls)
+    return replace(quality, ghost_walls=replace(ghosts, places=places), walls=walls)
+
+
+def _moved(place: Place, a_T_b: Pose) -> Place:
+    turned = a_T_b @ Pose(place.x_m, place.y_m, place.direction_deg * DEG)
+    return replace(place, x_m=turned.x_m, y_m=turned.y_m, direction_deg=half_turn(turned.yaw_rad) / DEG)

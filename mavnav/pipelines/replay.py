@@ -1,0 +1,247 @@
+"""The pipeline of ``mavnav replay``: log -> slam -> metrics -> outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from dataclasses import replace as changed
+from itertools import takewhile
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import TYPE_CHECKING, Any
+
+from mavnav.errors import ExitCode, StoppedError, UsageError
+from mavnav.ground_truth.map_file import occupied_xy_m, read_map
+from mavnav.ground_truth.references import check_times, compared, load_references
+from mavnav.logs import check_log, open_log
+from mavnav.mapping.occupancy_grid import measured_part
+from mavnav.memory import give_back
+from mavnav.metrics.journey import Journey
+from mavnav.metrics.map_quality import map_quality
+from mavnav.metrics.wall_thickness import sections_by_hits
+from mavnav.outputs.directory import check_directory
+from mavnav.outputs.run import Run, Timing
+from mavnav.outputs.writers import write_run
+from mavnav.profiling import new_profile, timed
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.prior_map import prior_map_of
+from mavnav.slam.registry import uses_odometry
+from mavnav.units import DEG
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mavnav.config.models import Config
+    from mavnav.ground_truth.references import References
+    from mavnav.logs import Log
+    from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.metrics.map_quality import MapQuality
+    from mavnav.metrics.wall_thickness import Sections
+    from mavnav.pose import Pose
+    from mavnav.scan import Scan
+    from mavnav.slam.prior_map import PriorMap
+    from mavnav.slam.result import SlamResult
+
+
+Stop = Callable[[], ExitCode | None]
+"""Options between two scans: the code to end with, None to go on."""
+
+Progress = Callable[[str, int, int | None], None]
+"""What is being done, how much of it is done, how much there is or None."""
+
+LOG_SUFFIXES = (".zst", ".zstd", ".active", ".mcap", ".bag", ".db3")
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is asked for: the log, which part of it, how, and where to.
+
+    ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base;
+    ``report`` asks for the page as well; ``truth``, ``truth_map`` and ``relations`` are files to compare the outcome
+    with; ``strict`` leaves out scans from where a checksum does not match. ``map`` is a map to localise in instead of
+    making one, and ``start_pose`` about where in it the laser begins. ``address`` is where the log was fetched from,
+    which run.json tells; ``log_sha256`` is the content that the log must have, if the run is to be known by it.
+    """
+
+    log: Path
+    directory: Path
+    config: Config
+    topic: str | None = None
+    start_s: float | None = None
+    end_s: float | None = None
+    extrinsic: Pose | None = None
+    force: bool = False
+    report: bool = False
+    truth: Path | None = None
+    truth_map: Path | None = None
+    relations: Path | None = None
+    strict: bool = False
+    map: Path | None = None
+    start_pose: Pose | None = None
+    address: str | None = None
+    log_sha256: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """What files besides the log tell: references to compare with, and the map to localise in, None without one."""
+
+    references: References
+    known: PriorMap | None
+
+
+def read_prior_map(request: Request) -> PriorMap | None:
+    """Read the map to localise in: a map_server YAML file, or the one in a run directory; raises UsageError."""
+    if request.map is None:
+        return None
+    file = read_map(map_yaml(request.map))
+    known = prior_map_of(file.grid, file.map_T_grid, request.start_pose)
+    if not len(known.walls_xy_m):
+        raise UsageError(f"{request.map}: the map has no occupied cell; name a map with walls")
+    return known
+
+
+def map_yaml(path: Path) -> Path:
+    """Return the YAML file that describes a map: the path itself, or the one in a run directory."""
+    return path / "map.yaml" if path.is_dir() else path
+
+
+def localisation(request: Request, outcome: SlamResult) -> dict[str, Any]:
+    """Tell of run.json how a laser was found in a known map: where it was said to begin, and where it did."""
+    first = next((step for step in outcome.steps if step.tracked), None)
+    return {
+        "map": str(request.map),
+        "start_pose": request.start_pose and _posed(request.start_pose),
+        "found": first and {"scan": first.index, **_posed(first.match.map_T_laser)},
+    }
+
+
+def _posed(pose: Pose) -> dict[str, float]:
+    return {"x_m": pose.x_m, "y_m": pose.y_m, "yaw_deg": pose.yaw_rad / DEG}
+
+
+def default_directory(log: Path, config: Config) -> Path:
+    """Return ``runs/<log>-<method>-<grid>``."""
+    return Path("runs") / f"{log_name(log)}-{config.method}-{config.grid}"
+
+
+def log_name(log: Path) -> str:
+    """Return what a log is called in the names of directories: a folder as it is, a file without its suffixes."""
+    name = log.resolve().name
+    if not log.is_dir():
+        for suffix in LOG_SUFFIXES:
+            name = name.removesuffix(suffix) or name
+    return name
+
+
+def _never() -> None:
+    """Stop for nothing."""
+
+
+def _unstoppable() -> AbstractContextManager[Stop]:
+    return nullcontext(_never)
+
+
+def replay(
+    request: Request,
+    progress: Progress,
+    compile_s: float,
+    stoppable: Callable[[], AbstractContextManager[Stop]] = _unstoppable,
+    startup_s: float = 0.0,
+) -> tuple[Run, dict[str, Any]]:
+    """Run the whole job and return the run with its document (run.json).
+
+    ``compile_s`` is what it took to import this module: kernels compile on import; ``startup_s`` is what the process
+    took before, of which the profile tells. Whether the run directory can be written is asked before the
+    work. Within ``stoppable`` there are scans to keep: when its function gives a code, the
+    run ends there, and is written and marked as partial. Raises what the packages raise: TopicError, NoScansError,
+    UsageError, OutputError; and StoppedError where nothing was tracked yet.
+    """
+    check_log(request.log, request.start_s, request.end_s)
+    check_directory(request.directory, force=request.force)
+    given = Given(load_references(request.truth, request.truth_map, request.relations), read_prior_map(request))
+    wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile(loading=compile_s, starting=startup_s)
+    log = _open(request, progress)
+    if request.log_sha256 not in {None, log.sha256}:
+        raise UsageError(f"{request.log}: changed since it was looked at; run again once it is complete")
+    check_times(given.references, log.first_ns, log.last_ns)
+    with stoppable() as stop:
+        return _mapped(request, log, given, progress, stop, Timing(wall_s, cpu_s, compile_s, stages))
+
+
+def _mapped(
+    request: Request,
+    log: Log,
+    given: Given,
+    progress: Progress,
+    stop: Stop,
+    began: Timing,
+) -> tuple[Run, dict[str, Any]]:
+    """Track, measure and write; ``began`` holds the clocks as they stood at the start."""
+    outcome = _track(log, request.config, given.known, progress, stop)
+    give_back()
+    stopped = stop()
+    if stopped is not None and not len(outcome.trajectory):
+        raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
+    sections = measured_sections(outcome.grid)
+    timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
+    progress("measuring", 0, None)
+    run = Run(
+        log=log,
+        config=request.config,
+        slam=outcome,
+        sections=sections,
+        timing=timing,
+        quality=measured_quality(outcome, log, sections),
+        reference=compared(given.references, outcome.trajectory, occupied_xy_m(outcome.grid)),
+        true_map=given.references.true_map,
+        stopped=stopped,
+        localisation=None if given.known is None else localisation(request, outcome),
+        address=request.address,
+    )
+    progress("writing", 0, None)
+    return run, write_run(run, request.directory, force=request.force, report=request.report)
+
+
+@timed("measuring")
+def measured_sections(grid: Grid) -> dict[int, Sections]:
+    """Cut the walls of the known part of the map across at each of the thresholds."""
+    return sections_by_hits(measured_part(grid).hits, grid.cell_m)
+
+
+@timed("measuring")
+def measured_quality(outcome: SlamResult, log: Log, sections: dict[int, Sections]) -> MapQuality:
+    """Measure the map of a run, with the scans behind it."""
+    journey = Journey(outcome.trajectory, log.scans, outcome.tracked_share, outcome.lost_for_good)
+    return map_quality(measured_part(outcome.grid), journey, sections=sections)
+
+
+def _open(request: Request, progress: Progress) -> Log:
+    """Survey the log; the paper's method never looks at odometry."""
+    return open_log(
+        request.log,
+        topic=request.topic,
+        odom=request.config.odom if uses_odometry(request.config) else "off",
+        start_s=request.start_s,
+        end_s=request.end_s,
+        extrinsic=request.extrinsic,
+        strict=request.strict,
+        progress=lambda done, total: progress("reading", done, total),
+    )
+
+
+def _track(log: Log, config: Config, known: PriorMap | None, progress: Progress, stop: Stop) -> SlamResult:
+    total = log.counts.usable
+
+    def scans() -> Iterator[Scan]:
+        return takewhile(lambda _: stop() is None, log.scans())
+
+    return run_slam(
+        scans,
+        config,
+        log.period_s,
+        log.odometry.odom_T_laser if log.odometry else None,
+        on_step=lambda phase, done: progress(phase, done, total),
+        prior_map=known,
+    )

@@ -1,0 +1,201 @@
+"""The pipeline of ``mavnav simulate``: scenario -> flight -> recording -> metrics -> outputs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter, process_time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mavnav.errors import NoScansError, UsageError
+from mavnav.ground_truth.map_file import occupied_xy_m
+from mavnav.ground_truth.references import LEAST_POSES, References, compared
+from mavnav.ground_truth.true_map import of_scenario
+from mavnav.logs import open_log
+from mavnav.logs.writing.recorder import Recording, check_recording, record
+from mavnav.mapping.occupancy_grid import GridBuilder
+from mavnav.metrics.trajectory_error import absolute_error, align
+from mavnav.outputs.animation import animate, check_animation
+from mavnav.outputs.directory import check_directory
+from mavnav.outputs.run import Mission, Run, Timing, Truth
+from mavnav.outputs.writers import write_run
+from mavnav.pipelines.replay import Progress, measured_quality, measured_sections
+from mavnav.pose import Pose
+from mavnav.profiling import new_profile
+from mavnav.simulation.mission import Flight, fly
+from mavnav.simulation.world.laser import EDGE_M
+from mavnav.units import DEG
+
+if TYPE_CHECKING:
+    from mavnav.simulation.world import Scenario
+
+
+EDGE_BEAMS, STEEP_RAD = 10, 60 * DEG
+"""Walls are not measured so near to an edge, nor by beams farther from their normal: there the laser sees none."""
+
+WALL_GAP_CELLS = 8
+"""Empty cells that a noisy wall may hold along a beam: its densest cell then is the wall, not a stray in front."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is asked for: the scenario and its file, the run directory, and what else to leave where."""
+
+    scenario: Scenario
+    path: Path
+    directory: Path
+    recording: Path | None = None
+    animation: Path | None = None
+    force: bool = False
+    report: bool = False
+
+
+def default_directory(scenario: Scenario) -> Path:
+    """Return ``runs/<scenario>-<method>-<grid>``."""
+    return Path("runs") / f"{scenario.name}-{scenario.slam.method}-{scenario.slam.grid}"
+
+
+def simulate(request: Request, progress: Progress, compile_s: float) -> tuple[Run, dict[str, Any]]:
+    """Fly a mission and return the run with its document (run.json).
+
+    Raises what the steps raise: UsageError, OutputError; whether the outputs can be written is asked before the work.
+    NoScansError where no scan could even begin a map.
+    """
+    check_outputs(request)
+    wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile()
+    flight = fly(request.scenario, lambda phase, done: progress(phase, done, None))
+    timing = Timing(perf_counter() - wall_s, process_time() - cpu_s, compile_s, stages)
+    if not len(flight.slam.trajectory):
+        raise NoScansError(
+            f"{request.path}: in {flight.mission.steps} scans the laser saw too little to begin a map; "
+            "change its section, or move the start"
+        )
+    recording = recorded(flight)
+    progress("writing", 0, None)
+    with TemporaryDirectory(prefix="mavnav-") as folder:
+        kept = Path(folder) / f"{request.scenario.name}.mcap"
+        record(recording, kept)
+        log, sections = open_log(kept), measured_sections(flight.slam.grid)
+        run = Run(
+            log=log,
+            config=request.scenario.slam,
+            slam=flight.slam,
+            sections=sections,
+            timing=timing,
+            truth=_truth(flight),
+            mission=_mission(request, flight),
+            quality=measured_quality(flight.slam, log, sections),
+            reference=_reference(flight),
+        )
+        document = write_run(run, request.directory, force=request.force, report=request.report)
+        if request.recording:
+            record(recording, request.recording, force=request.force)
+        if request.animation:
+            animate(run, request.animation, force=request.force)
+    return run, document
+
+
+def check_outputs(request: Request) -> None:
+    """Raise OutputError or UsageError for what could not be written at the end."""
+    places = [p.resolve() for p in (request.directory, request.recording, request.animation) if p]
+    twice = [str(p) for p in places if places.count(p) > 1]
+    if twice:
+        raise UsageError(f"{twice[0]} is to be two things; give run directory, recording and animation a name each")
+    check_directory(request.directory, force=request.force)
+    if request.recording:
+        check_recording(request.recording, force=request.force)
+    if request.animation:
+        check_animation(request.animation, force=request.force)
+
+
+def recorded(flight: Flight) -> Recording:
+    """Return the flight as a recorder on the vehicle would have kept it, the truth beside it."""
+    base_T_laser = flight.scenario.base_T_laser
+    laser_T_base = base_T_laser.inverse()
+    world_T_base = flight.map_T_laser.seen_from(flight.world_T_map).compose(laser_T_base)
+    return Recording(flight.scans, flight.odom_T_base, world_T_base, base_T_laser)
+
+
+def _truth(flight: Flight) -> Truth:
+    """Bring walls and goal to the map frame."""
+    map_T_world = flight.world_T_map.inverse()
+    overlay = flight.scenario.overlay.seen_from(flight.world_T_map)
+    x, y = flight.scenario.goals_xy_m[-1]
+    goal = map_T_world @ Pose(x, y)
+    return Truth(flight.map_T_laser, overlay.segments, overlay.arcs, (goal.x_m, goal.y_m))
+
+
+def _reference(flight: Flight) -> dict[str, Any] | None:
+    """Compare the outcome with the truth as a replay with ``--truth`` and ``--truth-map`` does."""
+    truth = References(truth=flight.map_T_laser, true_map=of_scenario(flight.scenario, flight.world_T_map))
+    return compared(truth, flight.slam.trajectory, occupied_xy_m(flight.slam.grid))
+
+
+def _mission(request: Request, flight: Flight) -> Mission:
+    mission = flight.mission
+    numbers = {name: value for name, value in asdict(mission).items() if name != "end"}
+    return Mission(
+        path=request.path,
+        scenario=flight.scenario.document(),
+        mission={"reached": mission.reached, "reason": mission.end.value, **numbers},
+        truth=truth_errors(flight),
+        reached=mission.reached,
+    )
+
+
+def truth_errors(flight: Flight) -> dict[str, Any]:
+    """Compare the tracked poses with the truth; lengths in m.
+
+    ``ate_*`` after the best rigid motion, ``unaligned_*`` as they are, from the first laser pose on; ``final_*`` of the
+    last tracked pose, as it is and after that motion, whose turn ``map_yaw_error_rad`` is what the first headings leave
+    in the whole map. ``wall_*`` compares the distance to the walls, read off the map along all beams, with the true one
+    where the relative error is the median (paper, "Corner Scenario": about 1 %).
+    """
+    estimate = flight.slam.trajectory
+    rows = np.searchsorted(flight.map_T_laser.stamps_ns, estimate.stamps_ns)
+    truth = flight.map_T_laser.xyyaw[rows]
+    aligned = absolute_error(estimate.xyyaw[:, :2], truth[:, :2])
+    plain = absolute_error(estimate.xyyaw[:, :2], truth[:, :2], aligned=False)
+    if len(estimate) < LEAST_POSES:
+        return {"ate_poses": len(estimate)}
+    motion = align(estimate.xyyaw[:, :2], truth[:, :2])
+    errors: dict[str, Any] = {f"ate_{k}": v for k, v in asdict(aligned).items()}
+    errors |= {f"unaligned_{k}": v for k, v in asdict(plain).items() if k != "poses"}
+    last, true = estimate[len(estimate) - 1], Pose(*map(float, truth[-1]))
+    error = true.between(last)
+    wall, true_wall = wall_distances_m(flight, last, true)
+    return errors | {
+        "final_error_m": error.distance_m,
+        "final_yaw_error_rad": error.yaw_rad,
+        "final_aligned_error_m": true.between(motion @ last).distance_m,
+        "map_yaw_error_rad": -motion.yaw_rad,
+        "wall_distance_m": wall,
+        "true_wall_distance_m": true_wall,
+        "wall_distance_error_share": abs(wall - true_wall) / true_wall,
+    }
+
+
+def wall_distances_m(flight: Flight, estimate: Pose, truth: Pose) -> tuple[float, float]:
+    """Distance to the walls as the map has it from the estimated pose, and the true one, m.
+
+    The map is read like the laser reads the world, by the virtual scan. Of all beams that meet a wall away from edges
+    the one with the median relative error is reported; NaN where the map has no wall at all.
+    """
+    world, spec = flight.scenario.world, flight.scenario.laser.spec
+    there = flight.world_T_map @ truth
+    true_ranges, incidence_rad = world.cast((there.x_m, there.y_m), spec.angles_rad + there.yaw_rad)
+    builder = GridBuilder.of(flight.slam.grid)
+    seen = builder.virtual_scan(estimate, spec.directions, spec.range_max_m, WALL_GAP_CELLS, middle=True)
+    with np.errstate(invalid="ignore"):  # inf - inf: two beams that meet nothing
+        edges = np.abs(np.diff(true_ranges, prepend=true_ranges[0])) > EDGE_M
+    near_edge = np.convolve(edges, np.ones(2 * EDGE_BEAMS + 1), mode="same") > 0
+    steep = incidence_rad < STEEP_RAD
+    used = np.flatnonzero(np.isfinite(seen) & np.isfinite(true_ranges) & steep & ~near_edge)
+    if not len(used):
+        return np.nan, float(true_ranges.min())
+    errors = np.abs(seen[used] - true_ranges[used]) / true_ranges[used]
+    median = used[np.argsort(errors, kind="stable")[len(used) // 2]]
+    return float(seen[median]), float(true_ranges[median])

@@ -1,0 +1,1 @@
+"""Closed-loop simulation: the world and its laser, the planner, and the mission that joins them with SLAM."""

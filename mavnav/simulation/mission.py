@@ -1,0 +1,266 @@
+"""The paper's Figure 1, closed: scan, virtual scan, match, map update, potential field, noisy command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.pose import Pose, Trajectory
+from mavnav.simulation.planner.potential_field import Command, Planner
+from mavnav.simulation.world import LaserModel, Scenario, World, laser_model, take_scan
+from mavnav.slam.motion_model import Motion
+from mavnav.slam.pipeline import finish
+from mavnav.slam.registry import make_method
+from mavnav.slam.steps import Steps
+from mavnav.slam.track import Track
+from mavnav.slam.tracker import track
+from mavnav.units import DEG, MM, NS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from mavnav.mapping.occupancy_grid import GridBuilder
+    from mavnav.scan import LaserSpec, Scan
+    from mavnav.slam.result import SlamResult
+    from mavnav.slam.steps import Step
+
+START_NS = 1_700_000_000_000_000_000
+"""Stamp of the first scan, the same for every mission."""
+
+
+class End(StrEnum):
+    """Why a mission ended."""
+
+    GOAL = "goal"
+    WRONG_PLACE = "believed to be at the goal, but is elsewhere"
+    COLLISION = "collision"
+    STUCK = "stuck"
+    STEP_LIMIT = "step limit"
+    LOST = "tracking lost"
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """How a mission went; lengths of the true path, m. ``goal_distance_m`` is the true one at the end."""
+
+    end: End
+    steps: int
+    path_length_m: float
+    min_clearance_m: float
+    goal_distance_m: float
+
+    @property
+    def reached(self) -> bool:
+        """Whether the vehicle came to the goal and knows it."""
+        return self.end is End.GOAL
+
+
+@dataclass(slots=True)
+class Vehicle:
+    """The true state, which only the world sees: poses of the base, and what the commands should have made of them.
+
+    ``world_T_base`` and ``odom_T_base`` hold a pose for every scan, at ``stamps_ns``. A command takes
+    ``scans_a_command`` scans, at constant velocity.
+    """
+
+    base_T_laser: Pose
+    period_ns: int
+    scans_a_command: int
+    world_T_base: list[Pose]
+    odom_T_base: list[Pose] = field(default_factory=lambda: [Pose()])
+
+    @property
+    def stamps_ns(self) -> list[int]:
+        """Stamps of the scans so far."""
+        return [START_NS + k * self.period_ns for k in range(len(self.world_T_base))]
+
+    def odometry(self, stamp_ns: int) -> Pose | None:
+        """Return odom_T_laser at the stamp of a scan: the commands so far, as if they had been executed exactly."""
+        k = (stamp_ns - START_NS) // self.period_ns
+        return self.odom_T_base[k] @ self.base_T_laser if 0 <= k < len(self.odom_T_base) else None
+
+    def execute(self, command: Command, noise: Pose) -> Iterator[None]:
+        """Move by a command of the laser's frame, and by its error (paper, "Maneuver Performance"), scan by scan."""
+        wanted = Pose(command.dx_m, command.dy_m, command.dyaw_rad)
+        done = Pose(wanted.x_m + noise.x_m, wanted.y_m + noise.y_m, wanted.yaw_rad + noise.yaw_rad)
+        world_T_base, odom_T_base = self.world_T_base[-1], self.odom_T_base[-1]
+        for scan in range(1, self.scans_a_command + 1):
+            share = scan / self.scans_a_command
+            self.odom_T_base.append(odom_T_base @ self._moved(wanted, share))
+            self.world_T_base.append(world_T_base @ self._moved(done, share))
+            yield
+
+    def _moved(self, motion: Pose, share: float) -> Pose:
+        """Return the base's part of a motion of the laser."""
+        part = Pose(share * motion.x_m, share * motion.y_m, share * motion.yaw_rad)
+        return self.base_T_laser @ part @ self.base_T_laser.inverse()
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """A finished mission: what SLAM made of it, the scans, and the truth.
+
+    ``map_T_laser`` and ``odom_T_base`` hold the true pose and the commanded one for every scan; ``world_T_map`` is the
+    true first laser pose, where the map frame begins.
+    """
+
+    scenario: Scenario
+    slam: SlamResult
+    mission: Mission
+    scans: tuple[Scan, ...]
+    map_T_laser: Trajectory
+    odom_T_base: Trajectory
+    world_T_map: Pose
+
+
+def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -> Flight:
+    """Fly a mission until its goal is reached or lost; every number of it follows from the scenario and its seed.
+
+    The pilot sees the estimated pose and the map built so far, never the truth.
+    """
+    config, laser = scenario.slam, _laser(scenario)
+    noise = np.random.default_rng([scenario.seed, 1])
+    vehicle = Vehicle(
+        scenario.base_T_laser, round(laser.spec.scan_time_s / NS), scenario.scans_a_command, [scenario.world_T_base]
+    )
+    pilot = Pilot(scenario)
+    method = make_method(config)
+    motion = Motion(laser.spec.scan_time_s, vehicle.odometry, method.expects_rest)
+    scans: list[Scan] = []
+    steps = Steps()
+    end = End.STEP_LIMIT
+    executing: Iterator[None] = iter(())
+    for step in track(_scans(scenario, vehicle, scans), method, motion):
+        steps.append(step)
+        if on_step:
+            on_step("fly", len(steps))
+        here = pilot.locate(step, vehicle.odometry(step.stamp_ns))
+        if next(executing, DONE) is DONE:
+            decision = pilot.decide(step, here, method.grid)
+            if isinstance(decision, End):
+                end = decision
+                break
+            executing = vehicle.execute(decision, _disturbance(scenario, noise, decision))
+            next(executing)
+        if _closest_m(scenario.world, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
+            end = End.COLLISION
+            break
+    flown = Track(lambda: scans, config, motion, method, steps, on_step=on_step)
+    return _landed(scenario, vehicle, scans, end, finish(flown))
+
+
+DONE = object()
+"""What a finished command gives instead of a further scan."""
+
+
+class Pilot:
+    """Decides on estimates alone: the next command, or that the mission has ended."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Bring the goals to the map frame."""
+        map_T_world = (scenario.world_T_base @ scenario.base_T_laser).inverse()
+        self.goals = [map_T_world @ Pose(x, y) for x, y in scenario.goals_xy_m]
+        self.radius_m = scenario.goal_radius_mm * MM
+        self.max_steps = scenario.max_steps
+        self.recovery = scenario.recovery
+        self.planner = Planner(scenario.planner)
+        self.commands = self.rejected = 0
+        self.accepted: tuple[Pose, Pose] | None = None
+
+    def locate(self, step: Step, odom_T_laser: Pose | None) -> Pose:
+        """Return the estimated pose: the accepted match, else where the commands since the last one should have led."""
+        odom_T_laser = odom_T_laser or Pose()
+        if step.tracked:
+            self.accepted = step.match.map_T_laser, odom_T_laser
+            return step.match.map_T_laser
+        map_T_laser, then = self.accepted or (Pose(), odom_T_laser)
+        return map_T_laser @ then.between(odom_T_laser)
+
+    def decide(self, step: Step, here: Pose, grid: GridBuilder) -> Command | End:
+        """Plan the next command from a pose of `locate`, or end the mission.
+
+        After a rejected match the vehicle carries on by dead reckoning, then hovers, and at last gives up.
+        """
+        self.rejected = 0 if step.tracked else self.rejected + 1
+        while step.tracked and self.goals and here.between(self.goals[0]).distance_m <= self.radius_m:
+            self.goals.pop(0)
+        if not self.goals:
+            return End.GOAL
+        blind = self.rejected - (self.recovery.fly_on_steps if self.accepted else 0)
+        if blind >= self.recovery.hover_steps:
+            return End.LOST
+        self.commands += 1
+        if self.commands == self.max_steps:
+            return End.STEP_LIMIT
+        if blind > 0:
+            return Command()
+        plan = self.planner.plan(grid, here, (self.goals[0].x_m, self.goals[0].y_m))
+        return End.STUCK if plan.stuck else plan.command
+
+
+def _scans(scenario: Scenario, vehicle: Vehicle, scans: list[Scan]) -> Iterator[Scan]:
+    """Take a scan wherever the vehicle is by then, and keep it."""
+    laser, rng = _laser(scenario), np.random.default_rng([scenario.seed, 0])
+    while True:
+        here = vehicle.world_T_base[-1] @ vehicle.base_T_laser
+        pose = _sweeping(vehicle, here, laser.spec) if scenario.laser.moving else here
+        scans.append(take_scan(scenario.world, pose, laser, rng, vehicle.stamps_ns[-1]))
+        yield scans[-1]
+
+
+def _laser(scenario: Scenario) -> LaserModel:
+    """Return the sensor; where the vehicle rests during a sweep all beams are of one time."""
+    laser = laser_model(scenario)
+    return laser if scenario.laser.moving else replace(laser, spec=replace(laser.spec, time_increment_s=0.0))
+
+
+def _sweeping(vehicle: Vehicle, here: Pose, spec: LaserSpec) -> Callable[[float], Pose]:
+    """Return the laser's pose over a sweep, as the last step goes on: ``here`` is the pose at mid-sweep."""
+    period_s, mid_s = vehicle.period_ns * NS, 0.5 * (spec.beams - 1) * spec.time_increment_s
+    before = vehicle.world_T_base[-2:][0] @ vehicle.base_T_laser
+    step = before.between(here)
+
+    def at(seconds: float) -> Pose:
+        share = (seconds - mid_s) / period_s
+        return here @ Pose(share * step.x_m, share * step.y_m, share * step.yaw_rad)
+
+    return at
+
+
+def _disturbance(scenario: Scenario, rng: np.random.Generator, command: Command) -> Pose:
+    """Draw the error of a command; one to hover has none unless the scenario says so."""
+    vehicle = scenario.vehicle
+    x, y, yaw = rng.standard_normal(3)
+    if command == Command() and not scenario.recovery.hover_noise:
+        return Pose()
+    return Pose(x * vehicle.noise_xy_mm * MM, y * vehicle.noise_xy_mm * MM, yaw * vehicle.noise_yaw_deg * DEG)
+
+
+def _closest_m(world: World, poses: list[Pose]) -> float:
+    """Least clearance along the straight way through the poses, looked at every few centimetres."""
+    xy = np.array([(p.x_m, p.y_m) for p in poses])
+    share = np.linspace(0.0, 1.0, 6)[:, None]
+    way = [a + share * (b - a) for a, b in pairwise(xy)] or [xy]
+    return float(world.clearance_m(np.vstack(way)).min())
+
+
+def _landed(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, outcome: SlamResult) -> Flight:
+    """Sum up a flight: only here does anybody look at the truth."""
+    n = len(scans)
+    stamps, world_T_base = vehicle.stamps_ns[:n], vehicle.world_T_base
+    world_T_map = scenario.world_T_base @ scenario.base_T_laser
+    map_T_world = world_T_map.inverse()
+    truth = Trajectory.of(stamps, [map_T_world @ p @ vehicle.base_T_laser for p in world_T_base[:n]])
+    goal = scenario.goals_xy_m[-1]
+    last = world_T_base[-1] @ vehicle.base_T_laser
+    goal_distance_m = float(np.hypot(last.x_m - goal[0], last.y_m - goal[1]))
+    if end is End.GOAL and goal_distance_m > 2.0 * scenario.goal_radius_mm * MM:
+        end = End.WRONG_PLACE
+    base = Trajectory.of(list(range(len(world_T_base))), world_T_base)
+    mission = Mission(end, n, base.length_m, _closest_m(scenario.world, world_T_base), goal_distance_m)
+    odom = Trajectory.of(stamps, vehicle.odom_T_base[:n])
+    return Flight(scenario, outcome, mission, tuple(scans), truth, odom, world_T_map)

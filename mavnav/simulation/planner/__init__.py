@@ -1,0 +1,1 @@
+"""The potential-field planner of the paper, with its answers to local minima."""

@@ -1,0 +1,226 @@
+"""What is done against local minima: techniques from scene and memory to a force (paper, "Path Planning")."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import atan2, pi
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.kernels import potential
+from mavnav.pose import wrap_angle
+from mavnav.simulation.planner.shortest_path import aim_on_shortest_way
+from mavnav.units import MM
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from mavnav.config.planner import PlannerConfig
+
+    XY = NDArray[np.float64]
+    """A point or a vector in the map frame, (2,) in m (a force: without unit)."""
+
+_SAME_PLACE_M, _MOST_AT_A_PLACE = 0.1, 3  # virtual obstacles, then they help no more
+_VIRTUAL_AHEAD_M = 0.15
+_VIRTUAL_RANGE_M = 0.9
+_VIRTUAL_FORCE = 1.5
+_NEARER_M = 0.1  # than where the field stalled: a wall is followed no longer
+_FOLLOW_SPEED = 0.6  # of the speed in the open: or the vehicle overshoots at corners
+_FOLLOW_MARGIN_M = 0.1  # a wall is followed at the safety clearance and this
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What a technique sees: walls (n, 2), those near by, vehicle and goal, in m, map frame."""
+
+    config: PlannerConfig
+    cell_m: float
+    walls_xy_map_m: NDArray[np.float64]
+    near_xy_map_m: NDArray[np.float64]
+    xy_map_m: XY
+    goal_xy_map_m: XY
+
+    @property
+    def goal_m(self) -> float:
+        """Distance to the goal as the crow flies."""
+        return float(np.hypot(*(self.goal_xy_map_m - self.xy_map_m)))
+
+    @property
+    def attraction(self) -> XY:
+        """Force of the goal: towards it, of the same strength everywhere."""
+        return self.config.attraction_gain * unit(self.goal_xy_map_m - self.xy_map_m)
+
+    @property
+    def repulsion(self) -> XY:
+        """Force of all walls within range."""
+        force = potential.repulsion(
+            self.walls_xy_map_m, self.xy_map_m, self.config.repulsion_range_mm * MM, self.cell_m
+        )
+        return self.config.repulsion_gain * force
+
+
+@dataclass(frozen=True, slots=True)
+class Following:
+    """A wall that is being followed, since the field stalled at ``goal_m`` from the goal.
+
+    ``start_xy_map_m`` and ``heading_rad`` are where the way along the wall began; ``way_m`` is its length so far.
+    """
+
+    goal_m: float
+    start_xy_map_m: XY
+    heading_rad: float
+    way_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """All that a planner remembers from command to command; map frame.
+
+    All but the velocity is forgotten when the goal changes. ``velocity_m`` (2,) is the virtual mass's, in m a step.
+    The vehicle has been within ``stall_mm`` of ``anchor_xy_map_m`` for ``idle_steps``; it has looked round for
+    ``looks`` steps, seeing no way. ``virtual_map_m`` are the virtual obstacles: x, y, range in m. ``side`` is the way
+    round that walls are followed: +1 has them on the right hand, -1 on the left, 0 before any was.
+    """
+
+    goal_xy_map_m: XY
+    velocity_m: XY
+    anchor_xy_map_m: XY
+    idle_steps: int = 0
+    looks: int = 0
+    virtual_map_m: tuple[tuple[float, float, float], ...] = ()
+    following: Following | None = None
+    side: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """What a technique wants: a force (2,) on the virtual mass, or to look round (None), or to give up (a reason).
+
+    With ``squeezes`` a step may give up the safety clearance where the way leads through narrower places.
+    """
+
+    force: XY | None
+    memory: Memory
+    reason: str = ""
+    squeezes: bool = False
+
+
+def unit(vector: XY) -> XY:
+    """Return the vector at length 1; the zero vector stays."""
+    length = float(np.hypot(*vector))
+    return vector / length if length > 1e-9 else np.zeros(2)
+
+
+# ---- techniques against local minima ---------------------------------------------------------------------------------
+
+
+def _stalled(scene: Scene, memory: Memory) -> bool:
+    return memory.idle_steps >= scene.config.stall_steps
+
+
+def _field(scene: Scene, memory: Memory) -> Drive:
+    """Drive by the paper's plain field; gives up where it stalls."""
+    reason = "the forces are in balance" if _stalled(scene, memory) else ""
+    return Drive(scene.attraction + scene.repulsion, memory, reason)
+
+
+def _wavefront(scene: Scene, memory: Memory) -> Drive:
+    """Drive along the shortest way round the known walls; these bend the way but do not hold the vehicle back."""
+    aim = aim_on_shortest_way(scene.walls_xy_map_m, scene.xy_map_m, scene.goal_xy_map_m, scene.config)
+    if aim is None:
+        return _look_round(scene, memory)
+    towards = unit(aim - scene.xy_map_m)
+    push = scene.repulsion
+    push = push - min(0.0, float(push @ towards)) * towards
+    push *= min(1.0, scene.config.attraction_gain / max(1e-9, float(np.hypot(*push))))
+    reason = "no step leads on" if _stalled(scene, memory) else ""
+    return Drive(scene.config.attraction_gain * towards + push, replace(memory, looks=0), reason, squeezes=True)
+
+
+def _look_round(scene: Scene, memory: Memory) -> Drive:
+    """Turn round once, new scans may open a way; then give up."""
+    reason = "walls close off the goal" if memory.looks * scene.config.max_turn_deg >= 360.0 else ""
+    return Drive(None, replace(memory, looks=memory.looks + 1, idle_steps=0), reason)
+
+
+def _virtual_obstacles(scene: Scene, memory: Memory) -> Drive:
+    """Drive by the field, and by an obstacle at every place where it stalled: they fill a trap up."""
+    if memory.idle_steps >= scene.config.stall_steps // 2:
+        dropped = _dropped(scene, memory)
+        if _near(dropped, memory, _SAME_PLACE_M) >= _MOST_AT_A_PLACE:
+            return Drive(None, memory, "virtual obstacles fill every way")
+        memory = replace(memory, virtual_map_m=(*memory.virtual_map_m, dropped), idle_steps=0)
+    return Drive(scene.attraction + scene.repulsion + _virtual_push(scene, memory), memory)
+
+
+def _dropped(scene: Scene, memory: Memory) -> tuple[float, float, float]:
+    """Return x, y and range of a new virtual obstacle: ahead and a little aside, the larger the more are near by."""
+    ahead = unit(scene.goal_xy_map_m - scene.xy_map_m)
+    x, y = scene.xy_map_m + _VIRTUAL_AHEAD_M * (ahead + 0.5 * _left(ahead))
+    near = _near((float(x), float(y), 0.0), memory, _VIRTUAL_RANGE_M)
+    return float(x), float(y), _VIRTUAL_RANGE_M * min(1.0 + 0.3 * near, 2.0)
+
+
+def _near(virtual: tuple[float, float, float], memory: Memory, within_m: float) -> int:
+    """Count the virtual obstacles near another one."""
+    return sum(bool(np.hypot(virtual[0] - x, virtual[1] - y) < within_m) for x, y, _ in memory.virtual_map_m)
+
+
+def _virtual_push(scene: Scene, memory: Memory) -> XY:
+    """Return the force of all virtual obstacles: the strongest at their centres, nothing from their range on."""
+    virtual = np.array(memory.virtual_map_m).reshape(-1, 3)
+    away = scene.xy_map_m - virtual[:, :2]
+    distance = np.maximum(np.hypot(*away.T), 1e-3)
+    strength = _VIRTUAL_FORCE * scene.config.attraction_gain * np.maximum(0.0, 1.0 - distance / virtual[:, 2])
+    return np.asarray((strength / distance) @ away)
+
+
+def _left(vector: XY) -> XY:
+    return np.array([-vector[1], vector[0]])
+
+
+def _wall_following(scene: Scene, memory: Memory) -> Drive:
+    """Drive by the field; where it stalls, along the wall until the goal is nearer than there (Bug algorithms)."""
+    following = memory.following
+    if following is not None and (scene.goal_m < following.goal_m - _NEARER_M or len(scene.near_xy_map_m) == 0):
+        memory, following = replace(memory, following=None, idle_steps=0), None
+    if following is None and not (_stalled(scene, memory) and len(scene.near_xy_map_m)):
+        return _field(scene, memory)
+    if following is None:
+        memory = replace(memory, idle_steps=0)
+    reason = "no step leads along the wall" if _stalled(scene, memory) else ""
+    return _along_wall(scene, memory, reason)
+
+
+def _along_wall(scene: Scene, memory: Memory, reason: str) -> Drive:
+    away = scene.xy_map_m - scene.near_xy_map_m
+    distances = np.hypot(*away.T)
+    nearest = int(np.argmin(distances))
+    normal = unit(away[nearest])
+    side = memory.side or (1 if float(_left(normal) @ scene.attraction) >= 0 else -1)
+    along = side * _left(normal)
+    wanted_m = scene.config.safety_mm * MM + _FOLLOW_MARGIN_M
+    error = float(np.clip((wanted_m - distances[nearest]) / wanted_m, -1.0, 1.0))
+    force = _FOLLOW_SPEED * scene.config.attraction_gain * unit(along + 2.0 * error * normal)
+    following = memory.following or Following(scene.goal_m, scene.xy_map_m, atan2(along[1], along[0]))
+    if _came_round(following, scene, along):
+        reason = "the wall leads round to where it began"
+    return Drive(force, replace(memory, side=side, following=following), reason)
+
+
+def _came_round(following: Following, scene: Scene, along: XY) -> bool:
+    turned = wrap_angle(atan2(along[1], along[0]) - following.heading_rad)
+    back_m = float(np.hypot(*(scene.xy_map_m - following.start_xy_map_m)))
+    return following.way_m > 2.0 and back_m < 0.3 and abs(turned) < pi / 4
+
+
+TECHNIQUES: dict[str, Callable[[Scene, Memory], Drive]] = {
+    "field": _field,
+    "wavefront": _wavefront,
+    "wall_following": _wall_following,
+    "virtual_obstacles": _virtual_obstacles,
+}
+"""Name -> what it drives at, given scene and memory."""

@@ -1,0 +1,17 @@
+"""The world of a simulation: a scenario's walls, a laser that sees them, and nobody who may tell the planner."""
+
+from mavnav.simulation.world.geometry import World
+from mavnav.simulation.world.laser import LASERS, LaserModel, take_scan
+from mavnav.simulation.world.scenario import Scenario, laser_model
+from mavnav.simulation.world.scenario_file import load_scenario, scenario_schema
+
+__all__ = [
+    "LASERS",
+    "LaserModel",
+    "Scenario",
+    "World",
+    "laser_model",
+    "load_scenario",
+    "scenario_schema",
+    "take_scan",
+]

@@ -1,0 +1,175 @@
+"""Shapes that walls are written with, and the segments and arcs they stand for. World frame, metres and degrees."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Protocol
+
+import numpy as np
+from pydantic import ConfigDict, Field, field_validator, model_validator
+
+from mavnav.config.models import Strict
+from mavnav.simulation.world.geometry import World
+from mavnav.units import DEG
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+Metre = Annotated[float, Field(ge=-1000.0, le=1000.0)]
+Length = Annotated[float, Field(gt=0.0, le=1000.0)]
+XY = tuple[Metre, Metre]
+
+
+class Shape(Protocol):
+    """What every shape can tell."""
+
+    def segments(self) -> Array:
+        """Return the straight walls, (n, 4) in metres."""
+
+    def arcs(self) -> Array:
+        """Return the round walls, (m, 5): centre (m), radius (m), start and sweep (rad)."""
+
+    def contains(self, xy_m: XY) -> bool:
+        """Tell whether the shape is closed and a point lies inside."""
+
+
+class Polyline(Strict):
+    """Points joined by walls."""
+
+    points_m: tuple[XY, ...] = Field(description="corners, [[x, y], ...], two at least")
+    closed: bool = Field(False, description="join the last point to the first")
+
+    @field_validator("points_m")
+    @classmethod
+    def _two_points(cls, points_m: tuple[XY, ...]) -> tuple[XY, ...]:
+        if len(points_m) < 2:
+            msg = "needs two points at least"
+            raise ValueError(msg)
+        return points_m
+
+    def segments(self) -> Array:
+        """Return the walls from point to point, (n, 4)."""
+        points = np.array([*self.points_m, *self.points_m[:1]] if self.closed else self.points_m, dtype=np.float64)
+        return np.column_stack((points[:-1], points[1:]))
+
+    def arcs(self) -> Array:
+        """Return none, (0, 5)."""
+        return np.empty((0, 5))
+
+    def contains(self, xy_m: XY) -> bool:
+        """Count how often a ray to the right crosses the outline: an odd number of times from inside."""
+        if not self.closed:
+            return False
+        x1, y1, x2, y2 = self.segments().T
+        spans = (y1 > xy_m[1]) != (y2 > xy_m[1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossing_x = x1 + (xy_m[1] - y1) / (y2 - y1) * (x2 - x1)
+        return bool(np.count_nonzero(spans & (crossing_x > xy_m[0])) % 2)
+
+
+class Box(Strict):
+    """A solid rectangle."""
+
+    center_m: XY = Field(description="centre, [x, y]")
+    size_m: tuple[Length, Length] = Field(description="edges, [along x, along y] before it is turned")
+    yaw_deg: float = Field(0.0, description="how far it is turned about its centre, counter-clockwise")
+
+    def _outline(self) -> Polyline:
+        c, s = np.cos(self.yaw_deg * DEG), np.sin(self.yaw_deg * DEG)
+        corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]) * self.size_m
+        xy = corners @ np.array([(c, s), (-s, c)]) + self.center_m
+        return Polyline.model_construct(points_m=tuple(map(tuple, xy.tolist())), closed=True)
+
+    def segments(self) -> Array:
+        """Return the four sides, (4, 4)."""
+        return self._outline().segments()
+
+    def arcs(self) -> Array:
+        """Return none, (0, 5)."""
+        return np.empty((0, 5))
+
+    def contains(self, xy_m: XY) -> bool:
+        """Tell whether a point lies inside."""
+        return self._outline().contains(xy_m)
+
+
+class Arc(Strict):
+    """A round wall that one can stand on both sides of; a sweep of 360 makes a round room."""
+
+    center_m: XY = Field(description="centre, [x, y]")
+    radius_m: Length = Field(description="radius")
+    start_deg: float = Field(0.0, description="bearing of its first end from the centre, counter-clockwise from x")
+    sweep_deg: float = Field(360.0, ge=-360.0, le=360.0, description="how far it goes on, counter-clockwise")
+
+    def segments(self) -> Array:
+        """Return none, (0, 4)."""
+        return np.empty((0, 4))
+
+    def arcs(self) -> Array:
+        """Return the arc, (1, 5)."""
+        return np.array([(*self.center_m, self.radius_m, self.start_deg * DEG, self.sweep_deg * DEG)])
+
+    def contains(self, xy_m: XY) -> bool:  # noqa: ARG002  one interface
+        """Tell that nothing is inside: an arc is not solid."""
+        return False
+
+
+class Circle(Strict):
+    """A solid, round column."""
+
+    center_m: XY = Field(description="centre, [x, y]")
+    radius_m: Length = Field(description="radius")
+
+    def segments(self) -> Array:
+        """Return none, (0, 4)."""
+        return np.empty((0, 4))
+
+    def arcs(self) -> Array:
+        """Return the whole turn, (1, 5)."""
+        return np.array([(*self.center_m, self.radius_m, 0.0, 2.0 * np.pi)])
+
+    def contains(self, xy_m: XY) -> bool:
+        """Tell whether a point lies inside."""
+        return bool(np.hypot(xy_m[0] - self.center_m[0], xy_m[1] - self.center_m[1]) < self.radius_m)
+
+
+class Wall(Strict):
+    """One entry of ``walls``: the name of a shape, and the shape."""
+
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
+
+    polyline: Polyline | None = Field(None, description="points joined by walls")
+    box: Box | None = Field(None, description="solid rectangle")
+    circle: Circle | None = Field(None, description="solid column")
+    arc: Arc | None = Field(None, description="round wall")
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Wall:
+        if len(self._given()) != 1:
+            msg = "must be one shape: polyline, box, circle or arc"
+            raise ValueError(msg)
+        return self
+
+    def _given(self) -> dict[str, Shape]:
+        named = {"polyline": self.polyline, "box": self.box, "circle": self.circle, "arc": self.arc}
+        return {name: shape for name, shape in named.items() if shape is not None}
+
+    @property
+    def kind(self) -> str:
+        """Name of the shape."""
+        return next(iter(self._given()))
+
+    @property
+    def shape(self) -> Shape:
+        """The shape itself."""
+        return next(iter(self._given().values()))
+
+
+def world_of(walls: Sequence[Wall]) -> World:
+    """Build the world of some walls."""
+    segments = [wall.shape.segments() for wall in walls]
+    arcs = [wall.shape.arcs() for wall in walls]
+    return World(np.vstack([np.empty((0, 4)), *segments]), np.vstack([np.empty((0, 5)), *arcs]))

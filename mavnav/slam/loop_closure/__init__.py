@@ -1,0 +1,1 @@
+"""Loop closure: detection of revisited places, the pose graph, and the map rebuilt from its poses."""

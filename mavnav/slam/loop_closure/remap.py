@@ -1,0 +1,66 @@
+"""The map rebuilt from the poses that follow where loops were closed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.slam.loop_closure.detection import find_loops
+from mavnav.slam.registry import make_method
+from mavnav.slam.steps import Steps, tracked_trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from mavnav.pose import Trajectory
+    from mavnav.scan import Scan
+    from mavnav.slam.method import Method, Refiner
+    from mavnav.slam.motion_model import Motion
+    from mavnav.slam.steps import Step
+    from mavnav.slam.track import LogScans, Track
+
+
+def close_loops(track: Track) -> Track:
+    """Close loops and rebuild the map; all stays where there are none, or where the new map is no sharper.
+
+    It stays as well where scans do not come, because the run is being stopped.
+    """
+    refiner, steps, config = track.refiner, track.steps, track.config
+    if refiner is None or not refiner.builds_map or config.loop_closure != "auto":
+        return track
+    loops = find_loops(tracked_trajectory(steps), partial(points_of, track.log_scans, steps, refiner), config)
+    if loops.map_T_laser is None:
+        return replace(track, loops=loops)
+    fresh = make_method(config)
+    rebuilt = Steps(rebuild(track.log_scans(), steps, loops.map_T_laser, fresh, track.motion))
+    hits, hits_before = (np.count_nonzero(method.grid.hits) for method in (fresh, track.method))
+    if len(rebuilt) < len(steps) or hits >= hits_before:
+        return replace(track, loops=loops.dropped())
+    return replace(track, steps=rebuilt, method=fresh, loops=loops)
+
+
+def points_of(log_scans: LogScans, steps: Steps, refiner: Refiner, rows: list[int]) -> Iterator[NDArray[np.float64]]:
+    """Give the points (n, 2) of some tracked scans, numbered as in the trajectory; m, laser frame."""
+    tracked = steps.column("index")[steps.column("tracked")].tolist()
+    wanted = {tracked[row] for row in rows}
+    return (refiner.match_points(scan).copy() for index, scan in enumerate(log_scans()) if index in wanted)
+
+
+def rebuild(
+    scans: Iterable[Scan], steps: Steps, map_T_laser: Trajectory, method: Method, motion: Motion
+) -> Iterator[Step]:
+    """Build a new map with every tracked scan at its corrected pose: a row of ``map_T_laser`` for each of them."""
+    poses = iter([map_T_laser[row] for row in range(len(map_T_laser))])
+    for step, scan in zip(steps, scans, strict=False):
+        if not step.tracked:
+            yield step
+            continue
+        pose = next(poses)
+        method.insert(scan, pose, motion)
+        motion = motion.moved_to(pose, step.stamp_ns) if motion.stamp_ns else motion.started_at(pose, step.stamp_ns)
+        yield step._replace(match=step.match._replace(map_T_laser=pose))

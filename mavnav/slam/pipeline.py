@@ -1,0 +1,86 @@
+"""The passes over a whole log, in order; docs/method.md explains each under the number that stands beside it."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from mavnav.slam.beam_order import with_reversed_beams
+from mavnav.slam.loop_closure.remap import close_loops
+from mavnav.slam.motion_model import Motion
+from mavnav.slam.odometry_check import without_misleading_odometry
+from mavnav.slam.registry import make_method
+from mavnav.slam.rematch import refine_against_final_map, rematch_rejected, remove_dynamic_cells
+from mavnav.slam.resampled_track import with_coarser_voxels
+from mavnav.slam.result import summarize
+from mavnav.slam.smoothing import smooth_jitter
+from mavnav.slam.track import Track
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mavnav.config.models import Config
+    from mavnav.pose import Trajectory
+    from mavnav.slam.prior_map import PriorMap
+    from mavnav.slam.result import SlamResult
+    from mavnav.slam.track import LogScans, OnStep
+
+    Pass = Callable[[Track], Track]
+    """Returns the track as it is where the pass does not apply."""
+
+ODOMETRY_GAP_NS = 500_000_000
+"""Odometry is interpolated over gaps up to this."""
+
+SHORTEST_PERIOD_S = 1e-3
+"""A log of one scan has no period."""
+
+RETRIES: Final[tuple[Pass, ...]] = (
+    without_misleading_odometry,  # "What is not taken on trust"
+    with_reversed_beams,  # "What is not taken on trust"
+    with_coarser_voxels,  # step 10
+)
+"""Each tracks the log again where something is in doubt, and keeps the better of two tracks."""
+
+LAST_PASSES: Final[tuple[Pass, ...]] = (
+    close_loops,  # step 11
+    remove_dynamic_cells,  # step 12
+    refine_against_final_map,  # step 13
+    smooth_jitter,  # step 14
+)
+"""What the finished track is corrected by; nothing of it on line, nor in the paper's method."""
+
+
+def run_slam(
+    log_scans: LogScans,
+    config: Config,
+    period_s: float,
+    odom_T_laser: Trajectory | None = None,
+    on_step: OnStep | None = None,
+    prior_map: PriorMap | None = None,
+) -> SlamResult:
+    """Run the configured method over a recorded log.
+
+    Parameters
+    ----------
+    log_scans : gives the scans, from the first one again at every call
+    config : the method, its grids and its numbers
+    period_s : the sensor's time between scans, 0 if unknown
+    odom_T_laser : odometry of the laser, used as the prediction
+    on_step : called with the name of the pass ("track", "track again", "final pass") and the number of scans done
+    prior_map : localize in this map, and leave it as it is, instead of making one
+    """
+    odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
+    method = make_method(config, prior_map)
+    motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest)
+    track = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step)
+    track = track.over(log_scans(), "track")  # steps 1 to 8
+    for retry in RETRIES:
+        track = retry(track)
+    return finish(rematch_rejected(track))  # step 9
+
+
+def finish(track: Track) -> SlamResult:
+    """Make the last passes over a track, and sum up."""
+    for last_pass in LAST_PASSES:
+        track = last_pass(track)
+    return summarize(track)

@@ -1,0 +1,196 @@
+"""Where in a wide region, or in the whole map, could this scan have been taken? All candidates, ranked."""
+
+from __future__ import annotations
+
+from math import floor, pi
+from operator import itemgetter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.kernels.conflicts import conflicts
+from mavnav.kernels.volume import volume
+from mavnav.mapping.tiled_arrays import bands, plain
+from mavnav.pose import Pose, wrap_angle
+from mavnav.profiling import timed
+from mavnav.slam.scan_matching import Match, Schedule, search_lines, with_effort
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.config.models import Config
+    from mavnav.mapping.line_map import LineMap
+    from mavnav.mapping.occupancy_grid import GridBuilder
+
+    Region = tuple[NDArray[np.float64], NDArray[np.float64]]
+    """Positions (p, 2), m, and yaws (q,), rad, map frame: every position with every yaw."""
+    Start = tuple[float, Pose]
+    """Cost, m2, and pose of a minimum of the wide search."""
+
+STEP_M, STEP_RAD = 0.1, 4 * DEG
+"""Spacing of the wide search: the cost is felt 0.15 m from a wall."""
+
+SEPARATE_M, SEPARATE_RAD = 0.25, 12 * DEG
+"""Minima nearer than this are one."""
+
+CANDIDATES = 6
+
+AT_ONCE = 1 << 16
+"""Positions that are searched at once: their costs take 47 MB."""
+
+FARTHEST_M = 2.5
+"""A laser that was not seen for long can be anywhere: then the whole map is searched."""
+
+PRIOR = 0.05
+"""What a place loses, in ``disagreement``, that only the strongest acceleration reaches."""
+
+ACCELERATION_M_S2, ACCELERATION_RAD_S2 = 4.0, 600 * DEG
+SLACK_M, SLACK_RAD = 0.1, 5 * DEG
+"""Strong accelerations of vehicles and hands, and what velocity estimates and stamps leave open."""
+
+FARTHEST_SURPRISE = 4.0
+"""Where no motion leads to, all places of the map are equally likely: someone carried the laser there."""
+
+CLEAR_BY = 0.05
+"""A place is ambiguous if another one ranks nearer than this."""
+
+TELLING = 150
+"""So many points, of any scan a fair sample, tell what share of it the map speaks against."""
+
+
+@timed("gate")
+def judged(match: Match, points: NDArray[np.float64], line_map: LineMap, grid: GridBuilder) -> Match:
+    """Return the match with the share of its points (n, 2), laser frame, that the map speaks against."""
+    pose, counts, some = match.map_T_laser.as_array(), (grid.lattice, grid.hits, grid.passes), points[:TELLING]
+    count = conflicts(some, pose, *counts, line_map.nearest, line_map.geometry)
+    return Match(*match[:7], count / max(len(some), 1), *match[8:])  # a third of what ``_replace`` takes
+
+
+def disagreement(match: Match, config: Config) -> float:
+    """Rank a judged match: its truncated cost as a share of the worst, and what speaks against it; 0 is perfect."""
+    return match.cost_m2 / (config.robust.truncate_mm * MM) ** 2 + match.conflicts
+
+
+def within_reach(pose: Pose, elapsed_s: float) -> Region:
+    """Return a disc of positions and the yaws about a pose where a vehicle can be after a time, in m and rad."""
+    radius_m = float(np.clip(0.15 + 1.5 * elapsed_s, 0.3, FARTHEST_M))
+    half_rad = float(np.clip(10 * DEG + 150 * DEG * elapsed_s, 20 * DEG, pi))
+    return around(pose, radius_m, half_rad)
+
+
+def around(pose: Pose, radius_m: float, half_rad: float) -> Region:
+    """Return a disc of positions and the yaws about a pose, in m and rad."""
+    n, k = int(np.ceil(radius_m / STEP_M)), int(np.ceil(half_rad / STEP_RAD))
+    rows, cols = np.indices((2 * n + 1, 2 * n + 1), dtype=np.float64)
+    lattice = STEP_M * (np.column_stack((cols.ravel(), rows.ravel())) - n)
+    disc = lattice[np.hypot(*lattice.T) <= radius_m + 1e-9]
+    return disc + pose.as_array()[:2], pose.yaw_rad + STEP_RAD * np.arange(-k, k + 1, dtype=np.float64)
+
+
+def everywhere(grid: GridBuilder) -> Region:
+    """Return the positions (p, 2), row by row, where the map was seen free, and yaws (q,) all round, in m and rad."""
+    shape, origin_m = grid.passes.shape, np.array(grid.origin_xy_m[::-1])
+    low, wide = floor(origin_m[1] / STEP_M) - 1, int(shape[1] * grid.cell_m / STEP_M) + 4
+    hits, places = plain(grid.hits)[:, : shape[1]], [np.zeros(0, np.int64)]
+    for _, _, band in bands(shape):
+        free = np.argwhere((grid.passes[band] > 0) & (grid.passes[band] > hits[band])) + np.array([band.start, 0])
+        row, col = np.round((origin_m + (free + 0.5) * grid.cell_m) / STEP_M).astype(np.int64).T
+        places.append(np.unique(row * wide + col - low))
+    row, col = np.divmod(np.unique(np.concatenate(places)), wide)
+    return np.column_stack(((col + low) * STEP_M, row * STEP_M)), np.arange(-pi, pi, STEP_RAD)
+
+
+@timed("search")
+def candidates(
+    points: NDArray[np.float64],
+    line_map: LineMap,
+    grid: GridBuilder,
+    region: Region,
+    config: Config,
+    most: int = CANDIDATES,
+) -> list[Match]:
+    """Search a region of poses; return its separate minima, ``most`` of them, refined and judged.
+
+    ``points`` (n, 2) are the scan's in the laser's frame, m, in an order any beginning of which is a fair sample.
+    """
+    robust, (xy_m, yaws_rad) = config.robust, region
+    few = points[: robust.first_level_points]
+    nearest, lines, geometry = line_map.nearest, line_map.lines, line_map.geometry
+    starts: list[Start] = []
+    for first in range(0, len(xy_m), AT_ONCE):
+        some = xy_m[first : first + AT_ONCE]
+        costs = volume(few, some, yaws_rad, robust.truncate_mm * MM, nearest, lines, geometry)
+        starts += minima(costs, some, yaws_rad, most)
+    starts = starts if len(starts) <= most else lowest(starts, most)
+    schedule = Schedule.of(config, line_map, (1.5 * STEP_M, 1.5 * STEP_RAD))
+    return [judged(search_lines(points, line_map, pose, schedule), points, line_map, grid) for _, pose in starts]
+
+
+def best_of(found: list[Match], expected: tuple[Pose, ...], elapsed_s: float, config: Config) -> Match:
+    """Return the match that agrees best with map and motion; it is ambiguous if another place agrees as well."""
+    weighed = [m._replace(surprise=min(surprise(pose, m.map_T_laser, elapsed_s) for pose in expected)) for m in found]
+    ranks = [disagreement(m, config) + PRIOR * min(m.surprise, FARTHEST_SURPRISE) for m in weighed]
+    lowest = min(ranks)
+    best = weighed[ranks.index(lowest)]
+    rivals = [rank for m, rank in zip(weighed, ranks, strict=True) if apart(best.map_T_laser, m.map_T_laser)]
+    return with_effort(best, *found)._replace(ambiguous=min(rivals, default=np.inf) < lowest + CLEAR_BY)
+
+
+def unrivalled(found: list[Match], clear_by: float, config: Config) -> Match | None:
+    """Return the best of judged matches; None if there is none, or another place ranks within ``clear_by`` of it."""
+    ranked = sorted(found, key=lambda match: disagreement(match, config))
+    best = next(iter(ranked), None)
+    rival = next((m for m in ranked if best and apart(best.map_T_laser, m.map_T_laser)), None)
+    clear = best and (rival is None or disagreement(rival, config) >= disagreement(best, config) + clear_by)
+    return best if clear else None
+
+
+def firmness(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, config: Config) -> float:
+    """Tell by how much the cost of a place grows, as a share of the worst, ``SEPARATE_M`` away in the best direction.
+
+    It is nearly 0 where walls on both sides leave open how far along them the laser is.
+    """
+    angles, truncate_m = np.arange(8) * (pi / 4), config.robust.truncate_mm * MM
+    steps = SEPARATE_M * np.column_stack((np.cos(angles), np.sin(angles)))
+    xy_m, yaw_rad = np.vstack(([(0.0, 0.0)], steps)) + map_T_laser.as_array()[:2], np.array([map_T_laser.yaw_rad])
+    costs = volume(points, xy_m, yaw_rad, truncate_m, line_map.nearest, line_map.lines, line_map.geometry)[0]
+    return float(costs[1:].min() - costs[0]) / truncate_m**2
+
+
+def surprise(expected: Pose, pose: Pose, elapsed_s: float) -> float:
+    """Square how far a pose is from the expected one, in what accelerations of vehicles and hands reach meanwhile."""
+    off, half_t2 = expected.between(pose), 0.5 * elapsed_s**2
+    reach_m, reach_rad = SLACK_M + ACCELERATION_M_S2 * half_t2, SLACK_RAD + ACCELERATION_RAD_S2 * half_t2
+    return (off.distance_m / reach_m) ** 2 + (off.yaw_rad / reach_rad) ** 2
+
+
+def apart(a: Pose, b: Pose) -> bool:
+    """Tell whether two poses are different places."""
+    off = a.between(b)
+    return off.distance_m > SEPARATE_M or abs(off.yaw_rad) > SEPARATE_RAD
+
+
+def minima(
+    costs: NDArray[np.float64], xy_m: NDArray[np.float64], yaws_rad: NDArray[np.float64], most: int = CANDIDATES
+) -> list[Start]:
+    """Return the ``most`` lowest costs (q, p) that lie apart, with their poses; the costs themselves are lost."""
+    found: list[Start] = []
+    for _ in range(most):
+        q, p = np.unravel_index(int(np.argmin(costs)), costs.shape)
+        if not np.isfinite(costs[q, p]):
+            break
+        found.append((float(costs[q, p]), Pose(float(xy_m[p, 0]), float(xy_m[p, 1]), wrap_angle(float(yaws_rad[q])))))
+        near = np.hypot(*(xy_m - xy_m[p]).T) < SEPARATE_M
+        turned = np.abs((yaws_rad - yaws_rad[q] + pi) % (2 * pi) - pi) < SEPARATE_RAD
+        costs[np.ix_(turned, near)] = np.inf
+    return found
+
+
+def lowest(starts: list[Start], most: int) -> list[Start]:
+    """Return the ``most`` lowest minima that lie apart, of those of several parts of a region."""
+    kept: list[Start] = []
+    for start in sorted(starts, key=itemgetter(0)):
+        if all(apart(start[1], other) for _, other in kept):
+            kept.append(start)
+    return kept[:most]

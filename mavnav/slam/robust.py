@@ -1,0 +1,265 @@
+"""The robust method: point to local line over the whole map, with a search of wide regions where that fails."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.kernels.hold import hold
+from mavnav.kernels.points import placed, scan_points
+from mavnav.mapping.line_map import LineMap
+from mavnav.mapping.occupancy_grid import GridBuilder
+from mavnav.pose import Pose
+from mavnav.profiling import timed
+from mavnav.slam.motion_model import LONGEST_S
+from mavnav.slam.relocalization import around, best_of, candidates, everywhere, judged, within_reach
+from mavnav.slam.scan_matching import (
+    Match,
+    Schedule,
+    first_match,
+    no_match,
+    search_lines,
+    with_effort,
+)
+from mavnav.slam.track_state import Verdict
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.config.models import Config
+    from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.scan import Scan
+    from mavnav.slam.motion_model import Motion
+
+    Points = tuple[NDArray[np.float64], NDArray[np.float64]]
+    """The good end points (n, 2) of a scan and their means (m, 2), m, laser frame."""
+
+REGAIN_S = 0.5  # without a believed pose for longer, chance agreements are likely: more of the scan must agree
+
+
+INSIDE = 0.5
+"""Share of the near window within which a match is believed: beyond, the laser may be outside of it."""
+
+
+NEAR_MINIMA = 3
+"""So many separate minima of the cost near the prediction are refined: the lowest of a coarse lattice may mislead."""
+
+
+AT_REST = np.zeros(3)
+"""No motion to undo."""
+
+
+REACHABLE = 1.0
+"""Farther from the expected place, in ``surprise``, no vehicle accelerates."""
+
+
+EXPECTED = 0.01
+"""So near to the expected place, in ``surprise``, less of a scan must agree after a gap."""
+
+
+FOUND_CONFLICTS, LONG_GAP_S = 0.05, 2.5
+"""Share of a scan that may speak against a place that is found after so long, when it may be any place: 0.11 to 0.25
+where a laser was carried into another room, up to 0.01 where it was in the same one; after shorter gaps of urg_exp1 it
+is up to 0.1 in the right place."""
+
+
+def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
+    """Return where the laser should be: as predicted, by its velocity, or where it was."""
+    return tuple(dict.fromkeys((predicted, motion.by_velocity(scan.stamp_ns), motion.map_T_laser)))
+
+
+class Robust:
+    """Point to local line over the whole map; the grid of hit counts is kept beside it for the outputs.
+
+    ``known`` is the grid that tells what speaks against a place.
+    """
+
+    expects_rest = False
+    uses_odometry = True
+    builds_map = True
+    found_conflicts = FOUND_CONFLICTS
+
+    def __init__(self, config: Config) -> None:
+        """Start with an empty map."""
+        robust = config.robust
+        self.config = config
+        self._begin()
+        self._limits_m = np.array([robust.near_mm * MM, robust.far_mm * MM, robust.voxel_mm * MM])
+        self._deskewed: tuple[Scan, Motion, Points] | None = None
+
+    @property
+    def refiner(self) -> Robust:
+        """The method itself."""
+        return self
+
+    @cached_property
+    def _near(self) -> tuple[Schedule, Schedule]:
+        """The search close to the prediction: without odometry, and with it."""
+        robust = self.config.robust
+        window = (robust.near_window_mm * MM, robust.near_window_deg * DEG)
+        return Schedule.of(self.config, self.lines, window), Schedule.of(
+            self.config, self.lines, window, prior=robust.prior
+        )
+
+    @cached_property
+    def _final(self) -> Schedule:
+        """The search of the final pass."""
+        window = (self.config.robust.final_window_mm * MM, self.config.robust.final_window_deg * DEG)
+        return Schedule.of(self.config, self.lines, window, final=True)
+
+    def _begin(self) -> None:
+        """Begin an empty map."""
+        robust = self.config.robust
+        self.known = self.grid = GridBuilder(robust.cell_mm * MM)
+        self.lines = LineMap(
+            robust.cell_mm * MM,
+            robust.line_sigma_mm * MM,
+            robust.line_noise_mm * MM,
+            robust.overlap_points,
+            robust.waiting_share,
+        )
+
+    @staticmethod
+    def load_kernels() -> None:
+        """Load nothing: the kernels of this method load on import."""
+
+    def first(self, scan: Scan) -> Match:
+        """Begin the map with any scan of enough points."""
+        n = len(self._points(scan)[0])
+        return first_match(n) if n >= self.config.robust.min_points else no_match(Pose(), n)
+
+    def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
+        """Match the de-skewed scan close to the prediction; as long as that does not convince, look farther."""
+        robust = self.config.robust
+        points = self.match_points(scan, motion)
+        if len(points) < robust.min_points:
+            return no_match(predicted, len(points))
+        tried = self._look_near(points, predicted, motion) if robust.near_window_mm else []
+        elapsed_s = motion.elapsed_s(scan.stamp_ns)
+        if tried and self._inside(tried[0], predicted) and self._believable(tried[0], motion, elapsed_s):
+            return tried[0]
+        region = around(predicted, robust.window_mm * MM, robust.window_deg * DEG)
+        tried += candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
+        best = min(tried, key=lambda match: match.cost_m2)
+        if self._believable(best, motion, elapsed_s):
+            return with_effort(best, *tried)
+        return self._match_wide(scan, predicted, motion, points, tried)
+
+    def _look_near(self, points: NDArray[np.float64], predicted: Pose, motion: Motion) -> list[Match]:
+        """Search close to the prediction."""
+        found = search_lines(points, self.lines, predicted, self._near[motion.odometry is not None])
+        return [judged(found, points, self.lines, self.known)]
+
+    def _inside(self, near: Match, predicted: Pose) -> bool:
+        """Tell whether a match lies so far within the near window that the laser cannot be beyond it."""
+        robust, (off_m, off_rad) = self.config.robust, predicted.gap(near.map_T_laser)
+        half_m, half_rad = robust.near_window_mm * MM, robust.near_window_deg * DEG
+        return off_m <= INSIDE * half_m and off_rad <= INSIDE * half_rad
+
+    def _match_wide(
+        self, scan: Scan, predicted: Pose, motion: Motion, points: NDArray[np.float64], tried: list[Match]
+    ) -> Match:
+        """Search wherever the laser can be by now, from the prediction and from rest."""
+        elapsed_s, found = motion.elapsed_s(scan.stamp_ns), tried
+        for pose in (expected := _expected(scan, predicted, motion)):
+            found += candidates(points, self.lines, self.known, within_reach(pose, elapsed_s), self.config)
+        return best_of(found, expected, elapsed_s, self.config)
+
+    def _convinces(self, match: Match) -> bool:
+        return match.inliers >= self.config.robust.retry_below and match.conflicts <= self.config.robust.conflicts_below
+
+    def _believable(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
+        return self._convinces(match) and self._possible(match, motion, elapsed_s)
+
+    def _possible(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
+        """Tell whether a vehicle can have moved so far."""
+        robust, (moved_m, turned_rad) = self.config.robust, motion.map_T_laser.gap(match.map_T_laser)
+        return moved_m <= robust.max_speed_m_s * elapsed_s and turned_rad <= robust.max_turn_deg_s * DEG * elapsed_s
+
+    def _contradicted(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
+        """Tell whether too much speaks against a place for it to be found after a long gap."""
+        long = motion.odometry is None and elapsed_s > max(LONG_GAP_S, motion.period_s)
+        return long and match.conflicts > self.found_conflicts
+
+    @timed("gate")
+    def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
+        """Believe a match that much of the scan agrees with and little speaks against, at a possible speed.
+
+        After a gap, and where only a jump leads, more of the scan must agree, and the next scans too.
+        """
+        robust, convinces, elapsed_s = self.config.robust, self._convinces(match), motion.elapsed_s(scan.stamp_ns)
+        if match.ambiguous or match.inliers < robust.track_above or not self._possible(match, motion, elapsed_s):
+            return Verdict.REFUSED
+        if match.conflicts > robust.conflicts_below and match.inliers < robust.retry_below:
+            return Verdict.REFUSED
+        if (match.surprise > REACHABLE and not convinces) or self._contradicted(match, motion, elapsed_s):
+            return Verdict.REFUSED
+        if elapsed_s <= max(LONGEST_S if convinces else REGAIN_S, motion.period_s) and match.surprise <= REACHABLE:
+            return Verdict.SURE
+        expected = match.surprise <= EXPECTED
+        return Verdict.PROBABLE if expected or match.inliers >= robust.regain_above else Verdict.REFUSED
+
+    def relocalize(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
+        """Find the scan anywhere in the map; None unless one place, and no other, explains it."""
+        points = self.match_points(scan)
+        if len(points) < self.config.robust.min_points:
+            return None
+        found = [match, *candidates(points, self.lines, self.known, everywhere(self.known), self.config)]
+        expected = _expected(scan, motion.predict(scan.stamp_ns), motion)
+        best = best_of(found, expected, elapsed_s := motion.elapsed_s(scan.stamp_ns), self.config)
+        sure = self._convinces(best) and not best.ambiguous and not self._contradicted(best, motion, elapsed_s)
+        return best if sure else None
+
+    def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
+        """Add every point of the de-skewed scan."""
+        points = self._points(scan, motion)[0]
+        xy_map_m = np.empty_like(points)
+        extent_m = placed(points, map_T_laser.as_array(), xy_map_m)
+        self.lines.insert(xy_map_m, extent_m)
+        self.grid.insert(map_T_laser, xy_map_m, extent_m)
+
+    def remove_dynamic_cells(self) -> None:
+        """Take people who walked by, and the like, out of grid and lines."""
+        self.lines.remove(self.grid.remove_dynamic_cells())
+
+    def refine(self, points: NDArray[np.float64], match: Match) -> Match:
+        """Place points of a scan: of a scan as it was recorded, so that pose and raw ranges fit together."""
+        return search_lines(points, self.lines, match.map_T_laser, self._final, match)
+
+    def observability(self, points: NDArray[np.float64], match: Match) -> float:
+        """Ask the lines through the walls that the points lie on."""
+        lines = self.lines
+        return hold(points, match.map_T_laser.as_array(), lines.nearest, lines.lines, lines.geometry)
+
+    def finished(self) -> Grid:
+        """Return the map, and forget it and its lines: of a large one there is no room for all."""
+        counts = self.grid
+        self._begin()
+        return counts.by_rows()
+
+    @timed("cleaning")
+    def match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
+        """Return the points (n, 2) that are matched, m, laser frame; de-skewed if the motion is given."""
+        return self._points(scan, motion)[1]
+
+    def _points(self, scan: Scan, motion: Motion | None = None) -> Points:
+        """Good points (n, 2) in the laser's frame, m, and their means; at mid-sweep if the motion is given.
+
+        Those of the last motion are kept: what is inserted was matched just before.
+        """
+        last = self._deskewed
+        if last and last[0] is scan and last[1] is motion:
+            return last[2]
+        spec, twist, increment_s = scan.spec, AT_REST, 0.0
+        sweep_s = abs(spec.time_increment_s) * spec.beams
+        if self.config.robust.deskew != "off" and motion and sweep_s <= 1.2 * motion.period_s:
+            twist, increment_s = np.array(motion.twist_at(scan.stamp_ns)), spec.time_increment_s
+        ends, means = np.empty((spec.beams, 2)), np.empty((spec.beams, 2))
+        n, m = scan_points(scan.ranges_m, spec.directions, twist, increment_s, self._limits_m, ends, means)
+        points = ends[:n], means[:m]
+        if motion:
+            self._deskewed = scan, motion, points
+        return points

@@ -1,0 +1,130 @@
+"""Scan matching: the record of a match, and the robust method's search for the distance to local lines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mavnav.kernels import linesearch
+from mavnav.pose import Pose, wrap_angle
+from mavnav.profiling import timed
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.config.models import Config
+    from mavnav.mapping.line_map import LineMap
+
+
+class Match(NamedTuple):
+    """The best pose of a scan in the map, with its evidence.
+
+    ``cost_m2`` is the mean squared distance over ``beams_used`` contributing beams; it is inf where too few contribute,
+    and ``beams_used`` is then the number of usable ones. ``inliers`` is the share of the scan that agrees with the map,
+    ``evaluations`` the number of candidate poses whose cost was asked for, ``iterations`` the number of grids searched.
+    ``conflicts`` is the share of visibility conflicts, ``surprise`` the distance from the motion prior (1: as far as
+    strong acceleration reaches), and ``ambiguous`` is true if another pose explains the scan about as well
+    (``relocalize``).
+    """
+
+    map_T_laser: Pose
+    cost_m2: float
+    beams_used: int
+    inliers: float
+    evaluations: int
+    iterations: int
+    converged: bool
+    conflicts: float = 0.0
+    surprise: float = 0.0
+    ambiguous: bool = False
+
+
+def no_match(map_T_laser: Pose, beams: int = 0) -> Match:
+    """Return the match of a scan that cannot be matched."""
+    return Match(map_T_laser, np.inf, beams, 0.0, 0, 0, converged=False)
+
+
+def first_match(beams: int) -> Match:
+    """Return the match of the scan that begins the map: it lies where it lies."""
+    return Match(Pose(), 0.0, beams, 1.0, 0, 0, converged=True)
+
+
+ALTERNATIONS, FINAL_ALTERNATIONS = 2, 1
+"""Joint searches of a level that holds lines, or turns of azimuth and plane; the final pass begins where it ends."""
+
+FINAL_STOP = 0.5
+"""Of the spacings at which a search ends, in the final pass: a trajectory of coarser steps is longer than the way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """How a window of a line map is searched, level by level: ``grid`` and ``limits`` of ``linesearch.search``."""
+
+    grid: NDArray[np.float64]
+    limits: NDArray[np.float64]
+
+    @classmethod
+    def of(
+        cls,
+        config: Config,
+        line_map: LineMap,
+        window: tuple[float, float],
+        *,
+        prior: float = 0.0,
+        final: bool = False,
+    ) -> Schedule:
+        """Schedule a search within ``window``: half-widths, m and rad.
+
+        ``prior`` is what a squared metre away from the start adds to the cost; it decides where the walls do not. In
+        the final pass, whose map is finished, points hold their lines on every level.
+        """
+        robust, grid = config.robust, config.grid
+        finer = FINAL_STOP if final else 1.0
+        limits = [
+            *window,
+            finer * robust.stop_mm * MM,
+            finer * robust.stop_deg * DEG,
+            (robust.final_truncate_mm if final else robust.truncate_mm) * MM,
+            robust.first_level_points,
+            FINAL_ALTERNATIONS if final else ALTERNATIONS,
+            prior,
+            robust.hold_below_mm * MM,
+            0.0 if final else line_map.cell_m,
+            line_map.closeness_at(robust.overlap_mm * MM) if robust.overlap_mm and not final else 0.0,
+            line_map.known_points,
+            robust.sparse_points,
+        ]
+        points = [config.azimuth, grid.nx, grid.ny, robust.max_extensions, config.search == "pruned"]
+        return cls(np.array(points, float), np.array(limits))
+
+
+@timed("search")
+def search_lines(
+    points: NDArray[np.float64], line_map: LineMap, start: Pose, schedule: Schedule, before: Match | None = None
+) -> Match:
+    """Search once around ``start`` for the place of points (n, 2), laser frame, m.
+
+    A match of the same scan ``before``, which led here, is counted in the effort.
+    """
+    x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
+        points,
+        start.as_array(),
+        schedule.grid,
+        schedule.limits,
+        line_map.nearest,
+        line_map.lines,
+        line_map.geometry,
+    )
+    if before:
+        evaluations, grids = evaluations + before.evaluations, grids + before.iterations
+    return Match(Pose(x, y, wrap_angle(yaw)), cost, len(points), inliers, evaluations, grids, converged)
+
+
+def with_effort(best: Match, *tried: Match) -> Match:
+    """Charge a match with the effort of all that were tried for it."""
+    if len(tried) == 1 and tried[0] is best:
+        return best
+    return best._replace(evaluations=sum(m.evaluations for m in tried), iterations=sum(m.iterations for m in tried))

@@ -1,0 +1,73 @@
+"""A track: the steps and the map of one pass over a log, with all that the pass was made from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from mavnav.slam.loop_closure.detection import Loops
+from mavnav.slam.registry import make_method
+from mavnav.slam.steps import Steps
+from mavnav.slam.tracker import track
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from mavnav.config.models import Config
+    from mavnav.scan import Scan
+    from mavnav.slam.method import Method, Refiner
+    from mavnav.slam.motion_model import Motion
+    from mavnav.slam.prior_map import PriorMap
+    from mavnav.slam.steps import Step
+
+    LogScans = Callable[[], Iterable[Scan]]
+    """Gives the scans of a log, from the first one again at every call."""
+    OnStep = Callable[[str, int], None]
+    """Called with the name of the pass ("track", "track again", "final pass") and the number of scans done."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """A pass of the tracker over a log.
+
+    ``motion`` is the state before the first scan, with the odometry that is used. ``warnings`` are lines for the user.
+    ``tracks_compared`` counts the tracks that were compared for the sharper map.
+    """
+
+    log_scans: LogScans
+    config: Config
+    motion: Motion
+    method: Method
+    steps: Steps = field(default_factory=Steps)
+    prior_map: PriorMap | None = None
+    on_step: OnStep | None = None
+    loops: Loops = field(default_factory=Loops)
+    warnings: tuple[str, ...] = ()
+    tracks_compared: int = 1
+
+    @property
+    def refiner(self) -> Refiner | None:
+        """What looks back; None where the method has none, or only causal steps are wanted."""
+        return self.method.refiner if self.config.final_pass else None
+
+    def with_warning(self, text: str) -> Track:
+        """Return the same with one more line for the user."""
+        return replace(self, warnings=(*self.warnings, text))
+
+    def over(self, scans: Iterable[Scan], phase: str = "") -> Track:
+        """Return the track through some scans from an empty map on, or in the prior map; a named phase is reported."""
+        method = make_method(self.config, self.prior_map)
+        steps = track(scans, method, self.motion)
+        return replace(self, method=method, steps=Steps(self.reported(steps, phase) if phase else steps))
+
+    def again(self, other: Track) -> Track | None:
+        """Return the whole log tracked as ``other`` says; None if the run is being stopped: the longer one stays."""
+        found = other.over(other.log_scans(), "track again")
+        return found if len(found.steps) == len(self.steps) else None
+
+    def reported(self, steps: Iterable[Step], phase: str) -> Iterator[Step]:
+        """Yield the steps of a pass, and report each."""
+        for done, step in enumerate(steps, start=1):
+            if self.on_step:
+                self.on_step(phase, done)
+            yield step

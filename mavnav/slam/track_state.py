@@ -1,0 +1,50 @@
+"""What the tracker believes: where the laser is, or a place found again that has yet to prove itself."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from mavnav.pose import Pose
+    from mavnav.slam.motion_model import Motion
+
+PROOFS = 3
+"""So many scans in a row must agree on a place before it is believed after a gap."""
+
+
+class Verdict(Enum):
+    """What a match is worth: believed at once, believed once the next scans agree, or nothing."""
+
+    SURE = "sure"
+    PROBABLE = "probable"
+    REFUSED = "refused"
+
+
+class TrackState(NamedTuple):
+    """The last believed motion, and perhaps a trial: a motion that ``proofs`` scans in a row agreed on.
+
+    ``missed`` counts the scans since the last believed one.
+    """
+
+    motion: Motion
+    trial: Motion | None = None
+    proofs: int = 0
+    missed: int = 0
+
+    @property
+    def here(self) -> Motion:
+        """The motion that predicts the next scan."""
+        return self.trial or self.motion
+
+    def after(self, verdict: Verdict, map_T_laser: Pose, stamp_ns: int) -> TrackState:
+        """Return the belief after a scan; it was believed if ``missed`` is 0."""
+        if self.trial is None and verdict is Verdict.SURE:
+            return TrackState(self.motion.moved_to(map_T_laser, stamp_ns))
+        if verdict is Verdict.REFUSED:
+            return self._replace(trial=None, proofs=0, missed=self.missed + 1)
+        far = verdict is Verdict.PROBABLE and not self.trial
+        moved = (self.here.started_at if far else self.here.moved_to)(map_T_laser, stamp_ns)
+        if self.trial and self.proofs + 1 >= PROOFS:
+            return TrackState(moved)
+        return TrackState(self.motion, moved, self.proofs + 1, self.missed + 1)

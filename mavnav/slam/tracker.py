@@ -1,0 +1,63 @@
+"""The tracker, the paper's Figure 1: predict, match, gate, insert."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mavnav.slam.relocalization import apart
+from mavnav.slam.steps import Step
+from mavnav.slam.track_state import TrackState, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from mavnav.scan import Scan
+    from mavnav.slam.method import Method, Refiner
+    from mavnav.slam.motion_model import Motion
+    from mavnav.slam.scan_matching import Match
+
+LONG_LOST_SCANS, RARELY_SCANS = 8, 64
+"""The whole map is searched after so many scans without an accepted pose, then ever more rarely, down to one in 64."""
+
+
+def track(scans: Iterable[Scan], method: Method, motion: Motion) -> Iterator[Step]:
+    """Follow the laser through the scans while the method's map grows (paper, Figure 1).
+
+    The first scan that the method can use becomes the map, and its pose the map frame. Afterwards a scan that does
+    not match well enough moves neither map nor pose (paper, "Map Update").
+    """
+    state = None
+    for index, scan in enumerate(scans):
+        if state is None:
+            match = method.first(scan)
+            here, tracked = motion, match.converged
+            state = TrackState(motion.started_at(match.map_T_laser, scan.stamp_ns)) if tracked else None
+        else:
+            here = state.here
+            match = method.match(scan, here.predict(scan.stamp_ns), here)
+            verdict = method.gate(match, scan, here)
+            if method.refiner and state.trial is None and worth_a_search(verdict, state.missed):
+                match, verdict = search_everywhere(scan, match, verdict, here, method.refiner)
+            state = state.after(verdict, match.map_T_laser, scan.stamp_ns)
+            tracked = state.missed == 0
+        if tracked:
+            method.insert(scan, match.map_T_laser, here)
+        yield Step(index, scan.stamp_ns, match, tracked)
+
+
+def search_everywhere(
+    scan: Scan, match: Match, verdict: Verdict, here: Motion, refiner: Refiner
+) -> tuple[Match, Verdict]:
+    """Search the whole map: a doubtful pose is accepted if no other explains the scan as well, another on trial."""
+    found = refiner.relocalize(scan, match, here)
+    if found is None:
+        return match, Verdict.REFUSED
+    agree = verdict is Verdict.PROBABLE and not apart(found.map_T_laser, match.map_T_laser)
+    return found, Verdict.SURE if agree else Verdict.PROBABLE
+
+
+def worth_a_search(verdict: Verdict, missed: int) -> bool:
+    """Tell whether to search the whole map: for the first doubtful poses, and ever more rarely when lost."""
+    if missed < LONG_LOST_SCANS:
+        return verdict is Verdict.PROBABLE
+    return verdict is not Verdict.SURE and (missed.bit_count() == 1 or missed % RARELY_SCANS == 0)

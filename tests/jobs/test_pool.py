@@ -1,0 +1,142 @@
+"""Worker processes: results, every way to die, the clock, the memory, and the end of it all."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+
+from mavnav.errors import ExitCode
+from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started, run_jobs, usable_cores
+from support import strange_jobs as strange
+
+
+def run(*jobs: Job, workers: int = 1, **limits: float) -> list[Outcome]:
+    return run_jobs(jobs, workers, lambda event: None, **limits)  # type: ignore[arg-type]
+
+
+def gone(pid: int) -> bool:
+    """Wait until a process has ended."""
+    deadline_s = time.monotonic() + 10
+    while time.monotonic() < deadline_s:
+        stat = Path(f"/proc/{pid}/stat")
+        if not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] == "Z":
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def test_results_come_in_the_order_of_the_jobs() -> None:
+    events: list[Event] = []
+    outcomes = run_jobs([Job(str(k), strange.square, (k,)) for k in range(5)], 2, events.append)
+    assert [outcome.value for outcome in outcomes] == [0, 1, 4, 9, 16]
+    assert {outcome.fate for outcome in outcomes} == {Fate.DONE}
+    for k in range(5):
+        kinds = [type(event) for event in events if event.index == k]
+        assert kinds == [Started, Progressed, Ended]
+    assert {outcome.pid for outcome in outcomes} == {e.pid for e in events if isinstance(e, Started)}
+
+
+def test_no_jobs_start_nobody() -> None:
+    assert run(workers=4) == []
+
+
+def test_a_worker_runs_one_job_after_another() -> None:
+    first, second = run(Job("a", strange.who), Job("b", strange.who))
+    assert first.value == second.value != os.getpid()
+
+
+def test_a_crash_costs_its_own_job_alone() -> None:
+    killed, refused, left, blundered, good = run(
+        Job("killed", strange.kill_itself),
+        Job("refused", strange.refuse),
+        Job("left", strange.leave),
+        Job("blundered", strange.blunder),
+        Job("good", strange.square, (3,)),
+    )
+    assert (killed.fate, killed.exit_code) == (Fate.DIED, ExitCode.BUG)
+    assert killed.error == "its process was killed by SIGKILL; the memory may have run out"
+    assert (left.fate, left.error) == (Fate.DIED, "its process ended by itself with code 3")
+    assert (refused.fate, refused.exit_code) == (Fate.FAILED, ExitCode.NO_SCANS)
+    assert refused.error == "empty.bag: no scans; choose another"
+    assert (blundered.exit_code, blundered.error) == (ExitCode.BUG, "a bug: ZeroDivisionError: x")
+    assert (good.fate, good.value) == (Fate.DONE, 9)
+    assert good.pid == blundered.pid != killed.pid
+
+
+def test_the_clock_stops_a_job_that_hangs() -> None:
+    hung, good = run(Job("hung", strange.hang), Job("good", strange.square, (2,)), timeout_s=2.0)
+    assert (hung.fate, hung.error) == (Fate.TIMEOUT, "took longer than 2 s")
+    assert 2.0 <= hung.seconds < 10.0
+    assert good.value == 4
+    assert gone(hung.pid)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="RLIMIT_DATA counts mapped memory on Linux alone")
+def test_what_ends_for_want_of_memory_says_that_there_was_a_limit() -> None:
+    """Native code that gets no memory ends its process, in whatever way."""
+    (left,) = run(Job("left", strange.leave), memory_mb=600)
+    assert left.error == "its process ended by itself with code 3; the memory may have run out"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="RLIMIT_DATA counts mapped memory on Linux alone")
+def test_memory_is_limited() -> None:
+    greedy, modest = run(Job("greedy", strange.devour, (900,)), Job("modest", strange.devour, (1,)), memory_mb=600)
+    assert (greedy.fate, greedy.error) == (Fate.FAILED, "it needs more memory than it may use")
+    assert modest.value == 2**20
+
+
+def test_workers_say_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(Job("loud", strange.shout))[0].value == "said"
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_the_listener_raises_ends_the_workers(tmp_path: Path) -> None:
+    pids = []
+
+    def listen(event: Event) -> None:
+        if isinstance(event, Started):
+            pids.append(event.pid)
+        if isinstance(event, Progressed):
+            raise KeyError("enough")
+
+    with pytest.raises(KeyError, match="enough"):
+        run_jobs([Job("long", strange.sleep_with_a_file, (tmp_path / "unfinished",))], 1, listen)
+    assert not (tmp_path / "unfinished").exists()
+    assert gone(pids[0])
+
+
+def test_workers_follow_a_parent_that_is_killed(tmp_path: Path) -> None:
+    script = tmp_path / "parent.py"
+    file = tmp_path / "unfinished"
+    script.write_text(
+        textwrap.dedent(f"""
+        import pathlib, sys
+        sys.path.insert(0, {str(Path(__file__).parents[1])!r})
+        from support import strange_jobs
+        from mavnav.jobs import Job, run_jobs
+        if __name__ == "__main__":
+            job = Job("long", strange_jobs.sleep_with_a_file, (pathlib.Path({str(file)!r}),))
+            run_jobs([job], 1, lambda event: print(event, flush=True))
+        """)
+    )
+    parent = subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    while "Progressed" not in parent.stdout.readline():
+        pass
+    worker = int(file.read_text())
+    parent.send_signal(signal.SIGKILL)
+    parent.wait()
+    parent.stdout.close()
+    assert gone(worker)
+    assert not file.exists()
+
+
+def test_usable_cores() -> None:
+    assert 1 <= usable_cores() <= (os.cpu_count() or 1)

@@ -1,6 +1,0 @@
-"""`from log_files import ...` works in this folder."""
-
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parent))

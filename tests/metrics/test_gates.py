@@ -1,0 +1,141 @@
+"""Gates: how they are read, what they say of a run, and the names that they know."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from mavnav.errors import ExitCode, UsageError, worst
+from mavnav.metrics.gates import Gate, check_known, check_names, find, judge, judge_some, names, parse_gate
+
+RUN: dict[str, Any] = {
+    "grid": "10x10",
+    "scans": {"accepted": 137},
+    "tracking": {"lost": False, "intervals": [{"scans": 4}]},
+    "wall_thickness": {"1": {"p95_cells": 9.5}, "2": {"p95_cells": 7.0, "max_mm": None}},
+    "map_quality": {"meaningful": True, "why": [], "revisits": None},
+}
+EMPTY = RUN | {"map_quality": {"meaningful": False, "why": ["0.3 m of wall", "9 % of the scans mapped"]}}
+
+
+def verdict(text: str, document: dict[str, Any] = RUN) -> tuple[bool, str]:
+    (found,) = judge([parse_gate(text)], document)
+    return found.passed, found.why
+
+
+def test_parse() -> None:
+    assert parse_gate("wall_thickness.p95_cells<=7") == Gate(
+        "wall_thickness.p95_cells<=7", "wall_thickness.p95_cells", "<=", 7.0
+    )
+    assert parse_gate("  tracking.lost == False ").bound is False
+    assert parse_gate("a != -1e-3").bound == -0.001
+    assert parse_gate("a<inf").bound == float("inf")
+
+
+@pytest.mark.parametrize("text", ["", "a", "a<=", "<=7", "a=7", "a<=x", "a<=nan", "a<=7 8", "a<<7", "a b<7"])
+def test_what_is_no_gate_is_a_usage_error(text: str) -> None:
+    with pytest.raises(UsageError, match="write for example --gate"):
+        parse_gate(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "passed"),
+    [
+        ("scans.accepted<=137", True),
+        ("scans.accepted<137", False),
+        ("scans.accepted>=137", True),
+        ("scans.accepted>137", False),
+        ("scans.accepted==137", True),
+        ("scans.accepted!=137", False),
+        ("tracking.lost==false", True),
+        ("tracking.lost!=false", False),
+        ("tracking.intervals.0.scans<5", True),
+        ("wall_thickness.1.p95_cells<=7", False),
+        ("wall_thickness.2.p95_cells<=7", True),
+        ("wall_thickness.p95_cells<=7", True),
+        ("map_quality.meaningful==true", True),
+    ],
+)
+def test_operators(text: str, passed: bool) -> None:
+    assert verdict(text)[0] is passed
+
+
+def test_null_fails_whatever_the_bound() -> None:
+    for text in ("wall_thickness.max_mm<=inf", "wall_thickness.max_mm!=3", "map_quality.revisits.nn_l_mm>=0"):
+        assert verdict(text) == (False, "it is not known for this run")
+
+
+def test_nan_fails_whatever_the_bound() -> None:
+    """No run.json of ours has one, one that was written by hand may."""
+    nan = {"wall_thickness": {"2": {"p95_mm": float("nan")}}}
+    assert verdict("wall_thickness.p95_mm!=3", nan) == (False, "it is not known for this run")
+
+
+def test_a_name_that_only_some_have() -> None:
+    gates, other = [parse_gate("tracking.intervals.0.scans<5")], {"tracking": {"intervals": []}}
+    check_known(gates, [other, RUN])
+    assert [found.why for found in judge_some(gates, other)] == ["this run has no such number"]
+    assert judge_some(gates, RUN) == judge(gates, RUN)
+    with pytest.raises(UsageError, match="no number tracking"):
+        check_known(gates, [other, other])
+    check_known(gates, [])
+
+
+def test_a_map_that_is_not_meaningful_fails_its_gates() -> None:
+    passed, why = verdict("wall_thickness.p95_cells<=7", EMPTY)
+    assert not passed
+    assert why == "it is 7, but the map is not meaningful: 0.3 m of wall; 9 % of the scans mapped"
+    assert verdict("map_quality.meaningful==false", EMPTY)[0]
+    assert verdict("map_quality.meaningful==true", EMPTY) == (False, "it is false")
+    assert verdict("scans.accepted>100", EMPTY)[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "nearest"),
+    [
+        ("wall_thickness.p59_cells", "wall_thickness.2.p95_cells"),
+        ("wall_thicknes.2.p95_cells", "wall_thickness.2.p95_cells"),
+        ("wall_thicknes.p95_cells", "wall_thickness.p95_cells"),
+        ("accepted", "scans.accepted"),
+        ("scans", "scans.accepted"),
+        ("grid", ""),
+        ("tracking.intervals.1.scans", "tracking.intervals.0.scans"),
+        ("tracking.intervals.-1.scans", "tracking.intervals.0.scans"),
+        ("reference.ate.rmse_m", ""),
+    ],
+)
+def test_unknown_names_are_usage_errors(name: str, nearest: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        find(RUN, name)
+    assert name in str(caught.value)
+    assert f"did you mean {nearest}?" in str(caught.value) if nearest else "did you mean" not in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_reference_that_was_not_given_is_said() -> None:
+    with pytest.raises(UsageError, match="it needs --truth"):
+        find(RUN, "reference.ate.rmse_m")
+
+
+def test_names_are_known_before_there_is_a_run() -> None:
+    blank = RUN | {"tracking": {"lost": False, "intervals": []}}
+    check_names(["wall_thickness.p95_cells", "tracking.intervals.3.scans", "map_quality.revisits.nn_l_mm"], blank)
+    for name in ("wall_thickness.p59_cells", "tracking.intervals", "tracking.lots", "grid", "reference.ate.rmse_m"):
+        with pytest.raises(UsageError, match=f"no number {name} in run.json"):
+            check_names([name], blank)
+
+
+def test_names_are_those_that_can_be_found() -> None:
+    assert "wall_thickness.2.max_mm" in names(RUN)
+    assert "grid" not in names(RUN)
+    for name in names(RUN):
+        find(RUN, name)
+
+
+def test_the_worst_exit_code() -> None:
+    assert worst([]) == ExitCode.DONE
+    assert worst([3, 0]) == ExitCode.DAMAGED_INPUT
+    assert worst([3, 1]) == ExitCode.GATE_FAILED
+    assert worst([1, 5, 4]) == ExitCode.NO_SCANS
+    assert worst([5, 70, 1]) == ExitCode.BUG

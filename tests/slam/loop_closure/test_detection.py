@@ -1,0 +1,275 @@
+"""Loops: found and closed where the way came back, never where another place looks the same, never to a worse map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from math import hypot
+
+import numpy as np
+import pytest
+
+from mavnav.config.models import Config
+from mavnav.pose import Pose, Trajectory
+from mavnav.scan import LaserSpec, Scan
+from mavnav.slam.loop_closure import remap
+from mavnav.slam.loop_closure.detection import (
+    LOOP_M,
+    KeyFrame,
+    Loop,
+    Loops,
+    drift_bound,
+    find_loops,
+    key_rows,
+    witness,
+)
+from mavnav.slam.motion_model import Motion
+from mavnav.slam.pipeline import finish
+from mavnav.slam.robust import Robust
+from mavnav.slam.scan_matching import first_match
+from mavnav.slam.steps import Step, Steps
+from mavnav.slam.track import Track
+from support.matches import voxel_means
+from support.synthetic import DEG, Segments, along, box, polyline, scan_at
+
+LASER = LaserSpec(-120 * DEG, DEG, 241, 0.05, 5.6)
+WRONG_M = 0.3
+
+
+def doors(ax: float, ay: float, bx: float, by: float, pitch_m: float) -> list[tuple[float, float]]:
+    """Return the corners of a wall from a to b, with the same recess of 0.9 x 0.2 m every ``pitch_m``, right-hand."""
+    length = hypot(bx - ax, by - ay)
+    ux, uy = (bx - ax) / length, (by - ay) / length
+    points = [(ax, ay)]
+    for at in np.arange(0.5 * pitch_m, length - 1.0, pitch_m):
+        for t, d in ((at, 0.0), (at, 0.2), (at + 0.9, 0.2), (at + 0.9, 0.0)):
+            points.append((ax + ux * t + uy * d, ay + uy * t - ux * d))
+    return points
+
+
+def ring() -> Segments:
+    """Return a ring corridor of 8 x 6 m, 1.6 m wide, no side of which looks like another."""
+    outer = [(0, 0), (2.6, 0), (2.6, -0.2), (3.5, -0.2), (3.5, 0), (5.4, 0), (5.4, 0.25), (5.7, 0.25), (5.7, 0), (8, 0),
+             (8, 2.2), (8.3, 2.2), (8.3, 3.4), (8, 3.4), (8, 6), (3.1, 6), (3.1, 5.75), (2.8, 5.75), (2.8, 6), (0, 6),
+             (0, 2.3), (0.2, 2.3), (0.2, 2), (0, 2)]  # fmt: skip
+    return np.vstack(
+        (polyline(*outer, closed=True), polyline((1.6, 1.6), (6.4, 1.6), (6.4, 4.4), (1.6, 4.4), closed=True))
+    )
+
+
+def ring_of_doors() -> Segments:
+    """Return a square ring corridor, all four sides the same, with the same door every 1.6 m."""
+    corners = [(0, 0), (8, 0), (8, 8), (0, 8), (0, 0)]
+    outer = [p for a, b in pairwise(corners) for p in doors(*a, *b, 1.6)]
+    return np.vstack(
+        (polyline(*outer, closed=True), polyline((1.6, 1.6), (6.4, 1.6), (6.4, 6.4), (1.6, 6.4), closed=True))
+    )
+
+
+def corridor_of_doors() -> Segments:
+    """Return a dead end of 14 m with the same door every 2 m on both sides."""
+    return polyline(*doors(0, 0, 14, 0, 2.0), (14, 0), *doors(14, 1.8, 0, 1.8, 2.0), (0, 1.8), closed=True)
+
+
+def twin_rooms() -> Segments:
+    """Return two identical furnished rooms on a corridor with a door of its own."""
+    outline = [(0, 0), (4, 0), (4, 3), (2.4, 3), (2.4, 3.1), (8.6, 3.1), (8.6, 3), (7, 3), (7, 0), (11, 0), (11, 3),
+               (9.5, 3), (9.5, 3.1), (11, 3.1), (11, 4.5), (6.2, 4.5), (6.2, 4.7), (5.3, 4.7), (5.3, 4.5), (0, 4.5),
+               (0, 3.1), (1.5, 3.1), (1.5, 3), (0, 3)]  # fmt: skip
+    boxes = [box(x + dx, y, w, d) for x in (0, 7) for dx, y, w, d in ((0.6, 0.5, 0.6, 0.5), (3.3, 0.4, 0.9, 0.6))]
+    return np.vstack((polyline(*outline, closed=True), *boxes))
+
+
+ROUND = [(0.8, 0.8), (7.2, 0.8), (7.2, 5.2), (0.8, 5.2), (0.8, 0.9), (2.5, 0.8)]
+ROUND_DOORS = [(0.8, 0.8), (7.2, 0.8), (7.2, 7.2), (0.8, 7.2), (0.8, 0.9), (2.5, 0.8)]
+THERE_AND_BACK = [(1.0, 0.9), (12.8, 0.9), (12.7, 0.8), (1.2, 0.9)]
+ROOM_TO_ROOM = [(2, 1.5), (1.95, 3.8), (9.05, 3.8), (9, 1.5), (9.1, 3.7), (1.95, 3.8), (2, 1.5)]
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A true way through a world, and the scans that belong to it; frame of the first pose."""
+
+    walls: Segments
+    world_T_laser: Trajectory
+
+    @property
+    def truth(self) -> Trajectory:
+        return self.world_T_laser.seen_from(self.world_T_laser[0].inverse())
+
+    def points_of(self, seed: int, rows: list[int]) -> list[np.ndarray]:
+        rng = np.random.default_rng(seed)
+        scans = [scan_at(self.walls, self.world_T_laser[row], LASER, noise=0.01, rng=rng) for row in rows]
+        return [voxel_means(scan.points(), 0.03) for scan in scans]
+
+    def drifted(self, step: Pose, seed: int | None = None) -> Trajectory:
+        """Return what a tracker makes of the way if every step is off by a motion, or by random shares of it."""
+        rng, truth = np.random.default_rng(seed or 0), self.truth
+        poses = [truth[0]]
+        bias = rng.standard_normal(3) if seed is not None else np.ones(3)
+        for k in range(1, len(truth)):
+            off = bias * step.as_array()
+            poses.append(poses[-1] @ truth[k - 1].between(truth[k]) @ Pose(*map(float, off)))
+        return Trajectory.of(truth.stamps_ns.tolist(), poses)
+
+    def closed(self, tracked: Trajectory, seed: int = 0) -> Loops:
+        return find_loops(tracked, lambda rows: self.points_of(seed, rows), Config())
+
+    def wrong(self, loops: Loops) -> list[float]:
+        """Return how far off the closures are that join different places, m."""
+        off = [self.truth[c.start].between(self.truth[c.end]).between(c.start_T_end).distance_m for c in loops.closed]
+        return [m for m in off if m > WRONG_M]
+
+
+@cache
+def walk(name: str) -> Walk:
+    walls, way = {
+        "ring": (ring(), ROUND),
+        "ring of doors": (ring_of_doors(), ROUND_DOORS),
+        "corridor of doors": (corridor_of_doors(), THERE_AND_BACK),
+        "twin rooms": (twin_rooms(), ROOM_TO_ROOM),
+    }[name]
+    return Walk(walls, along(way, period_s=0.4, turn_rad_s=1.5))
+
+
+def rmse_m(a: Trajectory, b: Trajectory) -> float:
+    return float(np.sqrt((np.hypot(*(a.xyyaw - b.xyyaw)[:, :2].T) ** 2).mean()))
+
+
+def test_a_ring_is_closed() -> None:
+    ring_walk = walk("ring")
+    tracked = ring_walk.drifted(Pose(0.0, 0.0, 0.12 * DEG))
+    loops = ring_walk.closed(tracked)
+    assert len(loops.closed) >= 2
+    assert not ring_walk.wrong(loops)
+    assert max(c.correction.distance_m for c in loops.closed) > 0.3
+    assert loops.map_T_laser is not None
+    assert rmse_m(loops.map_T_laser, ring_walk.truth) < 0.35 * rmse_m(tracked, ring_walk.truth)
+
+
+def test_a_good_track_stays_as_it_is() -> None:
+    ring_walk = walk("ring")
+    loops = ring_walk.closed(ring_walk.truth)
+    assert len(loops.closed) >= 2
+    assert loops.map_T_laser is None
+
+
+def test_a_way_that_never_comes_back_reads_no_scan() -> None:
+    n = 60
+    straight = Trajectory.of(list(range(n)), [Pose(0.5 * k, 0.0, 0.0) for k in range(n)])
+
+    def points_of(rows: list[int]) -> list[np.ndarray]:
+        raise AssertionError(rows)
+
+    assert find_loops(straight, points_of, Config()) == Loops()
+
+
+def test_no_pose_and_one_pose_are_no_loop() -> None:
+    assert find_loops(Trajectory.of([], []), lambda _: [], Config()) == Loops()
+    assert find_loops(Trajectory.of([0], [Pose()]), lambda _: [], Config()) == Loops()
+
+
+def test_a_run_that_is_stopped_before_its_loops_are_found_has_none() -> None:
+    ring_walk = walk("ring")
+    drifted = ring_walk.drifted(Pose(0.0, 0.0, 0.12 * DEG))
+    assert find_loops(drifted, lambda rows: ring_walk.points_of(0, rows[:3]), Config()) == Loops()
+
+
+def closures_without_a_wrong_one(name: str, seed: int) -> int:
+    """Close loops after a random drift, some of it beyond what is allowed for."""
+    there = walk(name)
+    loops = there.closed(there.drifted(Pose(0.006, 0.0, 0.1 * DEG), seed), seed)
+    assert not there.wrong(loops)
+    return len(loops.closed)
+
+
+@pytest.mark.parametrize("name", ["ring of doors", "corridor of doors", "twin rooms"])
+def test_no_closure_joins_places_that_look_the_same(name: str) -> None:
+    assert sum(closures_without_a_wrong_one(name, seed) for seed in (0, 1)) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ring of doors", "corridor of doors", "twin rooms"])
+def test_no_closure_joins_places_that_look_the_same_in_20_seeds(name: str) -> None:
+    assert sum(closures_without_a_wrong_one(name, seed) for seed in range(20)) > 20
+
+
+def test_key_frames_follow_way_and_turning() -> None:
+    still = np.zeros((50, 3))
+    assert key_rows(still) == ([0], [0.0])
+    turning = np.column_stack((np.zeros((10, 2)), np.arange(10) * 10 * DEG))
+    assert key_rows(turning)[0] == [0, 2, 4, 6, 8]
+    moving = np.column_stack((np.arange(10) * 0.2, np.zeros((10, 2))))
+    rows, ways_m = key_rows(moving)
+    assert rows == [0, 2, 4, 6, 8]
+    np.testing.assert_allclose(ways_m, [0, 0.4, 0.8, 1.2, 1.6])
+
+
+def test_the_witness_saw_the_same_walls_even_from_farther_away() -> None:
+    wall = np.column_stack((np.linspace(3.0, 5.0, 30), np.full(30, 1.0)))
+    other = wall + np.array([0.0, 3.0])
+    seen = [(Pose(-1.0, 0.0, 0.0), wall), (Pose(0.1, 0.0, 0.0), other), (Pose(-2.0, 0.0, 0.0), wall)]
+    keys = [KeyFrame(k, float(k), xy_m - (pose.x_m, pose.y_m), pose) for k, (pose, xy_m) in enumerate(seen)]
+    assert witness(keys, [0, 1, 2], KeyFrame(9, 30.0, wall, Pose())) == 0
+
+
+def test_the_bound_of_the_drift_grows_and_ends() -> None:
+    bounds = np.array([drift_bound(way_m) for way_m in (LOOP_M, 20.0, 50.0, 500.0)])
+    assert (np.diff(bounds, axis=0) >= 0).all()
+    np.testing.assert_array_equal(bounds[-1], drift_bound(1e6))
+
+
+def track_of(walk: Walk, tracked: Trajectory, rows: range) -> tuple[list[Scan], list[Step], Robust]:
+    """Draw a map of scans at the poses of a trajectory, as a tracker that drifted would have."""
+    method = Robust(Config())
+    scans = [scan_at(walk.walls, walk.world_T_laser[k], LASER, stamp_ns=int(tracked.stamps_ns[k])) for k in rows]
+    steps = Steps()
+    for index, (row, scan) in enumerate(zip(rows, scans, strict=True)):
+        method.insert(scan, tracked[row], Motion(0.4))
+        match = first_match(241)._replace(map_T_laser=tracked[row])
+        steps.append(Step(index, scan.stamp_ns, match, tracked=True))
+    return scans, steps, method
+
+
+def test_the_map_is_drawn_anew_with_the_loop_closed() -> None:
+    ring_walk = walk("ring")
+    drifted = ring_walk.drifted(Pose(0.0, 0.0, 0.12 * DEG))
+    rows = range(len(drifted))
+    scans, steps, method = track_of(ring_walk, drifted, rows)
+    drawn = method.grid.hits.sum()
+    on = finish(Track(lambda: scans, Config(), Motion(0.4), method, steps))
+    off = finish(Track(lambda: scans, Config(loop_closure="off"), Motion(0.4), method, steps))
+    assert on.loops.closed
+    assert not off.loops.closed
+    assert rmse_m(on.trajectory, ring_walk.truth) < 0.35 * rmse_m(off.trajectory, ring_walk.truth)
+    assert np.count_nonzero(on.grid.hits) < 0.9 * np.count_nonzero(off.grid.hits)
+    assert on.grid.hits.sum() == drawn
+
+
+def test_a_correction_that_blurs_the_map_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    ring_walk = walk("ring")
+    rows = range(0, len(ring_walk.truth), 4)
+    truth = Trajectory(ring_walk.truth.stamps_ns.copy(), ring_walk.truth.xyyaw.copy())
+    scans, steps, method = track_of(ring_walk, truth, rows)
+    bent = [truth[row] @ Pose(0.0, 0.01 * k, 0.0) for k, row in enumerate(rows)]
+    wrong = Loops((Loop(0, 5, Pose(), Pose(0.5, 0, 0), 0.9),), 3, Trajectory.of([s.stamp_ns for s in scans], bent))
+    monkeypatch.setattr(remap, "find_loops", lambda *_: wrong)
+    before = method.grid.by_rows()
+    outcome = finish(Track(lambda: scans, Config(), Motion(0.4), method, steps))
+    assert outcome.loops == Loops(refused=4)
+    np.testing.assert_array_equal(outcome.grid.passes, before.passes)
+
+
+def test_a_run_that_is_stopped_while_its_map_is_drawn_anew_keeps_the_old_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    ring_walk = walk("ring")
+    rows = range(0, len(ring_walk.truth), 4)
+    scans, steps, method = track_of(ring_walk, ring_walk.drifted(Pose(0.0, 0.0, 0.12 * DEG)), rows)
+    right = Trajectory.of([s.stamp_ns for s in scans], [ring_walk.truth[row] for row in rows])
+    monkeypatch.setattr(remap, "find_loops", lambda *_: Loops((Loop(0, 5, Pose(), Pose(0.5, 0, 0), 0.9),), 3, right))
+    before = method.grid.by_rows()
+    outcome = finish(Track(lambda: scans[:5], Config(), Motion(0.4), method, steps))
+    assert outcome.loops == Loops(refused=4)
+    np.testing.assert_array_equal(outcome.grid.passes, before.passes)
+    assert len(outcome.trajectory) == len(scans)
+    assert outcome.steps is steps  # of a long log two would take twice the memory

@@ -1,0 +1,89 @@
+"""Walls that leave a direction open: there a laser without odometry slides, and nothing else tells it."""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+import pytest
+
+from mavnav.config.models import Config
+from mavnav.kernels.hold import hold
+from mavnav.mapping.line_map import LineMap
+from mavnav.pose import Pose, transform_points
+from mavnav.scan import LaserSpec
+from mavnav.slam.degeneracy import LEAST_OBSERVABILITY, degeneracy_warning
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.scan_matching import first_match
+from mavnav.slam.steps import Step, Steps
+from support import naive
+from support.synthetic import URG_04LX, Recording, along, drifting_odometry, furnished_rooms, polyline, record, room
+
+CIRCLE = polyline(*((2.5 * np.cos(a), 2.5 * np.sin(a)) for a in np.arange(0.0, 2 * pi, pi / 60)), closed=True)
+CORRIDOR = polyline((-20, -1), (20, -1)), polyline((-20, 1), (20, 1))
+SHORT_SIGHTED = LaserSpec(URG_04LX.angle_min_rad, URG_04LX.angle_step_rad, 681, 0.02, 4.0, 0.0, 0.1)
+
+
+def driven(walls: np.ndarray, *way_m: tuple[float, float]) -> Recording:
+    return record(walls, along(list(way_m)), SHORT_SIGHTED, noise=0.005)
+
+
+@pytest.mark.parametrize(
+    ("walls", "way"),
+    [
+        (np.vstack(CORRIDOR), [(0.0, 0.0), (3.0, 0.2)]),
+        (CORRIDOR[1], [(0.0, -1.0), (3.0, -1.0)]),
+        (CIRCLE, [(-0.5, 0.0), (0.5, 0.3)]),
+    ],
+    ids=["corridor", "one wall", "round room"],
+)
+def test_a_direction_that_is_left_open_is_told(walls: np.ndarray, way: list[tuple[float, float]]) -> None:
+    drive = driven(walls, *way)
+    (warning,) = run_slam(lambda: drive.scans, Config(), 0.1).warnings
+    assert "leave a direction open" in warning
+
+
+@pytest.mark.parametrize("walls", [furnished_rooms(), room(4.0, 3.5)], ids=["furnished", "empty room"])
+def test_a_room_holds_the_laser(walls: np.ndarray) -> None:
+    drive = driven(walls, (0.8, 0.7), (2.8, 0.7), (2.9, 1.5))
+    assert run_slam(lambda: drive.scans, Config(), 0.1).warnings == ()
+
+
+def test_odometry_holds_it_too() -> None:
+    drive = driven(np.vstack(CORRIDOR), (0.0, 0.0), (2.0, 0.1))
+    odometry = drifting_odometry(drive.world_T_laser)
+    assert run_slam(lambda: drive.scans, Config(), 0.1, odometry).warnings == ()
+
+
+@pytest.mark.parametrize(("loose", "told"), [(4, ""), (5, "from 0.3 to 0.7 s): ")])
+def test_a_few_scans_are_no_slide(loose: int, told: str) -> None:
+    steps = Steps(Step(k, k * 100_000_000, first_match(100), tracked=True) for k in range(20))
+    holds = np.ones(20)
+    holds[3 : 3 + loose] = 0.5 * LEAST_OBSERVABILITY
+    assert told in degeneracy_warning(steps, holds)
+    assert bool(degeneracy_warning(steps, holds)) == bool(told)
+
+
+def test_a_run_that_was_stopped_tells_of_the_scans_that_came() -> None:
+    steps = Steps(Step(k, k * 100_000_000, first_match(100), tracked=True) for k in range(20))
+    assert "25 % of the scans" in degeneracy_warning(steps, np.zeros(5))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_kernel_is_its_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    line_map = LineMap(0.02, 0.06, 0.01)
+    ends = np.repeat(rng.uniform(-2, 2, (8, 2, 2)), 50, axis=0)
+    walls = ends[:, 0] + rng.random((400, 1)) * (ends[:, 1] - ends[:, 0]) + rng.normal(0, 0.01, (400, 2))
+    line_map.insert(walls)
+    laser = Pose(0.3, -0.2, 0.7)
+    points = transform_points(laser.inverse(), np.vstack((walls[::3], rng.uniform(-5, 5, (20, 2)))))
+    fast = hold(points, laser.as_array(), line_map.nearest, line_map.lines, line_map.geometry)
+    slow = naive.hold(points, laser, line_map)
+    assert slow > 0.01
+    assert fast == pytest.approx(slow, abs=1e-9)
+
+
+def test_no_point_holds_nothing() -> None:
+    line_map = LineMap(0.02, 0.06, 0.01)
+    assert hold(np.zeros((0, 2)), np.zeros(3), line_map.nearest, line_map.lines, line_map.geometry) == 0.0

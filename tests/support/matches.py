@@ -1,0 +1,106 @@
+"""Matches to search for, random and recorded, and whether pruned and exhaustive search agree on each of their grids."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavnav.kernels import linesearch, points
+from mavnav.mapping.line_map import LineMap
+from mavnav.pose import Pose, transform_points
+from mavnav.scan import LaserSpec
+from mavnav.slam.paper_matching import polar_points
+from support.synthetic import furnished_rooms, scan_at
+
+GRIDS = (5, 10, 20, 40)
+LASERS = (
+    LaserSpec(-2.0, 4.0 / 80, 81, 0.02, 5.6),
+    LaserSpec(0.0, 2 * math.pi / 90, 90, 0.02, 5.6),
+    LaserSpec(2.0, -4.0 / 80, 81, 0.02, 5.6),
+)
+"""With a seam behind, of a full turn, clockwise."""
+
+
+def voxel_means(xy_m: np.ndarray, voxel_m: float) -> np.ndarray:
+    """Return the means (m, 2) of points (n, 2) in voxels, as scans are matched."""
+    out = np.empty_like(xy_m)
+    return out[: points._voxel_means(np.ascontiguousarray(xy_m), voxel_m, out)]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A scan's points (n, 2) in the laser's frame, the map, and where the search begins: x, y, yaw."""
+
+    line_map: LineMap
+    points: np.ndarray
+    start: np.ndarray
+
+    @property
+    def lines(self) -> tuple[np.ndarray, ...]:
+        return self.line_map.nearest, self.line_map.lines, self.line_map.geometry
+
+    @property
+    def centred(self) -> np.ndarray:
+        return np.ascontiguousarray((self.points - self.points.mean(axis=0)).T)
+
+    def grid(self, half_m: float, half_rad: float, prior: float, *, pruned: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return ``at`` and ``window`` of a grid about the start."""
+        middle = transform_points(Pose(*self.start), self.points.mean(axis=0)[None])[0]
+        at = np.array([*middle, self.start[2], *(middle + np.array((0.01, -0.02)))])
+        return at, np.array([half_m, half_rad, prior, 0.15**2, float(pruned)])
+
+    def form(self, at: np.ndarray, window: np.ndarray) -> np.ndarray:
+        form = np.zeros((5, 5))
+        linesearch._form(self.centred, at, window, form, np.empty(0, np.int64), *self.lines)
+        return form
+
+    def turned(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x, y = np.empty(len(self.points)), np.empty(len(self.points))
+        linesearch._rotate(self.centred, at[2], x, y)
+        return x, y
+
+    def cost(self, x: np.ndarray, y: np.ndarray, offset: np.ndarray) -> float:
+        return linesearch._cost_sum(x, y, np.array(offset), 0.15**2, *self.lines, np.inf)
+
+
+def random_problem(seed: int) -> Problem:
+    """Make a map of scans and scattered points, and a scan that more or less fits it."""
+    rng = np.random.default_rng(seed)
+    here = Pose(3.0, 2.2, float(rng.uniform(-3, 3)))
+    noise = float(rng.choice((0.001, 0.01, 0.04)))
+    line_map = LineMap(float(rng.choice((0.014, 0.02, 0.025))), 0.06, 0.01)
+    for _ in range(int(rng.integers(1, 4))):
+        seen = scan_at(furnished_rooms(), here, noise=noise, rng=rng).points()
+        line_map.insert(transform_points(here, seen))
+    line_map.insert(rng.uniform(-1, 6, (int(rng.integers(1, 200)), 2)))
+    seen = scan_at(furnished_rooms(), here, noise=noise, rng=rng).points()
+    means = voxel_means(seen[:: int(rng.choice((1, 3, 9)))], 0.03)
+    return Problem(line_map, means, here.as_array() + rng.normal(0, (0.05, 0.05, 0.03)))
+
+
+def differences(problem: Problem, grid: int, half_m: float, half_rad: float, prior: float) -> list[str]:
+    """Search the three grids both ways; names those whose minima differ in index or cost."""
+    found = {}
+    for pruned in (True, False):
+        at, window = problem.grid(half_m, half_rad, prior, pruned=pruned)
+        args, turns = (problem.centred, at, window), linesearch._turns(half_rad, 2 * grid)
+        found[pruned] = {
+            "joint with lines held": linesearch._least_of_form(problem.form(at, window), window, turns, grid, grid),
+            "azimuth on the lines": linesearch._turn_on_lines(*args, turns, *problem.lines),
+            "plane on the lines": linesearch._shift_on_lines(*args, grid, grid, *problem.lines),
+        }
+    return [name for name, index in found[True].items() if index != found[False][name]]
+
+
+def polar_problem(
+    seed: int, spec: LaserSpec, *, counted: bool = False
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.random.Generator]:
+    """Return virtual ranges, points (n, 5) and limits of a search by the paper, and what goes on making numbers."""
+    rng = np.random.default_rng(seed)
+    virtual = scan_at(furnished_rooms(), Pose(3.0, 2.4, rng.uniform(-3, 3)), spec, noise=0.02, rng=rng).ranges_m.copy()
+    virtual[rng.random(spec.beams) < 0.1] = np.nan
+    scan = scan_at(furnished_rooms(), Pose(3.1, 2.3, rng.uniform(-3, 3)), spec, noise=0.02, rng=rng)
+    limits = np.array([spec.angle_min_rad, spec.angle_step_rad, 0.1, 5.0, 0.3, 0.1, 8.0, counted])
+    return virtual, polar_points(scan.ranges_m, spec, 0.1), limits, rng

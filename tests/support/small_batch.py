@@ -1,0 +1,27 @@
+"""A small batch in the current folder, for the tests of batches."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mavnav.batch.plan import plan
+from mavnav.batch.request import Options, request_of
+from mavnav.batch.run import run_batch
+
+ASKED: dict[str, Any] = {
+    "sources": ("logs", "gone.bag"),
+    "grids": ("5x5",),
+    "azimuths": (6,),
+    "options": {"final_pass": False},
+    "reading": {"end_s": 0.5},
+    "jobs": 1,
+}
+NAME = "6/5x5 final_pass=false end_s=0.5"
+
+
+def batch(**more: Any) -> tuple[dict[str, Any], list[str]]:
+    """Run a batch in the current folder; returns batch.json and the names of the runs that were made."""
+    listen = more.pop("listen", lambda event: None)
+    planned = plan(request_of(Options(**{**ASKED, **more})), lambda phase, done, total: None)
+    document = run_batch(planned, listen, lambda row: None)
+    return document, [case.name for case in planned.missing]
