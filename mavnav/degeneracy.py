@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mavnav.steps import Steps
 
 LEAST_HOLD = 0.01
-"""A scan that the map holds less (``kernels.hold``) may slide: 0.033 at the least on the recordings, 0.002 or less in
+"""A scan whose ``kernels.observability`` is less may slide: 0.033 at the least on the recordings, 0.002 or less in
 plain corridors, before a wall and in round rooms."""
 
 NOT_ASKED = 1.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.kernels import linesearch
+from mavnav.kernels.line_search import search as line_search
 from mavnav.pose import Pose, wrap_angle
 from mavnav.stages import timed
 from mavnav.units import DEG, MM, MM2
@@ -110,11 +110,11 @@ def _search_polar(
     grid: GridSize,
     azimuth: int,
 ) -> Match:
-    from mavnav.kernels import polarsearch  # noqa: PLC0415  takes 0.2 s to load, and is the paper's alone
+    from mavnav.kernels.polar_search import search as polar_search  # noqa: PLC0415  takes 0.2 s to load, and is the paper's alone
 
     paper = config.paper
     extensions = paper.max_extensions if paper.extend_border else 0
-    x, y, yaw, cost, used, evaluations, iterations, converged = polarsearch.search(
+    x, y, yaw, cost, used, evaluations, iterations, converged = polar_search.search(
         virtual_m,
         points,
         np.array([azimuth, grid.nx, grid.ny, extensions, config.search == "pruned"], float),
@@ -173,7 +173,7 @@ FINAL_STOP = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """How a window of a line map is searched, level by level: ``grid`` and ``limits`` of ``linesearch.search``."""
+    """How a window of a line map is searched, level by level: ``grid`` and ``limits`` of ``line_search.search``."""
 
     grid: NDArray[np.float64]
     limits: NDArray[np.float64]
@@ -221,7 +221,7 @@ def search_lines(
 
     A match of the same scan ``before``, which led here, is counted in the effort.
     """
-    x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
+    x, y, yaw, cost, inliers, evaluations, grids, converged = line_search.search(
         points,
         start.as_array(),
         schedule.grid,

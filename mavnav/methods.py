@@ -9,7 +9,7 @@ import numpy as np
 
 from mavnav.belief import Verdict
 from mavnav.grid import Grid, Tally
-from mavnav.kernels.hold import hold
+from mavnav.kernels.observability import observability
 from mavnav.kernels.points import placed, scan_points
 from mavnav.linemap import LineMap
 from mavnav.matcher import (
@@ -354,7 +354,7 @@ class Robust:
     def hold(self, points: NDArray[np.float64], match: Match) -> float:
         """Ask the lines through the walls that the points lie on."""
         lines = self.lines
-        return hold(points, match.map_T_laser.as_array(), lines.nearest, lines.lines, lines.geometry)
+        return observability(points, match.map_T_laser.as_array(), lines.nearest, lines.lines, lines.geometry)
 
     def finished(self) -> Grid:
         """Return the map, and forget it and its lines: of a large one there is no room for all."""
@@ -393,4 +393,5 @@ METHODS: dict[str, Callable[[Config], Method]] = {"robust": Robust, "paper": Pap
 def load_kernels(config: Config) -> None:
     """Load the kernels that only one of the methods has, and compile them the first time; others load on import."""
     if config.method == "paper":
-        from mavnav.kernels import beams, polarsearch, raycast  # noqa: F401, PLC0415
+        from mavnav.kernels import beams, raycast  # noqa: F401, PLC0415
+        from mavnav.kernels.polar_search import search  # noqa: F401, PLC0415

@@ -11,7 +11,8 @@ from memory_use import in_use_mb, taking_less_than
 from numba import njit
 
 from mavnav import memory
-from mavnav.lattice import WIDE, blank_strips, moved
+from mavnav.kernels.layout import WIDE
+from mavnav.lattice import blank_strips, moved
 from mavnav.memory import SMALL_BYTES, blank, drop_compiler, forget, give_back
 
 MB = 1 << 20

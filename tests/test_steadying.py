@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavnav.kernels.steadying import smooth
+from mavnav.kernels.rts_smoother import smooth
 from mavnav.matcher import Match
 from mavnav.pose import Pose
 from mavnav.steadying import FEWEST, rests, steady

@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import boolean, int32, int64, types
+from numba import int32, int64
 
 from mavnav.kernels._jit import kernel
+from mavnav.kernels._types import BOOL_2D, I32_2D
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_B2 = types.Array(boolean, 2, "C", readonly=True)
-_I2 = types.Array(int32, 2, "C", readonly=True)
 
 STRAIGHT, DIAGONAL = 10, 14
 """Costs of one cell straight and aslant, times the cell's weight."""
@@ -22,7 +21,7 @@ UNREACHED = np.int32(2**30)
 """Cost of a cell that the wave did not reach."""
 
 
-@kernel(int32[:, ::1](_B2, int64))
+@kernel(int32[:, ::1](BOOL_2D, int64))
 def squared_clearance(walls: NDArray[np.bool_], reach_cells: int) -> NDArray[np.int32]:
     """Return the squared distance (rows, cols) in cells to the nearest wall, ``reach_cells**2`` at most."""
     rows, cols = walls.shape
@@ -53,7 +52,7 @@ def squared_clearance(walls: NDArray[np.bool_], reach_cells: int) -> NDArray[np.
     return out
 
 
-@kernel(int32[:, ::1](_I2, _I2, int64, int64))
+@kernel(int32[:, ::1](I32_2D, I32_2D, int64, int64))
 def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: int) -> NDArray[np.int32]:
     """Return the cost (rows, cols) of the cheapest way from each cell to a goal, UNREACHED where there is none.
 
@@ -107,7 +106,7 @@ def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: in
     return cost.reshape(rows + 2, cols + 2)[1:-1, 1:-1].copy()
 
 
-@kernel(int64[:, ::1](_I2, _I2, int64, int64, int64))
+@kernel(int64[:, ::1](I32_2D, I32_2D, int64, int64, int64))
 def downhill(cost: NDArray[np.int32], weights: NDArray[np.int32], row: int, col: int, steps: int) -> NDArray[np.int64]:
     """Return the cells (n, 2), row and col, of the cheapest way from [row, col] towards the goal, ``steps`` at most.
 

@@ -5,18 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, types
+from numba import float64
 
 from mavnav.kernels._jit import kernel
+from mavnav.kernels._types import F64_1D, F64_2D
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_F1 = types.Array(float64, 1, "C", readonly=True)
-_F2 = types.Array(float64, 2, "C", readonly=True)
 
-
-@kernel(float64(_F2, _F1, float64, float64[:, ::1]))
+@kernel(float64(F64_2D, F64_1D, float64, float64[:, ::1]))
 def smooth(xy: NDArray[np.float64], elapsed: NDArray[np.float64], stiffness: float, out: NDArray[np.float64]) -> float:
     """Write the positions p that minimise sum |p - xy|^2 + stiffness * sum |acceleration|^2; returns how likely.
 
