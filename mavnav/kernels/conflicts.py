@@ -1,4 +1,4 @@
-"""What a scan in its place contradicts of the map: beams through walls, ends in open space (docs/method.md)."""
+"""Visibility conflicts of a scan with the map: beams through walls, ends in open space (docs/method.md)."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 FREE_PASSES = 3  # beams that crossed an open cell
 GRAZE_CELLS = 10  # a beam may run along the wall that it ends on
-STRIDE = 8  # cells of a beam that one look may clear
+STRIDE = 8  # cells of a beam that one read of ``nearest`` may clear
 CLEAR_CELLS = 7  # from the middle of a stride to what it meets: half of it, 2 ** 0.5 for two cells, 1.5 to spare
 
-LEAST = FAR + 1 - CLEAR_CELLS * CLEAR_CELLS  # of how near an entry tells where a hit cell is `CLEAR_CELLS` away
+LEAST = FAR + 1 - CLEAR_CELLS * CLEAR_CELLS  # the closeness of a hit cell `CLEAR_CELLS` away
 
 
 @helper
@@ -81,7 +81,7 @@ def conflicts(
     nearest: NDArray[np.uint32],
     geometry: NDArray[np.float64],
 ) -> int:
-    """Count the points (n, 2), laser frame, m, that the map speaks against if the laser is at ``pose``: x, y (m), yaw.
+    """Count the visibility conflicts of points (n, 2), laser frame, m, with the laser at ``pose``: x, y (m), yaw (rad).
 
     Either the point lies in the open: its cell was crossed by beams and no hit is near; or the beam from the laser to
     it meets a wall, a cell hit ``WALL_HITS`` times and at least as often as crossed. ``lattice``, ``hits`` and

@@ -58,8 +58,8 @@ def _shield(
 ) -> int:
     """List the cells near points (n, 2), in cells, once each; returns how many.
 
-    ``cells`` tell where they are in ``shielded`` and in ``passes``, and how often they were crossed before. Their
-    counts are turned below 0, so that they can be told from the others.
+    ``cells`` are their indices in ``shielded`` and in ``passes``, and how often they were crossed before. Their counts
+    are made negative, to mark them.
     """
     rows, cols = passes.shape
     flat, crossed, across = shielded.ravel(), passes.ravel(), (rows - 1) * WIDE
@@ -75,10 +75,10 @@ def _shield(
             start = max(first, at_col + NEAR_CELLS + 1) if beside and col >= at_col else first
             stop = min(end, at_col - NEAR_CELLS) if beside and col < at_col else end
             for c in range(start, stop):
-                at, way = uint64(c + (c >> SHIFT) * across + WIDE * r), uint64(r * cols + c)
+                at, place = uint64(c + (c >> SHIFT) * across + WIDE * r), uint64(r * cols + c)
                 count = flat[at]
                 # Written over unless it is new.
-                cells[0, uint64(n)], cells[1, uint64(n)], cells[2, uint64(n)] = at, way, crossed[way]
+                cells[0, uint64(n)], cells[1, uint64(n)], cells[2, uint64(n)] = at, place, crossed[place]
                 flat[at] = -1 - count if count >= 0 else count
                 n += count >= 0
         at_row, at_col = row, col
@@ -86,13 +86,13 @@ def _shield(
 
 
 @helper
-def _way(
+def _path(
     u0: float, v0: float, u1: float, v1: float, wide: float, steps: NDArray[np.float64], cells: NDArray[np.int32]
 ) -> int:
     """List the cells that a beam from (u0, v0) to (u1, v1), in cells, enters, its last one too; returns how many.
 
-    It crosses the edges of columns and those of rows at even shares of its way (Amanatides and Woo 1987); how many of
-    the others it has crossed before tells the cell. ``steps`` count 0, 1, 2 ...; ``cells`` has room for a block more.
+    It crosses the edges of columns and those of rows at even shares of its length (Amanatides and Woo 1987); how many
+    of the others it has crossed before gives the cell. ``steps`` count 0, 1, 2 ...; ``cells`` has a block more.
     """
     col, row, du, dv = np.floor(u0), np.floor(v0), u1 - u0, v1 - v0
     cols, rows = abs(np.floor(u1) - col), abs(np.floor(v1) - row)
@@ -135,13 +135,13 @@ def add_scan(
     for k in range(len(xy_map_m)):
         ends[k, 0], ends[k, 1] = (xy_map_m[k, 0] - ox) / cell, (xy_map_m[k, 1] - oy) / cell
     n_near = _shield(ends, passes, shielded, near)
-    steps, way = np.arange(float(max(rows, cols) + BLOCK)), np.empty(rows + cols + BLOCK, np.int32)
+    steps, path = np.arange(float(max(rows, cols) + BLOCK)), np.empty(rows + cols + BLOCK, np.int32)
     begin = uint64(int(np.floor(v0)) * cols + int(np.floor(u0)))
     for k in range(len(xy_map_m)):
         row, col = int(np.floor(ends[k, 1])), int(np.floor(ends[k, 0]))
         flat[begin] += flat[begin] < MOST
-        for i in range(_way(u0, v0, ends[k, 0], ends[k, 1], float64(cols), steps, way)):
-            at = uint64(way[uint64(i)])
+        for i in range(_path(u0, v0, ends[k, 0], ends[k, 1], float64(cols), steps, path)):
+            at = uint64(path[uint64(i)])
             if flat[at] < MOST:
                 flat[at] += 1
         passes[row, col] -= passes[row, col] < MOST  # it ends there
@@ -149,5 +149,5 @@ def add_scan(
         ended[col & (WIDE - 1)] += ended[col & (WIDE - 1)] < MOST
     flat_shielded = shielded.ravel()
     for i in range(n_near):
-        at, way_at, before = uint64(near[0, uint64(i)]), uint64(near[1, uint64(i)]), near[2, uint64(i)]
-        flat_shielded[at] = min(int64(flat[way_at]) - before - 1 - flat_shielded[at], MOST_SHIELDED)
+        at, place, before = uint64(near[0, uint64(i)]), uint64(near[1, uint64(i)]), near[2, uint64(i)]
+        flat_shielded[at] = min(int64(flat[place]) - before - 1 - flat_shielded[at], MOST_SHIELDED)

@@ -96,7 +96,7 @@ def _gather(
     cells: NDArray[np.int32],
     moments: NDArray[np.float64],
 ) -> None:
-    """Add to the windowed moments of a cell what it and its neighbours hold."""
+    """Add to the windowed moments of a cell the moments of the points of it and its neighbours."""
     wide, flat = int64(nearest.shape[1]), nearest.ravel()
     row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
     for i in range(2 * WINDOW_CELLS + 1):
@@ -184,7 +184,7 @@ def _wait(
 
 
 @helper
-def _tell(
+def _distribute(
     slots: NDArray[np.int64],
     geometry: NDArray[np.float64],
     nearest: NDArray[np.uint32],
@@ -246,16 +246,16 @@ def insert_points(
 ) -> int:
     """Add points (n, 2) to the map and refit the lines that they touch; returns the new number of cells.
 
-    A cell's points wait until they are more than a share of those that its neighbours know of: a line that rests on
-    many changes little, and to tell all neighbours of one scan's points is what takes time.
+    A cell's points wait until they are more than a share of those that its neighbours' lines include: a line that
+    rests on many changes little, and the update of all neighbours is what takes time.
 
-    The caller sees to room: every point lies ``REACH_CELLS`` + 1 or more inside ``nearest``, the arrays over cells
+    The caller makes room: every point lies ``REACH_CELLS`` + 1 or more inside ``nearest``, the arrays over cells
     have space for one new cell a point, and ``waiting`` has a row more than there are points.
     """
     _, _, _, _, _, waiting_share = geometry
     n_waiting, slots = int(waiting[0, 0]), np.empty(len(xy_map_m), np.int64)
     if n_waiting + len(xy_map_m) >= len(waiting):
-        _tell(waiting[1 : n_waiting + 1, 6].astype(np.int64), geometry, nearest, cells, moments, lines, waiting)
+        _distribute(waiting[1 : n_waiting + 1, 6].astype(np.int64), geometry, nearest, cells, moments, lines, waiting)
     count = _enter(xy_map_m, geometry, count, nearest, cells, moments, lines, slots)
     _wait(xy_map_m, slots, moments, lines, waiting)
     n = 0
@@ -263,5 +263,5 @@ def insert_points(
         row = uint64(lines[uint64(slots[k]), 6])
         slots[n] = slots[k]  # written over unless it has waited long enough
         n += waiting[row, 0] > waiting_share * waiting[row, 7]
-    _tell(slots[:n], geometry, nearest, cells, moments, lines, waiting)
+    _distribute(slots[:n], geometry, nearest, cells, moments, lines, waiting)
     return count

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @helper
 def _root(parent: NDArray[np.int32], k: int) -> int:
-    """Return the first of the points that hang together with one, and shorten the way to it."""
+    """Return the first of the points that are linked to one, and shorten the path to it."""
     while parent[k] != k:
         parent[k] = parent[parent[k]]
         k = parent[k]

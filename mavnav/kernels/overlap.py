@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 AT_ONCE = 4
-"""So many beams are looked at on either side before it is asked whether the next can be nearer."""
+"""Beams on either side that are compared before the test whether the next can be nearer."""
 
 
 @helper

@@ -1,4 +1,4 @@
-"""Cells that hang together."""
+"""Connected regions of cells."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @helper
 def _root(parent: NDArray[np.int32], label: int) -> int:
-    """Return the first label of those that were found to be one, and shorten the way to it."""
+    """Return the first label of those that were found to be one, and shorten the path to it."""
     while parent[label] != label:
         parent[label] = parent[parent[label]]
         label = parent[label]
@@ -38,7 +38,7 @@ def _joined(parent: NDArray[np.int32], a: int, b: int) -> int:
 def region_sizes(mask: NDArray[np.bool_], diagonal: bool) -> NDArray[np.int64]:
     """Count the cells of each region of a mask (rows, cols), (regions,); the order is that of their first cells.
 
-    Cells of a region touch at an edge, where ``diagonal`` is set at a corner too. Only the labels of two rows are held,
+    Cells of a region touch at an edge, where ``diagonal`` is set at a corner too. Only the labels of two rows are kept,
     and memory is touched for the regions that are, not for those that may be.
     """
     rows, cols = mask.shape

@@ -1,4 +1,4 @@
-"""A way made smooth: positions as they were measured against a velocity that changes little (docs/method.md)."""
+"""Smoothing of a path: measured positions against a velocity that changes little (docs/method.md)."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def smooth(xy: NDArray[np.float64], elapsed: NDArray[np.float64], stiffness: flo
     out : (n, 2) the smooth positions
 
     The logarithm of the likelihood (but for a constant, and with the best variance of a position) compares values of
-    the stiffness: white noise on positions of a way whose velocity walks at random (Rauch, Tung and Striebel's smoother
-    as one banded system, solved by its LDL' factors).
+    the stiffness: white noise on positions of a path whose velocity is a random walk (Rauch, Tung and Striebel's
+    smoother as one banded system, solved by its LDL' factors).
     """
     n = len(xy)
     d, l1, l2 = np.ones(n), np.zeros(n), np.zeros(n)  # the diagonal of I + stiffness B'WB, and the two beside it

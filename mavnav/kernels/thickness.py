@@ -90,7 +90,7 @@ def _sum_up(
     step: int,
     sums: NDArray[np.int64],
 ) -> None:
-    """Sum over the cells of the stretches on the stack, and of all that hang together with them.
+    """Sum over the cells of the stretches on the stack, and of all that are connected to them.
 
     ``sums`` (7,): cells; hits, and by hits x, y, xx, xy, yy from the middle of the window, in half cells.
     """
@@ -123,7 +123,7 @@ def run_moments(
 ) -> NDArray[np.float64]:
     """Tell the shape of the wall around each run: count and covariance of its cells near the run's middle.
 
-    The cells are those occupied ones within ``radius`` (in cells) that hang together with the run, with up to
+    The cells are those occupied ones within ``radius`` (in cells) that are connected to the run, with up to
     ``max_gap`` empty cells between two of them in row and column: a parallel wall does not count. The covariance is
     weighted by hits. Everything is summed in whole half cells, so that neither the order of summation nor a mirrored
     map changes a bit of the result.

@@ -54,12 +54,12 @@ def squared_clearance(walls: NDArray[np.bool_], reach_cells: int) -> NDArray[np.
 
 @kernel(int32[:, ::1](I32_2D, I32_2D, int64, int64))
 def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: int) -> NDArray[np.int32]:
-    """Return the cost (rows, cols) of the cheapest way from each cell to a goal, UNREACHED where there is none.
+    """Return the cost (rows, cols) of the cheapest path from each cell to a goal, UNREACHED where there is none.
 
-    A step costs STRAIGHT or DIAGONAL times the weight of the cell that it leaves on its way to the goal; weight 0 is
-    blocked, and an aslant step needs both cells beside it. ``goals`` (n, 2) are rows and columns of open cells.
-    Dijkstra's algorithm with one bucket a cost; it ends once cell [row, col] and all cheaper ones are final, which
-    leaves others too high or UNREACHED.
+    A step costs STRAIGHT or DIAGONAL times the weight of the cell that it leaves; weight 0 is blocked, and an
+    aslant step needs both cells beside it. ``goals`` (n, 2) are rows and columns of open cells. Dijkstra's algorithm
+    with one bucket a cost; it ends once cell [row, col] and all cheaper ones are final, which leaves others too high or
+    UNREACHED.
     """
     rows, cols = weights.shape
     framed = np.zeros((rows + 2, cols + 2), np.int32)  # a blocked frame: no step leads out
@@ -108,7 +108,7 @@ def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: in
 
 @kernel(int64[:, ::1](I32_2D, I32_2D, int64, int64, int64))
 def downhill(cost: NDArray[np.int32], weights: NDArray[np.int32], row: int, col: int, steps: int) -> NDArray[np.int64]:
-    """Return the cells (n, 2), row and col, of the cheapest way from [row, col] towards the goal, ``steps`` at most.
+    """Return the cells (n, 2), row and col, of the cheapest path from [row, col] towards the goal, ``steps`` at most.
 
     The first is [row, col] itself. Of equally cheap ways the one of lowest row, then column, is taken.
     """
@@ -123,9 +123,9 @@ def downhill(cost: NDArray[np.int32], weights: NDArray[np.int32], row: int, col:
                 aslant = y != r and x != c
                 if cost[y, x] >= cost[r, c] or (aslant and (weights[r, x] == 0 or weights[y, c] == 0)):
                     continue
-                way = cost[y, x] + (DIAGONAL if aslant else STRAIGHT) * int64(weights[r, c])
-                if way < best:
-                    best, out[k + 1, 0], out[k + 1, 1] = way, y, x
+                total = cost[y, x] + (DIAGONAL if aslant else STRAIGHT) * int64(weights[r, c])
+                if total < best:
+                    best, out[k + 1, 0], out[k + 1, 1] = total, y, x
         if best == UNREACHED:
             return out[: k + 1].copy()
     return out

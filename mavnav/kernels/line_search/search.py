@@ -194,8 +194,10 @@ def search(
     nearest, lines, geometry : the map, see ``linemap``
     """
     (n_azimuths, n_x, n_y, n_extensions, prune), n = grid, len(points)
-    half_m, half_rad, stop_m, stop_rad, truncate_m, few_points, alternations = limits[:7]
-    prior, fixed_below_m, within_below_m, closeness, known_points, dense_points = limits[7:]
+    (
+        half_m, half_rad, stop_m, stop_rad, truncate_m, few_points, alternations,
+        prior, fixed_below_m, within_below_m, closeness, known_points, dense_points,
+    ) = limits  # fmt: skip
     origin_x_m, origin_y_m, cell_m, _, _, _ = geometry
     line_map = Lines(nearest, lines, origin_x_m, origin_y_m, cell_m)
     nodes = Grid(int(n_azimuths), int(n_x), int(n_y), int(n_extensions))

@@ -103,7 +103,7 @@ def see(
     """Write range and beam number of the moved points.
 
     Between neighbouring poses a point's bearing changes little: a series of the tangent is then good to 1e-11. Without
-    branches the loop works on four points at a time; those that turn farther are seen to afterwards.
+    branches the loop works on four points at a time; those that turn farther are done afterwards.
     """
     c, s, x, y, yaw = motion
     per_step, turn = 1.0 / limits.step_rad, 2.0 * np.pi / abs(limits.step_rad)

@@ -140,9 +140,9 @@ def search(
     n_azimuths, n_x, n_y, n_extensions, prune = grid
     half_m, half_rad, shrink, covered, stop_m, stop_rad, useless, occlusion_shrink, least_m, at_laser, either = schedule
     azimuths, nx, ny, extensions = int(n_azimuths), int(n_x), int(n_y), int(n_extensions)
-    n, told = len(points), limits_of(limits)
-    scan = part = scan_of(virtual, points.T, told)
-    work, bounded = work_for(2 * n, len(virtual)), prune > 0.0 and not told.counted
+    n, given = len(points), limits_of(limits)
+    scan = part = scan_of(virtual, points.T, given)
+    work, bounded = work_for(2 * n, len(virtual)), prune > 0.0 and not given.counted
     turns, by_turn, turn_bounds = np.empty((azimuths + 1, 5)), np.empty((azimuths, 2)), np.full(azimuths, -np.inf)
     shifts, by_shift, bounds = np.empty((nx * ny + 1, 5)), np.empty((nx * ny, 2)), np.full(nx * ny, -np.inf)
     # Turning about the points' centroid keeps the two searches from undoing each other.
@@ -189,7 +189,7 @@ def search(
         half_m *= max(shrink, covered * min(spacing / half_m, 0.9))
         half_rad *= max(shrink, covered * min(step_rad / half_rad, 0.9))
         if occlusion_shrink < 1.0:
-            smaller_m = max(scan.limits.occlusion_m * occlusion_shrink, min(least_m, told.occlusion_m))
+            smaller_m = max(scan.limits.occlusion_m * occlusion_shrink, min(least_m, given.occlusion_m))
             scan = part = _at_occlusion(scan, smaller_m)
     c, s = np.cos(yaw), np.sin(yaw)
     to_x, to_y = x - c * pivot_x + s * pivot_y, y - s * pivot_x - c * pivot_y

@@ -78,7 +78,7 @@ def _glance(points: NDArray[np.float32], motion: Motion, moved: NDArray[np.float
     """Write range and turn in beams of the moved points; the turn is NaN where it is not known well.
 
     Half the turn has the tangent cross / (product of the ranges + dot). Of points that turn little a short series is
-    good to 1e-7; the others are seen to afterwards.
+    good to 1e-7; the others are done afterwards.
     """
     x, y, turned, per_step = motion
     shift2, wide = x * x + y * y, int32(0)
@@ -188,7 +188,7 @@ def _at_middle(scan: Scan, middle: NDArray[np.float64], work: Work) -> NDArray[n
     """Return the points as they lie in the middle of a grid, (7, n).
 
     Their x, y, beam number as measured, squared range, how many beams they have moved on from there (not back at the
-    seam), whether they hang together with the point before, and range.
+    seam), whether they are of one surface with the point before, and range.
     """
     points, (c, s, x, y, yaw), per_step = scan.points, middle, 1.0 / scan.limits.step_rad
     out, turn, before = np.empty((7, points.shape[1]), np.float32), 2.0 * np.pi * abs(per_step), 0.0
