@@ -128,7 +128,7 @@ def test_no_modules_import_each_other() -> None:
 def test_sizes() -> None:
     entries = [path.name for path in PACKAGE.iterdir() if path.name != "__pycache__"]
     lines = {module: len(path.read_text().splitlines()) for module, path in MODULES.items()}
-    long = [module for module, count in lines.items() if count > MOST_LINES and package(module) != "kernels"]
+    long = [module for module, count in lines.items() if count > MOST_LINES]
     assert len(entries) <= MOST_ENTRIES
     assert long == []
 
@@ -142,10 +142,25 @@ def test_only_kernels_import_numba() -> None:
     assert wrong == []
 
 
-def test_kernels_call_no_kernel_of_another_file() -> None:
-    for path in PACKAGE.glob("kernels/*.py"):
-        others = {n for n in imports(path) if n.startswith("mavnav.") and not n.startswith("mavnav.kernels._jit")}
-        assert not others, f"{path.name}: numba's cache would miss an edit in {others}"
+KERNEL_FILES = sorted(PACKAGE.glob("kernels/**/*.py"))
+
+
+@pytest.mark.parametrize("path", KERNEL_FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_the_cache_sees_what_a_kernel_imports(path: Path) -> None:
+    """The stamp of the disk cache follows imports of this form alone: anything else would miss an edit."""
+    text = path.read_text()
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.Import):
+            assert not any(alias.name.startswith("mavnav") for alias in node.names)
+    seen = {module for module in re.findall(r"^from ([\w.]+) import ", text, re.MULTILINE) if "mavnav" in module}
+    typing = {"mavnav." + name for name in re.findall(r"^ +from mavnav\.([\w.]+) import ", text, re.MULTILINE)}
+    assert all((ROOT / Path(*module.split("."))).with_suffix(".py").is_file() for module in seen | typing)
+    assert {name.rpartition(".")[0] for name in imports(path) if name.startswith("mavnav")} <= seen | typing
+
+
+def test_constants_of_maps_load_no_numba() -> None:
+    code = "import sys, mavnav.kernels.layout\nassert not {'numba', 'numpy'} & sys.modules.keys()"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_only_the_command_line_prints_and_exits() -> None:
@@ -222,8 +237,8 @@ def test_documented_options_exist() -> None:
 
 TWINS = {
     "linemap.rebuild": "insert_points",
-    "linesearch.search": "coarse_to_fine",
-    "polarsearch.search": "coarse_to_fine",
+    "line_search.search.search": "coarse_to_fine",
+    "polar_search.search.search": "coarse_to_fine",
     "thickness.column_runs": "naive_sections",
     "thickness.run_moments": "naive_sections",
 }
@@ -231,12 +246,12 @@ TWINS = {
 
 
 def kernels() -> set[str]:
-    """Return ``file.function`` of what carries the kernel decorator and is called from outside of its file."""
+    """Return ``file.function`` of what carries the kernel decorator: what Python calls."""
     return {
-        f"{path.stem}.{node.name}"
-        for path in PACKAGE.glob("kernels/*.py")
+        ".".join((*path.relative_to(PACKAGE / "kernels").with_suffix("").parts, node.name))
+        for path in KERNEL_FILES
         for node in ast.parse(path.read_text()).body
-        if isinstance(node, ast.FunctionDef) and node.decorator_list and not node.name.startswith("_")
+        if isinstance(node, ast.FunctionDef) and any("kernel(" in ast.unparse(d) for d in node.decorator_list)
     }
 
 
@@ -249,5 +264,5 @@ def test_every_kernel_has_a_twin() -> None:
         if isinstance(node, ast.FunctionDef)
     }
     assert len(kernels()) > 5
-    assert {kernel for kernel in kernels() if TWINS.get(kernel, kernel.partition(".")[2]) not in twins} == set()
+    assert {kernel for kernel in kernels() if TWINS.get(kernel, kernel.rpartition(".")[2]) not in twins} == set()
     assert set(TWINS) <= kernels()

@@ -10,7 +10,8 @@ import pytest
 from numba import njit
 
 from mavnav import memory
-from mavnav.mapping.tiled_arrays import WIDE, blank_strips, moved
+from mavnav.kernels.layout import WIDE
+from mavnav.mapping.tiled_arrays import blank_strips, moved
 from mavnav.memory import SMALL_BYTES, blank, drop_compiler, forget, give_back
 from support.memory_use import in_use_mb, taking_less_than
 

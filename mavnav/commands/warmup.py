@@ -10,13 +10,14 @@ EPILOG = "The result is kept beside the package, or in NUMBA_CACHE_DIR; later ru
 def warmup() -> None:
     """Compile all kernels into the disk cache: about a minute after installation, nothing afterwards."""
     from importlib import import_module
-    from pkgutil import iter_modules
+    from pathlib import Path
     from time import perf_counter
 
     import mavnav.kernels
 
     started_s = perf_counter()
-    names = sorted(module.name for module in iter_modules(mavnav.kernels.__path__))
+    folder = Path(mavnav.kernels.__path__[0])
+    names = sorted(".".join(path.relative_to(folder).with_suffix("").parts) for path in folder.rglob("*.py"))
     for name in names:
         import_module(f"mavnav.kernels.{name}")
     emit(f"{len(names)} files of kernels are ready, in {perf_counter() - started_s:.1f} s")

@@ -5,18 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, types
+from numba import float64
 
 from mavnav.kernels._jit import kernel
+from mavnav.kernels._types import F64_1D, F64_2D
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_F1 = types.Array(float64, 1, "C", readonly=True)
-_F2 = types.Array(float64, 2, "C", readonly=True)
 
-
-@kernel(float64[:, ::1](_F1, _F2, float64, float64, float64))
+@kernel(float64[:, ::1](F64_1D, F64_2D, float64, float64, float64))
 def good_beams(
     ranges_m: NDArray[np.float64],
     directions: NDArray[np.float64],

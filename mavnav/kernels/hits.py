@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int8, int16, int32, int64, types, uint16, uint64, void
+from numba import float64, int8, int16, int32, int64, uint16, uint64, void
 
-from mavnav.kernels._jit import kernel
+from mavnav.kernels._jit import helper, kernel
+from mavnav.kernels._types import F64_1D, F64_2D, I8_2D
+from mavnav.kernels.layout import MOST, MOST_SHIELDED, SHIFT, WIDE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,15 +18,9 @@ NEAR_CELLS = 3
 """A beam does not go clear through a cell if one of the same scan ends so near to it."""
 
 BLOCK = 8  # cells of a beam that are found at once
-MOST, MOST_SHIELDED = 65535, 32767  # a count ends there
-WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its logarithm
-
-_F1 = types.Array(float64, 1, "C", readonly=True)
-_F2 = types.Array(float64, 2, "C", readonly=True)
-_I2 = types.Array(int8, 2, "C", readonly=True)
 
 
-@kernel(int64(_F1, _F2, _F1, _F1, _I2, int8[:, ::1]))
+@kernel(int64(F64_1D, F64_2D, F64_1D, F64_1D, I8_2D, int8[:, ::1]))
 def show_ends(
     ranges_m: NDArray[np.float64],
     directions: NDArray[np.float64],
@@ -39,21 +35,21 @@ def show_ends(
     ``ranges_m`` (beams,) are NaN without a return, ``directions`` (beams, 2) cosines and sines in the laser's frame,
     ``pose`` (3,) x, y, yaw of the laser in the map, ``lattice`` as of ``add_scan``. Ends outside are passed over.
     """
-    rows, cols = cells.shape
-    c, s, count = np.cos(pose[2]), np.sin(pose[2]), 0
+    (rows, cols), (x, y, yaw), (ox, oy, cell) = cells.shape, pose, lattice
+    c, s, count = np.cos(yaw), np.sin(yaw), 0
     for k in range(len(ranges_m)):
         if not np.isfinite(ranges_m[k]):
             continue
-        x, y = ranges_m[k] * directions[k, 0], ranges_m[k] * directions[k, 1]
-        col = int(np.floor((pose[0] + c * x - s * y - lattice[0]) / lattice[2]))
-        row = int(np.floor((pose[1] + s * x + c * y - lattice[1]) / lattice[2]))
+        px, py = ranges_m[k] * directions[k, 0], ranges_m[k] * directions[k, 1]
+        col = int(np.floor((x + c * px - s * py - ox) / cell))
+        row = int(np.floor((y + s * px + c * py - oy) / cell))
         if 0 <= row < rows and 0 <= col < cols and walls[row, col] == 100:
             cells[row, col] = 100
             count += 1
     return count
 
 
-@kernel(int64(float64[:, ::1], uint16[:, ::1], int16[:, :, ::1], int64[:, ::1]))
+@helper
 def _shield(
     ends: NDArray[np.float64],
     passes: NDArray[np.uint16],
@@ -62,8 +58,8 @@ def _shield(
 ) -> int:
     """List the cells near points (n, 2), in cells, once each; returns how many.
 
-    ``cells`` tell where they are in ``shielded`` and in ``passes``, and how often they were crossed before. Their
-    counts are turned below 0, so that they can be told from the others.
+    ``cells`` are their indices in ``shielded`` and in ``passes``, and how often they were crossed before. Their counts
+    are made negative, to mark them.
     """
     rows, cols = passes.shape
     flat, crossed, across = shielded.ravel(), passes.ravel(), (rows - 1) * WIDE
@@ -79,24 +75,24 @@ def _shield(
             start = max(first, at_col + NEAR_CELLS + 1) if beside and col >= at_col else first
             stop = min(end, at_col - NEAR_CELLS) if beside and col < at_col else end
             for c in range(start, stop):
-                at, way = uint64(c + (c >> SHIFT) * across + WIDE * r), uint64(r * cols + c)
+                at, place = uint64(c + (c >> SHIFT) * across + WIDE * r), uint64(r * cols + c)
                 count = flat[at]
                 # Written over unless it is new.
-                cells[0, uint64(n)], cells[1, uint64(n)], cells[2, uint64(n)] = at, way, crossed[way]
+                cells[0, uint64(n)], cells[1, uint64(n)], cells[2, uint64(n)] = at, place, crossed[place]
                 flat[at] = -1 - count if count >= 0 else count
                 n += count >= 0
         at_row, at_col = row, col
     return n
 
 
-@kernel(int64(float64, float64, float64, float64, float64, _F1, int32[::1]))
-def _way(
+@helper
+def _path(
     u0: float, v0: float, u1: float, v1: float, wide: float, steps: NDArray[np.float64], cells: NDArray[np.int32]
 ) -> int:
     """List the cells that a beam from (u0, v0) to (u1, v1), in cells, enters, its last one too; returns how many.
 
-    It crosses the edges of columns and those of rows at even shares of its way (Amanatides and Woo 1987); how many of
-    the others it has crossed before tells the cell. ``steps`` count 0, 1, 2 ...; ``cells`` has room for a block more.
+    It crosses the edges of columns and those of rows at even shares of its length (Amanatides and Woo 1987); how many
+    of the others it has crossed before gives the cell. ``steps`` count 0, 1, 2 ...; ``cells`` has a block more.
     """
     col, row, du, dv = np.floor(u0), np.floor(v0), u1 - u0, v1 - v0
     cols, rows = abs(np.floor(u1) - col), abs(np.floor(v1) - row)
@@ -115,7 +111,7 @@ def _way(
     return int(cols + rows)
 
 
-@kernel(void(_F2, _F1, _F1, uint16[:, :, ::1], uint16[:, ::1], int16[:, :, ::1]))
+@kernel(void(F64_2D, F64_1D, F64_1D, uint16[:, :, ::1], uint16[:, ::1], int16[:, :, ::1]))
 def add_scan(
     xy_map_m: NDArray[np.float64],
     laser_xy_m: NDArray[np.float64],
@@ -131,21 +127,21 @@ def add_scan(
     ``lattice`` is (3,): x and y of the corner of cell [0, 0], and the cell edge, in m. The caller sees to it that all
     lies inside.
     """
-    ox, oy, cell = lattice
-    u0, v0 = (laser_xy_m[0] - ox) / cell, (laser_xy_m[1] - oy) / cell
+    (ox, oy, cell), (laser_x, laser_y) = lattice, laser_xy_m
+    u0, v0 = (laser_x - ox) / cell, (laser_y - oy) / cell
     (rows, cols), flat = passes.shape, passes.ravel()
     near = np.empty((3, (2 * NEAR_CELLS + 1) ** 2 * len(xy_map_m) + 1), np.int64)
     ends = np.empty((len(xy_map_m), 2))
     for k in range(len(xy_map_m)):
         ends[k, 0], ends[k, 1] = (xy_map_m[k, 0] - ox) / cell, (xy_map_m[k, 1] - oy) / cell
     n_near = _shield(ends, passes, shielded, near)
-    steps, way = np.arange(float(max(rows, cols) + BLOCK)), np.empty(rows + cols + BLOCK, np.int32)
+    steps, path = np.arange(float(max(rows, cols) + BLOCK)), np.empty(rows + cols + BLOCK, np.int32)
     begin = uint64(int(np.floor(v0)) * cols + int(np.floor(u0)))
     for k in range(len(xy_map_m)):
         row, col = int(np.floor(ends[k, 1])), int(np.floor(ends[k, 0]))
         flat[begin] += flat[begin] < MOST
-        for i in range(_way(u0, v0, ends[k, 0], ends[k, 1], float64(cols), steps, way)):
-            at = uint64(way[uint64(i)])
+        for i in range(_path(u0, v0, ends[k, 0], ends[k, 1], float64(cols), steps, path)):
+            at = uint64(path[uint64(i)])
             if flat[at] < MOST:
                 flat[at] += 1
         passes[row, col] -= passes[row, col] < MOST  # it ends there
@@ -153,5 +149,5 @@ def add_scan(
         ended[col & (WIDE - 1)] += ended[col & (WIDE - 1)] < MOST
     flat_shielded = shielded.ravel()
     for i in range(n_near):
-        at, way_at, before = uint64(near[0, uint64(i)]), uint64(near[1, uint64(i)]), near[2, uint64(i)]
-        flat_shielded[at] = min(int64(flat[way_at]) - before - 1 - flat_shielded[at], MOST_SHIELDED)
+        at, place, before = uint64(near[0, uint64(i)]), uint64(near[1, uint64(i)]), near[2, uint64(i)]
+        flat_shielded[at] = min(int64(flat[place]) - before - 1 - flat_shielded[at], MOST_SHIELDED)

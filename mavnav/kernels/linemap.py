@@ -1,6 +1,6 @@
 """Occupied cells with the moments of their points, and the local line through each (docs/method.md).
 
-Layout shared by this file and ``linesearch``:
+Arrays of a map, which the other kernels read:
 
 ``nearest``  (rows, cols) uint32  of the nearest occupied cell within reach its index, times `NEAR`, and how near it is:
                                   1 more than `FAR` less the squared distance to it in cells; 0 where none is
@@ -22,34 +22,31 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types, uint32, uint64, void
+from numba import float64, int32, int64, uint32, uint64, void
 
-from mavnav.kernels._jit import kernel
+from mavnav.kernels._jit import helper, kernel
+from mavnav.kernels._types import F64_1D, F64_2D
+from mavnav.kernels.layout import FAR, NEAR, REACH_CELLS
+from mavnav.kernels.lookup import closeness_of, slot_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 WINDOW_CELLS = 4  # half-width of the line fit's window: 9x9 cells
-REACH_CELLS = 8  # nearest occupied cells are known this far
-FAR = REACH_CELLS * REACH_CELLS
-NEAR = 128  # a power of 2 above `FAR` + 1
 BLOCK = 64  # lines that are fitted at once
 
-_F1 = types.Array(float64, 1, "C", readonly=True)
-_F2 = types.Array(float64, 2, "C", readonly=True)
 
-
-@kernel(void(int64, int64, int64, uint32[:, ::1]))
+@helper
 def _stamp(slot: int, row: int, col: int, nearest: NDArray[np.uint32]) -> None:
     """Make ``slot`` the nearest occupied cell wherever it is nearer than the present one (ties keep the older)."""
     for r in range(row - REACH_CELLS, row + REACH_CELLS + 1):
         for c in range(col - REACH_CELLS, col + REACH_CELLS + 1):
             d2 = (r - row) * (r - row) + (c - col) * (c - col)
-            if d2 <= FAR and FAR + 1 - d2 > nearest[r, c] % NEAR:
+            if d2 <= FAR and FAR + 1 - d2 > closeness_of(nearest[r, c]):
                 nearest[r, c] = slot * NEAR + FAR + 1 - d2
 
 
-@kernel(void(int64[::1], float64, float64[:, ::1], float64[:, ::1]))
+@helper
 def _fit(slots: NDArray[np.int64], noise_m: float, moments: NDArray[np.float64], lines: NDArray[np.float64]) -> None:
     """Refit some lines: A = ((tr C + s0^2) I - C) / (l1 + s0^2), 1 along the normal and small along the wall.
 
@@ -83,7 +80,7 @@ def _fit(slots: NDArray[np.int64], noise_m: float, moments: NDArray[np.float64],
             lines[slot, 2], lines[slot, 3], lines[slot, 4] = m[2, k], m[3, k], m[4, k]
 
 
-@kernel(float64[:, ::1](float64, float64))
+@helper
 def _weights(cell_m: float, sigma_m: float) -> NDArray[np.float64]:
     """Return the Gaussian window of the line fit."""
     along = np.exp(-0.5 * (np.arange(-WINDOW_CELLS, WINDOW_CELLS + 1) * cell_m / sigma_m) ** 2)
@@ -91,7 +88,7 @@ def _weights(cell_m: float, sigma_m: float) -> NDArray[np.float64]:
     return out
 
 
-@kernel(void(int64, _F2, uint32[:, ::1], int32[:, ::1], float64[:, ::1]))
+@helper
 def _gather(
     slot: int,
     weight: NDArray[np.float64],
@@ -99,19 +96,19 @@ def _gather(
     cells: NDArray[np.int32],
     moments: NDArray[np.float64],
 ) -> None:
-    """Add to the windowed moments of a cell what it and its neighbours hold."""
+    """Add to the windowed moments of a cell the moments of the points of it and its neighbours."""
     wide, flat = int64(nearest.shape[1]), nearest.ravel()
     row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
     for i in range(2 * WINDOW_CELLS + 1):
         for j in range(2 * WINDOW_CELLS + 1):
             there = flat[uint64((row + i) * wide + col + j)]
-            if there % NEAR > FAR:
-                other = int64(there // NEAR)
+            if closeness_of(there) > FAR:
+                other = int64(slot_of(there))
                 for m in range(6):
                     moments[slot, 6 + m] += weight[i, j] * moments[other, m]
 
 
-@kernel(void(_F1, uint32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
+@kernel(void(F64_1D, uint32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1]))
 def rebuild(
     geometry: NDArray[np.float64],
     nearest: NDArray[np.uint32],
@@ -120,16 +117,17 @@ def rebuild(
     lines: NDArray[np.float64],
 ) -> None:
     """Draw the map anew, on blank ``nearest``, from its cells and their own moments."""
-    weight = _weights(geometry[2], geometry[3])
+    _, _, cell_m, sigma_m, noise_m, _ = geometry
+    weight = _weights(cell_m, sigma_m)
     for slot in range(1, len(cells)):
         _stamp(slot, cells[slot, 0], cells[slot, 1], nearest)
     moments[1:, 6:] = 0.0
     for slot in range(1, len(cells)):
         _gather(slot, weight, nearest, cells, moments)
-    _fit(np.arange(1, len(cells)), geometry[4], moments, lines)
+    _fit(np.arange(1, len(cells)), noise_m, moments, lines)
 
 
-@kernel(int64(_F2, _F1, int64, uint32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1], int64[::1]))
+@helper
 def _enter(
     xy_map_m: NDArray[np.float64],
     geometry: NDArray[np.float64],
@@ -141,24 +139,24 @@ def _enter(
     slots: NDArray[np.int64],
 ) -> int:
     """Find the cell of every point, if need be a new one that starts from what its neighbours know of."""
-    ox, oy, cell, wide, flat = geometry[0], geometry[1], geometry[2], int64(nearest.shape[1]), nearest.ravel()
-    weight = _weights(cell, geometry[3])
+    (ox, oy, cell, sigma_m, _, _), wide, flat = geometry, int64(nearest.shape[1]), nearest.ravel()
+    weight = _weights(cell, sigma_m)
     for k in range(len(xy_map_m)):
         slots[k] = int(np.floor((xy_map_m[k, 1] - oy) / cell)) * wide + int(np.floor((xy_map_m[k, 0] - ox) / cell))
     for k in range(len(xy_map_m)):
         at = uint64(slots[k])
-        if flat[at] % NEAR <= FAR:  # nothing but the occupied cell itself is at no distance
+        if closeness_of(flat[at]) <= FAR:  # nothing but the occupied cell itself is at no distance
             cells[count, 0], cells[count, 1] = slots[k] // wide, slots[k] % wide
             moments[count, :] = 0.0
             lines[count, 6:] = 0.0
             _stamp(count, cells[count, 0], cells[count, 1], nearest)
             _gather(count, weight, nearest, cells, moments)
             count += 1
-        slots[k] = flat[at] // NEAR
+        slots[k] = slot_of(flat[at])
     return count
 
 
-@kernel(void(_F2, int64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1]))
+@helper
 def _wait(
     xy_map_m: NDArray[np.float64],
     slots: NDArray[np.int64],
@@ -185,8 +183,8 @@ def _wait(
     waiting[0, 0] = n
 
 
-@kernel(void(int64[::1], _F1, uint32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1]))
-def _tell(
+@helper
+def _distribute(
     slots: NDArray[np.int64],
     geometry: NDArray[np.float64],
     nearest: NDArray[np.uint32],
@@ -196,7 +194,8 @@ def _tell(
     waiting: NDArray[np.float64],
 ) -> None:
     """Add what waits in some cells, which may be listed twice, to them and their neighbours; refit their lines."""
-    weight, n_waiting = _weights(geometry[2], geometry[3]), int(waiting[0, 0])
+    _, _, cell_m, sigma_m, noise_m, _ = geometry
+    weight, n_waiting = _weights(cell_m, sigma_m), int(waiting[0, 0])
     wide, flat = int64(nearest.shape[1]), nearest.ravel()
     touched, n_touched = np.empty(min(len(slots) * weight.size, len(cells)) + 1, np.int64), 0
     for k in range(len(slots)):
@@ -217,8 +216,8 @@ def _tell(
         for i in range(2 * WINDOW_CELLS + 1):
             for j in range(2 * WINDOW_CELLS + 1):
                 there = flat[uint64((row + i) * wide + col + j)]
-                if there % NEAR > FAR:
-                    other, w = uint64(there // NEAR), weight[uint64(i), uint64(j)]
+                if closeness_of(there) > FAR:
+                    other, w = uint64(slot_of(there)), weight[uint64(i), uint64(j)]
                     moments[other, 6] += w * n
                     moments[other, 7] += w * x
                     moments[other, 8] += w * y
@@ -230,11 +229,11 @@ def _tell(
                     lines[other, 7] = 1.0
     for t in range(n_touched):
         lines[touched[t], 7] = 0.0
-    _fit(touched[:n_touched], geometry[4], moments, lines)
+    _fit(touched[:n_touched], noise_m, moments, lines)
     waiting[0, 0] = n_waiting
 
 
-@kernel(int64(_F2, _F1, int64, uint32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1]))
+@kernel(int64(F64_2D, F64_1D, int64, uint32[:, ::1], int32[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1]))
 def insert_points(
     xy_map_m: NDArray[np.float64],
     geometry: NDArray[np.float64],
@@ -247,21 +246,22 @@ def insert_points(
 ) -> int:
     """Add points (n, 2) to the map and refit the lines that they touch; returns the new number of cells.
 
-    A cell's points wait until they are more than a share of those that its neighbours know of: a line that rests on
-    many changes little, and to tell all neighbours of one scan's points is what takes time.
+    A cell's points wait until they are more than a share of those that its neighbours' lines include: a line that
+    rests on many changes little, and the update of all neighbours is what takes time.
 
-    The caller sees to room: every point lies ``REACH_CELLS`` + 1 or more inside ``nearest``, the arrays over cells
+    The caller makes room: every point lies ``REACH_CELLS`` + 1 or more inside ``nearest``, the arrays over cells
     have space for one new cell a point, and ``waiting`` has a row more than there are points.
     """
+    _, _, _, _, _, waiting_share = geometry
     n_waiting, slots = int(waiting[0, 0]), np.empty(len(xy_map_m), np.int64)
     if n_waiting + len(xy_map_m) >= len(waiting):
-        _tell(waiting[1 : n_waiting + 1, 6].astype(np.int64), geometry, nearest, cells, moments, lines, waiting)
+        _distribute(waiting[1 : n_waiting + 1, 6].astype(np.int64), geometry, nearest, cells, moments, lines, waiting)
     count = _enter(xy_map_m, geometry, count, nearest, cells, moments, lines, slots)
     _wait(xy_map_m, slots, moments, lines, waiting)
     n = 0
     for k in range(len(slots)):
         row = uint64(lines[uint64(slots[k]), 6])
         slots[n] = slots[k]  # written over unless it has waited long enough
-        n += waiting[row, 0] > geometry[5] * waiting[row, 7]
-    _tell(slots[:n], geometry, nearest, cells, moments, lines, waiting)
+        n += waiting[row, 0] > waiting_share * waiting[row, 7]
+    _distribute(slots[:n], geometry, nearest, cells, moments, lines, waiting)
     return count

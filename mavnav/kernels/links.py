@@ -5,28 +5,25 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types
+from numba import float64, int32
 
-from mavnav.kernels._jit import kernel
+from mavnav.kernels._jit import helper, kernel
+from mavnav.kernels._types import F64_2D, I64_1D, I64_3D
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_F2 = types.Array(float64, 2, "C", readonly=True)
-_I1 = types.Array(int64, 1, "C", readonly=True)
-_I3 = types.Array(int64, 3, "C", readonly=True)
 
-
-@kernel(int64(int32[::1], int64))
+@helper
 def _root(parent: NDArray[np.int32], k: int) -> int:
-    """Return the first of the points that hang together with one, and shorten the way to it."""
+    """Return the first of the points that are linked to one, and shorten the path to it."""
     while parent[k] != k:
         parent[k] = parent[parent[k]]
         k = parent[k]
     return k
 
 
-@kernel(int32[::1](_F2, _F2, _I1, _I3, float64, float64, float64))
+@kernel(int32[::1](F64_2D, F64_2D, I64_1D, I64_3D, float64, float64, float64))
 def link_groups(
     xy_m: NDArray[np.float64],
     directions: NDArray[np.float64],

@@ -5,22 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int64, types, void
+from numba import float64, int64
 
-from mavnav.kernels._jit import kernel
+from mavnav.kernels._jit import helper, kernel
+from mavnav.kernels._types import F64_1D, F64_2D, I64_2D
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_F1 = types.Array(float64, 1, "C", readonly=True)
-_F2 = types.Array(float64, 2, "C", readonly=True)
-_I2 = types.Array(int64, 2, "C", readonly=True)
 
 AT_ONCE = 4
-"""So many beams are looked at on either side before it is asked whether the next can be nearer."""
+"""Beams on either side that are compared before the test whether the next can be nearer."""
 
 
-@kernel(int64(_F1, _F2, float64, float64, int64, float64[:, ::1]))
+@helper
 def _chosen(
     ranges_m: NDArray[np.float64],
     directions: NDArray[np.float64],
@@ -40,7 +38,7 @@ def _chosen(
     return n
 
 
-@kernel(void(_F2, int64, _F1, float64, float64, float64[:, ::1]))
+@helper
 def _bring(
     chosen: NDArray[np.float64],
     n: int,
@@ -71,7 +69,7 @@ def _bring(
         points[3, k] = (off - 2.0 * np.pi * np.floor(off / (2.0 * np.pi) + 0.5)) / step
 
 
-@kernel(float64(float64, float64, float64, int64, float64[:, ::1], int64, float64[::1], float64))
+@helper
 def _nearest2(
     x: float,
     y: float,
@@ -107,7 +105,7 @@ def _nearest2(
     return nearest2
 
 
-@kernel(float64[:, ::1](_F2, _F2, _I2, _F2, _F1, float64, int64))
+@kernel(float64[:, ::1](F64_2D, F64_2D, I64_2D, F64_2D, F64_1D, float64, int64))
 def scan_distances(
     ranges_m: NDArray[np.float64],
     poses: NDArray[np.float64],

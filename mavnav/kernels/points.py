@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import float64, int32, int64, types, uint64
 
-from mavnav.kernels._jit import kernel
+from mavnav.kernels._jit import helper, kernel
+from mavnav.kernels._types import F64_1D, F64_2D
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_F1 = types.Array(float64, 1, "C", readonly=True)
-_F2 = types.Array(float64, 2, "C", readonly=True)
 
-
-@kernel(int64(_F1, _F2, _F1, float64, float64, float64, float64[:, ::1]))
+@helper
 def _end_points(
     ranges_m: NDArray[np.float64],
     directions: NDArray[np.float64],
@@ -27,7 +25,8 @@ def _end_points(
     out: NDArray[np.float64],
 ) -> int:
     """Write the end points (n, 2), m, of the good beams in the laser's frame at mid-sweep; returns how many."""
-    n, used, turn = len(ranges_m), 0, twist[2] * time_increment_s
+    (v_x, v_y, rate), n, used = twist, len(ranges_m), 0
+    turn = rate * time_increment_s
     first, step_c, step_s = -0.5 * (n - 1) * turn, np.cos(turn), np.sin(turn)
     next_c, next_s = np.cos(first), np.sin(first)
     for i in range(n):
@@ -40,14 +39,14 @@ def _end_points(
             continue
         late_s = time_increment_s * (i - 0.5 * (n - 1))
         x, y = r * directions[i, 0], r * directions[i, 1]
-        out[used, 0] = c * x - s * y + twist[0] * late_s
-        out[used, 1] = s * x + c * y + twist[1] * late_s
+        out[used, 0] = c * x - s * y + v_x * late_s
+        out[used, 1] = s * x + c * y + v_y * late_s
         used += 1
     return used
 
 
-@kernel(int64(_F2, float64, float64[:, ::1]))
-def _voxel_means(points: NDArray[np.float64], voxel_m: float, out: NDArray[np.float64]) -> int:
+@helper
+def voxel_means(points: NDArray[np.float64], voxel_m: float, out: NDArray[np.float64]) -> int:
     """Write the means (m, 2) of points (n, 2) in square voxels, in a scrambled order, the same for the same points.
 
     Returns how many there are. Voxels are filed in the order of their keys, with gaps: ``places`` hold their numbers,
@@ -87,7 +86,7 @@ def _voxel_means(points: NDArray[np.float64], voxel_m: float, out: NDArray[np.fl
     return m
 
 
-@kernel(types.UniTuple(int64, 2)(_F1, _F2, _F1, float64, _F1, float64[:, ::1], float64[:, ::1]))
+@kernel(types.UniTuple(int64, 2)(F64_1D, F64_2D, F64_1D, float64, F64_1D, float64[:, ::1], float64[:, ::1]))
 def scan_points(
     ranges_m: NDArray[np.float64],
     directions: NDArray[np.float64],
@@ -109,11 +108,12 @@ def scan_points(
     Left out are mixed pixels as well: beams that differ from both neighbours by more than 0.1 m and 5 % of their range.
     The means are in a scrambled order: any prefix is a fair sample of the whole, so that a search may judge on few.
     """
-    n = _end_points(ranges_m, directions, twist, time_increment_s, limits_m[0], limits_m[1], ends)
-    return n, _voxel_means(ends[:n], limits_m[2], means)
+    near_m, far_m, voxel_m = limits_m
+    n = _end_points(ranges_m, directions, twist, time_increment_s, near_m, far_m, ends)
+    return n, voxel_means(ends[:n], voxel_m, means)
 
 
-@kernel(types.UniTuple(float64, 4)(_F2))
+@kernel(types.UniTuple(float64, 4)(F64_2D))
 def extent(points: NDArray[np.float64]) -> tuple[float, float, float, float]:
     """Return least x, least y, largest x and largest y of points (n, 2); without points inf, inf, -inf, -inf."""
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
@@ -123,7 +123,7 @@ def extent(points: NDArray[np.float64]) -> tuple[float, float, float, float]:
     return low_x, low_y, high_x, high_y
 
 
-@kernel(types.UniTuple(float64, 4)(_F2, _F1, float64[:, ::1]))
+@kernel(types.UniTuple(float64, 4)(F64_2D, F64_1D, float64[:, ::1]))
 def placed(
     points: NDArray[np.float64], pose: NDArray[np.float64], out: NDArray[np.float64]
 ) -> tuple[float, float, float, float]:
@@ -131,8 +131,9 @@ def placed(
 
     They are written to ``out`` (n, 2); returns their ``extent``.
     """
-    c, s = np.cos(pose[2]), np.sin(pose[2])
+    to_x, to_y, yaw = pose
+    c, s = np.cos(yaw), np.sin(yaw)
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
-        out[k, 0], out[k, 1] = pose[0] + c * x - s * y, pose[1] + s * x + c * y
+        out[k, 0], out[k, 1] = to_x + c * x - s * y, to_y + s * x + c * y
     return extent(out)

@@ -5,22 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int64, types, uint16
+from numba import float64, int64
 
 from mavnav.kernels._jit import kernel
+from mavnav.kernels._types import F64_1D, F64_2D, U16_2D, U16_3D
+from mavnav.kernels.lookup import count_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its logarithm
 
-_F1 = types.Array(float64, 1, "C", readonly=True)
-_F2 = types.Array(float64, 2, "C", readonly=True)
-_U2 = types.Array(uint16, 2, "C", readonly=True)
-_U3 = types.Array(uint16, 3, "C", readonly=True)
-
-
-@kernel(float64[:, ::1](_U3, _U2, _F1, int64, float64))
+@kernel(float64[:, ::1](U16_3D, U16_2D, F64_1D, int64, float64))
 def occupied(
     hits: NDArray[np.uint16], passes: NDArray[np.uint16], lattice: NDArray[np.float64], min_hits: int, min_share: float
 ) -> NDArray[np.float64]:
@@ -36,7 +31,7 @@ def occupied(
     kept = 0
     for row in range(rows):
         for col in range(cols):
-            n = int64(hits[col >> SHIFT, row, col & (WIDE - 1)])
+            n = int64(count_at(hits, row, col))
             if n == 0 or n < min_share * (float64(n) + passes[row, col]):
                 continue
             together = n
@@ -44,7 +39,7 @@ def occupied(
                 if together >= min_hits:  # most walls are known by one cell
                     break
                 for c in range(max(0, col - 2), min(cols, col + 3)):
-                    m = int64(hits[c >> SHIFT, r, c & (WIDE - 1)])
+                    m = int64(count_at(hits, r, c))
                     share = min_share * (float64(m) + passes[r, c])
                     if (r != row or c != col) and m > 0 and m >= share:
                         together += m
@@ -55,7 +50,7 @@ def occupied(
     return out[:kept].copy()
 
 
-@kernel(float64[::1](_F2, _F1, float64, float64))
+@kernel(float64[::1](F64_2D, F64_1D, float64, float64))
 def repulsion(
     walls_xy_map_m: NDArray[np.float64], xy_map_m: NDArray[np.float64], range_m: float, cell_m: float
 ) -> NDArray[np.float64]:
@@ -78,7 +73,7 @@ def repulsion(
     return out
 
 
-@kernel(float64[::1](_F2, _F2))
+@kernel(float64[::1](F64_2D, F64_2D))
 def clearance(walls_xy_map_m: NDArray[np.float64], xy_map_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the distance (m,) in m from each point (m, 2) to the nearest wall (n, 2); inf where there is none."""
     out = np.empty(len(xy_map_m))

@@ -5,18 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types, uint16
+from numba import float64, int32, int64
 
 from mavnav.kernels._jit import kernel
+from mavnav.kernels._types import F64_2D, U16_2D_STRIDED
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_COUNTS = types.Array(uint16, 2, "A", readonly=True)
-_F2 = types.Array(float64, 2, "C", readonly=True)
 
-
-@kernel(float64[:, :, :, ::1](_COUNTS, _COUNTS, _F2, int64, int64))
+@kernel(float64[:, :, :, ::1](U16_2D_STRIDED, U16_2D_STRIDED, F64_2D, int64, int64))
 def wall_profiles(
     hits: NDArray[np.uint16],
     passes: NDArray[np.uint16],

@@ -5,24 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import boolean, float64, int64, types, uint16, uint64
+from numba import boolean, float64, int64, uint64
 
 from mavnav.kernels._jit import kernel
+from mavnav.kernels._types import F64_1D, F64_2D, U16_3D
+from mavnav.kernels.layout import SHIFT, WIDE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-WIDE, SHIFT = 64, 6  # cells of a strip, as ``mavnav.lattice`` has them, and its logarithm
-
 ROUNDING_M = 1e-9
 """Two cells whose distances from the middle of a cluster differ by less are equally far from it."""
 
-_F1 = types.Array(float64, 1, "C", readonly=True)
-_F2 = types.Array(float64, 2, "C", readonly=True)
-_U3 = types.Array(uint16, 3, "C", readonly=True)
 
-
-@kernel(float64[::1](_U3, _F1, _F1, _F2, float64, int64, boolean))
+@kernel(float64[::1](U16_3D, F64_1D, F64_1D, F64_2D, float64, int64, boolean))
 def virtual_scan(
     hits: NDArray[np.uint16],
     lattice: NDArray[np.float64],
@@ -43,9 +39,9 @@ def virtual_scan(
     laser in the map; ``directions`` (beams, 2) cosines and sines in the laser's frame.
     """
     rows, cols = uint64(hits.shape[1]), uint64(hits.shape[0] * WIDE)
-    ox, oy, cell = lattice
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    u0, v0 = (pose[0] - ox) / cell, (pose[1] - oy) / cell
+    (ox, oy, cell), (x, y, yaw) = lattice, pose
+    c, s = np.cos(yaw), np.sin(yaw)
+    u0, v0 = (x - ox) / cell, (y - oy) / cell
     far = far_m / cell
     out = np.full(len(directions), np.nan)
     equal = np.empty(hits.shape[1] + hits.shape[0] * WIDE if middle else 0)  # ranges of the cells with most hits

@@ -1,30 +1,29 @@
-"""Cells that hang together."""
+"""Connected regions of cells."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import boolean, int32, int64, types
+from numba import boolean, int64
 
-from mavnav.kernels._jit import kernel
+from mavnav.kernels._jit import helper, kernel
+from mavnav.kernels._types import BOOL_2D
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_MASK = types.Array(boolean, 2, "C", readonly=True)
 
-
-@kernel(int32(int32[::1], int32))
+@helper
 def _root(parent: NDArray[np.int32], label: int) -> int:
-    """Return the first label of those that were found to be one, and shorten the way to it."""
+    """Return the first label of those that were found to be one, and shorten the path to it."""
     while parent[label] != label:
         parent[label] = parent[parent[label]]
         label = parent[label]
     return label
 
 
-@kernel(int32(int32[::1], int32, int32))
+@helper
 def _joined(parent: NDArray[np.int32], a: int, b: int) -> int:
     """Make two labels one and return it; -1 is none."""
     if a < 0 or b < 0:
@@ -35,11 +34,11 @@ def _joined(parent: NDArray[np.int32], a: int, b: int) -> int:
     return first
 
 
-@kernel(int64[::1](_MASK, boolean))
+@kernel(int64[::1](BOOL_2D, boolean))
 def region_sizes(mask: NDArray[np.bool_], diagonal: bool) -> NDArray[np.int64]:
     """Count the cells of each region of a mask (rows, cols), (regions,); the order is that of their first cells.
 
-    Cells of a region touch at an edge, where ``diagonal`` is set at a corner too. Only the labels of two rows are held,
+    Cells of a region touch at an edge, where ``diagonal`` is set at a corner too. Only the labels of two rows are kept,
     and memory is touched for the regions that are, not for those that may be.
     """
     rows, cols = mask.shape

@@ -5,18 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float32, float64, types, void
+from numba import float32, float64
 
-from mavnav.kernels._jit import kernel
+from mavnav.kernels._jit import helper, kernel
+from mavnav.kernels._types import F32_2D, F64_1D
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_F1 = types.Array(float64, 1, "C", readonly=True)
-_IMAGE = types.Array(float32, 2, "C", readonly=True)
 
-
-@kernel(void(float64[::1], _F1, float64, float64, _F1))
+@helper
 def _add(
     total: NDArray[np.float64], after: NDArray[np.float64], weight: float, sign: float, before: NDArray[np.float64]
 ) -> None:
@@ -25,7 +23,7 @@ def _add(
         total[c] += (after[c] + sign * before[c]) * weight
 
 
-@kernel(float32[:, ::1](_IMAGE, _F1, _F1, float64, float64))
+@kernel(float32[:, ::1](F32_2D, F64_1D, F64_1D, float64, float64))
 def smoothed(
     image: NDArray[np.float32],
     down: NDArray[np.float64],

@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING
 import numba as nb
 import numpy as np
 
-from mavnav.kernels._jit import kernel
+from mavnav.kernels._jit import helper, kernel
+from mavnav.kernels._types import I64_2D, U16_2D_STRIDED
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_HITS = nb.types.Array(nb.uint16, 2, "A", readonly=True)
-_RUNS = nb.types.Array(nb.int64, 2, "C", readonly=True)
 
-
-@kernel(nb.int64[:, ::1](_HITS, nb.int64, nb.int64))
+@kernel(nb.int64[:, ::1](U16_2D_STRIDED, nb.int64, nb.int64))
 def column_runs(hits: NDArray[np.uint16], min_hits: int, max_gap: int) -> NDArray[np.int64]:
     """Find the runs of occupied cells along the columns.
 
@@ -48,14 +46,14 @@ def column_runs(hits: NDArray[np.uint16], min_hits: int, max_gap: int) -> NDArra
     return runs[:n].copy()
 
 
-@kernel(nb.void(nb.uint8[::1], nb.uint8[::1], nb.uint8[::1]))
+@helper
 def _keep_both(out: NDArray[np.uint8], a: NDArray[np.uint8], b: NDArray[np.uint8]) -> None:
     """Tell where both are set (n,)."""
     for c in range(len(out)):
         out[c] = a[c] & b[c]
 
 
-@kernel(nb.int64(nb.uint8[:, ::1], nb.int64, nb.int64, nb.int64[:, ::1], nb.int64))
+@helper
 def _push_stretch(free: NDArray[np.uint8], row: int, col: int, stack: NDArray[np.int64], depth: int) -> int:
     """Put the stretch of free cells of a row about one of them on the stack, and take it; returns the new depth."""
     low, high = col, col
@@ -69,7 +67,7 @@ def _push_stretch(free: NDArray[np.uint8], row: int, col: int, stack: NDArray[np
     return depth + 1
 
 
-@kernel(nb.uint8[:, :, ::1](nb.int64, nb.int64, nb.float64))
+@helper
 def _discs(reach: int, border: int, limit: float) -> NDArray[np.uint8]:
     """Make the discs about a middle that lies on a cell, and about one on the edge to the next row; in half cells."""
     discs = np.zeros((2, 2 * border + 1, 2 * border + 1), np.uint8)
@@ -80,9 +78,7 @@ def _discs(reach: int, border: int, limit: float) -> NDArray[np.uint8]:
     return discs
 
 
-@kernel(
-    nb.void(_HITS, nb.int64, nb.int64, nb.int64, nb.uint8[:, ::1], nb.int64[:, ::1], nb.int64, nb.int64, nb.int64[::1])
-)
+@helper
 def _sum_up(
     hits: NDArray[np.uint16],
     first_row: int,
@@ -94,7 +90,7 @@ def _sum_up(
     step: int,
     sums: NDArray[np.int64],
 ) -> None:
-    """Sum over the cells of the stretches on the stack, and of all that hang together with them.
+    """Sum over the cells of the stretches on the stack, and of all that are connected to them.
 
     ``sums`` (7,): cells; hits, and by hits x, y, xx, xy, yy from the middle of the window, in half cells.
     """
@@ -121,13 +117,13 @@ def _sum_up(
                     depth = _push_stretch(free, near, c, stack, depth)
 
 
-@kernel(nb.float64[:, ::1](_HITS, _RUNS, nb.int64, nb.int64, nb.float64))
+@kernel(nb.float64[:, ::1](U16_2D_STRIDED, I64_2D, nb.int64, nb.int64, nb.float64))
 def run_moments(
     hits: NDArray[np.uint16], runs: NDArray[np.int64], min_hits: int, max_gap: int, radius: float
 ) -> NDArray[np.float64]:
     """Tell the shape of the wall around each run: count and covariance of its cells near the run's middle.
 
-    The cells are those occupied ones within ``radius`` (in cells) that hang together with the run, with up to
+    The cells are those occupied ones within ``radius`` (in cells) that are connected to the run, with up to
     ``max_gap`` empty cells between two of them in row and column: a parallel wall does not count. The covariance is
     weighted by hits. Everything is summed in whole half cells, so that neither the order of summation nor a mirrored
     map changes a bit of the result.

@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import boolean, int32, int64, types
+from numba import int32, int64
 
 from mavnav.kernels._jit import kernel
+from mavnav.kernels._types import BOOL_2D, I32_2D
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_B2 = types.Array(boolean, 2, "C", readonly=True)
-_I2 = types.Array(int32, 2, "C", readonly=True)
 
 STRAIGHT, DIAGONAL = 10, 14
 """Costs of one cell straight and aslant, times the cell's weight."""
@@ -22,7 +21,7 @@ UNREACHED = np.int32(2**30)
 """Cost of a cell that the wave did not reach."""
 
 
-@kernel(int32[:, ::1](_B2, int64))
+@kernel(int32[:, ::1](BOOL_2D, int64))
 def squared_clearance(walls: NDArray[np.bool_], reach_cells: int) -> NDArray[np.int32]:
     """Return the squared distance (rows, cols) in cells to the nearest wall, ``reach_cells**2`` at most."""
     rows, cols = walls.shape
@@ -53,14 +52,14 @@ def squared_clearance(walls: NDArray[np.bool_], reach_cells: int) -> NDArray[np.
     return out
 
 
-@kernel(int32[:, ::1](_I2, _I2, int64, int64))
+@kernel(int32[:, ::1](I32_2D, I32_2D, int64, int64))
 def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: int) -> NDArray[np.int32]:
-    """Return the cost (rows, cols) of the cheapest way from each cell to a goal, UNREACHED where there is none.
+    """Return the cost (rows, cols) of the cheapest path from each cell to a goal, UNREACHED where there is none.
 
-    A step costs STRAIGHT or DIAGONAL times the weight of the cell that it leaves on its way to the goal; weight 0 is
-    blocked, and an aslant step needs both cells beside it. ``goals`` (n, 2) are rows and columns of open cells.
-    Dijkstra's algorithm with one bucket a cost; it ends once cell [row, col] and all cheaper ones are final, which
-    leaves others too high or UNREACHED.
+    A step costs STRAIGHT or DIAGONAL times the weight of the cell that it leaves; weight 0 is blocked, and an
+    aslant step needs both cells beside it. ``goals`` (n, 2) are rows and columns of open cells. Dijkstra's algorithm
+    with one bucket a cost; it ends once cell [row, col] and all cheaper ones are final, which leaves others too high or
+    UNREACHED.
     """
     rows, cols = weights.shape
     framed = np.zeros((rows + 2, cols + 2), np.int32)  # a blocked frame: no step leads out
@@ -107,9 +106,9 @@ def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: in
     return cost.reshape(rows + 2, cols + 2)[1:-1, 1:-1].copy()
 
 
-@kernel(int64[:, ::1](_I2, _I2, int64, int64, int64))
+@kernel(int64[:, ::1](I32_2D, I32_2D, int64, int64, int64))
 def downhill(cost: NDArray[np.int32], weights: NDArray[np.int32], row: int, col: int, steps: int) -> NDArray[np.int64]:
-    """Return the cells (n, 2), row and col, of the cheapest way from [row, col] towards the goal, ``steps`` at most.
+    """Return the cells (n, 2), row and col, of the cheapest path from [row, col] towards the goal, ``steps`` at most.
 
     The first is [row, col] itself. Of equally cheap ways the one of lowest row, then column, is taken.
     """
@@ -124,9 +123,9 @@ def downhill(cost: NDArray[np.int32], weights: NDArray[np.int32], row: int, col:
                 aslant = y != r and x != c
                 if cost[y, x] >= cost[r, c] or (aslant and (weights[r, x] == 0 or weights[y, c] == 0)):
                     continue
-                way = cost[y, x] + (DIAGONAL if aslant else STRAIGHT) * int64(weights[r, c])
-                if way < best:
-                    best, out[k + 1, 0], out[k + 1, 1] = way, y, x
+                total = cost[y, x] + (DIAGONAL if aslant else STRAIGHT) * int64(weights[r, c])
+                if total < best:
+                    best, out[k + 1, 0], out[k + 1, 1] = total, y, x
         if best == UNREACHED:
             return out[: k + 1].copy()
     return out

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels.linemap import FAR, NEAR, REACH_CELLS, insert_points, rebuild
+from mavnav.kernels.layout import FAR, NEAR, REACH_CELLS
+from mavnav.kernels.linemap import insert_points, rebuild
 from mavnav.kernels.points import extent
 from mavnav.mapping.tiled_arrays import NO_ROOM, covering, moved, room, within
 from mavnav.memory import blank
@@ -36,7 +37,7 @@ class LineMap:
     """A growing map of local lines; see ``mavnav.kernels.linemap`` for the arrays.
 
     ``origin_cells`` is the lattice index (col, row) of cell [0, 0], so that the map frame's origin is a corner of
-    cells however the map grows. Ground is known where a line rests on ``known_points`` points (``linesearch``).
+    cells however the map grows. Ground is known where a line rests on ``known_points`` points (``line_search``).
     """
 
     cell_m: float

@@ -10,20 +10,10 @@ import numpy as np
 
 from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
-from mavnav.kernels import passing
+from mavnav.kernels.dynamic_cells import dynamic_cells
+from mavnav.kernels.layout import MOST, MOST_SHIELDED, WIDE
 from mavnav.kernels.points import extent
-from mavnav.mapping.tiled_arrays import (
-    NO_ROOM,
-    WIDE,
-    bands,
-    blank_strips,
-    covering,
-    in_strips,
-    moved,
-    plain,
-    room,
-    within,
-)
+from mavnav.mapping.tiled_arrays import NO_ROOM, bands, blank_strips, covering, in_strips, moved, plain, room, within
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:
@@ -94,7 +84,7 @@ class GridBuilder:
     @classmethod
     def of(cls, grid: Grid) -> GridBuilder:
         """Lay a grid in strips, to be looked up; of its crossings none was clear."""
-        shielded = in_strips(np.minimum(grid.passes, hits_kernel.MOST_SHIELDED).astype(np.int16))
+        shielded = in_strips(np.minimum(grid.passes, MOST_SHIELDED).astype(np.int16))
         return cls(grid.cell_m, grid.origin_xy_m, in_strips(grid.hits), grid.passes.copy(), shielded)
 
     def by_rows(self) -> Grid:
@@ -120,7 +110,7 @@ class GridBuilder:
 
     def remove_dynamic_cells(self) -> NDArray[np.float64]:
         """Take back the hits of cells where nothing stayed; return their middles (n, 2), m."""
-        row, col = passing.passing_cells(self.hits, self.passes, self.shielded).T
+        row, col = dynamic_cells(self.hits, self.passes, self.shielded).T
         self.hits[col // WIDE, row, col % WIDE] = 0
         middles: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * self.cell_m + np.array(self.origin_xy_m)
         return middles
@@ -167,7 +157,7 @@ class GridBuilder:
 
 def counts(values: NDArray[Any]) -> NDArray[np.uint16]:
     """Return integers, 0 or more, in two bytes each, those that are too large as the largest; others are not copied."""
-    return values if values.dtype == np.uint16 else np.minimum(values, hits_kernel.MOST).astype(np.uint16)
+    return values if values.dtype == np.uint16 else np.minimum(values, MOST).astype(np.uint16)
 
 
 def show_ends(

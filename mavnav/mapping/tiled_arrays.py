@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mavnav.kernels.layout import WIDE
 from mavnav.memory import SMALL_BYTES, blank, forget, give_back
 
 if TYPE_CHECKING:
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 NO_ROOM = (inf, inf, -inf, -inf)
 """Of a lattice that covers nothing."""
 
-WIDE = 64
-"""Cells across a strip; kernels say so once more."""
 BAND_CELLS, LEAST_ROWS = 1 << 18, 64
 """What takes much memory a cell is done for so many cells at a time, and for so many rows at least."""
 AT_ONCE = 1 << 17

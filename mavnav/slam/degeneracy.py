@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mavnav.slam.steps import Steps
 
 LEAST_OBSERVABILITY = 0.01
-"""Below this observability (``kernels.hold``) a scan may slide: 0.033 at the least on the recordings, 0.002 or less in
+"""Below this ``kernels.observability`` a scan may slide: 0.033 at the least on the recordings, 0.002 or less in
 plain corridors, before a wall and in round rooms."""
 
 UNMEASURED = 1.0

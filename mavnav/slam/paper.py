@@ -43,7 +43,8 @@ class Paper:
     @staticmethod
     def load_kernels() -> None:
         """Load the kernels that no other method has, compiled the first time."""
-        from mavnav.kernels import beams, polarsearch, raycast  # noqa: F401, PLC0415
+        from mavnav.kernels import beams, raycast  # noqa: F401, PLC0415
+        from mavnav.kernels.polar_search import search  # noqa: F401, PLC0415
 
     def first(self, scan: Scan) -> Match:
         """Begin the map with any scan that has enough beams to be matched later."""

@@ -72,11 +72,11 @@ def _search_polar(
     grid: GridSize,
     azimuth: int,
 ) -> Match:
-    from mavnav.kernels import polarsearch  # noqa: PLC0415  takes 0.2 s to load, and is the paper's alone
+    from mavnav.kernels.polar_search import search as polar_search  # noqa: PLC0415  loads in 0.2 s, only for paper
 
     paper = config.paper
     extensions = paper.max_extensions if paper.extend_border else 0
-    x, y, yaw, cost, used, evaluations, iterations, converged = polarsearch.search(
+    x, y, yaw, cost, used, evaluations, iterations, converged = polar_search.search(
         virtual_m,
         points,
         np.array([azimuth, grid.nx, grid.ny, extensions, config.search == "pruned"], float),

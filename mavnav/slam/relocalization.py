@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.conflicts import conflicts
-from mavnav.kernels.volume import volume
+from mavnav.kernels.correlative_search import pose_costs
 from mavnav.mapping.tiled_arrays import bands, plain
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
@@ -120,7 +120,7 @@ def candidates(
     starts: list[Start] = []
     for first in range(0, len(xy_m), AT_ONCE):
         some = xy_m[first : first + AT_ONCE]
-        costs = volume(few, some, yaws_rad, robust.truncate_mm * MM, nearest, lines, geometry)
+        costs = pose_costs(few, some, yaws_rad, robust.truncate_mm * MM, nearest, lines, geometry)
         starts += minima(costs, some, yaws_rad, most)
     starts = starts if len(starts) <= most else lowest(starts, most)
     schedule = Schedule.of(config, line_map, (1.5 * STEP_M, 1.5 * STEP_RAD))
@@ -154,7 +154,7 @@ def firmness(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, 
     angles, truncate_m = np.arange(8) * (pi / 4), config.robust.truncate_mm * MM
     steps = SEPARATE_M * np.column_stack((np.cos(angles), np.sin(angles)))
     xy_m, yaw_rad = np.vstack(([(0.0, 0.0)], steps)) + map_T_laser.as_array()[:2], np.array([map_T_laser.yaw_rad])
-    costs = volume(points, xy_m, yaw_rad, truncate_m, line_map.nearest, line_map.lines, line_map.geometry)[0]
+    costs = pose_costs(points, xy_m, yaw_rad, truncate_m, line_map.nearest, line_map.lines, line_map.geometry)[0]
     return float(costs[1:].min() - costs[0]) / truncate_m**2
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels.hold import hold
+from mavnav.kernels.observability import observability
 from mavnav.kernels.points import placed, scan_points
 from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
@@ -232,7 +232,7 @@ class Robust:
     def observability(self, points: NDArray[np.float64], match: Match) -> float:
         """Ask the lines through the walls that the points lie on."""
         lines = self.lines
-        return hold(points, match.map_T_laser.as_array(), lines.nearest, lines.lines, lines.geometry)
+        return observability(points, match.map_T_laser.as_array(), lines.nearest, lines.lines, lines.geometry)
 
     def finished(self) -> Grid:
         """Return the map, and forget it and its lines: of a large one there is no room for all."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.kernels import linesearch
+from mavnav.kernels.line_search import search as line_search
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
 from mavnav.units import DEG, MM
@@ -61,7 +61,7 @@ FINAL_STOP = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """How a window of a line map is searched, level by level: ``grid`` and ``limits`` of ``linesearch.search``."""
+    """How a window of a line map is searched, level by level: ``grid`` and ``limits`` of ``line_search.search``."""
 
     grid: NDArray[np.float64]
     limits: NDArray[np.float64]
@@ -109,7 +109,7 @@ def search_lines(
 
     A match of the same scan ``before``, which led here, is counted in the effort.
     """
-    x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
+    x, y, yaw, cost, inliers, evaluations, grids, converged = line_search.search(
         points,
         start.as_array(),
         schedule.grid,

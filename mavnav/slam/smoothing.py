@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mavnav.kernels.steadying import smooth
+from mavnav.kernels.rts_smoother import smooth
 from mavnav.profiling import timed
 from mavnav.slam.steps import jumps, tracked_trajectory
 from mavnav.units import NS

@@ -27,10 +27,11 @@ def test_version_names_the_libraries(mavnav: Callable) -> None:
 
 def test_warmup_leaves_no_kernel_out(mavnav: Callable) -> None:
     code, out, _ = mavnav("warmup")
-    files = [path for path in (Path(cli.__file__).parent / "kernels").glob("*.py") if path.stem != "__init__"]
+    folder = Path(cli.__file__).parent / "kernels"
+    files = [path.relative_to(folder).with_suffix("") for path in folder.rglob("*.py")]
     assert code == 0
     assert out.startswith(f"{len(files)} files of kernels are ready, in ")
-    assert {f"mavnav.kernels.{path.stem}" for path in files} <= sys.modules.keys()
+    assert {".".join(("mavnav.kernels", *path.parts)) for path in files} <= sys.modules.keys()
 
 
 def test_without_arguments_it_shows_its_help(spawn: Callable) -> None:

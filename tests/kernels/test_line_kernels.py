@@ -10,14 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavnav.kernels import conflicts, hold, linesearch, volume
-from mavnav.kernels import linemap as linemap_kernel
-from mavnav.kernels.linemap import NEAR
+from mavnav.kernels.layout import FAR, NEAR, REACH_CELLS
+from mavnav.kernels.line_search import search as line_search
 from mavnav.kernels.points import extent, placed, scan_points
 from mavnav.mapping import line_map as line_map_module
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, transform_points
-from support import naive
+from support import kernel_parts, naive
 from support.matches import voxel_means
 from support.synthetic import URG_04LX, furnished_rooms, scan_at
 
@@ -144,17 +143,17 @@ def test_nearest_is_the_nearest_occupied_cell_within_reach() -> None:
     occupied = grown.cells[1 : grown.count].astype(int)
     rows, cols = np.indices(grown.nearest.shape)
     d2 = (rows[..., None] - occupied[:, 0]) ** 2 + (cols[..., None] - occupied[:, 1]) ** 2
-    within = d2.min(axis=-1) <= linemap_kernel.REACH_CELLS**2
+    within = d2.min(axis=-1) <= REACH_CELLS**2
     np.testing.assert_array_equal(grown.nearest > 0, within)
     slot, closeness = np.divmod(grown.nearest.astype(int), NEAR)
     chosen = np.take_along_axis(d2, np.maximum(slot - 1, 0)[..., None], axis=-1)[..., 0]
     np.testing.assert_array_equal(chosen[within], d2.min(axis=-1)[within])
-    np.testing.assert_array_equal(closeness, np.maximum(linemap_kernel.FAR + 1 - d2.min(axis=-1), 0))
+    np.testing.assert_array_equal(closeness, np.maximum(FAR + 1 - d2.min(axis=-1), 0))
 
 
-def test_kernels_know_how_an_entry_is_made() -> None:
-    assert {kernels.NEAR for kernels in (conflicts, hold, linemap_kernel, linesearch, volume)} == {NEAR}
-    assert conflicts.FAR == linemap_kernel.FAR < NEAR - 1
+def test_an_entry_of_nearest_has_room_for_how_near() -> None:
+    assert FAR + 1 < NEAR
+    assert NEAR & (NEAR - 1) == 0
 
 
 @given(shift=st.tuples(st.integers(-900, 900), st.integers(-900, 900)))
@@ -184,7 +183,7 @@ def test_without_some_cells_the_lines_are_those_of_the_other_points() -> None:
         assert line_map.nearest[tuple(cell)] // NEAR == slot
         np.testing.assert_allclose(line_map.lines[slot, :2], foot, atol=1e-9)
         np.testing.assert_allclose(line_map.lines[slot, 2:5], (a[0, 0], a[0, 1], a[1, 1]), atol=1e-6)
-    assert np.count_nonzero(line_map.nearest % NEAR > linemap_kernel.FAR) == len(expected)
+    assert np.count_nonzero(line_map.nearest % NEAR > FAR) == len(expected)
 
 
 def arrays(line_map: LineMap) -> tuple[np.ndarray, ...]:
@@ -228,11 +227,7 @@ def test_cost_is_its_twin() -> None:
     for pose in ([3.0, 2.2, 1.0], [3.04, 2.17, 1.02], [2.8, 2.4, 0.8]):
         slow = naive.line_costs(points, pose, lines, 0.02, 0.15)
         keep = [k for k, cost in enumerate(slow) if cost is not None]
-        placed = transform_points(Pose(*pose), points[keep])
-        fast = linesearch._cost_sum(
-            placed[:, 0].copy(), placed[:, 1].copy(), np.zeros(2), 0.15**2, line_map.nearest, line_map.lines,
-            line_map.geometry, np.inf,
-        )  # fmt: skip
+        fast = cost_of(points[keep], line_map)(*pose)
         assert fast == pytest.approx(sum(slow[k] for k in keep), rel=1e-9)
 
 
@@ -240,11 +235,8 @@ def cost_of(points: np.ndarray, line_map: LineMap) -> Callable[[float, float, fl
     """Return the cost sum of the points at a pose."""
 
     def cost(x: float, y: float, yaw: float) -> float:
-        placed = transform_points(Pose(x, y, yaw), points)
-        return linesearch._cost_sum(
-            placed[:, 0].copy(), placed[:, 1].copy(), np.zeros(2), 0.15**2, line_map.nearest, line_map.lines,
-            line_map.geometry, np.inf,
-        )  # fmt: skip
+        placed = np.ascontiguousarray(transform_points(Pose(x, y, yaw), points).T)
+        return kernel_parts.cost_sum(*placed, 0.0, 0.0, 0.15**2, *arrays(line_map))
 
     return cost
 
@@ -274,7 +266,7 @@ def assert_is_its_twin(line_map: LineMap, points: np.ndarray, grid: tuple[int, .
     start, middle, dense = np.array([3.06, 2.12, 1.1]), points.mean(axis=0), len(points) >= sparse_points
     limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, FEW, 2, *rest])
     limits[10] = line_map.closeness_at(overlap_m) if overlap_m else 0.0
-    found = linesearch.search(points, start, np.array([*grid, 1.0]), limits, *arrays(line_map))
+    found = line_search.search(points, start, np.array([*grid, 1.0]), limits, *arrays(line_map))
 
     def terms(deciding: np.ndarray, pivot: np.ndarray) -> Terms:
         def held(at: tuple, motion: tuple) -> np.ndarray:
@@ -299,15 +291,15 @@ def test_drawn_points_are_their_twin(pose: tuple[float, float, float], overlap_m
     placed = transform_points(Pose(*pose), points.mean(axis=0)[None])[0]
     centred = np.ascontiguousarray((points - points.mean(axis=0)).T)
     at = np.array([*placed, pose[2], *placed])
-    known = np.array([line_map.closeness_at(overlap_m), known_points])
-    fast = linesearch._drawn(centred, at, known, *arrays(line_map))
+    closeness = line_map.closeness_at(overlap_m)
+    fast = kernel_parts.on_known_ground(centred, at, closeness, known_points, *arrays(line_map))
     slow = naive.drawn(points, pose, line_map, overlap_m, known_points)
     np.testing.assert_allclose(fast.T + points.mean(axis=0), slow, atol=1e-9)
 
 
 def test_search_finds_the_pose_and_counts_its_work() -> None:
     line_map, points = furnished_map()
-    x, y, yaw, cost, inliers, evaluations, grids, converged = linesearch.search(
+    x, y, yaw, cost, inliers, evaluations, grids, converged = line_search.search(
         points, np.array([3.2, 2.0, 1.2]), np.array([20.0, 10, 10, 3, 1]),
         np.array([0.35, 0.35, 0.001, math.radians(0.02), 0.15, 120, 2, 0, 0.0, 0.02, 61.0, 0.0, 0.0]),
         *arrays(line_map),
@@ -315,12 +307,7 @@ def test_search_finds_the_pose_and_counts_its_work() -> None:
     assert math.hypot(x - 3.0, y - 2.2) < 0.01
     assert abs(yaw - 1.0) < 0.005
     assert inliers > 0.95
-    truth = transform_points(Pose(3.0, 2.2, 1.0), points)
-    at_truth = linesearch._cost_sum(
-        truth[:, 0].copy(), truth[:, 1].copy(), np.zeros(2), 0.15**2, line_map.nearest, line_map.lines,
-        line_map.geometry, np.inf,
-    )  # fmt: skip
-    assert cost <= at_truth / len(points)
+    assert cost <= cost_of(points, line_map)(3.0, 2.2, 1.0) / len(points)
     assert converged
     azimuth_grids = (100 * grids - evaluations) / 80  # each grid has 20 or 100 points
     assert azimuth_grids == int(azimuth_grids)
@@ -329,7 +316,7 @@ def test_search_finds_the_pose_and_counts_its_work() -> None:
 
 def test_points_off_the_map_cost_the_truncation() -> None:
     line_map, points = furnished_map()
-    found = linesearch.search(
+    found = line_search.search(
         points, np.array([-500.0, 800.0, 0.0]), np.array([4.0, 3, 3, 1, 1]),
         np.array([0.1, 0.1, 0.05, 0.05, 0.15, 120, 1, 0, 0.0, 0.02, 61.0, 0.0, 0.0]), *arrays(line_map),
     )  # fmt: skip

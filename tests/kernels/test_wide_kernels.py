@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavnav.kernels.conflicts import conflicts
-from mavnav.kernels.volume import BLOCK, volume
+from mavnav.kernels.correlative_search import BLOCK, pose_costs
 from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.tiled_arrays import in_strips
 from mavnav.pose import Pose, transform_points
@@ -62,7 +62,7 @@ def test_a_point_on_the_laser_is_no_beam() -> None:
     assert counted(np.full((1, 2), 0.05), Pose(0.05, 0.05), CORNER, grid, grid) == 0
 
 
-def test_volume_is_its_twin() -> None:
+def test_pose_costs_are_their_twin() -> None:
     rng = np.random.default_rng(3)
     line_map = LineMap(0.02, 0.06, 0.01)
     line_map.insert(np.column_stack((rng.uniform(0, 1, 60), rng.normal(0.5, 0.01, 60))))
@@ -73,8 +73,8 @@ def test_volume_is_its_twin() -> None:
     }
     points = rng.uniform(-0.5, 0.5, (4, 2))
     xy, yaws = rng.uniform(0, 1, (5, 2)), np.array([-3.0, 0.0, 0.4])
-    fast = volume(points, xy, yaws, 0.15, line_map.nearest, line_map.lines, line_map.geometry)
-    slow = naive.volume(points, xy, yaws, lines, 0.02, 0.15)
+    fast = pose_costs(points, xy, yaws, 0.15, line_map.nearest, line_map.lines, line_map.geometry)
+    slow = naive.pose_costs(points, xy, yaws, lines, 0.02, 0.15)
     clear = [(q, p) for q in range(3) for p in range(5) if slow[q][p] is not None]
     assert len(clear) > 8
     for q, p in clear:
@@ -88,8 +88,8 @@ def test_a_position_costs_the_same_among_many() -> None:
     told = 0.15, line_map.nearest, line_map.lines, line_map.geometry
     points, yaws = rng.uniform(-0.5, 0.5, (30, 2)), np.array([-3.0, 0.4])
     xy = rng.uniform(-3, 4, (2 * BLOCK + 7, 2))  # the map covers a part of it
-    costs = volume(points, xy, yaws, *told)
-    alone = np.hstack([volume(points, xy[p : p + 1], yaws, *told) for p in range(len(xy))])
+    costs = pose_costs(points, xy, yaws, *told)
+    alone = np.hstack([pose_costs(points, xy[p : p + 1], yaws, *told) for p in range(len(xy))])
     assert np.array_equal(costs, alone)
     outside = (np.abs(xy) > 2.5).any(axis=1)
     assert 0 < outside.sum() < len(xy)

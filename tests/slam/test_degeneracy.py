@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavnav.config.models import Config
-from mavnav.kernels.hold import hold
+from mavnav.kernels.observability import observability
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
@@ -78,12 +78,12 @@ def test_the_kernel_is_its_twin(seed: int) -> None:
     line_map.insert(walls)
     laser = Pose(0.3, -0.2, 0.7)
     points = transform_points(laser.inverse(), np.vstack((walls[::3], rng.uniform(-5, 5, (20, 2)))))
-    fast = hold(points, laser.as_array(), line_map.nearest, line_map.lines, line_map.geometry)
-    slow = naive.hold(points, laser, line_map)
+    fast = observability(points, laser.as_array(), line_map.nearest, line_map.lines, line_map.geometry)
+    slow = naive.observability(points, laser, line_map)
     assert slow > 0.01
     assert fast == pytest.approx(slow, abs=1e-9)
 
 
 def test_no_point_holds_nothing() -> None:
     line_map = LineMap(0.02, 0.06, 0.01)
-    assert hold(np.zeros((0, 2)), np.zeros(3), line_map.nearest, line_map.lines, line_map.geometry) == 0.0
+    assert observability(np.zeros((0, 2)), np.zeros(3), line_map.nearest, line_map.lines, line_map.geometry) == 0.0

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavnav.kernels.steadying import smooth
+from mavnav.kernels.rts_smoother import smooth
 from mavnav.pose import Pose
 from mavnav.slam.scan_matching import Match
 from mavnav.slam.smoothing import FEWEST, rests, smooth_positions

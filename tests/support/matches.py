@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavnav.kernels import linesearch, points
+from mavnav.kernels.line_search import search as line_search
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
 from mavnav.slam.paper_matching import polar_points
+from support import kernel_parts
 from support.synthetic import furnished_rooms, scan_at
 
 GRIDS = (5, 10, 20, 40)
@@ -26,7 +27,7 @@ LASERS = (
 def voxel_means(xy_m: np.ndarray, voxel_m: float) -> np.ndarray:
     """Return the means (m, 2) of points (n, 2) in voxels, as scans are matched."""
     out = np.empty_like(xy_m)
-    return out[: points._voxel_means(np.ascontiguousarray(xy_m), voxel_m, out)]
+    return out[: kernel_parts.voxel_means(np.ascontiguousarray(xy_m), voxel_m, out)]
 
 
 @dataclass(frozen=True)
@@ -51,18 +52,25 @@ class Problem:
         at = np.array([*middle, self.start[2], *(middle + np.array((0.01, -0.02)))])
         return at, np.array([half_m, half_rad, prior, 0.15**2, float(pruned)])
 
-    def form(self, at: np.ndarray, window: np.ndarray) -> np.ndarray:
-        form = np.zeros((5, 5))
-        linesearch._form(self.centred, at, window, form, np.empty(0, np.int64), *self.lines)
-        return form
-
     def turned(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        x, y = np.empty(len(self.points)), np.empty(len(self.points))
-        linesearch._rotate(self.centred, at[2], x, y)
-        return x, y
+        c, s = math.cos(at[2]), math.sin(at[2])
+        x, y = self.centred
+        return c * x - s * y, s * x + c * y
 
     def cost(self, x: np.ndarray, y: np.ndarray, offset: np.ndarray) -> float:
-        return linesearch._cost_sum(x, y, np.array(offset), 0.15**2, *self.lines, np.inf)
+        return kernel_parts.cost_sum(x, y, *offset, 0.15**2, *self.lines)
+
+    def search_once(
+        self, grid: int, half_m: float, half_rad: float, prior: float, *, fixed: bool, pruned: bool, rounds: int = 2
+    ) -> tuple:
+        """Search grids of one size, jointly with fixed correspondences or yaw and plane in turn.
+
+        From the second round on the middle is not where the centroid was expected.
+        """
+        whole = [np.inf, np.inf, 0.15, np.inf, rounds]  # one level, with all points
+        limits = np.array([half_m, half_rad, *whole, prior, np.inf if fixed else 0.0, 0.0, 0.0, 0.0, 0.0])
+        nodes = np.array([2.0 * grid, grid, grid, 0, pruned])
+        return line_search.search(self.points, self.start, nodes, limits, *self.lines)
 
 
 def random_problem(seed: int) -> Problem:
@@ -81,17 +89,15 @@ def random_problem(seed: int) -> Problem:
 
 
 def differences(problem: Problem, grid: int, half_m: float, half_rad: float, prior: float) -> list[str]:
-    """Search the three grids both ways; names those whose minima differ in index or cost."""
-    found = {}
-    for pruned in (True, False):
-        at, window = problem.grid(half_m, half_rad, prior, pruned=pruned)
-        args, turns = (problem.centred, at, window), linesearch._turns(half_rad, 2 * grid)
-        found[pruned] = {
-            "joint with lines held": linesearch._least_of_form(problem.form(at, window), window, turns, grid, grid),
-            "azimuth on the lines": linesearch._turn_on_lines(*args, turns, *problem.lines),
-            "plane on the lines": linesearch._shift_on_lines(*args, grid, grid, *problem.lines),
+    """Search grids both ways; names those whose minima differ in index or cost."""
+    found = {
+        pruned: {
+            name: problem.search_once(grid, half_m, half_rad, prior, fixed=fixed, pruned=pruned)
+            for name, fixed in {"joint with fixed correspondences": True, "yaw and plane in turn": False}.items()
         }
-    return [name for name, index in found[True].items() if index != found[False][name]]
+        for pruned in (True, False)
+    }
+    return [name for name, best in found[True].items() if best != found[False][name]]
 
 
 def polar_problem(

@@ -55,7 +55,7 @@ def show_ends(ranges_m, directions, pose, lattice, walls, cells):
     return count
 
 
-def passing_cells(hits, passes, shielded, clear=8, stays=0.15, wall=4, reach=7):
+def dynamic_cells(hits, passes, shielded, clear=8, stays=0.15, wall=4, reach=7):
     through = passes - shielded
     share = np.where(hits > 0, hits / np.maximum(hits + through, 1), 0.0)
     walls = np.argwhere((hits >= wall) & (share >= stays))
@@ -105,7 +105,7 @@ def good_beams(ranges_m, directions, first_rad, step_rad, mixed_pixel_m):
     return np.array(out).reshape(-1, 5)
 
 
-# ---- polarsearch ---------------------------------------------------------------------------------------------------
+# ---- polar_search --------------------------------------------------------------------------------------------------
 
 
 def polar_cost(virtual, points, x, y, yaw, limits):
@@ -171,7 +171,7 @@ def extent(points):
     return min(xs), min(ys), max(xs), max(ys)
 
 
-# ---- linemap, linesearch -------------------------------------------------------------------------------------------
+# ---- linemap, line_search ------------------------------------------------------------------------------------------
 
 
 def cell_of(point, cell_m):
@@ -291,13 +291,13 @@ def held_cost(points, at, motion, line_map, truncate_m):
     return total
 
 
-def volume(points, xy_map_m, yaws_rad, lines, cell_m, truncate_m):
+def pose_costs(points, xy_map_m, yaws_rad, lines, cell_m, truncate_m):
     """Mean cost at every yaw and position; None marks a tie of cells."""
     costs = [[line_costs(points, (x, y, yaw), lines, cell_m, truncate_m) for x, y in xy_map_m] for yaw in yaws_rad]
     return [[None if None in point else sum(point) / len(point) for point in row] for row in costs]
 
 
-def hold(points, map_T_laser, line_map):
+def observability(points, map_T_laser, line_map):
     """Least eigenvalue of the information of the points (n, 2), by way of every line's normal."""
     arm = np.linalg.norm(points, axis=1).mean()
     information = np.zeros((3, 3))
@@ -314,7 +314,7 @@ def hold(points, map_T_laser, line_map):
 
 
 def coarse_to_fine(terms, start, grid, limits, dense, few=None, settled=None):
-    """The schedule of ``linesearch.search`` over any cost(x, y, yaw) of the pose, rotating about the pivot.
+    """The schedule of ``line_search.search`` over any cost(x, y, yaw) of the pose, rotating about the pivot.
 
     ``terms`` are cost, pivot, what is added for a squared metre between the pivot and where it was expected, and
     held(at, motion), the cost after motions of the pivot while lines are held; within a cell ``dense`` scans hold them.

@@ -10,7 +10,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mavnav.config.models import Config
-from mavnav.kernels import beams, polarsearch
+from mavnav.kernels import beams
+from mavnav.kernels.polar_search import search as polar_search
+from mavnav.kernels.polar_search.cost import polar_cost
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
 from mavnav.slam.paper_matching import HOPELESS, match_polar, polar_points
@@ -28,7 +30,7 @@ LASERS = pytest.mark.parametrize("spec", matches.LASERS, ids=["part", "full turn
 def test_cost_is_its_twin(spec: LaserSpec, seed: int, counted: bool) -> None:
     virtual, points, limits, rng = polar_problem(seed, spec, counted=counted)
     move = rng.uniform(-0.2, 0.2, 3) * rng.choice((1.0, 10.0))  # the farther one is beyond the series
-    fast = polarsearch.polar_cost(virtual, np.ascontiguousarray(points.T), *move, limits)
+    fast = polar_cost(virtual, np.ascontiguousarray(points.T), *move, limits)
     slow = naive.polar_cost(virtual, points, *move, limits)
     assert fast[1] == slow[1]
     assert fast[0] == pytest.approx(slow[0], rel=1e-9)
@@ -62,7 +64,7 @@ def test_pruned_search_is_the_exhaustive_one(
     virtual, points, limits, _ = polar_problem(seed, spec, counted=counted)
     schedule = np.array([half_m, half_rad, 0.3, 1.0, 1e-5, 1e-4, useless_m2, *reading])
     pruned, exhaustive = (
-        polarsearch.search(virtual, points, np.array([2.0 * grid, grid, grid, 2, prune]), schedule, limits)
+        polar_search.search(virtual, points, np.array([2.0 * grid, grid, grid, 2, prune]), schedule, limits)
         for prune in (1.0, 0.0)
     )
     np.testing.assert_array_equal(pruned, exhaustive)

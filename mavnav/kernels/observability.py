@@ -1,25 +1,21 @@
-"""How firmly the map's lines hold a scan in its place, in the direction that they hold least (docs/method.md)."""
+"""How well a scan's pose is observable from the map's lines, in the worst direction (docs/method.md)."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int64, types, uint32
+from numba import float64, int64
 
-from mavnav.kernels._jit import kernel
+from mavnav.kernels._jit import helper, kernel
+from mavnav.kernels._types import F64_1D, F64_2D, U32_2D
+from mavnav.kernels.lookup import slot_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-NEAR = 128  # an entry of ``nearest`` is an index times this, as ``linemap`` has it
 
-_F1 = types.Array(float64, 1, "C", readonly=True)
-_F2 = types.Array(float64, 2, "C", readonly=True)
-_U2 = types.Array(uint32, 2, "C", readonly=True)
-
-
-@kernel(float64(float64, float64, float64, float64, float64, float64))
+@helper
 def _least_eigenvalue(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) -> float:
     """Return the least eigenvalue of a symmetric matrix of three rows, in closed form."""
     mean = (xx + yy + zz) / 3.0
@@ -33,27 +29,28 @@ def _least_eigenvalue(xx: float, yy: float, zz: float, xy: float, xz: float, yz:
     return least
 
 
-@kernel(float64(_F2, _F1, _U2, _F2, _F1))
-def hold(
+@kernel(float64(F64_2D, F64_1D, U32_2D, F64_2D, F64_1D))
+def observability(
     points: NDArray[np.float64],
     pose: NDArray[np.float64],
     nearest: NDArray[np.uint32],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> float:
-    """Return the least eigenvalue of the information that points (n, 2), laser frame, m, give of a pose x, y (m), yaw.
+    """Return the least eigenvalue of a scan's information about its pose: 0 where a direction is not observable.
 
-    A point on a wall tells of the motion along its normal; a point counts as one over ``n``, a turn as the way of a
-    point at the mean distance. The map's arrays are described in ``linemap``.
+    ``points`` (n, 2) lie in the laser's frame, m; ``pose`` (3,) is x, y (m) and yaw (rad) in the map frame. A point on
+    a wall informs about motion along the wall's normal. A point weighs 1 / n, and a turn counts as the path of a point
+    at the mean distance. The map's arrays are described in ``linemap``.
     """
-    rows, cols = nearest.shape
-    c, s, inverse = np.cos(pose[2]), np.sin(pose[2]), 1.0 / geometry[2]
+    (rows, cols), (to_x, to_y, yaw), (origin_x, origin_y, cell_m, _, _, _) = nearest.shape, pose, geometry
+    c, s, cells_per_m = np.cos(yaw), np.sin(yaw), 1.0 / cell_m
     xx = xy = yy = xr = yr = rr = away = 0.0
     for k in range(len(points)):
         x, y = c * points[k, 0] - s * points[k, 1], s * points[k, 0] + c * points[k, 1]
         away += np.sqrt(x * x + y * y)
-        u, v = (x + pose[0] - geometry[0]) * inverse, (y + pose[1] - geometry[1]) * inverse
-        slot = int64(nearest[int64(v), int64(u)] // NEAR) if 0.0 <= u < cols and 0.0 <= v < rows else 0
+        u, v = (x + to_x - origin_x) * cells_per_m, (y + to_y - origin_y) * cells_per_m
+        slot = int64(slot_of(nearest[int64(v), int64(u)])) if 0.0 <= u < cols and 0.0 <= v < rows else 0
         if slot > 0:
             # Of a line's metric, 1 across and beta along it, what is left without beta: nothing of a round spot.
             beta = lines[slot, 2] + lines[slot, 4] - 1.0

@@ -1,27 +1,24 @@
-"""The cost of a scan at every one of many poses: the raw material of a wide search (docs/method.md)."""
+"""The cost of a scan at every one of many poses: correlative search (Olson 2009; docs/method.md)."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types, uint32
+from numba import float64, int32, int64
 
 from mavnav.kernels._jit import kernel
+from mavnav.kernels._types import F64_1D, F64_2D, U32_2D
+from mavnav.kernels.lookup import line_distance2, slot_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 BLOCK = 1024  # positions at once: what is kept of them stays in the cache
-NEAR = 128  # an entry of ``nearest`` is an index times this, as ``linemap`` has it
-
-_F1 = types.Array(float64, 1, "C", readonly=True)
-_F2 = types.Array(float64, 2, "C", readonly=True)
-_U2 = types.Array(uint32, 2, "C", readonly=True)
 
 
-@kernel(float64[:, ::1](_F2, _F2, _F1, float64, _U2, _F2, _F1))
-def volume(
+@kernel(float64[:, ::1](F64_2D, F64_2D, F64_1D, float64, U32_2D, F64_2D, F64_1D))
+def pose_costs(
     points: NDArray[np.float64],
     xy_map_m: NDArray[np.float64],
     yaws_rad: NDArray[np.float64],
@@ -33,10 +30,11 @@ def volume(
     """Return the mean truncated squared distance to the map's lines, m2, for all yaws (q) and positions (p): (q, p).
 
     ``points`` (n, 2) lie in the laser's frame; the map's arrays are described in ``linemap``. Most cells have nothing
-    near: so for a block of positions the cells of one point are told at once, in the compiler's lanes, then looked at.
+    near: so for a block of positions the cells of one point are found at once, in the compiler's lanes, then read.
     """
     (rows, cols), n, m = nearest.shape, len(points), len(xy_map_m)
-    ox, oy, inverse, truncate_m2 = geometry[0], geometry[1], 1.0 / geometry[2], truncate_m * truncate_m
+    ox, oy, cell_m, _, _, _ = geometry
+    inverse, truncate_m2 = 1.0 / cell_m, truncate_m * truncate_m
     out, x, y = np.zeros((len(yaws_rad), m)), np.empty(BLOCK), np.empty(BLOCK)
     row, col = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.int32)
     for first in range(0, m, BLOCK):
@@ -53,11 +51,9 @@ def volume(
                     row[p], col[p] = int32(fy) if inside else int32(-1), int32(fx) if inside else int32(0)
                 for p in range(some):
                     d2 = truncate_m2
-                    slot = int64(nearest[row[p], col[p]] // NEAR) if row[p] >= 0 else 0
+                    slot = int64(slot_of(nearest[row[p], col[p]])) if row[p] >= 0 else 0
                     if slot > 0:
-                        dx, dy = kx + x[p] - lines[slot, 0], ky + y[p] - lines[slot, 1]
-                        xx, xy, yy = lines[slot, 2], lines[slot, 3], lines[slot, 4]
-                        d2 = min(dx * dx * xx + 2.0 * dx * dy * xy + dy * dy * yy, truncate_m2)
+                        d2 = line_distance2(kx + x[p], ky + y[p], truncate_m2, slot, lines)
                     sums[p] += d2
             for p in range(some):
                 sums[p] /= n

@@ -1,22 +1,20 @@
-"""A way made smooth: positions as they were measured against a velocity that changes little (docs/method.md)."""
+"""Smoothing of a path: measured positions against a velocity that changes little (docs/method.md)."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, types
+from numba import float64
 
 from mavnav.kernels._jit import kernel
+from mavnav.kernels._types import F64_1D, F64_2D
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_F1 = types.Array(float64, 1, "C", readonly=True)
-_F2 = types.Array(float64, 2, "C", readonly=True)
 
-
-@kernel(float64(_F2, _F1, float64, float64[:, ::1]))
+@kernel(float64(F64_2D, F64_1D, float64, float64[:, ::1]))
 def smooth(xy: NDArray[np.float64], elapsed: NDArray[np.float64], stiffness: float, out: NDArray[np.float64]) -> float:
     """Write the positions p that minimise sum |p - xy|^2 + stiffness * sum |acceleration|^2; returns how likely.
 
@@ -28,8 +26,8 @@ def smooth(xy: NDArray[np.float64], elapsed: NDArray[np.float64], stiffness: flo
     out : (n, 2) the smooth positions
 
     The logarithm of the likelihood (but for a constant, and with the best variance of a position) compares values of
-    the stiffness: white noise on positions of a way whose velocity walks at random (Rauch, Tung and Striebel's smoother
-    as one banded system, solved by its LDL' factors).
+    the stiffness: white noise on positions of a path whose velocity is a random walk (Rauch, Tung and Striebel's
+    smoother as one banded system, solved by its LDL' factors).
     """
     n = len(xy)
     d, l1, l2 = np.ones(n), np.zeros(n), np.zeros(n)  # the diagonal of I + stiffness B'WB, and the two beside it

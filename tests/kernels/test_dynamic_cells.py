@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavnav.kernels import passing
+from mavnav.kernels.dynamic_cells import dynamic_cells
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.mapping.tiled_arrays import in_strips
 from mavnav.pose import Pose
@@ -15,14 +15,14 @@ from support import naive
 
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_passing_cells_are_the_twins(seed: int) -> None:
+def test_dynamic_cells_are_the_twins(seed: int) -> None:
     rng = np.random.default_rng(seed)
     hits = np.where(rng.random((50, 60)) < 0.02, rng.integers(1, 9, (50, 60)), 0).astype(np.int32)
     passes = rng.integers(0, 80, hits.shape).astype(np.int32)
     shielded = np.minimum(passes, rng.integers(0, 20, hits.shape)).astype(np.int32)
-    slow = naive.passing_cells(hits, passes, shielded)
+    slow = naive.dynamic_cells(hits, passes, shielded)
     ended, passed = (counts.astype(np.uint16) for counts in (hits, passes))
-    fast = passing.passing_cells(in_strips(ended), passed, in_strips(shielded.astype(np.int16)))
+    fast = dynamic_cells(in_strips(ended), passed, in_strips(shielded.astype(np.int16)))
     np.testing.assert_array_equal(fast, np.argwhere(slow))
 
 

@@ -1,0 +1,24 @@
+"""How the arrays of maps are laid out: what kernels and the rest of the package both have to know.
+
+Counts of a grid are kept in strips, see ``mavnav.lattice``; an entry of ``nearest`` is described in ``linemap``. This
+file does without numba, so that it is imported at no cost.
+"""
+
+from __future__ import annotations
+
+WIDE, SHIFT = 64, 6
+"""Cells across a strip, and its logarithm."""
+
+MOST, MOST_SHIELDED = 65535, 32767
+"""Counts of hits and crossings end at the first, those of shielded crossings at the second."""
+
+REACH_CELLS = 8
+"""Nearest occupied cells are known this far."""
+FAR = REACH_CELLS * REACH_CELLS
+NEAR = 128
+"""An entry of ``nearest`` is an index times this, plus how near the cell is: a power of 2 above `FAR` + 1."""
+
+WALL_HITS = 4
+"""A cell with fewer hits may hold strays."""
+EXPLAINED_CELLS = 7
+"""A hit so near explains an end point."""

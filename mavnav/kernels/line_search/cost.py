@@ -1,0 +1,108 @@
+"""The cost of a scan's points on the map's lines, and what all grids of the search share (see ``search``).
+
+Points (2, n) are given about their centroid, m, in the laser's axes; sums over them are m2.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mavnav.kernels._jit import helper
+from mavnav.kernels.lookup import line_distance2, slot_at
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+CHUNK = 32
+"""Points between two comparisons with the bound."""
+ROUNDING_M2 = 1e-9
+"""Above any difference between two orders of summation, as long as maps are smaller than 100 km."""
+
+
+class Lines(NamedTuple):
+    """The map: ``nearest`` and ``lines`` as in ``linemap``, its origin in the map frame and its cell edge, m."""
+
+    nearest: NDArray[np.uint32]
+    lines: NDArray[np.float64]
+    origin_x_m: float
+    origin_y_m: float
+    cell_m: float
+
+
+class Middle(NamedTuple):
+    """The middle of a grid: centroid of the points and yaw in the map frame, and where the centroid was expected."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    expected_x_m: float
+    expected_y_m: float
+
+
+class Window(NamedTuple):
+    """Half-widths of a grid, the cost of a squared metre from where the centroid was expected, and the truncation."""
+
+    half_m: float
+    half_rad: float
+    prior: float
+    truncate_m2: float
+    prune: bool
+
+
+@helper
+def mean(values: NDArray[np.float64]) -> float:
+    """Return the mean; NumPy's own in a kernel costs 0.1 s of start-up, because it loads scipy with it."""
+    total = 0.0
+    for value in values:
+        total += value
+    return total / len(values)
+
+
+@helper
+def least(sums: NDArray[np.float64]) -> tuple[float, int]:
+    """Return up to where rounding may hide the least, and its index where it is alone there, else -1."""
+    at = 0
+    for k in range(len(sums)):
+        if sums[k] < sums[at]:
+            at = k
+    near, within = sums[at] + 2.0 * ROUNDING_M2, 0
+    for value in sums:
+        within += value <= near
+    return near, at if within == 1 else -1
+
+
+@helper
+def rotate(points: NDArray[np.float64], yaw_rad: float, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+    """Write the points (2, n), turned by a yaw, to ``x`` and ``y`` (n,)."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    from_x, from_y = points[0], points[1]
+    for k in range(len(x)):
+        x[k] = c * from_x[k] - s * from_y[k]
+        y[k] = s * from_x[k] + c * from_y[k]
+
+
+@helper
+def cost_sum(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    to_x: float,
+    to_y: float,
+    truncate_m2: float,
+    line_map: Lines,
+    bound: float,
+) -> float:
+    """Sum the squared, truncated distances of points, shifted by ``to_x``, ``to_y``, to their lines.
+
+    Gives up once the sum exceeds ``bound``.
+    """
+    nearest, lines = line_map.nearest, line_map.lines
+    ox, oy, cells_per_m = line_map.origin_x_m, line_map.origin_y_m, 1.0 / line_map.cell_m
+    total, k = 0.0, 0
+    while k < len(x) and total <= bound:
+        for m in range(k, min(k + CHUNK, len(x))):
+            px, py = x[m] + to_x, y[m] + to_y
+            total += line_distance2(px, py, truncate_m2, slot_at(px, py, ox, oy, cells_per_m, nearest), lines)
+        k += CHUNK
+    return total

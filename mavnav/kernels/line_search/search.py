@@ -1,0 +1,263 @@
+"""Coarse-to-fine search over grids for the pose that lays a scan's points on the map (docs/method.md).
+
+Grids are searched in turn as in the paper's minimisation, steps i-v: azimuth with the position fixed (``azimuth``),
+then the plane with the azimuth fixed (``plane``); the scan turns about its points' centroid. A point costs its squared
+distance to the line of the cell that it falls into (``cost``; arrays of ``linemap``). Where the window is a few cells
+wide every point first keeps the line that it has in the middle: then one quadratic form stands for a joint grid of
+azimuth and plane (``quadratic_form``).
+
+Every grid has an exhaustive and a pruned form with the same minimum: the same index, the lowest of equals, and the
+same cost, bit for bit. Pruning rests on three facts:
+
+* a sum of squares that exceeds the best total so far only grows: the rest of that candidate is left out;
+* while a point stays in one cell its cost is a polynomial of the motion, so that a few sums over the points stand for
+  all candidates: nearly, but for rounding, and what comes within `ROUNDING_M2` of the best is summed point by point;
+* a metric's eigenvalues are 1 at most, so that a cost bounds how far its point may move before it is truncated, or
+  after it was.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numba import boolean, float64, int64, types, uint64
+
+from mavnav.kernels._jit import helper, kernel
+from mavnav.kernels._types import F64_1D, F64_2D, U32_2D
+from mavnav.kernels.line_search.azimuth import least_turn, turns_of
+from mavnav.kernels.line_search.cost import Lines, Middle, Window, mean, rotate
+from mavnav.kernels.line_search.plane import least_shift
+from mavnav.kernels.line_search.quadratic_form import least_of_form, quadratic_form
+from mavnav.kernels.lookup import closeness_of, line_distance2, slot_at, slot_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+MAX_LEVELS = 40
+FEWEST_KNOWN = 0.5
+"""Share of the points on known ground below which the others decide too."""
+
+
+class Grid(NamedTuple):
+    """Yaw samples, nodes of the plane in x and y, border extensions at most."""
+
+    azimuths: int
+    nx: int
+    ny: int
+    extensions: int
+
+
+@helper
+def _shifted(middle: Middle, right_m: float, up_m: float) -> Middle:
+    return Middle(middle.x_m + right_m, middle.y_m + up_m, middle.yaw_rad, middle.expected_x_m, middle.expected_y_m)
+
+
+@helper
+def _turned(middle: Middle, turn_rad: float) -> Middle:
+    return Middle(middle.x_m, middle.y_m, middle.yaw_rad + turn_rad, middle.expected_x_m, middle.expected_y_m)
+
+
+@helper
+def _joint_search(
+    points: NDArray[np.float64],
+    middle: Middle,
+    window: Window,
+    grid: Grid,
+    turns: NDArray[np.float64],
+    rounds: int,
+    line_map: Lines,
+) -> tuple[Middle, int]:
+    """Search yaw and plane at once with fixed correspondences, ``rounds`` times and while the best is on the border.
+
+    Returns the best pose and how many grids were searched.
+    """
+    azimuths, nx, ny, extensions = grid
+    form, no_list = np.zeros((5, 5)), np.empty(0, np.int64)
+    step_x, step_y = 2 * window.half_m / (nx - 1), 2 * window.half_m / (ny - 1)
+    step_rad, grids = 2 * window.half_rad / (azimuths - 1), 0
+    for turn in range(rounds + extensions):
+        quadratic_form(points, middle, window, form, no_list, line_map)
+        best = least_of_form(form, window, turns, nx, ny)
+        i, j, a = best % nx, (best // nx) % ny, best // (nx * ny)
+        middle = _shifted(middle, i * step_x - window.half_m, j * step_y - window.half_m)
+        middle = _turned(middle, a * step_rad - window.half_rad)
+        grids += 1
+        if turn + 1 >= rounds and 0 < i < nx - 1 and 0 < j < ny - 1 and 0 < a < azimuths - 1:
+            break
+    return middle, grids
+
+
+@helper
+def _alternating_search(
+    points: NDArray[np.float64],
+    middle: Middle,
+    window: Window,
+    grid: Grid,
+    turns: NDArray[np.float64],
+    rounds: int,
+    line_map: Lines,
+) -> tuple[Middle, int, int]:
+    """Search yaw and plane in turn, every candidate on the lines where its points fall, ``rounds`` times.
+
+    Returns the best pose, and how many grids of yaw and of the plane were searched.
+    """
+    azimuths, nx, ny, extensions = grid
+    step_x, step_y = 2 * window.half_m / (nx - 1), 2 * window.half_m / (ny - 1)
+    step_rad, of_yaw, of_plane = 2 * window.half_rad / (azimuths - 1), 0, 0
+    for _ in range(rounds):
+        for _ in range(extensions + 1):
+            i = least_turn(points, middle, window, turns, line_map)
+            middle = _turned(middle, i * step_rad - window.half_rad)
+            of_yaw += 1
+            if 0 < i < azimuths - 1:
+                break
+        for _ in range(extensions + 1):
+            ji = least_shift(points, middle, window, nx, ny, line_map)
+            i, j = ji % nx, ji // nx
+            middle = _shifted(middle, i * step_x - window.half_m, j * step_y - window.half_m)
+            of_plane += 1
+            if 0 < i < nx - 1 and 0 < j < ny - 1:
+                break
+    return middle, of_yaw, of_plane
+
+
+@helper
+def on_known_ground(
+    points: NDArray[np.float64], middle: Middle, closeness: float, known_points: float, line_map: Lines
+) -> NDArray[np.float64]:
+    """Return the points (2, m) on known ground; all, if those are too few.
+
+    Known is where an occupied cell is near, with a ``closeness`` as ``nearest`` has it, and its line rests on
+    ``known_points`` or more.
+    """
+    nearest, lines, ox, oy, cell = line_map
+    n, count = points.shape[1], 0
+    kept = np.empty(n, np.int64)
+    x, y = np.empty(n), np.empty(n)
+    rotate(points, middle.yaw_rad, x, y)
+    for k in range(n):
+        fx, fy = (x[k] + middle.x_m - ox) / cell, (y[k] + middle.y_m - oy) / cell
+        if not (0 <= fx < nearest.shape[1] and 0 <= fy < nearest.shape[0]):
+            continue
+        row, col = uint64(fy), uint64(fx)
+        there = nearest[row, col]
+        if closeness_of(there) >= closeness and lines[uint64(slot_of(there)), 5] >= known_points:
+            kept[count] = k
+            count += 1
+    if count < FEWEST_KNOWN * n:
+        return points.copy()
+    out = np.empty((2, count))
+    for k in range(count):
+        out[0, k], out[1, k] = points[0, kept[k]], points[1, kept[k]]
+    return out
+
+
+@helper
+def _evaluated(points: NDArray[np.float64], middle: Middle, truncate_m2: float, line_map: Lines) -> tuple[float, int]:
+    """Return the cost sum of the points at the middle, m2, and how many lie within half the truncation distance."""
+    nearest, lines, ox, oy, cell = line_map
+    n, total, inliers = points.shape[1], 0.0, 0
+    x, y = np.empty(n), np.empty(n)
+    rotate(points, middle.yaw_rad, x, y)
+    for k in range(n):
+        px, py = x[k] + middle.x_m, y[k] + middle.y_m
+        d2 = line_distance2(px, py, truncate_m2, slot_at(px, py, ox, oy, 1.0 / cell, nearest), lines)
+        total += d2
+        inliers += d2 < 0.25 * truncate_m2
+    return total, inliers
+
+
+@kernel(types.Tuple((*(5 * [float64]), int64, int64, boolean))(F64_2D, F64_1D, F64_1D, F64_1D, U32_2D, F64_2D, F64_1D))
+def search(
+    points: NDArray[np.float64],
+    start: NDArray[np.float64],
+    grid: NDArray[np.float64],
+    limits: NDArray[np.float64],
+    nearest: NDArray[np.uint32],
+    lines: NDArray[np.float64],
+    geometry: NDArray[np.float64],
+) -> tuple[float, float, float, float, float, int, int, bool]:
+    """Find the pose of the scan in the map; returns x, y, yaw, cost_m2, inliers, evaluations, grids, converged.
+
+    Parameters
+    ----------
+    points : (n, 2) points in the laser's frame, m, in an order that makes any prefix a fair sample
+    start : (3,) predicted pose in the map frame: x, y (m), yaw (rad)
+    grid : (5,) yaw samples, nodes of the plane in x and y, border extensions a grid at most, 1 to prune
+    limits : (13,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m), how many
+        points search until it is settled which decide, alternations a level down to a cell, what a squared metre away
+        from the start costs a point, the half-windows (m) up to which correspondences are fixed and up to which points
+        may change their cells as well, 0 for never; what known ground is (closeness, points of a line): within a cell
+        the points elsewhere are left out; and of how many points a scan is dense. Within a cell only dense scans fix
+        correspondences, and let points change their cells on the first and the last level alone
+    nearest, lines, geometry : the map, see ``linemap``
+    """
+    (n_azimuths, n_x, n_y, n_extensions, prune), n = grid, len(points)
+    (
+        half_m, half_rad, stop_m, stop_rad, truncate_m, few_points, alternations,
+        prior, fixed_below_m, within_below_m, closeness, known_points, dense_points,
+    ) = limits  # fmt: skip
+    origin_x_m, origin_y_m, cell_m, _, _, _ = geometry
+    line_map = Lines(nearest, lines, origin_x_m, origin_y_m, cell_m)
+    nodes = Grid(int(n_azimuths), int(n_x), int(n_y), int(n_extensions))
+    azimuths, nx, ny, _ = nodes
+    truncate_m2, joint_rounds = truncate_m * truncate_m, int(alternations)
+
+    x, y, yaw = start
+    pivot_x, pivot_y = mean(points[:, 0]), mean(points[:, 1])
+    centred = np.empty((2, n))
+    centred[0], centred[1] = points[:, 0] - pivot_x, points[:, 1] - pivot_y
+    start_c, start_s = np.cos(yaw), np.sin(yaw)
+    at_x, at_y = x + start_c * pivot_x - start_s * pivot_y, y + start_s * pivot_x + start_c * pivot_y
+    middle = Middle(at_x, at_y, yaw, at_x, at_y)
+
+    deciding, settled, few = centred, closeness == 0, int(min(n, few_points))
+    dense, rounds = n >= dense_points, joint_rounds
+    evaluations, grids, converged = 0, 0, False
+    for _ in range(MAX_LEVELS):
+        window = Window(half_m, half_rad, prior, truncate_m2, prune > 0)
+        step_m, step_rad = max(2 * half_m / (nx - 1), 2 * half_m / (ny - 1)), 2 * half_rad / (azimuths - 1)
+        last = step_m < stop_m and step_rad < stop_rad
+        within = half_m <= within_below_m
+        sampled, fixed = within and not settled, half_m <= fixed_below_m and (dense or not within)
+        used = deciding if settled or (fixed and not sampled) else deciding[:, :few].copy()
+        turns = turns_of(half_rad, azimuths)
+        if fixed:
+            middle, of_both = _joint_search(used, middle, window, nodes, turns, joint_rounds, line_map)
+            evaluations += of_both * azimuths * nx * ny
+            grids += of_both
+            rounds_now = int(sampled or (within and last))
+        else:
+            rounds_now = rounds
+        middle, of_yaw, of_plane = _alternating_search(used, middle, window, nodes, turns, rounds_now, line_map)
+        evaluations += of_yaw * azimuths + of_plane * nx * ny
+        grids += of_yaw + of_plane
+        if sampled:
+            # Points on new ground lower the cost by falling back onto the map: the others decide, from this level on.
+            settled, deciding = True, on_known_ground(centred, middle, closeness, known_points, line_map)
+            right, up = mean(deciding[0]), mean(deciding[1])
+            pivot_x, pivot_y = pivot_x + right, pivot_y + up
+            for points_m in (centred, deciding):
+                points_m[0] -= right
+                points_m[1] -= up
+            c, s = np.cos(middle.yaw_rad), np.sin(middle.yaw_rad)
+            middle = Middle(
+                middle.x_m + (c * right - s * up),
+                middle.y_m + (s * right + c * up),
+                middle.yaw_rad,
+                middle.expected_x_m + (start_c * right - start_s * up),
+                middle.expected_y_m + (start_s * right + start_c * up),
+            )
+            continue
+        if last:
+            converged = True
+            break
+        if within:
+            rounds = 1  # finer levels begin where they will end
+        half_m, half_rad = min(1.5 * step_m, 0.9 * half_m), min(1.5 * step_rad, 0.9 * half_rad)
+
+    total, inliers = _evaluated(centred, middle, truncate_m2, line_map)
+    c, s = np.cos(middle.yaw_rad), np.sin(middle.yaw_rad)
+    to_x, to_y = middle.x_m - c * pivot_x + s * pivot_y, middle.y_m - s * pivot_x - c * pivot_y
+    return to_x, to_y, middle.yaw_rad, total / n, inliers / n, evaluations, grids, converged

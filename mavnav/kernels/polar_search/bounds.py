@@ -1,0 +1,70 @@
+"""Lower bounds of the cost of all candidates of a grid."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.kernels._jit import helper
+from mavnav.kernels.polar_search.cost import Scan, see, span
+from mavnav.kernels.polar_search.fixed_beams import FIXED_SHARE, Reach, Sight, fix, reach_of, release, rest_of, sweep
+from mavnav.kernels.polar_search.polynomial import polynomial, sum_loose
+from mavnav.kernels.polar_search.wide_bounds import bound_wide
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.kernels.polar_search.cost import Work
+    from mavnav.kernels.polar_search.fixed_beams import Window
+
+FIXED_BEAMS, TRIMMED_BEAMS, WORTH_TRIMMING = 0.25, 6.0, 15
+"""Where points pass more beams on average, too few beams keep their segments, or are of no use on the whole grid; it
+takes as long to find these as to bound some ten candidates."""
+SUM_M2 = 1e-11
+"""More than the series of the bearings, and another order of summation, change a cost."""
+
+
+@helper
+def bound(
+    scan: Scan,
+    motions: NDArray[np.float64],
+    offsets: NDArray[np.float64],
+    window: Window,
+    work: Work,
+    bounds: NDArray[np.float64],
+) -> Scan:
+    """Write a lower bound of each candidate's cost, -inf where none is known.
+
+    ``motions`` are those of the candidates, and of the grid's middle at the end; ``offsets`` (m, 2) from there. Returns
+    the scan without what matters nowhere on the grid: it costs the same, to the bit.
+    """
+    virtual, points, limits = scan
+    n, beams, middle = points.shape[1], len(virtual), motions[-1]
+    see(points, middle, limits, work.r[:n], work.beam[:n])
+    reach, swept = Reach(np.empty(n), np.empty(n), np.empty(n)), np.empty((2, n))
+    sight, fixed = Sight(np.empty(beams), np.empty(beams), np.empty(beams)), np.empty(beams, np.int64)
+    passed, share = reach_of(scan, middle, window, work.r, reach)
+    small = passed <= FIXED_BEAMS and share <= FIXED_SHARE
+    if not small and (passed > TRIMMED_BEAMS or share > 0.5 or len(bounds) < WORTH_TRIMMING):
+        bound_wide(scan, motions, work, bounds)
+        return scan
+    span(scan, work)
+    sweep(scan, work.beam, reach.by_beams, swept)
+    fix(scan, work, reach, swept, sight, fixed)
+    release(scan, work, reach, sight, fixed, small)
+    rest = rest_of(scan, swept, fixed)
+    if not small:
+        see(rest, middle, limits, work.r[: rest.shape[1]], work.beam[: rest.shape[1]])
+        trimmed = Scan(np.where(fixed < 0, virtual, np.nan), rest, limits)
+        bound_wide(trimmed, motions, work, bounds)
+        return trimmed
+    p0, p_u, p_v, p_uu, p_uv, p_vv = polynomial(scan, middle, window, work, sight.seen, fixed)
+    loose, sure = np.flatnonzero(fixed < 0), float(np.count_nonzero(fixed > 0))
+    for i in range(len(bounds)):
+        u, v = offsets[i]
+        total, used = sum_loose(Scan(virtual, rest, limits), loose, motions[i], work)
+        total += p0 + u * (p_u + u * p_uu + v * p_uv) + v * (p_v + v * p_vv)
+        used += sure
+        bounds[i] = total / used - SUM_M2 if used >= max(limits.fewest_beams, 1.0) else np.inf
+    return scan

@@ -1,0 +1,240 @@
+"""The paper's cost function (steps iii-xi) in polar coordinates.
+
+``motion`` (5,) is cosine and sine of the turn, shift in x and y (m) and turn (rad), from the virtual scan's pose.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numba import float64, int32, int64, types, uint64
+
+from mavnav.kernels._jit import helper, kernel
+from mavnav.kernels._types import F64_1D, F64_2D
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+class Limits(NamedTuple):
+    """What contributes to the cost.
+
+    Bearing of beam 0 and bearing step (rad); near, far, occlusion threshold, range jump between surfaces (m); least
+    number of beams; whether occluded beams count with the squared threshold, or are left out.
+    """
+
+    first_rad: float
+    step_rad: float
+    near_m: float
+    far_m: float
+    occlusion_m: float
+    edge_m: float
+    fewest_beams: float
+    counted: bool
+
+
+class Scan(NamedTuple):
+    """The virtual ranges (beams,), and the scan's points (6, n).
+
+    The rows of points are x, y, beam number, range, bearing, and 1 where a point and the one before are of one surface.
+    """
+
+    virtual: NDArray[np.float64]
+    points: NDArray[np.float64]
+    limits: Limits
+
+
+class Work(NamedTuple):
+    """Scratch: of the moved points range and beam number; of the segments before them what ``span`` writes; of beams.
+
+    ``seen`` and ``squares`` are the ranges that beams see, and the squared differences.
+    """
+
+    r: NDArray[np.float64]
+    beam: NDArray[np.float64]
+    value: NDArray[np.float64]
+    slope: NDArray[np.float64]
+    first: NDArray[np.int32]
+    more: NDArray[np.int32]
+    seen: NDArray[np.float64]
+    squares: NDArray[np.float64]
+
+
+@helper
+def limits_of(limits: NDArray[np.float64]) -> Limits:
+    """Name the limits (8,) of ``polar_cost``."""
+    first_rad, step_rad, near_m, far_m, occlusion_m, edge_m, fewest_beams, counted = limits
+    return Limits(first_rad, step_rad, near_m, far_m, occlusion_m, edge_m, fewest_beams, counted > 0.0)
+
+
+@helper
+def scan_of(virtual: NDArray[np.float64], points: NDArray[np.float64], limits: Limits) -> Scan:
+    """Put a scan together from virtual ranges (beams,) and points (5, n)."""
+    return Scan(virtual.copy(), _joined(points, limits.edge_m), limits)
+
+
+@helper
+def work_for(points: int, beams: int) -> Work:
+    """Return scratch for so many points and beams."""
+    r, beam, value, slope = np.empty(points), np.empty(points), np.empty(points), np.empty(points)
+    first, more = np.empty(points, np.int32), np.empty(points, np.int32)
+    return Work(r, beam, value, slope, first, more, np.empty(beams), np.empty(beams))
+
+
+@helper
+def _joined(points: NDArray[np.float64], edge: float) -> NDArray[np.float64]:
+    """Return points (5, n) with a row more: 1 where a point and the one before are of one surface."""
+    out = np.zeros((6, points.shape[1]))
+    out[:5] = points
+    for k in range(1, points.shape[1]):
+        out[5, k] = (points[2, k] == points[2, k - 1] + 1.0) & (abs(points[3, k] - points[3, k - 1]) < edge)
+    return out
+
+
+@helper
+def see(
+    points: NDArray[np.float64],
+    motion: NDArray[np.float64],
+    limits: Limits,
+    r: NDArray[np.float64],
+    beam: NDArray[np.float64],
+) -> None:
+    """Write range and beam number of the moved points.
+
+    Between neighbouring poses a point's bearing changes little: a series of the tangent is then good to 1e-11. Without
+    branches the loop works on four points at a time; those that turn farther are done afterwards.
+    """
+    c, s, x, y, yaw = motion
+    per_step, turn = 1.0 / limits.step_rad, 2.0 * np.pi / abs(limits.step_rad)
+    per_turn, first, wide = 1.0 / turn, limits.first_rad, 0
+    from_x, from_y, bearing = points[0], points[1], points[4]
+    for k in range(len(r)):
+        px, py = c * from_x[k] - s * from_y[k], s * from_x[k] + c * from_y[k]
+        qx, qy = px + x, py + y
+        r[k] = np.sqrt(qx * qx + qy * qy)
+        cross, dot = px * qy - py * qx, px * qx + py * qy
+        t = cross / dot
+        u = t * t
+        far = (u >= 0.04) | (dot <= 0.0)
+        wide += far
+        between = t * (1.0 - u * (1 / 3 - u * (1 / 5 - u * (1 / 7 - u * (1 / 9 - u * (1 / 11 - u * (1 / 13)))))))
+        at = (bearing[k] + yaw + between - first) * per_step
+        beam[k] = np.nan if far else at - turn * np.floor(at * per_turn)
+    for k in range(len(r) if wide else 0):
+        if np.isnan(beam[k]):
+            px, py = c * from_x[k] - s * from_y[k], s * from_x[k] + c * from_y[k]
+            qx, qy = px + x, py + y
+            at = (bearing[k] + yaw + np.arctan2(px * qy - py * qx, px * qx + py * qy) - first) * per_step
+            beam[k] = at - turn * np.floor(at * per_turn)
+
+
+@helper
+def span(scan: Scan, work: Work) -> None:
+    """Write what the first virtual beam that meets the segment before each point sees there, and the segment's slope.
+
+    Only between neighbouring beams of one surface, where it turns its front to the virtual laser (step iv). The
+    integers are that beam's number and how many more meet the segment, -1 where it lies across the seam.
+    """
+    r, beam, value, slope, first, more = work.r, work.beam, work.value, work.slope, work.first, work.more
+    joined, turn, last = scan.points[5], 2.0 * np.pi / abs(scan.limits.step_rad), len(scan.virtual) - 1.0
+    for k in range(1, len(joined)):
+        start, ahead = beam[k - 1], beam[k] - beam[k - 1]
+        ahead = ahead + turn if ahead < -0.5 * turn else ahead
+        front = (joined[k] > 0.0) & (ahead > 0.0) & (ahead < 0.25 * turn)
+        at, end = np.ceil(start) if start > 0.0 else 0.0, min(np.floor(start + ahead), last)  # 0 for NaN as well
+        slope[k] = (r[k] - r[k - 1]) / ahead
+        meets = front & (at <= end)
+        value[k] = r[k - 1] + (at - start) * slope[k] if meets else np.inf
+        first[k] = int32(min(at, last))
+        more[k] = int32(-1) if front & (start + ahead >= turn) else int32(end - at if meets else 0.0)
+
+
+@helper
+def lay(scan: Scan, work: Work, seen: NDArray[np.float64]) -> None:
+    """Lower what each virtual beam sees to the moved points: nearer surfaces hide farther ones."""
+    r, beam, value, slope, first, more = work.r, work.beam, work.value, work.slope, work.first, work.more
+    beams, turn = len(seen), 2.0 * np.pi / abs(scan.limits.step_rad)
+    for k in range(1, scan.points.shape[1]):
+        at, from_r, start = first[k], r[k - 1], beam[k - 1]
+        seen[uint64(at)] = min(seen[uint64(at)], value[k])
+        for j in range(at + 1, at + more[k] + 1):
+            seen[uint64(j)] = min(seen[uint64(j)], from_r + (j - start) * slope[k])
+        if more[k] >= 0:
+            continue
+        ahead = beam[k] - start + (turn if beam[k] < start else 0.0)
+        for _ in range(2):
+            for j in range(max(int64(np.ceil(start)), 0), min(int64(np.floor(start + ahead)), beams - 1) + 1):
+                seen[uint64(j)] = min(seen[uint64(j)], from_r + (j - start) * slope[k])
+            start -= turn  # it goes on at beam 0
+
+
+@helper
+def _compare(
+    virtual: NDArray[np.float64], limits: Limits, seen: NDArray[np.float64], squares: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Sum the squared differences of the beams that see the same, and count these."""
+    near, far, occlusion, counted = limits.near_m, limits.far_m, limits.occlusion_m, limits.counted
+    total, used = 0.0, 0
+    for j in range(len(virtual)):
+        # Step ix: empty cells match nothing. Step vi: too close or too far. Steps v and viii
+        v, d = virtual[j], seen[j] - virtual[j]
+        both = (near < v) & (v < far) & (near < seen[j]) & (seen[j] < far)
+        same = abs(d) < occlusion
+        squares[j] = d * d if both & same else (occlusion * occlusion if both & counted else 0.0)
+        used += both & (same | counted)
+    for j in range(len(virtual)):
+        total += squares[j]
+    return total, float(used)
+
+
+@helper
+def _mean(scan: Scan, work: Work) -> tuple[float, float]:
+    """Return cost and number of beams in it, from ranges and beam numbers of the moved points."""
+    virtual, limits = scan.virtual, scan.limits
+    # Cost function, step iv
+    seen = work.seen[: len(virtual)]
+    seen[:] = np.inf
+    span(scan, work)
+    lay(scan, work, seen)
+    total, used = _compare(virtual, limits, seen, work.squares[: len(virtual)])
+    # Steps x and xi
+    if used < limits.fewest_beams or used == 0.0:
+        return np.inf, used
+    return total / used, used
+
+
+@helper
+def evaluate(scan: Scan, motion: NDArray[np.float64], work: Work) -> tuple[float, float]:
+    """Return cost and number of beams in it, see ``polar_cost``."""
+    n = scan.points.shape[1]
+    # Cost function, step iii
+    see(scan.points, motion, scan.limits, work.r[:n], work.beam[:n])
+    return _mean(scan, work)
+
+
+@kernel(types.UniTuple(float64, 2)(F64_1D, F64_2D, float64, float64, float64, F64_1D))
+def polar_cost(
+    virtual: NDArray[np.float64],
+    points: NDArray[np.float64],
+    x: float,
+    y: float,
+    yaw: float,
+    limits: NDArray[np.float64],
+) -> tuple[float, float]:
+    """Mean squared radius difference (m2) between virtual and roto-translated scan, and the number of beams in it.
+
+    Parameters
+    ----------
+    virtual : (beams,) ranges of the virtual scan, m, NaN where it saw no cell
+    points : (5, n) the scan's good points in beam order: x, y (m), beam number, its range (m) and bearing (rad)
+    x, y, yaw : proposed motion from the virtual scan's pose, m, rad
+    limits : (8,) bearing of beam 0 and bearing step (rad); near, far, occlusion threshold, range jump between
+        surfaces (m); least number of beams; 1 where occluded beams count with the squared threshold, 0 where they are
+        left out
+
+    The cost is inf where fewer beams than the least number contribute.
+    """
+    scan = scan_of(virtual, points, limits_of(limits))
+    motion = np.array([np.cos(yaw), np.sin(yaw), x, y, yaw])
+    return evaluate(scan, motion, work_for(points.shape[1], len(virtual)))

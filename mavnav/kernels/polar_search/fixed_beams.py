@@ -1,0 +1,179 @@
+"""Beams that keep the segment that they meet all over a small grid, and what has to be summed for each candidate."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numba import int64, uint64
+
+from mavnav.kernels._jit import helper
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.kernels.polar_search.cost import Scan, Work
+
+FIXED_SHARE = 1.0 / 16.0
+"""Of a point's range, and of a segment's width, that motion within a small grid may change."""
+HIDDEN_M = 0.05
+"""So far behind another a surface stays hidden within a small grid; beams whose range may change more are not fixed."""
+CLOSE = 1e-8
+"""So near to the end of a segment, in beams, or to a threshold, in m, rounding and series decide what contributes."""
+
+
+class Window(NamedTuple):
+    """Half-window in m and rad, one of them 0, and the point (m) that turns are about."""
+
+    half_m: float
+    half_rad: float
+    pivot_x_m: float
+    pivot_y_m: float
+
+
+class Reach(NamedTuple):
+    """How far each point (n,) comes on the grid: in m, in beams, and in beams more than the one before it."""
+
+    by_m: NDArray[np.float64]
+    by_beams: NDArray[np.float64]
+    apart_beams: NDArray[np.float64]
+
+
+class Sight(NamedTuple):
+    """What each beam (beams,) sees in the middle of the grid, and the least and the most that it can see on it, m."""
+
+    seen: NDArray[np.float64]
+    least: NDArray[np.float64]
+    most: NDArray[np.float64]
+
+
+@helper
+def reach_of(
+    scan: Scan,
+    motion: NDArray[np.float64],
+    window: Window,
+    r: NDArray[np.float64],
+    reach: Reach,
+) -> tuple[float, float]:
+    """Write how far each point comes on the grid: in m, in beams, and in beams more than the one before it.
+
+    Returns the beams on average, and the largest share of a point's range.
+    """
+    points, (c, s, x, y, _), (shift, turn, pivot_x, pivot_y) = scan.points, motion, window
+    per_step, shear = 1.0 / abs(scan.limits.step_rad), shift + turn * np.hypot(pivot_x, pivot_y)
+    n, beams, largest = points.shape[1], 0.0, 0.0
+    for k in range(n):
+        qx, qy = c * points[0, k] - s * points[1, k] + x, s * points[0, k] + c * points[1, k] + y
+        reach.by_m[k] = shift + turn * np.sqrt((qx - pivot_x) * (qx - pivot_x) + (qy - pivot_y) * (qy - pivot_y))
+        share, before = reach.by_m[k] / r[k], max(k - 1, 0)
+        reach.by_beams[k] = share * per_step * (1.0 + share) + CLOSE
+        dx, dy = points[0, k] - points[0, before], points[1, k] - points[1, before]
+        reach.apart_beams[k] = 1.2 * shear * np.sqrt(dx * dx + dy * dy) * per_step / (r[k] * r[before])
+    for k in range(n):
+        beams, largest = beams + reach.by_beams[k], max(largest, reach.by_m[k] / r[k])
+    return beams / n, largest
+
+
+@helper
+def sweep(scan: Scan, beam: NDArray[np.float64], by_beams: NDArray[np.float64], swept: NDArray[np.float64]) -> None:
+    """Write the beams that each segment may meet somewhere on the grid, from and to.
+
+    An empty range where it meets none, beyond 0 or a whole turn where it may cross the seam.
+    """
+    joined, turn = scan.points[5], 2.0 * np.pi / abs(scan.limits.step_rad)
+    for k in range(1, len(joined)):
+        start, ahead, less, more = beam[k - 1], beam[k] - beam[k - 1], by_beams[k - 1], by_beams[k]
+        ahead = ahead + turn if ahead < -0.5 * turn else ahead
+        none = (joined[k] == 0.0) | (ahead < -more - less) | (ahead > 0.25 * turn + more + less)
+        swept[0, k] = 1.0 if none else start - less
+        swept[1, k] = 0.0 if none else start + ahead + more
+
+
+@helper
+def fix(
+    scan: Scan,
+    work: Work,
+    reach: Reach,
+    swept: NDArray[np.float64],
+    sight: Sight,
+    fixed: NDArray[np.int64],
+) -> None:
+    """Write what each beam sees and which segment it meets all over the grid: 0 for none, -1 where that may change."""
+    r, beam, value, slope, first, more = work.r, work.beam, work.value, work.slope, work.first, work.more
+    (seen, least, most), by_m, by_beams = sight, reach.by_m, reach.by_beams
+    last, turn = len(fixed) - 1, 2.0 * np.pi / abs(scan.limits.step_rad)
+    seen[:], least[:], most[:], fixed[:] = np.inf, np.inf, 0.0, 0
+    for k in range(1, scan.points.shape[1]):
+        if value[k] == np.inf or beam[k] < beam[k - 1]:
+            continue  # across the seam: loose in any case
+        for i in range(more[k] + 1):
+            j, at = uint64(first[k] + i), value[k] + i * slope[k]
+            if at < seen[j]:
+                seen[j], fixed[j] = at, k
+    for k in range(1, scan.points.shape[1]):
+        low, high = swept[0, k], swept[1, k]
+        if low > high:
+            continue
+        near, far = min(r[k - 1] - by_m[k - 1], r[k] - by_m[k]), max(r[k - 1] + by_m[k - 1], r[k] + by_m[k])
+        from_beam, to_beam, seam = beam[k - 1] + by_beams[k - 1], beam[k] - by_beams[k], low < 0.0 or high >= turn
+        for around in range(-1 if seam else 0, 2 if seam else 1):
+            by = around * turn
+            for i in range(max(int64(np.ceil(low + by)), 0), min(int64(np.floor(high + by)), last) + 1):
+                j = uint64(i)
+                mine, sure = fixed[j] == k, from_beam <= i <= to_beam and not seam
+                least[j], most[j] = min(least[j], near), max(most[j], far)
+                if not (mine and sure) and (mine or near <= seen[j] + HIDDEN_M):
+                    fixed[j] = -1
+
+
+@helper
+def release(
+    scan: Scan,
+    work: Work,
+    reach: Reach,
+    sight: Sight,
+    fixed: NDArray[np.int64],
+    small: bool,
+) -> None:
+    """Set to 0 which beams contribute nowhere on the grid, to -1 which may or may not: the others, if not small."""
+    virtual, near, far, occlusion = scan.virtual, scan.limits.near_m, scan.limits.far_m, scan.limits.occlusion_m
+    r, beam, by_m, by_beams, apart_beams = work.r, work.beam, reach.by_m, reach.by_beams, reach.apart_beams
+    for j in range(len(virtual)):
+        k, at, least, most = fixed[j], sight.seen[j], sight.least[j], sight.most[j]
+        if k > 0 and not small:
+            fixed[j] = -1
+        elif k > 0:
+            wide = beam[k] - beam[k - 1]
+            share = (by_beams[k - 1] + apart_beams[k]) / max(wide - apart_beams[k], 1e-9)
+            change = max(by_m[k - 1], by_m[k]) + share * abs(r[k] - r[k - 1]) + CLOSE
+            least, most = max(least, at - change), min(most, at + change)
+            stays = near < least and most < far and abs(at - virtual[j]) + change < occlusion
+            if not stays or change > HIDDEN_M or apart_beams[k] > FIXED_SHARE * wide:
+                fixed[j] = -1
+        apart = max(least - virtual[j], virtual[j] - most) > occlusion + CLOSE or most < near or least > far
+        if apart or not near < virtual[j] < far:
+            fixed[j] = 0
+
+
+@helper
+def rest_of(scan: Scan, swept: NDArray[np.float64], fixed: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the points (6, m) of the segments that loose beams may meet."""
+    points, last, turn, count = scan.points, len(fixed) - 1, 2.0 * np.pi / abs(scan.limits.step_rad), 0
+    n, loose = points.shape[1], np.zeros(len(fixed) + 1, np.int64)
+    needed, kept = np.zeros(n + 1, np.bool_), np.empty(n, np.int64)
+    for j in range(len(fixed)):
+        loose[j + 1] = loose[j] + (fixed[j] < 0)
+    for k in range(1, n):
+        low, high = swept[0, k], swept[1, k]
+        first, end = max(int64(np.ceil(low)), 0), min(int64(np.floor(high)), last) + 1
+        needed[k] = low < 0.0 or high >= turn or (first < end and loose[end] > loose[first])
+    for k in range(n):
+        kept[count] = k
+        count += needed[k] | needed[k + 1]
+    out = np.empty((6, count))
+    for row in range(6):
+        for i in range(count):
+            out[row, i] = points[row, uint64(kept[i])]
+    for i in range(count):
+        out[5, i] *= i > 0 and kept[i] == kept[i - 1] + 1
+    return out

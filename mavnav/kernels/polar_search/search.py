@@ -1,0 +1,196 @@
+"""The paper's scan matching: minimisation (steps i-v) of the cost function in polar coordinates.
+
+A pruned grid has the minimum of the exhaustive one: the same index, the lowest of equals, and the same cost, bit for
+bit. Every candidate gets a lower bound of its cost; that of the least bound is evaluated, then those whose bounds leave
+them a chance. The bounds come
+
+* on wide grids from the cost in single precision, of points as they are seen from the grid's middle: beams that may be
+  off by more than `RANGE_M`, or may not contribute, are counted but not summed (``wide_bounds``);
+* on small ones, where most beams keep the segment that they meet and contribute throughout or nowhere
+  (``fixed_beams``), from the polynomial of second order of their sum, less twice its third-order term
+  (``polynomial``); the others are summed for each candidate.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numba import float64, int64
+
+from mavnav.kernels._jit import helper, kernel
+from mavnav.kernels._types import F64_1D, F64_2D
+from mavnav.kernels.polar_search.bounds import bound
+from mavnav.kernels.polar_search.cost import Limits, Scan, evaluate, limits_of, scan_of, work_for
+from mavnav.kernels.polar_search.fixed_beams import Window
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.kernels.polar_search.cost import Work
+
+MAX_ITERATIONS = 60
+
+
+class Grid(NamedTuple):
+    """The middle of a grid: where the pivot is and the yaw; and the pivot in the scan, m."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    pivot_x_m: float
+    pivot_y_m: float
+
+
+@helper
+def _least(
+    scan: Scan, motions: NDArray[np.float64], bounds: NDArray[np.float64], work: Work
+) -> tuple[int, float, float]:
+    """Return the first candidate of least cost (-1 where all are inf), its cost and its beams."""
+    promising = int64(np.argmin(bounds))
+    best, used = evaluate(scan, motions[promising], work)
+    best_i = promising if best < np.inf else -1
+    for i in range(len(bounds)):
+        if bounds[i] > best or bounds[i] == np.inf or i == promising:
+            continue
+        cost, n = evaluate(scan, motions[i], work)
+        if cost < best or (cost == best and i < best_i):
+            best, used, best_i = cost, n, i
+    return best_i, best, used
+
+
+@helper
+def _turns(
+    grid: Grid,
+    half_rad: float,
+    motions: NDArray[np.float64],
+    offsets: NDArray[np.float64],
+) -> None:
+    """Write the turns of the azimuth grid (minimisation, step i), and that of its middle."""
+    x, y, yaw, pivot_x, pivot_y = grid
+    azimuths = len(offsets)
+    step = 2.0 * half_rad / (azimuths - 1)
+    for i in range(azimuths + 1):
+        a = yaw - half_rad + i * step if i < azimuths else yaw
+        c, s = np.cos(a), np.sin(a)
+        motions[i, 0], motions[i, 1], motions[i, 4] = c, s, a
+        motions[i, 2], motions[i, 3] = x - c * pivot_x + s * pivot_y, y - s * pivot_x - c * pivot_y
+        if i < azimuths:
+            offsets[i, 0], offsets[i, 1] = a - yaw, 0.0
+
+
+@helper
+def _shifts(
+    grid: Grid,
+    half_m: float,
+    nx: int,
+    motions: NDArray[np.float64],
+    offsets: NDArray[np.float64],
+) -> None:
+    """Write the shifts of the plane's grid (step iii), and that of its middle.
+
+    They cover a circular area: the square lattice is mapped onto the disc, its border onto the circle, so that NxM
+    points cost N*M evaluations as in the paper.
+    """
+    x, y, yaw, pivot_x, pivot_y = grid
+    ny, c, s = len(offsets) // nx, np.cos(yaw), np.sin(yaw)
+    to_x, to_y = x - c * pivot_x + s * pivot_y, y - s * pivot_x - c * pivot_y
+    motions[:, 0], motions[:, 1], motions[:, 2], motions[:, 3], motions[:, 4] = c, s, to_x, to_y, yaw
+    for j in range(ny):
+        v = -1.0 + 2.0 * j / (ny - 1)
+        for i in range(nx):
+            u = -1.0 + 2.0 * i / (nx - 1)
+            dx, dy = half_m * u * np.sqrt(1.0 - 0.5 * v * v), half_m * v * np.sqrt(1.0 - 0.5 * u * u)
+            offsets[j * nx + i, 0], offsets[j * nx + i, 1] = dx, dy
+            motions[j * nx + i, 2], motions[j * nx + i, 3] = to_x + dx, to_y + dy
+
+
+@helper
+def _at_occlusion(scan: Scan, occlusion_m: float) -> Scan:
+    """Return the scan with another occlusion threshold."""
+    first_rad, step_rad, near_m, far_m, _, edge_m, fewest_beams, counted = scan.limits
+    limits = Limits(first_rad, step_rad, near_m, far_m, occlusion_m, edge_m, fewest_beams, counted)
+    return Scan(scan.virtual, scan.points, limits)
+
+
+@kernel(float64[::1](F64_1D, F64_2D, F64_1D, F64_1D, F64_1D))
+def search(
+    virtual: NDArray[np.float64],
+    points: NDArray[np.float64],
+    grid: NDArray[np.float64],
+    schedule: NDArray[np.float64],
+    limits: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Minimise the cost; returns [x, y, yaw, cost_m2, beams used, evaluations, iterations, converged].
+
+    Parameters
+    ----------
+    virtual, limits : as for ``polar_cost``
+    points : (n, 5), the columns of ``polar_cost``'s as rows
+    grid : (5,) points of the azimuth grid, of the plane in x and in y, border extensions at most, 1 to prune
+    schedule : (11,) half-window in the plane (m) and in azimuth (rad), shrink factor, 1 to leave no gaps between
+        grids, spacings to stop at (m, rad), cost (m2) that is of no use, factor by which the occlusion threshold
+        shrinks from iteration to iteration and the least that it shrinks to (m), 1 to turn about the laser instead of
+        the points' centroid, 1 to stop where either spacing is reached instead of both
+
+    Where occluded beams count, no bounds are known and every candidate is evaluated. A motion changes ranges by about
+    its length: the search ends as well where the root of the cost exceeds that of one of no use by more than twice the
+    half-window, and has not converged.
+    """
+    n_azimuths, n_x, n_y, n_extensions, prune = grid
+    half_m, half_rad, shrink, covered, stop_m, stop_rad, useless, occlusion_shrink, least_m, at_laser, either = schedule
+    azimuths, nx, ny, extensions = int(n_azimuths), int(n_x), int(n_y), int(n_extensions)
+    n, given = len(points), limits_of(limits)
+    scan = part = scan_of(virtual, points.T, given)
+    work, bounded = work_for(2 * n, len(virtual)), prune > 0.0 and not given.counted
+    turns, by_turn, turn_bounds = np.empty((azimuths + 1, 5)), np.empty((azimuths, 2)), np.full(azimuths, -np.inf)
+    shifts, by_shift, bounds = np.empty((nx * ny + 1, 5)), np.empty((nx * ny, 2)), np.full(nx * ny, -np.inf)
+    # Turning about the points' centroid keeps the two searches from undoing each other.
+    pivot_x, pivot_y = (0.0, 0.0) if at_laser > 0.0 else (points[:, 0].mean(), points[:, 1].mean())
+    x, y, yaw = pivot_x, pivot_y, 0.0
+    best, used, evaluations, iterations, converged = np.inf, 0.0, 0, 0, 0.0
+    for _ in range(MAX_ITERATIONS):
+        iterations += 1
+        step_rad = 2.0 * half_rad / (azimuths - 1)
+        for _ in range(extensions + 1):
+            # Minimisation, steps i and ii
+            _turns(Grid(x, y, yaw, pivot_x, pivot_y), half_rad, turns, by_turn)
+            if bounded:
+                part = bound(scan, turns, by_turn, Window(0.0, half_rad, x, y), work, turn_bounds)
+            i, best, beams = _least(part, turns, turn_bounds, work)
+            evaluations += azimuths
+            if i >= 0:
+                used, yaw = beams, yaw - half_rad + i * step_rad
+            else:
+                i = azimuths // 2
+            if 0 < i < azimuths - 1:
+                break
+        for _ in range(extensions + 1):
+            # Steps iii and iv
+            _shifts(Grid(x, y, yaw, pivot_x, pivot_y), half_m, nx, shifts, by_shift)
+            if bounded:
+                part = bound(scan, shifts, by_shift, Window(half_m, 0.0, x, y), work, bounds)
+            ji, best, beams = _least(part, shifts, bounds, work)
+            evaluations += nx * ny
+            if ji >= 0:
+                used, x, y = beams, x + by_shift[ji, 0], y + by_shift[ji, 1]
+            else:
+                ji = ny // 2 * nx + nx // 2
+            if 0 < ji % nx < nx - 1 and 0 < ji // nx < ny - 1:
+                break
+        # Step v; the grid's spacing bounds the change still to come, also where the centre stays the best.
+        spacing = 2.0 * half_m / (min(nx, ny) - 1)
+        fine_xy, fine_yaw = spacing < stop_m, step_rad < stop_rad
+        if (fine_xy and fine_yaw) or (either > 0.0 and (fine_xy or fine_yaw)):
+            converged = 1.0
+            break
+        if best == np.inf or np.sqrt(best) > np.sqrt(useless) + 2.0 * half_m:
+            break
+        half_m *= max(shrink, covered * min(spacing / half_m, 0.9))
+        half_rad *= max(shrink, covered * min(step_rad / half_rad, 0.9))
+        if occlusion_shrink < 1.0:
+            smaller_m = max(scan.limits.occlusion_m * occlusion_shrink, min(least_m, given.occlusion_m))
+            scan = part = _at_occlusion(scan, smaller_m)
+    c, s = np.cos(yaw), np.sin(yaw)
+    to_x, to_y = x - c * pivot_x + s * pivot_y, y - s * pivot_x - c * pivot_y
+    return np.array([to_x, to_y, yaw, best, used, evaluations, iterations, converged])
