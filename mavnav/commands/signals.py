@@ -72,7 +72,7 @@ def keeping() -> Iterator[Callable[[], ExitCode | None]]:
     try:
         yield ask
         if _ARRIVED and not heard:
-            os.write(2, b"mavnav: it came when all was done: nothing is missing\n")
+            os.write(2, b"mavnav: the signal came after the work was done: the result is complete\n")
     finally:
         _FORGIVEN[0] = 0
         _ARRIVED.clear()
@@ -98,7 +98,7 @@ def _stop(number: int, _frame: FrameType | None) -> None:
     _ARRIVED.append(reason)
     if len(_ARRIVED) > _FORGIVEN[0]:
         raise reason
-    os.write(2, f"mavnav: {reason.word}: what is done so far is being kept; once more, and it is not\n".encode())
+    os.write(2, f"mavnav: {reason.word}: writing the results so far; interrupt again to discard them\n".encode())
 
 
 def _end(number: int, _frame: FrameType | None) -> NoReturn:

@@ -172,7 +172,7 @@ class RobustConfig(Strict):
         0.15,
         ge=0,
         le=1,
-        description="reject a match with this share of visibility conflicts (points in free space or behind walls)",
+        description="reject a match of few inliers with this share of visibility conflicts (free space, occlusion)",
     )
     track_above: float = Field(0.6, ge=0, le=1, description="accept a match at this share of inliers")
     regain_above: float = Field(0.7, ge=0, le=1, description="accept a match after a gap at this share of inliers")

@@ -144,7 +144,7 @@ def _collect(node: yaml.Node, key: Key, name: str, layer: Layer) -> None:
             raise ConfigError(f"{name}:{line}: a key is no plain word; write 'key: value' lines")
         child = (*key, str(key_node.value))
         if child in layer.origins:
-            raise ConfigError(f"{name}:{line}: {'.'.join(child)} stands there twice; keep one of them")
+            raise ConfigError(f"{name}:{line}: {'.'.join(child)} is given twice; keep one of them")
         layer.origins[child] = f"{name}:{line}"
         if isinstance(value_node, yaml.MappingNode):
             _collect(value_node, child, name, layer)

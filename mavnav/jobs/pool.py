@@ -166,7 +166,7 @@ class _Worker:
         limited = self.memory_mb is not None  # native code that gets no memory aborts
         memory = "; the memory may have run out" if limited or code == -signal.SIGKILL else ""
         if code is None or code >= 0:
-            return f"its process ended by itself with code {code}{memory}"
+            return f"its process exited with code {code}{memory}"
         return f"its process was killed by {signal.Signals(-code).name}{memory}"
 
 

@@ -311,7 +311,7 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
     elif track and odom_T_base:
         if base_T_laser is None:
             text = f"no transform from {base_frame!r} to {log.frame_id!r}; the odometry is taken as the laser's own"
-            warnings.append(f"{text} (--extrinsic x,y,yaw tells the mounting)")
+            warnings.append(f"{text} (give the mounting with --extrinsic x,y,yaw)")
         odometry = Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()))
     return replace(
         log,

@@ -177,7 +177,7 @@ class ScanFilter:
         """Warn about fields that contradict the rest and are not believed."""
         if message.has_limits and _limits(message) == (0.0, np.inf):
             told = f"{message.range_min_m:g} to {message.range_max_m:g} m"
-            self._warn(f"{self._topic}: the range limits ({told}) are unusable; every positive range is taken")
+            self._warn(f"{self._topic}: the range limits ({told}) are unusable; every positive range is used")
         if message.has_pose:
             self._warn(f"{self._topic}: the scans carry a pose of their own, which is not used")
         last = message.angle_min_rad + message.angle_step_rad * (len(message.ranges_m) - 1)
@@ -185,7 +185,7 @@ class ScanFilter:
         # Many drivers are one beam out here; that is no news.
         if told_last is not None and not abs(told_last - last) <= 1.5 * abs(message.angle_step_rad):
             told = f"angle_max is {told_last:.4f} rad, but {len(message.ranges_m)} beams end at {last:.4f}"
-            self._warn(f"{self._topic}: {told}; number of beams and increment are believed")
+            self._warn(f"{self._topic}: {told}; number of beams and increment are used")
 
 
 def _refusal(message: LaserMessage) -> str | None:

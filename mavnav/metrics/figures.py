@@ -96,7 +96,7 @@ def why_not_meaningful(run: Run) -> str:
     """Say why the map of a run is not to be compared with others; empty where it is."""
     quality = run.get("map_quality")
     if quality:
-        return "" if quality.get("meaningful") else "; ".join(map(str, quality.get("why") or ["no map to speak of"]))
+        return "" if quality.get("meaningful") else "; ".join(map(str, quality.get("why") or ["no usable map"]))
     if run.get("exit_code") == ExitCode.TRACKING_LOST or number(run, "tracking.lost"):
         return "the track was lost for good"
     share = number(run, "map.accepted_share") or 0.0

@@ -360,7 +360,7 @@ def test_the_first_signal_keeps_what_is_done_and_marks_it(
     tracking.send_signal(number)
     _, err = tracking.communicate(timeout=100)
     assert tracking.returncode == code
-    assert f"mavnav: {word}: what is done so far is being kept" in err
+    assert f"mavnav: {word}: writing the results so far" in err
     document = json.loads((directory / "run.json").read_text())
     assert (document["partial"], document["exit_code"]) == (True, code)
     assert 0 < document["scans"]["processed"] < document["scans"]["usable"]
@@ -373,7 +373,7 @@ def test_a_second_signal_gives_up_and_leaves_nothing_half_written(
 ) -> None:
     assert tracking.stderr is not None
     tracking.send_signal(signal.SIGINT)
-    while "is being kept" not in tracking.stderr.readline():
+    while "writing the results so far" not in tracking.stderr.readline():
         pass
     tracking.send_signal(signal.SIGINT)
     out, err = tracking.communicate(timeout=100)
@@ -410,7 +410,7 @@ def test_a_signal_after_the_last_scan_comes_too_late_to_make_the_run_partial(sam
     done = befallen(sample, tmp_path / "run", signal.SIGTERM)
     document = json.loads((tmp_path / "run" / "run.json").read_text())
     assert (done.returncode, document["exit_code"], document["partial"]) == (ExitCode.DONE, ExitCode.DONE, False)
-    assert done.stderr.splitlines()[-1] == "mavnav: it came when all was done: nothing is missing"
+    assert done.stderr.splitlines()[-1] == "mavnav: the signal came after the work was done: the result is complete"
 
 
 @pytest.mark.parametrize("numbers", [(signal.SIGKILL,), (signal.SIGTERM, signal.SIGTERM)])

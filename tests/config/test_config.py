@@ -117,7 +117,7 @@ def test_grid_takes_text_and_mapping(tmp_path: Path) -> None:
         ("paper:\n  near_mm: abc", 2, ["paper.near_mm", "should be a number", "step vi"]),
         ("robust:\n  cell_mm: .inf", 2, ["robust.cell_mm"]),
         ("robust: 5", 1, ["robust is 5"]),
-        ("azimuth: 3\nazimuth: 4", 2, ["azimuth stands there twice"]),
+        ("azimuth: 3\nazimuth: 4", 2, ["azimuth is given twice"]),
         ("odom: &a x\nmethod: *a", 2, ["aliases"]),
         ("odom: !!python/name:os.system ''", 1, ["odom", "tag"]),
         ("odom: [[a, {b: c}]]", 1, ["odom"]),

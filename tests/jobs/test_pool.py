@@ -62,7 +62,7 @@ def test_a_crash_costs_its_own_job_alone() -> None:
     )
     assert (killed.fate, killed.exit_code) == (Fate.DIED, ExitCode.BUG)
     assert killed.error == "its process was killed by SIGKILL; the memory may have run out"
-    assert (left.fate, left.error) == (Fate.DIED, "its process ended by itself with code 3")
+    assert (left.fate, left.error) == (Fate.DIED, "its process exited with code 3")
     assert (refused.fate, refused.exit_code) == (Fate.FAILED, ExitCode.NO_SCANS)
     assert refused.error == "empty.bag: no scans; choose another"
     assert (blundered.exit_code, blundered.error) == (ExitCode.BUG, "a bug: ZeroDivisionError: x")
@@ -82,7 +82,7 @@ def test_the_clock_stops_a_job_that_hangs() -> None:
 def test_what_ends_for_want_of_memory_says_that_there_was_a_limit() -> None:
     """Native code that gets no memory ends its process, in whatever way."""
     (left,) = run(Job("left", strange.leave), memory_mb=600)
-    assert left.error == "its process ended by itself with code 3; the memory may have run out"
+    assert left.error == "its process exited with code 3; the memory may have run out"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="RLIMIT_DATA counts mapped memory on Linux alone")

@@ -166,7 +166,7 @@ def _plain(node: Any, report: ReadReport) -> Any:  # noqa: ANN401
     for key, value in node.value:
         name = str(key.value)
         if name in tree:
-            report.damage(f"{name} stands there twice; the first counts", METADATA)
+            report.damage(f"{name} is given twice; the first one is used", METADATA)
         else:
             tree[name] = _plain(value, report)
     return tree

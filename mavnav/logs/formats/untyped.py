@@ -42,7 +42,7 @@ def typed(channel: Channel, data: bytes, where: str, report: ReadReport) -> Chan
     encoding = laser_encoding(data)
     if encoding is None:
         return channel
-    lacks = f"is in no encoding {channel.encoding!r}" if channel.type else "has a type that is told nowhere"
+    lacks = f"is in no encoding {channel.encoding!r}" if channel.type else "has no stated type"
     report.damage(f"{channel.topic} {lacks}; its messages are scans by their bytes", where)
     return report.declare(Channel(channel.topic, SCAN, encoding))
 

@@ -46,7 +46,7 @@ def _of_one(entry: Entry) -> str:
     mapped = f"{entry.name} put {scans['accepted']} of {scans['processed']} scans on the map"
     why = why_not_meaningful(entry.document)
     if why:
-        return f"{mapped}; it is not worth trusting: {why}."
+        return f"{mapped}; it is not reliable: {why}."
     p95_mm = P95.of(entry.document)
     thin = "" if p95_mm is None else f"95 % of its wall is at most {_mm(p95_mm)} thick"
     walls = thin or "there is no straight wall to measure"
@@ -61,7 +61,7 @@ def _ghosts(entry: Entry) -> str:
     count = number(entry.document, "map_quality.ghost_walls.count")
     if count is None:
         return ""
-    return ", and no wall stands there twice" if not count else f", and {count} of its walls stand there twice"
+    return ", and no wall is drawn twice" if not count else f", and {count} of its walls are drawn twice"
 
 
 def _of_many(sound: Sequence[Entry]) -> str:

@@ -243,7 +243,7 @@ def test_errors_name_the_line_and_what_to_do(tmp_path: Path, old: str, new: str,
         ("walls: []\nstart: {x_m: 1, y_m: 1}\ngoal_m: [1, 1]\n", ":1: walls is [], it needs one shape at least; "),
         ("", ": walls is missing; "),
         ("walls: [[1, 2]]\nstart: {x_m: 1, y_m: 1}\ngoal_m: [1, 1]\n", ":1: walls.0 is [1, 2], it should be a section"),
-        ("walls:\n - arc: {a: 1, a: 2}\n", ":2: arc.a stands there twice"),
+        ("walls:\n - arc: {a: 1, a: 2}\n", ":2: arc.a is given twice"),
     ],
 )  # fmt: skip
 def test_errors_of_a_file_that_lacks_something(tmp_path: Path, text: str, message: str) -> None:
