@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 COLUMNS = (
     "index", "stamp", "x_m", "y_m", "yaw_rad", "cost_m2", "beams_used", "inliers", "evaluations", "iterations",
-    "converged", "tracked", "accepted",
+    "converged", "tracked", "accepted", "threshold_m2",
 )  # fmt: skip
 
 TRUE_WALLS_FILE: Final = "true_walls.json"
@@ -71,7 +71,9 @@ def seconds(stamp_ns: int) -> str:
 def write_csv(run: Run, path: Path) -> None:
     """Write a row for every scan that was matched; one that was not tracked has no pose."""
     poses = dict(zip(run.slam.trajectory.stamps_ns.tolist(), run.slam.trajectory.xyyaw.tolist(), strict=True))
-    columns = [run.slam.steps.column(name).tolist() for name in ("index", "stamp_ns", *COLUMNS[5:-1], "tracked")]
+    columns = [
+        run.slam.steps.column(name).tolist() for name in ("index", "stamp_ns", *COLUMNS[5:12], "tracked", COLUMNS[13])
+    ]
     with path.open("w", encoding="ascii", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(COLUMNS)
@@ -79,7 +81,8 @@ def write_csv(run: Run, path: Path) -> None:
 
 
 def _csv_row(row: tuple[Any, ...], xyyaw: list[float] | None) -> tuple[object, ...]:
-    index, stamp_ns, cost_m2, beams, inliers, evaluations, iterations, *flags = row
+    index, stamp_ns, cost_m2, beams, inliers, evaluations, iterations, *flags, threshold_m2 = row
     pose = ("", "", "") if xyyaw is None else (f"{v:.9f}" for v in xyyaw)
-    cost = f"{cost_m2:.9g}" if isfinite(cost_m2) else ""
-    return index, seconds(stamp_ns), *pose, cost, beams, f"{inliers:.6f}", evaluations, iterations, *map(int, flags)
+    cost, threshold = (f"{value:.9g}" if isfinite(value) else "" for value in (cost_m2, threshold_m2))
+    effort = (evaluations, iterations)
+    return index, seconds(stamp_ns), *pose, cost, beams, f"{inliers:.6f}", *effort, *map(int, flags), threshold

@@ -61,8 +61,10 @@ class Paper:
         paper = self.config.paper
         points = polar_points(scan.ranges_m, scan.spec, paper.mixed_pixel_mm * MM)
         if len(points) < self._least_beams(scan.spec):
-            return no_match(predicted, len(points))
-        return match_polar(self._virtual_scan(predicted, scan.spec), points, scan.spec, predicted, self.config)
+            return no_match(predicted, len(points))._replace(threshold_m2=self._threshold_m2(scan))
+        virtual_m = self._virtual_scan(predicted, scan.spec)
+        match = match_polar(virtual_m, points, scan.spec, predicted, self.config)
+        return match._replace(threshold_m2=self._threshold_m2(scan))
 
     def _virtual_scan(self, predicted: Pose, spec: LaserSpec) -> NDArray[np.float64]:
         """Cast the virtual scan (beams,), m; while neither map nor prediction change, it is the one before."""
@@ -80,9 +82,12 @@ class Paper:
 
     @timed("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
-        """Believe and insert only a well-minimised cost (paper, "Map Update")."""
-        threshold_m2 = acceptance_scale(scan.ranges_m, self.config) * self.config.paper.gate_mm2 * MM2
-        return Verdict.SURE if match.cost_m2 <= threshold_m2 else Verdict.REFUSED
+        """Accept only a well-minimized cost (paper, "Map Update")."""
+        return Verdict.SURE if match.cost_m2 <= self._threshold_m2(scan) else Verdict.REFUSED
+
+    def _threshold_m2(self, scan: Scan) -> float:
+        """Return the acceptance threshold for a scan."""
+        return acceptance_scale(scan.ranges_m, self.config) * self.config.paper.gate_mm2 * MM2
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Count the hits of every valid beam."""

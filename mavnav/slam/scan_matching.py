@@ -27,7 +27,7 @@ class Match(NamedTuple):
     ``evaluations`` the number of candidate poses whose cost was asked for, ``iterations`` the number of grids searched.
     ``conflicts`` is the share of visibility conflicts, ``surprise`` the distance from the motion prior (1: as far as
     strong acceleration reaches), and ``ambiguous`` is true if another pose explains the scan about as well
-    (``relocalize``).
+    (``relocalize``). ``threshold_m2`` is the cost up to which the match is accepted, inf if that is not by cost.
     """
 
     map_T_laser: Pose
@@ -40,6 +40,7 @@ class Match(NamedTuple):
     conflicts: float = 0.0
     surprise: float = 0.0
     ambiguous: bool = False
+    threshold_m2: float = np.inf
 
 
 def no_match(map_T_laser: Pose, beams: int = 0) -> Match:

@@ -41,18 +41,19 @@ class Step(NamedTuple):
     tracked: bool
 
 
-_PACKED = Struct("<qq3ddqdqq?dd??")
+_PACKED = Struct("<qq3ddqdqq?dd?d?")
 _COLUMNS = np.dtype(
     [
         ("index", "<i8"), ("stamp_ns", "<i8"), ("map_T_laser", "<f8", 3), ("cost_m2", "<f8"),
         ("beams_used", "<i8"), ("inliers", "<f8"), ("evaluations", "<i8"), ("iterations", "<i8"), ("converged", "?"),
-        ("conflicts", "<f8"), ("surprise", "<f8"), ("ambiguous", "?"), ("tracked", "?"),
+        ("conflicts", "<f8"), ("surprise", "<f8"), ("ambiguous", "?"), ("threshold_m2", "<f8"),
+        ("tracked", "?"),
     ]
 )  # fmt: skip
 
 
 class Steps(Sequence[Step]):
-    """The steps of a run, packed: 99 bytes a scan, of which the objects take 630; a log may have 100 000 of them."""
+    """The steps of a run, packed: 107 bytes a scan, of which the objects take 630; a log may have 100 000 of them."""
 
     __slots__ = ("_rows",)
 
@@ -109,8 +110,8 @@ def _pack(step: Step) -> bytes:
 
 
 def _step(row: tuple[Any, ...]) -> Step:
-    match = Match._make((Pose._make(row[2:5]), *row[5:14]))
-    return Step(row[0], row[1], match, row[14])
+    match = Match._make((Pose._make(row[2:5]), *row[5:15]))
+    return Step(row[0], row[1], match, row[15])
 
 
 @dataclass(frozen=True, slots=True)

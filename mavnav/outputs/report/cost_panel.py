@@ -30,21 +30,11 @@ SHORT_SCALE: Final = 100.0
 def cost_panels(entries: Sequence[Entry]) -> list[Image]:
     """Draw the cost over time for each run, all on the same scale."""
     costs = np.concatenate([e.scans.cost_mm2[e.scans.cost_mm2 > LEAST_MM2] for e in entries])
-    gates = [gate for e in entries if (gate := gate_mm2(e))]
+    thresholds = [e.scans.threshold_mm2[np.isfinite(e.scans.threshold_mm2)].max(initial=0.0) for e in entries]
     low = float(np.quantile(costs, LOW_SHARE)) if costs.size else 1.0
-    limits = (0.5 * low, 2.0 * max([float(costs.max(initial=10.0 * low)), *gates]))
+    limits = (0.5 * low, 2.0 * max([float(costs.max(initial=10.0 * low)), *map(float, thresholds)]))
     end_s = max(float(e.scans.time_s.max(initial=0.1)) for e in entries)
     return [_panel(e, limits, end_s) for e in entries]
-
-
-def gate_mm2(entry: Entry) -> float | None:
-    """Return the cost above which the paper's method rejects a scan; None where it differs from scan to scan.
-
-    The robust method looks at inliers instead.
-    """
-    config = entry.document.get("config") or {}
-    paper = config.get("paper") or {}
-    return paper.get("gate_mm2") if config.get("method") == "paper" and not paper.get("gate_range_mm") else None
 
 
 def _panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
@@ -57,9 +47,8 @@ def _panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
     shown = rejected(entry) & np.isfinite(cost)
     if shown.any():
         axes.plot(scans.time_s[shown], cost[shown], "x", ms=4, color=drawing.GOAL_RED, label="rejected scan")
-    gate = gate_mm2(entry)
-    if gate:
-        axes.axhline(gate, color=drawing.MUTED, lw=1.0, ls="--", label="gate")
+    if np.isfinite(scans.threshold_mm2).any():
+        axes.plot(scans.time_s, scans.threshold_mm2, color=drawing.MUTED, lw=1.0, ls="--", label="acceptance threshold")
     scale(axes, limits)
     axes.set_xlim(0.0, end_s)
     axes.set_xlabel("time [s]", fontsize=FONT_PT)

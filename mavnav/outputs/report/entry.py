@@ -31,12 +31,13 @@ FAILED: Final = "failed"
 class Scans:
     """The scans of a run in their order, one an entry.
 
-    ``time_s`` from the first scan on, ``cost_mm2`` of the match (NaN without one), ``xy_m`` (n, 2) in the map frame
-    (NaN where the scan has no pose), ``tracked``.
+    ``time_s`` from the first scan on, ``cost_mm2`` of the match and ``threshold_mm2`` up to which it is accepted (NaN
+    without one), ``xy_m`` (n, 2) in the map frame (NaN where the scan has no pose), ``tracked``.
     """
 
     time_s: NDArray[np.float64]
     cost_mm2: NDArray[np.float64]
+    threshold_mm2: NDArray[np.float64]
     xy_m: NDArray[np.float64]
     tracked: NDArray[np.bool_]
 
@@ -89,14 +90,15 @@ def _scans(path: Path) -> Scans:
     return Scans(
         time_s=stamps_s - stamps_s[:1],
         cost_mm2=_column(rows, "cost_m2") * 1e6,
+        threshold_mm2=_column(rows, "threshold_m2") * 1e6,
         xy_m=np.column_stack((_column(rows, "x_m"), _column(rows, "y_m"))),
         tracked=_column(rows, "tracked") > 0,
     )
 
 
 def _column(rows: list[dict[str, str]], name: str) -> NDArray[np.float64]:
-    """Return a column of the table; an empty field is NaN."""
-    return np.array([float(row[name] or "nan") for row in rows], np.float64)
+    """Return a column of the table; an empty field is NaN, as is a column that an older version did not write."""
+    return np.array([float(row.get(name) or "nan") for row in rows], np.float64)
 
 
 def _true_walls(folder: Path) -> list[NDArray[np.float64]]:
