@@ -164,7 +164,7 @@ def replay(
     wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile(loading=compile_s, starting=startup_s)
     log = _open(request, progress)
     if request.log_sha256 not in {None, log.sha256}:
-        raise UsageError(f"{request.log}: changed while it was read; run again once it is complete")
+        raise UsageError(f"{request.log}: changed since it was first read; run again once it is complete")
     check_times(given.references, log.first_ns, log.last_ns)
     with stoppable() as stop:
         return _mapped(request, log, given, progress, stop, Timing(wall_s, cpu_s, compile_s, stages))

@@ -197,7 +197,7 @@ def test_a_log_that_changes_before_its_run_leaves_no_run(home: Path) -> None:
 
     asked = {"sources": ("logs/good.mcap",), "grids": ("6x6",)}
     document, _ = batch(**asked, listen=cut)
-    assert document["cells"][0]["error"].startswith("logs/good.mcap: changed since it was looked at")
+    assert document["cells"][0]["error"].startswith("logs/good.mcap: changed since it was first read")
     assert document["exit_code"] == ExitCode.USAGE
     Path("logs/good.mcap").write_bytes(content)
     document, ran = batch(**asked)
