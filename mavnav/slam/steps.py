@@ -41,15 +41,19 @@ class Step(NamedTuple):
     tracked: bool
 
 
-_PACKED = Struct("<qq3ddqdqq?dd?d?")
-_COLUMNS = np.dtype(
-    [
-        ("index", "<i8"), ("stamp_ns", "<i8"), ("map_T_laser", "<f8", 3), ("cost_m2", "<f8"),
-        ("beams_used", "<i8"), ("inliers", "<f8"), ("evaluations", "<i8"), ("iterations", "<i8"), ("converged", "?"),
-        ("conflicts", "<f8"), ("surprise", "<f8"), ("ambiguous", "?"), ("threshold_m2", "<f8"),
-        ("tracked", "?"),
-    ]
-)  # fmt: skip
+_KINDS = {"int": ("q", "<i8"), "float": ("d", "<f8"), "bool": ("?", "?"), "Pose": ("3d", "3<f8")}
+"""Type of a field -> how it is packed, and its column."""
+
+_FIELDS = {
+    "index": "int",
+    "stamp_ns": "int",
+    **{name: kind.__forward_arg__ for name, kind in Match.__annotations__.items()},
+    "tracked": "bool",
+}
+"""The fields of a step, those of its match in place, in order."""
+
+_PACKED = Struct("<" + "".join(_KINDS[kind][0] for kind in _FIELDS.values()))
+_COLUMNS = np.dtype([(name, _KINDS[kind][1]) for name, kind in _FIELDS.items()])
 
 
 class Steps(Sequence[Step]):
@@ -110,8 +114,8 @@ def _pack(step: Step) -> bytes:
 
 
 def _step(row: tuple[Any, ...]) -> Step:
-    match = Match._make((Pose._make(row[2:5]), *row[5:15]))
-    return Step(row[0], row[1], match, row[15])
+    index, stamp_ns, x_m, y_m, yaw_rad, *evidence, tracked = row
+    return Step(index, stamp_ns, Match(Pose(x_m, y_m, yaw_rad), *evidence), tracked)
 
 
 @dataclass(frozen=True, slots=True)
