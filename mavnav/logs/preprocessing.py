@@ -174,7 +174,7 @@ class ScanFilter:
         )
 
     def _check(self, message: LaserMessage) -> None:
-        """Warn about fields that contradict the rest and are not believed."""
+        """Warn about fields that contradict the rest and are not used."""
         if message.has_limits and _limits(message) == (0.0, np.inf):
             told = f"{message.range_min_m:g} to {message.range_max_m:g} m"
             self._warn(f"{self._topic}: the range limits ({told}) are unusable; every positive range is used")

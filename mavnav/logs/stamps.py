@@ -1,4 +1,4 @@
-"""Time in a log: in which order its scans are used, which do not fit in, and whose stamps to believe."""
+"""Time in a log: in which order its scans are used, which do not fit in, and whose stamps to trust."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ class TopicScans:
     def timeline(self, window_s: Window = (None, None)) -> Timeline:
         """Choose the scans' own stamps, unless they keep less than half of the scans that the recorder's keep.
 
-        So stamps that are all zero or constant are not believed. A constant stamp above zero keeps one scan, which is
+        So stamps that are all zero or constant are not trusted. A constant stamp above zero keeps one scan, which is
         half of two: two scans count as constant as well. The window's ends are in seconds from the first usable scan,
         both inclusive.
         """

@@ -2,7 +2,7 @@
 
 ``/tf_static`` comes first, ``/tf`` before the ``/scan`` of the same stamp, then ``/pose``; ``/map`` shows the walls as
 they were first seen, about once a second of the log, and at the end the whole map with its free space, with ``/path``.
-Scans without a believed pose are left out: they have no place in the map.
+Scans without an accepted pose are left out: they have no place in the map.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ NEW_SHARE = 0.7  # of a new velocity in the running one
 
 
 class Motion(NamedTuple):
-    """The last believed pose and how the laser moved there.
+    """The last accepted pose and how the laser moved there.
 
     ``twist`` is the velocity in the laser's own frame, m/s, m/s, rad/s. ``period_s`` is the sensor's: steps of
     time are rounded to whole periods, because many drivers stamp a scan when it arrives, tens of ms early or late.
@@ -37,7 +37,7 @@ class Motion(NamedTuple):
     twist: Twist = (0.0, 0.0, 0.0)
 
     def elapsed_s(self, stamp_ns: int) -> float:
-        """Time to the last believed pose, in whole periods, one at least."""
+        """Time to the last accepted pose, in whole periods, one at least."""
         return (round(abs(stamp_ns - self.stamp_ns) * NS / self.period_s) or 1) * self.period_s
 
     def predict(self, stamp_ns: int) -> Pose:
@@ -66,7 +66,7 @@ class Motion(NamedTuple):
         return _twist(self.map_T_laser, ahead, self.elapsed_s(stamp_ns))
 
     def moved_to(self, map_T_laser: Pose, stamp_ns: int) -> Motion:
-        """Return the motion after a new believed pose."""
+        """Return the motion after a new accepted pose."""
         elapsed = self.elapsed_s(stamp_ns)
         twist = x, y, yaw = _twist(self.map_T_laser, map_T_laser, elapsed)
         if elapsed <= 0.5 + self.period_s:

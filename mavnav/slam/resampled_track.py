@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mavnav.slam.track import Track
 
 FEW_POINTS, SPARSE_SCANS = 80, 5
-"""With so many scans believed on fewer points a track is in doubt: a turn rests on a few walls then."""
+"""With so many scans accepted on fewer points a track is in doubt: a turn rests on a few walls then."""
 
 COARSER = 4 / 3
 """Voxels of the second track: other points, and so other slips."""
@@ -32,7 +32,7 @@ def with_coarser_voxels(track: Track) -> Track:
 
 
 def in_doubt(steps: Steps) -> bool:
-    """Tell whether some believed scans of a track have few points."""
+    """Tell whether some accepted scans of a track have few points."""
     few = steps.column("beams_used") < FEW_POINTS
     return int(np.count_nonzero(few & steps.column("tracked"))) >= SPARSE_SCANS
 

@@ -37,11 +37,11 @@ if TYPE_CHECKING:
     Points = tuple[NDArray[np.float64], NDArray[np.float64]]
     """The good end points (n, 2) of a scan and their means (m, 2), m, laser frame."""
 
-REGAIN_S = 0.5  # without a believed pose for longer, chance agreements are likely: more of the scan must agree
+REGAIN_S = 0.5  # without an accepted pose for longer, chance agreements are likely: more of the scan must agree
 
 
 INSIDE = 0.5
-"""Share of the near window within which a match is believed: beyond, the laser may be outside of it."""
+"""Share of the near window within which a match is accepted: beyond, the laser may be outside of it."""
 
 
 NEAR_MINIMA = 3

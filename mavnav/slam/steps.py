@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LOST_SCANS = 5
-"""So many scans in a row without a believed pose are called lost; fewer are rejected scans, unless a jump follows."""
+"""So many scans in a row without an accepted pose are called lost; fewer are rejected scans, unless a jump follows."""
 
 JUMP_M, JUMP_RAD = 0.5, 45 * DEG
-"""So much motion over scans without a believed pose is a gap in the track, however few they are."""
+"""So much motion over scans without an accepted pose is a gap in the track, however few they are."""
 
 FASTEST_M_S, FASTEST_RAD_S = 3.0, 300 * DEG
 """A jump at more than this is a gap even where no scan is missing: the track was found again elsewhere."""
@@ -32,7 +32,7 @@ FASTEST_M_S, FASTEST_RAD_S = 3.0, 300 * DEG
 class Step(NamedTuple):
     """What became of one scan.
 
-    ``tracked``: the match is believed and stands in the trajectory, and the scan is in the map.
+    ``tracked``: the match is accepted and stands in the trajectory, and the scan is in the map.
     """
 
     index: int  # type: ignore[assignment]  # what a tuple calls so is lost
@@ -120,7 +120,7 @@ def _step(row: tuple[Any, ...]) -> Step:
 
 @dataclass(frozen=True, slots=True)
 class LostInterval:
-    """A stretch of scans without a believed pose, and whether the track was found again after it.
+    """A stretch of scans without an accepted pose, and whether the track was found again after it.
 
     It has no scans where the track jumped from one scan to the next.
     """
@@ -132,13 +132,13 @@ class LostInterval:
 
 
 def tracked_trajectory(steps: Steps) -> Trajectory:
-    """Return the poses that are believed (map_T_laser)."""
+    """Return the poses that are accepted (map_T_laser)."""
     tracked = steps.column("tracked")
     return Trajectory(steps.column("stamp_ns")[tracked], steps.column("map_T_laser")[tracked])
 
 
 def lost_intervals(steps: Steps) -> Iterator[LostInterval]:
-    """Find the stretches without a believed pose: of ``LOST_SCANS`` or more scans, or with a jump across them.
+    """Find the stretches without an accepted pose: of ``LOST_SCANS`` or more scans, or with a jump across them.
 
     A jump that no vehicle makes is one even where no scan is missing.
     """

@@ -1,4 +1,4 @@
-"""What the tracker believes: where the laser is, or a place found again that has yet to prove itself."""
+"""State of the tracker: the last accepted motion, or a relocalized pose on trial."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ if TYPE_CHECKING:
     from mavnav.slam.motion_model import Motion
 
 PROOFS = 3
-"""So many scans in a row must agree on a place before it is believed after a gap."""
+"""So many scans in a row must agree on a place before it is accepted after a gap."""
 
 
 class Verdict(Enum):
-    """What a match is worth: believed at once, believed once the next scans agree, or nothing."""
+    """What a match is worth: accepted at once, accepted once the next scans agree, or nothing."""
 
     SURE = "sure"
     PROBABLE = "probable"
@@ -22,9 +22,9 @@ class Verdict(Enum):
 
 
 class TrackState(NamedTuple):
-    """The last believed motion, and perhaps a trial: a motion that ``proofs`` scans in a row agreed on.
+    """The last accepted motion, and perhaps a trial: a motion that ``proofs`` scans in a row agreed on.
 
-    ``missed`` counts the scans since the last believed one.
+    ``missed`` counts the scans since the last accepted one.
     """
 
     motion: Motion
@@ -38,7 +38,7 @@ class TrackState(NamedTuple):
         return self.trial or self.motion
 
     def after(self, verdict: Verdict, map_T_laser: Pose, stamp_ns: int) -> TrackState:
-        """Return the belief after a scan; it was believed if ``missed`` is 0."""
+        """Return the state after a scan; the scan was accepted if ``missed`` is 0."""
         if self.trial is None and verdict is Verdict.SURE:
             return TrackState(self.motion.moved_to(map_T_laser, stamp_ns))
         if verdict is Verdict.REFUSED:

@@ -22,7 +22,7 @@ class State:
     """What the records read so far have told.
 
     The data section is ``unsound`` where its CRC does not match. In a ``suspect`` chunk the summary's channels are
-    believed over the chunk's own.
+    preferred to the chunk's own.
     """
 
     report: ReadReport

@@ -1,6 +1,6 @@
 """MCAP records: what their fields say, and whether bytes can be the head of one (https://mcap.dev/spec).
 
-A record is ``opcode u8, length u64, content``, little-endian. Nothing guards a record's head, so a head is believed
+A record is ``opcode u8, length u64, content``, little-endian. Nothing guards a record's head, so a head is trusted
 only if its content can be what its opcode says.
 """
 
@@ -111,7 +111,7 @@ def chunk_head(content: bytes) -> ChunkHead:
 def record_at(source: Source, offset: int, *, mend: bool = True) -> Record | None:
     """Read the record head at an offset; None where none is, or where its content cannot be what it says.
 
-    A chunk whose own fields tell its length is believed over a wrong length or opcode of the record (``mend``), unless
+    A chunk whose own fields tell its length is preferred to a wrong length or opcode of the record (``mend``), unless
     another record follows where the head says.
     """
     prefix = source.read(offset, HEAD.size + _PREFIX_BYTES)

@@ -34,7 +34,7 @@ class Row(NamedTuple):
 def rows(source: Source) -> Iterator[Row]:
     """Yield the rows of messages and topics, in the order of the pages; rows that reach into lost pages are left out.
 
-    Nothing is believed but the page size; where that is none of sqlite's, 4096 bytes are taken.
+    Only the page size is trusted; where that is none of sqlite's, 4096 bytes are taken.
     """
     head = source.read(0, _FILE_HEADER_BYTES)
     page_bytes = page_size(head)
