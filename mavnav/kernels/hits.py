@@ -123,7 +123,7 @@ def add_scan(
     """Count every end point (n, 2) in ``hits`` and the cells between the laser and it in ``passes``, up to `MOST`.
 
     ``shielded`` counts those of the crossings that were of cells with an end point of the same scan near by. It and
-    ``hits`` are in strips, see ``mavnav.lattice``.
+    ``hits`` are in strips, see ``mavnav.mapping.tiled_arrays``.
     ``lattice`` is (3,): x and y of the corner of cell [0, 0], and the cell edge, in m. The caller sees to it that all
     lies inside.
     """

@@ -1,7 +1,7 @@
-"""How the arrays of maps are laid out: what kernels and the rest of the package both have to know.
+"""Layout of the arrays that kernels share, in plain numbers.
 
-Counts of a grid are kept in strips, see ``mavnav.lattice``; an entry of ``nearest`` is described in ``linemap``. This
-file does without numba, so that it is imported at no cost.
+Counts of a grid are kept in strips, see ``mavnav.mapping.tiled_arrays``; an entry of ``nearest`` is described in
+``linemap``. This file does without numba, so that it is imported at no cost.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ class Localizer(Robust):
     """Follows the laser in a known map; ``grid`` counts what the scans saw, in the map's frame."""
 
     builds_map = False
-    found_conflicts = 1.0  # furniture that was moved since the map was made speaks against every place
+    found_conflicts = 1.0  # furniture moved since the map was made conflicts with every pose
 
     def __init__(self, config: Config, known: PriorMap) -> None:
         """Start anywhere in the map, or near where the laser is said to be."""

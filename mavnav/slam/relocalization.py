@@ -56,19 +56,19 @@ CLEAR_BY = 0.05
 """A place is ambiguous if another one ranks nearer than this."""
 
 TELLING = 150
-"""So many points, of any scan a fair sample, tell what share of it the map speaks against."""
+"""Points, a sample of the scan, that the visibility conflicts are counted on."""
 
 
 @timed("gate")
 def judged(match: Match, points: NDArray[np.float64], line_map: LineMap, grid: GridBuilder) -> Match:
-    """Return the match with the share of its points (n, 2), laser frame, that the map speaks against."""
+    """Return the match with the visibility conflicts of its points (n, 2), laser frame."""
     pose, counts, some = match.map_T_laser.as_array(), (grid.lattice, grid.hits, grid.passes), points[:TELLING]
     count = conflicts(some, pose, *counts, line_map.nearest, line_map.geometry)
     return Match(*match[:7], count / max(len(some), 1), *match[8:])  # a third of what ``_replace`` takes
 
 
 def disagreement(match: Match, config: Config) -> float:
-    """Rank a judged match: its truncated cost as a share of the worst, and what speaks against it; 0 is perfect."""
+    """Rank a judged match: its truncated cost as a share of the worst, and its visibility conflicts; 0 is perfect."""
     return match.cost_m2 / (config.robust.truncate_mm * MM) ** 2 + match.conflicts
 
 

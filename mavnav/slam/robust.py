@@ -74,7 +74,7 @@ def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
 class Robust:
     """Point to local line over the whole map; the grid of hit counts is kept beside it for the outputs.
 
-    ``known`` is the grid that tells what speaks against a place.
+    ``known`` is the grid that visibility conflicts are counted on.
     """
 
     expects_rest = False
@@ -180,13 +180,13 @@ class Robust:
         return moved_m <= robust.max_speed_m_s * elapsed_s and turned_rad <= robust.max_turn_deg_s * DEG * elapsed_s
 
     def _contradicted(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
-        """Tell whether too much speaks against a place for it to be found after a long gap."""
+        """Return whether a pose has too many visibility conflicts to be accepted after a long gap."""
         long = motion.odometry is None and elapsed_s > max(LONG_GAP_S, motion.period_s)
         return long and match.conflicts > self.found_conflicts
 
     @timed("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
-        """Believe a match that much of the scan agrees with and little speaks against, at a possible speed.
+        """Accept a match with many inliers and few visibility conflicts, at a possible speed.
 
         After a gap, and where only a jump leads, more of the scan must agree, and the next scans too.
         """

@@ -52,7 +52,7 @@ LEAST_INLIERS = 0.5
 """Share of a closure's points that agree with the old part; the others may lie on what was not seen before."""
 
 MOST_CONFLICTS = 0.05
-"""Share of a closure's points that the old part may speak against."""
+"""Largest share of visibility conflicts of a closure's points with the old part."""
 
 CLEAR_BY = 0.15
 """A closure is ambiguous if another place within the drift ranks nearer than this (``disagreement``)."""
@@ -251,7 +251,7 @@ def the_place(key: KeyFrame, old: Part, bound: tuple[float, float], config: Conf
 
 
 def fits(match: Match) -> bool:
-    """Tell whether enough of a key frame agrees with the old part, and little speaks against it."""
+    """Return whether enough of a key frame agrees with the old part, with few visibility conflicts."""
     return match.inliers >= LEAST_INLIERS and match.conflicts <= MOST_CONFLICTS
 
 
