@@ -10,6 +10,7 @@ from mavnav.kernels.overlap import scan_distances
 from mavnav.kernels.profiles import wall_profiles
 from mavnav.kernels.regions import region_sizes
 from mavnav.kernels.smoothing import smoothed
+from mavnav.kernels.straight_beams import straight_beams
 from mavnav.metrics.lines import linked
 from mavnav.metrics.shape import gaussian, highest
 from mavnav.pose import Pose
@@ -89,3 +90,18 @@ def test_groups_of_linked_points(n) -> None:
     directions = np.column_stack((np.cos(angles), np.sin(angles)))
     np.testing.assert_array_equal(found, naive.link_groups(xy_m, directions, 0.2, 0.1, np.sin(0.5)))
     assert n < 3 or 1 < found.max() < n - 1
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01, 0.03])
+def test_straight_walls_in_a_scan(noise) -> None:
+    rng = np.random.default_rng(2)
+    for pose in (Pose(0.9, 0.8, 0.3), Pose(4.6, 3.4, 1.2), Pose(2.9, 3.2, -2.0)):
+        scan = scan_at(furnished_rooms(), pose, noise=noise, rng=rng)
+        ends = scan.ranges_m[:, None] * scan.spec.directions
+        ends[rng.random(len(ends)) < 0.05] = np.nan
+        given = ends, 0.02, np.array((0.25, 0.5, 1.0)), 0.7, 0.1, 6
+        found, expected = straight_beams(*given), naive.straight_beams(*given)
+        assert np.isfinite(found).sum() > 20
+        np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
+        apart = np.sin(found - expected)[np.isfinite(found)]  # modulo half a turn
+        np.testing.assert_allclose(apart, 0.0, atol=1e-6)

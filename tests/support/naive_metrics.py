@@ -71,3 +71,25 @@ def link_groups(xy_m, directions, reach_m, across_m, sin_turn):
     turned, beside = np.abs(np.outer(c, s) - np.outer(s, c)), np.abs(c[:, None] * dy - s[:, None] * dx)
     linked = (np.hypot(dx, dy) <= reach_m) & (turned <= sin_turn) & (np.maximum(beside, beside.T) <= across_m)
     return connected_components(linked, directed=False)[1]
+
+
+def straight_beams(xy_m, spacing_m, radii_m, least_reach, max_ratio, min_points):
+    """Follow the docstring of the kernel of that name to the letter."""
+    direction, kept = np.full(len(xy_m), np.nan), []
+    for beam, point in enumerate(xy_m):
+        if np.isfinite(point).all() and (not kept or np.hypot(*(point - xy_m[kept[-1]])) >= spacing_m):
+            kept.append(beam)
+    xy = xy_m[kept]
+    for i, beam in enumerate(kept):
+        for radius_m in radii_m:
+            far = np.flatnonzero(np.hypot(*(xy - xy[i]).T) > radius_m)
+            before, after = far[far < i].max(initial=-1) + 1, far[far > i].min(initial=len(xy))
+            reach_m = min(np.hypot(*(part - xy[i]).T).max(initial=0) for part in (xy[before:i], xy[i + 1 : after]))
+            if after - before < min_points or reach_m < least_reach * radius_m:
+                continue
+            thin, wide = np.linalg.eigvalsh(np.cov(xy[before:after].T, ddof=0))
+            if thin <= max_ratio**2 * wide:
+                along = np.linalg.eigh(np.cov(xy[before:after].T, ddof=0))[1][:, 1]
+                direction[beam] = np.arctan(along[1] / along[0])
+                break
+    return direction

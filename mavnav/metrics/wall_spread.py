@@ -1,0 +1,244 @@
+"""Wall spread: how far the hits of a wall scatter across it, which does not depend on how long one looks.
+
+Single scans tell where straight walls are and which way they run, whatever became of them in the map. There the hits of
+the map are summed up along the wall, and the width that holds 95 % of them is measured. Definition: docs/metrics.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mavnav.kernels.profiles import wall_profiles
+from mavnav.kernels.straight_beams import straight_beams
+from mavnav.metrics.journey import spread
+from mavnav.metrics.lines import linked
+from mavnav.metrics.wall_thickness import quantiles
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.metrics.journey import PlacedScans
+
+    Array = NDArray[np.float64]
+
+SAMPLE_SCANS: Final = 400
+SPACING_M: Final = 0.02
+RADII_M: Final = np.array((0.25, 0.5, 1.0))
+LEAST_REACH, MAX_RATIO, MIN_POINTS = 0.7, 0.1, 6
+
+TILE_M: Final = 0.1
+DIRECTIONS: Final = 8
+MIN_SEEN: Final = 4.0
+"""Scans saw a straight wall with at least so many beams on a tile, or it is not asked for in the map."""
+
+LINK_M, ACROSS_M, TURN_RAD = 0.2, 0.06, 15.0 * DEG
+"""Cuts so near to one another along and across, and of directions so alike, are of one wall."""
+
+HALF_LENGTH_M, REACH_M = 0.15, 0.75
+NEAR_M: Final = 0.1
+PEAK_SHARE: Final = 0.2
+GAP_M: Final = 0.04
+MIN_HITS: Final = 10
+MAX_WIDTH_M: Final = 0.6
+HELD: Final = (0.025, 0.975)
+
+AT_A_TIME: Final = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class WallSpread:
+    """Summary of all measured walls, weighted by length of wall; NaN where none was measured.
+
+    ``measured_share`` is the part, by length, of the walls that the scans saw which could be measured in the map.
+    """
+
+    median_mm: float
+    p95_mm: float
+    median_cells: float
+    p95_cells: float
+    length_m: float
+    measured_share: float
+
+
+@dataclass(frozen=True, slots=True)
+class WallCuts:
+    """Cuts across the walls that the scans saw, (n,) each.
+
+    ``xy_m`` (n, 2) is the middle of the wall in the map frame, ``direction_rad`` its direction, ``width_m`` the width
+    that holds 95 % of its hits, NaN where the map has no wall that could be measured; ``length_m`` is the length of
+    wall that a cut stands for.
+    """
+
+    xy_m: Array
+    direction_rad: Array
+    width_m: Array
+    length_m: Array
+
+
+def wall_spread(cuts: WallCuts, cell_m: float) -> WallSpread:
+    """Sum up cuts through a map with cells of that edge."""
+    measured = np.isfinite(cuts.width_m)
+    _, p95_m, median_m = quantiles(cuts.width_m[measured], cuts.length_m[measured])
+    length_m, wanted_m = float(cuts.length_m[measured].sum()), float(cuts.length_m.sum())
+    return WallSpread(
+        median_mm=median_m / MM,
+        p95_mm=p95_m / MM,
+        median_cells=median_m / cell_m,
+        p95_cells=p95_m / cell_m,
+        length_m=length_m,
+        measured_share=length_m / wanted_m if wanted_m else np.nan,
+    )
+
+
+def cut_walls(grid: Grid, scans: PlacedScans | None, tracked: int) -> WallCuts:
+    """Cut a map across where its scans saw straight walls.
+
+    ``scans`` are some of the ``tracked`` scans of the run, evenly spread; None without any.
+    """
+    stations, seen = _stations(*wall_points(scans)) if scans is not None else (np.zeros((0, 3)), np.zeros(0))
+    sampled = 0 if scans is None else min(len(scans.poses), SAMPLE_SCANS)
+    often = seen * tracked >= MIN_SEEN * sampled
+    stations = stations[often]
+    middle_m, width_m = _widths(grid, stations)
+    xy_m = stations[:, :2] + middle_m[:, None] * _normals(stations[:, 2])
+    return WallCuts(xy_m, stations[:, 2], width_m, _lengths(xy_m, stations[:, 2]))
+
+
+def wall_points(scans: PlacedScans) -> tuple[Array, Array]:
+    """Return the end points (n, 2) on straight walls, map frame, and the walls' directions there (n,), rad."""
+    xy_m, direction = [np.zeros((0, 2))], [np.zeros(0)]
+    for k in spread(len(scans.poses), SAMPLE_SCANS):
+        x, y, yaw = scans.poses[k]
+        ends = np.ascontiguousarray(scans.ranges_m[k][:, None] * scans.spec.directions)
+        found = straight_beams(ends, SPACING_M, RADII_M, LEAST_REACH, MAX_RATIO, MIN_POINTS)
+        on_wall = np.isfinite(found)
+        c, s = np.cos(yaw), np.sin(yaw)
+        xy_m.append(ends[on_wall] @ np.array(((c, s), (-s, c))) + (x, y))
+        direction.append(found[on_wall] + yaw)
+    return np.concatenate(xy_m), np.concatenate(direction)
+
+
+def _stations(xy_m: Array, direction: Array) -> tuple[Array, Array]:
+    """Average the points of each tile and direction: (n, 3) x, y and direction, and how many points there were."""
+    sector = np.round(direction / (np.pi / DIRECTIONS)) % DIRECTIONS
+    tiles = np.column_stack((np.floor(xy_m / TILE_M), sector)).astype(np.int64)
+    _, tile, seen = np.unique(tiles, axis=0, return_inverse=True, return_counts=True)
+    tile = tile.reshape(-1)
+
+    def total(values: Array) -> Array:
+        return np.bincount(tile, values, len(seen)).astype(np.float64)
+
+    x, y = total(xy_m[:, 0]) / seen, total(xy_m[:, 1]) / seen
+    mean = 0.5 * np.arctan2(total(np.sin(2.0 * direction)), total(np.cos(2.0 * direction)))
+    return np.column_stack((x, y, mean)), seen.astype(np.float64)
+
+
+def _lengths(xy_m: Array, direction: Array) -> Array:
+    """Return the length of wall that each cut (n,) stands for, m: it reaches halfway to the next cuts along the wall.
+
+    Cuts beside one another, as a blurred wall has them, share the length.
+    """
+    wall = linked(xy_m, direction, reach_m=LINK_M, across_m=ACROSS_M, turn_rad=TURN_RAD)
+    c, s = (np.bincount(wall, turn(2.0 * direction)) for turn in (np.cos, np.sin))
+    mean = 0.5 * np.arctan2(s, c)[wall]
+    along = xy_m[:, 0] * np.cos(mean) + xy_m[:, 1] * np.sin(mean)
+    order = np.lexsort((along, wall))
+    same = np.diff(wall[order]) == 0
+    halves = np.where(same, np.minimum(np.diff(along[order]), LINK_M), TILE_M) / 2.0
+    edge = np.full(min(len(xy_m), 1), TILE_M / 2.0)
+    length_m = np.zeros(len(xy_m))
+    length_m[order] = np.concatenate((edge, halves)) + np.concatenate((halves, edge))
+    return length_m
+
+
+def _normals(direction: Array) -> Array:
+    return np.column_stack((-np.sin(direction), np.cos(direction)))
+
+
+def _widths(grid: Grid, stations: Array) -> tuple[Array, Array]:
+    """Return where the middle of the wall lies to the left of each station, m, and its width, NaN where there is none.
+
+    The middle is 0 where there is no wall.
+    """
+    half_length, reach = (max(round(size_m / grid.cell_m), 1) for size_m in (HALF_LENGTH_M, REACH_M))
+    cells = np.column_stack(((stations[:, :2] - grid.origin_xy_m) / grid.cell_m - 0.5, stations[:, 2]))
+    parts = [
+        _ridges(wall_profiles(grid.hits, grid.hits, cells[k : k + AT_A_TIME], half_length, reach)[0], grid.cell_m / 2.0)
+        for k in range(0, len(cells), AT_A_TIME)
+    ]
+    middle, width, mean_hits = (
+        (np.concatenate(part) for part in zip(*parts, strict=True)) if parts else np.zeros((3, 0))
+    )
+    measured = (mean_hits * half_length >= MIN_HITS) & (width <= MAX_WIDTH_M)
+    return middle, np.where(measured, width, np.nan)
+
+
+def _ridges(halves: Array, bin_m: float) -> tuple[Array, Array, Array]:
+    """Measure the ridge of hits at the middle of each profile.
+
+    ``halves`` (n, 2, bins) are the mean hits a cell on either half of a stretch of wall, every half cell across it.
+    Returns (n,) each: the middle of the hits to the left of the profile's, the width that holds 95 % of them, both in
+    m, and the hits of the ridge a cell along the wall. The width is infinite where a ridge has no end.
+    """
+    total = halves.sum(axis=1)
+    smooth = [_smoothed(part) for part in (total, halves[:, 0], halves[:, 1])]
+    bins, rows = total.shape[1], np.arange(len(total))
+    near = int(NEAR_M / bin_m)
+    peak = bins // 2 - near + np.argmax(smooth[0][:, bins // 2 - near : bins // 2 + near + 1], axis=1)
+    for _ in range(3):  # the ridge's own peak may lie beyond what is near
+        first, last = _extents(smooth, peak, bin_m)
+        inside = (np.arange(bins) >= first[:, None]) & (np.arange(bins) <= last[:, None])
+        peak = np.argmax(np.where(inside, smooth[0], -1.0), axis=1)
+    hits = np.where(inside, total, 0.0)
+    low, high = (_quantile(hits, share) for share in HELD)
+    count = hits.sum(axis=1)
+    middle = (hits @ np.arange(bins)) / np.maximum(count, 1e-12) - bins // 2
+    ended = (first > 0) & (last < bins - 1) & (smooth[0][rows, peak] > 0.0)
+    return (
+        np.where(count > 0.0, middle, 0.0) * bin_m,
+        np.where(ended, (high - low) * bin_m, np.inf),
+        0.5 * count,
+    )
+
+
+def _smoothed(profile: Array) -> Array:
+    """Average each bin with its neighbours."""
+    padded = np.pad(profile, ((0, 0), (1, 1)))
+    mean: Array = (padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]) / 3.0
+    return mean
+
+
+def _extents(smooth: list[Array], peak: NDArray[np.intp], bin_m: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first and last bin of the ridge about each peak.
+
+    It goes on where the profile is over a share of the peak, on both halves of the wall: a wall that ends on this one
+    lies on one half only. A short gap is bridged.
+    """
+    total, behind, ahead = smooth
+    rows, bins, gap = np.arange(len(total)), total.shape[1], int(GAP_M / bin_m + 0.5)
+    least = PEAK_SHARE * total[rows, peak][:, None]
+    above = (total > least) & (np.minimum(behind, ahead) > 0.25 * least)
+    above[rows, peak] = True
+    at = np.arange(bins)
+    before = np.maximum.accumulate(np.where(above, at, -bins), axis=1)
+    after = np.minimum.accumulate(np.where(above, at, 2 * bins)[:, ::-1], axis=1)[:, ::-1]
+    outside = after - before - 1 > gap
+    first = np.maximum.accumulate(np.where(outside, at, -1), axis=1)[rows, peak] + 1
+    last = np.minimum.accumulate(np.where(outside, at, bins)[:, ::-1], axis=1)[:, ::-1][rows, peak] - 1
+    return first, last
+
+
+def _quantile(hits: Array, share: float) -> Array:
+    """Return where a share of the hits of each profile lies below, in bins from the first one's edge."""
+    below = np.cumsum(hits, axis=1)
+    wanted = share * below[:, -1]
+    at = np.argmax((below >= wanted[:, None]) & (hits > 0.0), axis=1)
+    rows = np.arange(len(hits))
+    inside = hits[rows, at]
+    part: Array = at + 1.0 - (below[rows, at] - wanted) / np.where(inside > 0.0, inside, 1.0)
+    return part
