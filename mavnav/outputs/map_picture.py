@@ -180,7 +180,8 @@ def thickness_text(thickness: dict[int, WallThickness]) -> str:
     """Say how thick the walls are, at the middle one of the thresholds."""
     if not thickness:
         return ""
-    t = thickness[sorted(thickness)[len(thickness) // 2]]
+    hits = sorted(thickness)[len(thickness) // 2]
+    t = thickness[hits]
     if not t.sections:
         return "no straight wall to measure"
-    return f"wall thickness p95 {t.p95_cells:.1f}, max {t.max_cells:.1f} cells at ≥ {t.hits} hits"
+    return f"wall thickness p95 {t.p95_cells:.1f}, max {t.max_cells:.1f} cells at ≥ {hits} hits"

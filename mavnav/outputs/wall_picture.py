@@ -99,7 +99,7 @@ def _draw_histograms(
     most = int(np.ceil(longest)) + 1
     for (left, top, height), (min_hits, found) in zip(places, sections.items(), strict=True):
         thickness = run.thickness[min_hits]
-        picture.text((left, top), _title(thickness), 8.5, INK, "la")
+        picture.text((left, top), _title(thickness, min_hits), 8.5, INK, "la")
         bins = np.round(found.thickness_cells).astype(int)
         metres = np.bincount(bins, found.length_m, minlength=most + 1)[: most + 1]
         _draw_bars(picture, (left, top + 56, left + HISTOGRAM[0], top + 56 + height), metres, thickness)
@@ -128,11 +128,11 @@ def _draw_bars(picture: Canvas, box: canvas.Box, metres: NDArray[Any], thickness
         picture.text((x + 8, top + 8), "p95", 8.0, P95_COLOUR, "lm")
 
 
-def _title(t: WallThickness) -> str:
+def _title(t: WallThickness, hits: int) -> str:
     numbers = "no straight wall"
     if t.sections:
         numbers = (
             f"p95 {t.p95_cells:.1f} cells = {t.p95_mm:.0f} mm, median {t.median_cells:.1f}, max {t.max_cells:.1f}\n"
             f"{t.length_m:.1f} m of wall in {t.sections} sections, {t.share:.0%} of the cells"
         )
-    return f"≥ {t.hits} hit{'s' if t.hits > 1 else ''}: {numbers}"
+    return f"≥ {hits} hit{'s' if hits > 1 else ''}: {numbers}"

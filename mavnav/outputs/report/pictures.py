@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from string import ascii_uppercase
 from typing import TYPE_CHECKING
 
-from mavnav.metrics.figures import why_not_meaningful
+from mavnav.outputs.quantities import why_not_meaningful
 from mavnav.outputs.report.closeups import LEAST_SIDE_M, differing_places
 from mavnav.outputs.report.cost_panel import cost_panels
 from mavnav.outputs.report.map_panel import (
