@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mavnav.outputs.run import Run
 
 SCHEMA_VERSION: Final = 1
-LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "matplotlib", "pydantic", "pyyaml")
+LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "pillow", "pydantic", "pyyaml")
 
 Document = dict[str, Any]
 
