@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from mavnav.outputs.run import Run
 
 SCHEMA_VERSION: Final = 1
-LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "matplotlib", "pydantic", "pyyaml")
+LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "pillow", "pydantic", "pyyaml")
 
 
 def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
