@@ -12,6 +12,7 @@ import sys
 from math import radians
 from pathlib import Path
 from time import process_time
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -30,8 +31,20 @@ from mavnav.mapping.occupancy_grid import Grid
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import wall_thickness
-from mavnav.outputs import drawing
 from mavnav.outputs.run import Truth
+from mavnav.outputs.viewport import (
+    DPI,
+    GOAL_RED,
+    INK,
+    MUTED,
+    PATH_GREY,
+    POSE_MAGENTA,
+    START_BLUE,
+    Window,
+    wall_lines,
+    window_around,
+    window_of,
+)
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Scan
 from mavnav.simulation.mission import Flight, fly
@@ -43,6 +56,31 @@ from mavnav.units import DEG, MM
 PICTURES = Path(__file__).parent.parent / "docs" / "paper"
 
 
+def figure(width_in: float, height_in: float) -> Figure:
+    """Return an empty figure."""
+    return Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained", facecolor="white")
+
+
+def draw_walls(axes: Axes, truth: Truth, label: str, **style: Any) -> None:
+    """Draw the true walls; the first alone bears the label."""
+    for k, line in enumerate(wall_lines(truth)):
+        axes.plot(*line.T, label=None if k else label, **style)
+
+
+def mark_ends(axes: Axes, start_xy_m: Any, end_xy_m: Any, end: str) -> None:
+    """Mark the start by a blue x, the end or goal by a red circle with an x."""
+    axes.plot(*start_xy_m, "x", ms=10, color=START_BLUE, mew=2.4, label="start", zorder=5)
+    axes.plot(*end_xy_m, marker="$\\bigotimes$", ls="none", ms=13, color=GOAL_RED, mew=0.3, label=end, zorder=5)
+
+
+def draw_frame(axes: Axes, window: Window) -> None:
+    """Set limits, equal aspect, labels and grey spines."""
+    axes.set(xlim=(window.x0_m, window.x1_m), ylim=(window.y0_m, window.y1_m), xlabel="x [m]", ylabel="y [m]")
+    axes.set_aspect("equal")
+    axes.tick_params(colors=MUTED, labelsize=8)
+    axes.spines[:].set_color("#cccccc")
+
+
 def draw_hits(axes: Axes, grid: Grid, world_T_map: Pose) -> None:
     """Draw the cells that were hit; the axes of the map may be rotated against those of the world."""
     (rows, cols), (x, y), hits = grid.hits.shape, grid.origin_xy_m, np.ma.masked_equal(grid.hits, 0)
@@ -51,14 +89,14 @@ def draw_hits(axes: Axes, grid: Grid, world_T_map: Pose) -> None:
     axes.imshow(hits, origin="lower", extent=extent, interpolation="nearest", cmap="viridis_r", transform=moved)
 
 
-def finish(fig: Figure, name: str, window: drawing.Window) -> None:
+def finish(fig: Figure, name: str, window: Window) -> None:
     """Give all maps one frame and one logarithmic colour scale, add colour bar and legend, and write the picture."""
     axes, images = fig.axes, [image for ax in fig.axes for image in ax.get_images()]
     top = float(np.quantile(np.concatenate([np.ma.compressed(image.get_array()) for image in images]), 0.995))
     for image in images:
         image.set_norm(LogNorm(1, top))
     for ax in axes:
-        drawing.dress(ax, window)
+        draw_frame(ax, window)
         ax.label_outer()
         ax.title.set_fontsize(10)
     bar = fig.colorbar(images[0], ax=axes, ticks=LogLocator(subs=(1, 2, 5)), format="%d", extend="max", pad=0.01)
@@ -95,18 +133,18 @@ def flown(name: str) -> tuple[Flight, Truth]:
 
 def mission(name: str, scenario: str, titles: tuple[str, str]) -> None:
     """Figures 2 and 3, 5 and 6: a scenario, and the occupancy grid at the end of its mission."""
-    (flight, truth), fig = flown(scenario), drawing.figure(11.0, 5.5)
+    (flight, truth), fig = flown(scenario), figure(11.0, 5.5)
     left, right = fig.subplots(1, 2)
-    drawing.draw_walls(left, truth, color=drawing.INK, lw=1.8, label="true wall")
+    draw_walls(left, truth, color=INK, lw=1.8, label="true wall")
     draw_hits(right, flight.slam.grid, flight.world_T_map)
     poses = flight.slam.trajectory.seen_from(flight.world_T_map)
-    right.plot(*poses.xyyaw[:, :2].T, "o", ms=6, mfc="none", color=drawing.POSE_MAGENTA, label="estimated pose")
+    right.plot(*poses.xyyaw[:, :2].T, "o", ms=6, mfc="none", color=POSE_MAGENTA, label="estimated pose")
     right.plot(*truth.map_T_laser.xyyaw[:, :2].T, "x", ms=4, color="black", label="true pose")
-    window = drawing.window_around(np.vstack(drawing.wall_lines(truth)), least_margin_m=0.15)
+    window = window_around(np.vstack(wall_lines(truth)), least_margin_m=0.15)
     start, ahead = truth.map_T_laser[0], truth.map_T_laser[0] @ Pose(0.08 * max(window.size_m))
-    left.annotate("", ahead[:2], start[:2], arrowprops={"arrowstyle": "-|>", "color": drawing.POSE_MAGENTA, "lw": 1.8})
+    left.annotate("", ahead[:2], start[:2], arrowprops={"arrowstyle": "-|>", "color": POSE_MAGENTA, "lw": 1.8})
     for ax, title in zip((left, right), titles, strict=True):
-        drawing.draw_ends(ax, start[:2], truth.goal_xy_map_m, "goal (within 250 mm counts)")
+        mark_ends(ax, start[:2], truth.goal_xy_map_m, "goal (within 250 mm counts)")
         ax.set_title(title)
     finish(fig, name, window)
     goal = "goal reached" if flight.mission.reached else "goal missed"
@@ -120,19 +158,19 @@ def recorded(name: str, path: Path) -> None:
         return
     log = open_log(path, odom="off")
     outcome = run_slam(log.scans, load_config("paper"), log.period_s)
-    fig, xy_m = drawing.figure(6.0, 8.0), outcome.trajectory.xyyaw[:, :2]
+    fig, xy_m = figure(6.0, 8.0), outcome.trajectory.xyyaw[:, :2]
     axes = fig.add_subplot()
     draw_hits(axes, outcome.grid, Pose())
-    axes.plot(*xy_m.T, "-", lw=1.2, color=drawing.POSE_MAGENTA, label="estimated path")
-    drawing.draw_ends(axes, xy_m[0], xy_m[-1], "end")
+    axes.plot(*xy_m.T, "-", lw=1.2, color=POSE_MAGENTA, label="estimated path")
+    mark_ends(axes, xy_m[0], xy_m[-1], "end")
     axes.set_title("Figure 4: laser moved by hand (ccny_demo)")
-    finish(fig, name, drawing.window_of(outcome.grid, xy_m))
+    finish(fig, name, window_of(outcome.grid, xy_m))
     report(name, outcome)
 
 
 def corridor(name: str) -> None:
     """Figure 7: the scans and commands of one mission, replayed with a coarse and a fine search grid."""
-    (flight, truth), fig, effort = flown("corridor"), drawing.figure(11.0, 5.6), []
+    (flight, truth), fig, effort = flown("corridor"), figure(11.0, 5.6), []
     for ax, (yaws, grid) in zip(fig.subplots(2, 1, sharex=True), ((20, "10x10"), (40, "40x40")), strict=True):
         config, clock_s = load_config("paper", [], {"grid": grid, "azimuth": yaws}), [process_time()]
         for _ in range(3):  # the least time counts
@@ -140,11 +178,11 @@ def corridor(name: str) -> None:
             clock_s.append(process_time())
         effort.append((np.diff(clock_s).min(), outcome.steps.column("evaluations").mean()))
         draw_hits(ax, outcome.grid, flight.world_T_map)
-        drawing.draw_walls(ax, truth, color=drawing.GOAL_RED, lw=0.9, ls=(0, (4, 3)), label="true wall")
+        draw_walls(ax, truth, color=GOAL_RED, lw=0.9, ls=(0, (4, 3)), label="true wall")
         ax.set_title(f"Figure 7: {yaws} yaw samples / {grid}")
         report(f"{name} {yaws} / {grid}", outcome, flight.map_T_laser, flight.scenario)
     x0, y0, x1, y1 = flight.scenario.world.bounds_m
-    finish(fig, name, drawing.Window(x0 - 0.3, x1 + 0.3, y0 - 0.3, y1 + 0.3))
+    finish(fig, name, Window(x0 - 0.3, x1 + 0.3, y0 - 0.3, y1 + 0.3))
     (coarse_s, few), (fine_s, many) = effort
     print(f"{name}: CPU time ratio {fine_s / coarse_s:.1f}, {few:.0f} and {many:.0f} evaluations a scan", flush=True)
 
@@ -167,17 +205,17 @@ def ring(axes: Axes, ghost: GhostWall, world_T_map: Pose) -> None:
     x, y, yaw_rad = world_T_map @ front @ Pose(np.sign(ghost.y_m) * ghost.offset_mm * MM / 2.0)
     deep, long = ghost.offset_mm * MM + 0.1, ghost.length_m + 0.1
     box = Rectangle((x - deep / 2.0, y - long / 2.0), deep, long, angle=yaw_rad / DEG, rotation_point="center")
-    axes.add_patch(box).set(fill=False, edgecolor=drawing.GOAL_RED, lw=1.3, label="ghost wall: a wall drawn twice")
+    axes.add_patch(box).set(fill=False, edgecolor=GOAL_RED, lw=1.3, label="ghost wall: a wall drawn twice")
 
 
 def grids(name: str) -> None:
     """Figure 8: close-ups of three search grids, preset ``fig8``, at the longest ghost wall of the first."""
     scenario = load_scenario("corridor", ["laser.noise_percent=0.2"])
-    (scans, way), fig, found = cart(scenario), drawing.figure(13.0, 2.9), []
+    (scans, way), fig, found = cart(scenario), figure(13.0, 2.9), []
     truth = Truth(way, scenario.world.segments, scenario.world.arcs, scenario.goals_xy_m[-1])
     for ax, (yaws, grid) in zip(fig.subplots(1, 3), ((10, "5x5"), (20, "10x10"), (40, "20x20")), strict=True):
         outcome = run_slam(lambda: iter(scans), load_config("fig8", [], {"grid": grid, "azimuth": yaws}), 0.1)
-        drawing.draw_walls(ax, truth, color=drawing.PATH_GREY, lw=0.8, zorder=-1, label="true wall")
+        draw_walls(ax, truth, color=PATH_GREY, lw=0.8, zorder=-1, label="true wall")
         draw_hits(ax, outcome.grid, way[0])
         for ghost in map_quality(outcome.grid).ghost_walls.places:
             ring(ax, ghost, way[0])
@@ -185,7 +223,7 @@ def grids(name: str) -> None:
         ax.set_title(f"Figure 8: {yaws} yaw samples / {grid}")
         report(f"{name} {yaws} / {grid}", outcome, way.seen_from(way[0].inverse()))
     x, y, _ = (found or way)[0]
-    finish(fig, name, drawing.Window(x - 1.35, x + 1.35, y - 0.6, y + 0.6))
+    finish(fig, name, Window(x - 1.35, x + 1.35, y - 0.6, y + 0.6))
 
 
 def main() -> None:

@@ -19,7 +19,7 @@ from mavnav.errors import ExitCode, MavnavError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-LIBRARIES = ("numpy", "numba", "scipy", "mcap", "rosbags", "pydantic", "matplotlib", "typer")
+LIBRARIES = ("numpy", "numba", "scipy", "mcap", "rosbags", "pydantic", "pillow", "typer")
 
 _STREAM_ERRORS = (errno.ENOSPC, errno.EBADF, errno.EIO, errno.EFBIG, errno.EDQUOT)
 

@@ -158,6 +158,10 @@ def test_the_cache_sees_what_a_kernel_imports(path: Path) -> None:
     assert {name.rpartition(".")[0] for name in imports(path) if name.startswith("mavnav")} <= seen | typing
 
 
+def test_pictures_need_no_plotting_library() -> None:
+    assert [m for m, path in MODULES.items() if any(name.startswith("matplotlib") for name in imports(path))] == []
+
+
 def test_constants_of_maps_load_no_numba() -> None:
     code = "import sys, mavnav.kernels.layout\nassert not {'numba', 'numpy'} & sys.modules.keys()"
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -185,7 +189,7 @@ def test_help_imports_no_heavy_library(args: list[str]) -> None:
         "print(*(m.partition('.')[0] for m in sys.modules), file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", code, *args], capture_output=True, text=True, check=True)
-    heavy = {"numpy", "numba", "scipy", "matplotlib", "jinja2", "yaml", "rosbags", "mcap", "google", "zstandard", "lz4"}
+    heavy = {"numpy", "numba", "scipy", "PIL", "jinja2", "yaml", "rosbags", "mcap", "google", "zstandard", "lz4"}
     if args == ["--help"]:  # for a command with parameters typer imports pydantic itself
         heavy |= {"pydantic"}
     assert not heavy & set(done.stderr.split())

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav import __version__
 from mavnav.atomic_files import beside
 from mavnav.errors import SEVERITY, ExitCode, OutputError, UsageError
-from mavnav.metrics.figures import number
 from mavnav.metrics.gates import full_name
 from mavnav.outputs.document import to_json
+from mavnav.outputs.quantities import number
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav.atomic_files import beside
 from mavnav.batch.page import to_page
 from mavnav.errors import OutputError
-from mavnav.metrics.figures import number
 from mavnav.outputs.document import to_json
+from mavnav.outputs.quantities import number
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -13,7 +13,7 @@ from xml.etree import ElementTree as XML  # noqa: N814  short, as it stands in e
 
 from mavnav.batch.document import why
 from mavnav.batch.files import FIGURES
-from mavnav.metrics.figures import number
+from mavnav.outputs.quantities import number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -10,19 +10,21 @@ from mavnav.batch.document import ENDS, why, worst_first
 from mavnav.batch.summary import changed, headline
 from mavnav.batch.thumbnail import thumbnail
 from mavnav.errors import ExitCode
-from mavnav.metrics.figures import NAMED, TIME, WAY, Figure
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.html import environment, inlined
+from mavnav.outputs.quantities import NAMED, PATH, TIME
 from mavnav.outputs.writers import REPORT_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from mavnav.outputs.quantities import Quantity
+
 
 COLUMNS: Final = (
     NAMED["map.accepted_share"],
-    WAY,
+    PATH,
     NAMED["wall_thickness.2.p95_mm"],
     NAMED["map_quality.ghost_walls.length_m"],
     NAMED["map_quality.revisits.nn_l_mm"],
@@ -98,6 +100,6 @@ def _link(place: Path, told: str) -> str | None:
     return next((f"{told}/{name}" for name in there), None)
 
 
-def _field(column: Figure, run: Mapping[str, Any] | None) -> Field:
+def _field(column: Quantity, run: Mapping[str, Any] | None) -> Field:
     value = column.of(run)
     return Field("", "") if value is None else Field(column.shown(run), f"{value:.9g}")

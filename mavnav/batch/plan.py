@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav.batch.cases import Case, make_cases
 from mavnav.batch.files import BATCH_FILE
-from mavnav.config.models import Config
 from mavnav.errors import UsageError
 from mavnav.jobs.run_cache import check_home, earlier
 from mavnav.metrics.gates import check_names
-from mavnav.outputs.empty_run import blank_document
+from mavnav.outputs.schema import number_names
 from mavnav.outputs.writers import REPORT_FILE
 
 if TYPE_CHECKING:
@@ -134,8 +133,7 @@ def _is_there(cell: PlannedRun) -> bool:
 
 def _check_names(cases: Sequence[Case], rules: Rules) -> None:
     """Refuse gates and tolerances on numbers that no run has, and gates on references of logs that have none."""
-    blank = blank_document(Config())
-    compared = {**blank, "reference": {}}
-    check_names((tolerance.name for tolerance in rules.watched), compared)
+    check_names((tolerance.name for tolerance in rules.watched), number_names(reference=True))
     for case in cases:
-        check_names((gate.name for gate in (*rules.gates, *case.gates)), compared if case.has_references else blank)
+        known = number_names(reference=case.has_references)
+        check_names((gate.name for gate in (*rules.gates, *case.gates)), known)

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.batch.baseline import Change
 from mavnav.batch.document import why, worst_first
-from mavnav.metrics.figures import NAMED, TIME
 from mavnav.outputs.markdown import escaped, table_row
+from mavnav.outputs.quantities import NAMED, TIME
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-    from mavnav.metrics.figures import Figure
+    from mavnav.outputs.quantities import Quantity
 
 BARRED = {"wall_thickness.2.p95_mm", "timing.cpu_s"}
 """Figures that are shown with a bar."""
@@ -70,11 +70,11 @@ def _table(document: dict[str, Any], left_out: set[str]) -> Table:
     return table
 
 
-def _known(document: dict[str, Any]) -> list[Figure]:
+def _known(document: dict[str, Any]) -> list[Quantity]:
     """Return the figures that any cell has."""
-    from mavnav.metrics.figures import FIGURES
+    from mavnav.outputs.quantities import QUANTITIES
 
-    return [figure for figure in FIGURES if any(figure.of(cell["run"]) is not None for cell in document["cells"])]
+    return [figure for figure in QUANTITIES if any(figure.of(cell["run"]) is not None for cell in document["cells"])]
 
 
 def _text(text: str, style: str = "") -> Text:
@@ -83,7 +83,7 @@ def _text(text: str, style: str = "") -> Text:
     return Text(printable(text), style=style)
 
 
-def _figure(document: dict[str, Any], k: int, figure: Figure) -> Text:
+def _figure(document: dict[str, Any], k: int, figure: Quantity) -> Text:
     """Write a figure, its bar before it, an asterisk behind the winner's."""
     from mavnav.compare.files import winning
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -29,10 +29,19 @@ def show(
 
 
 @app.command()
-def schema() -> None:
-    """Print the JSON Schema of configuration files, for editors that check while you type."""
+def schema(
+    document: Annotated[
+        Literal["config", "run"], typer.Argument(help="config: configuration files; run: run.json.")
+    ] = "config",
+) -> None:
+    """Print the JSON Schema of configuration files, for editors that check while you type, or of run.json."""
     from json import dumps
 
+    if document == "run":
+        from mavnav.outputs.schema import run_schema
+
+        emit(dumps(run_schema(), indent=2))
+        return
     from mavnav.config.models import Config
 
     emit(dumps(Config.model_json_schema(), indent=2))

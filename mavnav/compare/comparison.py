@@ -12,22 +12,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.atomic_files import discard
-from mavnav.compare.document import NO_PRICE, comparison
+from mavnav.compare.document import comparison
+from mavnav.compare.figures import PRICES
 from mavnav.compare.files import COMPARISON_FILE, write_comparison
 from mavnav.compare.grids import settings
-from mavnav.config.models import Config
 from mavnav.errors import UsageError
 from mavnav.jobs import Ended, Event, Fate, Job, run_jobs
 from mavnav.jobs.run_cache import REFERENCES, PlannedRun, check_home, earlier, make_runs, replay_run
 from mavnav.metrics.gates import check_names
 from mavnav.outputs.document import plain
-from mavnav.outputs.empty_run import blank_document
+from mavnav.outputs.schema import number_names
 from mavnav.outputs.writers import REPORT_FILE, write_page
 from mavnav.pipelines.replay import log_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from mavnav.config.models import Config
     from mavnav.metrics.gates import Gate
     from mavnav.pipelines.replay import Progress
 
@@ -95,16 +96,16 @@ def plan(request: Request, progress: Progress) -> Plan:
         raise UsageError("--truth, --truth-map and --relations tell of one log; compare one log at a time with them")
     progress("reading", 0, None)
     found = make_runs(request.logs, request.configs, request.options, request.directory)
-    check_names((gate.name for gate in request.gates), _blank(request))
+    check_names((gate.name for gate in request.gates), _gate_names(request))
     documents = {} if request.force else {cell.key: document for cell in found if (document := earlier(cell))}
     drawn = len(documents) == len(found) and _drawn(request.directory, [cell.key for cell in found])
     return Plan(request, tuple(found), documents, drawn)
 
 
-def _blank(request: Request) -> dict[str, Any]:
-    """Return the names that gates may have; those of references depend on what is in them."""
-    known = blank_document(Config()) | NO_PRICE
-    return known | {"reference": {}} if any(request.options.get(name) for name in REFERENCES) else known
+def _gate_names(request: Request) -> list[str]:
+    """Return the names that gates may have."""
+    compared = any(request.options.get(name) for name in REFERENCES)
+    return [*number_names(reference=compared), *(f"price.{name}" for name in PRICES)]
 
 
 def _drawn(directory: Path, keys: list[str]) -> bool:

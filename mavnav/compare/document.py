@@ -20,9 +20,6 @@ if TYPE_CHECKING:
 
 SCHEMA_VERSION: Final = 1
 
-NO_PRICE: Final[dict[str, Any]] = {"price": dict.fromkeys(PRICES)}
-"""What a gate finds under ``price`` before all cells are done."""
-
 
 def comparison(
     cells: Sequence[PlannedRun],

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.metrics.figures import FIGURES, number, winners
+from mavnav.outputs.quantities import QUANTITIES, number, winners
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mavnav.metrics.figures import Run
+    from mavnav.outputs.quantities import Run
 
 PRICES: Final = {
     "evaluations": "search.evaluations_per_scan.mean",
@@ -21,7 +21,7 @@ PRICES: Final = {
 
 def best(runs: Sequence[Run | None]) -> dict[str, list[int]]:
     """Return by every figure which runs are the best."""
-    return {figure.name: winners(figure, runs) for figure in FIGURES}
+    return {figure.name: winners(figure, runs) for figure in QUANTITIES}
 
 
 def prices(groups: Sequence[tuple[object, int]], runs: Sequence[Run | None]) -> dict[str, list[Any]]:

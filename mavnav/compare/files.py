@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav.atomic_files import beside
 from mavnav.compare.figures import PRICES
 from mavnav.errors import OutputError
-from mavnav.metrics.figures import FIGURES, number
 from mavnav.outputs.document import to_json
 from mavnav.outputs.markdown import escaped, table_row
+from mavnav.outputs.quantities import QUANTITIES, number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,16 +35,16 @@ def to_csv(document: dict[str, Any]) -> str:
     rows = io.StringIO()
     table = csv.writer(rows, lineterminator="\n")
     head = ("log", "method", "grid", "azimuth", "status", "exit_code", "error", "directory")
-    table.writerow([*head, *(figure.name for figure in FIGURES), *(f"price.{name}" for name in PRICES)])
+    table.writerow([*head, *(figure.name for figure in QUANTITIES), *(f"price.{name}" for name in PRICES)])
     for k, cell in enumerate(document["cells"]):
-        figures = [number(cell["run"], figure.name) for figure in FIGURES]
+        figures = [number(cell["run"], figure.name) for figure in QUANTITIES]
         table.writerow([*(cell[key] for key in head), *figures, *(document["price"][name][k] for name in PRICES)])
     return rows.getvalue()
 
 
 def to_markdown(document: dict[str, Any]) -> str:
     """Write a table of GitHub's kind, the winners bold, and below it what failed."""
-    titles = ["log", "method", "azimuth/grid", *(f.head for f in FIGURES), "evaluations ratio", "cpu ratio"]
+    titles = ["log", "method", "azimuth/grid", *(f.head for f in QUANTITIES), "evaluations ratio", "cpu ratio"]
     lines = [f"# mavnav {document['mavnav_version']} compare", "", table_row(titles), table_row(["---"] * len(titles))]
     lines += [table_row(_cells(document, k)) for k in range(len(document["cells"]))]
     failed = [f"- {escaped(problem)}" for problem in problems(document)]
@@ -54,7 +54,7 @@ def to_markdown(document: dict[str, Any]) -> str:
 def _cells(document: dict[str, Any], k: int) -> list[str]:
     cell = document["cells"][k]
     texts = [escaped(cell["log"]), cell["method"], f"{cell['azimuth']}/{cell['grid']}"]
-    for figure in FIGURES:
+    for figure in QUANTITIES:
         text = figure.shown(cell["run"])
         texts.append(f"**{text}**" if k in winning(document, figure.name) else text)
     return texts + [ratio(document, name, k) for name in ("evaluations", "cpu")]

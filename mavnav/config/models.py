@@ -7,9 +7,9 @@ Lengths and angles are in the paper's units and say so in their names.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, field_validator
 
 from mavnav.errors import ConfigError
 
@@ -184,7 +184,7 @@ class Config(Strict):
     """Everything that decides a run's result besides the log and the version."""
 
     method: MethodName = "robust"
-    grid: GridSize = GridSize()
+    grid: Annotated[GridSize, WithJsonSchema({"type": "string"}, mode="serialization")] = GridSize()
     azimuth: int = Field(20, ge=2, le=2000, description="yaw samples of the search")
     odom: str = Field("auto", description="odometry used as motion prior: auto, off, or a topic")
     search: Literal["pruned", "exhaustive"] = Field(

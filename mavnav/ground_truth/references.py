@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mavnav.errors import UsageError
 from mavnav.ground_truth.map_file import occupied_xy_m, read_map
 from mavnav.ground_truth.tables import read_relations, read_tum
 from mavnav.ground_truth.true_map import of_scenario, read_true_map
+from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.map_distance import TrueMap, map_distance
+from mavnav.metrics.reference import AlignedError, Reference
 from mavnav.metrics.relations import TOLERANCE_NS, Relations, relation_errors
 from mavnav.metrics.trajectory_error import absolute_error, matched, relative_error
 from mavnav.units import NS
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from mavnav.metrics.trajectory_error import RelativeError
     from mavnav.pose import Trajectory
 
 __all__ = [
@@ -75,34 +78,33 @@ def check_times(references: References, first_ns: int, last_ns: int) -> None:
 
 def compared(
     references: References, trajectory: Trajectory | None, occupied_xy_map_m: NDArray[np.float64]
-) -> dict[str, Any] | None:
-    """Compare a run with its references: plain data for run.json, None where there are none.
+) -> Reference | None:
+    """Compare a run with its references; None where there are none.
 
     ``occupied_xy_map_m`` (n, 2) are the middles of the occupied cells. Without a trajectory (a lone map file) only maps
     are compared. ATE and RPE are None where fewer than `LEAST_POSES` poses have a truth.
     """
-    found: dict[str, Any] = {}
+    ate = rpe = distance = relations = ABSENT
     if references.truth is not None and trajectory is not None:
-        found |= _trajectory_errors(trajectory, references.truth)
+        ate, rpe = _trajectory_errors(trajectory, references.truth)
     if references.true_map is not None:
-        found["map_distance"] = asdict(map_distance(occupied_xy_map_m, references.true_map))
+        distance = map_distance(occupied_xy_map_m, references.true_map)
     if references.relations is not None and trajectory is not None:
-        errors = relation_errors(references.relations, trajectory)
-        found["relations"] = {name: asdict(value) for name, value in errors.items()}
-    return found or None
+        relations = relation_errors(references.relations, trajectory)
+    found = Reference(ate, rpe, distance, relations)
+    return None if found == Reference() else found
 
 
-def _trajectory_errors(trajectory: Trajectory, truth: Trajectory) -> dict[str, Any]:
+def _trajectory_errors(
+    trajectory: Trajectory, truth: Trajectory
+) -> tuple[AlignedError, RelativeError] | tuple[None, None]:
     estimate, true = matched(trajectory, truth)
     if len(estimate) < LEAST_POSES:
-        return {"ate": None, "rpe": None}
-    plain = absolute_error(estimate[:, :2], true[:, :2], aligned=False)
-    return {
-        "ate": {
-            "alignment": "best rigid motion",
-            **asdict(absolute_error(estimate[:, :2], true[:, :2])),
-            "share": len(estimate) / len(trajectory),
-            "unaligned_rmse_m": plain.rmse_m,
-        },
-        "rpe": asdict(relative_error(estimate, true)),
-    }
+        return None, None
+    aligned = AlignedError(
+        alignment="best rigid motion",
+        **asdict(absolute_error(estimate[:, :2], true[:, :2])),
+        share=len(estimate) / len(trajectory),
+        unaligned_rmse_m=absolute_error(estimate[:, :2], true[:, :2], aligned=False).rmse_m,
+    )
+    return aligned, relative_error(estimate, true)

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     Cell = tuple[int, int]
     Extent = tuple[float, float, float, float]
     """Least x, least y, largest x and largest y of points, m."""
-    Told = Callable[[NDArray[Any]], NDArray[Any]]
-    """What is told of each of some cells."""
+    CellFunction = Callable[[NDArray[Any]], NDArray[Any]]
+    """From the values of cells to one value for each."""
 
 NO_ROOM = (inf, inf, -inf, -inf)
 """Of a lattice that covers nothing."""
@@ -99,13 +99,13 @@ def bands(shape: tuple[int, ...], margin: int = 0) -> Iterator[tuple[slice, slic
         yield slice(start, min(end + margin, rows)), slice(first - start, end - start), slice(first, end)
 
 
-def where(cells: NDArray[Any], test: Told) -> NDArray[np.intp]:
+def where(cells: NDArray[Any], test: CellFunction) -> NDArray[np.intp]:
     """Return row and column, (n, 2), of the cells that pass a test, in their order, without a mask of them all."""
     found = [np.argwhere(test(cells[band])) + np.array([band.start, 0]) for _, _, band in bands(cells.shape)]
     return np.concatenate([np.zeros((0, 2), np.intp), *found])
 
 
-def count(cells: NDArray[Any], test: Told) -> int:
+def count(cells: NDArray[Any], test: CellFunction) -> int:
     """Count the cells that pass a test, without a mask of them all."""
     return sum(int(np.count_nonzero(test(cells[band]))) for _, _, band in bands(cells.shape))
 
@@ -146,21 +146,21 @@ def _span(low: int, high: int, present: tuple[int, int], block: int) -> Cell:
     return low, (high // block + 1) * block - low
 
 
-def as_it_is(cells: NDArray[Any]) -> NDArray[Any]:
-    """Tell of cells what they hold."""
+def unchanged(cells: NDArray[Any]) -> NDArray[Any]:
+    """Return the cells themselves."""
     return cells
 
 
-def pooled(cells: NDArray[Any], factor: int, fill: int = 0, told: Told = as_it_is) -> NDArray[Any]:
+def pooled(cells: NDArray[Any], factor: int, fill: int = 0, value_of: CellFunction = unchanged) -> NDArray[Any]:
     """Shrink by taking the largest of each ``factor`` x ``factor`` block, so that a wall of one cell stays visible.
 
-    Blocks that reach beyond the cells are filled up with ``fill``. What is ``told`` of the cells is shrunk.
+    Blocks that reach beyond the cells are filled up with ``fill``. What ``value_of`` returns of the cells is shrunk.
     """
     rows, cols = (-(-n // factor) for n in cells.shape)
-    out = np.full((rows, cols), fill, told(cells[:0]).dtype)
+    out = np.full((rows, cols), fill, value_of(cells[:0]).dtype)
     for i in range(factor):
         for j in range(factor):
-            part = told(cells[i::factor, j::factor])
+            part = value_of(cells[i::factor, j::factor])
             shown = out[: part.shape[0], : part.shape[1]]
             np.maximum(shown, part, out=shown)
     return out

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mavnav.mapping.occupancy_grid import OCCUPIED
 from mavnav.mapping.tiled_arrays import count, where
+from mavnav.metrics.fields import Measured, number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -18,10 +19,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Crispness:
-    """Occupied cells a metre of straight wall, and entropy in bits a cell that was ever hit; NaN where not known."""
+    """How many cells the walls take, and how undecided these are; null where not known."""
 
-    occupied_cells_per_m: float
-    entropy_bits: float
+    occupied_cells_per_m: Measured = field(
+        metadata=number("occupied cells per metre of wall", title="cells per m", better="lower")
+    )
+    entropy_bits: Measured = field(metadata=number("how undecided the cells are", title="entropy", better="lower"))
 
 
 def crispness(grid: Grid, cells: NDArray[np.int8], wall_m: float, *, counted: bool) -> Crispness:

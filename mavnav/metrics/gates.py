@@ -1,7 +1,7 @@
 """Gates: bounds on the numbers of a run, such as ``wall_thickness.p95_cells<=7``.
 
 A gate names a number or a truth value of a document (run.json) by its keys, joined by dots. What the document does not
-name is a UsageError with the nearest name that it does. A value that is null fails every gate, and so does a figure of
+name is a UsageError with the nearest name that it does. A value that is null fails every gate, and so does a metric of
 the map where the map is not meaningful: a map of nothing has thin walls.
 """
 
@@ -31,7 +31,7 @@ DEFAULT_HITS: Final = "2"
 """``wall_thickness.p95_cells`` without a threshold is that of cells of at least so many hits."""
 
 MAP_SECTIONS: Final = ("wall_thickness", "map_quality", "map")
-"""Figures that say nothing where the map is not meaningful."""
+"""Metrics that say nothing where the map is not meaningful."""
 
 _GATE: Final = re.compile(r"\s*([\w./-]+?)\s*(<=|>=|==|!=|<|>)\s*(\S+)\s*")
 _EXAMPLE: Final = "write for example --gate 'wall_thickness.p95_cells<=7'"
@@ -132,23 +132,19 @@ def _shown(value: Number) -> str:
     return str(value).lower() if isinstance(value, bool) else f"{value:.6g}"
 
 
-def check_names(names: Iterable[str], blank: Mapping[str, Any]) -> None:
+def check_names(names: Iterable[str], known: Iterable[str]) -> None:
     """Raise UsageError for a name that no document has, before there is one.
 
-    ``blank`` is a document of nothing: what is null or empty there may hold any name.
+    ``known`` are the names that one may have, ``*`` in them for any key or place of a list.
     """
+    patterns = [name.split(".") for name in known]
     for name in names:
-        if not _may_have(blank, _parts(name)):
-            raise UsageError(_unknown(name, blank))
+        if not any(_fits(_parts(name), pattern) for pattern in patterns):
+            raise UsageError(_unknown(name, [".".join(pattern) for pattern in patterns if "*" not in pattern]))
 
 
-def _may_have(value: object, parts: Sequence[str]) -> bool:
-    """Follow a name down to a number, or to where it cannot be followed any more."""
-    for part in parts:
-        if value is None or value in ([], {}):
-            return True
-        value = _child(value, part)
-    return value is None or isinstance(value, Number)
+def _fits(parts: Sequence[str], pattern: Sequence[str]) -> bool:
+    return len(parts) == len(pattern) and all(known in ("*", part) for part, known in zip(parts, pattern, strict=True))
 
 
 def find(document: Mapping[str, Any], name: str) -> Number | None:
@@ -163,7 +159,7 @@ def find(document: Mapping[str, Any], name: str) -> Number | None:
         value = _child(value, part)
     if value is None or isinstance(value, Number):
         return None if value != value else value  # noqa: PLR0124  NaN compares with nothing
-    raise UsageError(_unknown(name, document))
+    raise UsageError(_unknown(name, names(document)))
 
 
 _NOTHING: Final = object()
@@ -185,7 +181,7 @@ def full_name(name: str) -> str:
 def _parts(name: str) -> list[str]:
     """Split a name, and put in the threshold of wall thickness where it is left out."""
     first, *rest = name.split(".")
-    if first == "wall_thickness" and rest and not rest[0].isdecimal():
+    if first == "wall_thickness" and len(rest) == 1 and not rest[0].isdecimal():
         rest.insert(0, DEFAULT_HITS)
     return [first, *rest]
 
@@ -214,13 +210,13 @@ def _short(known: Iterable[str]) -> list[str]:
     return [name.replace(usual, "wall_thickness.") for name in known if name.startswith(usual)]
 
 
-def _unknown(name: str, document: Mapping[str, Any]) -> str:
+def _unknown(name: str, known: Sequence[str]) -> str:
     """Say that a name is unknown, and which the nearest is: within it, as a whole, or by its last part."""
-    if name.startswith("reference") and "reference" not in document:
+    if name.startswith("reference") and not any(k.startswith("reference.") for k in known):
         return f"no number {name} in run.json; it needs --truth, --truth-map or --relations"
-    known, full = names(document), full_name(name)
+    full = full_name(name)
     near = [k for k in known if k.startswith(f"{full}.")]
-    near = near or difflib.get_close_matches(full, known + _short(known), n=1, cutoff=0.75)
+    near = near or difflib.get_close_matches(full, [*known, *_short(known)], n=1, cutoff=0.75)
     if not near:
         last = difflib.get_close_matches(name.rpartition(".")[2], {k.rpartition(".")[2] for k in known}, n=1)
         near = [k for k in known if last and k.rpartition(".")[2] == last[0]]

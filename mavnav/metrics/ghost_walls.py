@@ -7,12 +7,13 @@ nothing known between them; the walls of a corridor face one another. Definition
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from mavnav.kernels.profiles import wall_profiles
+from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.lines import fit_line, linked
 from mavnav.units import DEG, MM
 
@@ -53,26 +54,25 @@ REACH_M, ACROSS_CELLS, TURN_RAD = 0.15, 3.0, 12.0 * DEG
 
 @dataclass(frozen=True, slots=True)
 class GhostWall:
-    """A stretch of wall that is there twice: middle and direction of the front ridge, its length, distance of the rear.
+    """A stretch of wall that is there twice, in the map frame."""
 
-    Map frame; ``direction_deg`` is 0 to 180 from x.
-    """
-
-    x_m: float
-    y_m: float
-    direction_deg: float
-    length_m: float
-    offset_mm: float
+    x_m: float = field(metadata=number("middle of the front ridge"))
+    y_m: float = field(metadata=number("middle of the front ridge"))
+    direction_deg: float = field(metadata=number("direction of the front ridge, 0 to 180 from x"))
+    length_m: float = field(metadata=number("length of the front ridge"))
+    offset_mm: float = field(metadata=number("distance from the front ridge to the rear one"))
 
 
 @dataclass(frozen=True, slots=True)
 class GhostWalls:
-    """All ghost walls of a map, the longest first; the worst offset is NaN where there is none."""
+    """Walls that are mapped twice, the longest first."""
 
-    count: int
-    length_m: float
-    worst_offset_mm: float
-    worst_offset_cells: float
+    count: int = field(metadata=number("walls that are mapped twice"))
+    length_m: float = field(
+        metadata=number("length of walls that stand on the map twice", title="ghosts", better="lower")
+    )
+    worst_offset_mm: Measured = field(metadata=number("largest distance between the two; null without one"))
+    worst_offset_cells: Measured = field(metadata=number("largest distance between the two; null without one"))
     places: tuple[GhostWall, ...]
 
 

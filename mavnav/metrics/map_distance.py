@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mavnav.metrics.fields import Measured, number
 from mavnav.units import MM
 
 if TYPE_CHECKING:
@@ -35,18 +36,17 @@ class TrueMap:
 
 @dataclass(frozen=True, slots=True)
 class MapDistance:
-    """Distances of the ``cells`` occupied cells to the nearest true wall; NaN without one.
-
-    ``covered_share`` of the true walls have an occupied cell within 0.1 m.
-    """
+    """Distances of the occupied cells to the nearest true wall; null without one."""
 
     alignment: str
-    cells: int
-    mean_mm: float
-    median_mm: float
-    p95_mm: float
-    max_mm: float
-    covered_share: float
+    cells: int = field(metadata=number("occupied cells"))
+    mean_mm: Measured = field(
+        metadata=number("how far the walls lie from the true ones", title="off the map", better="lower")
+    )
+    median_mm: Measured = field(metadata=number("half of the occupied cells are not farther from a true wall"))
+    p95_mm: Measured = field(metadata=number("95 % of the occupied cells are not farther from a true wall"))
+    max_mm: Measured = field(metadata=number("distance of the farthest occupied cell from a true wall"))
+    covered_share: Measured = field(metadata=number("part of the true walls that has an occupied cell within 0.1 m"))
 
 
 def map_distance(occupied_xy_m: NDArray[np.float64], truth: TrueMap) -> MapDistance:

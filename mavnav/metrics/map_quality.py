@@ -5,7 +5,7 @@ A profile never changes: another definition or threshold is another profile. Def
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import ceil, sqrt
 from typing import TYPE_CHECKING, Final
 
@@ -15,6 +15,7 @@ from mavnav.mapping.occupancy_grid import UNKNOWN, occupancy, occupied_cells
 from mavnav.mapping.tiled_arrays import pooled
 from mavnav.memory import blank
 from mavnav.metrics.crispness import Crispness, crispness
+from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
 from mavnav.metrics.journey import placed_scans, spread
 from mavnav.metrics.revisits import Revisits, pairs_of, revisits
@@ -38,20 +39,20 @@ LARGEST_CELLS: Final = 16_000_000
 
 @dataclass(frozen=True, slots=True)
 class MapQuality:
-    """How good a map is; NaN or None where a number cannot be known.
+    """How good a map is; null where a number cannot be known.
 
     Numbers of a map that is not ``meaningful`` must not be compared; ``why`` says in a few words each what is missing.
     """
 
     profile: str
-    meaningful: bool
+    meaningful: bool = field(metadata=number("whether the numbers may be compared", better="higher"))
     why: tuple[str, ...]
     ghost_walls: GhostWalls
     crispness: Crispness
     revisits: Revisits | None
     support: Support
-    occupied_share: float
-    corners: int
+    occupied_share: Measured = field(metadata=number("part of the known cells that is occupied"))
+    corners: int = field(metadata=number("places where walls change their direction"))
     enclosed_areas: EnclosedAreas
     walls: tuple[Wall, ...]
 

@@ -6,11 +6,12 @@ no common frame, and a drift counts only where a relation spans it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.trajectory_error import between
 from mavnav.units import DEG
 
@@ -36,15 +37,15 @@ class Relations:
 
 @dataclass(frozen=True, slots=True)
 class RelationErrors:
-    """Errors over ``scored`` of ``relations``; NaN without one. A short trajectory misses relations: see ``share``."""
+    """Errors over the relations that have poses at both times; null without one."""
 
-    relations: int
-    scored: int
-    share: float
-    translation_mean_m: float
-    translation_std_m: float
-    rotation_mean_deg: float
-    rotation_std_deg: float
+    relations: int = field(metadata=number("relations given"))
+    scored: int = field(metadata=number("relations with poses at both times"))
+    share: Measured = field(metadata=number("part of the relations that is scored; a short trajectory misses some"))
+    translation_mean_m: Measured = field(metadata=number("mean error of the translation"))
+    translation_std_m: Measured = field(metadata=number("standard deviation of the translation's error"))
+    rotation_mean_deg: Measured = field(metadata=number("mean error of the rotation"))
+    rotation_std_deg: Measured = field(metadata=number("standard deviation of the rotation's error"))
 
 
 def relation_errors(relations: Relations, trajectory: Trajectory) -> dict[str, RelationErrors]:

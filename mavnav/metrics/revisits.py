@@ -5,12 +5,13 @@ No truth is needed. Neighbours in time show how well scans are matched, returns 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from mavnav.kernels.overlap import scan_distances
+from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.journey import spread
 from mavnav.units import DEG, MM
 
@@ -43,18 +44,23 @@ _GOLDEN: Final = 0.6180339887498949
 
 @dataclass(frozen=True, slots=True)
 class Revisits:
-    """How far scans lie apart that see the same walls; NaN without a pair.
+    """How far scans lie apart that see the same walls; null without a pair.
 
-    ``nn_s_mm``: scans 0.3 to 3 s apart, mean distance of a point to the nearest one of the other scan, where one lies
-    within 150 mm. ``nn_l_mm``: scans more than 10 s, within 1 m and 60 degrees of one another, mean over the points
-    that the other scan could see, 150 mm at most. ``pairs`` counts these, ``visible_share`` is the part of their points
-    that could be seen.
+    Neighbours are scans 0.3 to 3 s apart: mean distance of a point to the nearest one of the other scan, where one lies
+    within 150 mm. Revisits are scans more than 10 s apart, within 1 m and 60 degrees of one another: mean over the
+    points that the other scan could see, 150 mm at most.
     """
 
-    nn_s_mm: float
-    nn_l_mm: float
-    pairs: int
-    visible_share: float
+    nn_s_mm: Measured = field(metadata=number("how far scans lie from their neighbours in time", title="neighbours"))
+    nn_l_mm: Measured = field(
+        metadata=number(
+            "how far scans of a place lie from scans of the same place at another time",
+            title="revisits",
+            better="lower",
+        )
+    )
+    pairs: int = field(metadata=number("pairs of scans at revisits"))
+    visible_share: Measured = field(metadata=number("part of the points of revisits that the other scan could see"))
 
 
 @dataclass(frozen=True, slots=True)

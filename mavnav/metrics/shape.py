@@ -6,7 +6,7 @@ occupied cells, corners and enclosed areas is the better one; a wall that is dra
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -16,6 +16,7 @@ from mavnav.kernels.smoothing import smoothed
 from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN
 from mavnav.mapping.tiled_arrays import bands, count
 from mavnav.memory import blank
+from mavnav.metrics.fields import number
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,8 +37,8 @@ LEAST_AREA_M2: Final = 0.01
 class EnclosedAreas:
     """Areas that are not occupied, but closed in by occupied cells (8-connected)."""
 
-    count: int
-    area_m2: float
+    count: int = field(metadata=number("enclosed areas"))
+    area_m2: float = field(metadata=number("sum of the enclosed areas"))
 
 
 def occupied_share(cells: NDArray[np.int8]) -> float:

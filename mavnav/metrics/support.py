@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -11,6 +11,7 @@ from mavnav.kernels.hits import show_ends
 from mavnav.mapping.occupancy_grid import OCCUPIED
 from mavnav.mapping.tiled_arrays import bands
 from mavnav.memory import blank
+from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.journey import spread
 
 if TYPE_CHECKING:
@@ -31,16 +32,14 @@ SAMPLE_SCANS: Final = 200
 
 @dataclass(frozen=True, slots=True)
 class Support:
-    """What vouches for a map; NaN where the scans behind it are not known.
+    """How much of a map there is, and of the log in it; null where the scans behind it are not known."""
 
-    ``wall_m`` metres of straight wall in ``sections`` cuts; ``mapped_share`` of the usable scans went into the map;
-    ``explained_share`` of the end points of all tracked scans lie within a cell of an occupied one.
-    """
-
-    wall_m: float
-    sections: int
-    mapped_share: float
-    explained_share: float
+    wall_m: float = field(metadata=number("length of straight wall"))
+    sections: int = field(metadata=number("cuts through straight walls"))
+    mapped_share: Measured = field(metadata=number("part of the usable scans that is in the map"))
+    explained_share: Measured = field(
+        metadata=number("part of the end points of tracked scans that lies within a cell of an occupied one")
+    )
 
 
 def map_support(

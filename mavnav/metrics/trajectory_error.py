@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mavnav.metrics.fields import Measured, number
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG
 
@@ -34,17 +35,18 @@ class AbsoluteError:
 
 @dataclass(frozen=True, slots=True)
 class RelativeError:
-    """Relative pose error (Sturm et al. 2012) over ``pairs`` stretches of `DELTA_M` of the estimated path.
+    """Relative pose error (Sturm et al. 2012) over stretches of the estimated path; null without a stretch.
 
-    ``distance_rmse_m`` compares how far apart the two ends of a stretch are; it needs no headings. NaN without a pair,
-    the others also where the truth has no headings.
+    Translation and rotation are null also where the truth has no headings.
     """
 
-    pairs: int
-    delta_m: float
-    translation_rmse_m: float
-    rotation_rmse_deg: float
-    distance_rmse_m: float
+    pairs: int = field(metadata=number("stretches of the path that were compared"))
+    delta_m: float = field(metadata=number("length of a stretch"))
+    translation_rmse_m: Measured = field(metadata=number("root mean square error of the motion over a stretch"))
+    rotation_rmse_deg: Measured = field(metadata=number("root mean square error of the turn over a stretch"))
+    distance_rmse_m: Measured = field(
+        metadata=number("root mean square error of the distance between the ends of a stretch; it needs no headings")
+    )
 
 
 def align(from_xy_m: NDArray[np.float64], to_xy_m: NDArray[np.float64]) -> Pose:

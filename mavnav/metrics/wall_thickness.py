@@ -6,7 +6,7 @@ threshold nor a way to measure; the definition here, with the numbers that valid
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from mavnav.kernels.thickness import column_runs, run_moments
 from mavnav.mapping.occupancy_grid import counts
 from mavnav.mapping.tiled_arrays import bands, count
+from mavnav.metrics.fields import Measured, absent, number
 from mavnav.units import MM
 
 if TYPE_CHECKING:
@@ -50,21 +51,39 @@ class Sections:
 
 @dataclass(frozen=True, slots=True)
 class WallThickness:
-    """Summary of the sections at one hit threshold; quantiles are weighted by length of wall, NaN without sections.
+    """Summary of the sections at one hit threshold; quantiles are weighted by length of wall, null without sections."""
 
-    ``share`` is the part of the occupied cells that was measured: beware of a thin wall that few cells vouch for.
-    """
+    max_cells: Measured = field(metadata=number("the thickest section of a wall"))
+    p95_cells: Measured = field(metadata=number("95 % of the wall, by length, is not thicker"))
+    median_cells: Measured = field(metadata=number("half of the wall, by length, is not thicker"))
+    max_mm: Measured = field(metadata=number("the thickest section of a wall", title="wall max", better="lower"))
+    p95_mm: Measured = field(
+        metadata=number("95 % of the wall, by length, is not thicker", title="wall p95", better="lower")
+    )
+    median_mm: Measured = field(metadata=number("half of the wall, by length, is not thicker"))
+    sections: int = field(metadata=number("cuts through straight walls"))
+    length_m: float = field(metadata=number("length of the measured wall"))
+    share: float = field(metadata=number("part of the occupied cells that was measured; with few the rest says little"))
 
-    hits: int
-    max_cells: float
-    p95_cells: float
-    median_cells: float
-    max_mm: float
-    p95_mm: float
-    median_mm: float
-    sections: int
-    length_m: float
-    share: float
+
+@dataclass(frozen=True, slots=True)
+class WallThicknessByHits:
+    """Wall thickness by hit threshold: a cell is part of a wall from so many hits on."""
+
+    hits_1: WallThickness = field(
+        default_factory=absent, metadata={"alias": "1", "description": "cells of at least 1 hit"}
+    )
+    hits_2: WallThickness = field(
+        default_factory=absent, metadata={"alias": "2", "description": "cells of at least 2 hits"}
+    )
+    hits_5: WallThickness = field(
+        default_factory=absent, metadata={"alias": "5", "description": "cells of at least 5 hits"}
+    )
+
+    @classmethod
+    def of(cls, measured: dict[int, WallThickness]) -> WallThicknessByHits:
+        """Return the section of run.json; thresholds that were not measured are left out."""
+        return cls(**{f"hits_{hits}": thickness for hits, thickness in measured.items()})
 
 
 def wall_thickness(hits: NDArray[Any], cell_m: float, min_hits: int) -> WallThickness:
@@ -72,15 +91,14 @@ def wall_thickness(hits: NDArray[Any], cell_m: float, min_hits: int) -> WallThic
 
     ``hits`` is (rows, cols); a cell is occupied from ``min_hits`` (1 or more) on; ``cell_m`` is the cell's edge.
     """
-    return summary(wall_sections(hits, cell_m, min_hits), cell_m, min_hits)
+    return summary(wall_sections(hits, cell_m, min_hits), cell_m)
 
 
-def summary(sections: Sections, cell_m: float, min_hits: int) -> WallThickness:
-    """Sum up the sections through the cells of ``min_hits`` hits or more."""
+def summary(sections: Sections, cell_m: float) -> WallThickness:
+    """Sum up the sections of one threshold; ``cell_m`` is the cell's edge."""
     thickness, weight = sections.thickness_cells, sections.length_m
     maximum, p95, median = quantiles(thickness, weight)
     return WallThickness(
-        hits=min_hits,
         max_cells=maximum,
         p95_cells=p95,
         median_cells=median,
@@ -102,7 +120,7 @@ def sections_by_hits(
 
 def wall_thicknesses(sections: dict[int, Sections], cell_m: float) -> dict[int, WallThickness]:
     """Sum up the sections at each threshold."""
-    return {min_hits: summary(cuts, cell_m, min_hits) for min_hits, cuts in sections.items()}
+    return {min_hits: summary(cuts, cell_m) for min_hits, cuts in sections.items()}
 
 
 def quantiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[float, float, float]:

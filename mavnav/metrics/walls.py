@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mavnav.metrics.fields import number
 from mavnav.metrics.lines import Line, fit_line, linked
 from mavnav.metrics.wall_thickness import Sections, quantiles
 from mavnav.units import DEG, MM
@@ -26,17 +27,14 @@ STRAIGHT_CELLS: Final = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Wall:
-    """A straight wall: its middle (map frame), direction (0 to 180 degrees from x), length, and thickness.
+    """A straight wall, in the map frame."""
 
-    95 % of it, by length, is not thicker than ``p95_cells``, ``p95_mm``.
-    """
-
-    x_m: float
-    y_m: float
-    direction_deg: float
-    length_m: float
-    p95_cells: float
-    p95_mm: float
+    x_m: float = field(metadata=number("middle of the wall"))
+    y_m: float = field(metadata=number("middle of the wall"))
+    direction_deg: float = field(metadata=number("direction of the wall, 0 to 180 from x"))
+    length_m: float = field(metadata=number("length of the wall"))
+    p95_cells: float = field(metadata=number("95 % of the wall, by length, is not thicker"))
+    p95_mm: float = field(metadata=number("95 % of the wall, by length, is not thicker"))
 
 
 def straight_walls(sections: Sections, cell_m: float, origin_xy_m: tuple[float, float]) -> tuple[Wall, ...]:

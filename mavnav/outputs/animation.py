@@ -44,7 +44,7 @@ _PALETTE: Final = ("#ffffff", "#9aa1a8", "#000000", POSE_MAGENTA, START_BLUE, GO
 
 
 def check_animation(path: Path, *, force: bool) -> None:
-    """Raise OutputError where the animation cannot be put, UsageError for another suffix; asked before the work."""
+    """Raise OutputError where the animation cannot be put, UsageError for another suffix; called before the work."""
     if path.suffix != ".gif":
         raise UsageError(f"{path}: an animation is a GIF; end its name in .gif")
     if path.exists() and not (force and path.is_file()):
@@ -87,6 +87,21 @@ class _Canvas:
         window = self.window
         return np.column_stack((xy_m[:, 0] - window.x0_m, window.y1_m - xy_m[:, 1])) / self.pixel_m
 
+    def line(self, draw: ImageDraw.ImageDraw, xy_m: NDArray[np.float64], colour: int, width: int = 1) -> None:
+        """Draw a line through points (n, 2)."""
+        draw.line(self.pixels(xy_m).ravel().tolist(), fill=colour, width=width)
+
+    def circle(self, draw: ImageDraw.ImageDraw, xy_m: NDArray[np.float64], colour: int, radius: int) -> None:
+        """Draw a circle about a point (2,)."""
+        ((x, y),) = self.pixels(xy_m[None]).tolist()
+        draw.ellipse((x - radius, y - radius, x + radius, y + radius), outline=colour, width=2)
+
+    def cross(self, draw: ImageDraw.ImageDraw, xy_m: NDArray[np.float64], colour: int, radius: int) -> None:
+        """Draw an x at a point (2,)."""
+        ((x, y),) = self.pixels(xy_m[None]).tolist()
+        draw.line((x - radius, y - radius, x + radius, y + radius), fill=colour, width=2)
+        draw.line((x - radius, y + radius, x + radius, y - radius), fill=colour, width=2)
+
     def add(self, xy_m: NDArray[np.float64]) -> None:
         """Count hits (n, 2); those outside are left out."""
         at = np.floor(self.pixels(xy_m)).astype(np.int64)
@@ -124,7 +139,7 @@ def _frame(run: Run, canvas: _Canvas, poses: list[tuple[int, Pose]]) -> Image.Im
     draw.fontmode = "1"  # no grey edges, which the palette has no colours for
     if run.truth:
         _draw_truth(draw, canvas, run.truth, poses[-1][0] if poses else 0)
-    _draw_way(draw, canvas, [pose for _, pose in poses])
+    _draw_path(draw, canvas, [pose for _, pose in poses])
     since_s = (poses[-1][0] - run.log.first_ns) * NS if poses else 0.0
     text = f"{run.name}   {since_s:.1f} s   {len(poses)} of {len(run.slam.steps)} scans"
     draw.text((6, image.height - CAPTION_PIXELS + 4), text, fill=_TEXT, font=ImageFont.load_default(12))
@@ -132,49 +147,26 @@ def _frame(run: Run, canvas: _Canvas, poses: list[tuple[int, Pose]]) -> Image.Im
 
 
 def _draw_truth(draw: ImageDraw.ImageDraw, canvas: _Canvas, truth: Truth, now_ns: int) -> None:
-    """Draw the true walls thinly, the goal, and the true way so far with an x at its end."""
+    """Draw the true walls thinly, the goal, and the true path so far with an x at its end."""
     for line in wall_lines(truth):
-        draw.line(_flat(canvas.pixels(line)), fill=_WALL)
-    _circle(draw, canvas, truth.goal_xy_map_m, _GOAL, radius=7)
-    _cross(draw, canvas, truth.goal_xy_map_m, _GOAL, radius=4)
+        canvas.line(draw, line, _WALL)
+    goal_xy_m = np.array(truth.goal_xy_map_m)
+    canvas.circle(draw, goal_xy_m, _GOAL, radius=7)
+    canvas.cross(draw, goal_xy_m, _GOAL, radius=4)
     xy_m = truth.map_T_laser.xyyaw[truth.map_T_laser.stamps_ns <= now_ns, :2]
     if len(xy_m):
-        draw.line(_flat(canvas.pixels(xy_m)), fill=_TRUE_POSE)
-        _cross(draw, canvas, xy_m[-1], _TRUE_POSE, radius=5)
+        canvas.line(draw, xy_m, _TRUE_POSE)
+        canvas.cross(draw, xy_m[-1], _TRUE_POSE, radius=5)
 
 
-def _draw_way(draw: ImageDraw.ImageDraw, canvas: _Canvas, poses: list[Pose]) -> None:
-    """Draw the estimated way, the start, and the present pose as a circle with its heading."""
+def _draw_path(draw: ImageDraw.ImageDraw, canvas: _Canvas, poses: list[Pose]) -> None:
+    """Draw the estimated path, the start, and the present pose as a circle with its heading."""
     if not poses:
         return
     xy_m = np.array([(p.x_m, p.y_m) for p in poses])
-    draw.line(_flat(canvas.pixels(xy_m)), fill=_POSE)
-    _cross(draw, canvas, xy_m[0], _START, radius=5)
-    _circle(draw, canvas, xy_m[-1], _POSE, radius=6)
+    canvas.line(draw, xy_m, _POSE)
+    canvas.cross(draw, xy_m[0], _START, radius=5)
+    canvas.circle(draw, xy_m[-1], _POSE, radius=6)
     now = poses[-1]
     ahead_m = 14 * canvas.pixel_m * np.array([np.cos(now.yaw_rad), np.sin(now.yaw_rad)])
-    draw.line(_flat(canvas.pixels(np.array([xy_m[-1], xy_m[-1] + ahead_m]))), fill=_POSE, width=2)
-
-
-def _flat(xy: NDArray[np.float64]) -> list[float]:
-    return [float(v) for v in xy.ravel()]
-
-
-def _pixel(canvas: _Canvas, xy_m: NDArray[np.float64] | tuple[float, float]) -> tuple[float, float]:
-    col, row = canvas.pixels(np.array([xy_m], dtype=np.float64))[0]
-    return float(col), float(row)
-
-
-def _circle(
-    draw: ImageDraw.ImageDraw, canvas: _Canvas, xy_m: NDArray[np.float64] | tuple[float, float], ink: int, radius: int
-) -> None:
-    x, y = _pixel(canvas, xy_m)
-    draw.ellipse((x - radius, y - radius, x + radius, y + radius), outline=ink, width=2)
-
-
-def _cross(
-    draw: ImageDraw.ImageDraw, canvas: _Canvas, xy_m: NDArray[np.float64] | tuple[float, float], ink: int, radius: int
-) -> None:
-    x, y = _pixel(canvas, xy_m)
-    for tilt in (1, -1):
-        draw.line((x - radius, y - tilt * radius, x + radius, y + tilt * radius), fill=ink, width=2)
+    canvas.line(draw, np.array([xy_m[-1], xy_m[-1] + ahead_m]), _POSE, width=2)

@@ -1,21 +1,36 @@
-"""true_map.png: the world as it is, start, goal and the way that was really taken (the paper's Figures 2 and 4)."""
+"""true_map.png: the true walls, start, goal and the path that was really taken (the paper's Figures 2 and 4)."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from functools import partial
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.outputs import drawing
+from mavnav.outputs import map_axes
+from mavnav.outputs.canvas import stroke
+from mavnav.outputs.map_picture import centred_legend
+from mavnav.outputs.plot import Line, Mark, circle
+from mavnav.outputs.viewport import INK, MUTED, PATH_GREY, POSE_MAGENTA, Window, wall_lines, window_around
+from mavnav.pose import transform_points
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from mavnav.outputs.plot import Axes
     from mavnav.outputs.run import Run, Truth
-    from mavnav.pose import Pose
 
+MARGINS: Final = (100, 90, 50, 120)
+"""Left, top, right and bottom of the map in the picture, in pixels."""
+LEAST_SHARE: Final = 0.4
+"""Of the shorter side of the map to the longer."""
 ARROW_SHARE: Final = 0.07
 """Length of the heading's arrow, of the picture's longer side."""
+
+WALL: Final = Line(INK, "wall", partial(stroke, width_pt=1.8))
+PATH: Final = Line(PATH_GREY, "", partial(stroke, width_pt=0.9))
+HEADING: Final = Line(POSE_MAGENTA, "", partial(stroke, width_pt=1.8))
+TRUE_POSE: Final = Mark(PATH_GREY, "true path", partial(circle, size_pt=2.4, width_pt=1.2))
 
 
 def write(run: Run, path: Path) -> None:
@@ -23,40 +38,42 @@ def write(run: Run, path: Path) -> None:
     if run.truth is None:
         msg = "the truth is not known"
         raise ValueError(msg)
-    window = _window(run.truth)
-    width, height = window.figure_size(longest_in=7.0, least_in=3.0)
-    fig = drawing.figure(max(width + 0.8, 5.0), height + 1.3)
-    axes = fig.add_subplot()
-    _draw(axes, run.truth, arrow_m=ARROW_SHARE * max(window.size_m))
-    drawing.dress(axes, window)
-    fig.suptitle(f"{run.name}: the true map", fontsize=12, fontweight="bold", color=drawing.INK)
-    axes.set_title(_subtitle(run.truth), fontsize=8.5, color=drawing.MUTED)
-    fig.legend(loc="outside lower center", ncols=5, frameon=False, fontsize=8.5)
-    drawing.save(fig, path)
+    axes = map_axes.framed_map(_window(run.truth), 7.0, MARGINS)
+    _draw(axes, run.truth)
+    map_axes.draw_axes(axes)
+    axes.names("x [m]", "y [m]")
+    centred_legend(axes.canvas, [WALL, TRUE_POSE, map_axes.START, map_axes.GOAL])
+    middle = axes.canvas.image.width / 2
+    axes.canvas.text((middle, 26), f"{run.name}: the true map", 12.0, bold=True)
+    axes.canvas.text((middle, 62), _subtitle(run.truth), 8.5, MUTED)
+    axes.canvas.save(path)
 
 
-def _window(truth: Truth) -> drawing.Window:
-    points = np.vstack((truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *drawing.wall_lines(truth)))
-    return drawing.window_around(points, least_margin_m=0.1)
+def _window(truth: Truth) -> Window:
+    points = np.vstack((truth.map_T_laser.xyyaw[:, :2], [truth.goal_xy_map_m], *wall_lines(truth)))
+    return window_around(points, least_margin_m=0.1).widened(LEAST_SHARE)
 
 
-def _draw(axes: Any, truth: Truth, arrow_m: float) -> None:  # noqa: ANN401
+def _draw(axes: Axes, truth: Truth) -> None:
     xy_m = truth.map_T_laser.xyyaw[:, :2]
-    drawing.draw_walls(axes, truth, color=drawing.INK, lw=1.8, solid_capstyle="round", zorder=2, label="wall")
-    axes.plot(*xy_m.T, ".-", color=drawing.PATH_GREY, lw=0.9, ms=3, label="true path", zorder=3)
-    _draw_heading(axes, truth.map_T_laser[0], arrow_m)
-    drawing.draw_ends(axes, xy_m[0], truth.goal_xy_map_m, "goal")
+    axes.lines(WALL, wall_lines(truth))
+    axes.lines(PATH, [xy_m])
+    axes.mark(TRUE_POSE, xy_m)
+    _draw_heading(axes, truth)
+    axes.mark(map_axes.START, xy_m[:1])
+    axes.mark(map_axes.GOAL, np.array([truth.goal_xy_map_m]))
 
 
-def _draw_heading(axes: Any, start: Pose, length_m: float) -> None:  # noqa: ANN401
+def _draw_heading(axes: Axes, truth: Truth) -> None:
     """Point a magenta arrow where the laser looks at the start."""
-    tip = (start.x_m + length_m * np.cos(start.yaw_rad), start.y_m + length_m * np.sin(start.yaw_rad))
-    arrow = {"arrowstyle": "-|>", "color": drawing.POSE_MAGENTA, "lw": 1.8, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", xy=tip, xytext=(start.x_m, start.y_m), arrowprops=arrow, zorder=4)
+    arrow = np.array([[0.0, 0.0], [0.75, 0.0], [1.0, 0.0], [0.75, 0.12], [0.75, -0.12]])
+    xy_m = transform_points(truth.map_T_laser[0], arrow * ARROW_SHARE * max(axes.size))
+    axes.lines(HEADING, [xy_m[:2]])
+    axes.canvas.smooth(axes.box, HEADING.colour, lambda on: on.polygon(axes.to_mask(xy_m[2:]), fill=255))
 
 
 def _subtitle(truth: Truth) -> str:
-    way, goal = truth.map_T_laser, np.array(truth.goal_xy_map_m)
-    left_m = float(np.hypot(*(goal - way.xyyaw[-1, :2])))
-    ends = f"path {way.length_m:.2f} m in {len(way) - 1} steps, ends {left_m:.2f} m from the goal"
+    path, goal = truth.map_T_laser, np.array(truth.goal_xy_map_m)
+    left_m = float(np.hypot(*(goal - path.xyyaw[-1, :2])))
+    ends = f"path {path.length_m:.2f} m in {len(path) - 1} steps, ends {left_m:.2f} m from the goal"
     return f"{ends}; frame: the laser's first pose"

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.map_distance import TrueMap
     from mavnav.metrics.map_quality import MapQuality
+    from mavnav.metrics.reference import Reference
     from mavnav.metrics.wall_thickness import Sections, WallThickness
+    from mavnav.outputs.run_json import Localisation, MissionResult, TruthErrors
     from mavnav.pose import Trajectory
     from mavnav.slam.result import SlamResult
 
@@ -72,26 +74,22 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """What a simulated run tells besides: plain data for run.json, and whether the mission succeeded.
-
-    ``path`` is the scenario's file, ``scenario`` the effective one; ``mission`` and ``truth`` are sections of run.json.
-    """
+    """What a simulated run knows besides: the scenario's file, the effective scenario, and how the mission ended."""
 
     path: Path
     scenario: dict[str, Any]
-    mission: dict[str, Any]
-    truth: dict[str, Any]
-    reached: bool
+    result: MissionResult
+    errors: TruthErrors
 
 
 @dataclass(frozen=True)
 class Run:
     """A log, how it was run, what came out, and the cuts through its walls (hit threshold -> sections).
 
-    A mission of the simulator knows the truth besides. ``reference`` is what a comparison with references told,
-    plain data for run.json, and ``true_map`` the one among them. ``stopped`` is the code of the signal that stopped
+    A mission of the simulator knows the truth besides. ``reference`` is the comparison with references,
+    and ``true_map`` the one among them. ``stopped`` is the code of the signal that stopped
     the run before the log ended.
-    ``localisation`` tells, where the laser was followed in a known map, of that map: plain data for run.json.
+    ``localisation`` says where the laser was found in a given map.
     ``address`` is where the log was fetched from, if it was.
     """
 
@@ -103,10 +101,10 @@ class Run:
     truth: Truth | None = None
     mission: Mission | None = None
     quality: MapQuality | None = None
-    reference: dict[str, Any] | None = None
+    reference: Reference | None = None
     true_map: TrueMap | None = None
     stopped: ExitCode | None = None
-    localisation: dict[str, Any] | None = None
+    localisation: Localisation | None = None
     address: str | None = None
 
     @property
@@ -152,7 +150,7 @@ class Run:
             return self.stopped
         if self.slam.lost_for_good:
             return ExitCode.TRACKING_LOST
-        if self.mission and not self.mission.reached:
+        if self.mission and not self.mission.result.reached:
             return ExitCode.GATE_FAILED
         return ExitCode.DAMAGED_INPUT if self.log.damage else ExitCode.DONE
 

@@ -23,7 +23,6 @@ STRAY_SHARE: Final = 5e-4
 
 ARC_STEP_RAD: Final = pi / 90.0
 START_BLUE, GOAL_RED, POSE_MAGENTA, TRUE_ORANGE = "#0033ff", "#e00000", "#d6009a", "#ff6a00"
-GOAL_SIGN: Final = "$\\bigotimes$"
 INK, MUTED, FREE_GREY, WALL_GREY, PATH_GREY = "#222222", "#666666", "#eef1f4", "#b9bec4", "#8a929a"
 
 
@@ -52,18 +51,24 @@ class Window:
         a, c = min(a, cols - 1), min(c, rows - 1)
         return a, max(b, a + 1), c, max(d, c + 1)
 
-    def figure_size(self, longest_in: float, least_in: float) -> tuple[float, float]:
-        """Return the width and height in inches that show the rectangle undistorted; no side under ``least_in``."""
+    def size_pixels(self, longest_in: float) -> tuple[int, int]:
+        """Return width and height in pixels that show the rectangle undistorted."""
         width, height = self.size_m
         scale = longest_in / max(width, height)
-        return max(width * scale, least_in), max(height * scale, least_in)
+        return round(width * scale * DPI), round(height * scale * DPI)
+
+    def widened(self, least_share: float) -> Window:
+        """Return it with the shorter side at least this share of the longer, about the same middle."""
+        width, height = self.size_m
+        dx, dy = (max(0.0, least_share * max(width, height) - side) / 2 for side in (width, height))
+        return Window(self.x0_m - dx, self.x1_m + dx, self.y0_m - dy, self.y1_m + dy)
 
 
 def window_of(grid: Grid, xy_m: NDArray[np.float64]) -> Window:
     """Frame the hit cells and the points ``xy_m`` (n, 2), with a margin.
 
     On each side the outermost `STRAY_SHARE` of the cells may fall outside: single far returns through a window
-    would otherwise shrink the room to a spot.
+    would otherwise shrink the map to a spot.
     """
     hit = where(grid.hits, lambda hits: hits > 0)[:, ::-1]
     corners = [xy_m] if len(xy_m) else [np.array([grid.origin_xy_m])]

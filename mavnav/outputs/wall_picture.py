@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from PIL import ImageDraw
 
 from mavnav.mapping.occupancy_grid import measured_part
-from mavnav.outputs import canvas
-from mavnav.outputs.map_picture import draw_free
-from mavnav.outputs.viewport import DPI, INK, MUTED, WALL_GREY, window_of
+from mavnav.outputs.canvas import Canvas, ramp, rgb_of
+from mavnav.outputs.map_axes import draw_axes, draw_cells, draw_free, map_axes
+from mavnav.outputs.plot import Axes, colour_bar, ticks
+from mavnav.outputs.viewport import INK, MUTED, WALL_GREY, window_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,11 +19,14 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.wall_thickness import Sections, WallThickness
-    from mavnav.outputs.canvas import Canvas, Frame
+    from mavnav.outputs.canvas import Box
     from mavnav.outputs.run import Run
 
 BAR_COLOUR: Final = "#5b8db8"
 P95_COLOUR: Final = "#c0392b"
+TURBO: Final = (
+    "#30123b", "#4662d7", "#36aaf9", "#1ae4b6", "#72fe5e", "#c8ef34", "#faba39", "#f66b19", "#cb2a04", "#7a0403",
+)  # fmt: skip
 LEFT, TOP, RIGHT, BOTTOM = 100, 90, 130, 80
 """Margins of the map in the picture, in pixels."""
 HISTOGRAM: Final = (560, 110)
@@ -36,11 +39,11 @@ def write(run: Run, path: Path) -> None:
     thresholds = list(sections)
     shown = thresholds[len(thresholds) // 2]
     window = window_of(run.known, np.empty((0, 2)))
-    width, height = (round(v * DPI) for v in window.figure_size(longest_in=6.5, least_in=0.0))
+    width, height = window.size_pixels(longest_in=6.5)
     tall = max(height, len(thresholds) * (HISTOGRAM[1] + 120))
-    picture = canvas.Canvas.of(LEFT + width + RIGHT + 80 + HISTOGRAM[0] + 30, TOP + tall + BOTTOM)
-    frame = canvas.Frame(picture, window, LEFT, TOP + (tall - height) // 2, width, height)
-    _draw_map(frame, run, shown)
+    picture = Canvas.of(LEFT + width + RIGHT + 80 + HISTOGRAM[0] + 30, TOP + tall + BOTTOM)
+    top = TOP + (tall - height) // 2
+    _draw_map(map_axes(picture, window, (LEFT, top, LEFT + width, top + height)), run, shown)
     pitch = tall // len(thresholds)
     left = LEFT + width + RIGHT + 80
     _draw_histograms(picture, [(left, TOP + k * pitch, pitch - 120) for k in range(len(thresholds))], run, sections)
@@ -48,31 +51,34 @@ def write(run: Run, path: Path) -> None:
     picture.save(path)
 
 
-def _draw_map(frame: Frame, run: Run, min_hits: int) -> None:
-    draw_free(frame, run)
-    grid, sections = run.known, run.sections[min_hits]
-    grey = np.array(canvas.rgb_of(WALL_GREY), np.uint8)
-    frame.cells(grid, grid.hits, lambda _: grey, told=lambda hits: hits >= min_hits)
+def _draw_map(axes: Axes, run: Run, min_hits: int) -> None:
+    draw_free(axes, run.known, run.cells)
+    grey = np.array(rgb_of(WALL_GREY), np.uint8)
+    draw_cells(axes, run.known, run.known.hits, lambda _: grey, value_of=lambda hits: hits >= min_hits)
+    _draw_sections(axes, measured_part(run.slam.grid), run.sections[min_hits])
+    draw_axes(axes)
+    axes.names("x [m]", "y [m]")
+    left, top, right, _ = axes.box
+    text = f"cells with ≥ {min_hits} hits; grey: not part of a straight wall"
+    axes.canvas.text(((left + right) / 2, top - 22), text, 8.5, MUTED)
+
+
+def _draw_sections(axes: Axes, grid: Grid, sections: Sections) -> None:
+    """Draw each section across its wall in the colour of its thickness, and the scale of these colours."""
     top = max(3, int(np.ceil(np.quantile(sections.thickness_cells, 0.99))) if len(sections.row) else 3)
     step = -(-top // 12)  # cells a colour
     bounds = np.arange(0.5, top + step, step)
-    colours = canvas.ramp(canvas.TURBO, len(bounds) - 1)
-    # drawn across the wall, and at least a few pixels long wherever the map is large
-    lines = section_lines(measured_part(run.slam.grid), sections, 0.012 * max(frame.window.size_m))
-    ends = np.hstack((frame.to_canvas(lines[:, 0]), frame.to_canvas(lines[:, 1]))).round().astype(int)
+    colours = ramp(TURBO, len(bounds) - 1)
+    # at least a few pixels long wherever the map is large
+    lines = section_lines(grid, sections, 0.012 * max(axes.size))
+    ends = np.hstack((axes.to_canvas(lines[:, 0]), axes.to_canvas(lines[:, 1]))).round().astype(int)
     level = np.clip(np.searchsorted(bounds, sections.thickness_cells) - 1, 0, len(colours) - 1)
-    draw = ImageDraw.Draw(frame.canvas.image)
+    draw = axes.canvas.draw
     for line, colour in zip(ends.tolist(), colours[level].tolist(), strict=True):
         draw.line(line, fill=tuple(colour), width=3)
-    bar = canvas.Bar(frame, frame.left + frame.width + 24)
-    bar.gradient(np.repeat(colours, 16, axis=0))
-    for k, name in enumerate(_names(bounds)):
-        bar.tick((k + 0.5) / len(colours), name, line=False)
-    bar.name("thickness [cells]")
-    frame.dress()
-    middle = frame.left + frame.width / 2
-    text = f"cells with ≥ {min_hits} hits; grey: not part of a straight wall"
-    frame.canvas.text((middle, frame.top - 22), text, 8.5, MUTED)
+    shares = (np.arange(len(colours)) + 0.5) / len(colours)
+    names = zip(shares.tolist(), _names(bounds), strict=True)
+    colour_bar(axes, np.repeat(colours, 16, axis=0), names, "thickness [cells]", lines=False)
 
 
 def _names(bounds: NDArray[np.float64]) -> list[str]:
@@ -85,7 +91,7 @@ def section_lines(grid: Grid, sections: Sections, least_m: float) -> Any:  # noq
     """Return each section as a line in the map frame, (n, 2, 2) in metres, along its grid axis."""
     middle = np.column_stack((sections.col, sections.row)) + 0.5
     axis = np.where(sections.vertical[:, None], (0.0, 1.0), (1.0, 0.0))
-    # what a section stands for in length tells its slant, and so its extent along the axis
+    # the length that a section stands for gives its slant, and so its extent along the axis
     extent = (sections.thickness_cells - 1.0) * sections.length_m / grid.cell_m + 1.0
     half = 0.5 * np.maximum(extent, least_m / grid.cell_m)[:, None] * axis
     return (np.stack((middle - half, middle + half), axis=1)) * grid.cell_m + np.array(grid.origin_xy_m)
@@ -99,40 +105,33 @@ def _draw_histograms(
     most = int(np.ceil(longest)) + 1
     for (left, top, height), (min_hits, found) in zip(places, sections.items(), strict=True):
         thickness = run.thickness[min_hits]
-        picture.text((left, top), _title(thickness), 8.5, INK, "la")
+        picture.text((left, top), _title(thickness, min_hits), 8.5, INK, "la")
         bins = np.round(found.thickness_cells).astype(int)
         metres = np.bincount(bins, found.length_m, minlength=most + 1)[: most + 1]
-        _draw_bars(picture, (left, top + 56, left + HISTOGRAM[0], top + 56 + height), metres, thickness)
-    left, top, height = places[-1]
-    picture.text((left + HISTOGRAM[0] / 2, top + 56 + height + 36), "thickness [cells]", 9.0, INK, "ma")
+        name = "thickness [cells]" if (left, top, height) == places[-1] else ""
+        _draw_bars(picture, (left, top + 56, left + HISTOGRAM[0], top + 56 + height), metres, thickness, name)
 
 
-def _draw_bars(picture: Canvas, box: canvas.Box, metres: NDArray[Any], thickness: WallThickness) -> None:
+def _draw_bars(picture: Canvas, box: Box, metres: NDArray[Any], thickness: WallThickness, name: str) -> None:
     """Draw one histogram: ``metres`` of wall of 0, 1, 2 ... cells."""
-    draw, (left, top, right, bottom) = ImageDraw.Draw(picture.image), box
-    pitch, highest = (right - left) / len(metres), max(float(metres.max()), 1e-9)
-    for cells, value in enumerate(metres.tolist()):
-        if value > 0.0:
-            x0, x1 = left + (cells + 0.05) * pitch, left + (cells + 0.95) * pitch
-            draw.rectangle((x0, bottom - value / highest * (bottom - top), x1, bottom), fill=BAR_COLOUR)
-    draw.line((left, top, left, bottom, right, bottom), fill=MUTED)
-    for tick in canvas.ticks(0.0, len(metres) - 1.0, 8):
-        if tick.is_integer():
-            picture.text((left + (tick + 0.5) * pitch, bottom + 8), f"{tick:g}", colour=MUTED, anchor="ma")
-    for value in canvas.ticks(0.0, highest, 4):
-        picture.text((left - 8, bottom - value / highest * (bottom - top)), f"{value:g}", colour=MUTED, anchor="rm")
-    picture.text((left - 62, (top + bottom) / 2), "wall [m]", 9.0, upright=True)
+    cells, highest = np.arange(len(metres)), max(float(metres.max()), 1e-9)
+    axes = Axes.chart(picture, box, (0.0, float(len(metres)), 0.0, 1.0))
+    axes.bars(np.column_stack((cells + 0.05, cells + 0.95)), metres / highest, BAR_COLOUR)
+    axes.borders()
+    in_x = [(tick + 0.5, f"{tick:g}") for tick in ticks(0.0, len(metres) - 1.0, 8) if tick.is_integer()]
+    axes.ticks(in_x, [(value / highest, f"{value:g}") for value in ticks(0.0, highest, 4)], length=0, gap=8)
+    axes.names(name, "wall [m]")
     if thickness.sections:
-        x = left + (thickness.p95_cells + 0.5) * pitch
-        draw.line((x, top, x, bottom), fill=P95_COLOUR, width=3)
+        x, top = axes.to_canvas(np.array([[thickness.p95_cells + 0.5, 1.0]]))[0].tolist()
+        picture.draw.line((x, top, x, box[3]), fill=P95_COLOUR, width=3)
         picture.text((x + 8, top + 8), "p95", 8.0, P95_COLOUR, "lm")
 
 
-def _title(t: WallThickness) -> str:
+def _title(t: WallThickness, hits: int) -> str:
     numbers = "no straight wall"
     if t.sections:
         numbers = (
             f"p95 {t.p95_cells:.1f} cells = {t.p95_mm:.0f} mm, median {t.median_cells:.1f}, max {t.max_cells:.1f}\n"
             f"{t.length_m:.1f} m of wall in {t.sections} sections, {t.share:.0%} of the cells"
         )
-    return f"≥ {t.hits} hit{'s' if t.hits > 1 else ''}: {numbers}"
+    return f"≥ {hits} hit{'s' if hits > 1 else ''}: {numbers}"

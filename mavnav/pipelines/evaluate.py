@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from mavnav import __version__
@@ -13,14 +13,15 @@ from mavnav.ground_truth.map_file import occupied_xy_m, read_map
 from mavnav.ground_truth.references import References, check_times, compared
 from mavnav.ground_truth.tables import read_tum
 from mavnav.logs import open_log
+from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.lines import half_turn
 from mavnav.metrics.map_quality import MapQuality, map_quality
-from mavnav.metrics.wall_thickness import THRESHOLDS, sections_by_hits, wall_thicknesses
+from mavnav.metrics.wall_thickness import THRESHOLDS, WallThicknessByHits, sections_by_hits, wall_thicknesses
 from mavnav.metrics.walls import Wall
 from mavnav.outputs.directory import RUN_FILE
-from mavnav.outputs.document import plain, thickness_document
+from mavnav.outputs.document import plain
 from mavnav.outputs.gridmap import read_npz
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG, MM
@@ -113,9 +114,9 @@ def _document(path: Path, what: Subject, references: References) -> dict[str, An
             "path": str(path),
             "kind": what.kind,
             "cell_mm": grid.cell_m / MM,
-            "wall_thickness": {str(hits): thickness_document(wall) for hits, wall in walls.items()},
-            "map_quality": asdict(_seen_from_map(quality, what.map_T_grid)),
-            **({} if reference is None else {"reference": reference}),
+            "wall_thickness": WallThicknessByHits.of(walls),
+            "map_quality": _seen_from_map(quality, what.map_T_grid),
+            "reference": reference or ABSENT,
         }
     )
     return document

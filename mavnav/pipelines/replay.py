@@ -22,6 +22,7 @@ from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import sections_by_hits
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.run import Run, Timing
+from mavnav.outputs.run_json import FoundPose, Localisation, StartPose
 from mavnav.outputs.writers import write_run
 from mavnav.profiling import new_profile, timed
 from mavnav.slam.pipeline import run_slam
@@ -107,18 +108,15 @@ def map_yaml(path: Path) -> Path:
     return path / "map.yaml" if path.is_dir() else path
 
 
-def localisation(request: Request, outcome: SlamResult) -> dict[str, Any]:
-    """Tell of run.json how a laser was found in a known map: where it was said to begin, and where it did."""
-    first = next((step for step in outcome.steps if step.tracked), None)
-    return {
-        "map": str(request.map),
-        "start_pose": request.start_pose and _posed(request.start_pose),
-        "found": first and {"scan": first.index, **_posed(first.match.map_T_laser)},
-    }
-
-
-def _posed(pose: Pose) -> dict[str, float]:
-    return {"x_m": pose.x_m, "y_m": pose.y_m, "yaw_deg": pose.yaw_rad / DEG}
+def localisation(request: Request, outcome: SlamResult) -> Localisation:
+    """Report how a laser was found in a known map: where it was said to begin, and where it did."""
+    first, start = next((step for step in outcome.steps if step.tracked), None), request.start_pose
+    found = first and first.match.map_T_laser
+    return Localisation(
+        map=str(request.map),
+        start_pose=start and StartPose(start.x_m, start.y_m, start.yaw_rad / DEG),
+        found=FoundPose(first.index, found.x_m, found.y_m, found.yaw_rad / DEG) if first and found else None,
+    )
 
 
 def default_directory(log: Path, config: Config) -> Path:

@@ -21,6 +21,7 @@ from mavnav.metrics.trajectory_error import absolute_error, align
 from mavnav.outputs.animation import animate, check_animation
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.run import Mission, Run, Timing, Truth
+from mavnav.outputs.run_json import MissionResult, TruthErrors
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.replay import Progress, measured_quality, measured_sections
 from mavnav.pose import Pose
@@ -30,6 +31,7 @@ from mavnav.simulation.world.laser import EDGE_M
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
+    from mavnav.metrics.reference import Reference
     from mavnav.simulation.world import Scenario
 
 
@@ -128,7 +130,7 @@ def _truth(flight: Flight) -> Truth:
     return Truth(flight.map_T_laser, overlay.segments, overlay.arcs, (goal.x_m, goal.y_m))
 
 
-def _reference(flight: Flight) -> dict[str, Any] | None:
+def _reference(flight: Flight) -> Reference | None:
     """Compare the outcome with the truth as a replay with ``--truth`` and ``--truth-map`` does."""
     truth = References(truth=flight.map_T_laser, true_map=of_scenario(flight.scenario, flight.world_T_map))
     return compared(truth, flight.slam.trajectory, occupied_xy_m(flight.slam.grid))
@@ -140,42 +142,40 @@ def _mission(request: Request, flight: Flight) -> Mission:
     return Mission(
         path=request.path,
         scenario=flight.scenario.document(),
-        mission={"reached": mission.reached, "reason": mission.end.value, **numbers},
-        truth=truth_errors(flight),
-        reached=mission.reached,
+        result=MissionResult(mission.reached, mission.end.value, **numbers),
+        errors=truth_errors(flight),
     )
 
 
-def truth_errors(flight: Flight) -> dict[str, Any]:
-    """Compare the tracked poses with the truth; lengths in m.
-
-    ``ate_*`` after the best rigid motion, ``unaligned_*`` as they are, from the first laser pose on; ``final_*`` of the
-    last tracked pose, as it is and after that motion, whose turn ``map_yaw_error_rad`` is what the first headings leave
-    in the whole map. ``wall_*`` compares the distance to the walls, read off the map along all beams, with the true one
-    where the relative error is the median (paper, "Corner Scenario": about 1 %).
-    """
+def truth_errors(flight: Flight) -> TruthErrors:
+    """Compare the tracked poses with the truth."""
     estimate = flight.slam.trajectory
     rows = np.searchsorted(flight.map_T_laser.stamps_ns, estimate.stamps_ns)
     truth = flight.map_T_laser.xyyaw[rows]
+    if len(estimate) < LEAST_POSES:
+        return TruthErrors(len(estimate))
     aligned = absolute_error(estimate.xyyaw[:, :2], truth[:, :2])
     plain = absolute_error(estimate.xyyaw[:, :2], truth[:, :2], aligned=False)
-    if len(estimate) < LEAST_POSES:
-        return {"ate_poses": len(estimate)}
     motion = align(estimate.xyyaw[:, :2], truth[:, :2])
-    errors: dict[str, Any] = {f"ate_{k}": v for k, v in asdict(aligned).items()}
-    errors |= {f"unaligned_{k}": v for k, v in asdict(plain).items() if k != "poses"}
     last, true = estimate[len(estimate) - 1], Pose(*map(float, truth[-1]))
     error = true.between(last)
     wall, true_wall = wall_distances_m(flight, last, true)
-    return errors | {
-        "final_error_m": error.distance_m,
-        "final_yaw_error_rad": error.yaw_rad,
-        "final_aligned_error_m": true.between(motion @ last).distance_m,
-        "map_yaw_error_rad": -motion.yaw_rad,
-        "wall_distance_m": wall,
-        "true_wall_distance_m": true_wall,
-        "wall_distance_error_share": abs(wall - true_wall) / true_wall,
-    }
+    return TruthErrors(
+        ate_poses=aligned.poses,
+        ate_rmse_m=aligned.rmse_m,
+        ate_median_m=aligned.median_m,
+        ate_max_m=aligned.max_m,
+        unaligned_rmse_m=plain.rmse_m,
+        unaligned_median_m=plain.median_m,
+        unaligned_max_m=plain.max_m,
+        final_error_m=error.distance_m,
+        final_yaw_error_rad=error.yaw_rad,
+        final_aligned_error_m=true.between(motion @ last).distance_m,
+        map_yaw_error_rad=-motion.yaw_rad,
+        wall_distance_m=wall,
+        true_wall_distance_m=true_wall,
+        wall_distance_error_share=abs(wall - true_wall) / true_wall,
+    )
 
 
 def wall_distances_m(flight: Flight, estimate: Pose, truth: Pose) -> tuple[float, float]:

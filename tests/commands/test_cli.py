@@ -124,6 +124,12 @@ def test_config_schema_is_json(mavnav: Callable) -> None:
 
     schema = json.loads(mavnav("config", "schema")[1])
     assert schema["additionalProperties"] is False
+    assert json.loads(mavnav("config", "schema", "config")[1]) == schema
+    run_json = json.loads(mavnav("config", "schema", "run")[1])
+    assert run_json["properties"]["map"]["properties"]["cell_mm"]["unit"] == "mm"
+    code, _, err = mavnav("config", "schema", "walk")
+    assert code == 2
+    assert "is not one of 'config', 'run'" in err
 
 
 def test_a_reader_that_leaves_is_no_traceback(tmp_path: Path) -> None:

@@ -431,7 +431,7 @@ def test_a_warm_run_loads_neither_scipy_nor_message_definitions(tmp_path) -> Non
     code = "import sys\nfrom mavnav.cli import run\nassert run(sys.argv[1:]) == 0\nprint(*sys.modules, file=sys.stderr)"
     command = [sys.executable, "-c", code, "replay", log, "--end", "0.5", "-q", "-o", run]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    heavy = {"scipy.linalg", "scipy.ndimage", "scipy.spatial", "rosbags", "matplotlib", "jinja2"}
+    heavy = {"scipy.linalg", "scipy.ndimage", "scipy.spatial", "rosbags", "jinja2"}
     heavy |= {"numba.np.arraymath"}
     heavy |= {f"mavnav.kernels.{name}" for name in ("beams", "polar_search.cost", "polar_search.search", "raycast")}
     assert not heavy & set(done.stderr.split())

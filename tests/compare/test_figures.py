@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mavnav.compare.figures import best, prices
-from mavnav.metrics.figures import FIGURES
+from mavnav.outputs.quantities import QUANTITIES
 
 
 def run(p95: float | None = 100.0, *, cpu_s: float = 1.0, code: int = 0, cell_mm: float = 20.0, **more: Any) -> dict:
@@ -38,7 +38,7 @@ P95, CPU, MAPPED, CELLS = (
 def test_the_least_or_the_most_wins() -> None:
     found = winners([run(100, cpu_s=1), run(60, cpu_s=2), run(90, cpu_s=3)])
     assert (found[P95], found[CPU], found[MAPPED]) == (1, 0, None)
-    assert set(found) == {figure.name for figure in FIGURES}
+    assert set(found) == {quantity.name for quantity in QUANTITIES}
     mapped = [run(map={"accepted_share": share, "cell_mm": 20}) for share in (0.6, 0.9)]
     assert winners(mapped)[MAPPED] == 1
 

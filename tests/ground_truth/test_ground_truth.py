@@ -11,6 +11,7 @@ from mavnav.errors import MavnavError, UsageError
 from mavnav.ground_truth.references import References, check_times, compared, load_references
 from mavnav.ground_truth.tables import read_relations, read_tum
 from mavnav.ground_truth.true_map import of_scenario, read_true_map
+from mavnav.metrics.reference import Reference
 from mavnav.pose import Pose, Trajectory
 from mavnav.simulation.world import load_scenario
 
@@ -76,38 +77,38 @@ def test_relations_and_errors_do_not_depend_on_the_frame(tmp_path_factory, x, y,
     truth = wander()
     write_relations(path, truth, PAIRS)
     found = compared(References(truth=truth, relations=read_relations(path)), truth.seen_from(Pose(x, y, yaw)), None)
-    assert found["relations"]["all"]["scored"] == 4
-    assert found["relations"]["all"]["translation_mean_m"] < 1e-8
-    assert found["relations"]["all"]["rotation_mean_deg"] < 1e-6
-    assert found["ate"]["max_m"] < 1e-8
-    assert found["rpe"]["translation_rmse_m"] < 1e-8
+    assert found.relations["all"].scored == 4
+    assert found.relations["all"].translation_mean_m < 1e-8
+    assert found.relations["all"].rotation_mean_deg < 1e-6
+    assert found.ate.max_m < 1e-8
+    assert found.rpe.translation_rmse_m < 1e-8
 
 
 def test_relations_against_the_definition(tmp_path) -> None:
     truth, estimate = wander(), wander(1)
     write_relations(tmp_path / "r.txt", truth, PAIRS)
-    found = compared(References(relations=read_relations(tmp_path / "r.txt")), estimate, None)["relations"]
+    found = compared(References(relations=read_relations(tmp_path / "r.txt")), estimate, None).relations
     errors = [truth[i].between(truth[j]).between(estimate[i].between(estimate[j])) for i, j in PAIRS]
-    assert found["all"]["translation_mean_m"] == pytest.approx(np.mean([e.distance_m for e in errors]), abs=1e-9)
-    assert found["all"]["translation_std_m"] == pytest.approx(np.std([e.distance_m for e in errors]), abs=1e-9)
-    assert found["all"]["rotation_mean_deg"] == pytest.approx(
+    assert found["all"].translation_mean_m == pytest.approx(np.mean([e.distance_m for e in errors]), abs=1e-9)
+    assert found["all"].translation_std_m == pytest.approx(np.std([e.distance_m for e in errors]), abs=1e-9)
+    assert found["all"].rotation_mean_deg == pytest.approx(
         np.degrees(np.mean([abs(e.yaw_rad) for e in errors])), abs=1e-7
     )
-    assert found["all"]["rotation_std_deg"] == pytest.approx(
+    assert found["all"].rotation_std_deg == pytest.approx(
         np.degrees(np.std([abs(e.yaw_rad) for e in errors])), abs=1e-7
     )
-    assert (found["sequential"]["relations"], found["loops"]["relations"]) == (3, 1)
-    assert found["loops"]["translation_mean_m"] == pytest.approx(errors[2].distance_m, abs=1e-9)
+    assert (found["sequential"].relations, found["loops"].relations) == (3, 1)
+    assert found["loops"].translation_mean_m == pytest.approx(errors[2].distance_m, abs=1e-9)
 
 
 def test_a_trajectory_that_stops_early_misses_relations(tmp_path) -> None:
     truth = wander()
     write_relations(tmp_path / "r.txt", truth, PAIRS)
     early = Trajectory(truth.stamps_ns[:50].copy(), truth.xyyaw[:50].copy())
-    found = compared(References(relations=read_relations(tmp_path / "r.txt")), early, None)["relations"]
-    assert (found["all"]["scored"], found["all"]["share"]) == (2, 0.5)
-    assert found["loops"]["scored"] == 0
-    assert np.isnan(found["loops"]["translation_mean_m"])
+    found = compared(References(relations=read_relations(tmp_path / "r.txt")), early, None).relations
+    assert (found["all"].scored, found["all"].share) == (2, 0.5)
+    assert found["loops"].scored == 0
+    assert np.isnan(found["loops"].translation_mean_m)
 
 
 def test_another_clock_is_told_before_the_work() -> None:
@@ -120,7 +121,7 @@ def test_another_clock_is_told_before_the_work() -> None:
 def test_too_few_poses_measure_nothing() -> None:
     truth = wander()
     two = Trajectory(truth.stamps_ns[:2].copy(), truth.xyyaw[:2].copy())
-    assert compared(References(truth=truth), two, None) == {"ate": None, "rpe": None}
+    assert compared(References(truth=truth), two, None) == Reference(ate=None, rpe=None)
     assert compared(References(), truth, None) is None
 
 
@@ -129,12 +130,12 @@ def test_a_scenario_is_seen_from_its_start() -> None:
     start = scenario.world_T_base @ scenario.base_T_laser
     truth = of_scenario(scenario, start)
     assert truth.distance_m(truth.xy_m).max() < 1e-9
-    found = compared(References(true_map=truth), None, truth.xy_m + 0.03 * np.array([1.0, 0.0]))["map_distance"]
-    assert found["alignment"] == "start pose"
-    assert 0 < found["mean_mm"] <= found["p95_mm"] <= found["max_mm"] <= 30.0001
-    assert found["covered_share"] == 1.0
+    found = compared(References(true_map=truth), None, truth.xy_m + 0.03 * np.array([1.0, 0.0])).map_distance
+    assert found.alignment == "start pose"
+    assert 0 < found.mean_mm <= found.p95_mm <= found.max_mm <= 30.0001
+    assert found.covered_share == 1.0
     half = truth.xy_m[: len(truth.xy_m) // 2]
-    assert 0.3 < compared(References(true_map=truth), None, half)["map_distance"]["covered_share"] < 0.8
+    assert 0.3 < compared(References(true_map=truth), None, half).map_distance.covered_share < 0.8
 
 
 @pytest.mark.parametrize("name", ["corner", "curved.yaml"])
@@ -149,9 +150,9 @@ def test_shipped_scenarios_are_truths(name, tmp_path, monkeypatch) -> None:
 
 def test_an_empty_map_has_no_distance() -> None:
     scenario = load_scenario("corner")
-    found = compared(References(true_map=of_scenario(scenario, Pose())), None, np.zeros((0, 2)))["map_distance"]
-    assert found["cells"] == 0
-    assert np.isnan(found["mean_mm"])
+    found = compared(References(true_map=of_scenario(scenario, Pose())), None, np.zeros((0, 2))).map_distance
+    assert found.cells == 0
+    assert np.isnan(found.mean_mm)
 
 
 def test_neither_scenario_nor_map(tmp_path) -> None:

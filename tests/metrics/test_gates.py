@@ -8,6 +8,7 @@ import pytest
 
 from mavnav.errors import ExitCode, UsageError, worst
 from mavnav.metrics.gates import Gate, check_known, check_names, find, judge, judge_some, names, parse_gate
+from mavnav.outputs.schema import number_names
 
 RUN: dict[str, Any] = {
     "grid": "10x10",
@@ -119,11 +120,40 @@ def test_a_reference_that_was_not_given_is_said() -> None:
 
 
 def test_names_are_known_before_there_is_a_run() -> None:
-    blank = RUN | {"tracking": {"lost": False, "intervals": []}}
-    check_names(["wall_thickness.p95_cells", "tracking.intervals.3.scans", "map_quality.revisits.nn_l_mm"], blank)
+    known = number_names()
+    check_names(["wall_thickness.p95_cells", "tracking.intervals.3.scans", "map_quality.revisits.nn_l_mm"], known)
     for name in ("wall_thickness.p59_cells", "tracking.intervals", "tracking.lots", "grid", "reference.ate.rmse_m"):
         with pytest.raises(UsageError, match=f"no number {name} in run.json"):
-            check_names([name], blank)
+            check_names([name], known)
+
+
+@pytest.mark.parametrize(
+    ("name", "ending"),
+    [
+        ("scans.acepted", "did you mean scans.accepted?"),
+        ("wall_thickness.p59_mm", "did you mean wall_thickness.2.p95_mm?"),
+        ("wall_thickness.3.p95_mm", "did you mean wall_thickness.5.p95_mm?"),
+        ("wall_thickness", "did you mean wall_thickness.1.max_cells?"),
+        ("map_quality.revisits", "did you mean map_quality.revisits.nn_s_mm?"),
+        ("config.robust.cel_mm", "did you mean config.robust.cell_mm?"),
+        ("accepted", "did you mean scans.accepted?"),
+        ("reference.ate.rmse_m", "it needs --truth, --truth-map or --relations"),
+        ("mission.steps", "write for example --gate 'wall_thickness.p95_cells<=7'"),
+        ("config.grid", "write for example --gate 'wall_thickness.p95_cells<=7'"),
+    ],
+)
+def test_a_name_that_no_run_has_is_answered_before_the_work(name: str, ending: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        check_names([name], number_names())
+    assert str(caught.value).startswith(f"no number {name} in run.json; ")
+    assert str(caught.value).endswith(ending)
+
+
+def test_names_of_references_are_known_where_there_are_some() -> None:
+    known = number_names(reference=True)
+    check_names(["reference.ate.rmse_m", "reference.relations.all.share", "scans.accepted"], known)
+    with pytest.raises(UsageError, match=r"did you mean reference.ate.rmse_m\?"):
+        check_names(["reference.ate.rsme_m"], known)
 
 
 def test_names_are_those_that_can_be_found() -> None:

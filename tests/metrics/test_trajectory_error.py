@@ -101,9 +101,9 @@ def test_a_simulated_run_as_evo_measures_it() -> None:
     estimate = drifting_odometry(along(TOUR, period_s=0.1))
     ours = compared(References(truth=truth), estimate, np.zeros((0, 2)))
     theirs = evo_errors(estimate, truth)
-    assert ours["ate"]["rmse_m"] == pytest.approx(theirs.pop("rmse_m"), abs=1e-6)
-    assert ours["rpe"]["pairs"] > 10
-    assert {name: ours["rpe"][name] for name in theirs} == pytest.approx(theirs, abs=1e-6)
+    assert ours.ate.rmse_m == pytest.approx(theirs.pop("rmse_m"), abs=1e-6)
+    assert ours.rpe.pairs > 10
+    assert {name: getattr(ours.rpe, name) for name in theirs} == pytest.approx(theirs, abs=1e-6)
 
 
 @pytest.mark.real_logs
@@ -116,6 +116,6 @@ def test_a_real_run_as_evo_measures_it(real_logs) -> None:
     estimate = Trajectory(np.round(t * 1e9).astype(np.int64), np.column_stack((x, y, yaw)))
     ours = compared(References(truth=truth), estimate, np.zeros((0, 2)))
     theirs = evo_errors(estimate, truth)
-    assert ours["ate"]["rmse_m"] == pytest.approx(theirs["rmse_m"], abs=1e-6)
-    assert ours["rpe"]["distance_rmse_m"] == pytest.approx(theirs["distance_rmse_m"], abs=1e-6)
-    assert np.isnan(ours["rpe"]["translation_rmse_m"])
+    assert ours.ate.rmse_m == pytest.approx(theirs["rmse_m"], abs=1e-6)
+    assert ours.rpe.distance_rmse_m == pytest.approx(theirs["distance_rmse_m"], abs=1e-6)
+    assert np.isnan(ours.rpe.translation_rmse_m)

@@ -42,13 +42,13 @@ def test_the_promised_names_are_there(run):
 
 
 def test_scans_are_accounted_for(run):
-    scans = run_document(run, {})["scans"]
+    scans = plain(run_document(run, {}))["scans"]
     assert (scans["total"], scans["usable"], scans["skipped"]) == (22, 20, {"stamp repeats": 2})
     assert (scans["processed"], scans["tracked"], scans["accepted"], scans["rejected"]) == (20, 18, 18, 2)
 
 
 def test_a_closed_loop_is_told_by_both_its_scans(run):
-    assert run_document(run, {})["loop_closure"] == {"closures": [], "rejected": 0, "corrected": False}
+    assert plain(run_document(run, {}))["loop_closure"] == {"closures": [], "rejected": 0, "corrected": False}
     loop = Loop(2, 16, Pose(0.1, 0.0, 0.0), Pose(0.3, -0.4, np.pi / 60), 0.8)
     closed = replace(run, slam=replace(run.slam, loops=Loops((loop,), 5, run.slam.trajectory)))
     told = strict(run_document(closed, {}))["loop_closure"]
@@ -63,7 +63,7 @@ def test_a_closed_loop_is_told_by_both_its_scans(run):
 
 
 def test_a_lost_stretch_is_told_in_seconds_from_the_first_scan(run):
-    tracking = run_document(run, {})["tracking"]
+    tracking = plain(run_document(run, {}))["tracking"]
     assert tracking["lost"] is False
     (interval,) = tracking["intervals"]
     assert interval["start_s"] == pytest.approx(5.0, abs=1e-6)
@@ -82,12 +82,12 @@ def lost_for_good(run):
 
 def test_exit_codes(run, change):
     damaged = change(run, damage=(Damage("chunk cut short", "byte 7"),))
-    assert run_document(run, {})["exit_code"] == 0
-    assert run_document(damaged, {})["exit_code"] == 3
-    assert run_document(damaged, {})["damage"] == [{"what": "chunk cut short", "where": "byte 7"}]
-    assert run_document(lost_for_good(run), {})["exit_code"] == 5
-    assert run_document(lost_for_good(damaged), {})["exit_code"] == 5
-    assert run_document(lost_for_good(run), {})["tracking"]["lost"] is True
+    assert run_document(run, {}).exit_code == 0
+    assert run_document(damaged, {}).exit_code == 3
+    assert run_document(damaged, {}).damage == [Damage("chunk cut short", "byte 7")]
+    assert run_document(lost_for_good(run), {}).exit_code == 5
+    assert run_document(lost_for_good(damaged), {}).exit_code == 5
+    assert run_document(lost_for_good(run), {}).tracking.lost is True
 
 
 def test_no_wall_is_null(run):

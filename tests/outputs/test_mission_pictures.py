@@ -90,11 +90,11 @@ def test_true_poses_are_those_at_the_stamps_of_the_circles(mission):
     some = np.arange(0, len(mission.slam.trajectory), 3)
     marks = map_picture.path_marks(mission.slam.trajectory, some)
     marks += map_picture.truth_marks(mission.truth, mission.slam.trajectory.stamps_ns[some].tolist())
-    told = {mark.name: xy_m for mark, xy_m in marks}
-    apart = np.hypot(*(told["estimated pose"] - told["true pose"]).T)
+    drawn = {mark.name: xy_m for mark, xy_m in marks}
+    apart = np.hypot(*(drawn["estimated pose"] - drawn["true pose"]).T)
     np.testing.assert_allclose(apart, 0.05, atol=1e-12)
-    assert told["goal"].tolist() == [[3.5, 4.4]]
-    assert told["start"].tolist() == [mission.truth.map_T_laser.xyyaw[0, :2].tolist()]
+    assert drawn["goal"].tolist() == [[3.5, 4.4]]
+    assert drawn["start"].tolist() == [mission.truth.map_T_laser.xyyaw[0, :2].tolist()]
 
 
 def test_a_mission_without_a_believed_pose_is_drawn(mission, tmp_path):

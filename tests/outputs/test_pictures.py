@@ -11,7 +11,9 @@ from PIL import Image
 from mavnav.mapping.occupancy_grid import Grid
 from mavnav.mapping.tiled_arrays import pooled
 from mavnav.metrics.wall_thickness import sections_by_hits, wall_sections
-from mavnav.outputs import canvas, map_picture, wall_picture
+from mavnav.outputs import map_axes, map_picture, wall_picture
+from mavnav.outputs.canvas import Canvas, rgb_of
+from mavnav.outputs.plot import Axes, ticks
 from mavnav.outputs.viewport import Window, window_of
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.loop_closure.detection import Loop, Loops
@@ -78,7 +80,7 @@ def test_closed_loops_are_joined_and_named(run, tmp_path):
         map_picture.write(a_run, tmp_path / "map.png")
         with Image.open(tmp_path / "map.png") as image:
             pixels = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
-        return (np.abs(pixels - canvas.rgb_of(canvas.LOOP.colour)).sum(axis=1) < 30).sum()
+        return (np.abs(pixels - rgb_of(map_axes.LOOP.colour)).sum(axis=1) < 30).sum()
 
     assert ink(closed) > ink(run) + 100
 
@@ -119,21 +121,21 @@ def test_section_lines_run_from_the_first_cell_to_the_last():
 
 
 def test_marks_lie_where_their_points_are_and_y_grows_upwards():
-    picture = canvas.Canvas.of(300, 200)
-    frame = canvas.Frame(picture, Window(-1.0, 1.0, 0.0, 1.0), 50, 40, 200, 100)
-    frame.mark(canvas.START, np.array([[0.5, 0.25]]))
+    picture = Canvas.of(300, 200)
+    axes = map_axes.map_axes(picture, Window(-1.0, 1.0, 0.0, 1.0), (50, 40, 250, 140))
+    axes.mark(map_axes.START, np.array([[0.5, 0.25]]))
     pixels = np.asarray(picture.image).astype(int)
     row, col = np.argwhere(np.abs(pixels - (0x00, 0x33, 0xFF)).sum(axis=2) < 60).mean(axis=0)
     assert (col, row) == pytest.approx((50 + 150, 40 + 75), abs=1.0)
 
 
 def test_cells_fill_their_squares():
-    picture = canvas.Canvas.of(300, 200)
+    picture = Canvas.of(300, 200)
     hits = np.zeros((10, 20), np.int32)
     hits[9, 0] = hits[0, 19] = 1
     grid = Grid(0.1, (-1.0, 0.0), hits, np.zeros_like(hits))
-    frame = canvas.Frame(picture, Window(-1.0, 1.0, 0.0, 1.0), 50, 40, 200, 100)
-    frame.cells(grid, hits, lambda _: np.array((0, 0, 0), np.uint8))
+    axes = map_axes.map_axes(picture, Window(-1.0, 1.0, 0.0, 1.0), (50, 40, 250, 140))
+    map_axes.draw_cells(axes, grid, hits, lambda _: np.array((0, 0, 0), np.uint8))
     dark = np.asarray(picture.image).sum(axis=2) == 0
     expected = np.zeros((200, 300), bool)
     expected[40:50, 50:60] = expected[130:140, 240:250] = True
@@ -142,7 +144,7 @@ def test_cells_fill_their_squares():
 
 @given(low=st.floats(-1e4, 1e4), span=st.floats(1e-3, 1e4))
 def test_ticks_are_few_round_and_inside(low, span):
-    found = canvas.ticks(low, low + span)
+    found = ticks(low, low + span)
     assert 2 <= len(found) <= 10
     assert all(low - 1e-9 * span <= tick <= low + span + 1e-9 * span for tick in found)
     np.testing.assert_allclose(np.diff(found), found[1] - found[0], rtol=1e-6)
@@ -153,3 +155,25 @@ def test_pictures_repeat_to_the_byte(run, write, tmp_path):
     for name in ("a.png", "b.png"):
         write(run, tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_a_line_is_broken_where_a_point_is_missing():
+    picture = Canvas.of(120, 60)
+    axes = Axes.chart(picture, (10, 10, 110, 50), (0.0, 10.0, 0.0, 4.0))
+    axes.lines(map_axes.LOOP, [np.array([(0.0, 2.0), (3.0, 2.0), (np.nan, 2.0), (7.0, 2.0), (10.0, 2.0)])])
+    dark = (np.asarray(picture.image).sum(axis=2) < 300).any(axis=0)
+    assert dark[12:38].all() and dark[82:108].all()
+    assert not dark[44:76].any()
+
+
+def test_nothing_is_drawn_outside_the_axes():
+    picture = Canvas.of(120, 60)
+    axes = Axes.chart(picture, (10, 10, 110, 50), (0.0, 10.0, 0.0, 4.0))
+    far = np.array([(-100.0, -100.0), (100.0, 100.0)])
+    axes.lines(map_axes.LOOP, [far])
+    axes.lines(map_axes.TRUE_WALL, [far / (10, -10)])
+    axes.mark(map_axes.START, np.array([(0.0, 0.0)]))
+    pixels = np.asarray(picture.image).astype(int).sum(axis=2)
+    assert (pixels[10:50, 10:110] < 700).any()
+    pixels[10:50, 10:110] = 765
+    assert (pixels == 765).all()

@@ -12,6 +12,7 @@ from PIL import Image
 
 from mavnav.errors import OutputError
 from mavnav.mapping.occupancy_grid import Grid
+from mavnav.outputs.canvas import rgb_of
 from mavnav.outputs.document import run_document, to_json
 from mavnav.outputs.gridmap import write_npz
 from mavnav.outputs.report import columns, cost_panel, details, panels, single, write_report
@@ -164,12 +165,24 @@ def test_a_scan_is_rejected_unless_it_is_lost(entries):
 
 
 def test_a_short_scale_of_costs_is_named_too():
-    canvas = panels.Canvas(4.0, 1.7, "x", panels.CHART_FRAME)
-    cost_panel.scale(canvas.axes, (90.0, 1100.0))
-    canvas.image()
-    names, small = (canvas.axes.get_yticklabels(minor=minor) for minor in (False, True))
-    assert [name.get_text() for name in names if 90 < name.get_position()[1] < 1100] == ["100", "200", "500", "1000"]
-    assert {name.get_text() for name in small} == {""}
+    assert cost_panel.named_costs(90.0, 1100.0) == [(100, "100"), (200, "200"), (500, "500"), (1000, "1000")]
+    assert cost_panel.between_powers(90.0, 1100.0) == [90.0, *range(200, 1000, 100)]
+
+
+def test_a_long_scale_of_costs_is_named_by_few_powers_of_ten():
+    assert [name for _, name in cost_panel.named_costs(0.2, 3e5)] == ["1", "10", "100", "1000", "10000", "1e5"]
+    assert [name for _, name in cost_panel.named_costs(0.05, 3e8)] == ["1", "100", "10000", "1e6", "1e8"]
+
+
+def test_the_curve_of_costs_lies_where_its_ticks_say(entries):
+    scans = entries[0].scans
+    level = replace(scans, time_s=np.linspace(0.0, 2.0, len(scans.time_s)), cost_mm2=np.full(len(scans.time_s), 200.0))
+    (panel,) = cost_panel.cost_panels([with_document(replace(entries[0], scans=level), tracking=None)])
+    blue = np.abs(np.asarray(panel).astype(int) - rgb_of(cost_panel.COST.colour)).sum(axis=2) < 90
+    row = np.flatnonzero(blue.sum(axis=1) > 300).mean()
+    ink = np.asarray(panel).astype(int).sum(axis=2) < 450
+    ticks = np.flatnonzero(ink[:, 89:93].all(axis=1))  # on the left of the axis, labels end before
+    assert min(abs(ticks - row)) <= 1.5
 
 
 def test_a_large_picture_is_made_smaller_on_the_page():

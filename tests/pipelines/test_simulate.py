@@ -15,6 +15,7 @@ from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import record
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
+from mavnav.outputs.run_json import TruthErrors
 from mavnav.pipelines.simulate import Request, check_outputs, recorded, simulate, truth_errors, wall_distances_m
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.simulation.mission import Flight, fly
@@ -40,8 +41,8 @@ def estimated(flight: Flight, poses: Trajectory, **more: Any) -> Flight:
 def test_a_perfect_estimate_has_no_error() -> None:
     errors = truth_errors(estimated(flown(), flown().map_T_laser))
     for name in ("ate_rmse_m", "unaligned_max_m", "final_error_m", "final_yaw_error_rad", "map_yaw_error_rad"):
-        assert errors[name] == pytest.approx(0.0, abs=1e-9)
-    assert errors["ate_poses"] == 15
+        assert getattr(errors, name) == pytest.approx(0.0, abs=1e-9)
+    assert errors.ate_poses == 15
 
 
 def test_a_planted_error_gives_the_planted_numbers() -> None:
@@ -50,17 +51,17 @@ def test_a_planted_error_gives_the_planted_numbers() -> None:
     turn = Pose(0.03, -0.04, 3 * DEG)
     poses = [turn @ flight.map_T_laser[k] for k in range(15)]
     errors = truth_errors(estimated(flight, Trajectory.of(flight.map_T_laser.stamps_ns.tolist(), poses)))
-    assert errors["ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)
-    assert errors["map_yaw_error_rad"] == pytest.approx(3 * DEG)
-    assert errors["final_yaw_error_rad"] == pytest.approx(3 * DEG)
-    assert errors["final_aligned_error_m"] == pytest.approx(0.0, abs=1e-9)
+    assert errors.ate_rmse_m == pytest.approx(0.0, abs=1e-9)
+    assert errors.map_yaw_error_rad == pytest.approx(3 * DEG)
+    assert errors.final_yaw_error_rad == pytest.approx(3 * DEG)
+    assert errors.final_aligned_error_m == pytest.approx(0.0, abs=1e-9)
     true = flight.map_T_laser[14]
-    assert errors["final_error_m"] == pytest.approx(hypot(poses[-1].x_m - true.x_m, poses[-1].y_m - true.y_m))
+    assert errors.final_error_m == pytest.approx(hypot(poses[-1].x_m - true.x_m, poses[-1].y_m - true.y_m))
     poses[-1] = poses[-1] @ Pose(0.04, 0.0, 2 * DEG)
     errors = truth_errors(estimated(flight, Trajectory.of(flight.map_T_laser.stamps_ns.tolist(), poses)))
-    assert errors["final_yaw_error_rad"] == pytest.approx(5 * DEG)
-    assert 0.025 < errors["ate_max_m"] < 0.04  # the alignment takes its share
-    assert errors["ate_rmse_m"] < errors["ate_max_m"] < errors["unaligned_max_m"]
+    assert errors.final_yaw_error_rad == pytest.approx(5 * DEG)
+    assert 0.025 < errors.ate_max_m < 0.04  # the alignment takes its share
+    assert errors.ate_rmse_m < errors.ate_max_m < errors.unaligned_max_m
 
 
 def test_only_tracked_poses_are_compared() -> None:
@@ -68,8 +69,8 @@ def test_only_tracked_poses_are_compared() -> None:
     flight = flown()
     some = Trajectory(flight.map_T_laser.stamps_ns[[0, 4, 9]].copy(), flight.map_T_laser.xyyaw[[0, 4, 9]].copy())
     errors = truth_errors(estimated(flight, some))
-    assert errors["ate_poses"] == 3
-    assert errors["unaligned_max_m"] == 0.0
+    assert errors.ate_poses == 3
+    assert errors.unaligned_max_m == 0.0
 
 
 # ---- distance to the nearest wall ------------------------------------------------------------------------------------
@@ -94,7 +95,7 @@ def test_the_wall_distance_is_read_off_the_map(stretch: float) -> None:
     there = flight.world_T_map @ flight.map_T_laser[14]
     assert true_m >= flight.scenario.world.clearance_m(np.array([(there.x_m, there.y_m)]))[0] - 1e-9
     assert wall_m == pytest.approx(stretch * true_m, abs=0.012)
-    share = truth_errors(flight)["wall_distance_error_share"]
+    share = truth_errors(flight).wall_distance_error_share
     assert share == pytest.approx(abs(wall_m - true_m) / true_m)
 
 
@@ -170,4 +171,4 @@ def test_a_laser_that_sees_nothing_is_said_and_leaves_nothing(tmp_path: Path) ->
 def test_two_poses_measure_nothing() -> None:
     flight = flown()
     few = Trajectory(flight.map_T_laser.stamps_ns[:2].copy(), flight.map_T_laser.xyyaw[:2].copy())
-    assert truth_errors(estimated(flight, few)) == {"ate_poses": 2}
+    assert truth_errors(estimated(flight, few)) == TruthErrors(2)

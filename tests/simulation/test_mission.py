@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from mavnav.outputs.run_json import TruthErrors
 from mavnav.pipelines.simulate import truth_errors
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import Scan
@@ -46,7 +47,7 @@ def blank(scan: Scan) -> Scan:
 
 
 def ate_m(flight: Flight) -> float:
-    return float(truth_errors(flight)["ate_rmse_m"])
+    return truth_errors(flight).ate_rmse_m
 
 
 # ---- ends ------------------------------------------------------------------------------------------------------------
@@ -110,7 +111,7 @@ def test_a_blind_vehicle_hovers_and_gives_up() -> None:
     assert flight.mission.steps == flight.scenario.recovery.hover_steps
     assert flight.mission.path_length_m == 0.0
     assert len(flight.slam.trajectory) == 0
-    assert truth_errors(flight) == {"ate_poses": 0}
+    assert truth_errors(flight) == TruthErrors(0)
 
 
 def test_hovering_drifts_where_it_is_told_to() -> None:

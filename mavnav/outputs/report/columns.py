@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from mavnav.metrics.figures import FIGURES, Figure, number, why_not_meaningful, winners
+from mavnav.outputs.quantities import QUANTITIES, Quantity, number, why_not_meaningful, winners
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,14 +35,14 @@ class Row:
 class Table:
     """The runs of one log by the columns that any of them has."""
 
-    columns: tuple[Figure, ...]
+    columns: tuple[Quantity, ...]
     rows: tuple[Row, ...]
 
 
 def table(entries: Sequence[Entry]) -> Table:
     """Set the runs of one log side by side."""
     runs = [e.document for e in entries]
-    columns = tuple(c for c in FIGURES if any(c.of(run) is not None for run in runs))
+    columns = tuple(c for c in QUANTITIES if any(c.of(run) is not None for run in runs))
     best = {c: winners(c, runs) for c in columns}
     rows = tuple(
         Row(

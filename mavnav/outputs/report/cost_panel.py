@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
+from itertools import compress
+from math import ceil, floor, log10, sqrt
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav.outputs import drawing
-from mavnav.outputs.report.panels import CHART_FRAME, FONT_PT, Canvas
+from mavnav.outputs.canvas import SMOOTH, dashed, stroke
+from mavnav.outputs.plot import Line, Mark, cross, labelled, legend, legend_width, ticks
+from mavnav.outputs.report.panels import chart
+from mavnav.outputs.viewport import GOAL_RED, MUTED
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,16 +20,22 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from PIL.Image import Image
 
+    from mavnav.outputs.plot import Axes
     from mavnav.outputs.report.entry import Entry
 
-COST_BLUE: Final = "#2f6690"
-LOST_ROSE: Final = "#f2c4c0"
+LEGEND_PT: Final = 7.0
+COST: Final = Line("#2f6690", "cost", partial(stroke, width_pt=1.0))
+REJECTED: Final = Mark(GOAL_RED, "rejected scan", partial(cross, size_pt=4.0, width_pt=1.0))
+THRESHOLD: Final = Line(MUTED, "acceptance threshold", dashed)
+LOST: Final = Line("#f2c4c0", "track lost", lambda on, points: on.line(points, fill=255, width=34))
 LEAST_MM2: Final = 0.1
-"""Costs below are drawn at it: the first scan of a map costs nothing, and a logarithmic scale has no nothing."""
+"""Costs below are drawn at it: the first scan of a map costs nothing, and a logarithmic scale has no zero."""
 LOW_SHARE: Final = 0.02
 """So many of the costs may lie below the scale's end."""
 SHORT_SCALE: Final = 100.0
-"""From its beginning to its end; a shorter scale may hold a single power of ten."""
+"""Ratio of largest to least cost; a shorter scale may hold a single power of ten."""
+MOST_POWERS: Final = 7
+"""That are named."""
 
 
 def cost_panels(entries: Sequence[Entry]) -> list[Image]:
@@ -38,37 +49,52 @@ def cost_panels(entries: Sequence[Entry]) -> list[Image]:
 
 
 def _panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
-    scans = entry.scans
-    cost = np.maximum(scans.cost_mm2, LEAST_MM2)
-    canvas = Canvas(4.0, 1.7, entry.name, CHART_FRAME)
-    axes = canvas.axes
-    _draw_lost(axes, entry)
-    axes.plot(scans.time_s, cost, color=COST_BLUE, lw=0.8, label="cost")
-    shown = rejected(entry) & np.isfinite(cost)
-    if shown.any():
-        axes.plot(scans.time_s[shown], cost[shown], "x", ms=4, color=drawing.GOAL_RED, label="rejected scan")
-    if np.isfinite(scans.threshold_mm2).any():
-        axes.plot(scans.time_s, scans.threshold_mm2, color=drawing.MUTED, lw=1.0, ls="--", label="acceptance threshold")
-    scale(axes, limits)
-    axes.set_xlim(0.0, end_s)
-    axes.set_xlabel("time [s]", fontsize=FONT_PT)
-    axes.set_ylabel("cost [mm²]", fontsize=FONT_PT)
-    axes.spines[["top", "right"]].set_visible(False)
+    axes = chart(entry.name, (0.0, end_s, log10(limits[0]), log10(limits[1])), ("time [s]", "cost [mm²]"), 80)
+    cost = np.maximum(entry.scans.cost_mm2, LEAST_MM2)
+    marks = _draw_scans(axes, entry, cost)
+    axes.borders()
+    axes.ticks(labelled(ticks(0.0, end_s)), [(log10(value), label) for value, label in named_costs(*limits)])
+    axes.ticks(y=[(log10(value), "") for value in between_powers(*limits)], length=3)
     known = cost[np.isfinite(cost)]
-    low = len(known) > 0 and np.median(known) < np.sqrt(limits[0] * limits[1])
-    where = "upper right" if low else "lower right"  # where the curve is not
-    axes.legend(loc=where, ncols=4, fontsize=FONT_PT - 1, frameon=True, framealpha=0.8, edgecolor="none")
-    return canvas.image()
+    low = len(known) > 0 and float(np.median(known)) < sqrt(limits[0] * limits[1])
+    _draw_legend(axes, marks, axes.box[1] + 18 if low else axes.box[3] - 18)  # where the curve is not
+    return axes.canvas.image
 
 
-def scale(axes: Any, limits: tuple[float, float]) -> None:  # noqa: ANN401
-    """Make the scale logarithmic; powers of ten are named, on a short scale 2 and 5 times them as well."""
-    axes.set_yscale("log")
-    axes.set_ylim(*limits)
-    axes.yaxis.set_minor_formatter("")
-    if limits[1] < SHORT_SCALE * limits[0]:
-        axes.yaxis.get_major_locator().set_params(subs=(1.0, 2.0, 5.0))
-        axes.yaxis.set_major_formatter("{x:g}")
+def _draw_scans(axes: Axes, entry: Entry, cost: NDArray[np.float64]) -> list[Mark | Line]:
+    """Draw costs, rejected scans, acceptance thresholds and lost intervals; return the marks of the legend."""
+    scans, shown = entry.scans, rejected(entry) & np.isfinite(cost)
+    points = np.column_stack((scans.time_s, np.log10(cost)))
+    lost = _draw_lost(axes, entry)
+    axes.lines(COST, [points])
+    axes.mark(REJECTED, points[shown])
+    threshold = np.log10(np.maximum(scans.threshold_mm2, LEAST_MM2))
+    axes.lines(THRESHOLD, [np.column_stack((scans.time_s, threshold))])
+    drawn = (lost, True, shown.any(), np.isfinite(threshold).any())
+    return list(compress((LOST, COST, REJECTED, THRESHOLD), drawn))
+
+
+def _draw_legend(axes: Axes, marks: list[Mark | Line], y: int) -> None:
+    """Name the marks on the right; what is below shines through."""
+    right, width = axes.box[2] - 6, ceil(legend_width(marks, LEGEND_PT))
+    box = (right - width, y - 13, right, y + 13)
+    axes.canvas.smooth(box, "#ffffff", lambda on: on.rectangle((0, 0, width * SMOOTH, 26 * SMOOTH), fill=204))
+    legend(axes.canvas, marks, y, right - width, LEGEND_PT)
+
+
+def named_costs(low: float, high: float) -> list[tuple[float, str]]:
+    """Return the ticks with labels: powers of ten, and on a short scale 2 and 5 times them as well."""
+    factors = (1, 2, 5) if high < SHORT_SCALE * low else (1,)
+    powers = range(floor(log10(low)), floor(log10(high)) + 1)
+    every = ceil(len(powers) / MOST_POWERS)
+    values = [factor * 10.0**k for k in powers if k % every == 0 for factor in factors]
+    return [(v, f"{v:g}" if v < 1e5 else f"{v:.0e}".replace("e+0", "e")) for v in values if low <= v <= high]
+
+
+def between_powers(low: float, high: float) -> list[float]:
+    """Return the values of a single digit between the powers of ten, for ticks without a label."""
+    powers = range(floor(log10(low)), ceil(log10(high)))
+    return [value for k in powers for digit in range(2, 10) if low <= (value := digit * 10.0**k) <= high]
 
 
 def _intervals(entry: Entry) -> list[dict[str, Any]]:
@@ -76,7 +102,7 @@ def _intervals(entry: Entry) -> list[dict[str, Any]]:
 
 
 def rejected(entry: Entry) -> NDArray[np.bool_]:
-    """Tell which scans (n,) have no pose, but for those where the track was lost."""
+    """Return which scans (n,) have no pose, except where the track was lost."""
     scans = entry.scans
     lost = np.zeros(len(scans.time_s), np.bool_)
     for interval in _intervals(entry):
@@ -84,9 +110,12 @@ def rejected(entry: Entry) -> NDArray[np.bool_]:
     return ~scans.tracked & ~lost
 
 
-def _draw_lost(axes: Any, entry: Entry) -> None:  # noqa: ANN401
-    """Shade where no scan has a pose; one scan wide at least."""
+def _draw_lost(axes: Axes, entry: Entry) -> bool:
+    """Shade where no scan has a pose, one scan wide at least; return whether there are such intervals."""
     period_s = float(np.median(np.diff(entry.scans.time_s))) if len(entry.scans.time_s) > 1 else 0.1
-    for k, interval in enumerate(_intervals(entry)):
-        label = None if k else "track lost"
-        axes.axvspan(interval["start_s"], interval["end_s"] + period_s, color=LOST_ROSE, lw=0, label=label)
+    left, top, right, bottom = axes.box
+    for interval in _intervals(entry):
+        x0, x1 = (left + t_s * axes.per_unit[0] for t_s in (interval["start_s"], interval["end_s"] + period_s))
+        if x0 < right:
+            axes.canvas.draw.rectangle((max(x0, left), top, min(x1, right), bottom), fill=LOST.colour)
+    return bool(_intervals(entry))

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from mavnav.metrics.figures import FIGURES, NAMED, number, why_not_meaningful, winners
+from mavnav.outputs.quantities import NAMED, QUANTITIES, number, why_not_meaningful, winners
 from mavnav.outputs.report import columns
 from mavnav.units import MM
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mavnav.metrics.figures import Figure
+    from mavnav.outputs.quantities import Quantity
     from mavnav.outputs.report.entry import Entry
 
-QUALITY: Final = tuple(f for f in FIGURES if not f.price)
+QUALITY: Final = tuple(q for q in QUANTITIES if not q.cost)
 P95: Final = NAMED["wall_thickness.2.p95_mm"]
 TIME: Final = NAMED["timing.cpu_s"]
 
@@ -66,11 +66,11 @@ def _ghosts(entry: Entry) -> str:
 
 def _of_many(sound: Sequence[Entry]) -> str:
     """Name the run that is best at most measures, if there is one."""
-    won = {f.title: winners(f, [e.document for e in sound]) for f in QUALITY}
+    won = {q.title: winners(q, [e.document for e in sound]) for q in QUALITY}
     contested = [title for title, best in won.items() if best]
     if not contested:
         return f"The maps of {_list([e.name for e in sound])} are equally good by every measure here{_cheapest(sound)}."
-    most = max(_spread(sound, f) for f in QUALITY if won[f.title])
+    most = max(_spread(sound, q) for q in QUALITY if won[q.title])
     if most < SMALL_SHARE:
         names = _list([e.name for e in sound])
         differ = f"no wall differs by a cell, no other measure by more than {100 * most:.1f} %"
@@ -83,12 +83,12 @@ def _of_many(sound: Sequence[Entry]) -> str:
         return f"No run stands out: {names} are each best at {max(score)} {of}{_cheapest(sound)}."
     measures = _list([title for title in contested if leaders[0] in won[title]])
     lead = "by the one measure that differs" if len(contested) == 1 else f"best at {max(score)} {of}"
-    return f"{best.name} gives the best map, {lead} ({measures}){_thinner(sound, best)}. {_price(sound, best)}".rstrip()
+    return f"{best.name} gives the best map, {lead} ({measures}){_thinner(sound, best)}. {_cost(sound, best)}".rstrip()
 
 
-def _spread(sound: Sequence[Entry], figure: Figure) -> float:
+def _spread(sound: Sequence[Entry], quantity: Quantity) -> float:
     """Return by what share of the greatest value of a measure the runs differ."""
-    values = [v for e in sound if (v := figure.of(e.document)) is not None]
+    values = [v for e in sound if (v := quantity.of(e.document)) is not None]
     return (max(values) - min(values)) / max(*map(abs, values), 1e-12)
 
 
@@ -111,7 +111,7 @@ def _thinner(sound: Sequence[Entry], best: Entry) -> str:
     return f"; its walls are {than} than those of {coarse.name}, {_mm(ours)} against {_mm(theirs)} at p95"
 
 
-def _price(sound: Sequence[Entry], best: Entry) -> str:
+def _cost(sound: Sequence[Entry], best: Entry) -> str:
     times, coarse = columns.times_the_coarsest(sound, best), columns.coarsest(sound, best)
     if coarse is best:
         finer = sum(e.document.get("method") == best.document.get("method") for e in sound) > 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
@@ -17,8 +18,6 @@ from mavnav.outputs.report.pictures import Pictures, draw
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from PIL.Image import Image
 
 PICTURE_BYTES: Final = 3_000_000
 """All pictures of a page together; base64 makes a third more of them."""
@@ -63,8 +62,8 @@ def write_report(comparison: dict[str, Any], directory: Path, path: Path) -> Non
     try:
         for number, section in enumerate(sections, 1):
             _write_pictures(section, path.parent, "" if number == 1 else f"_{number}")
-        with beside(path) as partial:
-            partial.write_text(_page(comparison, sections), "utf-8", "backslashreplace")  # names need not be UTF-8
+        with beside(path) as unfinished:
+            unfinished.write_text(_page(comparison, sections), "utf-8", "backslashreplace")  # names need not be UTF-8
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"{path} cannot be written: {reason}; make room or choose another with -o") from error
@@ -90,8 +89,8 @@ def _section(log: str, loaded: list[Entry | Failure]) -> Section:
 def _write_pictures(section: Section, folder: Path, number: str) -> None:
     sheets = section.pictures.sheets() if section.pictures else {}
     for name, picture in sheets.items():
-        with beside(folder / f"{name}{number}.png") as partial:
-            partial.write_bytes(panels.png(picture))
+        with beside(folder / f"{name}{number}.png") as unfinished:
+            unfinished.write_bytes(panels.png(picture))
 
 
 def _page(comparison: dict[str, Any], sections: list[Section]) -> str:
@@ -106,15 +105,8 @@ def _page(comparison: dict[str, Any], sections: list[Section]) -> str:
         script=None,
         version=comparison.get("mavnav_version") or __version__,
         profile=comparison.get("profile"),
-        data_uri=_remembering(most),
+        data_uri=partial(panels.data_uri, most_bytes=most),
     )
-
-
-def _remembering(most: int) -> Any:  # noqa: ANN401  a function of the template
-    def uri(image: Image) -> str:
-        return panels.data_uri(image, most)
-
-    return uri
 
 
 def _title(sections: list[Section]) -> str:

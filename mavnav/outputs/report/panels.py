@@ -1,4 +1,4 @@
-"""Panels: small pictures of one size each, that a page lays out as it is wide, and a sheet of them for people to paste.
+"""Panels: small pictures of one size, which a page arranges by its width, and sheets of them as files.
 
 Text in a panel is sized for a panel some 300 to 600 pixels wide on a screen.
 """
@@ -6,18 +6,18 @@ Text in a panel is sized for a panel some 300 to 600 pixels wide on a screen.
 from __future__ import annotations
 
 import io
-import warnings
 from base64 import b64encode
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-import numpy as np
 from PIL import Image
 
-from mavnav.outputs import drawing
+from mavnav.outputs.canvas import Canvas
+from mavnav.outputs.plot import Axes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from mavnav.outputs.canvas import Box
 
 COLOURS: Final = 256
 """A picture of a palette is a third of one without; an octree of colours keeps the rare ones: ghosts and true walls."""
@@ -29,43 +29,29 @@ SHEET_PIXELS: Final = 2800
 FONT_PT: Final = 8.0
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
-    """The room between the axes and the edges of a panel, in inches: for labels and the title."""
-
-    left: float = 0.42
-    right: float = 0.12
-    bottom: float = 0.24
-    top: float = 0.27
+MAP_MARGINS: Final = (63, 40, 18, 36)
+CHART_MARGINS: Final = (94, 40, 18, 63)
+"""Left, top, right and bottom of the axes in a panel, in pixels."""
+CHART: Final = (600, 255)
+"""Width and height of a chart without its margins."""
 
 
-MAP_FRAME: Final = Frame()
-CHART_FRAME: Final = Frame(left=0.56, bottom=0.42)
+def panel(size: tuple[int, int], title: str, margins: Box = MAP_MARGINS) -> tuple[Canvas, Box]:
+    """Begin a panel; return it with the box of its axes, of a size given without the margins.
 
-
-class Canvas:
-    """The axes of a panel, ``width_in`` by ``height_in`` without its frame, and the picture of what is drawn on them.
-
-    The place of the axes is given, not found out from the labels, so that all panels have one scale and are drawn in
-    half the time.
+    The place of the axes does not depend on their labels, so that all panels have one scale.
     """
+    (width, height), (left, top, right, bottom) = size, margins
+    canvas = Canvas.of(left + width + right, top + height + bottom)
+    canvas.text((left, top - 11), title, FONT_PT + 1.5, anchor="ls")
+    return canvas, (left, top, left + width, top + height)
 
-    def __init__(self, width_in: float, height_in: float, title: str, frame: Frame = MAP_FRAME) -> None:
-        width, height = width_in + frame.left + frame.right, height_in + frame.bottom + frame.top
-        self._fig = drawing.figure(width, height)
-        self._fig.set_layout_engine("none")
-        self.axes: Any = self._fig.add_axes(
-            (frame.left / width, frame.bottom / height, width_in / width, height_in / height)
-        )
-        self.axes.set_title(title, fontsize=FONT_PT + 1.5, color=drawing.INK, loc="left", pad=5)
-        self.axes.tick_params(colors=drawing.MUTED, labelsize=FONT_PT)
 
-    def image(self) -> Image.Image:
-        """Draw, and return the picture."""
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Glyph .* missing")
-            self._fig.canvas.draw()
-        return Image.fromarray(np.asarray(self._fig.canvas.buffer_rgba())).convert("RGB")
+def chart(title: str, limits: tuple[float, float, float, float], names: tuple[str, str], name_left: int) -> Axes:
+    """Begin a panel with a chart: limits of x and y, what they are with its unit, and how far left the name of y is."""
+    axes = Axes.chart(*panel(CHART, title, CHART_MARGINS), limits)
+    axes.names(*names, FONT_PT, name_left)
+    return axes
 
 
 def sheet(panels: Sequence[Image.Image], columns: int | None = None) -> Image.Image:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from string import ascii_uppercase
 from typing import TYPE_CHECKING
 
-from mavnav.metrics.figures import why_not_meaningful
+from mavnav.outputs.map_axes import top_of_scale
+from mavnav.outputs.quantities import why_not_meaningful
 from mavnav.outputs.report.closeups import LEAST_SIDE_M, differing_places
 from mavnav.outputs.report.cost_panel import cost_panels
 from mavnav.outputs.report.map_panel import (
@@ -15,7 +16,6 @@ from mavnav.outputs.report.map_panel import (
     ghosts,
     legend_panel,
     map_panel,
-    most_hits,
     shape,
 )
 from mavnav.outputs.report.panels import sheet, stacked
@@ -75,7 +75,7 @@ def draw(entries: Sequence[Entry]) -> Pictures:
     Maps that mean nothing are drawn as well, but decide neither the scale nor the close-ups, if there are others.
     """
     sound = [e for e in entries if not why_not_meaningful(e.document)] or entries
-    window, top_hits = common_window(sound), most_hits(sound)
+    window, top_hits = common_window(sound), top_of_scale(e.grid for e in sound)
     places = differing_places([e.grid for e in sound], window) or _ghost_places(sound)
     boxes = list(zip(ascii_uppercase, places, strict=False))
     return Pictures(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from functools import partial
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from mavnav.metrics.wall_thickness import wall_sections
-from mavnav.outputs import drawing
-from mavnav.outputs.report.panels import CHART_FRAME, FONT_PT, Canvas
+from mavnav.outputs.canvas import stroke
+from mavnav.outputs.plot import Line, labelled, ticks
+from mavnav.outputs.report.panels import CHART, chart
 from mavnav.outputs.wall_picture import BAR_COLOUR, P95_COLOUR
 from mavnav.units import MM
 
@@ -19,8 +21,10 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
     from mavnav.metrics.wall_thickness import Sections
+    from mavnav.outputs.plot import Axes
     from mavnav.outputs.report.entry import Entry
 
+P95: Final = Line(P95_COLOUR, "", partial(stroke, width_pt=1.6))
 MIN_HITS: Final = 2
 """The middle one of the thresholds that are reported."""
 
@@ -52,34 +56,23 @@ def _panel(
     entry: Entry, middle_mm: NDArray[np.float64], metres: NDArray[np.float64], longest_mm: float, most_m: float
 ) -> Image:
     cell_mm = entry.grid.cell_m / MM
-    canvas = Canvas(4.0, 1.7, entry.name, CHART_FRAME)
-    axes = canvas.axes
-    axes.bar(middle_mm, metres, width=0.86 * cell_mm, color=BAR_COLOUR)
+    limits = (0.0, max(longest_mm, 3 * cell_mm) + cell_mm, 0.0, max(most_m * 1.12, 0.1))
+    axes = chart(entry.name, limits, ("thickness [mm]", "wall [m]"), 60)
+    axes.bars(middle_mm[:, None] + np.array([-0.43, 0.43]) * cell_mm, metres, BAR_COLOUR)
     p95_mm = ((entry.document.get("wall_thickness") or {}).get(str(MIN_HITS)) or {}).get("p95_mm")
     if p95_mm is None:
-        axes.text(0.5, 0.5, "no straight wall to measure", ha="center", transform=axes.transAxes, fontsize=9)
+        axes.canvas.text((axes.box[0] + CHART[0] / 2, axes.box[1] + CHART[1] / 2), "no straight wall to measure", 9.0)
     else:
-        _mark(axes, p95_mm, past_middle=p95_mm > longest_mm / 2)
-    axes.set_xlim(0.0, max(longest_mm, 3 * cell_mm) + cell_mm)
-    axes.set_ylim(0.0, max(most_m * 1.08, 0.1))
-    axes.set_xlabel("thickness [mm]", fontsize=FONT_PT)
-    axes.set_ylabel("wall [m]", fontsize=FONT_PT)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(colors=drawing.MUTED)
-    return canvas.image()
+        _mark(axes, p95_mm)
+    axes.borders()
+    axes.ticks(labelled(ticks(*limits[:2])), labelled(ticks(*limits[2:], 6)))
+    return axes.canvas.image
 
 
-def _mark(axes: Any, p95_mm: float, *, past_middle: bool) -> None:  # noqa: ANN401
+def _mark(axes: Axes, p95_mm: float) -> None:
     """Draw a line at the p95 with its number on the side that has room."""
-    axes.axvline(p95_mm, color=P95_COLOUR, lw=1.6)
-    axes.annotate(
-        f"p95 {p95_mm:.0f} mm",
-        (p95_mm, 1.0),
-        xycoords=("data", "axes fraction"),
-        xytext=(-4 if past_middle else 4, -2),
-        textcoords="offset points",
-        ha="right" if past_middle else "left",
-        va="top",
-        color=P95_COLOUR,
-        fontsize=FONT_PT,
-    )
+    line = np.column_stack(((p95_mm, p95_mm), axes.limits[2:]))
+    axes.lines(P95, [line])
+    x, y = axes.to_canvas(line)[1]
+    beside, anchor = (-10, "ra") if p95_mm > axes.limits[1] / 2 else (10, "la")
+    axes.canvas.text((x + beside, y + 3), f"p95 {p95_mm:.0f} mm", 8.0, P95.colour, anchor)

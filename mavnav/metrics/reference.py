@@ -1,0 +1,40 @@
+"""The comparison of a run with references: the section ``reference`` of run.json."""
+
+from dataclasses import dataclass, field
+
+from mavnav.metrics.fields import Measured, absent, number
+from mavnav.metrics.map_distance import MapDistance
+from mavnav.metrics.relations import RelationErrors
+from mavnav.metrics.trajectory_error import RelativeError
+
+
+@dataclass(frozen=True, slots=True)
+class AlignedError:
+    """Absolute trajectory error against the truth (Sturm et al. 2012), after the best rigid motion."""
+
+    alignment: str
+    poses: int = field(metadata=number("poses that have a truth"))
+    rmse_m: Measured = field(
+        metadata=number(
+            "absolute trajectory error against the truth, root mean square, after alignment",
+            title="ATE",
+            better="lower",
+        )
+    )
+    median_m: Measured = field(metadata=number("median of the errors, after alignment"))
+    max_m: Measured = field(metadata=number("largest of the errors, after alignment"))
+    share: float = field(metadata=number("part of the poses that have a truth"))
+    unaligned_rmse_m: Measured = field(metadata=number("root mean square of the errors, without alignment"))
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """Errors against what is known besides the log; a key for each reference that was given.
+
+    ``ate`` and ``rpe`` are null where too few poses have a truth.
+    """
+
+    ate: AlignedError | None = field(default_factory=absent)
+    rpe: RelativeError | None = field(default_factory=absent)
+    map_distance: MapDistance = field(default_factory=absent)
+    relations: dict[str, RelationErrors] = field(default_factory=absent)

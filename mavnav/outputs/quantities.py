@@ -1,0 +1,134 @@
+"""The quantities by which runs are compared: how they are written, and which run is best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav.errors import ExitCode, UsageError
+from mavnav.metrics.gates import find
+from mavnav.outputs.schema import described
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    Run = Mapping[str, Any]
+
+LEAST_MAPPED_SHARE: Final = 0.5
+"""Where a run does not say itself whether its map means anything, it does not with fewer of the scans on it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A number of run.json by its name there; title, description, unit and direction are those of the schema.
+
+    It is written times ``factor`` with so many ``digits``, in ``shown_unit`` if that is another; what reads the same
+    counts as the same. ``per_cell`` marks what counts cells of the map, and cannot be compared between maps of
+    different cells, ``by_cells`` lengths that a map knows to a cell: smaller differences are none. A ``cost`` is no
+    virtue of the map. ``otherwise`` is a second name, of runs that do not have the first.
+    """
+
+    name: str
+    digits: int
+    factor: float = 1.0
+    shown_unit: str | None = None
+    per_cell: bool = False
+    by_cells: bool = False
+    cost: bool = False
+    otherwise: str = ""
+
+    @property
+    def title(self) -> str:
+        """The heading of its column."""
+        return str(described(self.name)["title"])
+
+    @property
+    def unit(self) -> str:
+        """The unit it is written in; empty for a count or a ratio."""
+        unit = str(described(self.name).get("unit", "1")) if self.shown_unit is None else self.shown_unit
+        return "" if unit == "1" else unit
+
+    @property
+    def better(self) -> int:
+        """-1 where less is better, +1 where more is, 0 where neither."""
+        return {"lower": -1, "higher": 1}.get(described(self.name).get("better", ""), 0)
+
+    @property
+    def about(self) -> str:
+        """What it is."""
+        return str(described(self.name)["description"])
+
+    @property
+    def head(self) -> str:
+        """The title with the unit."""
+        return f"{self.title} {self.unit}".rstrip()
+
+    def of(self, run: Run | None) -> float | None:
+        """Return the number of a run in the unit it is written in, None where there is none."""
+        found = number(run, self.name)
+        if found is None and self.otherwise:
+            found = number(run, self.otherwise)
+        return None if found is None else float(found) * self.factor
+
+    def shown(self, run: Run | None) -> str:
+        """Write the number of a run, or a dash where there is none."""
+        value = self.of(run)
+        return "-" if value is None else f"{value:.{self.digits}f}"
+
+
+QUANTITIES: Final = (
+    Quantity("map.accepted_share", 1, 100.0, "%"),
+    Quantity("wall_thickness.2.p95_mm", 0, by_cells=True),
+    Quantity("wall_thickness.2.max_mm", 0, by_cells=True),
+    Quantity("map_quality.ghost_walls.length_m", 1),
+    Quantity("map_quality.crispness.occupied_cells_per_m", 1, shown_unit="", per_cell=True),
+    Quantity("map_quality.crispness.entropy_bits", 3, per_cell=True),
+    Quantity("map_quality.revisits.nn_l_mm", 1),
+    Quantity("reference.ate.rmse_m", 0, 1e3, "mm", otherwise="truth.ate_rmse_m"),
+    Quantity("reference.map_distance.mean_mm", 0),
+    Quantity("search.evaluations_per_scan.mean", 0, cost=True),
+    Quantity("timing.cpu_s", 2, cost=True),
+)
+"""The columns of a comparison."""
+
+PATH: Final = Quantity("tracking.path_length_m", 1)
+TIME: Final = Quantity("timing.wall_s", 1, cost=True)
+"""Quantities that are reported, but not compared."""
+
+NAMED: Final = {quantity.name: quantity for quantity in QUANTITIES}
+
+
+def number(run: Run | None, name: str) -> float | None:
+    """Return a number of run.json, None where there is no such number."""
+    try:
+        return None if run is None else find(run, name)
+    except UsageError:
+        return None
+
+
+def why_not_meaningful(run: Run) -> str:
+    """Say why the map of a run is not to be compared with others; empty where it is."""
+    quality = run.get("map_quality")
+    if quality:
+        return "" if quality.get("meaningful") else "; ".join(map(str, quality.get("why") or ["no usable map"]))
+    if run.get("exit_code") == ExitCode.TRACKING_LOST or number(run, "tracking.lost"):
+        return "the track was lost for good"
+    share = number(run, "map.accepted_share") or 0.0
+    return "" if share >= LEAST_MAPPED_SHARE else f"only {share:.0%} of the scans are on the map"
+
+
+def winners(quantity: Quantity, runs: Sequence[Run | None]) -> list[int]:
+    """Return which runs are best by a quantity, up to differences that do not count.
+
+    Only meaningful maps compete, at least two, and only of one cell size where it counts cells. Nobody is best
+    where all are equal.
+    """
+    known = {k: quantity.of(run) for k, run in enumerate(runs) if run is not None and not why_not_meaningful(run)}
+    found = {k: round(value, quantity.digits) for k, value in known.items() if value is not None}
+    cells_mm = {number(runs[k], "map.cell_mm") or 0.0 for k in found}
+    if not found or (quantity.per_cell and len(cells_mm) > 1):
+        return []
+    top = max(found.values(), key=lambda value: quantity.better * value)
+    counts_from = max(cells_mm) if quantity.by_cells else 0.0
+    best = [k for k, value in found.items() if value == top or abs(value - top) < counts_from]
+    return best if len(best) < len(found) else []
