@@ -7,6 +7,7 @@ import io
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.atomic_files import beside
+from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.page import to_page
 from mavnav.errors import OutputError
 from mavnav.metrics.figures import number
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-BATCH_FILE: Final = "batch.json"
 PAGE_FILE: Final = "batch.html"
 
 FIGURES: Final = (
@@ -70,7 +70,7 @@ def append_text(text: str, path: Path) -> None:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}; name another") from error
 
 
-def to_csv(document: dict[str, Any]) -> str:
+def batch_csv(document: dict[str, Any]) -> str:
     """Write a line a run: what it is, what became of it, and its figures under their names in run.json."""
     rows = io.StringIO()
     table = csv.writer(rows, lineterminator="\n")
@@ -82,4 +82,4 @@ def to_csv(document: dict[str, Any]) -> str:
     return rows.getvalue()
 
 
-TEXTS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {BATCH_FILE: to_json, "batch.csv": to_csv}
+TEXTS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {BATCH_FILE: to_json, "batch.csv": batch_csv}

@@ -21,7 +21,7 @@ WIDE = 200
 
 
 @contextmanager
-def telling(total: int, *, json: bool, quiet: bool) -> Iterator[Callable[[dict[str, Any]], None]]:
+def reporting_rows(total: int, *, json: bool, quiet: bool) -> Iterator[Callable[[dict[str, Any]], None]]:
     """Give the function that takes the row of every run as it ends.
 
     What was there before is not told on stderr, but counted; on a terminal the bars tell enough.

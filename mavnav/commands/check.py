@@ -11,7 +11,7 @@ import typer
 
 from mavnav.commands.gating import Gates, gates_of
 from mavnav.commands.options import Json
-from mavnav.commands.terminal import emit, note, printable
+from mavnav.commands.terminal import emit, emit_json, note, printable
 from mavnav.errors import ExitCode, UsageError, worst
 
 if TYPE_CHECKING:
@@ -129,9 +129,7 @@ def _checked(found: _Found, bounds: list[Gate]) -> dict[str, Any]:
 def _tell(rows: list[dict[str, Any]], code: ExitCode, *, json: bool) -> None:
     """Print the verdicts on stdout, and what failed on stderr too with ``json``."""
     if json:
-        from json import dumps
-
-        emit(dumps({"schema_version": 1, "runs": rows, "exit_code": int(code)}, indent=2))
+        emit_json({"schema_version": 1, "runs": rows, "exit_code": int(code)})
     for row in rows:
         if not json:
             emit(f"{printable(row['run'])}: {'passed' if not row['exit_code'] else 'failed'}")

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from mavnav.commands.options import Sets
-from mavnav.commands.terminal import emit
+from mavnav.commands.terminal import emit, emit_json
 
 app = typer.Typer(help="Show the configuration, its presets and its schema.")
 
@@ -31,8 +31,6 @@ def show(
 @app.command()
 def schema() -> None:
     """Print the JSON Schema of configuration files, for editors that check while you type."""
-    from json import dumps
-
     from mavnav.config.models import Config
 
-    emit(dumps(Config.model_json_schema(), indent=2))
+    emit_json(Config.model_json_schema())

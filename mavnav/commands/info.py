@@ -10,8 +10,7 @@ import typer
 
 from mavnav.commands.options import Json, LogFile, Quiet, Strict, Topic
 from mavnav.commands.progress import reporting
-from mavnav.commands.replay import print_table
-from mavnav.commands.terminal import LISTED, emit, note_oddities
+from mavnav.commands.terminal import LISTED, emit, note_oddities, print_table
 from mavnav.errors import ExitCode, MavnavError
 from mavnav.units import DEG, NS
 

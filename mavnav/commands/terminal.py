@@ -55,3 +55,25 @@ def emit(text: str) -> None:
     """Write a result to stdout as it is."""
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
+
+
+def emit_json(document: dict[str, Any]) -> None:
+    """Write a document to stdout as indented JSON."""
+    from json import dumps
+
+    emit(dumps(document, indent=2))
+
+
+def print_table(rows: list[tuple[str, str]]) -> None:
+    """Print names and values on stdout: on a terminal as a table, else in plain lines, for which nothing is loaded."""
+    if not sys.stdout.isatty():
+        width = max((len(name) for name, _ in rows), default=0)
+        emit("\n".join(f"{name:<{width}}  {printable(value)}" for name, value in rows))
+        return
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for name, value in rows:
+        table.add_row(Text(name, style="bold"), Text(printable(value), overflow="fold"))
+    console().print(table)

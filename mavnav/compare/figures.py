@@ -1,4 +1,4 @@
-"""Who is best of the cells of a comparison, and what it costs."""
+"""Which runs of a comparison are best, and their relative cost."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ PRICES: Final = {
     "cpu": "timing.cpu_s",
     "seconds": "timing.wall_s",
 }
-"""Ratio -> the number of run.json that is divided by the coarsest grid's."""
+"""Relative cost -> the number of run.json that is divided by that of the coarsest grid."""
 
 
 def best(runs: Sequence[Run | None]) -> dict[str, list[int]]:
-    """Return by every figure which runs are the best."""
+    """Return by every metric which runs are the best."""
     return {figure.name: winners(figure, runs) for figure in FIGURES}
 
 
 def prices(groups: Sequence[tuple[object, int]], runs: Sequence[Run | None]) -> dict[str, list[Any]]:
-    """Say what each run costs, compared with the coarsest of its group.
+    """Return the cost of each run relative to the coarsest of its group.
 
     Parameters
     ----------
     groups
-        For each run its group (log and method) and the points of its grids: the fewer, the coarser.
+        For each run its group (log and method) and the samples of its search: the fewer, the coarser.
     runs
         Their documents.
 

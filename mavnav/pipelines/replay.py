@@ -26,7 +26,7 @@ from mavnav.outputs.writers import write_run
 from mavnav.profiling import new_profile, timed
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.prior_map import prior_map_of
-from mavnav.slam.registry import uses_odometry
+from mavnav.slam.registry import LOCALIZERS, uses_odometry
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ LOG_SUFFIXES = (".zst", ".zstd", ".active", ".mcap", ".bag", ".db3")
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class ReplayRequest:
     """What is asked for: the log, which part of it, how, and where to.
 
     ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base;
@@ -91,10 +91,13 @@ class Given:
     known: PriorMap | None
 
 
-def read_prior_map(request: Request) -> PriorMap | None:
+def read_prior_map(request: ReplayRequest) -> PriorMap | None:
     """Read the map to localise in: a map_server YAML file, or the one in a run directory; raises UsageError."""
     if request.map is None:
         return None
+    if request.config.method not in LOCALIZERS:
+        advice = f"use --method {' or '.join(LOCALIZERS)}"
+        raise UsageError(f"--map: method {request.config.method} makes a map of its own; {advice}")
     file = read_map(map_yaml(request.map))
     known = prior_map_of(file.grid, file.map_T_grid, request.start_pose)
     if not len(known.walls_xy_m):
@@ -107,7 +110,7 @@ def map_yaml(path: Path) -> Path:
     return path / "map.yaml" if path.is_dir() else path
 
 
-def localisation(request: Request, outcome: SlamResult) -> dict[str, Any]:
+def localisation(request: ReplayRequest, outcome: SlamResult) -> dict[str, Any]:
     """Tell of run.json how a laser was found in a known map: where it was said to begin, and where it did."""
     first = next((step for step in outcome.steps if step.tracked), None)
     return {
@@ -121,7 +124,7 @@ def _posed(pose: Pose) -> dict[str, float]:
     return {"x_m": pose.x_m, "y_m": pose.y_m, "yaw_deg": pose.yaw_rad / DEG}
 
 
-def default_directory(log: Path, config: Config) -> Path:
+def replay_directory(log: Path, config: Config) -> Path:
     """Return ``runs/<log>-<method>-<grid>``."""
     return Path("runs") / f"{log_name(log)}-{config.method}-{config.grid}"
 
@@ -143,8 +146,8 @@ def _unstoppable() -> AbstractContextManager[Stop]:
     return nullcontext(_never)
 
 
-def replay(
-    request: Request,
+def replay_log(
+    request: ReplayRequest,
     progress: Progress,
     compile_s: float,
     stoppable: Callable[[], AbstractContextManager[Stop]] = _unstoppable,
@@ -171,7 +174,7 @@ def replay(
 
 
 def _mapped(
-    request: Request,
+    request: ReplayRequest,
     log: Log,
     given: Given,
     progress: Progress,
@@ -217,7 +220,7 @@ def measured_quality(outcome: SlamResult, log: Log, sections: dict[int, Sections
     return map_quality(measured_part(outcome.grid), journey, sections=sections)
 
 
-def _open(request: Request, progress: Progress) -> Log:
+def _open(request: ReplayRequest, progress: Progress) -> Log:
     """Survey the log; the paper's method never looks at odometry."""
     return open_log(
         request.log,
