@@ -1,4 +1,4 @@
-"""batch.json: a row for every run, with its gates and what became of it since the baseline."""
+"""batch.json: a row for every run, with its gates and its change since the baseline."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def worst_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def why(row: Mapping[str, Any]) -> list[str]:
-    """Return a line for all that speaks against a run: its own end, and the gates that do not hold."""
+    """Return why a run is not passed, a line each: its own end, and the gates that do not hold."""
     own = [row["error"] or ENDS[ExitCode(row["exit_code"])]] if row["exit_code"] else []
     return own + [f"gate {gate['gate']} failed: {gate['why']}" for gate in row["gates"] if not gate["passed"]]
 

@@ -56,7 +56,7 @@ def write_text(text: str, path: Path) -> None:
 
 
 def check_file(path: Path) -> None:
-    """Raise OutputError where a file cannot be written, as far as that can be told before the work."""
+    """Raise OutputError where a file cannot be written, as far as that is known before the work."""
     if path.is_dir():
         raise OutputError(f"{path} is a directory; name a file")
 
@@ -71,7 +71,7 @@ def append_text(text: str, path: Path) -> None:
 
 
 def batch_csv(document: dict[str, Any]) -> str:
-    """Write a line a run: what it is, what became of it, and its figures under their names in run.json."""
+    """Write one line per run: what it is, how it ended, and its metrics under their names in run.json."""
     rows = io.StringIO()
     table = csv.writer(rows, lineterminator="\n")
     table.writerow([*_HEAD, "gates_failed", "baseline", "seconds", "directory", *FIGURES])

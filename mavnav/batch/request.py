@@ -1,4 +1,4 @@
-"""What a batch or a comparison is asked for: logs, settings, limits, and what must hold of every run."""
+"""The request of a batch or a comparison: logs, settings, limits, and what must hold of every run."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def _run_missing(
     if cluster:
         cluster.run_jobs(jobs, listen, limits.timeout_s)
     else:
-        run_with_retries(jobs, lambda some, hear: _run_here(some, hear, limits), listen, limits.tries)
+        run_with_retries(jobs, lambda some, on_end: _run_here(some, on_end, limits), listen, limits.tries)
 
 
 def _job(name: str, request: ReplayRequest) -> Job:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mavnav.commands import signals
-from mavnav.commands.batch_rows import print_verdict, reporting_rows
+from mavnav.commands.batch_rows import print_verdict, row_printer
 from mavnav.commands.gating import Gates
 from mavnav.commands.options import (
     ConfigFile,
@@ -210,10 +210,9 @@ def _run(plan: BatchPlan, *, json: bool, quiet: bool) -> dict[str, Any]:
     with (
         _cluster(plan.request, quiet=quiet) as cluster,
         watching([case.name for case in plan.missing], quiet=quiet, lines=False) as listen,
-        reporting_rows(len(plan.cases), json=json, quiet=quiet) as on_row,
     ):
         try:
-            return run_batch(plan, listen, on_row, cluster)
+            return run_batch(plan, listen, row_printer(len(plan.cases), json=json, quiet=quiet), cluster)
         except signals.Stopped:
             directory = plan.request.directory
             note(f"mavnav: runs that are finished stay in {directory}; the same call makes the others")

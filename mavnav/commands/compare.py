@@ -1,4 +1,4 @@
-"""``mavnav compare [LOG ...]``: whether a finer search grid gives a better map, by how much, and at what price."""
+"""``mavnav compare [LOG ...]``: maps, metrics and relative cost of several search grids, side by side."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def compare(
         )
         plan = pipeline.plan_comparison(request, report)
     document, page = _compared(plan, quiet=quiet)
-    _tell(document, page, json=json)
+    _print_result(document, page, json=json)
     if preview:
         _show_maps(document, target, stderr=json)
     raise typer.Exit(document["exit_code"])
@@ -153,7 +153,7 @@ def _compared(plan: BatchPlan, *, quiet: bool) -> tuple[dict[str, Any], Path]:
     return document, directory / REPORT_FILE
 
 
-def _tell(document: dict[str, Any], page: Path, *, json: bool) -> None:
+def _print_result(document: dict[str, Any], page: Path, *, json: bool) -> None:
     """Print the result on stdout, and on stderr what the user must not miss."""
     from mavnav.compare.files import problems
 

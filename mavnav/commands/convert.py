@@ -37,10 +37,12 @@ def convert(
     quiet: Quiet = False,
 ) -> None:
     """Convert a log, as far as it can be read, to an indexed MCAP with ROS 2 messages."""
-    from mavnav.logs.writing.convert import convert as write
+    from mavnav.logs.writing.convert import convert_log
 
     with reporting(quiet=quiet) as report:
-        done = write(log, target, strict=strict, force=force, progress=lambda n, total: report("converting", n, total))
+        done = convert_log(
+            log, target, strict=strict, force=force, progress=lambda n, total: report("converting", n, total)
+        )
     code = ExitCode.DAMAGED_INPUT if done.damage else ExitCode.DONE
     found = document(log, target, done, code)
     if json:

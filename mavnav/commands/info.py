@@ -45,10 +45,10 @@ def info(
         found = survey(log, topic=topic, strict=strict, progress=lambda done, total: report("reading", done, total))
     logs, error = _choices(found, topic)
     if error is not None:
-        _tell(document(found, logs, error.exit_code), json=json)
+        _print_result(document(found, logs, error.exit_code), json=json)
         raise error
     code = ExitCode.DAMAGED_INPUT if found.damage else ExitCode.DONE
-    _tell(document(found, logs, code), json=json)
+    _print_result(document(found, logs, code), json=json)
     raise typer.Exit(code)
 
 
@@ -167,7 +167,7 @@ def _mounting(log: Log) -> dict[str, Any] | None:
     }
 
 
-def _tell(document: dict[str, Any], *, json: bool) -> None:
+def _print_result(document: dict[str, Any], *, json: bool) -> None:
     """Print the document, or the table and on stderr what must not be missed."""
     if json:
         from json import dumps

@@ -117,19 +117,9 @@ def replay(
     relations: RelationsFile = None,
 ) -> None:
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
-    chosen = _config(
-        config,
-        [*(sets or []), *([] if deskew is None else [f"robust.deskew={deskew}"])],
-        given_values(
-            method=method,
-            grid=grid,
-            azimuth=azimuth,
-            search=search,
-            odom=odom,
-            loop_closure=loop_closure,
-            final_pass=False if online else None,
-        ),
-    )
+    overrides = given_values(method=method, grid=grid, azimuth=azimuth, search=search, odom=odom)
+    overrides |= given_values(loop_closure=loop_closure, final_pass=False if online else None)
+    chosen = _config(config, [*(sets or []), *([] if deskew is None else [f"robust.deskew={deskew}"])], overrides)
     bounds = gates_of(gates)
     mounting, began = parse_pose(extrinsic), parse_pose(start_pose, "--start-pose")
     _check_files(log, known, began)
@@ -161,18 +151,18 @@ def replay(
             start_pose=began and Pose(*began),
         )
         _, document = replay_log(request, progress, compile_s, signals.keeping, startup_s)
-    _tell(document, target, json=json)
+    _print_result(document, target, json=json)
     if profile:
-        tell_stages(document["timing"]["stages"], stderr=json)
+        print_stages(document["timing"]["stages"], stderr=json)
     if preview:
         show_preview(target, stderr=json)
     raise typer.Exit(gated_code(document, bounds))
 
 
-def _config(file: str | None, sets: list[str], options: dict[str, Any]) -> Config:
+def _config(file: str | None, sets: list[str], overrides: dict[str, Any]) -> Config:
     from mavnav.config.loading import load_config
 
-    return load_config(file, sets, options)
+    return load_config(file, sets, overrides)
 
 
 def _check_files(log: Path, known: Path | None, start_pose: tuple[float, float, float] | None) -> None:
@@ -184,7 +174,7 @@ def _check_files(log: Path, known: Path | None, start_pose: tuple[float, float, 
         raise UsageError(f"{log}: no such file; name a log")
 
 
-def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
+def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> None:
     """Print the result on stdout, and on stderr what the user must not miss."""
     if json:
         emit_json(document)
@@ -262,7 +252,7 @@ def _found(localisation: dict[str, Any]) -> str:
     return f"x {found['x_m']:.2f} m, y {found['y_m']:.2f} m, yaw {found['yaw_deg']:.1f} deg, scan {found['scan']}"
 
 
-def tell_stages(stages: dict[str, float], *, stderr: bool) -> None:
+def print_stages(stages: dict[str, float], *, stderr: bool) -> None:
     """Print the seconds by stage, the longest first, and each one's share."""
     total_s = max(sum(stages.values()), 1e-9)
     for name, spent_s in sorted(stages.items(), key=lambda stage: -stage[1]):

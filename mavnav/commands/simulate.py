@@ -109,7 +109,7 @@ def simulate(
         target = directory or simulation_directory(chosen)
         request = SimulationRequest(chosen, scenario_path(scenario), target, record, animate, force, report)
         _, document = simulate_mission(request, progress, compile_s)
-    _tell(document, target, json=json)
+    _print_result(document, target, json=json)
     if preview:
         show_preview(target, stderr=json)
     raise typer.Exit(gated_code(document, bounds))
@@ -132,7 +132,7 @@ def _load(scenario: str, sets: list[str], options: dict[str, object], config: st
     return load_scenario(scenario, sets, {key: value for key, value in options.items() if value is not None}, config)
 
 
-def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
+def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> None:
     if json:
         emit_json(document)
     else:

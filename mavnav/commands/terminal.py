@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 LISTED: Final = 10
-"""So many of a kind are told singly."""
+"""So many of a kind are listed one by one."""
 
 
 def printable(text: object) -> str:
@@ -37,12 +37,12 @@ def console(*, stderr: bool = False) -> Console:
 
 
 def note(text: str) -> None:
-    """Say one line on stderr."""
+    """Print one line on stderr."""
     print(printable(text), file=sys.stderr, flush=True)  # noqa: T201  only the command line prints
 
 
 def note_oddities(document: dict[str, Any]) -> None:
-    """Say the ``warnings`` and the first of the ``damage`` of a document, a line each."""
+    """Print the ``warnings`` and the first of the ``damage`` of a document on stderr, a line each."""
     for warning in document["warnings"]:
         note(f"mavnav: warning: {warning}")
     for damage in document["damage"][:LISTED]:

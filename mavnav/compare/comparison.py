@@ -15,7 +15,7 @@ from mavnav.batch.manifest import Entry
 from mavnav.batch.plan import BatchPlan, check_gates, plan_cases
 from mavnav.batch.request import BatchRequest, Rules, RunLimits
 from mavnav.batch.runner import run_cases
-from mavnav.compare.document import NO_PRICE, comparison_document
+from mavnav.compare.document import NO_COST, comparison_document
 from mavnav.compare.files import COMPARISON_FILE, write_comparison
 from mavnav.errors import UsageError
 from mavnav.jobs.run_cache import REFERENCES, check_cache_directory
@@ -70,7 +70,7 @@ def comparison_directory(logs: Sequence[Path]) -> Path:
 
 
 def check_comparison_directory(directory: Path) -> None:
-    """Make the directory of a comparison; raise OutputError where it cannot be, or where something else is there."""
+    """Make the directory of a comparison; raise OutputError where it cannot be, or holds other files."""
     check_cache_directory(directory, _OWN_FILES)
 
 
@@ -85,7 +85,7 @@ def plan_comparison(request: BatchRequest, progress: Progress) -> BatchPlan:
     for case in cases:
         if case.run is None:
             raise UsageError(case.error)
-    check_gates(request, cases, NO_PRICE)
+    check_gates(request, cases, NO_COST)
     return plan_cases(request, _distinct(cases))
 
 

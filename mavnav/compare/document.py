@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
-from mavnav.compare.figures import PRICES, best, prices
+from mavnav.compare.figures import RELATIVE_COSTS, best, relative_costs
 from mavnav.errors import ExitCode, worst
 from mavnav.jobs.run_cache import run_row
 from mavnav.metrics.gates import judge_some
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 SCHEMA_VERSION: Final = 1
 
-NO_PRICE: Final[dict[str, Any]] = {"price": dict.fromkeys(PRICES)}
+NO_COST: Final[dict[str, Any]] = {"price": dict.fromkeys(RELATIVE_COSTS)}
 """What a gate finds under ``price`` before all runs are done."""
 
 
@@ -28,8 +28,8 @@ def comparison_document(results: Sequence[CaseResult], directory: Path, gates: S
     """Compare runs; their directories are given relative to ``directory``."""
     runs = [result.document for result in results]
     planned = [result.case.run for result in results if result.case.run]
-    price = prices([_group(run) for run in planned], runs)
-    verdicts = [verdict for k, run in enumerate(runs) if run for verdict in _judge(gates, run, price, k)]
+    costs = relative_costs([_group(run) for run in planned], runs)
+    verdicts = [verdict for k, run in enumerate(runs) if run for verdict in _judge(gates, run, costs, k)]
     rows = [run_row(run, r.outcome, r.document, directory) for run, r in zip(planned, results, strict=True)]
     logs = _logs(planned, runs)
     return {
@@ -39,7 +39,7 @@ def comparison_document(results: Sequence[CaseResult], directory: Path, gates: S
         "cells": rows,
         "winners": _winners(logs),
         "logs": logs,
-        "price": price,
+        "price": costs,
         "gates": verdicts,
         "exit_code": worst([*(row["exit_code"] for row in rows), *(_code(verdict) for verdict in verdicts)]),
     }
@@ -70,8 +70,8 @@ def _winners(logs: Sequence[dict[str, Any]]) -> dict[str, int | None]:
     return found if len(logs) == 1 else dict.fromkeys(found)
 
 
-def _judge(gates: Sequence[Gate], run: dict[str, Any], price: dict[str, list[Any]], k: int) -> list[dict[str, Any]]:
-    document = run | {"price": {name: price[name][k] for name in PRICES}}
+def _judge(gates: Sequence[Gate], run: dict[str, Any], costs: dict[str, list[Any]], k: int) -> list[dict[str, Any]]:
+    document = run | {"price": {name: costs[name][k] for name in RELATIVE_COSTS}}
     return [
         {"gate": verdict.gate.text, "cell": k, "value": verdict.value, "passed": verdict.passed, "why": verdict.why}
         for verdict in judge_some(gates, document)

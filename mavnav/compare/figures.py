@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from mavnav.metrics.figures import Run
 
-PRICES: Final = {
+RELATIVE_COSTS: Final = {
     "evaluations": "search.evaluations_per_scan.mean",
     "cpu": "timing.cpu_s",
     "seconds": "timing.wall_s",
@@ -24,7 +24,7 @@ def best(runs: Sequence[Run | None]) -> dict[str, list[int]]:
     return {figure.name: winners(figure, runs) for figure in FIGURES}
 
 
-def prices(groups: Sequence[tuple[object, int]], runs: Sequence[Run | None]) -> dict[str, list[Any]]:
+def relative_costs(groups: Sequence[tuple[object, int]], runs: Sequence[Run | None]) -> dict[str, list[Any]]:
     """Return the cost of each run relative to the coarsest of its group.
 
     Parameters
@@ -37,8 +37,8 @@ def prices(groups: Sequence[tuple[object, int]], runs: Sequence[Run | None]) -> 
     Returns
     -------
     dict
-        ``coarsest``: for each run the index of the coarsest of its group that has a result; and by the keys of `PRICES`
-        the ratio to it. None where there is nothing to divide, or to divide by.
+        ``coarsest``: for each run the index of the coarsest of its group that has a result; and by the keys of
+        `RELATIVE_COSTS` the ratio to it. None where there is nothing to divide, or to divide by.
     """
     coarsest: dict[object, int] = {}
     for k in sorted(range(len(runs)), key=lambda k: groups[k][1], reverse=True):
@@ -46,8 +46,8 @@ def prices(groups: Sequence[tuple[object, int]], runs: Sequence[Run | None]) -> 
             coarsest[groups[k][0]] = k
     references = [coarsest.get(group) for group, _ in groups]
     ratios = {
-        price: [_ratio(runs, k, reference, name) for k, reference in enumerate(references)]
-        for price, name in PRICES.items()
+        cost: [_ratio(runs, k, reference, name) for k, reference in enumerate(references)]
+        for cost, name in RELATIVE_COSTS.items()
     }
     return {"coarsest": references, **ratios}
 

@@ -7,7 +7,7 @@ import io
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.atomic_files import beside
-from mavnav.compare.figures import PRICES
+from mavnav.compare.figures import RELATIVE_COSTS
 from mavnav.errors import OutputError
 from mavnav.metrics.figures import FIGURES, number
 from mavnav.outputs.document import to_json
@@ -35,10 +35,12 @@ def comparison_csv(document: dict[str, Any]) -> str:
     rows = io.StringIO()
     table = csv.writer(rows, lineterminator="\n")
     head = ("log", "method", "grid", "azimuth", "status", "exit_code", "error", "directory")
-    table.writerow([*head, *(figure.name for figure in FIGURES), *(f"price.{name}" for name in PRICES)])
+    table.writerow([*head, *(figure.name for figure in FIGURES), *(f"price.{name}" for name in RELATIVE_COSTS)])
     for k, cell in enumerate(document["cells"]):
         figures = [number(cell["run"], figure.name) for figure in FIGURES]
-        table.writerow([*(cell[key] for key in head), *figures, *(document["price"][name][k] for name in PRICES)])
+        table.writerow(
+            [*(cell[key] for key in head), *figures, *(document["price"][name][k] for name in RELATIVE_COSTS)]
+        )
     return rows.getvalue()
 
 
@@ -60,14 +62,14 @@ def _cells(document: dict[str, Any], k: int) -> list[str]:
     return texts + [ratio(document, name, k) for name in ("evaluations", "cpu")]
 
 
-def winning(document: dict[str, Any], figure: str) -> set[int]:
+def winning(document: dict[str, Any], metric: str) -> set[int]:
     """Return the runs that are the best of their log by a metric."""
-    return {k for log in document["logs"] for k in log["best"][figure]}
+    return {k for log in document["logs"] for k in log["best"][metric]}
 
 
-def ratio(document: dict[str, Any], price: str, k: int) -> str:
+def ratio(document: dict[str, Any], cost: str, k: int) -> str:
     """Format the cost of a run relative to the coarsest one, or a dash if there is none."""
-    number = document["price"][price][k]
+    number = document["price"][cost][k]
     return "-" if number is None else f"{number:.1f}"
 
 

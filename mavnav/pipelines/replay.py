@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 
 Stop = Callable[[], ExitCode | None]
-"""Options between two scans: the code to end with, None to go on."""
+"""Called between two scans: returns the exit code to end with, None to go on."""
 
 Progress = Callable[[str, int, int | None], None]
 """What is being done, how much of it is done, how much there is or None."""
@@ -55,13 +55,13 @@ LOG_SUFFIXES = (".zst", ".zstd", ".active", ".mcap", ".bag", ".db3")
 
 @dataclass(frozen=True, slots=True)
 class ReplayRequest:
-    """What is asked for: the log, which part of it, how, and where to.
+    """One run: the log, which part of it, with what configuration, and where its results go.
 
     ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base;
-    ``report`` asks for the page as well; ``truth``, ``truth_map`` and ``relations`` are files to compare the outcome
+    ``report`` writes the page as well; ``truth``, ``truth_map`` and ``relations`` are files to compare the outcome
     with; ``strict`` leaves out scans from where a checksum does not match. ``map`` is a map to localise in instead of
     making one, and ``start_pose`` about where in it the laser begins. ``address`` is where the log was fetched from,
-    which run.json tells; ``log_sha256`` is the content that the log must have, if the run is to be known by it.
+    for run.json; ``log_sha256`` is the content that the log must have, if the run is to be known by it.
     """
 
     log: Path
@@ -85,7 +85,7 @@ class ReplayRequest:
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """What files besides the log tell: references to compare with, and the map to localise in, None without one."""
+    """What was read besides the log: references to compare with, and the map to localise in, None without one."""
 
     references: References
     known: PriorMap | None
@@ -111,7 +111,7 @@ def map_yaml(path: Path) -> Path:
 
 
 def localisation(request: ReplayRequest, outcome: SlamResult) -> dict[str, Any]:
-    """Tell of run.json how a laser was found in a known map: where it was said to begin, and where it did."""
+    """Return the section of run.json on localization in a known map: the given start pose, and the one found."""
     first = next((step for step in outcome.steps if step.tracked), None)
     return {
         "map": str(request.map),
@@ -156,8 +156,8 @@ def replay_log(
     """Run the whole job and return the run with its document (run.json).
 
     ``compile_s`` is what it took to import this module: kernels compile on import; ``startup_s`` is what the process
-    took before, of which the profile tells. Whether the run directory can be written is asked before the
-    work. Within ``stoppable`` there are scans to keep: when its function gives a code, the
+    took before, for the profile. Whether the run directory can be written is checked before the
+    work. Within ``stoppable`` there are results to keep: when its function returns a code, the
     run ends there, and is written and marked as partial. Raises what the packages raise: TopicError, NoScansError,
     UsageError, OutputError; and StoppedError where nothing was tracked yet.
     """

@@ -42,7 +42,7 @@ WALL_GAP_CELLS = 8
 
 @dataclass(frozen=True, slots=True)
 class SimulationRequest:
-    """What is asked for: the scenario and its file, the run directory, and what else to leave where."""
+    """One mission: the scenario and its file, the run directory, and the paths of further outputs."""
 
     scenario: Scenario
     path: Path
@@ -61,7 +61,7 @@ def simulation_directory(scenario: Scenario) -> Path:
 def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: float) -> tuple[Run, dict[str, Any]]:
     """Fly a mission and return the run with its document (run.json).
 
-    Raises what the steps raise: UsageError, OutputError; whether the outputs can be written is asked before the work.
+    Raises what the steps raise: UsageError, OutputError; whether the outputs can be written is checked before the work.
     NoScansError where no scan could even begin a map.
     """
     check_outputs(request)
