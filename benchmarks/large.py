@@ -22,7 +22,7 @@ from numba import njit
 
 from mavnav.config.loading import load_config
 from mavnav.logs.messages import cdr, definitions
-from mavnav.pipelines.replay import Request, replay
+from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
 from mavnav.slam.registry import load_kernels
@@ -136,7 +136,7 @@ def main() -> None:
     began_s = process_time()
     config = load_config(None, [], {"odom": "off"})
     load_kernels(config)
-    run, _ = replay(Request(args.log, args.output, config, force=True), progress, 0.0)
+    run, _ = replay_log(ReplayRequest(args.log, args.output, config, force=True), progress, 0.0)
     rows, cols = run.known.hits.shape
     end = run.slam.trajectory[len(run.slam.trajectory) - 1]
     truth = Pose(*drive(args.scans)[0].tolist()).between(Pose(*drive(args.scans)[-1].tolist()))

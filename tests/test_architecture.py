@@ -35,9 +35,10 @@ ALLOWED: dict[str, set[str]] = {
     "ground_truth": SHARED | {"config", "mapping", "metrics", "simulation.world"},
     "pipelines": SHARED
     | {"config", "ground_truth", "logs", "mapping", "metrics", "outputs", "simulation", "simulation.world", "slam"},
-    "jobs": SHARED | {"config", "ground_truth", "logs", "outputs", "pipelines"},
-    "compare": SHARED | {"config", "jobs", "logs", "metrics", "outputs", "pipelines", "simulation", "simulation.world"},
+    "jobs": SHARED | {"config", "ground_truth", "outputs", "pipelines"},
     "batch": SHARED | {"config", "ground_truth", "jobs", "logs", "metrics", "outputs", "pipelines"},
+    "compare": SHARED
+    | {"batch", "config", "jobs", "logs", "metrics", "outputs", "pipelines", "simulation", "simulation.world"},
     "commands": SHARED
     | {"batch", "compare", "config", "ground_truth", "jobs", "kernels", "logs", "metrics", "outputs", "pipelines"}
     | {"simulation.world", "slam"},

@@ -1,4 +1,4 @@
-"""Baselines: the figures of an earlier batch, and how far those of a new one may move from them."""
+"""Baselines: the metrics of an earlier batch, and how far those of a new one may differ from them."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ TOLERANCES: Final = (
     Tolerance("map_quality.crispness.occupied_cells_per_m", relative=0.05),
     Tolerance("search.evaluations_per_scan.mean", relative=0.1),
 )
-"""What is compared by itself. Processor time is not: it is the machine's as well."""
+"""What is compared by default. CPU time is not: it depends on the machine."""
 
 _TOLERANCE: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(%?)\s*(?:,\s*(low|high)\s*)?")
 
 
 def parse_tolerance(name: str, text: str) -> Tolerance:
-    """Read ``5``, ``5%``, ``5%,high``; which direction is better is known for the figures in `TOLERANCES`, else low.
+    """Read ``5``, ``5%``, ``5%,high``; which direction is better is known for the metrics in `TOLERANCES`, else low.
 
     The name may be short, as in a gate. Raises UsageError.
     """
@@ -90,7 +90,7 @@ class Change(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """The runs of an earlier batch by name, each with its exit code, and its figures or its sections of run.json."""
+    """The runs of an earlier batch by name, each with its exit code, and its metrics or its sections of run.json."""
 
     path: Path
     version: str
@@ -118,17 +118,17 @@ def read_baseline(path: Path) -> Baseline:
         ) from error
 
 
-def _figures(kept: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return figures by their full names; raises ValueError for what is no number, such as NaN."""
-    for value in kept.values():
+def _figures(stored: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return metrics by their full names; raises ValueError for what is no number, such as NaN."""
+    for value in stored.values():
         if value is not None and not (isinstance(value, int | float) and isfinite(value)):
             raise ValueError
-    return {full_name(name): value for name, value in kept.items()}
+    return {full_name(name): value for name, value in stored.items()}
 
 
 def write_baseline(rows: Sequence[Mapping[str, Any]], path: Path, watched: Sequence[Tolerance]) -> None:
-    """Write the figures that are compared, and nothing else, so that the file can be kept with the code."""
-    cells = [_kept(row, watched) for row in rows]
+    """Write the metrics that are compared, and nothing else, so that the file can be committed with the code."""
+    cells = [_stored(row, watched) for row in rows]
     document = {"schema_version": SCHEMA_VERSION, "mavnav_version": __version__, "cells": cells}
     try:
         with beside(path) as partial:
@@ -137,7 +137,7 @@ def write_baseline(rows: Sequence[Mapping[str, Any]], path: Path, watched: Seque
         raise OutputError(f"{path} cannot be written: {error.strerror or error}; name another file") from error
 
 
-def _kept(row: Mapping[str, Any], watched: Sequence[Tolerance]) -> dict[str, Any]:
+def _stored(row: Mapping[str, Any], watched: Sequence[Tolerance]) -> dict[str, Any]:
     figures = {tolerance.name: number(row["run"], tolerance.name) for tolerance in watched}
     return {"name": row["name"], "exit_code": row["exit_code"], "figures": figures}
 
@@ -145,9 +145,9 @@ def _kept(row: Mapping[str, Any], watched: Sequence[Tolerance]) -> dict[str, Any
 def changes(row: Mapping[str, Any], baseline: Baseline, watched: Sequence[Tolerance]) -> dict[str, Any]:
     """Compare a run with the one of its name.
 
-    Returns ``change`` as a whole, and ``figures``: for those that moved beyond their tolerance, and for the exit code,
+    Returns ``change`` as a whole, and ``figures``: for the metrics beyond their tolerance, and for the exit code,
     what they were, what they are, and whether that is better. A number that is gone is worse, and so is a map that has
-    ceased to be meaningful; one that was not there before is not compared.
+    ceased to be meaningful; one that is new is not compared.
     """
     before = baseline.runs.get(row["name"])
     if before is None:
@@ -162,8 +162,8 @@ def changes(row: Mapping[str, Any], baseline: Baseline, watched: Sequence[Tolera
 
 
 def _before(run: Mapping[str, Any], name: str) -> float | None:
-    kept: float | None = run["figures"].get(name)
-    return number(run["run"], name) if kept is None else kept
+    stored: float | None = run["figures"].get(name)
+    return number(run["run"], name) if stored is None else stored
 
 
 def _code_change(before: int, now: int) -> dict[str, Any]:

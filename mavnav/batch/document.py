@@ -1,4 +1,4 @@
-"""batch.json: a row for every run, with its gates and what became of it since the baseline."""
+"""batch.json: a row for every run, with its gates and its change since the baseline."""
 
 from __future__ import annotations
 
@@ -15,23 +15,43 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from mavnav.batch.baseline import Baseline, Tolerance
-    from mavnav.batch.cases import Case
-    from mavnav.jobs import Outcome
-    from mavnav.metrics.gates import Gate
+    from mavnav.batch.baseline import Baseline
+    from mavnav.batch.cases import Case, CaseResult
+    from mavnav.batch.request import BatchRequest
 
 SCHEMA_VERSION: Final = 1
+BATCH_FILE: Final = "batch.json"
 
 
-def batch_row(case: Case, outcome: Outcome | None, run: Mapping[str, Any] | None, directory: Path) -> dict[str, Any]:
+def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
+    """Describe and judge a run: its row in batch.json.
+
+    That is the row of comparison.json with ``setting`` and ``seconds``, and with ``gates``, ``baseline`` (None without
+    one), ``accepted`` and ``verdict``, the exit code that counts: the worst of the gates and of the run's own, unless
+    that is accepted. A gate on a number that the run does not have fails.
+    """
+    case, rules, row = result.case, request.rules, _row(result, request.directory)
+    verdicts = [] if result.document is None else judge_some((*rules.gates, *case.gates), result.document)
+    gates = [{"gate": v.gate.text, "value": v.value, "passed": v.passed, "why": v.why} for v in verdicts]
+    found = None if rules.baseline is None else changes(row, rules.baseline, rules.watched)
+    if found and (rules.baseline_gate or (case.baseline_gate and request.new_baseline is None)):
+        gates.append(_baseline_verdict(found))
+    accepted = row["exit_code"] in rules.accept | case.accept
+    codes = [] if accepted else [row["exit_code"]]
+    codes += [ExitCode.GATE_FAILED for gate in gates if not gate["passed"]]
+    return row | {"gates": gates, "baseline": found, "accepted": accepted, "verdict": int(worst(codes))}
+
+
+def _row(result: CaseResult, directory: Path) -> dict[str, Any]:
     """Describe a run; as in comparison.json, with ``setting`` and ``seconds`` besides."""
-    row = _unread(case) if case.cell is None else run_row(case.cell, outcome, run, directory)
+    case, outcome = result.case, result.outcome
+    row = run_row(case.run, outcome, result.document, directory) if case.run else _unread(case)
     more = {"setting": case.setting.name, "seconds": outcome.seconds if outcome else None}
     return row | {"name": case.name, "log": case.log, **more}
 
 
 def _unread(case: Case) -> dict[str, Any]:
-    """Describe a run that was not begun."""
+    """Describe a run whose log cannot be read."""
     config = case.setting.config
     return {
         "name": case.name,
@@ -46,32 +66,6 @@ def _unread(case: Case) -> dict[str, Any]:
         "directory": None,
         "run": None,
     }
-
-
-def judged(
-    row: dict[str, Any],
-    run: Mapping[str, Any] | None,
-    gates: Sequence[Gate],
-    accept: frozenset[int],
-    baseline: Baseline | None,
-    watched: Sequence[Tolerance],
-    *,
-    baseline_gate: bool,
-) -> dict[str, Any]:
-    """Return a row with its ``gates``, its ``baseline`` (None without one), and ``verdict``, the exit code that counts.
-
-    The verdict is the worst of the gates and of the run's own exit code, unless that is one of ``accept``, which
-    ``accepted`` tells. ``run`` is the whole run.json; a gate on a number that it does not have fails.
-    """
-    verdicts = [] if run is None else judge_some(gates, run)
-    found = None if baseline is None else changes(row, baseline, watched)
-    told = [{"gate": v.gate.text, "value": v.value, "passed": v.passed, "why": v.why} for v in verdicts]
-    if baseline_gate and found is not None:
-        told.append(_baseline_verdict(found))
-    accepted = row["exit_code"] in accept
-    codes = [] if accepted else [row["exit_code"]]
-    codes += [ExitCode.GATE_FAILED for verdict in told if not verdict["passed"]]
-    return row | {"gates": told, "baseline": found, "accepted": accepted, "verdict": int(worst(codes))}
 
 
 def _baseline_verdict(found: Mapping[str, Any]) -> dict[str, Any]:
@@ -136,7 +130,7 @@ def worst_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def why(row: Mapping[str, Any]) -> list[str]:
-    """Return a line for all that speaks against a run: its own end, and the gates that do not hold."""
+    """Return why a run is not passed, a line each: its own end, and the gates that do not hold."""
     own = [row["error"] or ENDS[ExitCode(row["exit_code"])]] if row["exit_code"] else []
     return own + [f"gate {gate['gate']} failed: {gate['why']}" for gate in row["gates"] if not gate["passed"]]
 

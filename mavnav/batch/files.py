@@ -7,6 +7,7 @@ import io
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.atomic_files import beside
+from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.page import to_page
 from mavnav.errors import OutputError
 from mavnav.outputs.document import to_json
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-BATCH_FILE: Final = "batch.json"
 PAGE_FILE: Final = "batch.html"
 
 FIGURES: Final = (
@@ -56,7 +56,7 @@ def write_text(text: str, path: Path) -> None:
 
 
 def check_file(path: Path) -> None:
-    """Raise OutputError where a file cannot be written, as far as that can be told before the work."""
+    """Raise OutputError where a file cannot be written, as far as that is known before the work."""
     if path.is_dir():
         raise OutputError(f"{path} is a directory; name a file")
 
@@ -70,8 +70,8 @@ def append_text(text: str, path: Path) -> None:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}; name another") from error
 
 
-def to_csv(document: dict[str, Any]) -> str:
-    """Write a line a run: what it is, what became of it, and its figures under their names in run.json."""
+def batch_csv(document: dict[str, Any]) -> str:
+    """Write one line per run: what it is, how it ended, and its metrics under their names in run.json."""
     rows = io.StringIO()
     table = csv.writer(rows, lineterminator="\n")
     table.writerow([*_HEAD, "gates_failed", "baseline", "seconds", "directory", *FIGURES])
@@ -82,4 +82,4 @@ def to_csv(document: dict[str, Any]) -> str:
     return rows.getvalue()
 
 
-TEXTS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {BATCH_FILE: to_json, "batch.csv": to_csv}
+TEXTS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {BATCH_FILE: to_json, "batch.csv": batch_csv}

@@ -21,7 +21,7 @@ _ADDRESS: Final = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 
 
 def is_address(text: str) -> bool:
-    """Tell an address (``s3://bucket/drive.mcap``) from a path."""
+    """Return whether a text is an address (``s3://bucket/drive.mcap``), not a path."""
     return _ADDRESS.match(text) is not None
 
 
@@ -46,7 +46,7 @@ def gather(patterns: Iterable[str], base: Path) -> list[str]:
 
 
 def check_found(log: str, path: Path) -> None:
-    """Say of a folder and of a pattern that it stands for no log.
+    """Raise an error for a folder without logs and for a pattern that matches nothing.
 
     ``log`` is one of those that `gather` returns, ``path`` where it is. Raises NoScansError, UsageError.
     """
@@ -58,7 +58,7 @@ def check_found(log: str, path: Path) -> None:
 
 
 def _paths(pattern: str, base: Path) -> list[str]:
-    return [_told(path, base) for place in _matches(pattern, base) for path in (list(_logs(place)) or [place])]
+    return [_relative(path, base) for match in _matches(pattern, base) for path in (list(_logs(match)) or [match])]
 
 
 def _matches(pattern: str, base: Path) -> list[Path]:
@@ -72,25 +72,25 @@ def _matches(pattern: str, base: Path) -> list[Path]:
 
 
 def _hidden(path: Path, pattern: Path) -> bool:
-    """Tell what a shell's pattern does not stand for; a run that is being made is hidden."""
+    """Return whether a shell's pattern leaves a path out; a run that is being made is hidden."""
     return any(part.startswith(".") and part not in pattern.parts for part in path.parts)
 
 
 def _is_result(path: Path) -> bool:
-    """Tell a log that a run has left, which would be a log of the next batch."""
+    """Return whether a log is the result of a run."""
     return path.name == "result.mcap" and (path.parent / RUN_FILE).is_file()
 
 
-def _logs(place: Path) -> Iterator[Path]:
-    if not place.is_dir() or (place / "metadata.yaml").is_file():
-        yield place
-    elif not (place / RUN_FILE).is_file():
-        for path in sorted(place.iterdir()):
-            if not path.name.startswith(".") and (path.is_dir() or path.name.endswith(SUFFIXES)):
-                yield from _logs(path)
+def _logs(path: Path) -> Iterator[Path]:
+    if not path.is_dir() or (path / "metadata.yaml").is_file():
+        yield path
+    elif not (path / RUN_FILE).is_file():
+        for inner in sorted(path.iterdir()):
+            if not inner.name.startswith(".") and (inner.is_dir() or inner.name.endswith(SUFFIXES)):
+                yield from _logs(inner)
 
 
-def _told(path: Path, base: Path) -> str:
+def _relative(path: Path, base: Path) -> str:
     try:
         return path.absolute().relative_to(base.absolute()).as_posix()
     except ValueError:

@@ -9,26 +9,27 @@ from typing import TYPE_CHECKING, Any
 
 from mavnav.batch.remote import fetched
 from mavnav.errors import MavnavError
-from mavnav.pipelines import replay
+from mavnav.pipelines.replay import replay_log
 
 if TYPE_CHECKING:
     from mavnav.jobs import Report
+    from mavnav.pipelines.replay import ReplayRequest
 
 
-def replay_there(request: replay.Request, report: Report) -> None:
-    """Replay one log; what comes out is in the run directory, and nothing of it goes back to the parent."""
-    replay.replay(request, report, compile_s=0.0)
+def replay_local(request: ReplayRequest, report: Report) -> None:
+    """Replay one log into its run directory; the kernels are loaded by now, and nothing is sent to the parent."""
+    replay_log(request, report, compile_s=0.0)
 
 
-def replay_fetched(request: replay.Request, report: Report) -> None:
-    """Replay a log that is fetched first, and told of by its address."""
+def replay_remote(request: ReplayRequest, report: Report) -> None:
+    """Fetch a log and replay it; errors name it by its address."""
     report("fetching", 0, None)
     address = str(request.address)
     paths = {field.name: getattr(request, field.name) for field in fields(request) if field.name != "log"}
     absolute: dict[str, Any] = {name: path.absolute() for name, path in paths.items() if isinstance(path, Path)}
     with fetched(address) as folder, chdir(folder):
         try:
-            replay_there(replace(request, **absolute), report)
+            replay_local(replace(request, **absolute), report)
         except MavnavError as error:
             error.args = (str(error).replace(str(request.log), address),)
             raise

@@ -1,4 +1,4 @@
-"""batch.html: all runs of a batch on one page, worst first, each with a small map and what speaks against it."""
+"""batch.html: all runs of a batch on one page, worst first, each with a small map and why it failed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.batch.document import ENDS, why, worst_first
-from mavnav.batch.summary import changed, headline
+from mavnav.batch.summary import batch_headline, changed
 from mavnav.batch.thumbnail import thumbnail
 from mavnav.errors import ExitCode
 from mavnav.outputs.directory import RUN_FILE
@@ -34,18 +34,18 @@ COLUMNS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A figure as it is shown, and as it is sorted by; empty where there is none."""
+    """A metric as it is shown, and its sort key; empty if there is none."""
 
     text: str
     key: str
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class PageLine:
     """A run as the page shows it.
 
-    ``kind`` is passed, failed (a verdict) or broken (not made); ``link`` leads to the run, ``change`` is what became of
-    it since the baseline.
+    ``kind`` is passed, failed (a verdict) or broken (not made); ``link`` leads to the run, ``change`` is that
+    since the baseline.
     """
 
     name: str
@@ -64,7 +64,7 @@ def to_page(document: Mapping[str, Any], directory: Path) -> str:
     templates = environment("mavnav.batch", "mavnav.outputs.report")
     lines = [_line(row, directory) for row in worst_first(document["cells"])]
     return templates.get_template("batch.html").render(
-        headline=headline(document),
+        headline=batch_headline(document),
         lines=lines,
         kinds=Counter(line.kind for line in lines),
         changes=Counter(line.change for line in lines if line.change) if document["baseline"] else {},
@@ -77,27 +77,27 @@ def to_page(document: Mapping[str, Any], directory: Path) -> str:
     )
 
 
-def _line(row: dict[str, Any], directory: Path) -> Line:
-    place = directory / row["directory"] if row["directory"] else None
+def _line(row: dict[str, Any], directory: Path) -> PageLine:
+    path = directory / row["directory"] if row["directory"] else None
     verdict = ExitCode(row["verdict"])
     end = "passed" if not verdict else ENDS[verdict]
-    return Line(
+    return PageLine(
         name=row["name"],
         kind="passed" if not verdict else "failed" if row["run"] else "broken",
         end=end,
         reasons=tuple(reason for reason in why(row) if reason != end),
-        link=_link(place, row["directory"]) if place else None,
-        picture=thumbnail(place) if place else None,
+        link=_link(path, row["directory"]) if path else None,
+        picture=thumbnail(path) if path else None,
         change=str((row["baseline"] or {}).get("change") or ""),
         change_text=changed(row),
         fields=tuple(_field(column, row["run"]) for column in COLUMNS),
     )
 
 
-def _link(place: Path, told: str) -> str | None:
-    """Return the run's own page, or the best that there is of it, from the batch's directory on."""
-    there = (name for name in (REPORT_FILE, "map.png", RUN_FILE) if (place / name).is_file())
-    return next((f"{told}/{name}" for name in there), None)
+def _link(path: Path, address: str) -> str | None:
+    """Return the address of the page of a run, or else of its map or run.json; ``address`` is that of its directory."""
+    names = (name for name in (REPORT_FILE, "map.png", RUN_FILE) if (path / name).is_file())
+    return next((f"{address}/{name}" for name in names), None)
 
 
 def _field(column: Quantity, run: Mapping[str, Any] | None) -> Field:

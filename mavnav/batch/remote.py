@@ -20,13 +20,13 @@ def fetched(address: str) -> Iterator[Path]:
 
     Raises UsageError for what cannot be opened, and without fsspec.
     """
-    place = Path(address)
-    if ".." in place.parts:
+    path = Path(address)
+    if ".." in path.parts:
         raise UsageError(f"{address}: an address with '..'; write it out")
     with TemporaryDirectory(prefix="mavnav-") as name:
         folder = Path(name)
-        (folder / place).parent.mkdir(parents=True)
-        _copy(address, folder / place)
+        (folder / path).parent.mkdir(parents=True)
+        _copy(address, folder / path)
         yield folder
 
 

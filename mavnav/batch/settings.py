@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
+from itertools import product, zip_longest
 from typing import TYPE_CHECKING, Any
 
 from mavnav.config.loading import load_config
@@ -11,7 +11,7 @@ from mavnav.config.yaml_layers import Layer
 from mavnav.errors import ConfigError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from mavnav.config.models import Config
@@ -39,23 +39,30 @@ def crossed_settings(
     ``azimuths`` are none, one for all grids, or one for each. Raises ConfigError, and UsageError for another number.
     """
     named: list[dict[str, object]] = [{"method": method} for method in methods] or [{}]
-    configs = [
-        load_config(file, sets, {**options, **method, **pair})
-        for method, pair in product(named, _grids(grids, azimuths))
+    searches = [
+        {name: value for name, value in (("grid", grid), ("azimuth", azimuth)) if value is not None}
+        for grid, azimuth in zip_longest(grids, yaw_samples(grids, azimuths))
     ]
-    return _distinct(Setting(setting_name(config), config) for config in configs)
+    return named_settings(
+        load_config(file, sets, {**options, **method, **search}) for method, search in product(named, searches)
+    )
 
 
-def _grids(grids: Sequence[str], azimuths: Sequence[int]) -> list[dict[str, object]]:
-    """Give every grid its azimuth grid."""
+def yaw_samples(grids: Sequence[object], azimuths: Sequence[int]) -> list[int | None]:
+    """Return the yaw samples given for each grid, or the only ones if there is no grid; None where none are given.
+
+    ``azimuths`` are none, one for all grids, or one for each; raises UsageError for another number.
+    """
     if len(azimuths) not in {0, 1, len(grids)}:
         raise UsageError(
             f"{len(azimuths)} values of --azimuth for {len(grids)} grids; give none, one for all, or one for each"
         )
-    if len(azimuths) > 1:
-        return [{"grid": grid, "azimuth": azimuth} for grid, azimuth in zip(grids, azimuths, strict=True)]
-    shared: dict[str, object] = {"azimuth": azimuths[0]} if azimuths else {}
-    return [{"grid": grid, **shared} for grid in grids] or [shared]
+    return list(azimuths) if len(azimuths) > 1 else [azimuths[0] if azimuths else None] * max(len(grids), 1)
+
+
+def named_settings(configs: Iterable[Config]) -> list[Setting]:
+    """Return different configurations under their names."""
+    return _distinct(Setting(setting_name(config), config) for config in configs)
 
 
 def listed_settings(
@@ -93,12 +100,12 @@ def _leaves(tree: Mapping[str, Any], above: Key = ()) -> Iterator[tuple[Key, obj
             yield (*above, name), value
 
 
-def told(value: object) -> str:
-    """Write a value as people type it."""
+def formatted(value: object) -> str:
+    """Format a value as users type it."""
     return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _distinct(settings: Iterator[Setting]) -> list[Setting]:
+def _distinct(settings: Iterable[Setting]) -> list[Setting]:
     """Leave out what comes twice; raises ConfigError where one name stands for two configurations."""
     found: dict[str, Setting] = {}
     for setting in settings:
@@ -108,11 +115,11 @@ def _distinct(settings: Iterator[Setting]) -> list[Setting]:
 
 
 def setting_name(config: Config) -> str:
-    """Name a configuration: ``robust 20/10x10``, azimuth grid first, and whatever else is not as the method has it."""
+    """Name a configuration: ``robust 20/10x10``, yaw samples first, then what is not the method's default."""
     usual = load_config(None, (), {name: getattr(config, name) for name in ("method", "azimuth")})
     mine, theirs = (dict(_leaves(c.document())) for c in (config, usual))
     others = [
-        f"{'.'.join(key)}={told(value)}"
+        f"{'.'.join(key)}={formatted(value)}"
         for key, value in mine.items()
         if value != theirs[key] and key[-1] != "grid" and key[0] not in {"paper", "robust"} - {config.method}
     ]

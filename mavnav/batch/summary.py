@@ -1,4 +1,4 @@
-"""What people see of a batch in CI: a summary in Markdown, and annotations of GitHub's kind."""
+"""What is shown of a batch in CI: a summary in Markdown, and annotations of GitHub's kind."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ FIGURES: Final = (
 )
 
 
-def headline(document: Mapping[str, Any]) -> str:
-    """Say in one line how a batch ended."""
+def batch_headline(document: Mapping[str, Any]) -> str:
+    """Return in one line how a batch ended."""
     rows = document["cells"]
     bad = sum(bool(row["verdict"]) for row in rows)
     counts, since = document["counts"], document["baseline"]
@@ -41,7 +41,7 @@ def to_summary(document: Mapping[str, Any]) -> str:
     """Write a batch in GitHub's Markdown: the headline, what went wrong, and a table, worst first."""
     rows = worst_first(document["cells"])
     mark = "✅" if document["exit_code"] == 0 else "❌"
-    lines = [f"## {mark} mavnav batch", "", headline(document) + ".", ""]
+    lines = [f"## {mark} mavnav batch", "", batch_headline(document) + ".", ""]
     bad = [row for row in rows if row["verdict"]]
     lines += [f"- **{escaped(row['name'])}**: {escaped('; '.join(why(row)))}" for row in bad[:MOST_ROWS]]
     lines += [f"- **{escaped(name)}**: in the baseline, not in this batch" for name in _missing(document)[:MOST_ROWS]]
@@ -59,8 +59,8 @@ def to_summary(document: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def told_missing(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return what there is to say of runs that are missing since the baseline: an error where that is a gate."""
+def missing_lines(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return a kind and a text for every run of the baseline that is missing: errors if the baseline is a gate."""
     kind = "error" if _missing(document) and document["baseline"].get("gate") else "warning"
     return [(kind, f"{name}: in the baseline, not in this batch") for name in _missing(document)]
 
@@ -75,7 +75,7 @@ def _cells(row: Mapping[str, Any], *, since: bool) -> list[str]:
 
 
 def changed(row: Mapping[str, Any]) -> str:
-    """Say what has moved since the baseline."""
+    """Return what has changed since the baseline."""
     found = row["baseline"]
     if not found or found["change"] == Change.SAME:
         return ""
@@ -88,7 +88,7 @@ def github_commands(document: Mapping[str, Any]) -> list[str]:
     found = [
         f"::error file={_property(r['log'])},title={_property(r['name'])}::{_data('; '.join(why(r)))}" for r in bad
     ]
-    return found + [f"::{kind} title=mavnav::{_data(text)}" for kind, text in told_missing(document)]
+    return found + [f"::{kind} title=mavnav::{_data(text)}" for kind, text in missing_lines(document)]
 
 
 def _data(text: str) -> str:

@@ -10,14 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mavnav.commands import signals
-from mavnav.commands.batch_rows import print_verdict, telling
+from mavnav.commands.batch_rows import print_verdict, row_printer
 from mavnav.commands.gating import Gates
 from mavnav.commands.options import (
-    CHECKS,
-    INPUT,
-    OUTPUT,
-    RESOURCES,
-    SEARCH,
     ConfigFile,
     End,
     Extrinsic,
@@ -31,17 +26,27 @@ from mavnav.commands.options import (
     Start,
     Strict,
     Topic,
-    given,
+    azimuths_option,
+    check_option,
+    directory_option,
+    given_values,
+    grids_option,
+    output_option,
+    parse_pose,
+    resource_option,
+    schema_option,
 )
 from mavnav.commands.progress import loading_kernels, reporting
-from mavnav.commands.replay import pose
 from mavnav.commands.run_progress import watching
-from mavnav.commands.terminal import emit, note
+from mavnav.commands.terminal import emit_json, note
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mavnav.batch.plan import Request
+    from mavnav.batch.options import Options
+    from mavnav.batch.plan import BatchPlan
+    from mavnav.batch.request import BatchRequest
+    from mavnav.commands.progress import Report
     from mavnav.jobs.dask import Cluster
 
 EPILOG = """
@@ -71,105 +76,74 @@ def batch(
     odom: Odom = None,
     extrinsic: Extrinsic = None,
     strict: Strict = False,
-    schema: Annotated[
-        bool, typer.Option("--schema", help="Print the JSON Schema of manifests.", rich_help_panel=INPUT)
-    ] = False,
+    schema: Annotated[bool, schema_option(help="Print the JSON Schema of manifests.")] = False,
     methods: Methods = None,
     grids: Annotated[
         list[str] | None,
-        given("--grid", metavar="NxM", help="Search grid; repeatable.", rich_help_panel=SEARCH),
+        grids_option(help="Search grid; repeatable."),
     ] = None,
     azimuths: Annotated[
         list[int] | None,
-        given(
-            "--azimuth",
-            metavar="N",
-            help="Yaw samples: one number for all grids, or one for each.",
-            rich_help_panel=SEARCH,
-        ),
+        azimuths_option(help="Yaw samples: one number for all grids, or one for each."),
     ] = None,
     online: Online = False,
     config: ConfigFile = None,
     sets: Sets = None,
     directory: Annotated[
         Path | None,
-        given("--output", "-o", metavar="DIR", help="Output directory (default runs/batch).", rich_help_panel=OUTPUT),
+        directory_option(help="Output directory (default runs/batch)."),
     ] = None,
     force: RunAgain = False,
-    pages: Annotated[
-        bool, typer.Option("--report", help="Also write a page for every run.", rich_help_panel=OUTPUT)
-    ] = False,
+    pages: Annotated[bool, output_option("--report", help="Also write a page for every run.")] = False,
     json: Annotated[
         bool,
-        typer.Option("--json", help="Print one line of JSON for each run, then one for all.", rich_help_panel=OUTPUT),
+        output_option("--json", help="Print one line of JSON for each run, then one for all."),
     ] = False,
-    junit: Annotated[Path | None, given(metavar="FILE", help="Write JUnit XML for CI.", rich_help_panel=OUTPUT)] = None,
+    junit: Annotated[Path | None, output_option(metavar="FILE", help="Write JUnit XML for CI.")] = None,
     summary: Annotated[
         Path | None,
-        given(
-            metavar="FILE",
-            help="Write a Markdown summary (default: GitHub's step summary, where there is one).",
-            rich_help_panel=OUTPUT,
+        output_option(
+            metavar="FILE", help="Write a Markdown summary (default: GitHub's step summary, where there is one)."
         ),
     ] = None,
     annotations: Annotated[
         bool,
-        typer.Option(
-            "--annotations",
-            help="Print GitHub annotations on stderr (default on GitHub).",
-            rich_help_panel=OUTPUT,
-        ),
+        output_option("--annotations", help="Print GitHub annotations on stderr (default on GitHub)."),
     ] = False,
     quiet: Quiet = False,
     gates: Gates = None,
     accept: Annotated[
         list[int] | None,
-        given("--accept", metavar="CODE", help="Exit code that counts as done; repeatable.", rich_help_panel=CHECKS),
+        check_option("--accept", metavar="CODE", help="Exit code that counts as done; repeatable."),
     ] = None,
-    baseline: Annotated[
-        Path | None, given(metavar="DIR|FILE", help="Compare with an earlier batch.", rich_help_panel=CHECKS)
-    ] = None,
+    baseline: Annotated[Path | None, check_option(metavar="DIR|FILE", help="Compare with an earlier batch.")] = None,
     tolerances: Annotated[
         list[str] | None,
-        given(
-            "--tolerance",
-            metavar="NAME=X[%]",
-            help="Allowed change of a metric against the baseline; repeatable.",
-            rich_help_panel=CHECKS,
+        check_option(
+            "--tolerance", metavar="NAME=X[%]", help="Allowed change of a metric against the baseline; repeatable."
         ),
     ] = None,
     update_baseline: Annotated[
         bool,
-        typer.Option("--update-baseline", help="Overwrite the baseline file with this batch.", rich_help_panel=CHECKS),
+        check_option("--update-baseline", help="Overwrite the baseline file with this batch."),
     ] = False,
     jobs: Jobs = None,
-    timeout: Annotated[
-        float | None, given(min=0.1, metavar="SECONDS", help="Time limit of a run.", rich_help_panel=RESOURCES)
-    ] = None,
+    timeout: Annotated[float | None, resource_option(min=0.1, metavar="SECONDS", help="Time limit of a run.")] = None,
     memory_mb: Annotated[
         int | None,
-        given("--memory-mb", min=1, metavar="MB", help="Memory limit of a run (Linux).", rich_help_panel=RESOURCES),
+        resource_option("--memory-mb", min=1, metavar="MB", help="Memory limit of a run (Linux)."),
     ] = None,
     tries: Annotated[
         int | None,
-        given(
-            min=1,
-            metavar="N",
-            help="Attempts if the process of a run is killed (default 3).",
-            rich_help_panel=RESOURCES,
-        ),
+        resource_option(min=1, metavar="N", help="Attempts if the process of a run is killed (default 3)."),
     ] = None,
     scheduler: Annotated[
         str | None,
-        given(
-            metavar="tcp://HOST:PORT|local",
-            help=r"Run on a Dask cluster (needs mavnav\[cluster]).",
-            rich_help_panel=RESOURCES,
-        ),
+        resource_option(metavar="tcp://HOST:PORT|local", help=r"Run on a Dask cluster (needs mavnav\[cluster])."),
     ] = None,
     part: Annotated[
         str | None,
-        given(metavar="I/N", help="Run part I of N; all parts share --output.", rich_help_panel=RESOURCES),
+        resource_option(metavar="I/N", help="Run part I of N; all parts share --output."),
     ] = None,
 ) -> None:
     """Replay many logs with many settings; a failed run does not stop the others, finished runs are reused."""
@@ -178,66 +152,83 @@ def batch(
         return
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
-            from mavnav.batch.plan import plan as make_plan
-            from mavnav.batch.run import run_batch
-            from mavnav.slam.registry import load_kernels
-        from mavnav.batch.files import PAGE_FILE, check_file
-        from mavnav.batch.request import Options, request_of
-
+            from mavnav.batch.files import check_file
+            from mavnav.batch.options import Options
         for file in filter(None, (junit, summary)):
             check_file(file)
-        mounting = pose(extrinsic) if extrinsic else None
-        place = (mounting.x_m, mounting.y_m, mounting.yaw_rad) if mounting else None
-        request = request_of(
-            Options(
-                sources=sources or (),
-                methods=methods or (),
-                grids=grids or (),
-                azimuths=azimuths or (),
-                config=config,
-                sets=sets or (),
-                options=_given(odom=odom, final_pass=False if online else None),
-                reading=_given(topic=topic, start_s=start, end_s=end, extrinsic=place, strict=strict or None),
-                gates=gates or (),
-                accept=accept or (),
-                baseline=baseline,
-                tolerances=tolerances or (),
-                directory=directory,
-                jobs=jobs,
-                timeout_s=timeout,
-                memory_mb=memory_mb,
-                tries=tries,
-                scheduler=scheduler,
-                part=part,
-                force=force,
-                report=pages,
-                update_baseline=update_baseline,
-            )
+        options = Options(
+            sources=sources or (),
+            methods=methods or (),
+            grids=grids or (),
+            azimuths=azimuths or (),
+            config=config,
+            sets=sets or (),
+            options=given_values(odom=odom, final_pass=False if online else None),
+            reading=given_values(
+                topic=topic, start_s=start, end_s=end, extrinsic=parse_pose(extrinsic), strict=strict or None
+            ),
+            gates=gates or (),
+            accept=accept or (),
+            baseline=baseline,
+            tolerances=tolerances or (),
+            directory=directory,
+            jobs=jobs,
+            timeout_s=timeout,
+            memory_mb=memory_mb,
+            tries=tries,
+            scheduler=scheduler,
+            part=part,
+            force=force,
+            report=pages,
+            update_baseline=update_baseline,
         )
-        plan = make_plan(request, report)
-        with loading_kernels(report):  # not in every worker, by the clock of its first run
-            for case in plan.missing if request.limits.scheduler is None else ():
-                load_kernels(case.setting.config)
-    with (
-        _cluster(request, quiet=quiet) as cluster,
-        watching([case.name for case in plan.missing], quiet=quiet, lines=False) as listen,
-        telling(len(plan.cases), json=json, quiet=quiet) as tell,
-    ):
-        try:
-            document = run_batch(plan, listen, tell, cluster)
-        except signals.Stopped:
-            note(f"mavnav: runs that are finished stay in {request.directory}; the same call makes the others")
-            raise
+        plan = _planned(options, report)
+    document = _run(plan, json=json, quiet=quiet)
     try:
-        _leave(document, junit, summary, annotations=annotations)
+        _write_for_ci(document, junit, summary, annotations=annotations)
     finally:
-        print_verdict(document, request.directory if request.part else request.directory / PAGE_FILE, json=json)
+        print_verdict(document, _results(plan.request), json=json)
     raise typer.Exit(document["exit_code"])
 
 
+def _planned(options: Options, report: Report) -> BatchPlan:
+    """Read manifest and logs, and load the kernels here, so that no run is charged with their compilation."""
+    from mavnav.batch.options import request_of
+    from mavnav.batch.plan import plan_batch
+    from mavnav.slam.registry import load_kernels
+
+    plan = plan_batch(request_of(options), report)
+    with loading_kernels(report):
+        for case in plan.missing if plan.request.limits.scheduler is None else ():
+            load_kernels(case.setting.config)
+    return plan
+
+
+def _run(plan: BatchPlan, *, json: bool, quiet: bool) -> dict[str, Any]:
+    from mavnav.batch.run import run_batch
+
+    with (
+        _cluster(plan.request, quiet=quiet) as cluster,
+        watching([case.name for case in plan.missing], quiet=quiet, lines=False) as listen,
+    ):
+        try:
+            return run_batch(plan, listen, row_printer(len(plan.cases), json=json, quiet=quiet), cluster)
+        except signals.Stopped:
+            directory = plan.request.directory
+            note(f"mavnav: runs that are finished stay in {directory}; the same call makes the others")
+            raise
+
+
+def _results(request: BatchRequest) -> Path:
+    """Return where more of the results is: the page, or the directory of a part, which has none."""
+    from mavnav.batch.files import PAGE_FILE
+
+    return request.directory if request.part else request.directory / PAGE_FILE
+
+
 @contextmanager
-def _cluster(request: Request, *, quiet: bool) -> Iterator[Cluster | None]:
-    """Connect to the cluster that is asked for, if any, and tell of it."""
+def _cluster(request: BatchRequest, *, quiet: bool) -> Iterator[Cluster | None]:
+    """Connect to the cluster of a request, if it names one, and report it."""
     limits = request.limits
     if limits.scheduler is None:
         yield None
@@ -250,20 +241,14 @@ def _cluster(request: Request, *, quiet: bool) -> Iterator[Cluster | None]:
         yield cluster
 
 
-def _given(**values: object) -> dict[str, Any]:
-    return {name: value for name, value in values.items() if value is not None}
-
-
 def _print_schema() -> None:
-    from json import dumps
-
     from mavnav.batch.manifest import Manifest
 
-    emit(dumps(Manifest.model_json_schema(), indent=2))
+    emit_json(Manifest.model_json_schema())
 
 
-def _leave(document: dict[str, Any], junit: Path | None, summary: Path | None, *, annotations: bool) -> None:
-    """Write what CI reads."""
+def _write_for_ci(document: dict[str, Any], junit: Path | None, summary: Path | None, *, annotations: bool) -> None:
+    """Write what CI reads: files, and GitHub annotations."""
     from mavnav.batch.files import append_text, write_text
     from mavnav.batch.junit import to_junit
     from mavnav.batch.summary import github_commands, to_summary

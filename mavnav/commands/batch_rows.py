@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import sys
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from mavnav.commands.terminal import console, emit, note, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
     from pathlib import Path
 
     from rich.table import Table
@@ -20,18 +19,17 @@ MOST_ROWS = 60
 WIDE = 200
 
 
-@contextmanager
-def telling(total: int, *, json: bool, quiet: bool) -> Iterator[Callable[[dict[str, Any]], None]]:
-    """Give the function that takes the row of every run as it ends.
+def row_printer(total: int, *, json: bool, quiet: bool) -> Callable[[dict[str, Any]], None]:
+    """Return the function that prints the row of every run as it ends.
 
-    What was there before is not told on stderr, but counted; on a terminal the bars tell enough.
+    Reused runs are counted, but not printed on stderr; on a terminal the bars show enough.
     """
     from mavnav.batch.document import why
 
     silent = quiet or sys.stderr.isatty()
     ended = 0
 
-    def tell(row: dict[str, Any]) -> None:
+    def print_row(row: dict[str, Any]) -> None:
         nonlocal ended
         ended += 1
         if json:
@@ -41,7 +39,7 @@ def telling(total: int, *, json: bool, quiet: bool) -> Iterator[Callable[[dict[s
             took = f" in {row['seconds']:.1f} s" if row["seconds"] else ""
             note(f"mavnav: {ended} of {total}: {row['name']}{took}: {end}")
 
-    yield tell
+    return print_row
 
 
 def _line(document: dict[str, Any]) -> str:
@@ -52,12 +50,12 @@ def _line(document: dict[str, Any]) -> str:
     return dumps(plain(document))
 
 
-def print_verdict(document: dict[str, Any], place: Path, *, json: bool) -> None:
+def print_verdict(document: dict[str, Any], results: Path, *, json: bool) -> None:
     """Print the end of a batch: on stdout a table, worst first, or with ``json`` a line without the rows.
 
-    ``place`` is where there is more to see.
+    ``results`` is where more of them is.
     """
-    from mavnav.batch.summary import headline, told_missing
+    from mavnav.batch.summary import batch_headline, missing_lines
 
     if json:
         emit(_line({"event": "batch", **{k: v for k, v in document.items() if k != "cells"}}))
@@ -66,8 +64,8 @@ def print_verdict(document: dict[str, Any], place: Path, *, json: bool) -> None:
     if not out.is_terminal:
         out.width = WIDE
     out.print(_table(document))
-    emit(f"\n{printable(headline(document))}; {printable(place)}")
-    for kind, text in told_missing(document):
+    emit(f"\n{printable(batch_headline(document))}; {printable(results)}")
+    for kind, text in missing_lines(document):
         note(f"mavnav: {kind}: {text}")
 
 

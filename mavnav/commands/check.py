@@ -11,7 +11,7 @@ import typer
 
 from mavnav.commands.gating import Gates, gates_of
 from mavnav.commands.options import Json
-from mavnav.commands.terminal import emit, note, printable
+from mavnav.commands.terminal import emit, emit_json, note, printable
 from mavnav.errors import ExitCode, UsageError, worst
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 RUN_FILE: Final = "run.json"
 WHOLE_FILES: Final = ("batch.json", "comparison.json")
-"""What tells of all runs of a directory. Repeated: the modules that write them load longer than a check takes."""
+"""The documents of all runs of a directory. Repeated: the modules that write them load longer than a check takes."""
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -49,13 +49,13 @@ def check(
     check_known(bounds, [run.document for run in found if run.document is not None])
     rows = [_checked(run, bounds) for run in found]
     code = worst(row["exit_code"] for row in rows)
-    _tell(rows, code, json=json)
+    _print_result(rows, code, json=json)
     raise typer.Exit(code)
 
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """A finished run; or one that a batch could not make: it has no ``document``, and ``error`` tells why."""
+    """A finished run; or one that a batch could not make: it has no ``document``, and ``error`` says why."""
 
     name: str
     exit_code: ExitCode
@@ -66,15 +66,15 @@ class _Found:
 def _found(path: Path) -> list[_Found]:
     """Return the run of a directory, or all of a comparison or a batch.
 
-    Those are the ones that it tells of itself: its cells may hold others, of logs as they once were. One that was never
-    finished tells nothing; it stands for what is there.
+    Those are the runs of its own document: ``cells`` may hold others, of earlier versions of logs. A comparison or
+    batch that was never finished has none; then all runs below it are returned.
     """
     if path.name in (RUN_FILE, *WHOLE_FILES):
         path = path.parent
     for file in (path / name for name in WHOLE_FILES):
         if file.is_file():
             return _listed(file)
-    return [_run(cell.parent) for cell in sorted(path.glob(f"cells/*/{RUN_FILE}"))] or [_run(path)]
+    return [_run(file.parent) for file in sorted(path.glob(f"cells/*/{RUN_FILE}"))] or [_run(path)]
 
 
 def _listed(file: Path) -> list[_Found]:
@@ -121,17 +121,15 @@ def _checked(found: _Found, bounds: list[Gate]) -> dict[str, Any]:
     from mavnav.metrics.gates import judge_some
 
     verdicts = [] if found.document is None else judge_some(bounds, found.document)
-    told = [{"gate": v.gate.text, "value": v.value, "passed": v.passed, "why": v.why} for v in verdicts]
+    verdict_rows = [{"gate": v.gate.text, "value": v.value, "passed": v.passed, "why": v.why} for v in verdicts]
     code = worst([found.exit_code, *(ExitCode.GATE_FAILED for v in verdicts if not v.passed)])
-    return {"run": found.name, "gates": told, "error": found.error, "exit_code": int(code)}
+    return {"run": found.name, "gates": verdict_rows, "error": found.error, "exit_code": int(code)}
 
 
-def _tell(rows: list[dict[str, Any]], code: ExitCode, *, json: bool) -> None:
+def _print_result(rows: list[dict[str, Any]], code: ExitCode, *, json: bool) -> None:
     """Print the verdicts on stdout, and what failed on stderr too with ``json``."""
     if json:
-        from json import dumps
-
-        emit(dumps({"schema_version": 1, "runs": rows, "exit_code": int(code)}, indent=2))
+        emit_json({"schema_version": 1, "runs": rows, "exit_code": int(code)})
     for row in rows:
         if not json:
             emit(f"{printable(row['run'])}: {'passed' if not row['exit_code'] else 'failed'}")

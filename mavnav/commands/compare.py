@@ -1,4 +1,4 @@
-"""``mavnav compare [LOG ...]``: whether a finer search grid gives a better map, by how much, and at what price."""
+"""``mavnav compare [LOG ...]``: maps, metrics and relative cost of several search grids, side by side."""
 
 from __future__ import annotations
 
@@ -9,11 +9,8 @@ import typer
 
 from mavnav.commands.comparison_table import print_comparison
 from mavnav.commands.gating import Gates, gates_of
-from mavnav.commands.ground_truth import RelationsFile, Truth, TruthMap
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
-    OUTPUT,
-    SEARCH,
     ConfigFile,
     End,
     Extrinsic,
@@ -23,19 +20,26 @@ from mavnav.commands.options import (
     Odom,
     Online,
     Quiet,
+    RelationsFile,
     RunAgain,
     Sets,
     Start,
     Topic,
-    given,
+    Truth,
+    TruthMap,
+    azimuths_option,
+    directory_option,
+    given_values,
+    grids_option,
+    parse_pose,
 )
 from mavnav.commands.progress import loading_kernels, reporting
-from mavnav.commands.replay import pose
 from mavnav.commands.run_progress import watching
-from mavnav.commands.terminal import emit, note
+from mavnav.commands.terminal import emit, emit_json, note
 from mavnav.errors import UsageError
 
 if TYPE_CHECKING:
+    from mavnav.batch.plan import BatchPlan
     from mavnav.commands.progress import Report
 
 EPILOG = """
@@ -65,30 +69,18 @@ def compare(
     methods: Methods = None,
     grids: Annotated[
         list[str] | None,
-        given(
-            "--grid",
-            metavar="NxM",
-            help="Search grid; repeatable. A single one is compared with 10x10 (default 5x5, 10x10, 20x20).",
-            rich_help_panel=SEARCH,
-        ),
+        grids_option(help="Search grid; repeatable. A single one is compared with 10x10 (default 5x5, 10x10, 20x20)."),
     ] = None,
     azimuths: Annotated[
         list[int] | None,
-        given(
-            "--azimuth",
-            metavar="N",
-            help="Yaw samples: one number for all grids, or one for each (default twice N, at most 40).",
-            rich_help_panel=SEARCH,
-        ),
+        azimuths_option(help="Yaw samples: one number for all grids, or one for each (default twice N, at most 40)."),
     ] = None,
     online: Online = False,
     config: ConfigFile = None,
     sets: Sets = None,
     directory: Annotated[
         Path | None,
-        given(
-            "--output", "-o", metavar="DIR", help="Output directory (default runs/compare-LOG).", rich_help_panel=OUTPUT
-        ),
+        directory_option(help="Output directory (default runs/compare-LOG)."),
     ] = None,
     force: RunAgain = False,
     jobs: Jobs = None,
@@ -104,73 +96,69 @@ def compare(
 
     Finished replays are reused; a replay that fails does not stop the others.
     """
-    from mavnav.jobs import usable_cores
-
-    shared = {
-        key: value for key, value in (("odom", odom), ("final_pass", False if online else None)) if value is not None
-    }
-    options: dict[str, Any] = {
-        "topic": topic,
-        "start_s": start,
-        "end_s": end,
-        "extrinsic": pose(extrinsic) if extrinsic else None,
-    }
-    options |= {"truth": truth, "truth_map": truth_map, "relations": relations}
+    overrides = given_values(odom=odom, final_pass=False if online else None)
+    reading = given_values(topic=topic, start_s=start, end_s=end, extrinsic=parse_pose(extrinsic))
+    reading |= given_values(truth=truth, truth_map=truth_map, relations=relations)
     for log in logs or []:
         if not log.exists():
             raise UsageError(f"{log}: no such file; name a log")
-    bounds = tuple(gates_of(gates))
+    bounds = gates_of(gates)
     with reporting(quiet=quiet) as report:
         with loading_kernels(report):
             from mavnav.compare import comparison as pipeline
+            from mavnav.compare.grids import comparison_settings
+            from mavnav.jobs import usable_cores
             from mavnav.slam.registry import load_kernels
-        target = directory or pipeline.default_directory(logs or ())
+        target = directory or pipeline.comparison_directory(logs or ())
         if not logs:
             logs, true_map = _sample(target, report)
-            options["truth_map"] = truth_map or true_map
-        configs = pipeline.settings(config, sets or (), methods or (), grids or (), azimuths or (), shared)
+            reading.setdefault("truth_map", true_map)
+        settings = comparison_settings(config, sets or (), methods or (), grids or (), azimuths or (), overrides)
         with loading_kernels(report):
-            for chosen in configs:
-                load_kernels(chosen)
-        request = pipeline.Request(
-            logs=tuple(logs),
-            configs=tuple(configs),
-            directory=target,
-            workers=jobs or usable_cores(),
-            gates=bounds,
-            options=options,
-            force=force,
+            for setting in settings:
+                load_kernels(setting.config)
+        request = pipeline.comparison_request(
+            logs, settings, target, reading, workers=jobs or usable_cores(), gates=bounds, force=force
         )
-        plan = pipeline.plan(request, report)
-    with watching([cell.name for cell in plan.missing], quiet=quiet) as listen:
-        document = pipeline.compare(plan, listen)
-    with reporting(quiet=quiet) as report:
-        report("drawing the report", 0, None)
-        page = pipeline.draw(plan, document)
-    _tell(document, page, json=json)
+        plan = pipeline.plan_comparison(request, report)
+    document, page = _compared(plan, quiet=quiet)
+    _print_result(document, page, json=json)
     if preview:
         _show_maps(document, target, stderr=json)
     raise typer.Exit(document["exit_code"])
 
 
 def _sample(directory: Path, report: Report) -> tuple[list[Path], Path]:
-    """Return the sample corridor, flown and kept in the directory where it is not shipped, and its true map."""
-    from mavnav.compare.comparison import check_directory
+    """Return the sample corridor, simulated and kept in the directory where it is not shipped, and its true map."""
+    from mavnav.compare.comparison import check_comparison_directory
 
-    check_directory(directory)
+    check_comparison_directory(directory)
     with loading_kernels(report):
         from mavnav.compare.sample import sample_log, sample_truth
     return [sample_log(directory, report)], sample_truth(directory)
 
 
-def _tell(document: dict[str, Any], page: Path, *, json: bool) -> None:
+def _compared(plan: BatchPlan, *, quiet: bool) -> tuple[dict[str, Any], Path]:
+    """Run what is missing, and draw the report unless it shows these results; return comparison.json and its path."""
+    from mavnav.compare.comparison import is_drawn, run_comparison
+    from mavnav.outputs.writers import REPORT_FILE, write_page
+
+    directory, drawn = plan.request.directory, is_drawn(plan)  # before comparison.json is written again
+    with watching([case.run.name for case in plan.missing if case.run], quiet=quiet) as listen:
+        document = run_comparison(plan, listen)
+    if not drawn:
+        with reporting(quiet=quiet) as report:
+            report("drawing the report", 0, None)
+            write_page(document, directory)
+    return document, directory / REPORT_FILE
+
+
+def _print_result(document: dict[str, Any], page: Path, *, json: bool) -> None:
     """Print the result on stdout, and on stderr what the user must not miss."""
     from mavnav.compare.files import problems
 
     if json:
-        from json import dumps
-
-        emit(dumps(document, indent=2))
+        emit_json(document)
     else:
         print_comparison(document)
         emit(f"\nreport  {page}")

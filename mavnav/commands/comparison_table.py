@@ -1,4 +1,4 @@
-"""A comparison on a terminal: a line for every cell, winners marked, bars behind the figures that matter most."""
+"""A comparison on a terminal: a line for every run, the best values marked, the main metrics with bars."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mavnav.outputs.quantities import Quantity
 
 BARRED = {"wall_thickness.2.p95_mm", "timing.cpu_s"}
-"""Figures that are shown with a bar."""
+"""Metrics that are shown with a bar."""
 
 BAR_WIDTH = 6
 EIGHTHS = " ▏▎▍▌▋▊▉█"
@@ -27,7 +27,7 @@ LEFT_OUT_FIRST = (
     "map_quality.revisits.nn_l_mm",
     "map.accepted_share",
 )
-"""Figures that a narrow terminal does without; the files and the report have them all."""
+"""Metrics that a narrow terminal leaves out; the files and the report have them all."""
 
 WIDE = 200
 """Columns where the output goes to no terminal, so that no line is folded."""
@@ -71,7 +71,7 @@ def _table(document: dict[str, Any], left_out: set[str]) -> Table:
 
 
 def _known(document: dict[str, Any]) -> list[Quantity]:
-    """Return the figures that any cell has."""
+    """Return the metrics that any run has."""
     from mavnav.outputs.quantities import QUANTITIES
 
     return [figure for figure in QUANTITIES if any(figure.of(cell["run"]) is not None for cell in document["cells"])]
@@ -84,7 +84,7 @@ def _text(text: str, style: str = "") -> Text:
 
 
 def _figure(document: dict[str, Any], k: int, figure: Quantity) -> Text:
-    """Write a figure, its bar before it, an asterisk behind the winner's."""
+    """Format a metric, its bar before it, an asterisk behind the best."""
     from mavnav.compare.files import winning
 
     run = document["cells"][k]["run"]
@@ -107,7 +107,7 @@ def bar(number: float, largest: float) -> str:
 
 
 def _state(cell: dict[str, Any]) -> str:
-    """Say what is not in the figures: that it failed (stderr says why), that it was there, that its map is none."""
+    """Return what the metrics do not show: that a run failed, was finished before, or has no meaningful map."""
     if cell["status"] == "failed":
         return "failed"
     remarks = ["kept"] if cell["status"] == "cached" else []

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from mavnav.commands.options import Sets
-from mavnav.commands.terminal import emit
+from mavnav.commands.terminal import emit, emit_json
 
 app = typer.Typer(help="Show the configuration, its presets and its schema.")
 
@@ -35,13 +35,11 @@ def schema(
     ] = "config",
 ) -> None:
     """Print the JSON Schema of configuration files, for editors that check while you type, or of run.json."""
-    from json import dumps
-
     if document == "run":
         from mavnav.outputs.schema import run_schema
 
-        emit(dumps(run_schema(), indent=2))
+        emit_json(run_schema())
         return
     from mavnav.config.models import Config
 
-    emit(dumps(Config.model_json_schema(), indent=2))
+    emit_json(Config.model_json_schema())

@@ -10,8 +10,7 @@ import typer
 
 from mavnav.commands.options import Force, Json, LogFile, Quiet, Strict
 from mavnav.commands.progress import reporting
-from mavnav.commands.replay import print_table
-from mavnav.commands.terminal import emit, note_oddities
+from mavnav.commands.terminal import emit_json, note_oddities, print_table
 from mavnav.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -38,19 +37,19 @@ def convert(
     quiet: Quiet = False,
 ) -> None:
     """Convert a log, as far as it can be read, to an indexed MCAP with ROS 2 messages."""
-    from mavnav.logs.writing.convert import convert as write
+    from mavnav.logs.writing.convert import convert_log
 
     with reporting(quiet=quiet) as report:
-        done = write(log, target, strict=strict, force=force, progress=lambda n, total: report("converting", n, total))
+        done = convert_log(
+            log, target, strict=strict, force=force, progress=lambda n, total: report("converting", n, total)
+        )
     code = ExitCode.DAMAGED_INPUT if done.damage else ExitCode.DONE
-    told = document(log, target, done, code)
+    found = document(log, target, done, code)
     if json:
-        from json import dumps
-
-        emit(dumps(told, indent=2))
+        emit_json(found)
     else:
-        print_table(_rows(told))
-        note_oddities(told)
+        print_table(_rows(found))
+        note_oddities(found)
     raise typer.Exit(code)
 
 
@@ -69,9 +68,9 @@ def document(log: Path, target: Path, done: Conversion, code: ExitCode) -> dict[
     }
 
 
-def _rows(told: dict[str, Any]) -> list[tuple[str, str]]:
+def _rows(found: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the rows of the table."""
-    file = told["output"]
-    rows = [("written", f"{file['path']}, {file['size_bytes'] / 1e6:.1f} MB, {told['messages']} messages")]
-    rows += [("", f"{t['name']}  {t['type']}  {t['encoding']}  {t['count']}") for t in told["topics"]]
-    return rows + [("left out", f"{count} {reason}") for reason, count in told["left_out"].items()]
+    file = found["output"]
+    rows = [("written", f"{file['path']}, {file['size_bytes'] / 1e6:.1f} MB, {found['messages']} messages")]
+    rows += [("", f"{t['name']}  {t['type']}  {t['encoding']}  {t['count']}") for t in found["topics"]]
+    return rows + [("left out", f"{count} {reason}") for reason, count in found["left_out"].items()]

@@ -33,7 +33,7 @@ def gates_of(texts: list[str] | None) -> list[Gate]:
 
 
 def gated_code(document: dict[str, Any], gates: list[Gate]) -> ExitCode:
-    """Return the exit code of a run and its gates, and say on stderr which of them do not hold.
+    """Return the exit code of a run and its gates, and report on stderr which of them do not hold.
 
     Raises UsageError for a name that run.json does not have: the run is written by then.
     """

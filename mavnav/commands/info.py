@@ -10,8 +10,7 @@ import typer
 
 from mavnav.commands.options import Json, LogFile, Quiet, Strict, Topic
 from mavnav.commands.progress import reporting
-from mavnav.commands.replay import print_table
-from mavnav.commands.terminal import LISTED, emit, note_oddities
+from mavnav.commands.terminal import LISTED, emit, note_oddities, print_table
 from mavnav.errors import ExitCode, MavnavError
 from mavnav.units import DEG, NS
 
@@ -46,10 +45,10 @@ def info(
         found = survey(log, topic=topic, strict=strict, progress=lambda done, total: report("reading", done, total))
     logs, error = _choices(found, topic)
     if error is not None:
-        _tell(document(found, logs, error.exit_code), json=json)
+        _print_result(document(found, logs, error.exit_code), json=json)
         raise error
     code = ExitCode.DAMAGED_INPUT if found.damage else ExitCode.DONE
-    _tell(document(found, logs, code), json=json)
+    _print_result(document(found, logs, code), json=json)
     raise typer.Exit(code)
 
 
@@ -168,7 +167,7 @@ def _mounting(log: Log) -> dict[str, Any] | None:
     }
 
 
-def _tell(document: dict[str, Any], *, json: bool) -> None:
+def _print_result(document: dict[str, Any], *, json: bool) -> None:
     """Print the document, or the table and on stderr what must not be missed."""
     if json:
         from json import dumps

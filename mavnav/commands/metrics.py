@@ -7,12 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from mavnav.commands.ground_truth import RelationsFile, Truth, TruthMap
-from mavnav.commands.options import Json, Quiet
+from mavnav.commands.options import Json, Quiet, RelationsFile, Truth, TruthMap
 from mavnav.commands.progress import loading_kernels, reporting
-from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows
-from mavnav.commands.replay import print_table, wall_rows
-from mavnav.commands.terminal import emit
+from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows, wall_rows
+from mavnav.commands.terminal import emit_json, print_table
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -48,9 +46,7 @@ def metrics(
             from mavnav.pipelines.evaluate import evaluate
         document = evaluate(paths, load_references(truth, truth_map, relations), report)
     if json:
-        from json import dumps
-
-        emit(dumps(document, indent=2))
+        emit_json(document)
         return
     for found in document["maps"]:
         print_table(_summary(found))

@@ -3,70 +3,103 @@
 from __future__ import annotations
 
 from functools import partial
+from math import isfinite
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+
+from mavnav.errors import UsageError
 
 INPUT, SEARCH, OUTPUT, CHECKS, RESOURCES = "Input", "Search", "Output", "Checks", "Resources"
 """Panels of the help."""
 
-_input, _search, _output = (partial(typer.Option, rich_help_panel=panel) for panel in (INPUT, SEARCH, OUTPUT))
-given = partial(typer.Option, show_default=False)
-"""An option without a default of its own."""
+input_option, search_option, output_option, check_option, resource_option = (
+    partial(typer.Option, show_default=False, rich_help_panel=panel)
+    for panel in (INPUT, SEARCH, OUTPUT, CHECKS, RESOURCES)
+)
+"""An option of a panel without a default of its own."""
+
+directory_option = partial(output_option, "--output", "-o", metavar="DIR")
+grids_option = partial(search_option, "--grid", metavar="NxM")
+azimuths_option = partial(search_option, "--azimuth", metavar="N")
+schema_option = partial(input_option, "--schema")
+"""Options whose help differs between commands."""
 
 LogFile = Annotated[
     Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False)
 ]
 
-Topic = Annotated[str | None, _input(help="Scan topic, if the log has several.", show_default=False)]
+Topic = Annotated[str | None, input_option(help="Scan topic, if the log has several.")]
 Start = Annotated[
     float | None,
-    _input(metavar="SECONDS", help="Skip the log before this time after the first scan.", show_default=False),
+    input_option(metavar="SECONDS", help="Skip the log before this time after the first scan."),
 ]
-End = Annotated[
-    float | None, _input(metavar="SECONDS", help="Stop at this time after the first scan.", show_default=False)
-]
+End = Annotated[float | None, input_option(metavar="SECONDS", help="Stop at this time after the first scan.")]
 Extrinsic = Annotated[
     str | None,
-    _input(metavar="X,Y,YAW", help="Pose of the laser on its base (m, m, rad); overrides tf.", show_default=False),
+    input_option(metavar="X,Y,YAW", help="Pose of the laser on its base (m, m, rad); overrides tf."),
 ]
 Odom = Annotated[
     str | None,
-    _input(
-        metavar="auto|TOPIC|off", help="Odometry used as motion prior (robust only; default auto).", show_default=False
-    ),
+    input_option(metavar="auto|TOPIC|off", help="Odometry used as motion prior (robust only; default auto)."),
 ]
-Strict = Annotated[bool, _input("--strict", help="Drop scans whose checksum does not match.")]
+Strict = Annotated[bool, input_option("--strict", help="Drop scans whose checksum does not match.")]
 
-Method = Annotated[
-    str | None, _search(metavar="robust|paper", help="SLAM method (default robust).", show_default=False)
-]
+Method = Annotated[str | None, search_option(metavar="robust|paper", help="SLAM method (default robust).")]
 Methods = Annotated[
     list[str] | None,
-    _search("--method", metavar="robust|paper", help="SLAM method (default robust); repeatable.", show_default=False),
+    search_option("--method", metavar="robust|paper", help="SLAM method (default robust); repeatable."),
 ]
-Grid = Annotated[
-    str | None, _search(metavar="NxM", help="Points of the search grid in x and y (default 10x10).", show_default=False)
-]
-Azimuth = Annotated[
-    int | None, _search(metavar="N", help="Yaw samples of the search (default 20).", show_default=False)
-]
-Online = Annotated[bool, _search("--online", help="Causal mode: no loop closure, no final pass.")]
+Grid = Annotated[str | None, search_option(metavar="NxM", help="Points of the search grid in x and y (default 10x10).")]
+Azimuth = Annotated[int | None, search_option(metavar="N", help="Yaw samples of the search (default 20).")]
+Online = Annotated[bool, search_option("--online", help="Causal mode: no loop closure, no final pass.")]
 ConfigFile = Annotated[
-    str | None, _search(metavar="FILE", help="Configuration: a YAML file, or the name of a preset.", show_default=False)
+    str | None, search_option(metavar="FILE", help="Configuration: a YAML file, or the name of a preset.")
 ]
 Sets = Annotated[
     list[str] | None,
-    _search("--set", metavar="KEY=VALUE", help="Override one configuration value; repeatable.", show_default=False),
+    search_option("--set", metavar="KEY=VALUE", help="Override one configuration value; repeatable."),
 ]
 
-Report = Annotated[bool, _output("--report", help="Also write the run as one page, report.html.")]
-Force = Annotated[bool, _output("--force", help="Overwrite the output if it exists.")]
-RunAgain = Annotated[bool, _output("--force", help="Run again what is already in the cache.")]
-Json = Annotated[bool, _output("--json", help="Print one JSON document on stdout and nothing else.")]
-Quiet = Annotated[bool, _output("--quiet", "-q", help="Show no progress.")]
+WriteReport = Annotated[bool, output_option("--report", help="Also write the run as one page, report.html.")]
+Force = Annotated[bool, output_option("--force", help="Overwrite the output if it exists.")]
+RunAgain = Annotated[bool, output_option("--force", help="Run again what is already in the cache.")]
+Json = Annotated[bool, output_option("--json", help="Print one JSON document on stdout and nothing else.")]
+Quiet = Annotated[bool, output_option("--quiet", "-q", help="Show no progress.")]
 Jobs = Annotated[
     int | None,
-    given("--jobs", "-j", min=1, metavar="N", help="Parallel runs (default one a core).", rich_help_panel=RESOURCES),
+    resource_option("--jobs", "-j", min=1, metavar="N", help="Parallel runs (default one a core)."),
 ]
+
+Truth = Annotated[
+    Path | None, check_option("--truth", metavar="FILE.tum", help="Ground-truth laser trajectory: ATE and RPE.")
+]
+TruthMap = Annotated[
+    Path | None,
+    check_option("--truth-map", metavar="FILE.yaml", help="Ground-truth map: a scenario, or a map_server map."),
+]
+RelationsFile = Annotated[
+    Path | None,
+    check_option(
+        "--relations", metavar="FILE", help="Ground-truth relations, one 't1 t2 x y z roll pitch yaw' a line."
+    ),
+]
+
+
+def given_values(**values: object) -> dict[str, Any]:
+    """Return the values that are not None: options that are not given leave the configuration or manifest alone."""
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def parse_pose(text: str | None, option: str = "--extrinsic") -> tuple[float, float, float] | None:
+    """Read the ``x,y,yaw`` of an option in m, m, rad, None where it is not given; raises UsageError."""
+    if text is None:
+        return None
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != 3 or not all(map(isfinite, values)):
+        raise UsageError(f"{option} {text!r} is not X,Y,YAW in m, m, rad; write for example {option} 0.1,0,1.5708")
+    return values[0], values[1], values[2]

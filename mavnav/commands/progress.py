@@ -61,7 +61,7 @@ def reporting(*, quiet: bool) -> Iterator[Report]:
     with _reporting(quiet=quiet) as report:
 
         def attentive(phase: str, done: int, total: int | None) -> None:
-            signals.check()
+            signals.raise_pending()
             report(phase, done, total)
 
         yield attentive

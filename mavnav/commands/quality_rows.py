@@ -2,11 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mavnav.units import MM
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
 Rows = list[tuple[str, str]]
+
+
+def wall_rows(document: dict[str, Any]) -> Rows:
+    """Return the rows on wall thickness of a summary table."""
+    return [(f"wall thickness, >= {hits} hits", _thickness(wall)) for hits, wall in document["wall_thickness"].items()]
+
+
+def _thickness(wall: dict[str, Any]) -> str:
+    if not wall["sections"]:
+        return "no straight wall"
+    return f"p95 {wall['p95_mm']:.0f} mm, max {wall['max_mm']:.0f} mm ({wall['max_cells']:.1f} cells)"
+
+
+def page_row(directory: Path) -> Rows:
+    """Return the row that names the run's page, where there is one."""
+    page = directory / "report.html"
+    return [("report", str(page))] if page.exists() else []
 
 
 def quality_rows(quality: dict[str, Any]) -> Rows:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,11 +10,8 @@ import typer
 
 from mavnav.commands import signals
 from mavnav.commands.gating import Gates, gated_code, gates_of
-from mavnav.commands.ground_truth import RelationsFile, Truth, TruthMap
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
-    OUTPUT,
-    SEARCH,
     Azimuth,
     ConfigFile,
     End,
@@ -28,21 +24,27 @@ from mavnav.commands.options import (
     Odom,
     Online,
     Quiet,
-    Report,
+    RelationsFile,
     Sets,
     Start,
     Strict,
     Topic,
-    given,
+    Truth,
+    TruthMap,
+    WriteReport,
+    directory_option,
+    given_values,
+    output_option,
+    parse_pose,
+    search_option,
 )
 from mavnav.commands.progress import loading_kernels, reporting
-from mavnav.commands.quality_rows import quality_rows, reference_rows
-from mavnav.commands.terminal import console, emit, note, printable
+from mavnav.commands.quality_rows import page_row, quality_rows, reference_rows, wall_rows
+from mavnav.commands.terminal import emit, emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from mavnav.config.models import Config
-    from mavnav.pose import Pose
 
 _FEW_BEAMS = 20
 """A scan of fewer returns hardly tells one pose from another."""
@@ -76,54 +78,37 @@ def replay(
     azimuth: Azimuth = None,
     search: Annotated[
         str | None,
-        given(
-            metavar="pruned|exhaustive",
-            help="Exhaustive evaluates every pose of the grid: slower, same result.",
-            rich_help_panel=SEARCH,
+        search_option(
+            metavar="pruned|exhaustive", help="Exhaustive evaluates every pose of the grid: slower, same result."
         ),
     ] = None,
     deskew: Annotated[
         str | None,
-        given(
-            metavar="auto|on|off", help="Correct scans for motion during the sweep (robust).", rich_help_panel=SEARCH
-        ),
+        search_option(metavar="auto|on|off", help="Correct scans for motion during the sweep (robust)."),
     ] = None,
     loop_closure: Annotated[
         str | None,
-        given(metavar="auto|off", help="Detect and close loops (ignored with --online).", rich_help_panel=SEARCH),
+        search_option(metavar="auto|off", help="Detect and close loops (ignored with --online)."),
     ] = None,
     online: Online = False,
     known: Annotated[
         Path | None,
-        given(
-            "--map",
-            metavar="MAP",
-            help="Localize in this map (YAML or run) instead of mapping.",
-            rich_help_panel=SEARCH,
-        ),
+        search_option("--map", metavar="MAP", help="Localize in this map (YAML or run) instead of mapping."),
     ] = None,
     start_pose: Annotated[
         str | None,
-        given(metavar="X,Y,YAW", help="Approximate first pose in the map (m, m, rad).", rich_help_panel=SEARCH),
+        search_option(metavar="X,Y,YAW", help="Approximate first pose in the map (m, m, rad)."),
     ] = None,
     config: ConfigFile = None,
     sets: Sets = None,
     directory: Annotated[
         Path | None,
-        given(
-            "--output",
-            "-o",
-            metavar="DIR",
-            help="Run directory (default runs/LOG-METHOD-GRID).",
-            rich_help_panel=OUTPUT,
-        ),
+        directory_option(help="Run directory (default runs/LOG-METHOD-GRID)."),
     ] = None,
     force: Force = False,
-    report: Report = False,
+    report: WriteReport = False,
     preview: Preview = False,
-    profile: Annotated[
-        bool, typer.Option("--profile", help="Print the time of each stage.", rich_help_panel=OUTPUT)
-    ] = False,
+    profile: Annotated[bool, output_option("--profile", help="Print the time of each stage.")] = False,
     json: Json = False,
     quiet: Quiet = False,
     gates: Gates = None,
@@ -132,33 +117,30 @@ def replay(
     relations: RelationsFile = None,
 ) -> None:
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
-    options = {"method": method, "grid": grid, "azimuth": azimuth, "search": search, "odom": odom}
-    options |= {"loop_closure": loop_closure}
-    sweep = [] if deskew is None else [f"robust.deskew={deskew}"]
-    chosen = _config(config, [*(sets or []), *sweep], online=online, **options)
+    overrides = given_values(method=method, grid=grid, azimuth=azimuth, search=search, odom=odom)
+    overrides |= given_values(loop_closure=loop_closure, final_pass=False if online else None)
+    chosen = _config(config, [*(sets or []), *([] if deskew is None else [f"robust.deskew={deskew}"])], overrides)
     bounds = gates_of(gates)
-    mounting = None if extrinsic is None else pose(extrinsic)
-    began = None if start_pose is None else pose(start_pose, "--start-pose")
-    _check_map(known, began, chosen)
-    if not log.exists():
-        raise UsageError(f"{log}: no such file; name a log")
+    mounting, began = parse_pose(extrinsic), parse_pose(start_pose, "--start-pose")
+    _check_files(log, known, began)
     with reporting(quiet=quiet) as progress:
         startup_s, started_s = process_time(), perf_counter()
         with loading_kernels(progress):
-            from mavnav.pipelines import replay as pipeline
+            from mavnav.pipelines.replay import ReplayRequest, replay_directory, replay_log
+            from mavnav.pose import Pose
             from mavnav.slam.registry import load_kernels
 
             load_kernels(chosen)
         compile_s = perf_counter() - started_s
-        target = directory or pipeline.default_directory(log, chosen)
-        request = pipeline.Request(
+        target = directory or replay_directory(log, chosen)
+        request = ReplayRequest(
             log=log,
             directory=target,
             config=chosen,
             topic=topic,
             start_s=start,
             end_s=end,
-            extrinsic=mounting,
+            extrinsic=mounting and Pose(*mounting),
             force=force,
             report=report,
             truth=truth,
@@ -166,55 +148,36 @@ def replay(
             relations=relations,
             strict=strict,
             map=known,
-            start_pose=began,
+            start_pose=began and Pose(*began),
         )
-        _, document = pipeline.replay(request, progress, compile_s, signals.keeping, startup_s)
-    _tell(document, target, json=json)
+        _, document = replay_log(request, progress, compile_s, signals.keeping, startup_s)
+    _print_result(document, target, json=json)
     if profile:
-        tell_stages(document["timing"]["stages"], stderr=json)
+        print_stages(document["timing"]["stages"], stderr=json)
     if preview:
         show_preview(target, stderr=json)
     raise typer.Exit(gated_code(document, bounds))
 
 
-def _config(file: str | None, sets: list[str], *, online: bool, **options: object) -> Config:
-    """Load the configuration; options that were not given leave it alone."""
+def _config(file: str | None, sets: list[str], overrides: dict[str, Any]) -> Config:
     from mavnav.config.loading import load_config
 
-    overrides = {name: value for name, value in options.items() if value is not None}
-    return load_config(file, sets, overrides | ({"final_pass": False} if online else {}))
+    return load_config(file, sets, overrides)
 
 
-def _check_map(known: Path | None, start_pose: Pose | None, config: Config) -> None:
+def _check_files(log: Path, known: Path | None, start_pose: tuple[float, float, float] | None) -> None:
     if start_pose and known is None:
         raise UsageError("--start-pose is a pose in a known map; name the map with --map")
-    if known is not None and config.method != "robust":
-        raise UsageError(f"--map: method {config.method} makes a map of its own; use --method robust")
     if known is not None and not known.exists():
         raise UsageError(f"{known}: no such file; name the YAML file of a map, or a run directory")
+    if not log.exists():
+        raise UsageError(f"{log}: no such file; name a log")
 
 
-def pose(text: str, option: str = "--extrinsic") -> Pose:
-    """Read the ``x,y,yaw`` of an option in m, m, rad; raises UsageError."""
-    from math import isfinite
-
-    from mavnav.pose import Pose
-
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != 3 or not all(map(isfinite, values)):
-        raise UsageError(f"{option} {text!r} is not X,Y,YAW in m, m, rad; write for example {option} 0.1,0,1.5708")
-    return Pose(*values)
-
-
-def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
+def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> None:
     """Print the result on stdout, and on stderr what the user must not miss."""
     if json:
-        from json import dumps
-
-        emit(dumps(document, indent=2))
+        emit_json(document)
     else:
         print_table(_summary(document, directory))
     for warning in document["warnings"]:
@@ -289,13 +252,7 @@ def _found(localisation: dict[str, Any]) -> str:
     return f"x {found['x_m']:.2f} m, y {found['y_m']:.2f} m, yaw {found['yaw_deg']:.1f} deg, scan {found['scan']}"
 
 
-def page_row(directory: Path) -> list[tuple[str, str]]:
-    """Return the row that names the run's page, where there is one."""
-    page = directory / "report.html"
-    return [("report", str(page))] if page.exists() else []
-
-
-def tell_stages(stages: dict[str, float], *, stderr: bool) -> None:
+def print_stages(stages: dict[str, float], *, stderr: bool) -> None:
     """Print the seconds by stage, the longest first, and each one's share."""
     total_s = max(sum(stages.values()), 1e-9)
     for name, spent_s in sorted(stages.items(), key=lambda stage: -stage[1]):
@@ -304,29 +261,3 @@ def tell_stages(stages: dict[str, float], *, stderr: bool) -> None:
             note(line)
         else:
             emit(line)
-
-
-def wall_rows(document: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the rows on wall thickness of a summary table."""
-    return [(f"wall thickness, >= {hits} hits", _thickness(wall)) for hits, wall in document["wall_thickness"].items()]
-
-
-def _thickness(wall: dict[str, Any]) -> str:
-    if not wall["sections"]:
-        return "no straight wall"
-    return f"p95 {wall['p95_mm']:.0f} mm, max {wall['max_mm']:.0f} mm ({wall['max_cells']:.1f} cells)"
-
-
-def print_table(rows: list[tuple[str, str]]) -> None:
-    """Print names and values on stdout: on a terminal as a table, else in plain lines, for which nothing is loaded."""
-    if not sys.stdout.isatty():
-        width = max((len(name) for name, _ in rows), default=0)
-        emit("\n".join(f"{name:<{width}}  {printable(value)}" for name, value in rows))
-        return
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(show_header=False, box=None, pad_edge=False)
-    for name, value in rows:
-        table.add_row(Text(name, style="bold"), Text(printable(value), overflow="fold"))
-    console().print(table)

@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 @contextmanager
 def watching(names: Sequence[str], *, quiet: bool, lines: bool = True) -> Iterator[Listener]:
-    """Give the function that hears of jobs; ``names`` are theirs. It also raises a signal that Python has lost.
+    """Give the listener to the events of jobs; ``names`` are theirs. It also raises a signal that Python has lost.
 
-    ``lines`` says whether it tells of ends where there are no bars, as a caller may do that better.
+    ``lines`` says whether it prints ends where there are no bars; a caller may do that better.
     """
     with _listener(names, quiet=quiet, lines=lines) as listen:
 
         def attentive(event: Event) -> None:
-            signals.check()
+            signals.raise_pending()
             listen(event)
 
         yield attentive
@@ -69,7 +69,7 @@ def _again(name: str, event: Retried) -> str:
 
 
 def _fate(outcome: Outcome) -> str:
-    """Say how a job ended."""
+    """Describe how a job ended."""
     from mavnav.jobs import Fate
 
     return f"done in {outcome.seconds:.1f} s" if outcome.fate is Fate.DONE else f"failed: {outcome.error}"

@@ -108,7 +108,7 @@ def _end(number: int, _frame: FrameType | None) -> NoReturn:
     os._exit(reason.exit_code)
 
 
-def check() -> None:
+def raise_pending() -> None:
     """Raise the signal that arrived, if it is still to be obeyed."""
     if len(_ARRIVED) > _FORGIVEN[0]:
         raise _ARRIVED[-1]

@@ -11,8 +11,6 @@ import typer
 from mavnav.commands.gating import Gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
-    INPUT,
-    OUTPUT,
     Azimuth,
     ConfigFile,
     Force,
@@ -20,13 +18,16 @@ from mavnav.commands.options import (
     Json,
     Method,
     Quiet,
-    Report,
     Sets,
-    given,
+    WriteReport,
+    directory_option,
+    input_option,
+    output_option,
+    schema_option,
 )
 from mavnav.commands.progress import loading_kernels, reporting
-from mavnav.commands.replay import page_row, print_table, wall_rows
-from mavnav.commands.terminal import emit, note
+from mavnav.commands.quality_rows import page_row, wall_rows
+from mavnav.commands.terminal import emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
 from mavnav.units import DEG
 
@@ -55,15 +56,13 @@ def simulate(
         str | None, typer.Argument(metavar="SCENARIO", help="YAML file, or a shipped scenario.", show_default=False)
     ] = None,
     *,
-    seed: Annotated[int | None, given(metavar="N", help="Seed of all random numbers.", rich_help_panel=INPUT)] = None,
+    seed: Annotated[int | None, input_option(metavar="N", help="Seed of all random numbers.")] = None,
     planner: Annotated[
         str | None,
-        given(metavar="NAME", help="wavefront, field, wall_following or virtual_obstacles.", rich_help_panel=INPUT),
+        input_option(metavar="NAME", help="wavefront, field, wall_following or virtual_obstacles."),
     ] = None,
-    list_: Annotated[bool, typer.Option("--list", help="List the shipped scenarios.", rich_help_panel=INPUT)] = False,
-    schema: Annotated[
-        bool, typer.Option("--schema", help="Print the JSON Schema of scenario files.", rich_help_panel=INPUT)
-    ] = False,
+    list_: Annotated[bool, input_option("--list", help="List the shipped scenarios.")] = False,
+    schema: Annotated[bool, schema_option(help="Print the JSON Schema of scenario files.")] = False,
     method: Method = None,
     grid: Grid = None,
     azimuth: Azimuth = None,
@@ -71,23 +70,15 @@ def simulate(
     sets: Sets = None,
     directory: Annotated[
         Path | None,
-        given(
-            "--output",
-            "-o",
-            metavar="DIR",
-            help="Run directory (default runs/SCENARIO-METHOD-GRID).",
-            rich_help_panel=OUTPUT,
-        ),
+        directory_option(help="Run directory (default runs/SCENARIO-METHOD-GRID)."),
     ] = None,
     record: Annotated[
         Path | None,
-        given(metavar="FILE", help="Record the mission: .mcap, .bag, or a ROS 2 folder.", rich_help_panel=OUTPUT),
+        output_option(metavar="FILE", help="Record the mission: .mcap, .bag, or a ROS 2 folder."),
     ] = None,
-    animate: Annotated[
-        Path | None, given(metavar="FILE.gif", help="Also write an animation.", rich_help_panel=OUTPUT)
-    ] = None,
+    animate: Annotated[Path | None, output_option(metavar="FILE.gif", help="Also write an animation.")] = None,
     force: Force = False,
-    report: Report = False,
+    report: WriteReport = False,
     preview: Preview = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -109,16 +100,16 @@ def simulate(
     with reporting(quiet=quiet) as progress:
         started_s = perf_counter()
         with loading_kernels(progress):
-            from mavnav.pipelines import simulate as pipeline
+            from mavnav.pipelines.simulate import SimulationRequest, simulate_mission, simulation_directory
             from mavnav.simulation.world.scenario_file import scenario_path
             from mavnav.slam.registry import load_kernels
 
             load_kernels(chosen.slam)
         compile_s = perf_counter() - started_s
-        target = directory or pipeline.default_directory(chosen)
-        request = pipeline.Request(chosen, scenario_path(scenario), target, record, animate, force, report)
-        _, document = pipeline.simulate(request, progress, compile_s)
-    _tell(document, target, json=json)
+        target = directory or simulation_directory(chosen)
+        request = SimulationRequest(chosen, scenario_path(scenario), target, record, animate, force, report)
+        _, document = simulate_mission(request, progress, compile_s)
+    _print_result(document, target, json=json)
     if preview:
         show_preview(target, stderr=json)
     raise typer.Exit(gated_code(document, bounds))
@@ -129,9 +120,7 @@ def _show(*, schema: bool) -> None:
     from mavnav.simulation.world import load_scenario, scenario_schema
 
     if schema:
-        from json import dumps
-
-        emit(dumps(scenario_schema(), indent=2))
+        emit_json(scenario_schema())
     else:
         print_table([(name, load_scenario(name).about) for name in scenarios()])
 
@@ -143,11 +132,9 @@ def _load(scenario: str, sets: list[str], options: dict[str, object], config: st
     return load_scenario(scenario, sets, {key: value for key, value in options.items() if value is not None}, config)
 
 
-def _tell(document: dict[str, Any], directory: Path, *, json: bool) -> None:
+def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> None:
     if json:
-        from json import dumps
-
-        emit(dumps(document, indent=2))
+        emit_json(document)
     else:
         print_table(_summary(document, directory))
     if document["exit_code"] in (ExitCode.GATE_FAILED, ExitCode.TRACKING_LOST):

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 LISTED: Final = 10
-"""So many of a kind are told singly."""
+"""So many of a kind are listed one by one."""
 
 
 def printable(text: object) -> str:
@@ -37,12 +37,12 @@ def console(*, stderr: bool = False) -> Console:
 
 
 def note(text: str) -> None:
-    """Say one line on stderr."""
+    """Print one line on stderr."""
     print(printable(text), file=sys.stderr, flush=True)  # noqa: T201  only the command line prints
 
 
 def note_oddities(document: dict[str, Any]) -> None:
-    """Say the ``warnings`` and the first of the ``damage`` of a document, a line each."""
+    """Print the ``warnings`` and the first of the ``damage`` of a document on stderr, a line each."""
     for warning in document["warnings"]:
         note(f"mavnav: warning: {warning}")
     for damage in document["damage"][:LISTED]:
@@ -55,3 +55,25 @@ def emit(text: str) -> None:
     """Write a result to stdout as it is."""
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
+
+
+def emit_json(document: dict[str, Any]) -> None:
+    """Write a document to stdout as indented JSON."""
+    from json import dumps
+
+    emit(dumps(document, indent=2))
+
+
+def print_table(rows: list[tuple[str, str]]) -> None:
+    """Print names and values on stdout: on a terminal as a table, else in plain lines, for which nothing is loaded."""
+    if not sys.stdout.isatty():
+        width = max((len(name) for name, _ in rows), default=0)
+        emit("\n".join(f"{name:<{width}}  {printable(value)}" for name, value in rows))
+        return
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(show_header=False, box=None, pad_edge=False)
+    for name, value in rows:
+        table.add_row(Text(name, style="bold"), Text(printable(value), overflow="fold"))
+    console().print(table)

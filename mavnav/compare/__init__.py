@@ -1,1 +1,1 @@
-"""The pipeline of ``mavnav compare``: logs x settings -> replays in processes of their own -> one comparison."""
+"""The pipeline of ``mavnav compare``: a batch of logs x settings -> one comparison."""

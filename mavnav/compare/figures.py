@@ -1,4 +1,4 @@
-"""Who is best of the cells of a comparison, and what it costs."""
+"""Which runs of a comparison are best, and their relative cost."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ if TYPE_CHECKING:
 
     from mavnav.outputs.quantities import Run
 
-PRICES: Final = {
+RELATIVE_COSTS: Final = {
     "evaluations": "search.evaluations_per_scan.mean",
     "cpu": "timing.cpu_s",
     "seconds": "timing.wall_s",
 }
-"""Ratio -> the number of run.json that is divided by the coarsest grid's."""
+"""Relative cost -> the number of run.json that is divided by that of the coarsest grid."""
 
 
 def best(runs: Sequence[Run | None]) -> dict[str, list[int]]:
-    """Return by every figure which runs are the best."""
+    """Return by every metric which runs are the best."""
     return {figure.name: winners(figure, runs) for figure in QUANTITIES}
 
 
-def prices(groups: Sequence[tuple[object, int]], runs: Sequence[Run | None]) -> dict[str, list[Any]]:
-    """Say what each run costs, compared with the coarsest of its group.
+def relative_costs(groups: Sequence[tuple[object, int]], runs: Sequence[Run | None]) -> dict[str, list[Any]]:
+    """Return the cost of each run relative to the coarsest of its group.
 
     Parameters
     ----------
     groups
-        For each run its group (log and method) and the points of its grids: the fewer, the coarser.
+        For each run its group (log and method) and the samples of its search: the fewer, the coarser.
     runs
         Their documents.
 
     Returns
     -------
     dict
-        ``coarsest``: for each run the index of the coarsest of its group that has a result; and by the keys of `PRICES`
-        the ratio to it. None where there is nothing to divide, or to divide by.
+        ``coarsest``: for each run the index of the coarsest of its group that has a result; and by the keys of
+        `RELATIVE_COSTS` the ratio to it. None where there is nothing to divide, or to divide by.
     """
     coarsest: dict[object, int] = {}
     for k in sorted(range(len(runs)), key=lambda k: groups[k][1], reverse=True):
@@ -46,8 +46,8 @@ def prices(groups: Sequence[tuple[object, int]], runs: Sequence[Run | None]) -> 
             coarsest[groups[k][0]] = k
     references = [coarsest.get(group) for group, _ in groups]
     ratios = {
-        price: [_ratio(runs, k, reference, name) for k, reference in enumerate(references)]
-        for price, name in PRICES.items()
+        cost: [_ratio(runs, k, reference, name) for k, reference in enumerate(references)]
+        for cost, name in RELATIVE_COSTS.items()
     }
     return {"coarsest": references, **ratios}
 

@@ -7,7 +7,7 @@ import io
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.atomic_files import beside
-from mavnav.compare.figures import PRICES
+from mavnav.compare.figures import RELATIVE_COSTS
 from mavnav.errors import OutputError
 from mavnav.outputs.document import to_json
 from mavnav.outputs.markdown import escaped, table_row
@@ -30,20 +30,22 @@ def write_comparison(document: dict[str, Any], directory: Path) -> None:
             raise OutputError(f"{directory / name} cannot be written: {error.strerror or error}; make room") from error
 
 
-def to_csv(document: dict[str, Any]) -> str:
-    """Write a line a cell: what it is, its figures under their names in run.json, and its price."""
+def comparison_csv(document: dict[str, Any]) -> str:
+    """Write one line per run: what it is, its metrics under their names in run.json, and its relative cost."""
     rows = io.StringIO()
     table = csv.writer(rows, lineterminator="\n")
     head = ("log", "method", "grid", "azimuth", "status", "exit_code", "error", "directory")
-    table.writerow([*head, *(figure.name for figure in QUANTITIES), *(f"price.{name}" for name in PRICES)])
+    table.writerow([*head, *(figure.name for figure in QUANTITIES), *(f"price.{name}" for name in RELATIVE_COSTS)])
     for k, cell in enumerate(document["cells"]):
         figures = [number(cell["run"], figure.name) for figure in QUANTITIES]
-        table.writerow([*(cell[key] for key in head), *figures, *(document["price"][name][k] for name in PRICES)])
+        table.writerow(
+            [*(cell[key] for key in head), *figures, *(document["price"][name][k] for name in RELATIVE_COSTS)]
+        )
     return rows.getvalue()
 
 
-def to_markdown(document: dict[str, Any]) -> str:
-    """Write a table of GitHub's kind, the winners bold, and below it what failed."""
+def comparison_markdown(document: dict[str, Any]) -> str:
+    """Write a table in GitHub's Markdown, the best values bold, and below it what failed."""
     titles = ["log", "method", "azimuth/grid", *(f.head for f in QUANTITIES), "evaluations ratio", "cpu ratio"]
     lines = [f"# mavnav {document['mavnav_version']} compare", "", table_row(titles), table_row(["---"] * len(titles))]
     lines += [table_row(_cells(document, k)) for k in range(len(document["cells"]))]
@@ -60,19 +62,19 @@ def _cells(document: dict[str, Any], k: int) -> list[str]:
     return texts + [ratio(document, name, k) for name in ("evaluations", "cpu")]
 
 
-def winning(document: dict[str, Any], figure: str) -> set[int]:
-    """Return the cells that are the best of their log by a figure."""
-    return {k for log in document["logs"] for k in log["best"][figure]}
+def winning(document: dict[str, Any], metric: str) -> set[int]:
+    """Return the runs that are the best of their log by a metric."""
+    return {k for log in document["logs"] for k in log["best"][metric]}
 
 
-def ratio(document: dict[str, Any], price: str, k: int) -> str:
-    """Write a cell's price as a multiple of the coarsest one's, or a dash where there is none."""
-    number = document["price"][price][k]
+def ratio(document: dict[str, Any], cost: str, k: int) -> str:
+    """Format the cost of a run relative to the coarsest one, or a dash if there is none."""
+    number = document["price"][cost][k]
     return "-" if number is None else f"{number:.1f}"
 
 
 def problems(document: dict[str, Any]) -> list[str]:
-    """Return a line for every cell that failed and every gate that did not hold."""
+    """Return a line for every run that failed and every gate that did not hold."""
     failed = [f"{cell['name']}: {cell['error']}" for cell in document["cells"] if cell["status"] == "failed"]
     gates = [
         f"{document['cells'][gate['cell']]['name']}: gate {gate['gate']} failed: {gate['why']}"
@@ -84,6 +86,6 @@ def problems(document: dict[str, Any]) -> list[str]:
 
 TEXTS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
     COMPARISON_FILE: to_json,
-    "comparison.csv": to_csv,
-    "comparison.md": to_markdown,
+    "comparison.csv": comparison_csv,
+    "comparison.md": comparison_markdown,
 }

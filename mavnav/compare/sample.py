@@ -1,6 +1,6 @@
 """The log to compare where none is given: the sample corridor.
 
-Imported only where it is needed, because flying a mission takes kernels that a comparison does not.
+Imported only where it is needed, because a mission needs kernels that a comparison does not.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 SCENARIO: Final = "corridor"
 SETS: Final = ("seed=1", "vehicle.laser_x_mm=60")
-"""How the sample log of a checkout was flown."""
+"""How the sample log of a checkout was simulated."""
 
 SHIPPED: Final = Path(__file__).parents[2] / "sample_logs" / f"{SCENARIO}.mcap"
 """Where a checkout has it; an installed package does not."""
@@ -39,16 +39,16 @@ def sample_truth(directory: Path) -> Path:
 
 
 def sample_log(directory: Path, progress: Progress) -> Path:
-    """Return the sample log of a checkout; elsewhere fly the same mission, once, and keep it in ``directory``."""
+    """Return the sample log of a checkout; elsewhere simulate the same mission once and store it in ``directory``."""
     if SHIPPED.is_file():
         return SHIPPED
-    kept = directory / "logs" / f"{SCENARIO}-{__version__}.mcap"
-    if not kept.is_file():
-        progress(f"recording {kept.name}", 0, None)
+    path = directory / "logs" / f"{SCENARIO}-{__version__}.mcap"
+    if not path.is_file():
+        progress(f"recording {path.name}", 0, None)
         flight = fly(load_scenario(SCENARIO, SETS), lambda phase, done: progress(phase, done, None))
         try:
-            kept.parent.mkdir(parents=True, exist_ok=True)
+            path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise OutputError(f"{kept.parent} cannot be made: {error.strerror}; choose another with -o") from error
-        record(recorded(flight), kept)
-    return kept
+            raise OutputError(f"{path.parent} cannot be made: {error.strerror}; choose another with -o") from error
+        record(recorded(flight), path)
+    return path

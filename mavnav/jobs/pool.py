@@ -1,4 +1,4 @@
-"""The process pool: worker processes, which job each has in hand, and what it died of."""
+"""The process pool: worker processes, which job each runs, and what it died of."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LISTEN_S = 0.2
 """How long to listen at most before the clock is looked at."""
 
 GRACE_S = 3.0
-"""A worker that is asked to leave has so long to put its unfinished files away, then it is killed."""
+"""A worker that is terminated has so long to remove its unfinished files, then it is killed."""
 
 
 def usable_cores() -> int:
@@ -67,7 +67,7 @@ def run_jobs(
                     outcomes[event.index] = event.outcome
                 on_event(event)
     finally:
-        _dismiss(pool)
+        _end_all(pool)
     return [outcomes[index] for index in range(len(jobs))]
 
 
@@ -89,18 +89,18 @@ def _hand_out(
 
 
 def _listen(pool: list[_Worker], timeout_s: float | None) -> Iterator[Event]:
-    """Hear those who have something to say, and stop those whose time is over."""
+    """Receive the events of workers, and stop jobs whose time is over."""
     busy = {worker.channel: worker for worker in pool if worker.index is not None}
     ready = connection.wait(list(busy), LISTEN_S)
     for channel, worker in busy.items():
         if channel in ready:
-            yield worker.hear()
+            yield worker.receive()
         elif timeout_s is not None and worker.seconds > timeout_s:
             yield worker.give_up(timeout_s)
 
 
-def _dismiss(pool: list[_Worker]) -> None:
-    """Ask all workers to leave at once, and see to it that they do."""
+def _end_all(pool: list[_Worker]) -> None:
+    """Terminate all workers at once, and kill those that remain."""
     for worker in pool:
         worker.process.terminate()
     deadline_s = monotonic() + GRACE_S
@@ -110,15 +110,15 @@ def _dismiss(pool: list[_Worker]) -> None:
 
 
 class _Worker:
-    """A process, the channel to it, and the job that it has in hand."""
+    """A process, the channel to it, and the job that it runs."""
 
     def __init__(self, memory_mb: int | None) -> None:
         self.memory_mb = memory_mb
         self.channel, theirs = CONTEXT.Pipe()
         self.process = CONTEXT.Process(target=serve, args=(theirs, memory_mb), daemon=True)
-        with _deaf_children():
+        with _children_without_sigint():
             self.process.start()
-        theirs.close()  # or the end of the worker would not be heard
+        theirs.close()  # or the end of the worker would not be noticed
         self.pid = self.process.pid or 0
         self.index: int | None = None
         self.began_s = 0.0
@@ -129,10 +129,10 @@ class _Worker:
 
     def give(self, index: int, job: Job) -> None:
         self.index, self.began_s = index, monotonic()
-        with suppress(OSError):  # it has just died, which `hear` finds out
+        with suppress(OSError):  # it has just died, which `receive` finds out
             self.channel.send((index, pickle.dumps(job)))
 
-    def hear(self) -> Event:
+    def receive(self) -> Event:
         """Receive one event; the end of the process is one."""
         try:
             event: Event = self.channel.recv()
@@ -160,7 +160,7 @@ class _Worker:
         return Ended(index or 0, Outcome(fate, self.pid, self.seconds, error=error, exit_code=ExitCode.BUG))
 
     def _cause(self) -> str:
-        """Say what ended the process."""
+        """Return what ended the process."""
         self.process.join(GRACE_S)
         code = self.process.exitcode
         limited = self.memory_mb is not None  # native code that gets no memory aborts
@@ -171,7 +171,7 @@ class _Worker:
 
 
 @contextmanager
-def _deaf_children() -> Iterator[None]:
+def _children_without_sigint() -> Iterator[None]:
     """Keep Ctrl-C, which a terminal sends to all, from processes started within: their parent ends them."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

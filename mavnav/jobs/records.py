@@ -1,4 +1,4 @@
-"""Jobs, how they end, and what is told meanwhile."""
+"""Jobs, their events, and how they end."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Job:
     """A call to make in another process: ``work(*args, report)``.
 
     ``work`` is a function of a module and returns what can be pickled; ``report`` takes what is being done, how much of
-    it is done, and how much there is or None. ``name`` is for people.
+    it is done, and how much there is or None. ``name`` is its display name.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Fate(StrEnum):
 class Outcome:
     """How a job ended.
 
-    ``value`` is what it returned. ``error`` says in one line why it has none; ``exit_code`` is that of its exception,
+    ``value`` is what it returned. ``error`` is one line on why it has none; ``exit_code`` is that of its exception,
     and that of a bug where the process itself ended. ``pid`` is the process that ran it.
     """
 
@@ -71,7 +71,7 @@ class Progressed:
 
 @dataclass(frozen=True, slots=True)
 class Retried:
-    """The process of job ``index`` died, which ``error`` tells; the job is run again later."""
+    """The process of job ``index`` died of ``error``; the job is run again later."""
 
     index: int
     error: str

@@ -1,4 +1,4 @@
-"""A second chance for jobs whose process died: that may pass, what a job itself says does not."""
+"""Retries of jobs whose process died; a job that ended with an error of its own is not run again."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 def run_with_retries(jobs: Sequence[Job], run: Run, on_event: Listener, tries: int) -> None:
     """Run jobs, and those whose process died again when all others are through, ``tries`` times in all.
 
-    ``run`` runs some jobs, as `run_jobs` does. ``on_event`` hears the end of every job once, by its place in ``jobs``;
-    of a try that is not the last one it hears as `Retried`.
+    ``run`` runs some jobs, as `run_jobs` does. ``on_event`` gets the end of every job once, by its index in ``jobs``;
+    a death before the last try it gets as `Retried`.
     """
     left = list(range(len(jobs)))
     for number in range(1, tries + 1):
@@ -31,13 +31,13 @@ def run_with_retries(jobs: Sequence[Job], run: Run, on_event: Listener, tries: i
 def _renumbered(numbers: Sequence[int], on_event: Listener, number: int, tries: int) -> Listener:
     """Pass on the events of one round under the numbers that its jobs have among all."""
 
-    def hear(event: Event) -> None:
+    def listen(event: Event) -> None:
         event = replace(event, index=numbers[event.index])
         if isinstance(event, Ended) and event.outcome.fate is Fate.DIED:
             event = _retried(event, number, tries)
         on_event(event)
 
-    return hear
+    return listen
 
 
 def _retried(event: Ended, number: int, tries: int) -> Event:

@@ -1,4 +1,4 @@
-"""Runs of a comparison or a batch, known by all that decides their result, so that none is made twice."""
+"""The cache of finished runs: each is known by all that decides its result, so that none is made twice."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ import numpy as np
 
 from mavnav import __version__
 from mavnav.errors import ExitCode, OutputError
-from mavnav.ground_truth.references import References, load_references
-from mavnav.logs import content_sha256
 from mavnav.outputs.directory import RUN_FILE
-from mavnav.pipelines import replay
+from mavnav.pipelines.replay import replay_directory
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from mavnav.config.models import Config
-    from mavnav.jobs import Outcome, Report
+    from mavnav.ground_truth.references import References
+    from mavnav.jobs import Outcome
+    from mavnav.pipelines.replay import ReplayRequest
 
 SECTIONS: Final = (
     "scans",
@@ -49,8 +49,13 @@ _NOT_OPTIONS = {"log", "log_sha256", "address", "directory", "config", "force", 
 class PlannedRun:
     """A replay to make or to find, and its key: SHA-256 of all that decides its result."""
 
-    request: replay.Request
+    request: ReplayRequest
     key: str
+
+    @property
+    def directory(self) -> Path:
+        """Its run directory."""
+        return self.request.directory
 
     @property
     def config(self) -> Config:
@@ -59,42 +64,22 @@ class PlannedRun:
 
     @property
     def name(self) -> str:
-        """Its display name: ``drive.mcap robust 40/20x20``, azimuth grid before the grid as the paper writes."""
+        """Its display name: ``drive.mcap robust 40/20x20``, yaw samples before the grid as the paper writes."""
         return f"{self.request.log.name} {self.config.method} {self.config.azimuth}/{self.config.grid}"
 
 
-def make_runs(
-    logs: Iterable[Path], configs: Iterable[Config], options: Mapping[str, Any], directory: Path
-) -> list[PlannedRun]:
-    """Return every log with every configuration, logs first; what comes twice is one run.
-
-    ``options`` are further values of a `replay.Request`. Each has a run directory of its own below
-    ``directory/cells``: ``<log>-<method>-<grid>-<the first 8 digits of its key>``. Raises UsageError for a log or
-    another file that cannot be read.
-    """
-    found: dict[str, PlannedRun] = {}
-    references = references_sha256(load_references(**{name: options.get(name) for name in REFERENCES}))
-    configs = list(configs)
-    for log, digest in {log: content_sha256(log) for log in logs}.items():
-        for config in configs:
-            request = replay.Request(log=log, directory=directory, config=config, force=True, **options)
-            cell = make_run(request, digest, references)
-            found.setdefault(cell.key, cell)
-    return list(found.values())
-
-
-def make_run(request: replay.Request, log_sha256: str, references: str) -> PlannedRun:
+def make_run(request: ReplayRequest, log_sha256: str, references: str) -> PlannedRun:
     """Return the run of a request, given the hashes of its log and of its references.
 
-    Its run directory lies below ``request.directory`` / ``cells``.
+    Its run directory is ``<log>-<method>-<grid>-<the first 8 digits of its key>`` below ``request.directory/cells``.
     """
     key = run_key(request, log_sha256, references)
-    name = f"{replay.default_directory(request.log, request.config).name}-{key[:8]}"
+    name = f"{replay_directory(request.log, request.config).name}-{key[:8]}"
     return PlannedRun(replace(request, directory=request.directory / "cells" / name, log_sha256=log_sha256), key)
 
 
-def check_home(directory: Path, ours: Sequence[str]) -> None:
-    """Make the directory that cells are to lie below; it may hold an earlier comparison or batch, known by its files.
+def check_cache_directory(directory: Path, ours: Sequence[str]) -> None:
+    """Make the directory of a comparison or a batch; it may hold an earlier one, known by its files.
 
     Raises OutputError where it cannot be used, or holds none of ``ours`` but something else.
     """
@@ -109,7 +94,7 @@ def check_home(directory: Path, ours: Sequence[str]) -> None:
         raise OutputError(f"{directory} is not writable; choose another with -o")
 
 
-def run_key(request: replay.Request, log_sha256: str, references: str) -> str:
+def run_key(request: ReplayRequest, log_sha256: str, references: str) -> str:
     """Return the SHA-256 over the log's content, the effective configuration, options, references, and mavnav itself.
 
     Of mavnav the version and the source enter: between releases the version
@@ -149,41 +134,35 @@ def source_sha256() -> str:
     return digest.hexdigest()
 
 
-def earlier(cell: PlannedRun) -> dict[str, Any] | None:
-    """Return the document of this run if it is finished; None where there is none, or none that can be read."""
+def finished_document(run: PlannedRun) -> dict[str, Any] | None:
+    """Return run.json of a finished run; None where there is none, or none that can be read."""
     try:
-        document: dict[str, Any] = json.loads((cell.request.directory / RUN_FILE).read_bytes())
+        document: dict[str, Any] = json.loads((run.directory / RUN_FILE).read_bytes())
         ExitCode(document["exit_code"])
     except (OSError, ValueError, LookupError, TypeError):
         return None
     return document
 
 
-def replay_run(request: replay.Request, report: Report) -> dict[str, Any]:
-    """Replay one run and return its document; the job of a worker process, in which the kernels are loaded by now."""
-    _, document = replay.replay(request, report, compile_s=0.0)
-    return document
-
-
 def run_row(
-    cell: PlannedRun, outcome: Outcome | None, run: Mapping[str, Any] | None, directory: Path
+    planned: PlannedRun, outcome: Outcome | None, run: Mapping[str, Any] | None, directory: Path
 ) -> dict[str, Any]:
-    """Describe a run: what it is, what became of it, and the sections of its run.json.
+    """Describe a run: what it is, how it ended, and the sections of its run.json.
 
-    ``outcome`` is None for a run that was there before, ``run`` for one that failed; directories are told from
-    ``directory`` on.
+    ``outcome`` is None for a run that was finished before, ``run`` for one that failed; its directory is given relative
+    to ``directory``.
     """
     status = "cached" if outcome is None else "failed" if run is None else "done"
     return {
-        "name": cell.name,
-        "log": str(cell.request.log),
-        "method": cell.config.method,
-        "grid": str(cell.config.grid),
-        "azimuth": cell.config.azimuth,
-        "key": cell.key,
+        "name": planned.name,
+        "log": str(planned.request.log),
+        "method": planned.config.method,
+        "grid": str(planned.config.grid),
+        "azimuth": planned.config.azimuth,
+        "key": planned.key,
         "status": status,
         "exit_code": int(run["exit_code"] if run else outcome.exit_code if outcome else ExitCode.BUG),
         "error": outcome.error if outcome and outcome.error else None,
-        "directory": cell.request.directory.relative_to(directory).as_posix() if run else None,
+        "directory": planned.directory.relative_to(directory).as_posix() if run else None,
         "run": {name: run[name] for name in SECTIONS if name in run} if run else None,
     }

@@ -1,4 +1,4 @@
-"""The worker's side: it takes jobs from a channel, runs them, and says nothing but through that channel."""
+"""The worker's side: it takes jobs from a channel, runs them, and answers through that channel alone."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ REPORT_PERIOD_S = 0.2
 
 def serve(channel: connection.Connection[Any, Any], memory_mb: int | None) -> None:
     """Be a worker: take jobs until the channel closes."""
-    _settle(memory_mb)
+    _prepare(memory_mb)
     while True:
         try:
             index, packed = channel.recv()
@@ -31,8 +31,8 @@ def serve(channel: connection.Connection[Any, Any], memory_mb: int | None) -> No
         channel.send(Ended(index, _attempt(index, packed, channel)))
 
 
-def _settle(memory_mb: int | None) -> None:
-    """Say nothing, leave when asked to or when the parent is gone, and keep to the memory."""
+def _prepare(memory_mb: int | None) -> None:
+    """Print nothing, end when terminated or when the parent is gone, and limit the memory."""
     signal.signal(signal.SIGTERM, _leave)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
@@ -45,7 +45,7 @@ def _settle(memory_mb: int | None) -> None:
 
 
 def _leave(_number: int, _frame: object) -> NoReturn:
-    raise SystemExit(ExitCode.TERMINATED)  # unwinds, so that unfinished files are put away
+    raise SystemExit(ExitCode.TERMINATED)  # unwinds, so that unfinished files are removed
 
 
 def _follow_parent() -> None:
@@ -78,11 +78,11 @@ def attempt(job: Job, report: Report) -> Outcome:
 def failed(error: Exception, began_s: float) -> Outcome:
     """Return the outcome of a job that raised, and began at that time of the monotonic clock."""
     code = error.exit_code if isinstance(error, MavnavError) else ExitCode.BUG
-    return Outcome(Fate.FAILED, os.getpid(), monotonic() - began_s, None, _said(error), code)
+    return Outcome(Fate.FAILED, os.getpid(), monotonic() - began_s, None, _described(error), code)
 
 
-def _said(error: Exception) -> str:
-    """Put an exception into one line."""
+def _described(error: Exception) -> str:
+    """Describe an exception in one line."""
     if isinstance(error, MavnavError):
         return str(error)
     if isinstance(error, MemoryError):
@@ -92,13 +92,13 @@ def _said(error: Exception) -> str:
 
 def _reporter(index: int, channel: connection.Connection[Any, Any]) -> Report:
     """Make the function by which a job reports its progress; it lets through a report now and then."""
-    spoke_s, spoke_of = 0.0, ""
+    sent_s, sent_phase = 0.0, ""
 
     def report(phase: str, done: int, total: int | None) -> None:
-        nonlocal spoke_s, spoke_of
+        nonlocal sent_s, sent_phase
         now_s = monotonic()
-        if phase != spoke_of or now_s - spoke_s >= REPORT_PERIOD_S:
-            spoke_s, spoke_of = now_s, phase
+        if phase != sent_phase or now_s - sent_s >= REPORT_PERIOD_S:
+            sent_s, sent_phase = now_s, phase
             channel.send(Progressed(index, phase, done, total))
 
     return report

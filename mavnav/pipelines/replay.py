@@ -27,7 +27,7 @@ from mavnav.outputs.writers import write_run
 from mavnav.profiling import new_profile, timed
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.prior_map import prior_map_of
-from mavnav.slam.registry import uses_odometry
+from mavnav.slam.registry import LOCALIZERS, uses_odometry
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 
 Stop = Callable[[], ExitCode | None]
-"""Options between two scans: the code to end with, None to go on."""
+"""Called between two scans: returns the exit code to end with, None to go on."""
 
 Progress = Callable[[str, int, int | None], None]
 """What is being done, how much of it is done, how much there is or None."""
@@ -55,14 +55,14 @@ LOG_SUFFIXES = (".zst", ".zstd", ".active", ".mcap", ".bag", ".db3")
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
-    """What is asked for: the log, which part of it, how, and where to.
+class ReplayRequest:
+    """One run: the log, which part of it, with what configuration, and where its results go.
 
     ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base;
-    ``report`` asks for the page as well; ``truth``, ``truth_map`` and ``relations`` are files to compare the outcome
+    ``report`` writes the page as well; ``truth``, ``truth_map`` and ``relations`` are files to compare the outcome
     with; ``strict`` leaves out scans from where a checksum does not match. ``map`` is a map to localise in instead of
     making one, and ``start_pose`` about where in it the laser begins. ``address`` is where the log was fetched from,
-    which run.json tells; ``log_sha256`` is the content that the log must have, if the run is to be known by it.
+    for run.json; ``log_sha256`` is the content that the log must have, if the run is to be known by it.
     """
 
     log: Path
@@ -86,16 +86,19 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """What files besides the log tell: references to compare with, and the map to localise in, None without one."""
+    """What was read besides the log: references to compare with, and the map to localise in, None without one."""
 
     references: References
     known: PriorMap | None
 
 
-def read_prior_map(request: Request) -> PriorMap | None:
+def read_prior_map(request: ReplayRequest) -> PriorMap | None:
     """Read the map to localise in: a map_server YAML file, or the one in a run directory; raises UsageError."""
     if request.map is None:
         return None
+    if request.config.method not in LOCALIZERS:
+        advice = f"use --method {' or '.join(LOCALIZERS)}"
+        raise UsageError(f"--map: method {request.config.method} makes a map of its own; {advice}")
     file = read_map(map_yaml(request.map))
     known = prior_map_of(file.grid, file.map_T_grid, request.start_pose)
     if not len(known.walls_xy_m):
@@ -108,8 +111,8 @@ def map_yaml(path: Path) -> Path:
     return path / "map.yaml" if path.is_dir() else path
 
 
-def localisation(request: Request, outcome: SlamResult) -> Localisation:
-    """Report how a laser was found in a known map: where it was said to begin, and where it did."""
+def localisation(request: ReplayRequest, outcome: SlamResult) -> Localisation:
+    """Return the section of run.json on localization in a known map: the given start pose, and the one found."""
     first, start = next((step for step in outcome.steps if step.tracked), None), request.start_pose
     found = first and first.match.map_T_laser
     return Localisation(
@@ -119,7 +122,7 @@ def localisation(request: Request, outcome: SlamResult) -> Localisation:
     )
 
 
-def default_directory(log: Path, config: Config) -> Path:
+def replay_directory(log: Path, config: Config) -> Path:
     """Return ``runs/<log>-<method>-<grid>``."""
     return Path("runs") / f"{log_name(log)}-{config.method}-{config.grid}"
 
@@ -141,8 +144,8 @@ def _unstoppable() -> AbstractContextManager[Stop]:
     return nullcontext(_never)
 
 
-def replay(
-    request: Request,
+def replay_log(
+    request: ReplayRequest,
     progress: Progress,
     compile_s: float,
     stoppable: Callable[[], AbstractContextManager[Stop]] = _unstoppable,
@@ -151,8 +154,8 @@ def replay(
     """Run the whole job and return the run with its document (run.json).
 
     ``compile_s`` is what it took to import this module: kernels compile on import; ``startup_s`` is what the process
-    took before, of which the profile tells. Whether the run directory can be written is asked before the
-    work. Within ``stoppable`` there are scans to keep: when its function gives a code, the
+    took before, for the profile. Whether the run directory can be written is checked before the
+    work. Within ``stoppable`` there are results to keep: when its function returns a code, the
     run ends there, and is written and marked as partial. Raises what the packages raise: TopicError, NoScansError,
     UsageError, OutputError; and StoppedError where nothing was tracked yet.
     """
@@ -169,7 +172,7 @@ def replay(
 
 
 def _mapped(
-    request: Request,
+    request: ReplayRequest,
     log: Log,
     given: Given,
     progress: Progress,
@@ -215,7 +218,7 @@ def measured_quality(outcome: SlamResult, log: Log, sections: dict[int, Sections
     return map_quality(measured_part(outcome.grid), journey, sections=sections)
 
 
-def _open(request: Request, progress: Progress) -> Log:
+def _open(request: ReplayRequest, progress: Progress) -> Log:
     """Survey the log; the paper's method never looks at odometry."""
     return open_log(
         request.log,

@@ -43,8 +43,8 @@ WALL_GAP_CELLS = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
-    """What is asked for: the scenario and its file, the run directory, and what else to leave where."""
+class SimulationRequest:
+    """One mission: the scenario and its file, the run directory, and the paths of further outputs."""
 
     scenario: Scenario
     path: Path
@@ -55,15 +55,15 @@ class Request:
     report: bool = False
 
 
-def default_directory(scenario: Scenario) -> Path:
+def simulation_directory(scenario: Scenario) -> Path:
     """Return ``runs/<scenario>-<method>-<grid>``."""
     return Path("runs") / f"{scenario.name}-{scenario.slam.method}-{scenario.slam.grid}"
 
 
-def simulate(request: Request, progress: Progress, compile_s: float) -> tuple[Run, dict[str, Any]]:
+def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: float) -> tuple[Run, dict[str, Any]]:
     """Fly a mission and return the run with its document (run.json).
 
-    Raises what the steps raise: UsageError, OutputError; whether the outputs can be written is asked before the work.
+    Raises what the steps raise: UsageError, OutputError; whether the outputs can be written is checked before the work.
     NoScansError where no scan could even begin a map.
     """
     check_outputs(request)
@@ -100,7 +100,7 @@ def simulate(request: Request, progress: Progress, compile_s: float) -> tuple[Ru
     return run, document
 
 
-def check_outputs(request: Request) -> None:
+def check_outputs(request: SimulationRequest) -> None:
     """Raise OutputError or UsageError for what could not be written at the end."""
     places = [p.resolve() for p in (request.directory, request.recording, request.animation) if p]
     twice = [str(p) for p in places if places.count(p) > 1]
@@ -136,7 +136,7 @@ def _reference(flight: Flight) -> Reference | None:
     return compared(truth, flight.slam.trajectory, occupied_xy_m(flight.slam.grid))
 
 
-def _mission(request: Request, flight: Flight) -> Mission:
+def _mission(request: SimulationRequest, flight: Flight) -> Mission:
     mission = flight.mission
     numbers = {name: value for name, value in asdict(mission).items() if name != "end"}
     return Mission(

@@ -14,15 +14,17 @@ if TYPE_CHECKING:
     from mavnav.slam.prior_map import PriorMap
 
 METHODS: dict[str, type[Robust | Paper]] = {"robust": Robust, "paper": Paper}
+LOCALIZERS: dict[str, type[Localizer]] = {"robust": Localizer}
+"""The methods that can localize in a prior map."""
 
 
 def make_method(config: Config, prior_map: PriorMap | None = None) -> Method:
     """Return the configured method with an empty map; with a prior map, the one that localizes in it."""
-    return METHODS[config.method](config) if prior_map is None else Localizer(config, prior_map)
+    return METHODS[config.method](config) if prior_map is None else LOCALIZERS[config.method](config, prior_map)
 
 
 def uses_odometry(config: Config) -> bool:
-    """Tell whether the configured method looks at the odometry of a log."""
+    """Return whether the configured method uses the odometry of a log."""
     return METHODS[config.method].uses_odometry
 
 

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.batch.plan import Part, plan
-from mavnav.batch.request import Options, request_of
+from mavnav.batch.options import Options, request_of
+from mavnav.batch.plan import plan_batch
+from mavnav.batch.request import BatchPart
 from mavnav.errors import ConfigError, ExitCode, OutputError, UsageError
 from mavnav.jobs import Ended, Event, Started
 from mavnav.metrics.gates import check_names, names
@@ -66,13 +67,13 @@ def test_a_page_that_is_asked_for_later_is_drawn(home: Path) -> None:
 def test_a_run_that_was_spoilt_is_made_again(home: Path, broken: str) -> None:
     path = next(Path("runs/batch/cells").glob("good-*/run.json"))
     path.write_text(broken)
-    planned = plan(request_of(Options(**ASKED)), lambda *args: None)
+    planned = plan_batch(request_of(Options(**ASKED)), lambda *args: None)
     assert f"logs/good.mcap robust {NAME}" in [case.name for case in planned.missing]
 
 
 def test_force_runs_again(home: Path) -> None:
     asked = Options(sources=("logs/good.mcap",), grids=("5x5",), azimuths=(6,), reading={"end_s": 0.5}, force=True)
-    assert len(plan(request_of(asked), lambda *args: None).missing) == 1
+    assert len(plan_batch(request_of(asked), lambda *args: None).missing) == 1
 
 
 def test_the_table_is_read_by_a_parser(home: Path) -> None:
@@ -217,14 +218,14 @@ def test_runs_that_share_a_directory_are_made_once(home: Path) -> None:
     Path("copies").mkdir()
     shutil.copy("logs/good.mcap", "copies/good.mcap")
     asked = Options(sources=("logs/good.mcap", "copies/good.mcap"), directory=Path("new"))
-    planned = plan(request_of(asked), lambda *args: None)
+    planned = plan_batch(request_of(asked), lambda *args: None)
     assert (len(planned.cases), len(planned.missing)) == (2, 1)
 
 
 def test_parts_are_the_whole(home: Path) -> None:
     def names(part: str | None) -> list[str]:
         asked = Options(sources=("logs", "gone.bag"), grids=("5x5", "6x6"), part=part)
-        return [case.name for case in plan(request_of(asked), lambda *args: None).cases]
+        return [case.name for case in plan_batch(request_of(asked), lambda *args: None).cases]
 
     parts = [names(f"{k}/3") for k in (1, 2, 3)]
     assert sorted(name for part in parts for name in part) == sorted(names(None))
@@ -286,7 +287,7 @@ def test_what_cannot_be_done_is_said_before_the_work(home: Path, more: dict, err
 
 
 def test_a_part_may_be_empty(home: Path) -> None:
-    assert Part(2, 2).number == 2
+    assert BatchPart(2, 2).number == 2
     document, ran = batch(sources=("logs/good.mcap",), part="2/2")
     assert (document["cells"], ran, document["exit_code"]) == ([], [], 0)
 
@@ -334,8 +335,8 @@ def test_references_of_a_log_that_a_pattern_names_as_well(home: Path) -> None:
 
     def truths(text: str) -> dict[str, Path | None]:
         Path("night.yaml").write_text(text)
-        cases = plan(request_of(Options(sources=("night.yaml",))), lambda *args: None).cases
-        return {case.log: case.cell.request.truth for case in cases if case.cell}
+        cases = plan_batch(request_of(Options(sources=("night.yaml",))), lambda *args: None).cases
+        return {case.log: case.run.request.truth for case in cases if case.run}
 
     assert truths(f"{logs}, logs/good.mcap]") == dict.fromkeys(("logs/cut.mcap", "logs/empty.mcap")) | {
         "logs/good.mcap": Path("a.tum")

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 
-from mavnav.batch.request import Options, request_of
+from mavnav.batch.options import Options, request_of
 from mavnav.cli import run
 
 NIGHTLY = """

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.batch.plan import plan
-from mavnav.batch.request import Options, request_of
+from mavnav.batch.options import Options, request_of
+from mavnav.batch.plan import plan_batch
 from mavnav.batch.run import run_batch
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started
@@ -107,7 +107,7 @@ def files(directory: Path) -> dict[str, str]:
 
 
 def test_a_batch_has_the_same_bytes_as_one_made_here(cluster: Cluster, home: Path) -> None:
-    planned = plan(request_of(Options(**ASKED, directory=Path("runs/there"))), lambda *args: None)
+    planned = plan_batch(request_of(Options(**ASKED, directory=Path("runs/there"))), lambda *args: None)
     document = run_batch(planned, ignore, lambda row: None, cluster)
     assert [row["exit_code"] for row in document["cells"]] == [3, 4, 0, 2]
     assert len(files(Path("runs/there"))) >= 10

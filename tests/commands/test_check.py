@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from mavnav.batch.files import BATCH_FILE
+from mavnav.batch.document import BATCH_FILE
 from mavnav.commands import check as command
 from mavnav.compare.files import COMPARISON_FILE
 from mavnav.errors import ExitCode

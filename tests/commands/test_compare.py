@@ -25,11 +25,11 @@ def directory(comparison: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def again(mavnav: Callable, sample: Path, directory: Path) -> Callable[..., tuple[int, str, str]]:
-    """Return the same comparison as a command: it only reads its cells again."""
+    """Return the same comparison as a command: it only reads its runs again."""
     return lambda *args: mavnav("compare", sample, "-o", directory, *SHORT_COMPARISON, *args)
 
 
-def test_a_line_for_every_cell(again: Callable, directory: Path) -> None:
+def test_a_line_for_every_run(again: Callable, directory: Path) -> None:
     code, out, err = again()
     lines = out.splitlines()
     assert (code, err) == (0, "")
@@ -38,6 +38,16 @@ def test_a_line_for_every_cell(again: Callable, directory: Path) -> None:
     assert all(line.rstrip().endswith("kept") for line in lines[1:3])
     assert lines[-1] == f"report  {directory / 'report.html'}"
     assert max(map(len, lines)) <= 200
+
+
+def test_the_report_is_drawn_once(again: Callable, directory: Path) -> None:
+    report = directory / "report.html"
+    before = report.stat().st_mtime_ns
+    again()
+    assert report.stat().st_mtime_ns == before
+    report.unlink()
+    again()
+    assert report.is_file()
 
 
 def test_a_narrow_terminal_gets_fewer_figures(
@@ -115,7 +125,7 @@ def lines_of(process) -> Iterator[str]:
     yield from iter(process.stderr.readline, "")
 
 
-def test_ctrl_c_keeps_the_finished_cells(spawn: Callable, sample: Path, tmp_path: Path) -> None:
+def test_ctrl_c_keeps_the_finished_runs(spawn: Callable, sample: Path, tmp_path: Path) -> None:
     """The signal reaches the parent alone here; on a terminal the workers, which get it too, do not hear it."""
     few = ("-o", tmp_path / "out", "-j", 1, "--end", 0.5, "--online", "--grid", "5x5", "--grid", "60x60")
     process = spawn("compare", sample, *few)
@@ -129,7 +139,7 @@ def test_ctrl_c_keeps_the_finished_cells(spawn: Callable, sample: Path, tmp_path
     assert kept.name.startswith("corridor-robust-5x5-")
 
 
-def test_a_plain_line_for_every_cell_that_ends(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plain_line_for_every_run_that_ends(capsys: pytest.CaptureFixture[str]) -> None:
     with watching(["a.bag robust 6/5x5", "b\x1b.bag"], quiet=False) as listen:
         listen(Started(1, 7))
         listen(Ended(1, Outcome(Fate.DIED, 7, 1.0, error="its process was killed by SIGKILL")))

@@ -146,17 +146,17 @@ def test_the_default_directory_names_log_method_and_grid(
 )
 def test_log_names(tmp_path: Path, name: str, stem: str) -> None:
     from mavnav.config.models import Config
-    from mavnav.pipelines.replay import default_directory
+    from mavnav.pipelines.replay import replay_directory
 
-    assert default_directory(tmp_path / name, Config()) == Path("runs") / f"{stem}-robust-10x10"
+    assert replay_directory(tmp_path / name, Config()) == Path("runs") / f"{stem}-robust-10x10"
 
 
 def test_a_folder_is_named_as_it_is(tmp_path: Path) -> None:
     from mavnav.config.models import Config
-    from mavnav.pipelines.replay import default_directory
+    from mavnav.pipelines.replay import replay_directory
 
     (tmp_path / "drive.mcap").mkdir()
-    assert default_directory(tmp_path / "drive.mcap", Config()).name == "drive.mcap-robust-10x10"
+    assert replay_directory(tmp_path / "drive.mcap", Config()).name == "drive.mcap-robust-10x10"
 
 
 # --- errors: one line, one code -----------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Comparisons: files, cells that are not run again, and cells that fail alone."""
+"""Comparisons: files, runs that are reused, and runs that fail alone."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.compare.comparison import Request, compare, draw, plan
-from mavnav.compare.grids import settings
+from mavnav.batch.plan import BatchPlan, plan_batch
+from mavnav.batch.request import BatchRequest
+from mavnav.compare.comparison import comparison_request, is_drawn, plan_comparison, run_comparison
+from mavnav.compare.grids import comparison_settings
 from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.jobs import Event, Started
 from mavnav.jobs.run_cache import run_key
@@ -28,13 +30,22 @@ def silent(phase: str, done: int, total: int | None) -> None:
     pass
 
 
-def request(directory: Path, *logs: Path, grids: tuple[str, ...] = GRIDS, **more: object) -> Request:
-    configs = settings(None, ["azimuth=6"], (), grids, (), {"final_pass": False})
-    return Request(logs or (SAMPLE,), tuple(configs), directory, options={"end_s": 0.5}, **more)  # type: ignore[arg-type]
+def request(directory: Path, *logs: Path, grids: tuple[str, ...] = GRIDS, **more: object) -> BatchRequest:
+    settings = comparison_settings(None, ["azimuth=6"], (), grids, (), {"final_pass": False})
+    reading = {"end_s": 0.5} | more.pop("reading", {})  # type: ignore[operator]
+    return comparison_request(logs or (SAMPLE,), settings, directory, reading, **more)  # type: ignore[arg-type]
 
 
-def run(wanted: Request, on_event: Callable[[Event], None] = lambda event: None) -> dict:
-    return compare(plan(wanted, silent), on_event)
+def plan(wanted: BatchRequest) -> BatchPlan:
+    return plan_comparison(wanted, silent)
+
+
+def keys_of(wanted: BatchRequest) -> list[str]:
+    return [case.run.key for case in plan(wanted).cases if case.run]
+
+
+def run(wanted: BatchRequest, on_event: Callable[[Event], None] = lambda event: None) -> dict:
+    return run_comparison(plan(wanted), on_event)
 
 
 @pytest.fixture
@@ -47,7 +58,7 @@ def copied(comparison: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(comparison, tmp_path / "copy"))
 
 
-def test_every_cell_is_a_run(finished: tuple[Path, dict]) -> None:
+def test_every_combination_is_a_run(finished: tuple[Path, dict]) -> None:
     directory, document = finished
     assert document["exit_code"] == 0
     assert [(c["grid"], c["azimuth"], c["status"]) for c in document["cells"]] == [(g, 6, "done") for g in GRIDS]
@@ -74,60 +85,61 @@ def test_the_files_say_the_same(finished: tuple[Path, dict]) -> None:
 
 
 def test_what_was_run_is_not_run_again(copied: Path, finished: tuple[Path, dict]) -> None:
-    again = plan(request(copied), silent)
+    again = plan(request(copied))
     assert again.missing == []
-    document = compare(again, lambda event: pytest.fail("nothing is to be run"))
+    document = run_comparison(again, lambda event: pytest.fail("nothing is to be run"))
     assert [cell["status"] for cell in document["cells"]] == ["cached", "cached"]
     assert document["winners"] == finished[1]["winners"]
     assert document["price"] == finished[1]["price"]
 
 
-def test_a_report_of_the_same_results_is_not_drawn_again(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn: list[Path] = []
-    monkeypatch.setattr("mavnav.compare.comparison.write_page", lambda document, directory: drawn.append(directory))
-
-    def draw_again(grids: tuple[str, ...] = GRIDS) -> int:
-        found = plan(request(copied, grids=grids), silent)
-        assert draw(found, {}) == copied / "report.html"
-        return len(drawn)
-
-    assert draw_again() == 0
-    assert draw_again(("5x5",)) == 1
-    (copied / "report.html").unlink()
-    assert draw_again() == 2
+def test_a_report_of_the_same_results_is_not_drawn_again(copied: Path) -> None:
+    assert is_drawn(plan(request(copied)))
+    assert not is_drawn(plan(request(copied, force=True)))
+    assert not is_drawn(plan(request(copied, grids=("5x5",))))
     (copied / "comparison.json").write_text("[]")
-    assert draw_again() == 3
+    assert not is_drawn(plan(request(copied)))
+
+
+def test_a_report_that_was_removed_is_drawn_again(copied: Path) -> None:
+    (copied / "report.html").unlink()
+    assert not is_drawn(plan(request(copied)))
+
+
+def test_a_batch_in_the_same_directory_reuses_the_runs(copied: Path) -> None:
+    assert plan_batch(replace(request(copied), patterns=True), silent).missing == []
 
 
 def test_force_runs_again(copied: Path) -> None:
-    assert len(plan(request(copied, force=True), silent).missing) == 2
+    assert len(plan(request(copied, force=True)).missing) == 2
 
 
 def test_only_what_is_missing_is_run(copied: Path) -> None:
-    wanted = plan(request(copied, grids=("5x5", "6x6")), silent)
-    assert [str(cell.config.grid) for cell in wanted.missing] == ["6x6"]
+    wanted = plan(request(copied, grids=("5x5", "6x6")))
+    assert [str(case.run.config.grid) for case in wanted.missing if case.run] == ["6x6"]
 
 
 def test_a_torn_run_is_run_again(copied: Path, finished: tuple[Path, dict]) -> None:
     first, second = (copied / cell["directory"] / "run.json" for cell in finished[1]["cells"])
     first.write_text("{")
     second.unlink()
-    assert len(plan(request(copied), silent).missing) == 2
+    assert len(plan(request(copied)).missing) == 2
 
 
 def test_the_key_holds_all_that_decides_the_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = Path(shutil.copy(SAMPLE, tmp_path / "a.mcap"))
 
     def keys(**more: object) -> list[str]:
-        return [cell.key for cell in plan(request(tmp_path / "out", log, **more), silent).cells]  # type: ignore[arg-type]
+        return keys_of(request(tmp_path / "out", log, **more))  # type: ignore[arg-type]
 
     first = keys()
     assert keys() == first
     moved = Path(shutil.copy(log, tmp_path / "b.mcap"))
-    assert [cell.key for cell in plan(request(tmp_path / "out", moved), silent).cells] == first
+    assert keys_of(request(tmp_path / "out", moved)) == first
     assert not set(keys(grids=("4x5", "5x4"))) & set(first)
-    wanted = plan(request(tmp_path / "out", log), silent).cells[0].request
-    assert run_key(wanted, "other log", "") not in first
+    planned = plan(request(tmp_path / "out", log)).cases[0].run
+    assert planned is not None
+    assert run_key(planned.request, "other log", "") not in first
     monkeypatch.setattr("mavnav.jobs.run_cache.__version__", "0.2.0")
     assert not set(keys()) & set(first)
     monkeypatch.undo()
@@ -137,10 +149,9 @@ def test_the_key_holds_all_that_decides_the_result(tmp_path: Path, monkeypatch: 
 
 def test_references_are_read_before_the_work_and_are_part_of_the_key(tmp_path: Path) -> None:
     truth = tmp_path / "truth.tum"
-    plain = request(tmp_path / "out")
 
     def key(**references: Path) -> str:
-        return plan(replace(plain, options={"end_s": 0.5} | references), silent).cells[0].key
+        return keys_of(request(tmp_path / "out", reading=references))[0]
 
     def with_truth(*ys: float) -> str:
         truth.write_text("".join(f"{k / 10:.1f} {k} {y} 0 0 0 0 1\n" for k, y in enumerate(ys)))
@@ -152,16 +163,16 @@ def test_references_are_read_before_the_work_and_are_part_of_the_key(tmp_path: P
     truth.write_text("no truth\n")
     with pytest.raises(UsageError, match=r"truth\.tum"):
         key(truth=truth)
-    two = replace(request(tmp_path / "out", SAMPLE, truth), options={"truth_map": Path("corridor")})
     with pytest.raises(UsageError, match="one log at a time"):
-        plan(two, silent)
+        request(tmp_path / "out", SAMPLE, truth, reading={"truth_map": Path("corridor")})
 
 
-def test_the_same_log_twice_is_one_cell(tmp_path: Path) -> None:
-    assert len(plan(request(tmp_path / "out", SAMPLE, SAMPLE), silent).cells) == 2
+def test_the_same_log_twice_is_compared_once(tmp_path: Path) -> None:
+    copy = Path(shutil.copy(SAMPLE, tmp_path / "copy.mcap"))
+    assert len(plan(request(tmp_path / "out", SAMPLE, copy, SAMPLE)).cases) == 2
 
 
-def test_a_killed_worker_costs_its_cell_alone(tmp_path: Path) -> None:
+def test_a_killed_worker_costs_its_run_alone(tmp_path: Path) -> None:
     directory = tmp_path / "out"
 
     def kill_the_first(event: Event) -> None:
@@ -172,6 +183,7 @@ def test_a_killed_worker_costs_its_cell_alone(tmp_path: Path) -> None:
     first, second = document["cells"]
     assert (first["status"], second["status"]) == ("failed", "done")
     assert first["error"].startswith("its process was killed by SIGKILL")
+    assert first["error"].endswith("given up after 3 tries")
     assert first["run"] is first["directory"] is None
     assert (first["exit_code"], document["exit_code"]) == (ExitCode.BUG, ExitCode.BUG)
     assert "corridor.mcap robust 6/5x5: its process was killed" in (directory / "comparison.md").read_text()
@@ -198,7 +210,7 @@ def test_a_log_without_scans_fails_alone(tmp_path: Path, copied: Path) -> None:
     assert document["price"]["coarsest"] == [None, None, 2, 2]
 
 
-def test_gates_hold_for_every_cell(copied: Path) -> None:
+def test_gates_hold_for_every_run(copied: Path) -> None:
     gates = (parse_gate("scans.processed>=3"), parse_gate("price.evaluations<=1"))
     document = run(request(copied, gates=gates))
     assert [(g["cell"], g["passed"]) for g in document["gates"]] == [(0, True), (0, True), (1, True), (1, False)]
@@ -208,10 +220,10 @@ def test_gates_hold_for_every_cell(copied: Path) -> None:
 
 def test_unknown_gates_stop_before_the_work(copied: Path) -> None:
     with pytest.raises(UsageError, match=r"did you mean scans.processed\?"):
-        plan(request(copied, gates=(parse_gate("scans.procesed>=3"),)), silent)
+        plan(request(copied, gates=(parse_gate("scans.procesed>=3"),)))
 
 
-def test_a_number_that_a_cell_lacks_fails_there(copied: Path) -> None:
+def test_a_number_that_a_run_lacks_fails_there(copied: Path) -> None:
     """All the others are done by then: there is a comparison."""
     document = run(request(copied, gates=(parse_gate("tracking.intervals.7.scans<=3"),)))
     assert [gate["why"] for gate in document["gates"]] == ["this run has no such number"] * 2
@@ -221,6 +233,6 @@ def test_a_number_that_a_cell_lacks_fails_there(copied: Path) -> None:
 def test_a_directory_of_something_else_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("")
     with pytest.raises(OutputError, match="holds other files"):
-        plan(request(tmp_path), silent)
+        plan(request(tmp_path))
     with pytest.raises(OutputError, match="cannot be used"):
-        plan(request(tmp_path / "thesis.tex"), silent)
+        plan(request(tmp_path / "thesis.tex"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mavnav.compare.figures import best, prices
+from mavnav.compare.figures import best, relative_costs
 from mavnav.outputs.quantities import QUANTITIES
 
 
@@ -81,13 +81,13 @@ def test_cells_of_another_size_are_not_counted_against_each_other() -> None:
     assert winners(runs)[CELLS] is None
 
 
-def test_prices_are_ratios_to_the_coarsest_of_the_group() -> None:
+def test_relative_costs_are_ratios_to_the_coarsest_of_the_group() -> None:
     groups = [("a", 440), ("a", 35), ("b", 35), ("b", 120), ("c", 35)]
-    found = prices(groups, [run(cpu_s=6), run(cpu_s=2), None, run(cpu_s=5), None])
+    found = relative_costs(groups, [run(cpu_s=6), run(cpu_s=2), None, run(cpu_s=5), None])
     assert found["coarsest"] == [1, 1, 3, 3, None]
     assert found["cpu"] == [3.0, 1.0, None, 1.0, None]
     assert found["evaluations"] == found["seconds"] == found["cpu"]
 
 
 def test_nothing_is_divided_by_zero() -> None:
-    assert prices([("a", 1), ("a", 2)], [run(cpu_s=0), run(cpu_s=1)])["cpu"] == [None, None]
+    assert relative_costs([("a", 1), ("a", 2)], [run(cpu_s=0), run(cpu_s=1)])["cpu"] == [None, None]

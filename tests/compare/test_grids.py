@@ -1,4 +1,4 @@
-"""Grids, azimuth grids and methods of a comparison."""
+"""Grids, yaw samples and methods of a comparison."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.compare.grids import paired_azimuth, settings
+from mavnav.compare.grids import comparison_settings, paired_yaw_samples
 from mavnav.config.models import Config, GridSize
 from mavnav.errors import ConfigError, UsageError
 
 
 def chosen(*grids: str, azimuths: tuple[int, ...] = (), methods: tuple[str, ...] = (), sets: tuple[str, ...] = ()):
-    return [(c.method, c.azimuth, str(c.grid)) for c in settings(None, sets, methods, grids, azimuths, {})]
+    found = comparison_settings(None, sets, methods, grids, azimuths, {})
+    return [(s.config.method, s.config.azimuth, str(s.config.grid)) for s in found]
 
 
 def test_the_papers_pairs() -> None:
-    pairs = {n: paired_azimuth(GridSize(nx=n, ny=n)) for n in (5, 10, 20, 40, 80)}
+    pairs = {n: paired_yaw_samples(GridSize(nx=n, ny=n)) for n in (5, 10, 20, 40, 80)}
     assert pairs == {5: 10, 10: 20, 20: 40, 40: 40, 80: 40}
-    assert paired_azimuth(GridSize(nx=4, ny=9)) == 18
-    assert paired_azimuth(Config().grid) == Config().azimuth
+    assert paired_yaw_samples(GridSize(nx=4, ny=9)) == 18
+    assert paired_yaw_samples(Config().grid) == Config().azimuth
 
 
 def test_no_grid_means_the_papers_three() -> None:
@@ -47,8 +48,8 @@ def test_a_configured_azimuth_goes_with_every_grid(tmp_path: Path) -> None:
 
 
 def test_methods_bring_their_presets() -> None:
-    found = settings(None, (), ("paper", "robust"), ("5x5", "6x6"), (), {"odom": "auto"})
-    assert [(c.method, str(c.grid), c.final_pass) for c in found] == [
+    found = comparison_settings(None, (), ("paper", "robust"), ("5x5", "6x6"), (), {"odom": "auto"})
+    assert [(s.config.method, str(s.config.grid), s.config.final_pass) for s in found] == [
         ("paper", "5x5", False),
         ("paper", "6x6", False),
         ("robust", "5x5", True),

@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from mavnav.cli import run
 from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.logs import open_log
-from mavnav.logs.writing.convert import convert
+from mavnav.logs.writing.convert import convert_log
 from support.log_files import ODOM, WRITERS, drive, foxglove_json, laser, write_bag1, write_mcap
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @pytest.mark.parametrize("name", WRITERS)
 def test_every_format_becomes_an_mcap_with_the_same_scans_odometry_and_mounting(name: str, tmp_path: Path) -> None:
     source = WRITERS[name][1](tmp_path / "a", drive())
-    done = convert(source, tmp_path / "b.mcap")
+    done = convert_log(source, tmp_path / "b.mcap")
     assert (done.messages, done.left_out, done.damage) == (51, {}, ())
     before, after = open_log(source), open_log(tmp_path / "b.mcap")
     assert {(t.encoding, t.type.split("/")[1]) for t in after.topics} == {("cdr", "msg")}
@@ -36,7 +36,7 @@ def test_every_format_becomes_an_mcap_with_the_same_scans_odometry_and_mounting(
 
 
 def test_the_new_file_is_indexed_and_names_its_definitions(tmp_path: Path) -> None:
-    convert(write_bag1(tmp_path / "a.bag", drive()), tmp_path / "b.mcap")
+    convert_log(write_bag1(tmp_path / "a.bag", drive()), tmp_path / "b.mcap")
     with (tmp_path / "b.mcap").open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         summary = reader.get_summary()
@@ -53,8 +53,8 @@ def test_damaged_log_becomes_a_sound_one(tmp_path: Path) -> None:
     data[data.index(laser(20).fields["ranges"].tobytes()) + 3] ^= 1
     path.write_bytes(data)
     damaged = open_log(path)
-    kept = convert(path, tmp_path / "kept.mcap")
-    strict = convert(path, tmp_path / "strict.mcap", strict=True)
+    kept = convert_log(path, tmp_path / "kept.mcap")
+    strict = convert_log(path, tmp_path / "strict.mcap", strict=True)
     assert kept.messages == damaged.counts.usable
     assert strict.left_out == {"suspect": damaged.counts.suspect}
     assert strict.messages == kept.messages - damaged.counts.suspect
@@ -64,14 +64,14 @@ def test_damaged_log_becomes_a_sound_one(tmp_path: Path) -> None:
 
 def test_encodings_of_others_are_copied(tmp_path: Path) -> None:
     scan = {"timestamp": {"sec": 1, "nsec": 0}, "start_angle": 0.0, "end_angle": 1.0, "ranges": [1.0, 2.0]}
-    convert(foxglove_json(tmp_path / "a", [scan]), tmp_path / "b.mcap")
+    convert_log(foxglove_json(tmp_path / "a", [scan]), tmp_path / "b.mcap")
     assert open_log(tmp_path / "b.mcap").topics[0].encoding == "json"
 
 
 def test_the_same_log_gives_the_same_bytes(tmp_path: Path) -> None:
     source = write_bag1(tmp_path / "a.bag", drive())
     for name in ("b.mcap", "c.mcap"):
-        convert(source, tmp_path / name)
+        convert_log(source, tmp_path / name)
     assert (tmp_path / "b.mcap").read_bytes() == (tmp_path / "c.mcap").read_bytes()
 
 
@@ -81,25 +81,25 @@ def test_refusals_say_why_and_leave_everything_alone(tmp_path: Path) -> None:
     (tmp_path / "empty.mcap").touch()
     (tmp_path / "there.mcap").write_text("old")
     with pytest.raises(UsageError, match="in the way"):
-        convert(source, source, force=True)
+        convert_log(source, source, force=True)
     with pytest.raises(UsageError, match=r"end in \.mcap"):
-        convert(source, tmp_path / "b.bag")
+        convert_log(source, tmp_path / "b.bag")
     with pytest.raises(UsageError, match="no such file"):
-        convert(tmp_path / "absent", tmp_path / "b.mcap")
+        convert_log(tmp_path / "absent", tmp_path / "b.mcap")
     with pytest.raises(NoScansError, match="the file is empty"):
-        convert(tmp_path / "empty.mcap", tmp_path / "b.mcap")
+        convert_log(tmp_path / "empty.mcap", tmp_path / "b.mcap")
     with pytest.raises(OutputError, match="--force"):
-        convert(source, tmp_path / "there.mcap")
+        convert_log(source, tmp_path / "there.mcap")
     assert {p.name for p in tmp_path.iterdir()} == {"a.mcap", "empty.mcap", "there.mcap"}
     assert (source.read_bytes(), (tmp_path / "there.mcap").read_text()) == (before, "old")
-    convert(source, tmp_path / "there.mcap", force=True)
+    convert_log(source, tmp_path / "there.mcap", force=True)
     assert open_log(tmp_path / "there.mcap").counts.usable == 3
 
 
 def test_what_does_not_read_back_gets_no_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mavnav.logs.writing.convert._by_name", lambda topics: {"/scan": 99})
     with pytest.raises(OutputError, match="reads back differently"):
-        convert(write_mcap(tmp_path / "a.mcap", drive(3)), tmp_path / "b.mcap")
+        convert_log(write_mcap(tmp_path / "a.mcap", drive(3)), tmp_path / "b.mcap")
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
 
 

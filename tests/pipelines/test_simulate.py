@@ -16,7 +16,14 @@ from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import record
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.outputs.run_json import TruthErrors
-from mavnav.pipelines.simulate import Request, check_outputs, recorded, simulate, truth_errors, wall_distances_m
+from mavnav.pipelines.simulate import (
+    SimulationRequest,
+    check_outputs,
+    recorded,
+    simulate_mission,
+    truth_errors,
+    wall_distances_m,
+)
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.world import World, load_scenario
@@ -141,9 +148,9 @@ def test_the_recording_tells_the_base(tmp_path: Path) -> None:
 # ---- the pipeline ----------------------------------------------------------------------------------------------------
 
 
-def request(folder: Path, **more: Any) -> Request:
+def request(folder: Path, **more: Any) -> SimulationRequest:
     settings = more.pop("settings", {"max_steps": 3})
-    return Request(load_scenario("corner", (), settings), Path("corner.yaml"), folder / "run", **more)
+    return SimulationRequest(load_scenario("corner", (), settings), Path("corner.yaml"), folder / "run", **more)
 
 
 def test_outputs_are_asked_for_before_the_flight(tmp_path: Path) -> None:
@@ -164,7 +171,7 @@ def test_two_outputs_need_two_names(tmp_path: Path, other: dict[str, str]) -> No
 
 def test_a_laser_that_sees_nothing_is_said_and_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(NoScansError, match=r"^corner.yaml: in 40 scans the laser saw too little"):
-        simulate(request(tmp_path, settings={"laser.range_max_mm": 100}), lambda *_: None, 0.0)
+        simulate_mission(request(tmp_path, settings={"laser.range_max_mm": 100}), lambda *_: None, 0.0)
     assert list(tmp_path.iterdir()) == []
 
 

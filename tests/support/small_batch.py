@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from mavnav.batch.plan import plan
-from mavnav.batch.request import Options, request_of
+from mavnav.batch.options import Options, request_of
+from mavnav.batch.plan import plan_batch
 from mavnav.batch.run import run_batch
 
 ASKED: dict[str, Any] = {
@@ -22,6 +22,6 @@ NAME = "6/5x5 final_pass=false end_s=0.5"
 def batch(**more: Any) -> tuple[dict[str, Any], list[str]]:
     """Run a batch in the current folder; returns batch.json and the names of the runs that were made."""
     listen = more.pop("listen", lambda event: None)
-    planned = plan(request_of(Options(**{**ASKED, **more})), lambda phase, done, total: None)
+    planned = plan_batch(request_of(Options(**{**ASKED, **more})), lambda phase, done, total: None)
     document = run_batch(planned, listen, lambda row: None)
     return document, [case.name for case in planned.missing]

@@ -41,7 +41,7 @@ class Cluster:
         return len(self.client.nthreads())
 
     def run_jobs(self, jobs: Sequence[Job], on_event: Callable[[Event], None], timeout_s: float | None = None) -> None:
-        """Run jobs on the cluster; ``on_event`` hears the same as of `mavnav.jobs.run_with_retries`.
+        """Run jobs on the cluster; ``on_event`` gets the same events as of `mavnav.jobs.run_with_retries`.
 
         Dask tries jobs of a lost worker on others, and suspects all that a dying worker had in hand. So there are never
         more jobs under way than workers, and those that it has given up are tried once more, one at a time. What
@@ -60,11 +60,11 @@ class Cluster:
         """Run jobs, ``most`` at a time, or as many as there are workers."""
         topic = f"mavnav-{uuid4()}"
         terms = Terms(*our_version(), str(Path.cwd()), topic, timeout_s)
-        heard: SimpleQueue[Any] = SimpleQueue()
-        self.client.subscribe_topic(topic, lambda event: heard.put(Progressed(*event[1]["progress"])))
+        received: SimpleQueue[Any] = SimpleQueue()
+        self.client.subscribe_topic(topic, lambda event: received.put(Progressed(*event[1]["progress"])))
         under_way: dict[int, _Submitted] = {}
         try:
-            return self._outcomes(jobs, terms, heard, under_way, on_event, most)
+            return self._outcomes(jobs, terms, received, under_way, on_event, most)
         finally:
             self.client.cancel([job.future for job in under_way.values()])
             self.client.unsubscribe_topic(topic)
@@ -73,7 +73,7 @@ class Cluster:
         self,
         jobs: Sequence[Job],
         terms: Terms,
-        heard: SimpleQueue[Any],
+        received: SimpleQueue[Any],
         under_way: dict[int, _Submitted],
         on_event: Callable[[Event], None],
         most: int | None,
@@ -83,9 +83,9 @@ class Cluster:
         while len(outcomes) < len(jobs):
             while waiting and len(under_way) < (most or max(self._count(), 1)):
                 index, job = waiting.pop()
-                under_way[index] = self._submit(index, job, terms, heard)
+                under_way[index] = self._submit(index, job, terms, received)
                 on_event(Started(index, 0))
-            for event in _events(heard, under_way):
+            for event in _events(received, under_way):
                 if isinstance(event, Ended):
                     del under_way[event.index]
                     outcomes[event.index] = event.outcome
@@ -98,10 +98,10 @@ class Cluster:
         except (OSError, TimeoutError) as error:
             raise UsageError("the scheduler is gone; start it again and call again: what is finished stays") from error
 
-    def _submit(self, index: int, job: Job, terms: Terms, heard: SimpleQueue[Any]) -> _Submitted:
+    def _submit(self, index: int, job: Job, terms: Terms, received: SimpleQueue[Any]) -> _Submitted:
         key = f"{job.name} {uuid4().hex[:8]}"
         future = self.client.submit(run_there, index, pickle.dumps(job), asdict(terms), key=key, pure=False)
-        future.add_done_callback(lambda _: heard.put(index))
+        future.add_done_callback(lambda _: received.put(index))
         return _Submitted(future, monotonic())
 
 
@@ -111,10 +111,10 @@ class _Submitted:
     began_s: float
 
 
-def _events(heard: SimpleQueue[Any], under_way: dict[int, _Submitted]) -> Iterator[Event]:
-    """Return what was heard, of jobs that are under way; waits for a moment when there is nothing."""
+def _events(received: SimpleQueue[Any], under_way: dict[int, _Submitted]) -> Iterator[Event]:
+    """Return the events received of jobs that are under way; waits for a moment if there are none."""
     try:
-        item = heard.get(timeout=LISTEN_S)
+        item = received.get(timeout=LISTEN_S)
     except Empty:
         return
     if isinstance(item, Progressed):
@@ -125,7 +125,7 @@ def _events(heard: SimpleQueue[Any], under_way: dict[int, _Submitted]) -> Iterat
 
 
 def _outcome(job: _Submitted) -> Outcome:
-    """Return how a job ended; of a worker that died, what Dask says."""
+    """Return how a job ended; for a worker that died, as Dask reports it."""
     from distributed.scheduler import KilledWorker  # noqa: PLC0415  an extra
 
     future = job.future

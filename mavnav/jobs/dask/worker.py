@@ -47,7 +47,7 @@ def our_version() -> tuple[str, str]:
 
 
 def sees(path: str) -> bool:
-    """Tell whether there is such a file here."""
+    """Return whether a file exists here."""
     return Path(path).is_file()
 
 
@@ -77,19 +77,19 @@ class _Reporter:
 
     def __init__(self, index: int, terms: Terms, began_s: float) -> None:
         self.index, self.terms, self.began_s = index, terms, began_s
-        self.late, self.spoke_s, self.tell = False, float("-inf"), _teller(terms.topic)
+        self.late, self.sent_s, self.send = False, float("-inf"), _sender(terms.topic)
 
     def __call__(self, phase: str, done: int, total: int | None) -> None:
         now_s = monotonic()
         if self.terms.timeout_s is not None and now_s - self.began_s > self.terms.timeout_s:
             self.late = True
             raise TimeoutError
-        if now_s - self.spoke_s >= REPORT_PERIOD_S:
-            self.spoke_s = now_s
-            self.tell({"progress": [self.index, phase, done, total]})
+        if now_s - self.sent_s >= REPORT_PERIOD_S:
+            self.sent_s = now_s
+            self.send({"progress": [self.index, phase, done, total]})
 
 
-def _teller(topic: str) -> Callable[[dict[str, Any]], None]:
+def _sender(topic: str) -> Callable[[dict[str, Any]], None]:
     from distributed import get_worker  # noqa: PLC0415  an extra
 
     worker = get_worker()

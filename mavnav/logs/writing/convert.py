@@ -42,7 +42,7 @@ class Conversion:
         return sum(topic.count for topic in self.topics)
 
 
-def convert(
+def convert_log(
     source: Path,
     target: Path,
     *,

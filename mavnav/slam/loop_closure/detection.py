@@ -156,7 +156,7 @@ def find_loops(map_T_laser: Trajectory, points_of: Callable[[list[int]], Iterabl
     tracked = [KeyFrame(row, way_m, points, map_T_laser[row]) for row, way_m, points in parts]
     if len(tracked) < len(rows):
         return Loops()
-    keys, closures, refused = search(tracked, config)
+    keys, closures, refused = find_closures(tracked, config)
     closed = tuple(
         Loop(tracked[c.start].row, tracked[c.end].row, c.start_T_end, c.correction(tracked), c.match.inliers)
         for c in closures
@@ -164,7 +164,7 @@ def find_loops(map_T_laser: Trajectory, points_of: Callable[[list[int]], Iterabl
     return Loops(closed, refused, None if keys is tracked else follow(map_T_laser, tracked, keys))
 
 
-def search(tracked: list[KeyFrame], config: Config) -> tuple[list[KeyFrame], list[Closure], int]:
+def find_closures(tracked: list[KeyFrame], config: Config) -> tuple[list[KeyFrame], list[Closure], int]:
     """Return the key frames where they should be, the closures that say so, and how many looks told nothing sure."""
     keys, closures, refused = tracked, list[Closure](), 0
     for _ in range(ROUNDS):

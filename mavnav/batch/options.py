@@ -1,0 +1,176 @@
+"""The request of a batch from its command line and its manifest: the command line wins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mavnav.batch.baseline import parse_tolerance, read_baseline, tolerances
+from mavnav.batch.cases import BASELINE_GATE
+from mavnav.batch.document import BATCH_FILE
+from mavnav.batch.manifest import Entry, Manifest, read_manifest
+from mavnav.batch.request import BatchPart, BatchRequest, Rules, RunLimits
+from mavnav.batch.settings import Setting, crossed_settings, listed_settings
+from mavnav.config.yaml_layers import Layer
+from mavnav.errors import ExitCode, UsageError
+from mavnav.jobs import usable_cores
+from mavnav.jobs.dask import LOCAL
+from mavnav.metrics.gates import Gate, parse_gate
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from mavnav.batch.baseline import Tolerance
+
+MANIFEST_SUFFIXES = (".yaml", ".yml")
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """The command line: what was not given is None or empty.
+
+    ``sources`` are a manifest and logs; ``options`` values of the configuration, ``reading`` those of an `Entry`.
+    """
+
+    sources: Sequence[str] = ()
+    methods: Sequence[str] = ()
+    grids: Sequence[str] = ()
+    azimuths: Sequence[int] = ()
+    config: str | None = None
+    sets: Sequence[str] = ()
+    options: Mapping[str, object] = field(default_factory=dict)
+    reading: Mapping[str, Any] = field(default_factory=dict)
+    gates: Sequence[str] = ()
+    accept: Sequence[int] = ()
+    baseline: Path | None = None
+    tolerances: Sequence[str] = ()
+    directory: Path | None = None
+    jobs: int | None = None
+    timeout_s: float | None = None
+    memory_mb: int | None = None
+    tries: int | None = None
+    scheduler: str | None = None
+    part: str | None = None
+    force: bool = False
+    report: bool = False
+    update_baseline: bool = False
+
+
+def request_of(options: Options) -> BatchRequest:
+    """Read the manifest, if one is named, and return the request.
+
+    Raises ConfigError for a manifest that is wrong, UsageError for anything else that cannot be done.
+    """
+    path = _manifest_path(options.sources)
+    manifest, layer = read_manifest(path) if path else (Manifest(), Layer())
+    base = path.parent if path else Path()
+    baseline = options.baseline or (base / manifest.baseline if manifest.baseline else None)
+    return BatchRequest(
+        entries=_entries(options, manifest, base),
+        settings=tuple(_settings(options, manifest, layer, base)),
+        base=base,
+        directory=options.directory or (base / manifest.output if manifest.output else _default_directory(path)),
+        limits=_limits(options, manifest),
+        rules=_rules(options, manifest, baseline),
+        part=_part(options.part),
+        force=options.force,
+        report=options.report or manifest.report,
+        new_baseline=baseline if options.update_baseline else None,
+    )
+
+
+def _manifest_path(sources: Sequence[str]) -> Path | None:
+    manifests = [source for source in sources if source.endswith(MANIFEST_SUFFIXES)]
+    if len(manifests) > 1:
+        raise UsageError(f"{len(manifests)} manifests; name one, and logs besides")
+    return Path(manifests[0]) if manifests else None
+
+
+def _default_directory(path: Path | None) -> Path:
+    return Path("runs") / (f"batch-{path.stem}" if path else "batch")
+
+
+def _entries(options: Options, manifest: Manifest, base: Path) -> tuple[Entry, ...]:
+    """Return the manifest's logs and those of the command line, which count from the current folder."""
+    logs = [source for source in options.sources if not source.endswith(MANIFEST_SUFFIXES)]
+    absolute = [log if "://" in log or not base.parts else str(Path(log).absolute()) for log in logs]
+    entries = (*manifest.logs, *((Entry(log=tuple(absolute)),) if absolute else ()))
+    return tuple(entry.model_copy(update=dict(options.reading)) for entry in entries)
+
+
+def _settings(options: Options, manifest: Manifest, layer: Layer, base: Path) -> list[Setting]:
+    if manifest.runs and not (options.methods or options.grids or options.azimuths or options.config):
+        return listed_settings(manifest.runs, layer, base, options.sets, options.options)
+    return crossed_settings(
+        options.config, options.sets, options.methods, options.grids, options.azimuths, options.options
+    )
+
+
+def _limits(options: Options, manifest: Manifest) -> RunLimits:
+    if options.memory_mb and options.scheduler not in {None, LOCAL}:
+        raise UsageError("--memory-mb is not for workers that run already; start them with dask worker --memory-limit")
+    return RunLimits(
+        workers=options.jobs or manifest.jobs or usable_cores(),
+        timeout_s=options.timeout_s or manifest.timeout_s,
+        memory_mb=options.memory_mb or manifest.memory_mb,
+        tries=options.tries or manifest.tries,
+        scheduler=options.scheduler,
+    )
+
+
+def _rules(options: Options, manifest: Manifest, path: Path | None) -> Rules:
+    texts = [*manifest.gates, *options.gates]
+    gated = BASELINE_GATE in texts
+    for entry in manifest.logs:  # before any log is read
+        _gates(entry.gates)
+        _codes(entry.accept)
+    needed = gated or options.update_baseline or any(BASELINE_GATE in entry.gates for entry in manifest.logs)
+    if path is None and needed:
+        raise UsageError("no baseline; name one with --baseline, an earlier batch or a file")
+    if options.update_baseline and path and path.is_dir():
+        raise UsageError(f"{path} is a directory; name a file for --update-baseline to write")
+    if options.update_baseline and path and path.name == BATCH_FILE:
+        raise UsageError(f"{path} would be lost; name another file for --update-baseline to write")
+    if options.update_baseline and options.part:
+        raise UsageError("--update-baseline is for all runs of a batch, --part for some; give one of them")
+    fresh = options.update_baseline and path is not None and not path.exists()
+    return Rules(
+        gates=tuple(_gates(texts)),
+        accept=frozenset(_codes([*manifest.accept, *options.accept])),
+        baseline=None if path is None or fresh else read_baseline(path),
+        watched=tolerances([*_given(manifest.tolerances), *(_tolerance(text) for text in options.tolerances)]),
+        baseline_gate=gated and not options.update_baseline,
+    )
+
+
+def _gates(texts: Sequence[str]) -> list[Gate]:
+    return [parse_gate(text) for text in texts if text != BASELINE_GATE]
+
+
+def _codes(codes: Sequence[int]) -> list[int]:
+    known = {int(code) for code in ExitCode}
+    for code in codes:
+        if code not in known:
+            raise UsageError(f"--accept {code}: mavnav has no such exit code; see docs/cli.md")
+    return list(codes)
+
+
+def _given(named: Mapping[str, float | str]) -> list[Tolerance]:
+    return [parse_tolerance(name, str(text)) for name, text in named.items()]
+
+
+def _tolerance(text: str) -> Tolerance:
+    name, equals, size = text.partition("=")
+    if not equals or not name.strip():
+        raise UsageError(f"--tolerance {text!r} is not NAME=X; write for example --tolerance timing.cpu_s=50%")
+    return parse_tolerance(name.strip(), size)
+
+
+def _part(text: str | None) -> BatchPart | None:
+    if text is None:
+        return None
+    number, slash, of = text.partition("/")
+    if not (slash and number.isdecimal() and of.isdecimal()):
+        raise UsageError(f"--part {text!r} is not I/N; write for example --part 1/4")
+    return BatchPart(int(number), int(of))

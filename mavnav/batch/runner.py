@@ -1,0 +1,99 @@
+"""The runner of a batch or a comparison: every missing run in a process of its own, each result as soon as it is known.
+
+Finished runs are read from the cache. A run whose process dies is tried again, and what it left is removed.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeVar
+
+from mavnav.atomic_files import discard
+from mavnav.batch.cases import CaseResult
+from mavnav.batch.jobs import replay_local, replay_remote
+from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs, run_with_retries
+from mavnav.jobs.run_cache import finished_document
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from mavnav.batch.cases import Case
+    from mavnav.batch.plan import BatchPlan
+    from mavnav.batch.request import RunLimits
+    from mavnav.jobs.dask import Cluster
+    from mavnav.pipelines.replay import ReplayRequest
+
+    OnEvent = Callable[[Event], None]
+
+T = TypeVar("T")
+
+
+def run_cases(
+    plan: BatchPlan, on_event: OnEvent, describe: Callable[[CaseResult], T], cluster: Cluster | None = None
+) -> list[T]:
+    """Run what is missing, each run in a process of its own.
+
+    Parameters
+    ----------
+    plan
+        What is to be run.
+    on_event
+        Called with the events of the jobs, which are ``plan.missing`` in its order.
+    describe
+        Called with the result of every case as soon as it is known: first of finished runs and of logs that cannot be
+        read, then of each run as it ends.
+    cluster
+        Where to run, if not in processes here; it tries again what kills its workers by rules of its own.
+
+    Returns
+    -------
+    list
+        What ``describe`` returned for each case, in the order of the plan.
+    """
+    described: dict[str, T] = {}
+
+    def record(case: Case, outcome: Outcome | None) -> None:
+        has_run = outcome is None or outcome.fate is Fate.DONE
+        document = finished_document(case.run) if case.run and has_run else None
+        described[case.name] = describe(CaseResult(case, outcome, document))
+
+    for case in plan.cases:
+        if case.run is None or case.run.directory in plan.finished:
+            record(case, None)
+    _run_missing(plan, on_event, record, cluster)
+    return [described[case.name] for case in plan.cases]
+
+
+def _run_missing(
+    plan: BatchPlan, on_event: OnEvent, record: Callable[[Case, Outcome], None], cluster: Cluster | None
+) -> None:
+    """Run the missing cases; ``record`` is called once for each case of a run that ended."""
+    runs = {case.name: case.run.request for case in plan.missing if case.run}
+    requests, sharing = list(runs.values()), plan.by_directory()
+
+    def listen(event: Event) -> None:
+        if isinstance(event, Ended):
+            for case in sharing[requests[event.index].directory]:
+                record(case, event.outcome)
+        on_event(event)
+
+    jobs = [_job(name, request) for name, request in runs.items()]
+    limits = plan.request.limits
+    if cluster:
+        cluster.run_jobs(jobs, listen, limits.timeout_s)
+    else:
+        run_with_retries(jobs, lambda some, on_end: _run_here(some, on_end, limits), listen, limits.tries)
+
+
+def _job(name: str, request: ReplayRequest) -> Job:
+    return Job(name, replay_remote if request.address else replay_local, (request,))
+
+
+def _run_here(jobs: Sequence[Job], on_event: OnEvent, limits: RunLimits) -> list[Outcome]:
+    """Run jobs in processes of this machine; what a dead worker left is removed before its end is reported."""
+
+    def tidy(event: Event) -> None:
+        if isinstance(event, Ended) and event.outcome.fate in {Fate.DIED, Fate.TIMEOUT}:
+            discard(jobs[event.index].args[0].directory, event.outcome.pid)
+        on_event(event)
+
+    return run_jobs(jobs, limits.workers, tidy, limits.timeout_s, limits.memory_mb)
