@@ -21,6 +21,8 @@ from mavnav.metrics.journey import placed_scans, spread
 from mavnav.metrics.revisits import Revisits, pairs_of, revisits
 from mavnav.metrics.shape import EnclosedAreas, corners, enclosed_areas, occupied_share
 from mavnav.metrics.support import SAMPLE_SCANS, Support, map_support, reasons
+from mavnav.metrics.wall_spread import cut_walls, wall_spread
+from mavnav.metrics.wall_spread import SAMPLE_SCANS as WALL_SCANS
 from mavnav.metrics.wall_thickness import THRESHOLDS, sections_by_hits, wall_sections
 from mavnav.metrics.walls import Wall, straight_walls
 
@@ -29,9 +31,12 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.journey import Journey, PlacedScans
-    from mavnav.metrics.wall_thickness import Sections
+    from mavnav.metrics.wall_spread import WallCuts
+    from mavnav.metrics.wall_spread import cut_walls, wall_spread
+from mavnav.metrics.wall_spread import SAMPLE_SCANS as WALL_SCANS
+from mavnav.metrics.wall_thickness import Sections
 
-PROFILE: Final = "map-quality/1"
+PROFILE: Final = "map-quality/2"
 
 LARGEST_CELLS: Final = 16_000_000
 """Of maps with more, corners and enclosed areas are counted in cells of twice the size, or thrice, ..."""
@@ -57,62 +62,76 @@ class MapQuality:
     walls: tuple[Wall, ...]
 
 
-def map_quality(
-    grid: Grid,
-    journey: Journey | None = None,
-    *,
-    counted: bool = True,
-    sections: dict[int, Sections] | None = None,
-) -> MapQuality:
+@dataclass(frozen=True, slots=True)
+class MeasuredMap:
+    """All that was measured on a map.
+
+    ``sections`` are the cuts through its walls at each hit threshold, ``published`` those through the walls of the
+    published map, ``cuts`` those where its scans saw walls, None where they are not known.
+    """
+
+    quality: MapQuality
+    sections: dict[int, Sections]
+    published: Sections
+    cuts: WallCuts | None
+
+
+def measure_map(grid: Grid, journey: Journey | None = None, *, counted: bool = True) -> MeasuredMap:
     """Measure a map.
 
     Parameters
     ----------
     grid
         The map. What a map file shows as well (walls, corners, areas) is measured on its `occupancy`, so that a run and
-        its map file agree; hits and crossings tell ghost walls and entropy.
+        its map file agree; hits and crossings give ghost walls and entropy.
     journey
         The scans behind it with their poses, where they are known.
     counted
-        Whether hits and crossings are counts; otherwise they are 0 and 1, as a map file tells them.
-    sections
-        The cuts through the grid's walls at each of the thresholds, where they were made already.
+        Whether hits and crossings are counts; otherwise they are 0 and 1, as in a map file.
     """
     occupied = only_occupied(grid)
-    walls = wall_sections(occupied, grid.cell_m, 1)
+    published = wall_sections(occupied, grid.cell_m, 1)
     found, scans = (None, None) if journey is None else _seen_again(journey)
-    support = map_support(grid, occupied, walls, journey, scans)
+    support = map_support(grid, occupied, published, journey, scans)
+    cuts = None if journey is None else cut_walls(grid, scans, len(journey.map_T_laser))
+    measured_share = np.nan if cuts is None else wall_spread(cuts, grid.cell_m).measured_share
     del occupied, scans  # of a large map there is no room for all beside each other
     # Noise may hide a ghost wall at the lower thresholds, few hits at the higher ones.
-    cuts = sections or sections_by_hits(grid.hits, grid.cell_m, THRESHOLDS if counted else (1,))
+    sections = sections_by_hits(grid.hits, grid.cell_m, THRESHOLDS if counted else (1,))
     cells = occupancy(grid)
-    why = reasons(support, lost_for_good=journey is not None and journey.lost_for_good)
+    why = reasons(support, measured_share, lost_for_good=journey is not None and journey.lost_for_good)
     crisp, share, shape = (
         crispness(grid, cells, support.wall_m, counted=counted),
         occupied_share(cells),
         _at_most(cells, grid.cell_m),
     )
     del cells  # what follows takes larger cells of a large map
-    return MapQuality(
+    quality = MapQuality(
         profile=PROFILE,
         meaningful=not why,
         why=why,
-        ghost_walls=ghost_walls(grid, cuts.values()),
+        ghost_walls=ghost_walls(grid, sections.values()),
         crispness=crisp,
         revisits=found,
         support=support,
         occupied_share=share,
         corners=corners(*shape),
         enclosed_areas=enclosed_areas(*shape),
-        walls=straight_walls(walls, grid.cell_m, grid.origin_xy_m),
+        walls=straight_walls(published, grid.cell_m, grid.origin_xy_m),
     )
+    return MeasuredMap(quality, sections, published, cuts)
+
+
+def map_quality(grid: Grid, journey: Journey | None = None, *, counted: bool = True) -> MapQuality:
+    """Measure the quality of a map; arguments as of `measure_map`."""
+    return measure_map(grid, journey, counted=counted).quality
 
 
 def _seen_again(journey: Journey) -> tuple[Revisits, PlacedScans | None]:
     """Compare the scans with one another, and keep them for other uses: they are read once."""
     trajectory = journey.map_T_laser
     pairs = pairs_of(trajectory)
-    scans = placed_scans(journey, np.union1d(pairs.rows, spread(len(trajectory), SAMPLE_SCANS)))
+    scans = placed_scans(journey, np.union1d(pairs.rows, spread(len(trajectory), max(SAMPLE_SCANS, WALL_SCANS))))
     return revisits(trajectory, pairs, scans), scans
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 LEAST_WALL_M: Final = 2.0
 LEAST_MAPPED_SHARE: Final = 0.6
 LEAST_EXPLAINED_SHARE: Final = 0.5
+LEAST_MEASURED_SHARE: Final = 0.7
 """What falls below one of these is no map to compare."""
 
 SAMPLE_SCANS: Final = 200
@@ -58,8 +59,11 @@ def map_support(
     )
 
 
-def reasons(support: Support, *, lost_for_good: bool) -> tuple[str, ...]:
-    """Say why a map means nothing; empty if it does."""
+def reasons(support: Support, measured_share: float, *, lost_for_good: bool) -> tuple[str, ...]:
+    """Say why a map means nothing; empty if it does.
+
+    ``measured_share`` is the part of the walls seen that could be measured; NaN where it is not known.
+    """
     found = []
     if lost_for_good:
         found.append("the track was lost for good")
@@ -70,6 +74,9 @@ def reasons(support: Support, *, lost_for_good: bool) -> tuple[str, ...]:
     if support.explained_share < LEAST_EXPLAINED_SHARE:
         share, least = support.explained_share, LEAST_EXPLAINED_SHARE
         found.append(f"{share:.0%} of what the laser saw lies on the map, {least:.0%} are needed")
+    if measured_share < LEAST_MEASURED_SHARE:
+        share, least = measured_share, LEAST_MEASURED_SHARE
+        found.append(f"{share:.0%} of the walls that the laser saw can be measured, {least:.0%} are needed")
     return tuple(found)
 
 

@@ -6,13 +6,14 @@ the map are summed up along the wall, and the width that holds 95 % of them is m
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from mavnav.kernels.profiles import wall_profiles
 from mavnav.kernels.straight_beams import straight_beams
+from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.journey import spread
 from mavnav.metrics.lines import linked
 from mavnav.metrics.wall_thickness import quantiles
@@ -57,12 +58,18 @@ class WallSpread:
     ``measured_share`` is the part, by length, of the walls that the scans saw which could be measured in the map.
     """
 
-    median_mm: float
-    p95_mm: float
-    median_cells: float
-    p95_cells: float
-    length_m: float
-    measured_share: float
+    median_mm: Measured = field(
+        metadata=number("width that holds 95 % of the hits; half of the wall, by length, has no more", title="wall median", better="lower")
+    )
+    p95_mm: Measured = field(
+        metadata=number("width that holds 95 % of the hits; 95 % of the wall, by length, has no more", title="wall p95", better="lower")
+    )
+    median_cells: Measured = field(metadata=number("the median in cells of the map"))
+    p95_cells: Measured = field(metadata=number("the p95 in cells of the map"))
+    length_m: float = field(metadata=number("length of the measured wall"))
+    measured_share: Measured = field(
+        metadata=number("part of the walls that the scans saw which could be measured on the map", better="higher")
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ import numpy as np
 from mavnav.kernels.thickness import column_runs, run_moments
 from mavnav.mapping.occupancy_grid import counts
 from mavnav.mapping.tiled_arrays import bands, count
-from mavnav.metrics.fields import Measured, absent, number
+from mavnav.metrics.fields import Measured, number
 from mavnav.units import MM
 
 if TYPE_CHECKING:
@@ -64,26 +64,6 @@ class WallThickness:
     sections: int = field(metadata=number("cuts through straight walls"))
     length_m: float = field(metadata=number("length of the measured wall"))
     share: float = field(metadata=number("part of the occupied cells that was measured; with few the rest says little"))
-
-
-@dataclass(frozen=True, slots=True)
-class WallThicknessByHits:
-    """Wall thickness by hit threshold: a cell is part of a wall from so many hits on."""
-
-    hits_1: WallThickness = field(
-        default_factory=absent, metadata={"alias": "1", "description": "cells of at least 1 hit"}
-    )
-    hits_2: WallThickness = field(
-        default_factory=absent, metadata={"alias": "2", "description": "cells of at least 2 hits"}
-    )
-    hits_5: WallThickness = field(
-        default_factory=absent, metadata={"alias": "5", "description": "cells of at least 5 hits"}
-    )
-
-    @classmethod
-    def of(cls, measured: dict[int, WallThickness]) -> WallThicknessByHits:
-        """Return the section of run.json; thresholds that were not measured are left out."""
-        return cls(**{f"hits_{hits}": thickness for hits, thickness in measured.items()})
 
 
 def wall_thickness(hits: NDArray[Any], cell_m: float, min_hits: int) -> WallThickness:

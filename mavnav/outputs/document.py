@@ -16,7 +16,6 @@ import numpy as np
 from mavnav import __version__
 from mavnav.config.models import Config
 from mavnav.metrics.fields import ABSENT
-from mavnav.metrics.wall_thickness import WallThicknessByHits
 from mavnav.outputs import run_json as model
 from mavnav.outputs.run import base_frame
 from mavnav.units import DEG, MM, NS
@@ -52,8 +51,8 @@ def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
         loop_closure=_loop_closure(run),
         localisation=run.localisation or ABSENT,
         search=_search(run),
-        wall_thickness=WallThicknessByHits.of(run.thickness),
-        map_quality=run.quality,
+        wall_thickness=run.walls,
+        map_quality=run.measured.quality,
         reference=run.reference or ABSENT,
         map=_map(run),
         mission=mission.result if mission else ABSENT,

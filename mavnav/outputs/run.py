@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from mavnav.errors import ExitCode
 from mavnav.mapping.occupancy_grid import known_part, occupancy
-from mavnav.metrics.wall_thickness import wall_thicknesses
+from mavnav.metrics.wall_report import wall_report
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -96,11 +96,10 @@ class Run:
     log: Log
     config: Config
     slam: SlamResult
-    sections: dict[int, Sections]
+    measured: MeasuredMap
     timing: Timing
     truth: Truth | None = None
     mission: Mission | None = None
-    quality: MapQuality | None = None
     reference: Reference | None = None
     true_map: TrueMap | None = None
     stopped: ExitCode | None = None
@@ -112,10 +111,11 @@ class Run:
         """What the pictures call the run: its log, or its scenario."""
         return self.mission.path.stem if self.mission else self.log.path.name
 
-    @property
-    def thickness(self) -> dict[int, WallThickness]:
-        """How thick the walls are at each hit threshold."""
-        return wall_thicknesses(self.sections, self.slam.grid.cell_m)
+    @cached_property
+    def walls(self) -> WallThicknessReport:
+        """How thick the walls are."""
+        found = self.measured
+        return wall_report(found.sections, found.published, found.cuts, self.slam.grid.cell_m)
 
     @cached_property
     def known(self) -> Grid:

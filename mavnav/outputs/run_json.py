@@ -12,7 +12,7 @@ from mavnav.logs import Damage
 from mavnav.metrics.fields import Measured, absent, number
 from mavnav.metrics.map_quality import MapQuality
 from mavnav.metrics.reference import Reference
-from mavnav.metrics.wall_thickness import WallThicknessByHits
+from mavnav.metrics.wall_report import WallThicknessReport
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,8 +257,8 @@ class RunDocument:
     loop_closure: LoopClosure
     localisation: Localisation = field(default_factory=absent)
     search: Search
-    wall_thickness: WallThicknessByHits
-    map_quality: MapQuality | None
+    wall_thickness: WallThicknessReport
+    map_quality: MapQuality
     reference: Reference = field(default_factory=absent)
     map: Map
     mission: MissionResult = field(default_factory=absent)

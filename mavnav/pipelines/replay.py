@@ -18,8 +18,7 @@ from mavnav.logs import check_log, open_log
 from mavnav.mapping.occupancy_grid import measured_part
 from mavnav.memory import give_back
 from mavnav.metrics.journey import Journey
-from mavnav.metrics.map_quality import map_quality
-from mavnav.metrics.wall_thickness import sections_by_hits
+from mavnav.metrics.map_quality import measure_map
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.run import Run, Timing
 from mavnav.outputs.run_json import FoundPose, Localisation, StartPose
@@ -36,9 +35,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.ground_truth.references import References
     from mavnav.logs import Log
-    from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.metrics.map_quality import MapQuality
-    from mavnav.metrics.wall_thickness import Sections
+    from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.pose import Pose
     from mavnav.scan import Scan
     from mavnav.slam.prior_map import PriorMap
@@ -185,16 +182,15 @@ def _mapped(
     stopped = stop()
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
-    sections = measured_sections(outcome.grid)
-    timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
     progress("measuring", 0, None)
+    measured = measured_map(outcome, log)
+    timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
     run = Run(
         log=log,
         config=request.config,
         slam=outcome,
-        sections=sections,
+        measured=measured,
         timing=timing,
-        quality=measured_quality(outcome, log, sections),
         reference=compared(given.references, outcome.trajectory, occupied_xy_m(outcome.grid)),
         true_map=given.references.true_map,
         stopped=stopped,
@@ -206,16 +202,10 @@ def _mapped(
 
 
 @timed("measuring")
-def measured_sections(grid: Grid) -> dict[int, Sections]:
-    """Cut the walls of the known part of the map across at each of the thresholds."""
-    return sections_by_hits(measured_part(grid).hits, grid.cell_m)
-
-
-@timed("measuring")
-def measured_quality(outcome: SlamResult, log: Log, sections: dict[int, Sections]) -> MapQuality:
-    """Measure the map of a run, with the scans behind it."""
+def measured_map(outcome: SlamResult, log: Log) -> MeasuredMap:
+    """Measure the known part of the map of a run, with the scans behind it."""
     journey = Journey(outcome.trajectory, log.scans, outcome.tracked_share, outcome.lost_for_good)
-    return map_quality(measured_part(outcome.grid), journey, sections=sections)
+    return measure_map(measured_part(outcome.grid), journey)
 
 
 def _open(request: ReplayRequest, progress: Progress) -> Log:

@@ -23,7 +23,7 @@ from mavnav.outputs.directory import check_directory
 from mavnav.outputs.run import Mission, Run, Timing, Truth
 from mavnav.outputs.run_json import MissionResult, TruthErrors
 from mavnav.outputs.writers import write_run
-from mavnav.pipelines.replay import Progress, measured_quality, measured_sections
+from mavnav.pipelines.replay import Progress, measured_map
 from mavnav.pose import Pose
 from mavnav.profiling import new_profile
 from mavnav.simulation.mission import Flight, fly
@@ -80,16 +80,15 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
     with TemporaryDirectory(prefix="mavnav-") as folder:
         kept = Path(folder) / f"{request.scenario.name}.mcap"
         record(recording, kept)
-        log, sections = open_log(kept), measured_sections(flight.slam.grid)
+        log = open_log(kept)
         run = Run(
             log=log,
             config=request.scenario.slam,
             slam=flight.slam,
-            sections=sections,
+            measured=measured_map(flight.slam, log),
             timing=timing,
             truth=_truth(flight),
             mission=_mission(request, flight),
-            quality=measured_quality(flight.slam, log, sections),
             reference=_reference(flight),
         )
         document = write_run(run, request.directory, force=request.force, report=request.report)
