@@ -15,6 +15,7 @@ from mavnav.mapping.occupancy_grid import UNKNOWN, occupancy, occupied_cells
 from mavnav.mapping.tiled_arrays import pooled
 from mavnav.memory import blank
 from mavnav.metrics.crispness import Crispness, crispness
+from mavnav.metrics.doubled_walls import doubled_walls, key_rows
 from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
 from mavnav.metrics.journey import placed_scans, spread
 from mavnav.metrics.revisits import Revisits, pairs_of, revisits
@@ -81,9 +82,12 @@ def map_quality(
     walls = wall_sections(occupied, grid.cell_m, 1)
     found, scans = (None, None) if journey is None else _seen_again(journey)
     support = map_support(grid, occupied, walls, journey, scans)
+    ghosts = None if journey is None or scans is None else doubled_walls(journey.map_T_laser, scans, grid.cell_m)
     del occupied, scans  # of a large map there is no room for all beside each other
-    # Noise may hide a ghost wall at the lower thresholds, few hits at the higher ones.
-    cuts = sections or sections_by_hits(grid.hits, grid.cell_m, THRESHOLDS if counted else (1,))
+    if ghosts is None:
+        # Noise may hide a ghost wall at the lower thresholds, few hits at the higher ones.
+        cuts = sections or sections_by_hits(grid.hits, grid.cell_m, THRESHOLDS if counted else (1,))
+        ghosts = ghost_walls(grid, cuts.values())
     cells = occupancy(grid)
     why = reasons(support, lost_for_good=journey is not None and journey.lost_for_good)
     crisp, share, shape = (
@@ -96,7 +100,7 @@ def map_quality(
         profile=PROFILE,
         meaningful=not why,
         why=why,
-        ghost_walls=ghost_walls(grid, cuts.values()),
+        ghost_walls=ghosts,
         crispness=crisp,
         revisits=found,
         support=support,
@@ -111,7 +115,8 @@ def _seen_again(journey: Journey) -> tuple[Revisits, PlacedScans | None]:
     """Compare the scans with one another, and keep them for other uses: they are read once."""
     trajectory = journey.map_T_laser
     pairs = pairs_of(trajectory)
-    scans = placed_scans(journey, np.union1d(pairs.rows, spread(len(trajectory), SAMPLE_SCANS)))
+    rows = (pairs.rows, spread(len(trajectory), SAMPLE_SCANS), key_rows(trajectory))
+    scans = placed_scans(journey, np.unique(np.concatenate(rows)))
     return revisits(trajectory, pairs, scans), scans
 
 
