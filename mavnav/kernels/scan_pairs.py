@@ -127,7 +127,7 @@ def wall_gaps(
     -------
     (n, beams / every): gap across the wall in m, 0 where b sees the wall too, negative where b sees something before
     it; inf where b sees something behind it that is no wall parallel to it; NaN where a has no wall point, or b does
-    not look at it from its front.
+    not look at it. From which side b looks at a wall does not matter.
     """
     first, step, least_m, far_m = beams
     count = ranges_m.shape[1]
@@ -148,14 +148,14 @@ def wall_gaps(
             )
             x, y = c * ax - s * ay + x0, s * ax + c * ay + y0
             r = np.hypot(x, y)
-            cosine = -(np.cos(normal) * x + np.sin(normal) * y) / max(r, 1e-9)
+            cosine = abs(np.cos(normal) * x + np.sin(normal) * y) / max(r, 1e-9)
             if not least_m <= r <= far_m or cosine < LEAST_COSINE:
                 continue
             off = np.arctan2(y, x) - first - half * step
             beam = int(np.floor((off - turn * np.floor(off / turn + 0.5)) / step + half + 0.5))
             if 0 <= beam < count and least_m <= ranges_m[b, beam] <= far_m:
                 gap = (ranges_m[b, beam] - r) * cosine
-                parallel = np.cos(normals_rad[b, beam] - normal) > PARALLEL  # not where b has no normal
+                parallel = abs(np.cos(normals_rad[b, beam] - normal)) > PARALLEL  # not where b has no normal
                 same = abs(gap) <= SAME_M + SAME_SHARE * r
                 out[p, m] = 0.0 if same else gap if gap < 0.0 or parallel else np.inf
     return out

@@ -112,15 +112,15 @@ def wall_gaps(ranges_m, normals_rad, pairs, b_T_a, directions, beams, every):
         for m, i in enumerate(points):
             (end,), normal = placed(b_T_a[p], (ranges_m[a, i] * directions[i])[None]), normals_rad[a, i] + b_T_a[p, 2]
             r, towards = np.hypot(*end), np.array([np.cos(normal), np.sin(normal)])
-            if np.isnan(normal) or not least_m <= r <= far_m or -towards @ end / r < 0.25:
+            if np.isnan(normal) or not least_m <= r <= far_m or abs(towards @ end) / r < 0.25:
                 continue
             centre = (ranges_m.shape[1] - 1) / 2
             off = math.remainder(math.atan2(end[1], end[0]) - first - centre * step, 2 * math.pi)
             beam = math.floor(off / step + centre + 0.5)
             if not 0 <= beam < ranges_m.shape[1] or not least_m <= ranges_m[b, beam] <= far_m:
                 continue
-            gap = (ranges_m[b, beam] - r) * (-towards @ end / r)
-            parallel = np.cos(normals_rad[b, beam] - normal) > 0.94
+            gap = (ranges_m[b, beam] - r) * (abs(towards @ end) / r)
+            parallel = abs(np.cos(normals_rad[b, beam] - normal)) > 0.94
             out[p, m] = 0.0 if abs(gap) <= 0.05 + 0.01 * r else gap if gap < 0 or parallel else np.inf
     return out
 
@@ -137,3 +137,24 @@ def closeness(points, targets, size):
         inside = (cell + size // 2 >= 0).all() and (cell + size // 2 < size).all()
         total += math.floor(255 * max(0.0, 1 - away_m / 0.12)) if inside else 0
     return total / 255 / max(len(points), 1)
+
+
+def best_alignments(ranges_m, pairs, b_T_a, directions, limits_m, reach):
+    """Try all poses of a level, and remember the first of the best."""
+    used = (ranges_m >= limits_m[0]) & (ranges_m <= limits_m[1])
+    size, out = 2 * int(limits_m[1] / 0.05) + 2, b_T_a.copy()
+    for p, (a, b) in enumerate(pairs):
+        points, targets = (ranges_m[k, used[k], None] * directions[used[k]] for k in (a, b))
+        best = np.zeros(3)
+        for level in range(4):
+            some = points[:: max(1, len(points) // (160 if level else 40))]
+            steps, turns = (1, 1) if level else (reach, 3)
+            grid = np.mgrid[-turns : turns + 1, -steps : steps + 1, -steps : steps + 1].reshape(3, -1).T
+            tries = best + grid[:, [1, 2, 0]] * (0.1, 0.1, math.pi / 90) / 2**level
+            scores = [
+                closeness(placed(b_T_a[p] + at, some), targets, size) - 0.03 * np.hypot(*at[:2]) - 0.1 * abs(at[2])
+                for at in tries
+            ]
+            best = tries[np.argmax(scores)]
+        out[p] += best
+    return out
