@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from mavnav.metrics.journey import Journey, PlacedScans
     from mavnav.metrics.wall_thickness import Sections
 
-PROFILE: Final = "map-quality/1"
+PROFILE: Final = "map-quality/2"
 
 LARGEST_CELLS: Final = 16_000_000
 """Of maps with more, corners and enclosed areas are counted in cells of twice the size, or thrice, ..."""
@@ -70,7 +70,7 @@ def map_quality(
     ----------
     grid
         The map. What a map file shows as well (walls, corners, areas) is measured on its `occupancy`, so that a run and
-        its map file agree; hits and crossings tell ghost walls and entropy.
+        its map file agree; hits and crossings give the entropy, and without scans the ghost walls.
     journey
         The scans behind it with their poses, where they are known.
     counted

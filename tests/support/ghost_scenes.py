@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavnav.metrics.doubled_walls import doubled_walls
-from mavnav.metrics.ghost_walls import GhostWalls
+from mavnav.metrics.ghost_walls import GhostWall, GhostWalls
 from mavnav.metrics.journey import PlacedScans
 from mavnav.pose import Trajectory
 from mavnav.scan import LaserSpec
@@ -206,35 +206,57 @@ def read(scene: Scene, poses: Trajectory, k: int, spec: LaserSpec, noise: float,
     return np.where(returned, pane_m * (1 + noise * rng.standard_normal(len(pane_m))), ranges_m)
 
 
-def with_ghost(scans: PlacedScans, offset_m: float, along_rad: float, sudden: bool, rng: Rng) -> PlacedScans:
-    """Move the poses of the second half, suddenly or over a tenth of the run, and turn them by half a degree or so."""
+@dataclass
+class Shift:
+    """What is done to the poses of the second half: turned about a point, then moved; m, rad."""
+
+    about_m: np.ndarray
+    step_m: np.ndarray
+    yaw_rad: float
+
+    def moved(self, xy_m: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """Move points (n, 2) by a share (n,) of the shift."""
+        (x, y), yaw = (xy_m - self.about_m).T, share * self.yaw_rad
+        turned = np.column_stack((np.cos(yaw) * x - np.sin(yaw) * y, np.sin(yaw) * x + np.cos(yaw) * y))
+        return turned + self.about_m + share[:, None] * self.step_m
+
+    def across_m(self, place: GhostWall) -> float:
+        """Return how far a wall is moved across."""
+        at, angle = np.array([[place.x_m, place.y_m]]), np.radians(place.direction_deg)
+        ((dx, dy),) = self.moved(at, np.ones(1)) - at
+        return abs(np.cos(angle) * dy - np.sin(angle) * dx)
+
+    def found_m(self, ghosts: GhostWalls) -> float:
+        """Return the length of the places whose offset is right to 50 mm or 10 %."""
+        true_m = [self.across_m(place) for place in ghosts.places]
+        right = [abs(p.offset_mm * 1e-3 - t) < max(0.05, 0.1 * t) for p, t in zip(ghosts.places, true_m, strict=True)]
+        return sum(place.length_m for place, fits in zip(ghosts.places, right, strict=True) if fits)
+
+
+def with_ghost(scans: PlacedScans, shift: Shift, sudden: bool) -> PlacedScans:
+    """Shift the poses of the second half, suddenly or growing over a tenth of the run."""
     n = len(scans.poses)
     share = np.clip((np.arange(n) / n - 0.45) / 0.1, 0.0, 1.0) if not sudden else (np.arange(n) >= n // 2) * 1.0
-    middle, yaw = scans.poses[n // 2, :2], share * rng.normal(0, 0.5 * DEG)
-    x, y = (scans.poses[:, :2] - middle).T
-    moved = np.column_stack((np.cos(yaw) * x - np.sin(yaw) * y, np.sin(yaw) * x + np.cos(yaw) * y, scans.poses[:, 2]))
-    step = np.array([offset_m * np.cos(along_rad), offset_m * np.sin(along_rad)])
-    moved[:, :2] += middle + share[:, None] * step
-    moved[:, 2] += yaw
-    return PlacedScans(scans.spec, scans.stamps_ns, moved, scans.ranges_m)
+    poses = np.column_stack((shift.moved(scans.poses[:, :2], share), scans.poses[:, 2] + share * shift.yaw_rad))
+    return PlacedScans(scans.spec, scans.stamps_ns, poses, scans.ranges_m)
 
 
 def ghosts_of(scans: PlacedScans) -> GhostWalls:
     return doubled_walls(Trajectory(scans.stamps_ns, scans.poses), scans, 0.02)
 
 
-def planted(kind: str, seed: int, offset_m: float) -> GhostWalls:
-    """Return what is found of a ghost of this offset, across the corridor or along a wall of the room."""
+def planted(kind: str, seed: int, offset_m: float) -> tuple[GhostWalls, float]:
+    """Return what is found of a ghost of this offset, across the corridor or along a wall of the room.
+
+    Returned with it is the length of the places whose offset is right.
+    """
     rng = np.random.default_rng((seed, 1))
     scans, turn = placed(GHOSTS[kind](rng), seed, rng), int(rng.integers(4))
     along_rad = np.pi * (turn + 0.5) if kind == "narrow_corridor" else np.pi / 2 * turn
-    return ghosts_of(with_ghost(scans, offset_m, along_rad, seed % 2 == 0, rng))
-
-
-def found_m(ghosts: GhostWalls, offset_m: float) -> float:
-    """Return the length of the places whose offset is right to 50 mm or 10 %."""
-    limit_m = max(0.05, 0.1 * offset_m)
-    return sum(place.length_m for place in ghosts.places if abs(place.offset_mm * 1e-3 - offset_m) < limit_m)
+    step_m = offset_m * np.array([np.cos(along_rad), np.sin(along_rad)])
+    shift = Shift(scans.poses[len(scans.poses) // 2, :2], step_m, rng.normal(0, 0.5 * DEG))
+    ghosts = ghosts_of(with_ghost(scans, shift, sudden=seed % 2 == 0))
+    return ghosts, shift.found_m(ghosts)
 
 
 def honest(kind: str, seed: int) -> GhostWalls:
@@ -245,7 +267,7 @@ def honest(kind: str, seed: int) -> GhostWalls:
 def table(seeds: range) -> Iterator[str]:
     for kind in GHOSTS:
         for offset_m in OFFSETS_M:
-            lengths_m = [found_m(planted(kind, seed, offset_m), offset_m) for seed in seeds]
+            lengths_m = [planted(kind, seed, offset_m)[1] for seed in seeds]
             found = sum(length_m >= 1.0 for length_m in lengths_m)
             yield f"{kind}, {offset_m} m: found in {found} of {len(seeds)}, {np.median(lengths_m):.1f} m"
     for kind in REAL:
