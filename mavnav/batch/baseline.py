@@ -44,6 +44,8 @@ TOLERANCES: Final = (
     Tolerance("map_quality.meaningful", high=True),
     Tolerance("map.accepted_share", absolute=0.02, high=True),
     Tolerance("tracking.tracked_share", absolute=0.01, high=True),
+    Tolerance("wall_thickness.spread.median_mm", absolute=2.0, relative=0.05),
+    Tolerance("wall_thickness.spread.p95_mm", absolute=2.0, relative=0.05),
     Tolerance("wall_thickness.2.p95_mm", absolute=2.0, relative=0.05),
     Tolerance("map_quality.ghost_walls.length_m", absolute=0.25, relative=0.05),
     Tolerance("map_quality.revisits.nn_l_mm", absolute=0.5, relative=0.05),

@@ -25,6 +25,8 @@ FIGURES: Final = (
     "tracking.tracked_share",
     "tracking.path_length_m",
     "map_quality.meaningful",
+    "wall_thickness.spread.median_mm",
+    "wall_thickness.spread.p95_mm",
     "wall_thickness.2.p95_mm",
     "wall_thickness.2.max_mm",
     "map_quality.ghost_walls.length_m",

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 COLUMNS: Final = (
     NAMED["map.accepted_share"],
     PATH,
-    NAMED["wall_thickness.2.p95_mm"],
+    NAMED["wall_thickness.spread.p95_mm"],
     NAMED["map_quality.ghost_walls.length_m"],
     NAMED["map_quality.revisits.nn_l_mm"],
     TIME,

@@ -17,7 +17,7 @@ MOST_ROWS: Final = 100
 
 FIGURES: Final = (
     NAMED["map.accepted_share"],
-    NAMED["wall_thickness.2.p95_mm"],
+    NAMED["wall_thickness.spread.p95_mm"],
     NAMED["map_quality.ghost_walls.length_m"],
     TIME,
 )

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from mavnav.outputs.quantities import Quantity
 
-BARRED = {"wall_thickness.2.p95_mm", "timing.cpu_s"}
+BARRED = {"wall_thickness.spread.p95_mm", "timing.cpu_s"}
 """Metrics that are shown with a bar."""
 
 BAR_WIDTH = 6
@@ -22,10 +22,11 @@ EIGHTHS = " ▏▎▍▌▋▊▉█"
 LEFT_OUT_FIRST = (
     "map_quality.crispness.entropy_bits",
     "map_quality.crispness.occupied_cells_per_m",
-    "wall_thickness.2.max_mm",
+    "wall_thickness.paper_cells.max",
     "search.evaluations_per_scan.mean",
     "map_quality.revisits.nn_l_mm",
     "map.accepted_share",
+    "wall_thickness.spread.median_mm",
 )
 """Metrics that a narrow terminal leaves out; the files and the report have them all."""
 

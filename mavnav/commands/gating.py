@@ -18,7 +18,7 @@ Gates = Annotated[
     typer.Option(
         "--gate",
         metavar="'NAME<=X'",
-        help="Exit with code 1 unless this holds of run.json, e.g. 'wall_thickness.2.p95_mm<=120'; repeatable.",
+        help="Exit with code 1 unless this holds of run.json, e.g. 'wall_thickness.spread.p95_mm<=90'; repeatable.",
         show_default=False,
         rich_help_panel=CHECKS,
     ),

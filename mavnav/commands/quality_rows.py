@@ -14,13 +14,26 @@ Rows = list[tuple[str, str]]
 
 def wall_rows(document: dict[str, Any]) -> Rows:
     """Return the rows on wall thickness of a summary table."""
-    return [(f"wall thickness, >= {hits} hits", _thickness(wall)) for hits, wall in document["wall_thickness"].items()]
+    walls = document["wall_thickness"]
+    rows = [("wall thickness", _spread(walls["spread"]))] if "spread" in walls else []
+    paper = walls.get("paper_cells")
+    if paper and paper["max"] is not None:
+        counted = f"median {paper['median']:.0f}, p95 {paper['p95']:.0f}, max {paper['max']:.0f}"
+        rows.append(("wall cells", f"{counted} (of >= {paper['min_hits']} hits, as the paper counts)"))
+    return [*rows, ("published map", _cells(walls["published_map"]))]
 
 
-def _thickness(wall: dict[str, Any]) -> str:
+def _spread(spread: dict[str, Any]) -> str:
+    if spread["median_mm"] is None:
+        return "no straight wall to measure"
+    share = f"{spread['length_m']:.1f} m of wall, {spread['measured_share']:.0%} of what the laser saw"
+    return f"median {spread['median_mm']:.0f} mm, p95 {spread['p95_mm']:.0f} mm ({share})"
+
+
+def _cells(wall: dict[str, Any]) -> str:
     if not wall["sections"]:
         return "no straight wall"
-    return f"p95 {wall['p95_mm']:.0f} mm, max {wall['max_mm']:.0f} mm ({wall['max_cells']:.1f} cells)"
+    return f"walls of {wall['median_mm']:.0f} mm in the median, p95 {wall['p95_mm']:.0f} mm"
 
 
 def page_row(directory: Path) -> Rows:

@@ -30,14 +30,19 @@ def write_comparison(document: dict[str, Any], directory: Path) -> None:
             raise OutputError(f"{directory / name} cannot be written: {error.strerror or error}; make room") from error
 
 
+BY_HITS: Final = ("wall_thickness.2.p95_mm", "wall_thickness.2.max_mm")
+"""Further columns of the CSV file, for those who compare with earlier ones."""
+
+
 def comparison_csv(document: dict[str, Any]) -> str:
     """Write one line per run: what it is, its metrics under their names in run.json, and its relative cost."""
     rows = io.StringIO()
     table = csv.writer(rows, lineterminator="\n")
     head = ("log", "method", "grid", "azimuth", "status", "exit_code", "error", "directory")
-    table.writerow([*head, *(figure.name for figure in QUANTITIES), *(f"price.{name}" for name in RELATIVE_COSTS)])
+    names = [*(figure.name for figure in QUANTITIES), *BY_HITS]
+    table.writerow([*head, *names, *(f"price.{name}" for name in RELATIVE_COSTS)])
     for k, cell in enumerate(document["cells"]):
-        figures = [number(cell["run"], figure.name) for figure in QUANTITIES]
+        figures = [number(cell["run"], name) for name in names]
         table.writerow(
             [*(cell[key] for key in head), *figures, *(document["price"][name][k] for name in RELATIVE_COSTS)]
         )

@@ -61,6 +61,13 @@ class GhostWall:
     direction_deg: float = field(metadata=number("direction of the front ridge, 0 to 180 from x"))
     length_m: float = field(metadata=number("length of the front ridge"))
     offset_mm: float = field(metadata=number("distance from the front ridge to the rear one"))
+    scan_pairs: int | None = field(default=None, metadata=number("pairs of scans that show it; null without scans"))
+    front_s: float | None = field(
+        default=None, metadata=number("when the front copy was drawn, from the first scan; null without scans")
+    )
+    rear_s: float | None = field(
+        default=None, metadata=number("when the rear copy was drawn, from the first scan; null without scans")
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,13 +107,18 @@ def ghost_walls(grid: Grid, all_sections: Iterable[Sections]) -> GhostWalls:
         hits, passes = wall_profiles(grid.hits, grid.passes, some, half_length, reach)
         left.append(_twins(some, hits, passes))
         right.append(_twins(_turned(some), hits[:, ::-1, ::-1], passes[:, ::-1, ::-1]))
-    places = _places(_joined(left + right), grid)
+    return as_ghost_walls(_places(_joined(left + right), grid), grid.cell_m)
+
+
+def as_ghost_walls(found: Iterable[GhostWall], cell_m: float) -> GhostWalls:
+    """Sum up ghost walls of a map of cells of ``cell_m``."""
+    places = tuple(sorted(found, key=lambda p: (-p.length_m, p.x_m, p.y_m)))
     worst_mm = max((p.offset_mm for p in places), default=np.nan)
     return GhostWalls(
         count=len(places),
         length_m=float(sum(p.length_m for p in places)),
         worst_offset_mm=worst_mm,
-        worst_offset_cells=worst_mm * MM / grid.cell_m,
+        worst_offset_cells=worst_mm * MM / cell_m,
         places=places,
     )
 
@@ -187,7 +199,7 @@ def _joined(twins: list[_Twins]) -> _Twins:
     return _Twins(*(np.concatenate(part) for part in parts))
 
 
-def _places(twins: _Twins, grid: Grid) -> tuple[GhostWall, ...]:
+def _places(twins: _Twins, grid: Grid) -> list[GhostWall]:
     """Join twins that follow one another; what is shorter than the least length is chance."""
     xy_m = (twins.xy_cells + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
     groups = linked(xy_m, twins.direction_rad, reach_m=REACH_M, across_m=ACROSS_CELLS * grid.cell_m, turn_rad=TURN_RAD)
@@ -198,4 +210,4 @@ def _places(twins: _Twins, grid: Grid) -> tuple[GhostWall, ...]:
         offset_mm = float(np.median(twins.offset_cells[here])) * grid.cell_m / MM
         if line.length_m >= LEAST_LENGTH_M:
             places.append(GhostWall(line.x_m, line.y_m, line.direction_rad / DEG, line.length_m, offset_mm))
-    return tuple(sorted(places, key=lambda p: (-p.length_m, p.x_m, p.y_m)))
+    return places

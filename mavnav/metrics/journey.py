@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -14,6 +14,10 @@ if TYPE_CHECKING:
 
     from mavnav.pose import Trajectory
     from mavnav.scan import LaserSpec, Scan
+
+NEAR_M: Final = 0.1
+FAR_SHORT_M, FAR_LONG_M, SHORT_SENSOR_M = 4.0, 8.0, 6.0
+"""Points up to the first distance are used of sensors that reach no farther than the third, else up to the second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +42,11 @@ class PlacedScans:
     stamps_ns: NDArray[np.int64]
     poses: NDArray[np.float64]
     ranges_m: NDArray[np.float64]
+
+
+def used_ranges_m(spec: LaserSpec) -> tuple[float, float]:
+    """Return the least and the greatest range of the points that scans are compared by, m."""
+    return NEAR_M, min(FAR_SHORT_M if spec.range_max_m <= SHORT_SENSOR_M else FAR_LONG_M, spec.range_max_m)
 
 
 def spread(n: int, most: int) -> NDArray[np.intp]:

@@ -15,14 +15,14 @@ from mavnav.mapping.occupancy_grid import UNKNOWN, occupancy, occupied_cells
 from mavnav.mapping.tiled_arrays import pooled
 from mavnav.memory import blank
 from mavnav.metrics.crispness import Crispness, crispness
+from mavnav.metrics.doubled_walls import doubled_walls, key_rows
 from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.ghost_walls import GhostWalls, ghost_walls
 from mavnav.metrics.journey import placed_scans, spread
 from mavnav.metrics.revisits import Revisits, pairs_of, revisits
 from mavnav.metrics.shape import EnclosedAreas, corners, enclosed_areas, occupied_share
 from mavnav.metrics.support import SAMPLE_SCANS, Support, map_support, reasons
-from mavnav.metrics.wall_spread import cut_walls, wall_spread
-from mavnav.metrics.wall_spread import SAMPLE_SCANS as WALL_SCANS
+from mavnav.metrics.wall_spread import WALL_SCANS, cut_walls, wall_spread
 from mavnav.metrics.wall_thickness import THRESHOLDS, sections_by_hits, wall_sections
 from mavnav.metrics.walls import Wall, straight_walls
 
@@ -32,9 +32,7 @@ if TYPE_CHECKING:
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.journey import Journey, PlacedScans
     from mavnav.metrics.wall_spread import WallCuts
-    from mavnav.metrics.wall_spread import cut_walls, wall_spread
-from mavnav.metrics.wall_spread import SAMPLE_SCANS as WALL_SCANS
-from mavnav.metrics.wall_thickness import Sections
+    from mavnav.metrics.wall_thickness import Sections
 
 PROFILE: Final = "map-quality/2"
 
@@ -83,7 +81,7 @@ def measure_map(grid: Grid, journey: Journey | None = None, *, counted: bool = T
     ----------
     grid
         The map. What a map file shows as well (walls, corners, areas) is measured on its `occupancy`, so that a run and
-        its map file agree; hits and crossings give ghost walls and entropy.
+        its map file agree; hits and crossings give the entropy, and without scans the ghost walls.
     journey
         The scans behind it with their poses, where they are known.
     counted
@@ -93,11 +91,13 @@ def measure_map(grid: Grid, journey: Journey | None = None, *, counted: bool = T
     published = wall_sections(occupied, grid.cell_m, 1)
     found, scans = (None, None) if journey is None else _seen_again(journey)
     support = map_support(grid, occupied, published, journey, scans)
+    ghosts = None if journey is None or scans is None else doubled_walls(journey.map_T_laser, scans, grid.cell_m)
     cuts = None if journey is None else cut_walls(grid, scans, len(journey.map_T_laser))
     measured_share = np.nan if cuts is None else wall_spread(cuts, grid.cell_m).measured_share
     del occupied, scans  # of a large map there is no room for all beside each other
-    # Noise may hide a ghost wall at the lower thresholds, few hits at the higher ones.
     sections = sections_by_hits(grid.hits, grid.cell_m, THRESHOLDS if counted else (1,))
+    if ghosts is None:
+        ghosts = ghost_walls(grid, sections.values())  # noise may hide one at some of the thresholds
     cells = occupancy(grid)
     why = reasons(support, measured_share, lost_for_good=journey is not None and journey.lost_for_good)
     crisp, share, shape = (
@@ -110,7 +110,7 @@ def measure_map(grid: Grid, journey: Journey | None = None, *, counted: bool = T
         profile=PROFILE,
         meaningful=not why,
         why=why,
-        ghost_walls=ghost_walls(grid, sections.values()),
+        ghost_walls=ghosts,
         crispness=crisp,
         revisits=found,
         support=support,
@@ -131,7 +131,8 @@ def _seen_again(journey: Journey) -> tuple[Revisits, PlacedScans | None]:
     """Compare the scans with one another, and keep them for other uses: they are read once."""
     trajectory = journey.map_T_laser
     pairs = pairs_of(trajectory)
-    scans = placed_scans(journey, np.union1d(pairs.rows, spread(len(trajectory), max(SAMPLE_SCANS, WALL_SCANS))))
+    rows = (pairs.rows, spread(len(trajectory), max(SAMPLE_SCANS, WALL_SCANS)), key_rows(trajectory))
+    scans = placed_scans(journey, np.unique(np.concatenate(rows)))
     return revisits(trajectory, pairs, scans), scans
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from mavnav.kernels.overlap import scan_distances
 from mavnav.metrics.fields import Measured, number
-from mavnav.metrics.journey import spread
+from mavnav.metrics.journey import spread, used_ranges_m
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -22,10 +22,6 @@ if TYPE_CHECKING:
     from mavnav.pose import Trajectory
 
 CAP_M: Final = 0.15
-NEAR_M: Final = 0.1
-FAR_SHORT_M, FAR_LONG_M, SHORT_SENSOR_M = 4.0, 8.0, 6.0
-"""Points up to the first distance are used of sensors that reach no farther than the third, else up to the second."""
-
 SHORT_GAP_NS: Final = (300_000_000, 3_000_000_000)
 LONG_GAP_NS: Final = 10_000_000_000
 LONG_DISTANCE_M: Final = 1.0
@@ -145,8 +141,8 @@ def _fractions(n: int) -> NDArray[np.float64]:
 def _distances(scans: PlacedScans, trajectory: Trajectory, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return the sums of `scan_distances` for the pairs of rows that have points enough."""
     spec = scans.spec
-    far_m = min(FAR_SHORT_M if spec.range_max_m <= SHORT_SENSOR_M else FAR_LONG_M, spec.range_max_m)
-    points = np.count_nonzero((scans.ranges_m >= NEAR_M) & (scans.ranges_m <= far_m), axis=1)
+    near_m, far_m = used_ranges_m(spec)
+    points = np.count_nonzero((scans.ranges_m >= near_m) & (scans.ranges_m <= far_m), axis=1)
     order = np.argsort(scans.stamps_ns)
     there = np.searchsorted(scans.stamps_ns, trajectory.stamps_ns[pairs], sorter=order)
     numbers = order[np.minimum(there, len(order) - 1)]
@@ -157,7 +153,7 @@ def _distances(scans: PlacedScans, trajectory: Trajectory, pairs: NDArray[np.int
         scans.poses,
         np.ascontiguousarray(numbers[found & enough], np.int64),
         spec.directions,
-        np.array([spec.angle_min_rad, spec.angle_step_rad, NEAR_M, far_m]),
+        np.array([spec.angle_min_rad, spec.angle_step_rad, near_m, far_m]),
         CAP_M,
         EVERY,
     )

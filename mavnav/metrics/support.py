@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 LEAST_WALL_M: Final = 2.0
 LEAST_MAPPED_SHARE: Final = 0.6
 LEAST_EXPLAINED_SHARE: Final = 0.5
-LEAST_MEASURED_SHARE: Final = 0.7
+LEAST_MEASURED_SHARE: Final = 0.65
 """What falls below one of these is no map to compare."""
 
 SAMPLE_SCANS: Final = 200

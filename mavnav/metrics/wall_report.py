@@ -23,7 +23,9 @@ class PaperCells:
     min_hits: int = field(metadata=number("a cell is occupied from so many hits on"))
     median: Measured = field(metadata=number("half of the wall, by length, has no more cells", unit="cells"))
     p95: Measured = field(metadata=number("95 % of the wall, by length, has no more cells", unit="cells"))
-    max: Measured = field(metadata=number("cells of the thickest section", unit="cells"))
+    max: Measured = field(
+        metadata=number("cells of the thickest section of a wall", title="wall max", unit="cells", better="lower")
+    )
 
 
 @dataclass(frozen=True, slots=True)

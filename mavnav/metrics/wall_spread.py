@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-SAMPLE_SCANS: Final = 400
+WALL_SCANS: Final = 200
 SPACING_M: Final = 0.02
 RADII_M: Final = np.array((0.25, 0.5, 1.0))
 LEAST_REACH, MAX_RATIO, MIN_POINTS = 0.7, 0.1, 6
@@ -59,10 +59,18 @@ class WallSpread:
     """
 
     median_mm: Measured = field(
-        metadata=number("width that holds 95 % of the hits; half of the wall, by length, has no more", title="wall median", better="lower")
+        metadata=number(
+            "width that holds 95 % of the hits; half of the wall, by length, has no more",
+            title="wall median",
+            better="lower",
+        )
     )
     p95_mm: Measured = field(
-        metadata=number("width that holds 95 % of the hits; 95 % of the wall, by length, has no more", title="wall p95", better="lower")
+        metadata=number(
+            "width that holds 95 % of the hits; 95 % of the wall, by length, has no more",
+            title="wall p95",
+            better="lower",
+        )
     )
     median_cells: Measured = field(metadata=number("the median in cells of the map"))
     p95_cells: Measured = field(metadata=number("the p95 in cells of the map"))
@@ -108,7 +116,7 @@ def cut_walls(grid: Grid, scans: PlacedScans | None, tracked: int) -> WallCuts:
     ``scans`` are some of the ``tracked`` scans of the run, evenly spread; None without any.
     """
     stations, seen = _stations(*wall_points(scans)) if scans is not None else (np.zeros((0, 3)), np.zeros(0))
-    sampled = 0 if scans is None else min(len(scans.poses), SAMPLE_SCANS)
+    sampled = 0 if scans is None else min(len(scans.poses), WALL_SCANS)
     often = seen * tracked >= MIN_SEEN * sampled
     stations = stations[often]
     middle_m, width_m = _widths(grid, stations)
@@ -119,7 +127,7 @@ def cut_walls(grid: Grid, scans: PlacedScans | None, tracked: int) -> WallCuts:
 def wall_points(scans: PlacedScans) -> tuple[Array, Array]:
     """Return the end points (n, 2) on straight walls, map frame, and the walls' directions there (n,), rad."""
     xy_m, direction = [np.zeros((0, 2))], [np.zeros(0)]
-    for k in spread(len(scans.poses), SAMPLE_SCANS):
+    for k in spread(len(scans.poses), WALL_SCANS):
         x, y, yaw = scans.poses[k]
         ends = np.ascontiguousarray(scans.ranges_m[k][:, None] * scans.spec.directions)
         found = straight_beams(ends, SPACING_M, RADII_M, LEAST_REACH, MAX_RATIO, MIN_POINTS)
@@ -133,9 +141,9 @@ def wall_points(scans: PlacedScans) -> tuple[Array, Array]:
 def _stations(xy_m: Array, direction: Array) -> tuple[Array, Array]:
     """Average the points of each tile and direction: (n, 3) x, y and direction, and how many points there were."""
     sector = np.round(direction / (np.pi / DIRECTIONS)) % DIRECTIONS
-    tiles = np.column_stack((np.floor(xy_m / TILE_M), sector)).astype(np.int64)
-    _, tile, seen = np.unique(tiles, axis=0, return_inverse=True, return_counts=True)
-    tile = tile.reshape(-1)
+    col, row = np.floor(xy_m / TILE_M).T
+    key = (row * (np.ptp(col) + 1.0 if len(col) else 1.0) + col) * DIRECTIONS + sector  # whole numbers
+    _, tile, seen = np.unique(key, return_inverse=True, return_counts=True)
 
     def total(values: Array) -> Array:
         return np.bincount(tile, values, len(seen)).astype(np.float64)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.metrics.wall_thickness import WallThickness
+    from mavnav.metrics.wall_spread import WallSpread
     from mavnav.outputs.canvas import Canvas
     from mavnav.outputs.plot import Axes, Mark
     from mavnav.outputs.run import Run, Truth
@@ -139,15 +139,12 @@ def _subtitle(run: Run) -> str:
     lost = "   LOST before the end" if run.slam.lost_for_good else ""
     cell_mm = run.slam.grid.cell_m / MM
     how = f"method {config.method}, search grid {config.azimuth} / {config.grid}, cell {cell_mm:g} mm"
-    return f"{how}\n{scans}{lost}, {thickness_text(run.thickness)}"
+    walls = "" if run.measured.cuts is None else f", {thickness_text(run.walls.spread)}"
+    return f"{how}\n{scans}{lost}{walls}"
 
 
-def thickness_text(thickness: dict[int, WallThickness]) -> str:
-    """Return the wall thickness at the middle one of the thresholds, as text."""
-    if not thickness:
-        return ""
-    hits = sorted(thickness)[len(thickness) // 2]
-    t = thickness[hits]
-    if not t.sections:
+def thickness_text(spread: WallSpread) -> str:
+    """Return the wall thickness as text."""
+    if not spread.length_m:
         return "no straight wall to measure"
-    return f"wall thickness p95 {t.p95_cells:.1f}, max {t.max_cells:.1f} cells at ≥ {hits} hits"
+    return f"wall thickness median {spread.median_mm:.0f} mm, p95 {spread.p95_mm:.0f} mm"

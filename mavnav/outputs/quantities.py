@@ -24,8 +24,9 @@ class Quantity:
 
     It is written times ``factor`` with so many ``digits``, in ``shown_unit`` if that is another; what reads the same
     counts as the same. ``per_cell`` marks what counts cells of the map, and cannot be compared between maps of
-    different cells, ``by_cells`` lengths that a map knows to a cell: smaller differences are none. A ``cost`` is no
-    virtue of the map. ``otherwise`` is a second name, of runs that do not have the first.
+    different cells. Differences up to the share ``noise`` are none. A ``cost`` is no virtue of the map; what is not
+    ``ranked`` differs from one run to the next, and no run is the best by it. ``otherwise`` is a second name, of runs
+    that do not have the first.
     """
 
     name: str
@@ -33,8 +34,9 @@ class Quantity:
     factor: float = 1.0
     shown_unit: str | None = None
     per_cell: bool = False
-    by_cells: bool = False
+    noise: float = 0.0
     cost: bool = False
+    ranked: bool = True
     otherwise: str = ""
 
     @property
@@ -78,16 +80,17 @@ class Quantity:
 
 QUANTITIES: Final = (
     Quantity("map.accepted_share", 1, 100.0, "%"),
-    Quantity("wall_thickness.2.p95_mm", 0, by_cells=True),
-    Quantity("wall_thickness.2.max_mm", 0, by_cells=True),
+    Quantity("wall_thickness.spread.median_mm", 0, noise=0.05),
+    Quantity("wall_thickness.spread.p95_mm", 0, noise=0.05),
+    Quantity("wall_thickness.paper_cells.max", 1, per_cell=True, noise=0.05),
     Quantity("map_quality.ghost_walls.length_m", 1),
-    Quantity("map_quality.crispness.occupied_cells_per_m", 1, shown_unit="", per_cell=True),
-    Quantity("map_quality.crispness.entropy_bits", 3, per_cell=True),
-    Quantity("map_quality.revisits.nn_l_mm", 1),
-    Quantity("reference.ate.rmse_m", 0, 1e3, "mm", otherwise="truth.ate_rmse_m"),
-    Quantity("reference.map_distance.mean_mm", 0),
+    Quantity("map_quality.crispness.occupied_cells_per_m", 1, shown_unit="", per_cell=True, noise=0.02),
+    Quantity("map_quality.crispness.entropy_bits", 3, per_cell=True, noise=0.02),
+    Quantity("map_quality.revisits.nn_l_mm", 1, noise=0.02),
+    Quantity("reference.ate.rmse_m", 0, 1e3, "mm", noise=0.05, otherwise="truth.ate_rmse_m"),
+    Quantity("reference.map_distance.mean_mm", 0, noise=0.05),
     Quantity("search.evaluations_per_scan.mean", 0, cost=True),
-    Quantity("timing.cpu_s", 2, cost=True),
+    Quantity("timing.cpu_s", 2, cost=True, ranked=False),
 )
 """The columns of a comparison."""
 
@@ -126,9 +129,8 @@ def winners(quantity: Quantity, runs: Sequence[Run | None]) -> list[int]:
     known = {k: quantity.of(run) for k, run in enumerate(runs) if run is not None and not why_not_meaningful(run)}
     found = {k: round(value, quantity.digits) for k, value in known.items() if value is not None}
     cells_mm = {number(runs[k], "map.cell_mm") or 0.0 for k in found}
-    if not found or (quantity.per_cell and len(cells_mm) > 1):
+    if not found or not quantity.ranked or (quantity.per_cell and len(cells_mm) > 1):
         return []
     top = max(found.values(), key=lambda value: quantity.better * value)
-    counts_from = max(cells_mm) if quantity.by_cells else 0.0
-    best = [k for k, value in found.items() if value == top or abs(value - top) < counts_from]
+    best = [k for k, value in found.items() if abs(value - top) <= quantity.noise * abs(top)]
     return best if len(best) < len(found) else []

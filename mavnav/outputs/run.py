@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from mavnav.logs import Log
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.metrics.map_distance import TrueMap
-    from mavnav.metrics.map_quality import MapQuality
+    from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.metrics.reference import Reference
-    from mavnav.metrics.wall_thickness import Sections, WallThickness
+    from mavnav.metrics.wall_report import WallThicknessReport
     from mavnav.outputs.run_json import Localisation, MissionResult, TruthErrors
     from mavnav.pose import Trajectory
     from mavnav.slam.result import SlamResult
@@ -84,7 +84,7 @@ class Mission:
 
 @dataclass(frozen=True)
 class Run:
-    """A log, how it was run, what came out, and the cuts through its walls (hit threshold -> sections).
+    """A log, how it was run, what came out, and what was measured on its map.
 
     A mission of the simulator knows the truth besides. ``reference`` is the comparison with references,
     and ``true_map`` the one among them. ``stopped`` is the code of the signal that stopped

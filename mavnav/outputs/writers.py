@@ -50,6 +50,7 @@ WRITERS: Final[dict[str, Callable[[Run, Path], None]]] = {
     "map.pgm": write_pgm,
     "map.yaml": write_yaml,
     "hits.npz": write_npz,
+    "walls.csv": partial(_late, "wall_table"),
     "map.png": partial(_late, "map_picture"),
     "true_map.png": partial(_late, "mission_picture"),
     "wall_thickness.png": partial(_late, "wall_picture"),

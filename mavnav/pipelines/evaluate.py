@@ -17,8 +17,8 @@ from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.lines import half_turn
-from mavnav.metrics.map_quality import MapQuality, map_quality
-from mavnav.metrics.wall_thickness import THRESHOLDS, WallThicknessByHits, sections_by_hits, wall_thicknesses
+from mavnav.metrics.map_quality import MapQuality, measure_map
+from mavnav.metrics.wall_report import wall_report
 from mavnav.metrics.walls import Wall
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.document import plain
@@ -105,17 +105,16 @@ def _document(path: Path, what: Subject, references: References) -> dict[str, An
     grid = what.grid
     if what.trajectory is not None and len(what.trajectory):
         check_times(references, *(int(what.trajectory.stamps_ns[k]) for k in (0, -1)))
-    sections = sections_by_hits(grid.hits, grid.cell_m, THRESHOLDS if what.counted else (1,))
-    quality = map_quality(grid, what.journey, counted=what.counted, sections=sections)
-    walls = wall_thicknesses(sections, grid.cell_m)
+    found = measure_map(grid, what.journey, counted=what.counted)
+    sections = found.sections if what.counted else {}  # a map file has no counts
     reference = compared(references, what.trajectory, transform_points(what.map_T_grid, occupied_xy_m(grid)))
     document: dict[str, Any] = plain(
         {
             "path": str(path),
             "kind": what.kind,
             "cell_mm": grid.cell_m / MM,
-            "wall_thickness": WallThicknessByHits.of(walls),
-            "map_quality": _seen_from_map(quality, what.map_T_grid),
+            "wall_thickness": wall_report(sections, found.published, found.cuts, grid.cell_m),
+            "map_quality": _seen_from_map(found.quality, what.map_T_grid),
             "reference": reference or ABSENT,
         }
     )

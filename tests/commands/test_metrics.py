@@ -67,7 +67,8 @@ def test_the_map_file_of_a_run_agrees_with_it(mavnav, run) -> None:
         assert same(a[name], b[name]), name
     assert same(a["support"]["wall_m"], b["support"]["wall_m"])
     assert same(of_run["reference"]["map_distance"], of_file["reference"]["map_distance"])
-    assert set(of_file["wall_thickness"]) == {"1"}
+    assert set(of_file["wall_thickness"]) == {"published_map"}
+    assert same(of_file["wall_thickness"]["published_map"], of_run["wall_thickness"]["published_map"])
     unknown = [b["revisits"], b["crispness"]["entropy_bits"], b["support"]["mapped_share"]]
     assert [*unknown, b["support"]["explained_share"]] == [None] * 4
 

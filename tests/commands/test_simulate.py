@@ -65,7 +65,15 @@ def test_leaves_what_it_promises(corner: tuple[Path, subprocess.CompletedProcess
     folder, done = corner
     assert done.returncode == 0, done.stderr
     promised = {"trajectory.tum", "trajectory_base.tum", "trajectory.csv", "map.pgm", "map.yaml", "hits.npz", "map.png"}
-    promised |= {"wall_thickness.png", "result.mcap", "metrics.json", "truth.tum", "true_map.png", "true_walls.json"}
+    promised |= {
+        "walls.csv",
+        "wall_thickness.png",
+        "result.mcap",
+        "metrics.json",
+        "truth.tum",
+        "true_map.png",
+        "true_walls.json",
+    }
     page = {"report.html", "maps.png", "thickness.png", "cost.png"}
     left = {path.name for path in (folder / "out").iterdir()}
     assert left - {"closeups.png"} == promised | page | {"run.json"}  # a closer look only where there is a place for it

@@ -133,7 +133,7 @@ def test_names_are_known_before_there_is_a_run() -> None:
         ("scans.acepted", "did you mean scans.accepted?"),
         ("wall_thickness.p59_mm", "did you mean wall_thickness.2.p95_mm?"),
         ("wall_thickness.3.p95_mm", "did you mean wall_thickness.5.p95_mm?"),
-        ("wall_thickness", "did you mean wall_thickness.1.max_cells?"),
+        ("wall_thickness", "did you mean wall_thickness.spread.median_mm?"),
         ("map_quality.revisits", "did you mean map_quality.revisits.nn_s_mm?"),
         ("config.robust.cel_mm", "did you mean config.robust.cell_mm?"),
         ("accepted", "did you mean scans.accepted?"),

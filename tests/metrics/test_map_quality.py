@@ -48,7 +48,7 @@ def changed(grid: Grid, change) -> Grid:
 
 
 def test_a_good_map_is_meaningful(good) -> None:
-    assert (good.profile, good.meaningful, good.why) == ("map-quality/1", True, ())
+    assert (good.profile, good.meaningful, good.why) == ("map-quality/2", True, ())
     assert good.ghost_walls.count == 0
     assert good.support.wall_m > 15
     assert good.support.mapped_share == 1.0

@@ -11,7 +11,8 @@ import pytest
 from mavnav.config.models import Config
 from mavnav.logs import Damage, Odometry, ScanCounts, Topic
 from mavnav.mapping.occupancy_grid import GridBuilder, measured_part
-from mavnav.metrics.wall_thickness import sections_by_hits
+from mavnav.metrics.journey import Journey
+from mavnav.metrics.map_quality import measure_map
 from mavnav.outputs.run import Run, Timing
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.result import SlamResult
@@ -87,9 +88,10 @@ def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
     trajectory = Trajectory.of([s.stamp_ns for s in kept], [s.match.map_T_laser for s in kept])
     lost = (LostInterval(recorded[LOST[0]].stamp_ns, recorded[LOST[-1]].stamp_ns, len(LOST), recovered=True),)
     grid = tally.by_rows()
-    sections = sections_by_hits(measured_part(grid).hits, grid.cell_m)
+    journey = Journey(trajectory, lambda: iter(recorded), len(kept) / len(steps))
+    measured = measure_map(measured_part(grid), journey)
     log = FabricatedLog(recorded, cleaning={"valid": 600, "zero": 7})
-    return Run(log, Config(), SlamResult(Steps(steps), trajectory, grid, lost), sections, Timing(2.0, 1.5, 0.5))
+    return Run(log, Config(), SlamResult(Steps(steps), trajectory, grid, lost), measured, Timing(2.0, 1.5, 0.5))
 
 
 @pytest.fixture(scope="session")

@@ -34,7 +34,8 @@ def test_the_promised_names_are_there(run):
     document = strict(run_document(run, {"map.pgm": "abc"}))
     assert set(document) == KEYS
     assert {"path", "sha256", "format", "topic"} <= set(document["input"])
-    assert set(document["wall_thickness"]) == {"1", "2", "5"}
+    assert set(document["wall_thickness"]) == {"spread", "paper_cells", "1", "2", "5", "published_map"}
+    assert set(document["wall_thickness"]["spread"]) >= {"median_mm", "p95_mm", "length_m", "measured_share"}
     assert {"max_cells", "p95_cells", "median_cells", "sections", "length_m"} <= set(document["wall_thickness"]["2"])
     assert {"wall_s", "cpu_s", "compile_s", "stages", "scans_per_s", "realtime_factor"} == set(document["timing"])
     assert document["outputs"] == {"map.pgm": "abc"}
@@ -92,7 +93,8 @@ def test_exit_codes(run, change):
 
 def test_no_wall_is_null(run):
     empty = wall_sections(np.zeros((3, 3), np.int32), 0.02, 5)
-    document = strict(run_document(replace(run, sections={5: empty}), {}))
+    measured = replace(run.measured, sections={5: empty})
+    document = strict(run_document(replace(run, measured=measured), {}))
     assert document["wall_thickness"]["5"]["max_cells"] is None
     assert document["wall_thickness"]["5"]["sections"] == 0
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from mavnav.mapping.occupancy_grid import Grid
-from mavnav.metrics.map_quality import map_quality
-from mavnav.metrics.wall_thickness import Sections, sections_by_hits
+from mavnav.metrics.map_quality import MeasuredMap, measure_map
 from mavnav.outputs.run import KEPT_CELLS, Run
 from mavnav.outputs.writers import WRITERS
 from support.memory_use import taking_less_than
@@ -33,17 +32,15 @@ def large() -> Grid:
 
 
 @pytest.fixture(scope="module")
-def sections(large: Grid) -> dict[int, Sections]:
-    """Cut the walls across."""
-    with taking_less_than(14):
-        return sections_by_hits(large.hits, large.cell_m)
-
-
-def test_a_large_map_is_measured_in_few_masks(large: Grid, sections: dict[int, Sections]) -> None:
-    map_quality(Grid(0.02, (0.0, 0.0), large.hits[:300, :300], large.passes[:300, :300]))  # what is loaded for it
+def measured(large: Grid) -> MeasuredMap:
+    """Measure the map."""
+    measure_map(Grid(0.02, (0.0, 0.0), large.hits[:300, :300], large.passes[:300, :300]))  # what is loaded for it
     with taking_less_than(40):
-        quality = map_quality(large, sections=sections)
-    assert len(quality.walls) == 8
+        return measure_map(large)
+
+
+def test_a_large_map_is_measured_in_few_masks(measured: MeasuredMap) -> None:
+    assert len(measured.quality.walls) == 8
 
 
 @pytest.mark.parametrize(
@@ -51,9 +48,9 @@ def test_a_large_map_is_measured_in_few_masks(large: Grid, sections: dict[int, S
     [("map.pgm", 35), ("hits.npz", 15), ("map.png", 50), ("wall_thickness.png", 55), ("result.mcap", 85)],
 )
 def test_a_large_map_is_written_in_few_masks(
-    name: str, most_mb: float, run: Run, large: Grid, sections: dict[int, Sections], tmp_path
+    name: str, most_mb: float, run: Run, large: Grid, measured: MeasuredMap, tmp_path
 ) -> None:
     WRITERS[name](run, tmp_path / name)  # what is loaded for it
-    shown = replace(run, slam=replace(run.slam, grid=large), sections=sections)
+    shown = replace(run, slam=replace(run.slam, grid=large), measured=measured)
     with taking_less_than(most_mb):
         WRITERS[name](shown, tmp_path / name)

@@ -10,7 +10,8 @@ from PIL import Image
 
 from mavnav.mapping.occupancy_grid import Grid
 from mavnav.mapping.tiled_arrays import pooled
-from mavnav.metrics.wall_thickness import sections_by_hits, wall_sections
+from mavnav.metrics.map_quality import measure_map
+from mavnav.metrics.wall_spread import WallCuts
 from mavnav.outputs import map_axes, map_picture, wall_picture
 from mavnav.outputs.canvas import Canvas, rgb_of
 from mavnav.outputs.plot import Axes, ticks
@@ -24,7 +25,7 @@ WRITERS = pytest.mark.parametrize("write", [map_picture.write, wall_picture.writ
 def with_map(run, hits, trajectory=None, cell_m=0.02):
     grid = Grid(cell_m, (0.0, 0.0), hits.astype(np.int32), np.zeros(hits.shape, np.int32))
     slam = replace(run.slam, grid=grid, trajectory=trajectory or run.slam.trajectory)
-    return replace(run, slam=slam, sections=sections_by_hits(grid.hits, cell_m))
+    return replace(run, slam=slam, measured=measure_map(grid))
 
 
 def size_of(path):
@@ -111,13 +112,10 @@ def test_long_paths_are_thinned_evenly_along_their_length():
     assert np.diff(xy[some, 0]).max() < 0.3
 
 
-def test_section_lines_run_from_the_first_cell_to_the_last():
-    hits = np.zeros((60, 60), np.int32)
-    hits[20:24, 5:55] = 4
-    grid = Grid(0.02, (1.0, 2.0), hits, np.zeros_like(hits))
-    lines = wall_picture.section_lines(grid, wall_sections(hits, 0.02, 1), 0.0)
-    middle = lines[np.argmin(np.abs(lines[:, 0, 0] - 1.6))]
-    assert middle[:, 1] == pytest.approx([2.0 + 20 * 0.02, 2.0 + 24 * 0.02])
+def test_cut_lines_lie_across_their_walls():
+    cuts = WallCuts(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0.0, np.pi / 2]), np.array([0.2, np.nan]), np.ones(2))
+    lines = wall_picture.cut_lines(cuts, 0.1)
+    np.testing.assert_allclose(lines, [[(1.0, 1.9), (1.0, 2.1)], [(3.05, 4.0), (2.95, 4.0)]], atol=1e-12)
 
 
 def test_marks_lie_where_their_points_are_and_y_grows_upwards():

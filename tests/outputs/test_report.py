@@ -12,6 +12,7 @@ from PIL import Image
 
 from mavnav.errors import OutputError
 from mavnav.mapping.occupancy_grid import Grid
+from mavnav.outputs import wall_table
 from mavnav.outputs.canvas import rgb_of
 from mavnav.outputs.document import run_document, to_json
 from mavnav.outputs.gridmap import write_npz
@@ -57,6 +58,7 @@ def leave(run, folder: Path, **changes) -> dict:
     folder.mkdir(parents=True)
     write_npz(run, folder / "hits.npz")
     write_csv(run, folder / "trajectory.csv")
+    wall_table.write(run, folder / wall_table.WALLS_FILE)
     document = json.loads(to_json(run_document(run, {}))) | changes
     (folder / "run.json").write_text(json.dumps(document))
     return single(document, folder.name)["cells"][0]
@@ -75,7 +77,7 @@ def quality(*, meaningful=True, ghosts=0.0):
     place = {"x_m": 1.0, "y_m": 2.0, "direction_deg": 30.0, "length_m": ghosts, "offset_mm": 80.0}
     walls = {"count": int(ghosts > 0), "length_m": ghosts, "places": [place] if ghosts else []}
     return {
-        "profile": "map-quality/1",
+        "profile": "map-quality/2",
         "meaningful": meaningful,
         "why": [] if meaningful else ["2 % of the scans"],
         "ghost_walls": walls,
@@ -94,7 +96,7 @@ def comparison(run, base):
     coarse = leave(doubled(run), base / "coarse", grid="5x5", map_quality=quality(ghosts=1.2), warnings=["<b>odd</b>"])
     failed = {**coarse, "grid": "40x40", "status": "failed", "error": "killed & gone", "directory": None}
     cells = [{**cell, "log": EVIL} for cell in (coarse, fine, failed)]
-    return {"schema_version": 1, "mavnav_version": "0.1.0", "profile": "map-quality/1", "cells": cells}
+    return {"schema_version": 1, "mavnav_version": "0.1.0", "profile": "map-quality/2", "cells": cells}
 
 
 @pytest.fixture(scope="module")
@@ -255,16 +257,17 @@ def test_a_small_difference_is_called_small(entries):
         crispness = {"occupied_cells_per_m": cells}
         return with_document(entries[1], map_quality=quality() | {"crispness": crispness})
 
-    assert "no other measure by more than 1.0 %" in headline([crisp(200.0), crisp(202.0)])
+    assert "are equally good by every measure here" in headline([crisp(200.0), crisp(202.0)])
+    assert "no measure differs by more than 2.4 %" in headline([crisp(200.0), crisp(205.0)])
     assert "gives the best map" in headline([crisp(200.0), crisp(220.0)])
 
 
-def test_a_difference_below_a_cell_does_not_count(entries):
+def test_a_difference_within_the_noise_does_not_count(entries):
     def walls(p95_mm):
-        return with_document(entries[1], wall_thickness={"2": {"p95_mm": p95_mm, "max_mm": 100.0}})
+        return with_document(entries[1], wall_thickness={"spread": {"p95_mm": p95_mm}})
 
-    assert not columns.table([walls(60.0), walls(75.0)]).rows[0].fields[1].best
-    best = [row.fields[1].best for row in columns.table([walls(60.0), walls(75.0), walls(90.0)]).rows]
+    assert not columns.table([walls(60.0), walls(62.0)]).rows[0].fields[1].best
+    best = [row.fields[1].best for row in columns.table([walls(60.0), walls(62.0), walls(90.0)]).rows]
     assert best == [True, True, False]
 
 

@@ -151,7 +151,7 @@ def test_directions_come_from_the_model() -> None:
     ("name", "head"),
     [
         ("map.accepted_share", "mapped %"),
-        ("wall_thickness.2.p95_mm", "wall p95 mm"),
+        ("wall_thickness.spread.p95_mm", "wall p95 mm"),
         ("map_quality.crispness.occupied_cells_per_m", "cells per m"),
         ("map_quality.crispness.entropy_bits", "entropy bit"),
         ("reference.ate.rmse_m", "ATE mm"),

@@ -93,3 +93,90 @@ def straight_beams(xy_m, spacing_m, radii_m, least_reach, max_ratio, min_points)
                 direction[beam] = np.arctan(along[1] / along[0])
                 break
     return direction
+
+
+def wall_normals(ranges_m, directions, limits_m):
+    """Fit a line to the points beside each end point, one side after the other."""
+    used = (ranges_m >= limits_m[0]) & (ranges_m <= limits_m[1])
+    out = np.full(ranges_m.shape, np.nan)
+    for s, i in np.argwhere(used):
+        ends = ranges_m[s, :, None] * directions
+        sides = [beside(ends, used[s], i, step) for step in (-1, 1)]
+        if min(map(len, sides)) < 2:
+            continue
+        points = ends[[i, *sides[0], *sides[1]]]
+        thin, wide = np.linalg.eigvalsh(np.cov(points.T, ddof=0))
+        normal = np.linalg.eigh(np.cov(points.T, ddof=0))[1][:, 0]
+        normal = -normal if normal @ directions[i] > 0 else normal
+        spread_m = 0.03 + 0.01 * ranges_m[s, i]
+        if thin <= min(0.1 * wide, spread_m**2) and -normal @ directions[i] >= 0.25:
+            out[s, i] = math.atan2(normal[1], normal[0])
+    return out
+
+
+def beside(ends, used, i, step):
+    found = []
+    for k in range(i + step, len(ends) if step > 0 else -1, step):
+        if not used[k]:
+            continue
+        far = np.hypot(*(ends[k] - ends[i])) > 0.15
+        if (far and len(found) >= 2) or np.hypot(*(ends[k] - ends[(found or [i])[-1]])) > 0.25:
+            break
+        found.append(k)
+    return found
+
+
+def wall_gaps(ranges_m, normals_rad, pairs, b_T_a, directions, beams, every):
+    first, step, least_m, far_m = beams
+    points = range(0, ranges_m.shape[1], every)
+    out = np.full((len(pairs), len(points)), np.nan)
+    for p, (a, b) in enumerate(pairs):
+        for m, i in enumerate(points):
+            (end,), normal = placed(b_T_a[p], (ranges_m[a, i] * directions[i])[None]), normals_rad[a, i] + b_T_a[p, 2]
+            r, towards = np.hypot(*end), np.array([np.cos(normal), np.sin(normal)])
+            if np.isnan(normal) or not least_m <= r <= far_m or abs(towards @ end) / r < 0.25:
+                continue
+            centre = (ranges_m.shape[1] - 1) / 2
+            off = math.remainder(math.atan2(end[1], end[0]) - first - centre * step, 2 * math.pi)
+            beam = math.floor(off / step + centre + 0.5)
+            if not 0 <= beam < ranges_m.shape[1] or not least_m <= ranges_m[b, beam] <= far_m:
+                continue
+            gap = (ranges_m[b, beam] - r) * (abs(towards @ end) / r)
+            parallel = abs(np.cos(normals_rad[b, beam] - normal)) > 0.94
+            out[p, m] = 0.0 if abs(gap) <= 0.05 + 0.01 * r else gap if gap < 0 or parallel else np.inf
+    return out
+
+
+def closeness(points, targets, size):
+    """Return the mean closeness of points (n, 2) to the nearest targets (m, 2), by the middles of cells of 50 mm."""
+    cells = np.floor(points / 0.05 + size // 2)
+    middles = (cells + 0.5 - size // 2) * 0.05
+    at = np.floor(targets / 0.05)
+    total = 0
+    for cell, middle in zip(cells - size // 2, middles, strict=True):
+        near = targets[np.abs(at - cell).max(axis=1) <= 2]
+        away_m = np.hypot(*(near - middle).T).min(initial=np.inf)
+        inside = (cell + size // 2 >= 0).all() and (cell + size // 2 < size).all()
+        total += math.floor(255 * max(0.0, 1 - away_m / 0.12)) if inside else 0
+    return total / 255 / max(len(points), 1)
+
+
+def best_alignments(ranges_m, pairs, b_T_a, directions, limits_m, reach):
+    """Try all poses of a level, and remember the first of the best."""
+    used = (ranges_m >= limits_m[0]) & (ranges_m <= limits_m[1])
+    size, out = 2 * int(limits_m[1] / 0.05) + 2, b_T_a.copy()
+    for p, (a, b) in enumerate(pairs):
+        points, targets = (ranges_m[k, used[k], None] * directions[used[k]] for k in (a, b))
+        best = np.zeros(3)
+        for level in range(4):
+            some = points[:: max(1, len(points) // (160 if level else 40))]
+            steps, turns = (1, 1) if level else (reach, 3)
+            grid = np.mgrid[-turns : turns + 1, -steps : steps + 1, -steps : steps + 1].reshape(3, -1).T
+            tries = best + grid[:, [1, 2, 0]] * (0.1, 0.1, math.pi / 90) / 2**level
+            scores = [
+                closeness(placed(b_T_a[p] + at, some), targets, size) - 0.03 * np.hypot(*at[:2]) - 0.1 * abs(at[2])
+                for at in tries
+            ]
+            best = tries[np.argmax(scores)]
+        out[p] += best
+    return out

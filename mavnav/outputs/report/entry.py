@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from mavnav.outputs import wall_table
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.gridmap import read_npz
 from mavnav.outputs.run import Truth
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.metrics.wall_spread import WallCuts
 
 FAILED: Final = "failed"
 
@@ -51,6 +53,7 @@ class Entry:
     document: dict[str, Any]
     grid: Grid
     scans: Scans
+    cuts: WallCuts
     true_walls: list[NDArray[np.float64]]
 
 
@@ -77,7 +80,13 @@ def load(cell: dict[str, Any], base: Path) -> Entry | Failure:
     try:
         document = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
         return Entry(
-            log, name, document, read_npz(folder / "hits.npz"), _scans(folder / "trajectory.csv"), _true_walls(folder)
+            log=log,
+            name=name,
+            document=document,
+            grid=read_npz(folder / "hits.npz"),
+            scans=_scans(folder / "trajectory.csv"),
+            cuts=wall_table.read(folder / wall_table.WALLS_FILE),
+            true_walls=_true_walls(folder),
         )
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         return Failure(log, name, f"its run directory {cell['directory']} cannot be read ({type(error).__name__})")

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav.outputs.quantities import NAMED, QUANTITIES, number, why_not_meaningful, winners
 from mavnav.outputs.report import columns
-from mavnav.units import MM
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
     from mavnav.outputs.report.entry import Entry
 
 QUALITY: Final = tuple(q for q in QUANTITIES if not q.cost)
-P95: Final = NAMED["wall_thickness.2.p95_mm"]
+P95: Final = NAMED["wall_thickness.spread.p95_mm"]
 TIME: Final = NAMED["timing.cpu_s"]
 
 SMALL_SHARE: Final = 0.03
@@ -69,18 +68,19 @@ def _of_many(sound: Sequence[Entry]) -> str:
     won = {q.title: winners(q, [e.document for e in sound]) for q in QUALITY}
     contested = [title for title, best in won.items() if best]
     if not contested:
-        return f"The maps of {_list([e.name for e in sound])} are equally good by every measure here{_cheapest(sound)}."
+        names = _list([e.name for e in sound])
+        return f"The maps of {names} are equally good by every measure here{_fewest_evaluations(sound)}."
     most = max(_spread(sound, q) for q in QUALITY if won[q.title])
     if most < SMALL_SHARE:
         names = _list([e.name for e in sound])
-        differ = f"no wall differs by a cell, no other measure by more than {100 * most:.1f} %"
-        return f"The maps of {names} are as good as equal: {differ}{_cheapest(sound)}."
+        differ = f"no measure differs by more than {100 * most:.1f} %"
+        return f"The maps of {names} are as good as equal: {differ}{_fewest_evaluations(sound)}."
     score = [sum(k in won[title] for title in contested) for k in range(len(sound))]
     leaders = [k for k, wins in enumerate(score) if wins == max(score)]
     best, of = sound[leaders[0]], f"of the {len(contested)} measures that differ"
     if len(leaders) > 1:
         names = _list([sound[k].name for k in leaders])
-        return f"No run stands out: {names} are each best at {max(score)} {of}{_cheapest(sound)}."
+        return f"No run stands out: {names} are each best at {max(score)} {of}{_fewest_evaluations(sound)}."
     measures = _list([title for title in contested if leaders[0] in won[title]])
     lead = "by the one measure that differs" if len(contested) == 1 else f"best at {max(score)} {of}"
     return f"{best.name} gives the best map, {lead} ({measures}){_thinner(sound, best)}. {_cost(sound, best)}".rstrip()
@@ -102,11 +102,8 @@ def _thinner(sound: Sequence[Entry], best: Entry) -> str:
     ours, theirs = P95.of(best.document), P95.of(coarse.document)
     if coarse is best or ours is None or theirs is None:
         return ""
-    cell_mm = best.grid.cell_m / MM
-    if abs(ours - theirs) < cell_mm:
-        return (
-            f"; its walls are as thick as those of {coarse.name} to within a cell ({_mm(ours)} against {_mm(theirs)})"
-        )
+    if abs(ours - theirs) <= P95.noise * max(ours, theirs):
+        return f"; its walls are as thick as those of {coarse.name} ({_mm(ours)} against {_mm(theirs)} at p95)"
     than = "thinner" if ours < theirs else "thicker"
     return f"; its walls are {than} than those of {coarse.name}, {_mm(ours)} against {_mm(theirs)} at p95"
 
@@ -121,6 +118,6 @@ def _cost(sound: Sequence[Entry], best: Entry) -> str:
     return "" if times is None else f"It costs {times:.1f} times the evaluations of {coarse.name}{clock}."
 
 
-def _cheapest(sound: Sequence[Entry]) -> str:
+def _fewest_evaluations(sound: Sequence[Entry]) -> str:
     cheapest = min(sound, key=lambda e: number(e.document, "search.evaluations_per_scan.mean") or float("inf"))
-    return f"; {cheapest.name} is the cheapest"
+    return f"; {cheapest.name} needs the fewest evaluations"

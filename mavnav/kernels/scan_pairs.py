@@ -1,0 +1,242 @@
+"""Pairs of scans whose poses may disagree: the walls of a scan, gaps between two scans' walls, the best alignment."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import float64, int64
+
+from mavnav.kernels._jit import helper, kernel
+from mavnav.kernels._types import F64_1D, F64_2D, I64_2D
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+HALF_LENGTH_M = 0.15
+GAP_M = 0.25
+LEAST_BESIDE = 2
+"""A line is fitted to the points within the first distance, at least so many to either side, with no larger gap."""
+
+MOST_RATIO = 0.1
+SPREAD_M, SPREAD_SHARE = 0.03, 0.01
+"""A wall's points scatter across it by no more than this plus a share of the range; the variances have this ratio."""
+
+LEAST_COSINE = 0.25
+"""Beams that graze a wall are not used."""
+
+PARALLEL = 0.94
+"""Two walls are parallel from this cosine on (20 degrees)."""
+
+SAME_M, SAME_SHARE = 0.05, 0.01
+"""Two scans see the same wall where they differ by no more than this plus a share of the range."""
+
+CELL_M = 0.05
+CLOSE_M, CLOSE_CELLS = 0.12, 2
+"""Points of two scans fit together up to this distance, which spans so many cells."""
+
+STEP_M, STEP_RAD = 0.1, np.pi / 90.0
+TURNS = 3
+LEVELS = 4
+"""The search begins with these steps and so many turns to either side; every level halves them."""
+
+COARSE_POINTS, FINE_POINTS = 40, 160
+SHIFT_COST, TURN_COST = 0.03, 0.1
+"""What a metre and a radian of correction cost, against a score of 1: where all fits equally well, the least wins."""
+
+
+@helper
+def _side(xy: NDArray[np.float64], i: int, step: int, sums: NDArray[np.float64]) -> int:
+    """Add the moments of the points (2, beams) that follow point ``i`` on one side; returns how many there are."""
+    n, k, x, y = 0, i + step, xy[0, i], xy[1, i]
+    while 0 <= k < xy.shape[1]:
+        if np.isfinite(xy[0, k]):
+            dx, dy = xy[0, k] - xy[0, i], xy[1, k] - xy[1, i]
+            far = dx * dx + dy * dy > HALF_LENGTH_M * HALF_LENGTH_M
+            if (far and n >= LEAST_BESIDE) or np.hypot(xy[0, k] - x, xy[1, k] - y) > GAP_M:
+                break
+            x, y, n = xy[0, k], xy[1, k], n + 1
+            sums[0] += 1.0
+            sums[1] += dx
+            sums[2] += dy
+            sums[3] += dx * dx
+            sums[4] += dx * dy
+            sums[5] += dy * dy
+        k += step
+    return n
+
+
+@kernel(float64[:, ::1](F64_2D, F64_2D, F64_1D))
+def wall_normals(
+    ranges_m: NDArray[np.float64], directions: NDArray[np.float64], limits_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the bearing of the wall's normal at each end point, towards the laser, rad in its frame, (scans, beams).
+
+    NaN where a point does not lie on a straight wall, or the beam grazes it. ``ranges_m`` (scans, beams) are NaN
+    without a return, ``directions`` (beams, 2) cosines and sines; ranges from the first limit to the second are used.
+    """
+    scans, beams = ranges_m.shape
+    out, xy, sums = np.full((scans, beams), np.nan), np.empty((2, beams)), np.empty(6)
+    for s in range(scans):
+        for i in range(beams):
+            r = ranges_m[s, i]
+            r = r if limits_m[0] <= r <= limits_m[1] else np.nan
+            xy[0, i], xy[1, i] = r * directions[i, 0], r * directions[i, 1]
+        for i in range(beams):
+            sums[:] = 0.0
+            sums[0] = 1.0
+            if not np.isfinite(xy[0, i]) or min(_side(xy, i, -1, sums), _side(xy, i, 1, sums)) < LEAST_BESIDE:
+                continue
+            n, x, y, xx, xy_, yy = sums
+            xx, xy_, yy = xx / n - x * x / n / n, xy_ / n - x * y / n / n, yy / n - y * y / n / n
+            mean, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy_)
+            spread_m = SPREAD_M + SPREAD_SHARE * ranges_m[s, i]
+            if mean - half > min(MOST_RATIO * (mean + half), spread_m * spread_m):
+                continue
+            angle = 0.5 * np.arctan2(2.0 * xy_, xx - yy)
+            nx, ny = -np.sin(angle), np.cos(angle)
+            towards = -(nx * directions[i, 0] + ny * directions[i, 1])
+            if abs(towards) >= LEAST_COSINE:
+                sign = 1.0 if towards > 0.0 else -1.0
+                out[s, i] = np.arctan2(sign * ny, sign * nx)
+    return out
+
+
+@kernel(float64[:, ::1](F64_2D, F64_2D, I64_2D, F64_2D, F64_2D, F64_1D, int64))
+def wall_gaps(
+    ranges_m: NDArray[np.float64],
+    normals_rad: NDArray[np.float64],
+    pairs: NDArray[np.int64],
+    b_T_a: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    beams: NDArray[np.float64],
+    every: int,
+) -> NDArray[np.float64]:
+    """Return how far behind the wall points of scan a scan b sees a wall, along its beams through them.
+
+    Parameters
+    ----------
+    ranges_m, normals_rad : (scans, beams), the second as of `wall_normals`
+    pairs : (n, 2) which scans are a and b
+    b_T_a : (n, 3) pose of a in the frame of b, m, m, rad
+    directions : (beams, 2) cosines and sines in the laser's frame
+    beams : (4,) bearing of the first beam and step in rad, least and greatest range used in m
+    every : only every so many-th beam of a is used
+
+    Returns
+    -------
+    (n, beams / every): gap across the wall in m, 0 where b sees the wall too, negative where b sees something before
+    it; inf where b sees something behind it that is no wall parallel to it; NaN where a has no wall point, or b does
+    not look at it. From which side b looks at a wall does not matter.
+    """
+    first, step, least_m, far_m = beams
+    count = ranges_m.shape[1]
+    half, turn = 0.5 * (count - 1), 2.0 * np.pi
+    out = np.full((len(pairs), (count + every - 1) // every), np.nan)
+    for p in range(len(pairs)):
+        a, b = pairs[p]
+        x0, y0, yaw = b_T_a[p]
+        c, s = np.cos(yaw), np.sin(yaw)
+        for m in range(out.shape[1]):
+            i = m * every
+            if not np.isfinite(normals_rad[a, i]):
+                continue
+            ax, ay, normal = (
+                ranges_m[a, i] * directions[i, 0],
+                ranges_m[a, i] * directions[i, 1],
+                normals_rad[a, i] + yaw,
+            )
+            x, y = c * ax - s * ay + x0, s * ax + c * ay + y0
+            r = np.hypot(x, y)
+            cosine = abs(np.cos(normal) * x + np.sin(normal) * y) / max(r, 1e-9)
+            if not least_m <= r <= far_m or cosine < LEAST_COSINE:
+                continue
+            off = np.arctan2(y, x) - first - half * step
+            beam = int(np.floor((off - turn * np.floor(off / turn + 0.5)) / step + half + 0.5))
+            if 0 <= beam < count and least_m <= ranges_m[b, beam] <= far_m:
+                gap = (ranges_m[b, beam] - r) * cosine
+                parallel = abs(np.cos(normals_rad[b, beam] - normal)) > PARALLEL  # not where b has no normal
+                same = abs(gap) <= SAME_M + SAME_SHARE * r
+                out[p, m] = 0.0 if same else gap if gap < 0.0 or parallel else np.inf
+    return out
+
+
+@helper
+def _draw(ends: NDArray[np.float64], image: NDArray[np.uint8]) -> None:
+    """Draw how close points (n, 2) are to the middle of each cell (rows, cols), up to 255; (0, 0) is in the middle."""
+    image[:] = 0
+    size, middle = len(image), len(image) // 2
+    for k in range(len(ends)):
+        u, v = ends[k, 0] / CELL_M + middle, ends[k, 1] / CELL_M + middle
+        for row in range(max(int(v) - CLOSE_CELLS, 0), min(int(v) + CLOSE_CELLS + 1, size)):
+            for col in range(max(int(u) - CLOSE_CELLS, 0), min(int(u) + CLOSE_CELLS + 1, size)):
+                away_m = CELL_M * np.hypot(col + 0.5 - u, row + 0.5 - v)
+                close = int(255.0 * max(0.0, 1.0 - away_m / CLOSE_M))
+                image[row, col] = max(image[row, col], close)
+
+
+@helper
+def _closeness(
+    points: NDArray[np.float64], every: int, x: float, y: float, yaw: float, image: NDArray[np.uint8]
+) -> float:
+    """Return how close every so many-th point (n, 2) comes to those of the image from a pose: 0 to 1, the mean."""
+    c, s, size, total, n = np.cos(yaw), np.sin(yaw), len(image), 0, 0
+    u0, v0 = x / CELL_M + size // 2, y / CELL_M + size // 2
+    c, s = c / CELL_M, s / CELL_M
+    for k in range(0, len(points), every):
+        col, row = int(c * points[k, 0] - s * points[k, 1] + u0), int(s * points[k, 0] + c * points[k, 1] + v0)
+        if 0 <= row < size and 0 <= col < size:
+            total += image[row, col]
+        n += 1
+    return total / (255.0 * max(n, 1))
+
+
+@helper
+def _ends(
+    ranges_m: NDArray[np.float64], directions: NDArray[np.float64], limits_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the end points (n, 2) of a scan, m."""
+    ends, n = np.empty((len(ranges_m), 2)), 0
+    for i in range(len(ranges_m)):
+        if limits_m[0] <= ranges_m[i] <= limits_m[1]:
+            ends[n, 0], ends[n, 1] = ranges_m[i] * directions[i, 0], ranges_m[i] * directions[i, 1]
+            n += 1
+    return ends[:n]
+
+
+@kernel(float64[:, ::1](F64_2D, I64_2D, F64_2D, F64_2D, F64_1D, int64))
+def best_alignments(
+    ranges_m: NDArray[np.float64],
+    pairs: NDArray[np.int64],
+    b_T_a: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    limits_m: NDArray[np.float64],
+    reach: int,
+) -> NDArray[np.float64]:
+    """Search for the poses of scans a in the frames of scans b at which their end points lie closest to one another.
+
+    All poses up to ``reach`` steps of 0.1 m and three turns of 2 degrees away from ``b_T_a`` (n, 3) are tried, then
+    those around the best one in halved steps, three times. Arguments as of `wall_gaps` and `wall_normals`; returns the
+    poses, (n, 3).
+    """
+    size = 2 * int(limits_m[1] / CELL_M) + 2
+    out, image, at, best = b_T_a.copy(), np.empty((size, size), np.uint8), np.empty(3), np.empty(3)
+    for p in range(len(pairs)):
+        points = _ends(ranges_m[pairs[p, 0]], directions, limits_m)
+        _draw(_ends(ranges_m[pairs[p, 1]], directions, limits_m), image)
+        best[:] = 0.0
+        for level in range(LEVELS):
+            step, turn = STEP_M / 2**level, STEP_RAD / 2**level
+            shifts, turns = (1, 1) if level else (reach, TURNS)
+            every = max(1, len(points) // (FINE_POINTS if level else COARSE_POINTS))
+            at[:], most = best, -np.inf
+            for q in range(-turns, turns + 1):
+                for i in range(-shifts, shifts + 1):
+                    for j in range(-shifts, shifts + 1):
+                        x, y, yaw = at[0] + i * step, at[1] + j * step, at[2] + q * turn
+                        score = _closeness(points, every, b_T_a[p, 0] + x, b_T_a[p, 1] + y, b_T_a[p, 2] + yaw, image)
+                        score -= SHIFT_COST * np.hypot(x, y) + TURN_COST * abs(yaw)
+                        if score > most:
+                            most, best[0], best[1], best[2] = score, x, y, yaw
+        out[p] += best
+    return out

@@ -1,0 +1,263 @@
+"""Doubled walls: a wall drawn twice because the poses of two visits disagree, judged by the scans of a run.
+
+Two scans are compared in three steps. One looks through a wall that the other saw: a visibility conflict. Near the pose
+that it was given, a pose exists at which their walls coincide. And there the conflicts are gone. Things that moved,
+glass and clutter conflict as well, but no other pose explains the whole scan. Definition: docs/metrics.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mavnav.kernels.scan_pairs import best_alignments, wall_gaps, wall_normals
+from mavnav.metrics.ghost_walls import GhostWall, GhostWalls, as_ghost_walls
+from mavnav.metrics.journey import spread, used_ranges_m
+from mavnav.metrics.lines import fit_line, linked
+from mavnav.units import DEG, MM, NS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.metrics.journey import PlacedScans
+    from mavnav.pose import Trajectory
+
+    Array = NDArray[np.float64]
+
+LEAST_OFFSET_M, MAX_OFFSET_M = 0.08, 1.15
+"""Doubled walls are this far apart, with a margin to the 0.1 to 1 m that are promised."""
+
+KEY_STEP_M, KEY_TURN_RAD, MOST_KEYS = 0.1, 10.0 * DEG, 1500
+"""Key scans are this far apart, by distance and turn together; of more, so many, evenly."""
+
+PARTNERS, PARTNER_SHARE = 8, 0.75
+"""A key scan is compared with so many earlier ones, evenly, at most this share of the range away."""
+
+POINTS: Final = 100
+LEAST_POINTS, LEAST_DOUBLED, LEAST_DOUBLED_SHARE = 30, 6, 0.06
+"""Two scans conflict where they share so many wall points, of which so many are doubled, and such a share."""
+
+ALIGNED_SHARE, LEAST_ALIGNED = 0.25, 100
+"""Of the pairs that conflict, so many a key scan are aligned, evenly, or so many if that is more."""
+
+REACH_STEPS: Final = 12
+"""The alignment is searched up to 1.2 m and 6 degrees away."""
+
+LEAST_AGREEING, LEAST_GAIN, MOST_THROUGH, MOST_THROUGH_LEFT = 0.6, 0.1, 0.06, 0.35
+"""An alignment explains a conflict where so much of what both scans see agrees, this much more than before, and both of
+the conflicts that remain hold: this share of what both see, this share of the conflicts before."""
+
+LEAST_PAIRS, LEAST_SCANS, LEAST_LENGTH_M = 8, 4, 0.3
+LEAST_EXPLAINED, MOST_SHARED = 0.5, 0.2
+"""A place needs so many explained pairs, scans of either copy and length. At least the first share of its conflicting
+pairs is explained; at most the second share of the scans of one copy has drawn the other as well."""
+
+REACH_M, ACROSS_M, TURN_RAD, ALONG_M = 0.15, 0.08, 12.0 * DEG, 0.06
+
+
+@dataclass(frozen=True, slots=True)
+class _Keys:
+    """Key scans: stamps (n,), poses (n, 3), ranges and bearings of the walls' normals (n, beams), and the geometry."""
+
+    stamps_ns: NDArray[np.int64]
+    poses: Array
+    ranges_m: Array
+    normals_rad: Array
+    directions: Array
+    beams: Array
+
+    @property
+    def every(self) -> int:
+        """Every so many-th beam gives a point."""
+        return max(1, len(self.directions) // POINTS)
+
+
+@dataclass(frozen=True, slots=True)
+class _Doubled:
+    """Points of the front copy, (n,) each: xy_m (n, 2), direction of the wall, offset of the rear copy.
+
+    ``pair`` numbers the pair of scans, ``explained`` tells whether an alignment explains its conflict; ``front`` and
+    ``rear`` are the key scans that saw the one copy and the other.
+    """
+
+    xy_m: Array
+    direction_rad: Array
+    offset_m: Array
+    pair: NDArray[np.int64]
+    explained: NDArray[np.bool_]
+    front: NDArray[np.int64]
+    rear: NDArray[np.int64]
+
+
+def key_rows(trajectory: Trajectory) -> NDArray[np.intp]:
+    """Choose the rows of a trajectory whose scans `doubled_walls` compares."""
+    steps = np.diff(trajectory.xyyaw, axis=0, prepend=trajectory.xyyaw[:1])
+    turn_rad = np.abs(np.angle(np.exp(1j * steps[:, 2])))
+    moved = np.cumsum(np.hypot(steps[:, 0], steps[:, 1]) / KEY_STEP_M + turn_rad / KEY_TURN_RAD)
+    rows = np.unique(np.floor(moved), return_index=True)[1]
+    return rows[spread(len(rows), MOST_KEYS)]
+
+
+def doubled_walls(trajectory: Trajectory, scans: PlacedScans, cell_m: float) -> GhostWalls:
+    """Find the doubled walls of a run; ``scans`` are those of `key_rows`, and maybe others; ``cell_m`` is the map's."""
+    keys = _keys(trajectory, scans)
+    pairs = _pairs(keys)
+    b_T_a = _between(keys.poses, pairs)
+    points, _, _, doubled = _seen(keys, pairs, b_T_a).T
+    conflict = (points >= LEAST_POINTS) & (doubled >= np.maximum(LEAST_DOUBLED, LEAST_DOUBLED_SHARE * points))
+    tested = np.flatnonzero(conflict)
+    tested = tested[spread(len(tested), max(LEAST_ALIGNED, int(ALIGNED_SHARE * len(keys.poses))))]
+    found = _doubled(keys, np.ascontiguousarray(pairs[tested]), b_T_a[tested])
+    return as_ghost_walls(_places(found, keys), cell_m)
+
+
+def _keys(trajectory: Trajectory, scans: PlacedScans) -> _Keys:
+    spec = scans.spec
+    limits_m = used_ranges_m(spec)
+    rows = np.flatnonzero(np.isin(scans.stamps_ns, trajectory.stamps_ns[key_rows(trajectory)]))
+    ranges_m = np.ascontiguousarray(scans.ranges_m[rows])
+    return _Keys(
+        stamps_ns=scans.stamps_ns[rows],
+        poses=scans.poses[rows],
+        ranges_m=ranges_m,
+        normals_rad=wall_normals(ranges_m, spec.directions, np.array(limits_m)),
+        directions=spec.directions,
+        beams=np.array([spec.angle_min_rad, spec.angle_step_rad, *limits_m]),
+    )
+
+
+def _pairs(keys: _Keys) -> NDArray[np.int64]:
+    """Pair every key scan with earlier ones near it, evenly over the run, (n, 2)."""
+    pairs, xy_m, far_m = [np.zeros((0, 2), np.int64)], keys.poses[:, :2], PARTNER_SHARE * keys.beams[3]
+    for k in range(len(xy_m)):
+        near = np.flatnonzero(np.hypot(*(xy_m[:k] - xy_m[k]).T) < far_m)
+        near = near[spread(len(near), PARTNERS)]
+        pairs.append(np.column_stack((np.full(len(near), k), near)))
+    return np.concatenate(pairs)
+
+
+def _between(poses: Array, pairs: NDArray[np.int64]) -> Array:
+    """Return the poses b_T_a (n, 3) of the first scans of pairs in the frames of the second ones."""
+    (ax, ay, a_yaw), (bx, by, b_yaw) = poses[pairs[:, 0]].T, poses[pairs[:, 1]].T
+    c, s = np.cos(b_yaw), np.sin(b_yaw)
+    return np.column_stack((c * (ax - bx) + s * (ay - by), c * (ay - by) - s * (ax - bx), a_yaw - b_yaw))
+
+
+def _inverse(b_T_a: Array) -> Array:
+    (x, y, yaw), (c, s) = b_T_a.T, (np.cos(b_T_a[:, 2]), np.sin(b_T_a[:, 2]))
+    return np.column_stack((-c * x - s * y, s * x - c * y, -yaw))
+
+
+def _gaps(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> Array:
+    """Return the gaps (n, points) of `wall_gaps`."""
+    pairs, b_T_a = np.ascontiguousarray(pairs), np.ascontiguousarray(b_T_a)
+    return wall_gaps(keys.ranges_m, keys.normals_rad, pairs, b_T_a, keys.directions, keys.beams, keys.every)
+
+
+def _is_doubled(gaps_m: Array) -> NDArray[np.bool_]:
+    """Tell where a wall is seen through that has a parallel one behind it."""
+    found: NDArray[np.bool_] = (gaps_m >= LEAST_OFFSET_M) & (gaps_m <= MAX_OFFSET_M)
+    return found
+
+
+def _seen(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> NDArray[np.int64]:
+    """Count the wall points of pairs (n, 4): all that both see, those that agree, are seen through, are doubled."""
+    counts = np.zeros((len(pairs), 4), np.int64)
+    for ab, motion in ((pairs, b_T_a), (pairs[:, ::-1], _inverse(b_T_a))):
+        gaps_m = _gaps(keys, ab, motion)
+        marks = (~np.isnan(gaps_m), gaps_m == 0.0, gaps_m > 0.0, _is_doubled(gaps_m))
+        counts += np.column_stack([np.count_nonzero(mark, axis=1) for mark in marks])
+    return counts
+
+
+def _doubled(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> _Doubled:
+    """List the doubled points of pairs that conflict.
+
+    Of a pair that an alignment explains these are all that it moves, of others the points that are seen through.
+    """
+    better = best_alignments(keys.ranges_m, pairs, b_T_a, keys.directions, keys.beams[2:].copy(), REACH_STEPS)
+    explained = _explained(_seen(keys, pairs, b_T_a), _seen(keys, pairs, better))
+    shift_m = np.where(_gaps(keys, pairs, better) == 0.0, _shifts(keys, pairs, b_T_a, better), 0.0)
+    unexplained = np.where(explained[:, None], np.nan, 1.0)
+    parts = (
+        _points(keys, pairs, np.where(explained[:, None], shift_m, 0.0), explained),
+        _points(keys, pairs, -unexplained * _gaps(keys, pairs, b_T_a), explained),
+        _points(keys, pairs[:, ::-1], -unexplained * _gaps(keys, pairs[:, ::-1], _inverse(b_T_a)), explained),
+    )
+    names = _Doubled.__slots__
+    return _Doubled(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def _shifts(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array, better: Array) -> Array:
+    """Return how far towards the laser scan b drew the wall points of scan a from where that did, (n, points) in m."""
+    a, beams = pairs[:, :1], np.arange(0, keys.ranges_m.shape[1], keys.every)
+    xy_m, normal_rad = _ends(keys, a, beams), keys.normals_rad[a, beams] + b_T_a[:, 2:]
+    moved_m = _moved(better[:, None], xy_m) - _moved(b_T_a[:, None], xy_m)
+    shift_m: Array = np.cos(normal_rad) * moved_m[..., 0] + np.sin(normal_rad) * moved_m[..., 1]
+    return shift_m
+
+
+def _points(keys: _Keys, pairs: NDArray[np.int64], shift_m: Array, explained: NDArray[np.bool_]) -> _Doubled:
+    """List the wall points of the first scans that the second ones drew elsewhere: ``shift_m`` towards the laser."""
+    pair, number = np.nonzero(_is_doubled(np.abs(shift_m)))
+    (a, b), beam, shift = pairs[pair].T, number * keys.every, shift_m[pair, number]
+    normal_rad = keys.normals_rad[a, beam] + keys.poses[a, 2]
+    normal = np.column_stack((np.cos(normal_rad), np.sin(normal_rad)))
+    return _Doubled(
+        xy_m=_moved(keys.poses[a], _ends(keys, a, beam)) + normal * np.maximum(shift, 0.0)[:, None],
+        direction_rad=normal_rad + np.pi / 2.0,
+        offset_m=np.abs(shift),
+        pair=pair,
+        explained=explained[pair],
+        front=np.where(shift < 0.0, a, b),
+        rear=np.where(shift < 0.0, b, a),
+    )
+
+
+def _ends(keys: _Keys, scan: NDArray[np.int64], beam: NDArray[np.int64]) -> Array:
+    """Return the end points of beams in the frames of the lasers, (..., 2) in m."""
+    ends: Array = keys.ranges_m[scan, beam][..., None] * keys.directions[beam]
+    return ends
+
+
+def _moved(poses: Array, xy_m: Array) -> Array:
+    """Bring points (..., 2) to the frames in which poses (..., 3) are given."""
+    c, s, (x, y) = np.cos(poses[..., 2]), np.sin(poses[..., 2]), np.moveaxis(xy_m, -1, 0)
+    return np.stack((c * x - s * y + poses[..., 0], s * x + c * y + poses[..., 1]), axis=-1)
+
+
+def _explained(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which alignments (n,) explain the conflicts of their pairs; counts of `_seen` before and after."""
+    (_, agreed, through, _), (_, agrees, left, _) = (seen.T / np.maximum(seen[:, 0], 1) for seen in (before, after))
+    fits = (after[:, 0] >= LEAST_POINTS) & (agrees >= np.maximum(LEAST_AGREEING, agreed + LEAST_GAIN))
+    explained: NDArray[np.bool_] = fits & (left <= np.minimum(MOST_THROUGH, MOST_THROUGH_LEFT * through))
+    return explained
+
+
+def _places(found: _Doubled, keys: _Keys) -> list[GhostWall]:
+    """Join doubled points that follow one another, and keep the places with evidence enough."""
+    groups = linked(found.xy_m, found.direction_rad, reach_m=REACH_M, across_m=ACROSS_M, turn_rad=TURN_RAD)
+    order = np.argsort(groups, kind="stable")
+    members = np.split(order, np.flatnonzero(np.diff(groups[order])) + 1) if len(order) else []
+    places = (_place(found, group, keys) for group in members)
+    return [place for place in places if place is not None]
+
+
+def _place(found: _Doubled, group: NDArray[np.intp], keys: _Keys) -> GhostWall | None:
+    """Return the ghost wall that a group of doubled points is; None without evidence."""
+    pairs = len(np.unique(found.pair[group]))
+    group = group[found.explained[group]]
+    explained = len(np.unique(found.pair[group]))
+    front, rear = np.unique(found.front[group]), np.unique(found.rear[group])
+    scans, shared = min(len(front), len(rear)), len(np.intersect1d(front, rear))
+    if explained < max(LEAST_PAIRS, LEAST_EXPLAINED * pairs) or scans < LEAST_SCANS or shared > MOST_SHARED * scans:
+        return None
+    line = fit_line(found.xy_m[group], np.ones(len(group)), ALONG_M)
+    if line.length_m < LEAST_LENGTH_M:
+        return None
+    offset_mm = float(np.median(found.offset_m[group])) / MM
+    first_ns = keys.stamps_ns.min()
+    front_s, rear_s = (float(np.median(keys.stamps_ns[which] - first_ns)) * NS for which in (front, rear))
+    return GhostWall(line.x_m, line.y_m, line.direction_rad / DEG, line.length_m, offset_mm, explained, front_s, rear_s)
