@@ -15,7 +15,7 @@ from mavnav.commands.terminal import emit_json, print_table
 EPILOG = """
 [bold]Examples[/bold]
 
-mavnav metrics runs/drive-robust-10x10
+mavnav metrics runs/drive-robust-20-10x10
 
 mavnav metrics other_tool/map.yaml --json | jq '.maps[0].map_quality.ghost_walls'
 

@@ -103,7 +103,7 @@ def replay(
     sets: Sets = None,
     directory: Annotated[
         Path | None,
-        directory_option(help="Run directory (default runs/LOG-METHOD-GRID)."),
+        directory_option(help="Run directory (default runs/LOG-METHOD-YAW-GRID)."),
     ] = None,
     force: Force = False,
     report: WriteReport = False,

@@ -70,7 +70,7 @@ def simulate(
     sets: Sets = None,
     directory: Annotated[
         Path | None,
-        directory_option(help="Run directory (default runs/SCENARIO-METHOD-GRID)."),
+        directory_option(help="Run directory (default runs/SCENARIO-METHOD-YAW-GRID)."),
     ] = None,
     record: Annotated[
         Path | None,

@@ -7,27 +7,15 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav.batch.settings import named_settings, yaw_samples
 from mavnav.config.loading import load_config
-from mavnav.config.models import GridSize
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from mavnav.batch.settings import Setting
     from mavnav.config.models import Config
 
 PAPER_GRIDS: Final = ("5x5", "10x10", "20x20")
 """What the paper compares in its Fig. 8, and what is compared where no grid is named."""
-
-MOST_YAW_SAMPLES: Final = 40
-"""Yaw samples that go with the finest grids: the paper's Fig. 7 pairs 40 with 40x40."""
-
-
-def paired_yaw_samples(grid: GridSize) -> int:
-    """Return the number of yaw samples that goes with a grid: twice its points along an axis, 40 at most.
-
-    That holds both pairs that the paper names, 20 with 10x10 and 40 with 40x40 (its Fig. 7).
-    """
-    return min(2 * max(grid.nx, grid.ny), MOST_YAW_SAMPLES)
 
 
 def comparison_settings(
@@ -36,7 +24,7 @@ def comparison_settings(
     methods: Sequence[str],
     grids: Sequence[str],
     azimuths: Sequence[int],
-    options: Mapping[str, object],
+    options: dict[str, object],
 ) -> list[Setting]:
     """Return a setting for every method and grid, methods in order, grids from coarse to fine.
 
@@ -50,7 +38,7 @@ def comparison_settings(
         ``NxM``; none means the paper's three, and a single one is joined by the configuration's own (10x10).
     azimuths
         Yaw samples: none, one number for all the grids named, or one for each of them. If none are given, a grid takes
-        the configuration's own if that gives them, else `paired_yaw_samples`.
+        the configuration's own if that gives them, else `mavnav.config.models.paired_yaw_samples`.
 
     Raises
     ------
@@ -61,21 +49,20 @@ def comparison_settings(
     """
     named: list[dict[str, object]] = [{"method": method} for method in methods] or [{}]
     return named_settings(
-        load_config(file, sets, {**options, **method, "grid": str(grid), "azimuth": azimuth})
-        for method in named
-        for grid, azimuth in _searches(load_config(file, sets, {**options, **method}), grids, azimuths)
+        config for method in named for config in _configs(file, sets, grids, azimuths, options | method)
     )
 
 
-def _searches(base: Config, grids: Sequence[str], azimuths: Sequence[int]) -> list[tuple[GridSize, int]]:
-    """Return the grids with their yaw samples, from coarse to fine."""
-    sizes = [GridSize.parse(grid) for grid in grids or PAPER_GRIDS]
-    if len(grids) == 1 and base.grid not in sizes:
-        sizes.append(base.grid)
-    given = yaw_samples(grids or PAPER_GRIDS, azimuths)
-    found = {(size, _own_samples(base, size) if n is None else n) for size, n in zip_longest(sizes, given)}
-    return sorted(found, key=lambda search: (search[0].points, search[1]))
-
-
-def _own_samples(base: Config, grid: GridSize) -> int:
-    return base.azimuth if "azimuth" in base.model_fields_set else paired_yaw_samples(grid)
+def _configs(
+    file: str | None, sets: Sequence[str], grids: Sequence[str], azimuths: Sequence[int], options: dict[str, object]
+) -> list[Config]:
+    """Return the configurations of one method, from coarse to fine grids."""
+    wanted = list(zip_longest(grids or PAPER_GRIDS, yaw_samples(grids or PAPER_GRIDS, azimuths)))
+    if len(grids) == 1:
+        wanted.append((str(load_config(file, sets, options).grid), None))
+    found = {
+        str((grid, samples)): load_config(file, sets, options | search)
+        for grid, samples in wanted
+        for search in [{"grid": grid} if samples is None else {"grid": grid, "azimuth": samples}]
+    }
+    return sorted(found.values(), key=lambda config: (config.grid.points, config.azimuth))

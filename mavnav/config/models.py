@@ -7,7 +7,7 @@ Lengths and angles are in the paper's units and say so in their names.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, field_validator
 
@@ -53,6 +53,18 @@ class GridSize(Strict):
     def points(self) -> int:
         """Number of points in the plane."""
         return self.nx * self.ny
+
+
+MOST_YAW_SAMPLES: Final = 40
+"""Yaw samples that go with the finest grids: the paper's Fig. 7 pairs 40 with 40x40."""
+
+
+def paired_yaw_samples(grid: GridSize) -> int:
+    """Return the number of yaw samples that goes with a grid: twice its points along an axis, 40 at most.
+
+    That holds both pairs that the paper names, 20 with 10x10 and 40 with 40x40 (its Fig. 7).
+    """
+    return min(2 * max(grid.nx, grid.ny), MOST_YAW_SAMPLES)
 
 
 class PaperConfig(Strict):
@@ -185,7 +197,12 @@ class Config(Strict):
 
     method: MethodName = "robust"
     grid: Annotated[GridSize, WithJsonSchema({"type": "string"}, mode="serialization")] = GridSize()
-    azimuth: int = Field(20, ge=2, le=2000, description="yaw samples of the search")
+    azimuth: int = Field(
+        default_factory=lambda values: paired_yaw_samples(values.get("grid", GridSize())),
+        ge=2,
+        le=2000,
+        description="yaw samples of the search; default: twice the points of the grid along an axis, at most 40",
+    )
     odom: str = Field("auto", description="odometry used as motion prior: auto, off, or a topic")
     search: Literal["pruned", "exhaustive"] = Field(
         "pruned", description="exhaustive evaluates every pose of every grid and finds the same minimum"

@@ -43,10 +43,10 @@ def read_true_map(path: Path) -> TrueMap:
 
 
 def of_scenario(scenario: Scenario, world_T_map: Pose) -> TrueMap:
-    """Take exact walls for the truth, and draw the measured ones; ``world_T_map`` is the laser's first pose."""
-    walls, overlay = scenario.world.seen_from(world_T_map), scenario.overlay.seen_from(world_T_map)
+    """Take the exact walls for the truth; ``world_T_map`` is the laser's first pose."""
+    walls = scenario.world.seen_from(world_T_map)
     xy_m = np.concatenate((_on_segments(walls), _on_arcs(walls)))
-    return TrueMap(walls.clearance_m, xy_m, "start pose", overlay.segments, overlay.arcs)
+    return TrueMap(walls.clearance_m, xy_m, "start pose", walls.segments, walls.arcs)
 
 
 def _of_map(path: Path) -> TrueMap:

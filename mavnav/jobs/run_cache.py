@@ -71,7 +71,8 @@ class PlannedRun:
 def make_run(request: ReplayRequest, log_sha256: str, references: str) -> PlannedRun:
     """Return the run of a request, given the hashes of its log and of its references.
 
-    Its run directory is ``<log>-<method>-<grid>-<the first 8 digits of its key>`` below ``request.directory/cells``.
+    Its run directory is ``<log>-<method>-<yaw samples>-<grid>-<the first 8 digits of its key>``, below
+    ``request.directory/cells``.
     """
     key = run_key(request, log_sha256, references)
     name = f"{replay_directory(request.log, request.config).name}-{key[:8]}"

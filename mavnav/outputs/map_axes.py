@@ -13,7 +13,17 @@ from mavnav.mapping.occupancy_grid import FREE
 from mavnav.mapping.tiled_arrays import pooled, unchanged, where
 from mavnav.outputs.canvas import Canvas, dashed, ramp, rgb_of, stroke
 from mavnav.outputs.plot import Axes, Line, Mark, circle, cross, crossed_circle, labelled, ticks
-from mavnav.outputs.viewport import FREE_GREY, GOAL_RED, INK, MAX_CELLS, POSE_MAGENTA, START_BLUE, TRUE_ORANGE, Window
+from mavnav.outputs.viewport import (
+    FREE_GREY,
+    GOAL_RED,
+    INK,
+    MAX_CELLS,
+    MEASURED_BLUE,
+    POSE_MAGENTA,
+    START_BLUE,
+    TRUE_ORANGE,
+    Window,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -36,6 +46,7 @@ POSE: Final = Mark(POSE_MAGENTA, "estimated pose", partial(circle, size_pt=4.0, 
 TRUE_POSE: Final = Mark("#000000", "true pose", partial(cross, size_pt=3.5, width_pt=0.7))
 LOOP: Final = Line(INK, "closed loop", partial(stroke, width_pt=0.72))
 TRUE_WALL: Final = Line(TRUE_ORANGE, "true wall", dashed)
+MEASURED_WALL: Final = Line(MEASURED_BLUE, "measured by hand", dashed)
 
 
 def map_axes(canvas: Canvas, window: Window, box: Box) -> Axes:

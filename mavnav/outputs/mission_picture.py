@@ -42,7 +42,8 @@ def write(run: Run, path: Path) -> None:
     _draw(axes, run.truth)
     map_axes.draw_axes(axes)
     axes.names("x [m]", "y [m]")
-    centred_legend(axes.canvas, [WALL, TRUE_POSE, map_axes.START, map_axes.GOAL])
+    measured = [map_axes.MEASURED_WALL] if run.truth.measured_by_hand else []
+    centred_legend(axes.canvas, [WALL, *measured, TRUE_POSE, map_axes.START, map_axes.GOAL])
     middle = axes.canvas.image.width / 2
     axes.canvas.text((middle, 26), f"{run.name}: the true map", 12.0, bold=True)
     axes.canvas.text((middle, 62), _subtitle(run.truth), 8.5, MUTED)
@@ -57,6 +58,8 @@ def _window(truth: Truth) -> Window:
 def _draw(axes: Axes, truth: Truth) -> None:
     xy_m = truth.map_T_laser.xyyaw[:, :2]
     axes.lines(WALL, wall_lines(truth))
+    if truth.measured_by_hand:
+        axes.lines(map_axes.MEASURED_WALL, wall_lines(truth.measured_by_hand))
     axes.lines(PATH, [xy_m])
     axes.mark(TRUE_POSE, xy_m)
     _draw_heading(axes, truth)

@@ -59,17 +59,27 @@ class Walls(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class WallShapes:
+    """Walls in the map frame, as `Truth` has them."""
+
+    segments_map: NDArray[np.float64]
+    arcs_map: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
 class Truth:
     """What only a simulation knows, in the map frame: the true first pose of the laser.
 
     ``map_T_laser`` are the true poses; ``segments_map`` (n, 4) the straight walls, x1, y1, x2, y2 in m;
     ``arcs_map`` (m, 5) the curved ones: centre x, y and radius in m, start and sweep in rad, counter-clockwise.
+    ``measured_by_hand`` are the walls as people measured them, where the scenario has them.
     """
 
     map_T_laser: Trajectory
     segments_map: NDArray[np.float64]
     arcs_map: NDArray[np.float64]
     goal_xy_map_m: tuple[float, float]
+    measured_by_hand: WallShapes | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from mavnav.outputs.run import Run
+    from mavnav.outputs.run import Run, Walls
     from mavnav.pose import Trajectory
 
 COLUMNS = (
@@ -51,8 +51,14 @@ def write_true_walls(run: Run, path: Path) -> None:
         msg = "the truth is not known"
         raise ValueError(msg)
     goal = {} if run.truth is None else {"goal": list(run.truth.goal_xy_map_m)}
-    walls = {"frame": "map", "segments": true.segments_map.tolist(), "arcs": true.arcs_map.tolist(), **goal}
+    measured = run.truth and run.truth.measured_by_hand
+    hand = {"measured_by_hand": _shapes(measured)} if measured else {}
+    walls = {"frame": "map", **_shapes(true), **goal, **hand}
     path.write_text(json.dumps(walls) + "\n", encoding="ascii")
+
+
+def _shapes(walls: Walls) -> dict[str, Any]:
+    return {"segments": walls.segments_map.tolist(), "arcs": walls.arcs_map.tolist()}
 
 
 def _tum_lines(trajectory: Trajectory) -> Iterator[str]:

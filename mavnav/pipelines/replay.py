@@ -120,8 +120,8 @@ def localisation(request: ReplayRequest, outcome: SlamResult) -> Localisation:
 
 
 def replay_directory(log: Path, config: Config) -> Path:
-    """Return ``runs/<log>-<method>-<grid>``."""
-    return Path("runs") / f"{log_name(log)}-{config.method}-{config.grid}"
+    """Return ``runs/<log>-<method>-<yaw samples>-<grid>``."""
+    return Path("runs") / f"{log_name(log)}-{config.method}-{config.azimuth}-{config.grid}"
 
 
 def log_name(log: Path) -> str:

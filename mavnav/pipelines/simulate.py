@@ -20,7 +20,7 @@ from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.metrics.trajectory_error import absolute_error, align
 from mavnav.outputs.animation import animate, check_animation
 from mavnav.outputs.directory import check_directory
-from mavnav.outputs.run import Mission, Run, Timing, Truth
+from mavnav.outputs.run import Mission, Run, Timing, Truth, WallShapes
 from mavnav.outputs.run_json import MissionResult, TruthErrors
 from mavnav.outputs.writers import write_run
 from mavnav.pipelines.replay import Progress, measured_map
@@ -56,8 +56,9 @@ class SimulationRequest:
 
 
 def simulation_directory(scenario: Scenario) -> Path:
-    """Return ``runs/<scenario>-<method>-<grid>``."""
-    return Path("runs") / f"{scenario.name}-{scenario.slam.method}-{scenario.slam.grid}"
+    """Return ``runs/<scenario>-<method>-<yaw samples>-<grid>``."""
+    slam = scenario.slam
+    return Path("runs") / f"{scenario.name}-{slam.method}-{slam.azimuth}-{slam.grid}"
 
 
 def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: float) -> tuple[Run, dict[str, Any]]:
@@ -123,10 +124,18 @@ def recorded(flight: Flight) -> Recording:
 def _truth(flight: Flight) -> Truth:
     """Bring walls and goal to the map frame."""
     map_T_world = flight.world_T_map.inverse()
-    overlay = flight.scenario.overlay.seen_from(flight.world_T_map)
+    walls = flight.scenario.world.seen_from(flight.world_T_map)
+    measured = flight.scenario.measured_walls
+    sketch = measured.seen_from(flight.world_T_map) if measured else None
     x, y = flight.scenario.goals_xy_m[-1]
     goal = map_T_world @ Pose(x, y)
-    return Truth(flight.map_T_laser, overlay.segments, overlay.arcs, (goal.x_m, goal.y_m))
+    return Truth(
+        map_T_laser=flight.map_T_laser,
+        segments_map=walls.segments,
+        arcs_map=walls.arcs,
+        goal_xy_map_m=(goal.x_m, goal.y_m),
+        measured_by_hand=WallShapes(sketch.segments, sketch.arcs) if sketch else None,
+    )
 
 
 def _reference(flight: Flight) -> Reference | None:

@@ -21,10 +21,10 @@ def test_without_anything_there_is_one() -> None:
 
 def test_every_method_with_every_grid() -> None:
     assert names(methods=("robust", "paper"), grids=("5x5", "20x20")) == [
-        "robust 20/5x5",
-        "robust 20/20x20",
-        "paper 20/5x5",
-        "paper 20/20x20",
+        "robust 10/5x5",
+        "robust 40/20x20",
+        "paper 10/5x5",
+        "paper 40/20x20",
     ]
 
 
@@ -44,7 +44,7 @@ def test_whatever_is_unusual_is_in_the_name() -> None:
 
 
 def test_what_comes_twice_is_one() -> None:
-    assert names(grids=("5x5", "5x5")) == ["robust 20/5x5"]
+    assert names(grids=("5x5", "5x5")) == ["robust 10/5x5"]
 
 
 def manifest(tmp_path: Path, text: str) -> list[str]:

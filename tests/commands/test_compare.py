@@ -136,7 +136,7 @@ def test_ctrl_c_keeps_the_finished_runs(spawn: Callable, sample: Path, tmp_path:
     out, err = process.communicate(timeout=60)
     assert (process.returncode, out, err) == (ExitCode.INTERRUPTED, "", "mavnav: interrupted\n")
     (kept,) = (tmp_path / "out" / "cells").iterdir()
-    assert kept.name.startswith("corridor-robust-5x5-")
+    assert kept.name.startswith("corridor-robust-10-5x5-")
 
 
 def test_a_plain_line_for_every_run_that_ends(capsys: pytest.CaptureFixture[str]) -> None:

@@ -129,7 +129,7 @@ def test_the_default_directory_names_log_method_and_grid(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert mavnav("replay", sample, *FEW, "--grid", "5x6")[0] == 0
-    assert (tmp_path / "runs" / "corridor-robust-5x6" / "run.json").is_file()
+    assert (tmp_path / "runs" / "corridor-robust-12-5x6" / "run.json").is_file()
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_log_names(tmp_path: Path, name: str, stem: str) -> None:
     from mavnav.config.models import Config
     from mavnav.pipelines.replay import replay_directory
 
-    assert replay_directory(tmp_path / name, Config()) == Path("runs") / f"{stem}-robust-10x10"
+    assert replay_directory(tmp_path / name, Config()) == Path("runs") / f"{stem}-robust-20-10x10"
 
 
 def test_a_folder_is_named_as_it_is(tmp_path: Path) -> None:
@@ -156,7 +156,7 @@ def test_a_folder_is_named_as_it_is(tmp_path: Path) -> None:
     from mavnav.pipelines.replay import replay_directory
 
     (tmp_path / "drive.mcap").mkdir()
-    assert replay_directory(tmp_path / "drive.mcap", Config()).name == "drive.mcap-robust-10x10"
+    assert replay_directory(tmp_path / "drive.mcap", Config()).name == "drive.mcap-robust-20-10x10"
 
 
 # --- errors: one line, one code -----------------------------------------------------------------------------------

@@ -191,7 +191,7 @@ def test_options_reach_the_mission(
     assert code == ExitCode.GATE_FAILED
     assert (document["method"], document["grid"], document["azimuth"]) == ("paper", "6x7", 15)
     assert (document["scenario"]["seed"], document["scenario"]["planner"]["technique"]) == (3, "field")
-    assert (tmp_path / "runs" / "short-paper-6x7" / "run.json").is_file()
+    assert (tmp_path / "runs" / "short-paper-15-6x7" / "run.json").is_file()
 
 
 def test_the_trap(mavnav: Callable, tmp_path: Path) -> None:

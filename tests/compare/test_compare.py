@@ -63,7 +63,7 @@ def test_every_combination_is_a_run(finished: tuple[Path, dict]) -> None:
     assert document["exit_code"] == 0
     assert [(c["grid"], c["azimuth"], c["status"]) for c in document["cells"]] == [(g, 6, "done") for g in GRIDS]
     for cell in document["cells"]:
-        assert cell["directory"] == f"cells/corridor-robust-{cell['grid']}-{cell['key'][:8]}"
+        assert cell["directory"] == f"cells/corridor-robust-{cell['azimuth']}-{cell['grid']}-{cell['key'][:8]}"
         ran = json.loads((directory / cell["directory"] / "run.json").read_text())
         assert ran["grid"] == cell["grid"]
         assert all(ran[name] == section for name, section in cell["run"].items())

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.compare.grids import comparison_settings, paired_yaw_samples
-from mavnav.config.models import Config, GridSize
+from mavnav.compare.grids import comparison_settings
+from mavnav.config.models import Config, GridSize, paired_yaw_samples
 from mavnav.errors import ConfigError, UsageError
 
 

@@ -153,9 +153,9 @@ class Scenario(Strict):
         return world_of(self.walls)
 
     @cached_property
-    def overlay(self) -> World:
-        """The walls to draw over the map: as measured by hand where that is given, else as they are."""
-        return world_of(self.measured or self.walls)
+    def measured_walls(self) -> World | None:
+        """The walls as measured by hand, None where that is not given."""
+        return world_of(self.measured) if self.measured else None
 
     @property
     def world_T_base(self) -> Pose:

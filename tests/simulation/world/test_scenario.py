@@ -110,10 +110,10 @@ def test_the_loop_goes_once_round() -> None:
 
 def test_the_corridor_brings_its_hand_measured_map() -> None:
     scenario = load_scenario("corridor")
-    assert len(scenario.overlay.segments) < len(scenario.world.segments)
+    assert len(scenario.measured_walls.segments) < len(scenario.world.segments)
     left, _, right, _ = scenario.world.bounds_m
     assert right - left == pytest.approx(15)
-    assert load_scenario("corner").overlay is not None
+    assert load_scenario("corner").measured_walls is None
 
 
 def test_the_documented_example_loads_and_names_what_ships(repo_root: Path, tmp_path: Path) -> None:
