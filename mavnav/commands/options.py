@@ -5,11 +5,17 @@ from __future__ import annotations
 from functools import partial
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mavnav.commands.terminal import note
 from mavnav.errors import UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from mavnav.config.models import Config
 
 INPUT, SEARCH, OUTPUT, CHECKS, RESOURCES = "Input", "Search", "Output", "Checks", "Resources"
 """Panels of the help."""
@@ -52,7 +58,9 @@ Methods = Annotated[
     search_option("--method", metavar="robust|paper", help="SLAM method (default robust); repeatable."),
 ]
 Grid = Annotated[str | None, search_option(metavar="NxM", help="Points of the search grid in x and y (default 10x10).")]
-Azimuth = Annotated[int | None, search_option(metavar="N", help="Yaw samples of the search (default 20).")]
+Azimuth = Annotated[
+    int | None, search_option(metavar="N", help="Yaw samples of the search (default 2N for NxN, at most 40).")
+]
 Online = Annotated[bool, search_option("--online", help="Causal mode: no loop closure, no final pass.")]
 ConfigFile = Annotated[
     str | None, search_option(metavar="FILE", help="Configuration: a YAML file, or the name of a preset.")
@@ -103,3 +111,9 @@ def parse_pose(text: str | None, option: str = "--extrinsic") -> tuple[float, fl
     if len(values) != 3 or not all(map(isfinite, values)):
         raise UsageError(f"{option} {text!r} is not X,Y,YAW in m, m, rad; write for example {option} 0.1,0,1.5708")
     return values[0], values[1], values[2]
+
+
+def note_without_effect(config: Config, keys: Iterable[str]) -> None:
+    """Warn of settings that were given by their dotted keys and that the chosen method does not read."""
+    for key in config.without_effect(keys):
+        note(f"mavnav: warning: {key} has no effect with method {config.method}")

@@ -34,6 +34,7 @@ from mavnav.commands.options import (
     WriteReport,
     directory_option,
     given_values,
+    note_without_effect,
     output_option,
     parse_pose,
     search_option,
@@ -162,7 +163,9 @@ def replay(
 def _config(file: str | None, sets: list[str], overrides: dict[str, Any]) -> Config:
     from mavnav.config.loading import load_config
 
-    return load_config(file, sets, overrides)
+    config = load_config(file, sets, overrides)
+    note_without_effect(config, [*(text.partition("=")[0] for text in sets), *overrides])
+    return config
 
 
 def _check_files(log: Path, known: Path | None, start_pose: tuple[float, float, float] | None) -> None:

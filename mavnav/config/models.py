@@ -7,11 +7,14 @@ Lengths and angles are in the paper's units and say so in their names.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, field_validator
 
 from mavnav.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 MethodName = Literal["robust", "paper"]
 
@@ -73,20 +76,26 @@ class PaperConfig(Strict):
     The defaults are the reading nearest to the letter (``paper-literal``); ``paper`` is the one that works best.
     """
 
-    cell_mm: float = Field(14.0, ge=1, description="cell edge of the map")
-    near_mm: float = Field(100.0, ge=0, description="cost step vi: nearer points are left out")
-    far_mm: float = Field(5000.0, gt=0, description="cost step vi: farther points are left out")
-    mixed_pixel_mm: float = Field(100.0, gt=0, description="cost step vii: least jump to both neighbours")
-    occlusion_mm: float = Field(300.0, gt=0, description="cost step viii: larger radius differences are occlusions")
+    cell_mm: float = Field(14.0, ge=1, le=250, description="cell edge of the map")
+    near_mm: float = Field(100.0, ge=0, le=100_000, description="cost step vi: nearer points are left out")
+    far_mm: float = Field(5000.0, gt=0, le=300_000, description="cost step vi: farther points are left out")
+    mixed_pixel_mm: float = Field(100.0, gt=0, le=100_000, description="cost step vii: least jump to both neighbours")
+    occlusion_mm: float = Field(
+        300.0, gt=0, le=100_000, description="cost step viii: larger radius differences are occlusions"
+    )
     occlusion_shrink: float = Field(
         1.0, gt=0, le=1, description="factor on the occlusion threshold from iteration to iteration; 1: fixed"
     )
-    occlusion_least_mm: float = Field(100.0, gt=0, description="the occlusion threshold shrinks no further than this")
+    occlusion_least_mm: float = Field(
+        100.0, gt=0, le=100_000, description="the occlusion threshold shrinks no further than this"
+    )
     occluded: Literal["left_out", "counted"] = Field(
         "left_out",
         description="occluded points are left out of sum and divisor, or count with the squared threshold",
     )
-    cluster_gap_cells: int = Field(0, ge=0, description="empty cells that a thick wall may contain along a ray")
+    cluster_gap_cells: int = Field(
+        0, ge=0, le=1000, description="empty cells that a thick wall may contain along a ray"
+    )
     equal_cells: Literal["nearest", "middle"] = Field(
         "nearest",
         description="of the cells of a thick wall with equally many hits: the nearest, or the one at its middle",
@@ -100,27 +109,32 @@ class PaperConfig(Strict):
     predict: Literal["rest", "velocity"] = Field(
         "rest", description="without commands the laser is expected at rest, or moving on as before"
     )
-    window_mm: float = Field(200.0, gt=0, description="half-width of the first search in the plane")
-    window_deg: float = Field(15.0, gt=0, description="half-width of the first yaw search")
+    window_mm: float = Field(200.0, gt=0, le=10_000, description="half-width of the first search in the plane")
+    window_deg: float = Field(15.0, gt=0, le=180, description="half-width of the first yaw search")
     pivot: Literal["centroid", "laser"] = Field("centroid", description="the search turns the scan about this point")
-    shrink: float = Field(0.3, gt=0, lt=1, description="narrowing of the search from iteration to iteration")
+    shrink: float = Field(0.3, ge=0.01, le=0.99, description="narrowing of the search from iteration to iteration")
     leave_no_gaps: bool = Field(True, description="narrow no further than to the grid's spacing")
-    stop_mm: float = Field(0.01, gt=0, description="convergence in the plane")
-    stop_deg: float = Field(0.01, gt=0, description="convergence in yaw")
+    stop_mm: float = Field(0.01, ge=1e-4, le=1000, description="convergence in the plane")
+    stop_deg: float = Field(0.01, ge=1e-4, le=90, description="convergence in yaw")
     converged: Literal["both", "either"] = Field(
         "both", description="end the search once both plane and yaw have converged, or either"
     )
     extend_border: bool = Field(True, description="move the search when the minimum lies on its border")
-    max_extensions: int = Field(5, ge=0, description="border extensions an iteration at most")
-    refine_above_mm2: float = Field(300.0, gt=0, description="refine the grid where the coarse cost stays above")
-    refine_factor: int = Field(2, ge=1, description="points an axis are multiplied by this; 1 turns refinement off")
+    max_extensions: int = Field(5, ge=0, le=1000, description="border extensions an iteration at most")
+    refine_above_mm2: float = Field(
+        300.0, gt=0, le=1e9, description="refine the grid where the coarse cost stays above"
+    )
+    refine_factor: int = Field(
+        2, ge=1, le=10, description="points an axis are multiplied by this; 1 turns refinement off"
+    )
     give_up: bool = Field(True, description="end a search that can only end far above the acceptance threshold")
     gate_mm2: float = Field(
-        400.0, gt=0, description="acceptance threshold: map and pose are updated at this cost or below"
+        400.0, gt=0, le=1e9, description="acceptance threshold: map and pose are updated at this cost or below"
     )
     gate_range_mm: float | None = Field(
         None,
         gt=0,
+        le=300_000,
         description="range for which gate_mm2 and refine_above_mm2 hold: both grow with the scan's mean squared range; "
         "null: they are absolute",
     )
@@ -129,56 +143,68 @@ class PaperConfig(Strict):
 class RobustConfig(Strict):
     """The robust method: point to local line over the whole map, see docs/method.md."""
 
-    cell_mm: float = Field(20.0, ge=1, description="cell edge of the map")
-    near_mm: float = Field(100.0, ge=0, description="nearer returns are not used")
-    far_mm: float = Field(30000.0, gt=0, description="farther returns are not used")
+    cell_mm: float = Field(20.0, ge=1, le=250, description="cell edge of the map")
+    near_mm: float = Field(100.0, ge=0, le=100_000, description="nearer returns are not used")
+    far_mm: float = Field(30000.0, gt=0, le=300_000, description="farther returns are not used")
     deskew: Literal["auto", "on", "off"] = Field(
         "auto", description="correct scans for motion during the sweep; auto detects the beam order"
     )
-    voxel_mm: float = Field(30.0, gt=0, description="points are averaged in voxels of this size before matching")
-    line_sigma_mm: float = Field(60.0, gt=0, description="Gaussian window of the local line fit")
-    line_noise_mm: float = Field(10.0, gt=0, description="noise floor of the local line fit")
+    voxel_mm: float = Field(
+        30.0, gt=0, le=5000, description="points are averaged in voxels of this size before matching"
+    )
+    line_sigma_mm: float = Field(60.0, gt=0, le=1000, description="Gaussian window of the local line fit")
+    line_noise_mm: float = Field(10.0, gt=0, le=1000, description="noise floor of the local line fit")
     waiting_share: float = Field(
-        0.2, ge=0, description="refit the lines of a cell once its new points exceed this share of the old ones"
+        0.2,
+        ge=0,
+        le=1000,
+        description="refit the lines of a cell once its new points exceed this share of the old ones",
     )
-    truncate_mm: float = Field(150.0, gt=0, description="distances are capped here")
+    truncate_mm: float = Field(150.0, gt=0, le=10_000, description="distances are capped here")
     near_window_mm: float = Field(
-        50.0, ge=0, description="half-width of the first search around the prediction; 0 skips it"
+        50.0, ge=0, le=10_000, description="half-width of the first search around the prediction; 0 skips it"
     )
-    near_window_deg: float = Field(5.0, gt=0, description="half-width of that search in yaw")
+    near_window_deg: float = Field(5.0, gt=0, le=180, description="half-width of that search in yaw")
     window_mm: float = Field(
-        350.0, gt=0, description="half-width of the second search, made where the first is not accepted"
+        350.0, gt=0, le=10_000, description="half-width of the second search, made where the first is not accepted"
     )
-    window_deg: float = Field(20.0, gt=0, description="half-width of that search in yaw")
-    final_window_mm: float = Field(50.0, gt=0, description="half-width of the final pass in the plane")
-    final_window_deg: float = Field(3.0, gt=0, description="half-width of the final pass in yaw")
-    final_truncate_mm: float = Field(50.0, gt=0, description="distances are capped here in the final pass")
+    window_deg: float = Field(20.0, gt=0, le=180, description="half-width of that search in yaw")
+    final_window_mm: float = Field(50.0, gt=0, le=10_000, description="half-width of the final pass in the plane")
+    final_window_deg: float = Field(3.0, gt=0, le=180, description="half-width of the final pass in yaw")
+    final_truncate_mm: float = Field(50.0, gt=0, le=10_000, description="distances are capped here in the final pass")
     stop_mm: float = Field(
-        1.3, gt=0, description="search ends at this spacing in the plane, the final pass at half of it"
+        1.3, ge=1e-3, le=1000, description="search ends at this spacing in the plane, the final pass at half of it"
     )
-    stop_deg: float = Field(0.02, gt=0, description="search ends at this yaw spacing, the final pass at half of it")
-    max_extensions: int = Field(3, ge=0, description="border extensions a level at most")
+    stop_deg: float = Field(
+        0.02, ge=1e-4, le=90, description="search ends at this yaw spacing, the final pass at half of it"
+    )
+    max_extensions: int = Field(3, ge=0, le=1000, description="border extensions a level at most")
     hold_below_mm: float = Field(
         51.0,
         ge=0,
+        le=100_000,
         description="levels of this half-width or less keep correspondences fixed and search yaw and plane jointly",
     )
     overlap_mm: float = Field(
         120.0,
         ge=0,
+        le=100_000,
         description="levels within a cell use only points this close to an occupied cell; 0: all points",
     )
     overlap_points: float = Field(
-        8.0, ge=0, description="and only if the line there was fitted to at least this many points"
+        8.0, ge=0, le=1e6, description="and only if the line there was fitted to at least this many points"
     )
     prior: float = Field(
-        0.01, ge=0, description="motion-prior cost of a squared meter of distance from the odometry prediction"
+        0.01, ge=0, le=1e6, description="motion-prior cost of a squared meter of distance from the odometry prediction"
     )
-    first_level_points: int = Field(100, ge=10, description="sample of points used on the first levels")
+    first_level_points: int = Field(100, ge=10, le=100_000, description="sample of points used on the first levels")
     sparse_points: int = Field(
-        225, ge=0, description="scans with fewer points do not use fixed correspondences on levels within a cell"
+        225,
+        ge=0,
+        le=1_000_000,
+        description="scans with fewer points do not use fixed correspondences on levels within a cell",
     )
-    min_points: int = Field(30, ge=3, description="scans with fewer points are not matched")
+    min_points: int = Field(30, ge=3, le=100_000, description="scans with fewer points are not matched")
     retry_below: float = Field(0.8, ge=0, le=1, description="search wider under this share of inliers")
     conflicts_below: float = Field(
         0.15,
@@ -188,8 +214,8 @@ class RobustConfig(Strict):
     )
     track_above: float = Field(0.6, ge=0, le=1, description="accept a match at this share of inliers")
     regain_above: float = Field(0.7, ge=0, le=1, description="accept a match after a gap at this share of inliers")
-    max_speed_m_s: float = Field(3.0, gt=0, description="reject faster motion")
-    max_turn_deg_s: float = Field(300.0, gt=0, description="reject faster turns")
+    max_speed_m_s: float = Field(3.0, gt=0, le=1000, description="reject faster motion")
+    max_turn_deg_s: float = Field(300.0, gt=0, le=100_000, description="reject faster turns")
 
 
 class Config(Strict):
@@ -216,6 +242,13 @@ class Config(Strict):
     @classmethod
     def _grid_from_text(cls, value: object) -> object:
         return value if isinstance(value, (GridSize, dict)) else GridSize.parse(str(value))
+
+    def without_effect(self, keys: Iterable[str]) -> list[str]:
+        """Return those of the dotted keys that ask for something that the method does not do."""
+        others = tuple(f"{name}." for name in get_args(MethodName) if name != self.method)
+        asked = {"odom": self.odom != "off", "final_pass": self.final_pass, "loop_closure": self.loop_closure != "off"}
+        unread = {key for key, on in asked.items() if on and self.method != "robust"}
+        return [key for key in keys if key.startswith(others) or key in unread]
 
     def document(self) -> dict[str, Any]:
         """Return the effective configuration as plain data, grid as text."""

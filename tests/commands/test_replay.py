@@ -435,3 +435,21 @@ def test_a_warm_run_loads_neither_scipy_nor_message_definitions(tmp_path) -> Non
     heavy |= {"numba.np.arraymath"}
     heavy |= {f"mavnav.kernels.{name}" for name in ("beams", "polar_search.cost", "polar_search.search", "raycast")}
     assert not heavy & set(done.stderr.split())
+
+
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [
+        (("--set", "paper.cell_mm=25"), "paper.cell_mm"),
+        (("--method", "paper", "--deskew", "on"), "robust.deskew"),
+        (("--method", "paper", "--odom", "auto"), "odom"),
+    ],
+)
+def test_settings_without_effect_are_named(mavnav, sample, tmp_path, options, key) -> None:
+    _, _, err = mavnav("replay", sample, "-o", tmp_path / "run", *FEW, *options)
+    assert f"mavnav: warning: {key} has no effect with method" in err
+
+
+def test_settings_that_fit_the_method_are_not_warned_about(mavnav, sample, tmp_path) -> None:
+    _, _, err = mavnav("replay", sample, "-o", tmp_path / "run", *FEW, "--method", "paper", "--odom", "off")
+    assert "no effect" not in err
