@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -18,6 +17,7 @@ from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.scan import Scan
 from mavnav.slam.pipeline import run_slam
 from support.synthetic import TOUR, URG_04LX, along, box, cast, furnished_rooms, polyline, record, room, scan_at
+from support.walls import planted_wall, walking_people
 
 CELL_M = 0.02
 
@@ -54,21 +54,6 @@ def sharp(tour) -> WallSpread:
     return spread_of(mapped(scans, poses), scans, poses)
 
 
-def planted(angle_rad: float, across_m) -> WallSpread:
-    """Measure a wall of 4 m with hits planted at these distances from its middle, seen straight by one laser."""
-    rng, c, s = np.random.default_rng(0), np.cos(angle_rad), np.sin(angle_rad)
-    turn = np.array(((c, s), (-s, c)))
-    wall = np.array(((-2.0, 0.0), (2.0, 0.0))) @ turn
-    at = np.array((0.0, -1.5)) @ turn
-    scan = scan_at(polyline(*map(tuple, wall)), Pose(*at, angle_rad + np.pi / 2))
-    xy_m = np.column_stack((rng.uniform(-2.2, 2.2, len(across_m)), across_m)) @ turn
-    col, row = np.floor(xy_m / CELL_M).astype(int).T + 200
-    hits = np.zeros((400, 400), np.int64)
-    np.add.at(hits, (row, col), 1)
-    poses = Trajectory.of([0], [Pose(*at, angle_rad + np.pi / 2)])
-    return spread_of(Grid(CELL_M, (-4.0, -4.0), hits, 0 * hits), [replace(scan, stamp_ns=0)], poses)
-
-
 ANGLES_RAD = np.linspace(0.0, np.pi, 40, endpoint=False)
 
 
@@ -76,7 +61,7 @@ ANGLES_RAD = np.linspace(0.0, np.pi, 40, endpoint=False)
 def test_solid_walls_at_forty_angles(thickness_mm: float) -> None:
     """95 % of the wall's thickness, and as much as the cells add: a thin wall takes one or two of them."""
     across_m = np.random.default_rng(1).uniform(-0.5, 0.5, 40_000) * thickness_mm * 1e-3
-    found = np.array([planted(a, across_m).median_mm for a in ANGLES_RAD])
+    found = np.array([planted_wall(a, across_m).median_mm for a in ANGLES_RAD])
     bias_mm = found - 0.95 * thickness_mm
     assert bias_mm.min() > -5.0
     assert bias_mm.max() < (2 * 20.0 if thickness_mm < 20 else 25.0)
@@ -87,22 +72,9 @@ def test_solid_walls_at_forty_angles(thickness_mm: float) -> None:
 def test_noisy_walls_at_forty_angles(sigma_mm: float) -> None:
     """Of a normal distribution 95 % of what is over a fifth of the peak lies within 3.15 standard deviations."""
     across_m = np.random.default_rng(1).normal(0.0, sigma_mm * 1e-3, 40_000)
-    found = np.array([planted(a, across_m).median_mm for a in ANGLES_RAD])
+    found = np.array([planted_wall(a, across_m).median_mm for a in ANGLES_RAD])
     assert np.median(found) == pytest.approx(3.15 * np.hypot(sigma_mm, 13.0), rel=0.15)
     assert found.std() < 2.5
-
-
-def walking(rng: np.random.Generator, people: int, steps: int) -> list:
-    """Return what people who walk about in a room cover, step by step."""
-    xy, heading = rng.uniform((0.8, 0.6), (5.2, 3.4), (people, 2)), rng.uniform(-np.pi, np.pi, people)
-    outlines = []
-    for _ in range(steps):
-        for k in range(people):
-            ahead = xy[k] + 0.09 * np.array([np.cos(heading[k]), np.sin(heading[k])])
-            free = 0.8 < ahead[0] < 5.2 and 0.6 < ahead[1] < 3.4 and np.hypot(*(ahead - (2.9, 1.0))) > 0.5
-            xy[k], heading[k] = (ahead, heading[k]) if free else (xy[k], heading[k] + rng.uniform(0.5, 1.5))
-        outlines.append(np.vstack([box(x, y, 0.35, 0.25, 0.4) for x, y in xy]) if people else np.zeros((0, 4)))
-    return outlines
 
 
 @pytest.mark.parametrize("people", [0, 2])
@@ -112,7 +84,7 @@ def test_a_laser_at_rest_reads_the_same_however_long_it_looks(people: int) -> No
     bearings = URG_04LX.angles_rad + at.yaw_rad
     scans = [
         Scan(k * 100_000_000, cast(np.vstack((walls, outline)), (at.x_m, at.y_m), bearings) * fuzz, URG_04LX)
-        for k, outline in enumerate(walking(rng, people, 600))
+        for k, outline in enumerate(walking_people(rng, people, 600))
         for fuzz in [1.0 + 0.01 * rng.standard_normal(URG_04LX.beams)]
     ]
     found = {}
