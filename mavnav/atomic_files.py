@@ -23,7 +23,7 @@ def beside(target: Path) -> Iterator[Path]:
 
     The path has the target's own name, in a temporary folder next to it that is removed in any case; one that a killed
     process left is removed by the next. What was at ``target`` before is replaced in one step, or stays if the block
-    fails; a file never takes the place of a folder. Parents are made. Raises OSError where the disk says no.
+    fails; a file never takes the place of a folder. Parents are made. Raises OSError where the disk refuses.
     """
     final = target.resolve()
     final.parent.mkdir(parents=True, exist_ok=True)
@@ -93,7 +93,7 @@ def _exchange(partial: Path, final: Path) -> None:
 
 
 def _swapped(one: Path, other: Path) -> bool:
-    """Swap two names by Linux's renameat2; tell whether that was possible."""
+    """Swap two names by Linux's renameat2; return whether that was possible."""
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, OSError, TypeError):

@@ -11,7 +11,7 @@
     ├── StoppedError                 130  a signal came before there was anything to keep (143: SIGTERM)
     └── OutputError                    6  the output cannot be written, or exists
 
-Each says in one line what is wrong, where, and what to do next. Nobody but ``cli.main`` prints it.
+Each is one line: what is wrong, where, and what to do next. Only ``cli.main`` prints it.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SMALL_BYTES = 1 << 22
-"""Below, memory is not worth the care; from there on numpy asks for pages of 2 MB, each of which counts as a whole."""
+"""Smaller arrays are not worth the care; from this size numpy allocates pages of 2 MB, each counted as a whole."""
 
 MUCH_KB = 256 << 10
 """A process that took less keeps what is free: to take it once more would cost a replay of some 400 scans 5 ms."""

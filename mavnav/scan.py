@@ -17,8 +17,8 @@ class LaserSpec:
     """Geometry and limits of a planar laser (sensor_msgs/LaserScan).
 
     Beam ``i`` points to ``angle_min_rad + i * angle_step_rad``, counter-clockwise from the laser's x axis;
-    the step may be negative. ``range_max_m`` is inf where the sensor tells no limit.
-    ``time_increment_s`` lies between two beams, ``scan_time_s`` between two scans (0: not told).
+    the step may be negative. ``range_max_m`` is inf where the sensor gives no limit.
+    ``time_increment_s`` lies between two beams, ``scan_time_s`` between two scans (0: not known).
     """
 
     angle_min_rad: float

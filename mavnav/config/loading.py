@@ -109,7 +109,7 @@ def load_config(
     overrides
         Values of command line options by the name of the field.
     values
-        What a manifest says of this run; above the file, below the rest.
+        Values of a manifest for this run; above the file, below the rest.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def _complaint(model: type[BaseModel], details: ErrorDetails, layer: Layer, name
 
 
 def _problem(details: ErrorDetails) -> str:
-    """Say what a value should be, without the words of the library."""
+    """Return what a value should be, in plain terms."""
     template = _PROBLEMS.get(details["type"])
     if template is not None:
         return template.format_map(details.get("ctx", {}))

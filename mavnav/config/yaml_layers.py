@@ -59,7 +59,7 @@ def _related(a: Key, b: Key) -> bool:
 
 
 def _inside(key: Key, list_key: Key) -> bool:
-    """Tell whether a key is one of an item of a list."""
+    """Return whether a key is one of an item of a list."""
     return len(key) > len(list_key) and key[: len(list_key)] == list_key
 
 

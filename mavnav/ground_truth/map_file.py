@@ -98,7 +98,7 @@ def _number(path: Path, about: dict[str, Any], key: str, default: float | None) 
 def _kinds(
     path: Path, about: dict[str, Any], shade: NDArray[np.float64]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Tell occupied and free pixels of a picture (rows, cols), 0 black to 255 white."""
+    """Return the occupied and free pixels of a picture (rows, cols), 0 black to 255 white."""
     mode = about.get("mode", "trinary")
     if mode not in MODES:
         raise UsageError(f"{path}: mode {mode!r} is none of {', '.join(MODES)}; write one of them")

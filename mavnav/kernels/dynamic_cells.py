@@ -29,7 +29,7 @@ def _clear(passes: int, shielded: int) -> int:
 def _is_open(
     row: int, col: int, hits: NDArray[np.uint16], passes: NDArray[np.uint16], shielded: NDArray[np.int16]
 ) -> bool:
-    """Tell whether beams went clear through a cell that hardly any ended in, with no wall within reach."""
+    """Return whether beams went clear through a cell that hardly any ended in, with no wall within reach."""
     rows, cols = passes.shape
     ended, clear = int64(count_at(hits, row, col)), _clear(passes[row, col], count_at(shielded, row, col))
     if clear < CLEAR_BEAMS or ended >= STAYS_SHARE * (ended + clear):

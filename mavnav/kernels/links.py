@@ -33,7 +33,7 @@ def link_groups(
     across_m: float,
     sin_turn: float,
 ) -> NDArray[np.int32]:
-    """Tell the group of each point (n, 2), (n,); linked ones share one, and groups count in the order of first points.
+    """Return the group of each point (n, 2), (n,); linked ones share one, numbered in the order of first points.
 
     ``directions`` (n, 2) are cosines and sines. Links are looked for among ``order[first:last]``, the stretches
     ``spans`` (n, stretches, 2) of each point, in which each pair must occur from one side at least. Two points are

@@ -48,7 +48,7 @@ def column_runs(hits: NDArray[np.uint16], min_hits: int, max_gap: int) -> NDArra
 
 @helper
 def _keep_both(out: NDArray[np.uint8], a: NDArray[np.uint8], b: NDArray[np.uint8]) -> None:
-    """Tell where both are set (n,)."""
+    """Set where both are set (n,)."""
     for c in range(len(out)):
         out[c] = a[c] & b[c]
 
@@ -121,7 +121,7 @@ def _sum_up(
 def run_moments(
     hits: NDArray[np.uint16], runs: NDArray[np.int64], min_hits: int, max_gap: int, radius: float
 ) -> NDArray[np.float64]:
-    """Tell the shape of the wall around each run: count and covariance of its cells near the run's middle.
+    """Return the moments of the wall around each run: count and covariance of its cells near the run's middle.
 
     The cells are those occupied ones within ``radius`` (in cells) that are connected to the run, with up to
     ``max_gap`` empty cells between two of them in row and column: a parallel wall does not count. The covariance is

@@ -58,7 +58,7 @@ class LineMap:
     _room_m: Extent = field(init=False, default=NO_ROOM)
 
     def __post_init__(self) -> None:
-        """Say once what the kernels are told of the lattice."""
+        """Keep the lattice as the kernels take it."""
         self.geometry = np.array(
             [*self.origin_xy_m, self.cell_m, self.line_sigma_m, self.line_noise_m, self.waiting_share]
         )
@@ -70,7 +70,7 @@ class LineMap:
         return col * self.cell_m, row * self.cell_m
 
     def closeness_at(self, distance_m: float) -> float:
-        """Return what ``nearest`` tells of a cell whose nearest occupied one is so far away, m: how near that is."""
+        """Return the value of ``nearest`` for a cell whose nearest occupied one is this far away, m."""
         return FAR + 1 - 1e-9 - (distance_m / self.cell_m) ** 2
 
     @timed("field update")

@@ -78,7 +78,7 @@ class GridBuilder:
     _room_m: Extent = field(init=False, default=NO_ROOM)
 
     def __post_init__(self) -> None:
-        """Say once what the kernels are told of the lattice."""
+        """Keep the lattice as the kernels take it."""
         self.lattice = np.array([*self.origin_xy_m, self.cell_m])
 
     @classmethod
@@ -176,7 +176,7 @@ def show_ends(
 
 
 def occupancy(grid: Grid) -> NDArray[np.int8]:
-    """Tell free (0), occupied (100) and unknown (-1) cells apart, as nav_msgs/OccupancyGrid does; (rows, cols).
+    """Return free (0), occupied (100) and unknown (-1) cells as in nav_msgs/OccupancyGrid, (rows, cols).
 
     Occupied: hit, by at least `OCCUPIED_SHARE` of the beams that ended in the cell or crossed it. Free: any other
     cell that a beam reached.

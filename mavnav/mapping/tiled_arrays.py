@@ -130,7 +130,7 @@ def room(origin_xy_m: tuple[float, float], shape: tuple[int, ...], cell_m: float
 
 
 def within(extent_m: Extent, room_m: Extent) -> bool:
-    """Tell whether points of an extent have room: a third of what it takes to ask for their cells."""
+    """Return whether points of an extent have room: a third of what it takes to ask for their cells."""
     (x0, y0, x1, y1), (low_x, low_y, high_x, high_y) = extent_m, room_m
     return low_x <= x0 and low_y <= y0 and x1 <= high_x and y1 <= high_y
 

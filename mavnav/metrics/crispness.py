@@ -28,7 +28,7 @@ class Crispness:
 
 
 def crispness(grid: Grid, cells: NDArray[np.int8], wall_m: float, *, counted: bool) -> Crispness:
-    """Measure a map; ``cells`` is its occupancy, ``counted`` says whether hits and crossings are true counts."""
+    """Measure a map; ``cells`` is its occupancy, ``counted`` is whether hits and crossings are true counts."""
     occupied = count(cells, lambda some: some == OCCUPIED)
     return Crispness(
         occupied_cells_per_m=float(occupied / wall_m) if wall_m else np.nan,

@@ -78,7 +78,7 @@ class _Keys:
 class _Doubled:
     """Points of the front copy, (n,) each: xy_m (n, 2), direction of the wall, offset of the rear copy.
 
-    ``pair`` numbers the pair of scans, ``explained`` tells whether an alignment explains its conflict; ``front`` and
+    ``pair`` numbers the pair of scans, ``explained`` is whether an alignment explains its conflict; ``front`` and
     ``rear`` are the key scans that saw the one copy and the other.
     """
 
@@ -157,7 +157,7 @@ def _gaps(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> Array:
 
 
 def _is_doubled(gaps_m: Array) -> NDArray[np.bool_]:
-    """Tell where a wall is seen through that has a parallel one behind it."""
+    """Return where a wall is seen through that has a parallel one behind it."""
     found: NDArray[np.bool_] = (gaps_m >= LEAST_OFFSET_M) & (gaps_m <= MAX_OFFSET_M)
     return found
 
@@ -229,7 +229,7 @@ def _moved(poses: Array, xy_m: Array) -> Array:
 
 
 def _explained(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which alignments (n,) explain the conflicts of their pairs; counts of `_seen` before and after."""
+    """Return which alignments (n,) explain the conflicts of their pairs; counts of `_seen` before and after."""
     (_, agreed, through, _), (_, agrees, left, _) = (seen.T / np.maximum(seen[:, 0], 1) for seen in (before, after))
     fits = (after[:, 0] >= LEAST_POINTS) & (agrees >= np.maximum(LEAST_AGREEING, agreed + LEAST_GAIN))
     explained: NDArray[np.bool_] = fits & (left <= np.minimum(MOST_THROUGH, MOST_THROUGH_LEFT * through))

@@ -31,7 +31,7 @@ DEFAULT_HITS: Final = "2"
 """``wall_thickness.p95_cells`` without a threshold is that of cells of at least so many hits."""
 
 MAP_SECTIONS: Final = ("wall_thickness", "map_quality", "map")
-"""Metrics that say nothing where the map is not meaningful."""
+"""Sections without meaning where the map is not meaningful."""
 
 _GATE: Final = re.compile(r"\s*([\w./-]+?)\s*(<=|>=|==|!=|<|>)\s*(\S+)\s*")
 _EXAMPLE: Final = "write for example --gate 'wall_thickness.p95_cells<=7'"
@@ -211,7 +211,7 @@ def _short(known: Iterable[str]) -> list[str]:
 
 
 def _unknown(name: str, known: Sequence[str]) -> str:
-    """Say that a name is unknown, and which the nearest is: within it, as a whole, or by its last part."""
+    """Return the message for an unknown name, with the nearest known one: below it, as a whole, or by its last part."""
     if name.startswith("reference") and not any(k.startswith("reference.") for k in known):
         return f"no number {name} in run.json; it needs --truth, --truth-map or --relations"
     full = full_name(name)

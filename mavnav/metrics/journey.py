@@ -1,4 +1,4 @@
-"""What the laser saw on its way: the scans of a run with their poses, as the metrics need them."""
+"""The scans of a run with their poses, as the metrics need them."""
 
 from __future__ import annotations
 

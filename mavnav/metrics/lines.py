@@ -32,7 +32,7 @@ def linked(
     across_m: float,
     turn_rad: float,
 ) -> NDArray[np.int32]:
-    """Tell which points (n, 2) follow one another along their direction: the number of each one's group, (n,).
+    """Group points (n, 2) that follow one another along their direction; returns each one's group number, (n,).
 
     Two points are linked within ``reach_m`` where their directions differ by no more than ``turn_rad`` (modulo pi) and
     neither lies more than ``across_m`` beside the line through the other.

@@ -22,8 +22,8 @@ COVERED_M: Final = 0.1
 class TrueMap:
     """The true walls in the map frame.
 
-    ``distance_m`` tells the distance of points (n, 2) to the nearest wall, (n,) in m; ``xy_m`` (m, 2) are points all
-    along the walls; ``alignment`` says how they were brought to the map frame. ``segments_map`` (k, 4) and ``arcs_map``
+    ``distance_m`` returns the distance of points (n, 2) to the nearest wall, (n,) in m; ``xy_m`` (m, 2) are points all
+    along the walls; ``alignment`` is how they were brought to the map frame. ``segments_map`` (k, 4) and ``arcs_map``
     (l, 5) are the walls to be drawn, as in `Truth`; a map file has none.
     """
 

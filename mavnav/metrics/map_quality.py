@@ -44,7 +44,7 @@ LARGEST_CELLS: Final = 16_000_000
 class MapQuality:
     """How good a map is; null where a number cannot be known.
 
-    Numbers of a map that is not ``meaningful`` must not be compared; ``why`` says in a few words each what is missing.
+    Numbers of a map that is not ``meaningful`` must not be compared; ``why`` lists what is missing.
     """
 
     profile: str

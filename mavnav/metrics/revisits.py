@@ -117,7 +117,7 @@ def long_pairs(trajectory: Trajectory) -> NDArray[np.intp]:
 
 
 def _partners(trajectory: Trajectory, rows: NDArray[np.intp], fractions: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Pair rows with up to ``PARTNERS`` of their revisits, (n, 2); the fractions (rows,) tell which."""
+    """Pair rows with up to ``PARTNERS`` of their revisits, (n, 2); chosen by the fractions (rows,)."""
     t, (x, y, yaw) = trajectory.stamps_ns, trajectory.xyyaw.T
     c, s = np.cos(yaw), np.sin(yaw)
     dx, dy = x - x[rows, None], y - y[rows, None]

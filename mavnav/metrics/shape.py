@@ -48,7 +48,7 @@ def occupied_share(cells: NDArray[np.int8]) -> float:
 
 
 def enclosed_areas(cells: NDArray[np.int8], cell_m: float) -> EnclosedAreas:
-    """Count the areas of `LEAST_AREA_M2` or more from which no way leads out but across occupied cells."""
+    """Count the areas of `LEAST_AREA_M2` or more from which no path leads out but across occupied cells."""
     sizes = region_sizes(np.pad(cells != OCCUPIED, 1, constant_values=True), False)
     areas_m2 = sizes[1:] * cell_m**2  # the first one is what lies around the map
     enclosed = areas_m2[areas_m2 >= LEAST_AREA_M2 - 1e-12]

@@ -60,7 +60,7 @@ def map_support(
 
 
 def reasons(support: Support, measured_share: float, *, lost_for_good: bool) -> tuple[str, ...]:
-    """Say why a map means nothing; empty if it does.
+    """Return why a map is not meaningful; empty if it is.
 
     ``measured_share`` is the part of the walls seen that could be measured; NaN where it is not known.
     """

@@ -1,4 +1,4 @@
-"""The section ``wall_thickness`` of run.json: what is said of a map's walls, and what each number answers."""
+"""The section ``wall_thickness`` of run.json."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Wall spread: how far the hits of a wall scatter across it, which does not depend on how long one looks.
 
-Single scans tell where straight walls are and which way they run, whatever became of them in the map. There the hits of
-the map are summed up along the wall, and the width that holds 95 % of them is measured. Definition: docs/metrics.md.
+Single scans show where straight walls are and which way they run, even if the map is blurred. There the hits of the map
+are summed up along the wall, and the width that holds 95 % of them is measured. Definition: docs/metrics.md.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ LEAST_REACH, MAX_RATIO, MIN_POINTS = 0.7, 0.1, 6
 TILE_M: Final = 0.1
 DIRECTIONS: Final = 8
 MIN_SEEN: Final = 4.0
-"""Scans saw a straight wall with at least so many beams on a tile, or it is not asked for in the map."""
+"""A tile counts as wall if the scans saw a straight wall there with at least so many beams."""
 
 LINK_M, ACROSS_M, TURN_RAD = 0.2, 0.06, 15.0 * DEG
 """Cuts so near to one another along and across, and of directions so alike, are of one wall."""

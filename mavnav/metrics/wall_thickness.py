@@ -132,7 +132,7 @@ def wall_sections(hits: NDArray[Any], cell_m: float, min_hits: int) -> Sections:
 
 
 def _axis_cuts(hits: NDArray[Any], cell_m: float, min_hits: int, *, diagonal: bool) -> tuple[NDArray[np.float64], ...]:
-    """Cut along the columns where the wall runs nearer to the rows; ``diagonal`` walls are cut this way if told.
+    """Cut along the columns where the wall runs nearer to the rows; ``with ``diagonal`` also walls at 45 degrees.
 
     Returns column, middle row, thickness in cells, length in metres, wall's angle to the row in rad and occupied cells
     of each cut, (n,) each.
@@ -150,7 +150,7 @@ def _axis_cuts(hits: NDArray[Any], cell_m: float, min_hits: int, *, diagonal: bo
 
 
 def _moments(hits: NDArray[np.uint16], runs: NDArray[np.int64], min_hits: int, radius: float) -> NDArray[np.float64]:
-    """Tell the shape of the wall around each run as `run_moments` does, but of one band of the map after the other."""
+    """Return the moments of the wall around each run as `run_moments` does, one band of the map after the other."""
     out, middle = np.empty((len(runs), 4)), (runs[:, 1] + runs[:, 2]) // 2
     for around, _, band in bands(hits.shape, margin=int(radius) + 2 + MAX_GAP_CELLS):
         here = (middle >= band.start) & (middle < band.stop)

@@ -1,4 +1,4 @@
-"""Straight walls: sections that follow one another, told apart, each with a thickness of its own."""
+"""Straight walls: groups of sections that follow one another, each with its thickness."""
 
 from __future__ import annotations
 

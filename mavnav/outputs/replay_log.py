@@ -65,8 +65,8 @@ def write(run: Run, path: Path) -> None:
             put("/pose", scan.stamp_ns, write_pose(scan.stamp_ns, map_T_laser))
             if walls.add(scan, map_T_laser):
                 put("/map", scan.stamp_ns, _map(walls.grid, walls.cells, scan.stamp_ns))
-        way = run.slam.trajectory
-        put("/path", last_ns, cdr.path(last_ns, MAP_FRAME, way.stamps_ns, way.xyyaw))
+        trajectory = run.slam.trajectory
+        put("/path", last_ns, cdr.path(last_ns, MAP_FRAME, trajectory.stamps_ns, trajectory.xyyaw))
         put("/map", last_ns, _map(walls.grid, walls.finished, last_ns))
 
 

@@ -55,7 +55,7 @@ class Mission:
 
     @property
     def reached(self) -> bool:
-        """Whether the vehicle came to the goal and knows it."""
+        """Whether the vehicle reached the goal, by its own estimate and in truth."""
         return self.end is End.GOAL
 
 
@@ -232,7 +232,7 @@ def _sweeping(vehicle: Vehicle, here: Pose, spec: LaserSpec) -> Callable[[float]
 
 
 def _disturbance(scenario: Scenario, rng: np.random.Generator, command: Command) -> Pose:
-    """Draw the error of a command; one to hover has none unless the scenario says so."""
+    """Draw the error of a command; one to hover has none unless ``hover_noise`` is set."""
     vehicle = scenario.vehicle
     x, y, yaw = rng.standard_normal(3)
     if command == Command() and not scenario.recovery.hover_noise:
@@ -241,11 +241,11 @@ def _disturbance(scenario: Scenario, rng: np.random.Generator, command: Command)
 
 
 def _closest_m(world: World, poses: list[Pose]) -> float:
-    """Least clearance along the straight way through the poses, looked at every few centimetres."""
+    """Least clearance along the straight path through the poses, looked at every few centimetres."""
     xy = np.array([(p.x_m, p.y_m) for p in poses])
     share = np.linspace(0.0, 1.0, 6)[:, None]
-    way = [a + share * (b - a) for a, b in pairwise(xy)] or [xy]
-    return float(world.clearance_m(np.vstack(way)).min())
+    path = [a + share * (b - a) for a, b in pairwise(xy)] or [xy]
+    return float(world.clearance_m(np.vstack(path)).min())
 
 
 def _landed(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, outcome: SlamResult) -> Flight:

@@ -32,15 +32,15 @@ STRETCH_SCANS = 80
 """Both orders are tried on so many scans, where the laser turns most."""
 
 LEAST_TURN_RAD = 90 * DEG
-"""A stretch that turns less tells nothing."""
+"""A stretch that turns less decides nothing."""
 
 CLEARLY = 0.9
-"""The told order is kept unless the other one costs less than this share of it."""
+"""The listed order is kept unless the other one costs less than this share of it."""
 
 GLANCE_EVERY, PLAINLY = 8, 1.33
-"""Every so manieth scan of the stretch is placed in both orders in the map of the track; where the other order costs
-so many times as much there, it is not tried. Of four logs and their reverse: 1.37 to 2.5 where the told order is right,
-0.5 to 1.02 where it is wrong; 1.28 of a simulated one, whose map has taken on the wrong order."""
+"""Every so manieth scan of the stretch is matched with both orders in the map of the track; if the other order costs
+so many times as much there, it is not tried. On four logs and their reverse the factor is 1.37 to 2.5 where the listed
+order is right, 0.5 to 1.02 where it is wrong; 1.28 on a simulated log whose map was made with the wrong order."""
 
 
 WARNING = "beams were fired in the reverse of the listed order, judged by the turns, and are de-skewed so"
@@ -102,19 +102,19 @@ def turning_stretch(yaws_rad: NDArray[np.float64]) -> range:
     return range(first, first + length) if sums[first] >= LEAST_TURN_RAD else range(0)
 
 
-def is_plainly_listed(told: Sequence[Match], other: Sequence[Match]) -> bool:
-    """Judge by a few scans of the stretch, matched in either order with the map that the told one made."""
-    costs = _costs(told, other)
+def is_plainly_listed(listed: Sequence[Match], other: Sequence[Match]) -> bool:
+    """Judge by a few scans of the stretch, matched in either order with the map that the listed one made."""
+    costs = _costs(listed, other)
     return len(costs) > 0 and bool(costs[:, 1].mean() > PLAINLY * costs[:, 0].mean())
 
 
-def is_backwards(told: Sequence[Match], other: Sequence[Match]) -> bool:
+def is_backwards(listed: Sequence[Match], other: Sequence[Match]) -> bool:
     """Judge by the matches of the same scans, tracked with either order: the right one makes the sharper map."""
-    costs = _costs(told, other)
+    costs = _costs(listed, other)
     return len(costs) > 0 and bool(costs[:, 1].mean() < CLEARLY * costs[:, 0].mean())
 
 
-def _costs(told: Sequence[Match], other: Sequence[Match]) -> NDArray[np.float64]:
+def _costs(listed: Sequence[Match], other: Sequence[Match]) -> NDArray[np.float64]:
     """Return the costs (n, 2) of the scans that either order could be matched in."""
-    both = [(a.cost_m2, b.cost_m2) for a, b in zip(told, other, strict=True)]
+    both = [(a.cost_m2, b.cost_m2) for a, b in zip(listed, other, strict=True)]
     return np.array([pair for pair in both if np.isfinite(pair).all()]).reshape(-1, 2)

@@ -28,7 +28,7 @@ UNMEASURED = 1.0
 
 
 def degeneracy_warning(steps: Steps, observed: NDArray[np.float64]) -> str:
-    """Say where so many scans in a row as may be lost could slide; ``observed`` (n,) are those of the steps, in order.
+    """Return a warning where so many scans in a row could slide; ``observed`` (n,) are those of the steps, in order.
 
     Empty where none do.
     """
@@ -42,6 +42,6 @@ def degeneracy_warning(steps: Steps, observed: NDArray[np.float64]) -> str:
     share = 100.0 * float((ends - starts).sum()) / len(steps)
     when = f"from {from_s:.1f} to {to_s:.1f} s" + (f", and {len(starts) - 1} more" if len(starts) > 1 else "")
     return (
-        f"the walls that {share:.0f} % of the scans see leave a direction open ({when}): the way "
+        f"the walls that {share:.0f} % of the scans see leave a direction open ({when}): the path "
         "may be too short, too long or turned there; record odometry, or see whether map.png is true"
     )

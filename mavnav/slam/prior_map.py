@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SURELY = 10
-"""A map file tells occupied from free and no counts: so many beams shall have said so of every cell."""
+"""A map file has no counts: every cell is taken as seen by this many beams."""
 
 
 TIE = 1e-9

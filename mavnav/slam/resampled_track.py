@@ -32,7 +32,7 @@ def with_coarser_voxels(track: Track) -> Track:
 
 
 def in_doubt(steps: Steps) -> bool:
-    """Tell whether some accepted scans of a track have few points."""
+    """Return whether some accepted scans of a track have few points."""
     few = steps.column("beams_used") < FEW_POINTS
     return int(np.count_nonzero(few & steps.column("tracked"))) >= SPARSE_SCANS
 

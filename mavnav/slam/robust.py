@@ -154,7 +154,7 @@ class Robust:
         return [judged(found, points, self.lines, self.known)]
 
     def _inside(self, near: Match, predicted: Pose) -> bool:
-        """Tell whether a match lies so far within the near window that the laser cannot be beyond it."""
+        """Return whether a match lies so far within the near window that the laser cannot be beyond it."""
         robust, (off_m, off_rad) = self.config.robust, predicted.gap(near.map_T_laser)
         half_m, half_rad = robust.near_window_mm * MM, robust.near_window_deg * DEG
         return off_m <= INSIDE * half_m and off_rad <= INSIDE * half_rad
@@ -175,7 +175,7 @@ class Robust:
         return self._convinces(match) and self._possible(match, motion, elapsed_s)
 
     def _possible(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
-        """Tell whether a vehicle can have moved so far."""
+        """Return whether a vehicle can have moved so far."""
         robust, (moved_m, turned_rad) = self.config.robust, motion.map_T_laser.gap(match.map_T_laser)
         return moved_m <= robust.max_speed_m_s * elapsed_s and turned_rad <= robust.max_turn_deg_s * DEG * elapsed_s
 

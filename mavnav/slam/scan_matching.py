@@ -24,7 +24,7 @@ class Match(NamedTuple):
 
     ``cost_m2`` is the mean squared distance over ``beams_used`` contributing beams; it is inf where too few contribute,
     and ``beams_used`` is then the number of usable ones. ``inliers`` is the share of the scan that agrees with the map,
-    ``evaluations`` the number of candidate poses whose cost was asked for, ``iterations`` the number of grids searched.
+    ``evaluations`` the number of candidate poses whose cost was evaluated, ``iterations`` the number of grids searched.
     ``conflicts`` is the share of visibility conflicts, ``surprise`` the distance from the motion prior (1: as far as
     strong acceleration reaches), and ``ambiguous`` is true if another pose explains the scan about as well
     (``relocalize``). ``threshold_m2`` is the cost up to which the match is accepted, inf if that is not by cost.
@@ -57,7 +57,7 @@ ALTERNATIONS, FINAL_ALTERNATIONS = 2, 1
 """Joint searches of a level that holds lines, or turns of azimuth and plane; the final pass begins where it ends."""
 
 FINAL_STOP = 0.5
-"""Of the spacings at which a search ends, in the final pass: a trajectory of coarser steps is longer than the way."""
+"""Of the spacings at which a search ends, in the final pass: a trajectory of coarser steps is longer than the path."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""The jitter of the scans taken out of the finished trajectory, as far as the scans cannot tell (docs/method.md)."""
+"""Smooth the jitter of the finished trajectory, within what the scans leave open (docs/method.md)."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from mavnav.slam.track import Track
 
 FEWEST = 10
-"""Poses in a row from which a stretch tells how much of its motion is jitter."""
+"""Consecutive poses from which the share of jitter in the motion is estimated."""
 
 STIFFNESSES = 2.0 ** np.arange(-6, 32, 0.5)
-"""That are tried, in periods to the fourth: from what leaves the way alone to a window of some 250 scans."""
+"""That are tried, in periods to the fourth: from what leaves the path alone to a window of some 250 scans."""
 
-CANNOT_TELL = 1 / 7
-"""A scan tells its place to about this share of its points' distances from the walls, of which some fifty count."""
+UNCERTAIN_SHARE = 1 / 7
+"""The position of a scan is known to about this share of its points' distances from the walls; some fifty count."""
 
 LONGEST_S = 1.2
 """A longer gap parts two stretches."""
@@ -43,41 +43,41 @@ def smooth_jitter(track: Track) -> Track:
 
 @timed("smoothing")
 def smooth_positions(steps: Steps, period_s: float) -> None:
-    """Move the steps to smooth positions: the jitter of the scans would lengthen every way, and move a rest.
+    """Move the steps to smooth positions: the jitter of the scans would lengthen every path, and move a rest.
 
-    How much of the motion is jitter is asked of each stretch itself: positions with white noise, of a way whose
-    velocity walks at random, with the likeliest share of both. Where the median scan would move farther than it can
-    tell, less is smoothed. Headings stay: scans tell them well.
+    The share of jitter is estimated for each stretch: white noise on the positions of a path whose velocity is a random
+    walk, with the likeliest share of both. Where the median scan would move farther than its uncertainty, less is
+    smoothed. Headings stay: scans determine them well.
     """
     poses, stamps_ns, costs_m2 = (steps.column(name) for name in ("map_T_laser", "stamp_ns", "cost_m2"))
     for stretch in stretches(steps):
         periods = np.maximum(np.round(np.diff(stamps_ns[stretch]) * NS / period_s), 1.0)
-        told_m = CANNOT_TELL * np.sqrt(np.median(costs_m2[stretch]))
-        steps.move(stretch, _smooth(poses[stretch, :2], periods, told_m))
+        uncertainty_m = UNCERTAIN_SHARE * np.sqrt(np.median(costs_m2[stretch]))
+        steps.move(stretch, _smooth(poses[stretch, :2], periods, uncertainty_m))
 
 
 def stretches(steps: Steps) -> list[NDArray[np.intp]]:
     """Return the numbers of tracked steps that follow each other without a long gap or a leap, ``FEWEST`` or more."""
-    tracked, way = np.flatnonzero(steps.column("tracked")), tracked_trajectory(steps)
-    parted = (np.diff(way.stamps_ns) * NS > LONGEST_S) | jumps(way)[1]
+    tracked, path = np.flatnonzero(steps.column("tracked")), tracked_trajectory(steps)
+    parted = (np.diff(path.stamps_ns) * NS > LONGEST_S) | jumps(path)[1]
     runs = np.split(tracked, np.flatnonzero(parted) + 1)
     return [run for run in runs if len(run) >= FEWEST]
 
 
-def _smooth(xy_m: NDArray[np.float64], periods: NDArray[np.float64], told_m: float) -> NDArray[np.float64]:
-    """Return positions (n, 2) smoothed as much as they ask for, but by no more than the scans can tell."""
+def _smooth(xy_m: NDArray[np.float64], periods: NDArray[np.float64], uncertainty_m: float) -> NDArray[np.float64]:
+    """Return positions (n, 2) smoothed by their jitter, at most by the uncertainty of the scans."""
     middle, out = xy_m.mean(axis=0), np.empty(xy_m.shape)
     centred = xy_m - middle
     likely = [smooth(centred, periods, stiffness, out) for stiffness in STIFFNESSES]
-    way_m = xy_m
+    path_m = xy_m
     for stiffness in reversed(STIFFNESSES[: int(np.argmax(likely)) + 1]):
         smooth(centred, periods, stiffness, out)
-        if np.median(np.linalg.norm(out + middle - xy_m, axis=1)) <= told_m:
-            way_m = out + middle
+        if np.median(np.linalg.norm(out + middle - xy_m, axis=1)) <= uncertainty_m:
+            path_m = out + middle
             break
-    for rest in rests(way_m, told_m):
-        way_m[rest] = xy_m[rest].mean(axis=0)
-    return way_m
+    for rest in rests(path_m, uncertainty_m):
+        path_m[rest] = xy_m[rest].mean(axis=0)
+    return path_m
 
 
 def rests(xy_m: NDArray[np.float64], within_m: float) -> Iterator[slice]:

@@ -154,9 +154,9 @@ def lost_intervals(steps: Steps) -> Iterator[LostInterval]:
             yield LostInterval(stamps_ns[start], stamps_ns[end - 1], end - start, recovered=recovered)
 
 
-def jumps(way: Trajectory) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Tell where a reader would see a jump from one pose to the next, and where none that a vehicle makes; (n - 1,)."""
-    moved, elapsed_s = np.diff(way.xyyaw, axis=0), np.diff(way.stamps_ns) * NS
+def jumps(path: Trajectory) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return where the pose jumps from one scan to the next farther than a vehicle moves, (n - 1,)."""
+    moved, elapsed_s = np.diff(path.xyyaw, axis=0), np.diff(path.stamps_ns) * NS
     moved_m, turned_rad = np.hypot(moved[:, 0], moved[:, 1]), np.abs((moved[:, 2] + pi) % (2.0 * pi) - pi)
     jumped = (moved_m > JUMP_M) | (turned_rad > JUMP_RAD)
     return jumped, jumped & ((moved_m > FASTEST_M_S * elapsed_s) | (turned_rad > FASTEST_RAD_S * elapsed_s))

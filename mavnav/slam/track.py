@@ -61,7 +61,7 @@ class Track:
         return replace(self, method=method, steps=Steps(self.reported(steps, phase) if phase else steps))
 
     def again(self, other: Track) -> Track | None:
-        """Return the whole log tracked as ``other`` says; None if the run is being stopped: the longer one stays."""
+        """Return the whole log tracked by ``other``; None if the run is being stopped: the longer track stays."""
         found = other.over(other.log_scans(), "track again")
         return found if len(found.steps) == len(self.steps) else None
 

@@ -57,7 +57,7 @@ def search_everywhere(
 
 
 def worth_a_search(verdict: Verdict, missed: int) -> bool:
-    """Tell whether to search the whole map: for the first doubtful poses, and ever more rarely when lost."""
+    """Return whether to search the whole map: for the first doubtful poses, and ever more rarely when lost."""
     if missed < LONG_LOST_SCANS:
         return verdict is Verdict.PROBABLE
     return verdict is not Verdict.SURE and (missed.bit_count() == 1 or missed % RARELY_SCANS == 0)

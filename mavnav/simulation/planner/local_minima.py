@@ -66,13 +66,13 @@ class Scene:
 class Following:
     """A wall that is being followed, since the field stalled at ``goal_m`` from the goal.
 
-    ``start_xy_map_m`` and ``heading_rad`` are where the way along the wall began; ``way_m`` is its length so far.
+    ``start_xy_map_m`` and ``heading_rad`` are where the path along the wall began; ``path_m`` is its length so far.
     """
 
     goal_m: float
     start_xy_map_m: XY
     heading_rad: float
-    way_m: float = 0.0
+    path_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,8 +81,8 @@ class Memory:
 
     All but the velocity is forgotten when the goal changes. ``velocity_m`` (2,) is the virtual mass's, in m a step.
     The vehicle has been within ``stall_mm`` of ``anchor_xy_map_m`` for ``idle_steps``; it has looked round for
-    ``looks`` steps, seeing no way. ``virtual_map_m`` are the virtual obstacles: x, y, range in m. ``side`` is the way
-    round that walls are followed: +1 has them on the right hand, -1 on the left, 0 before any was.
+    ``looks`` steps without finding a path. ``virtual_map_m`` are the virtual obstacles: x, y, range in m. ``side`` is
+    that of the followed wall: +1 has them on the right hand, -1 on the left, 0 before any was.
     """
 
     goal_xy_map_m: XY
@@ -99,7 +99,7 @@ class Memory:
 class Drive:
     """What a technique wants: a force (2,) on the virtual mass, or to look round (None), or to give up (a reason).
 
-    With ``squeezes`` a step may give up the safety clearance where the way leads through narrower places.
+    With ``squeezes`` a step may give up the safety clearance where the path leads through narrower places.
     """
 
     force: XY | None
@@ -128,7 +128,7 @@ def _field(scene: Scene, memory: Memory) -> Drive:
 
 
 def _wavefront(scene: Scene, memory: Memory) -> Drive:
-    """Drive along the shortest way round the known walls; these bend the way but do not hold the vehicle back."""
+    """Drive along the shortest path round the known walls; these bend the path but do not hold the vehicle back."""
     aim = aim_on_shortest_way(scene.walls_xy_map_m, scene.xy_map_m, scene.goal_xy_map_m, scene.config)
     if aim is None:
         return _look_round(scene, memory)
@@ -141,7 +141,7 @@ def _wavefront(scene: Scene, memory: Memory) -> Drive:
 
 
 def _look_round(scene: Scene, memory: Memory) -> Drive:
-    """Turn round once, new scans may open a way; then give up."""
+    """Turn round once, new scans may open a path; then give up."""
     reason = "walls close off the goal" if memory.looks * scene.config.max_turn_deg >= 360.0 else ""
     return Drive(None, replace(memory, looks=memory.looks + 1, idle_steps=0), reason)
 
@@ -214,7 +214,7 @@ def _along_wall(scene: Scene, memory: Memory, reason: str) -> Drive:
 def _came_round(following: Following, scene: Scene, along: XY) -> bool:
     turned = wrap_angle(atan2(along[1], along[0]) - following.heading_rad)
     back_m = float(np.hypot(*(scene.xy_map_m - following.start_xy_map_m)))
-    return following.way_m > 2.0 and back_m < 0.3 and abs(turned) < pi / 4
+    return following.path_m > 2.0 and back_m < 0.3 and abs(turned) < pi / 4
 
 
 TECHNIQUES: dict[str, Callable[[Scene, Memory], Drive]] = {

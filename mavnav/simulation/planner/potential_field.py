@@ -50,7 +50,7 @@ class Plan:
     """A command with its evidence.
 
     ``clearance_m`` is the distance from the end of the step to the nearest wall of the map, inf where none is near.
-    ``reason`` says why the planner is stuck; the command is then one of no motion.
+    ``reason`` is why the planner is stuck; the command is then no motion.
     """
 
     command: Command
@@ -103,8 +103,8 @@ def _noted(memory: Memory | None, scene: Scene) -> Memory:
         velocity = np.zeros(2) if memory is None else memory.velocity_m
         return Memory(scene.goal_xy_map_m, velocity, here)
     if memory.following is not None:
-        way_m = memory.following.way_m + float(np.hypot(*memory.velocity_m))
-        memory = replace(memory, following=replace(memory.following, way_m=way_m))
+        path_m = memory.following.path_m + float(np.hypot(*memory.velocity_m))
+        memory = replace(memory, following=replace(memory.following, path_m=path_m))
     if np.hypot(*(here - memory.anchor_xy_map_m)) > scene.config.stall_mm * MM:
         return replace(memory, anchor_xy_map_m=here, idle_steps=0)
     return replace(memory, idle_steps=memory.idle_steps + 1)

@@ -1,4 +1,4 @@
-"""The shortest way to the goal round the known walls: a wavefront on a coarse grid; what is unknown is free."""
+"""The shortest path to the goal round the known walls: a wavefront on a coarse grid; what is unknown is free."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
     from mavnav.config.planner import PlannerConfig
 
-_MARGIN_M = 1.0  # round all walls, vehicle and goal: there is a way round the end of every wall
+_MARGIN_M = 1.0  # round all walls, vehicle and goal: there is a path round the end of every wall
 _BLOCKED_CELLS2 = 2  # a cell with a wall and the eight around it are blocked
-_AHEAD_M = 2.0  # a straight line to the way is sought this far
+_AHEAD_M = 2.0  # a straight line to the path is sought this far
 _UNIT = 4  # weight of a cell in the open
 _NEAR_SAFETY, _UNDER_SAFETY, _UNDER_LEAST = 3, 10, 100  # times as much: a metre there costs a detour of so many
 _SEEDS_CELLS = 4  # a goal in a blocked cell is reached from within this distance
@@ -32,7 +32,7 @@ def aim_on_shortest_way(
     """Return the point (2,) in m, map frame, to head for in a straight line; None where walls close the goal off.
 
     Cells nearer to a wall than the safety clearance cost more, far more below the least one: the inflation of the walls
-    shrinks by itself where there is no other way.
+    shrinks by itself where there is no other path.
     """
     origin, shape = _covering(np.vstack((walls_xy_map_m, xy_map_m, goal_xy_map_m)), config.plan_cell_mm * MM)
     cell_m = config.plan_cell_mm * MM
@@ -45,11 +45,11 @@ def aim_on_shortest_way(
     cost = wavefront.wave(weights, goals, row, col)
     if cost[row, col] == wavefront.UNREACHED:
         return None
-    way = wavefront.downhill(cost, weights, row, col, ceil(_AHEAD_M / cell_m))
-    seen = _farthest_in_sight(weights, way, (xy_map_m / cell_m) - origin)
-    if (way[seen] == goals[0]).all():
+    path = wavefront.downhill(cost, weights, row, col, ceil(_AHEAD_M / cell_m))
+    seen = _farthest_in_sight(weights, path, (xy_map_m / cell_m) - origin)
+    if (path[seen] == goals[0]).all():
         return goal_xy_map_m
-    return np.asarray((way[seen, ::-1] + 0.5 + origin) * cell_m, np.float64)
+    return np.asarray((path[seen, ::-1] + 0.5 + origin) * cell_m, np.float64)
 
 
 def _covering(xy_map_m: NDArray[np.float64], cell_m: float) -> tuple[NDArray[np.int64], tuple[int, int]]:
@@ -97,17 +97,17 @@ def _open_cells(weights: NDArray[np.int32], at: NDArray[np.int64]) -> NDArray[np
     return np.ascontiguousarray(around[weights[around[:, 0], around[:, 1]] > 0], np.int32)
 
 
-def _farthest_in_sight(weights: NDArray[np.int32], way: NDArray[np.int64], at_cells: NDArray[np.float64]) -> int:
-    """Return the index of the farthest cell of the way (n, 2) that a straight line reaches through cells no worse.
+def _farthest_in_sight(weights: NDArray[np.int32], path: NDArray[np.int64], at_cells: NDArray[np.float64]) -> int:
+    """Return the index of the farthest cell of the path (n, 2) that a straight line reaches through cells no worse.
 
     ``at_cells`` (x, y) is where the line begins, in cells from the lattice's corner; the line's cells must not weigh
-    more than the worst of the way so far.
+    more than the worst of the path so far.
     """
-    centres = way[:, ::-1] + 0.5
-    shares = np.linspace(0.0, 1.0, 2 * len(way))[:, None, None]
+    centres = path[:, ::-1] + 0.5
+    shares = np.linspace(0.0, 1.0, 2 * len(path))[:, None, None]
     line = np.floor(at_cells + shares * (centres - at_cells)).astype(np.int64)
     crossed = weights[line[..., 1], line[..., 0]]
-    worst = np.maximum.accumulate(weights[way[:, 0], way[:, 1]])
+    worst = np.maximum.accumulate(weights[path[:, 0], path[:, 1]])
     seen = (crossed > 0).all(axis=0) & (crossed.max(axis=0) <= worst)
-    seen[: min(3, len(way))] = True  # at least to the next cells
+    seen[: min(3, len(path))] = True  # at least to the next cells
     return int(np.flatnonzero(seen)[-1])

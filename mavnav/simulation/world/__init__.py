@@ -1,4 +1,4 @@
-"""The world of a simulation: a scenario's walls, a laser that sees them, and nobody who may tell the planner."""
+"""The world of a simulation: a scenario's walls and a laser that sees them; the planner does not know it."""
 
 from mavnav.simulation.world.geometry import World
 from mavnav.simulation.world.laser import LASERS, LaserModel, take_scan

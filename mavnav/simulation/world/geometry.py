@@ -141,7 +141,7 @@ def _meet_arcs(arcs: Array, x: Array, y: Array, dx: Array, dy: Array) -> list[Ar
 
 
 def _on_arc(bearing_rad: Array, start_rad: Array, sweep_rad: Array) -> NDArray[np.bool_]:
-    """Tell which bearings from the centre lie on the arcs."""
+    """Return which bearings from the centre lie on the arcs."""
     onward = (bearing_rad - start_rad) * np.sign(sweep_rad)
     on_it: NDArray[np.bool_] = np.mod(onward + SEAM, 2.0 * np.pi) <= np.abs(sweep_rad) + 2.0 * SEAM
     return on_it

@@ -84,7 +84,7 @@ class LaserConfig(Strict):
 
 
 class VehicleConfig(Strict):
-    """The vehicle: how large it is, where its laser sits, and how badly it does what it is told."""
+    """The vehicle: its size, the mounting of its laser, and the noise of its commands."""
 
     radius_mm: float = Field(150.0, gt=0, description="closer to a wall is a collision")
     noise_xy_mm: float = Field(20.0, ge=0, description="standard deviation of a step in x and in y")

@@ -78,7 +78,7 @@ def scenario_schema() -> dict[str, Any]:
 
 
 def _problems(scenario: Scenario) -> Iterator[tuple[Key, str]]:
-    """Find what only geometry tells: key, and what is wrong with it."""
+    """Check the geometry: return each wrong key, and what is wrong with it."""
     if scenario.laser.spec.range_min_m >= scenario.laser.spec.range_max_m:
         yield ("laser",), "has a least range that is not below its greatest; raise range_max_mm or lower range_min_mm"
     places: dict[Key, XY] = {("start",): (scenario.start.x_m, scenario.start.y_m), ("goal_m",): scenario.goal_m}
@@ -90,7 +90,7 @@ def _problems(scenario: Scenario) -> Iterator[tuple[Key, str]]:
 
 
 def _misplaced(scenario: Scenario, xy_m: XY) -> str:
-    """Say what is wrong with a place; nothing where the vehicle fits.
+    """Return what is wrong with a position; empty where the vehicle fits.
 
     The closed polyline around everything, if there is one, is the world's outline; every other closed shape is solid.
     """

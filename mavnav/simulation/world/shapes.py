@@ -24,7 +24,7 @@ XY = tuple[Metre, Metre]
 
 
 class Shape(Protocol):
-    """What every shape can tell."""
+    """What every shape has."""
 
     def segments(self) -> Array:
         """Return the straight walls, (n, 4) in metres."""
@@ -33,7 +33,7 @@ class Shape(Protocol):
         """Return the round walls, (m, 5): centre (m), radius (m), start and sweep (rad)."""
 
     def contains(self, xy_m: XY) -> bool:
-        """Tell whether the shape is closed and a point lies inside."""
+        """Return whether the shape is closed and a point lies inside."""
 
 
 class Polyline(Strict):
@@ -92,7 +92,7 @@ class Box(Strict):
         return np.empty((0, 5))
 
     def contains(self, xy_m: XY) -> bool:
-        """Tell whether a point lies inside."""
+        """Return whether a point lies inside."""
         return self._outline().contains(xy_m)
 
 
@@ -113,7 +113,7 @@ class Arc(Strict):
         return np.array([(*self.center_m, self.radius_m, self.start_deg * DEG, self.sweep_deg * DEG)])
 
     def contains(self, xy_m: XY) -> bool:  # noqa: ARG002  one interface
-        """Tell that nothing is inside: an arc is not solid."""
+        """Return False: an arc is not solid."""
         return False
 
 
@@ -132,7 +132,7 @@ class Circle(Strict):
         return np.array([(*self.center_m, self.radius_m, 0.0, 2.0 * np.pi)])
 
     def contains(self, xy_m: XY) -> bool:
-        """Tell whether a point lies inside."""
+        """Return whether a point lies inside."""
         return bool(np.hypot(xy_m[0] - self.center_m[0], xy_m[1] - self.center_m[1]) < self.radius_m)
 
 
