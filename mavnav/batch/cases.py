@@ -11,6 +11,7 @@ from mavnav.batch.remote import fetched
 from mavnav.batch.settings import formatted
 from mavnav.errors import ExitCode, MavnavError, UsageError
 from mavnav.ground_truth.references import load_references
+from mavnav.ground_truth.topics import recorded_topic
 from mavnav.jobs.run_cache import REFERENCES, PlannedRun, make_run, references_sha256
 from mavnav.logs import content_sha256
 from mavnav.metrics.gates import Gate, parse_gate
@@ -99,11 +100,14 @@ def _joined(one: Case, other: Case) -> Case:
 def _cases(request: BatchRequest, entry: Entry, log: str) -> Iterator[Case]:
     """Return the cases of one log, one for each setting."""
     references = {name: request.base / file for name in REFERENCES if (file := getattr(entry, name))}
+    topic = recorded_topic(str(entry.truth)) if entry.truth else None
+    if topic:
+        del references["truth"]
     shared: dict[str, Any] = {
         "log": log,
         "gates": tuple(parse_gate(text) for text in entry.gates if text != BASELINE_GATE),
         "accept": frozenset(entry.accept),
-        "has_references": bool(references),
+        "has_references": bool(references) or topic is not None,
         "baseline_gate": BASELINE_GATE in entry.gates,
     }
     try:
@@ -112,7 +116,7 @@ def _cases(request: BatchRequest, entry: Entry, log: str) -> Iterator[Case]:
         shared |= {"run": None, "error": str(error), "exit_code": error.exit_code}
         yield from (Case(_name(entry, log, setting), setting=setting, **shared) for setting in request.settings)
         return
-    options = _reading(entry) | references | {"report": request.report, "force": True}
+    options = _reading(entry) | references | {"truth_topic": topic, "report": request.report, "force": True}
     path, address = (Path(log), log) if is_address(log) else (request.base / log, None)
     for setting in request.settings:
         wanted = ReplayRequest(path, request.directory, setting.config, address=address, **options)

@@ -98,7 +98,7 @@ def compare(
     """
     overrides = given_values(odom=odom, final_pass=False if online else None)
     reading = given_values(topic=topic, start_s=start, end_s=end, extrinsic=parse_pose(extrinsic))
-    reading |= given_values(truth=truth, truth_map=truth_map, relations=relations)
+    reading |= given_values(truth=truth, truth_map=truth_map, relations=relations)  # of truth the text: file or topic
     for log in logs or []:
         if not log.exists():
             raise UsageError(f"{log}: no such file; name a log")

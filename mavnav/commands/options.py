@@ -73,7 +73,12 @@ Jobs = Annotated[
 ]
 
 Truth = Annotated[
-    Path | None, check_option("--truth", metavar="FILE.tum", help="Ground-truth laser trajectory: ATE and RPE.")
+    str | None,
+    check_option(
+        "--truth",
+        metavar="FILE.tum|auto|topic:NAME",
+        help="Ground-truth trajectory: ATE and RPE. A TUM file of the laser, or poses on a topic of the log.",
+    ),
 ]
 TruthMap = Annotated[
     Path | None,
@@ -85,6 +90,14 @@ RelationsFile = Annotated[
         "--relations", metavar="FILE", help="Ground-truth relations, one 't1 t2 x y z roll pitch yaw' a line."
     ),
 ]
+
+
+def truth_values(truth: str | None) -> dict[str, Any]:
+    """Return ``truth_topic`` or ``truth``, a file, as ``--truth`` names one; nothing if it is not given."""
+    from mavnav.ground_truth.topics import recorded_topic
+
+    topic = None if truth is None else recorded_topic(truth)
+    return given_values(truth_topic=topic, truth=None if truth is None or topic else Path(truth))
 
 
 def given_values(**values: object) -> dict[str, Any]:

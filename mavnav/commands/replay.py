@@ -37,6 +37,7 @@ from mavnav.commands.options import (
     output_option,
     parse_pose,
     search_option,
+    truth_values,
 )
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.quality_rows import page_row, quality_rows, reference_rows, wall_rows
@@ -143,7 +144,7 @@ def replay(
             extrinsic=mounting and Pose(*mounting),
             force=force,
             report=report,
-            truth=truth,
+            **truth_values(truth),
             truth_map=truth_map,
             relations=relations,
             strict=strict,

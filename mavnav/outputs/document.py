@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from mavnav.logs import Log
     from mavnav.outputs.run import Run
 
 SCHEMA_VERSION: Final = 1
@@ -114,7 +115,15 @@ def _input(run: Run) -> model.Input:
         base_T_laser=None if mounting is None else model.LaserPose(*mounting),
         mounting_source=log.mounting_source,
         odometry=None if odometry is None else model.OdometrySource(odometry.topic, odometry.source),
+        sensor=_sensor(log),
+        truth=ABSENT if log.truth is None else model.RecordedTruthSource(log.truth.topic, log.truth.body_frame),
     )
+
+
+def _sensor(log: Log) -> model.Sensor:
+    spec = log.sensor
+    rate_hz = 1.0 / log.period_s if log.period_s else np.nan
+    return model.Sensor(spec.beams, spec.field_of_view_rad / DEG, spec.range_min_m, spec.range_max_m, rate_hz)
 
 
 def _file(run: Run) -> tuple[str, str, int, str]:

@@ -33,6 +33,25 @@ class OdometrySource:
 
 
 @dataclass(frozen=True, slots=True)
+class RecordedTruthSource:
+    """The recorded ground truth that the run is compared with; ``body_frame`` is what was tracked, null if unknown."""
+
+    topic: str
+    body_frame: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """The laser as it is in the first usable scan."""
+
+    beams: int = field(metadata=number("beams of a scan"))
+    field_of_view_deg: float = field(metadata=number("angle between the first beam and the last"))
+    range_min_m: Measured = field(metadata=number("least range"))
+    range_max_m: Measured = field(metadata=number("greatest range, null without a limit"))
+    rate_hz: Measured = field(metadata=number("scans per second, by the median period"))
+
+
+@dataclass(frozen=True, slots=True)
 class Input:
     """The log, or the scenario of a simulated run, and what was read of it."""
 
@@ -49,6 +68,8 @@ class Input:
     base_T_laser: LaserPose | None
     mounting_source: str | None
     odometry: OdometrySource | None
+    sensor: Sensor
+    truth: RecordedTruthSource = field(default_factory=absent)
 
 
 @dataclass(frozen=True, slots=True)

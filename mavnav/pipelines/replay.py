@@ -19,6 +19,7 @@ from mavnav.mapping.occupancy_grid import measured_part
 from mavnav.memory import give_back
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
+from mavnav.metrics.trajectory_error import MAX_GAP_NS
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.run import Run, Timing
 from mavnav.outputs.run_json import FoundPose, Localisation, StartPose
@@ -57,9 +58,10 @@ class ReplayRequest:
 
     ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base;
     ``report`` writes the page as well; ``truth``, ``truth_map`` and ``relations`` are files to compare the outcome
-    with; ``strict`` leaves out scans from where a checksum does not match. ``map`` is a map to localise in instead of
-    making one, and ``start_pose`` about where in it the laser begins. ``address`` is where the log was fetched from,
-    for run.json; ``log_sha256`` is the content that the log must have, if the run is to be known by it.
+    with, ``truth_topic`` is where the log itself has the truth (``auto``: found by its name); ``strict`` leaves out
+    scans from where a checksum does not match. ``map`` is a map to localise in instead of making one, and
+    ``start_pose`` about where in it the laser begins. ``address`` is where the log was fetched from, for run.json;
+    ``log_sha256`` is the content that the log must have, if the run is to be known by it.
     """
 
     log: Path
@@ -72,6 +74,7 @@ class ReplayRequest:
     force: bool = False
     report: bool = False
     truth: Path | None = None
+    truth_topic: str | None = None
     truth_map: Path | None = None
     relations: Path | None = None
     strict: bool = False
@@ -163,9 +166,22 @@ def replay_log(
     log = _open(request, progress)
     if request.log_sha256 not in {None, log.sha256}:
         raise UsageError(f"{request.log}: changed since it was first read; run again once it is complete")
+    given = changed(given, references=with_recorded_truth(given.references, log, known_map=request.map is not None))
     check_times(given.references, log.first_ns, log.last_ns)
     with stoppable() as stop:
         return _mapped(request, log, given, progress, stop, Timing(wall_s, cpu_s, compile_s, stages))
+
+
+def with_recorded_truth(references: References, log: Log, *, known_map: bool) -> References:
+    """Add the truth that the log holds, if it was asked for, in the map frame: that of the first laser pose.
+
+    Localized in a known map, or where there is no truth at the first scan, it stays in its own frame.
+    """
+    if log.truth is None:
+        return references
+    truth = log.truth.world_T_laser
+    first = None if known_map else truth.at(log.first_ns, MAX_GAP_NS)
+    return changed(references, truth=truth.seen_from(first.inverse()) if first else truth)
 
 
 def _mapped(
@@ -218,6 +234,7 @@ def _open(request: ReplayRequest, progress: Progress) -> Log:
         end_s=request.end_s,
         extrinsic=request.extrinsic,
         strict=request.strict,
+        truth=request.truth_topic,
         progress=lambda done, total: progress("reading", done, total),
     )
 

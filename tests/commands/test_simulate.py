@@ -140,6 +140,26 @@ def test_recordings_replay_to_the_same_map(
         assert b == pytest.approx(a, abs=flown["map"]["cell_mm"])
 
 
+def test_a_recorded_truth_measures_as_the_truth_file(
+    corner: tuple[Path, subprocess.CompletedProcess[str]], mavnav: Callable, tmp_path: Path
+) -> None:
+    folder, _ = corner
+    given = {"auto": "auto", "named": "topic:/ground_truth", "file": folder / "out" / "truth.tum"}
+    found = {}
+    for name, truth in given.items():
+        words = ("replay", folder / "corner.mcap", "--truth", truth, "-o", tmp_path / name, "-q", "--json")
+        code, out, err = mavnav(*words)
+        assert (code, err) == (0, "")
+        found[name] = json.loads(out)
+    numbers = {name: run["reference"] for name, run in found.items()}
+    assert numbers["auto"] == numbers["named"]
+    for part in ("ate", "rpe"):
+        of_file = {key: value for key, value in numbers["file"][part].items() if key != "alignment"}
+        assert {key: numbers["auto"][part][key] for key in of_file} == pytest.approx(of_file, rel=1e-5)
+    assert found["auto"]["input"]["truth"] == {"topic": "/ground_truth", "body_frame": None}
+    assert "truth" not in found["file"]["input"]
+
+
 @pytest.mark.parametrize("name", ["short.bag", "short_ros2"])
 def test_every_format_replays(mavnav: Callable, scenario: Path, tmp_path: Path, name: str) -> None:
     log = tmp_path / name
