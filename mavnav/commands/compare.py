@@ -56,6 +56,7 @@ mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.p95_c
 
 
 def compare(
+    context: typer.Context,
     logs: Annotated[
         list[Path] | None,
         typer.Argument(metavar="[LOG ...]", help="Logs (default: the sample corridor).", show_default=False),
@@ -108,6 +109,7 @@ def compare(
             from mavnav.compare import comparison as pipeline
             from mavnav.compare.grids import comparison_settings
             from mavnav.jobs import usable_cores
+            from mavnav.outputs.provenance import Typed
             from mavnav.slam.registry import load_kernels
         target = directory or pipeline.comparison_directory(logs or ())
         if not logs:
@@ -118,7 +120,14 @@ def compare(
             for setting in settings:
                 load_kernels(setting.config)
         request = pipeline.comparison_request(
-            logs, settings, target, reading, workers=jobs or usable_cores(), gates=bounds, force=force
+            logs,
+            settings,
+            target,
+            reading,
+            workers=jobs or usable_cores(),
+            gates=bounds,
+            force=force,
+            typed=Typed(context.obj, config, tuple(sets or ())),
         )
         plan = pipeline.plan_comparison(request, report)
     document, page = _compared(plan, quiet=quiet)

@@ -30,6 +30,14 @@ LogFile = Annotated[
     Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False)
 ]
 
+MaybeLogFile = Annotated[
+    Path | None,
+    typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False),
+]
+Again = Annotated[
+    Path | None, input_option("--again", metavar="RUN", help="Repeat the run in this directory, with its options.")
+]
+
 Topic = Annotated[str | None, input_option(help="Scan topic, if the log has several.")]
 Start = Annotated[
     float | None,
@@ -98,6 +106,26 @@ def truth_values(truth: str | None) -> dict[str, Any]:
 
     topic = None if truth is None else recorded_topic(truth)
     return given_values(truth_topic=topic, truth=None if truth is None or topic else Path(truth))
+
+
+def again_directory(again: Path) -> Path:
+    """Return the default directory of a run that repeats another."""
+    return Path("runs") / f"{again.resolve().name}-again"
+
+
+def check_again(context: typer.Context, target: Path, *free: str) -> None:
+    """Raise UsageError where ``--again`` would replace the run that it repeats, or an option that it takes from there.
+
+    ``free`` are parameters, besides those of the output, that it does not take from there.
+    """
+    again = context.params["again"]
+    if target.resolve() == again.resolve():
+        raise UsageError(f"{target} is the run to repeat; choose another directory with -o")
+    allowed = {"again", "directory", "force", "report", "preview", "json", "quiet", "gates", *free}
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if parameter.name not in allowed and source is not None and source.name == "COMMANDLINE":
+            raise UsageError(f"--again takes {max(parameter.opts, key=len)} from the run; leave one of them out")
 
 
 def given_values(**values: object) -> dict[str, Any]:

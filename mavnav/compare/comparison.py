@@ -22,6 +22,7 @@ from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import recorded_topic
 from mavnav.jobs.run_cache import REFERENCES, check_cache_directory
 from mavnav.outputs.document import plain
+from mavnav.outputs.provenance import Typed
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.replay import log_name
 
@@ -46,6 +47,7 @@ def comparison_request(
     workers: int = 1,
     gates: Sequence[Gate] = (),
     force: bool = False,
+    typed: Typed | None = None,
 ) -> BatchRequest:
     """Return the batch of every log with every setting.
 
@@ -64,6 +66,7 @@ def comparison_request(
         rules=Rules(tuple(gates)),
         force=force,
         patterns=False,
+        typed=typed or Typed(),
     )
 
 

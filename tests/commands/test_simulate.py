@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
@@ -122,6 +123,19 @@ def test_the_document_s_scenario_flies_the_same_mission(
     assert code == 0
     assert again["outputs"].items() == {k: v for k, v in document["outputs"].items() if k not in PICTURES}.items()
     assert again["mission"] == document["mission"]
+
+
+def test_again_repeats_a_mission_without_its_file(mavnav: Callable, scenario: Path, tmp_path: Path) -> None:
+    words = ("--seed", 3, "--set", "vehicle.noise_yaw_deg=2", "--grid", "6x6", "-q")
+    assert mavnav("simulate", scenario, *words, "-o", tmp_path / "first")[0] == 0
+    scenario.unlink()
+    code, _, err = mavnav("simulate", "--again", tmp_path / "first", "-o", tmp_path / "second", "-q")
+    assert (code, err) == (0, "")
+    first, second = (json.loads((tmp_path / name / "run.json").read_text()) for name in ("first", "second"))
+    assert {name for name in first if first[name] != second[name]} <= {"timing", "provenance"}
+    assert shlex.split(first["provenance"]["again"]) == ["mavnav", "simulate", "--again", str(tmp_path / "first")]
+    assert "--again takes --seed from the run" in mavnav("simulate", "--again", tmp_path / "first", "--seed", 4)[2]
+    assert "write mavnav simulate --again" in mavnav("replay", "--again", tmp_path / "first")[2]
 
 
 def test_recordings_replay_to_the_same_map(

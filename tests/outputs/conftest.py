@@ -13,6 +13,7 @@ from mavnav.logs import Damage, Odometry, ScanCounts, Topic
 from mavnav.mapping.occupancy_grid import GridBuilder, measured_part
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
+from mavnav.outputs.provenance import Typed, provenance
 from mavnav.outputs.run import Run, Timing
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.result import SlamResult
@@ -92,7 +93,10 @@ def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
     journey = Journey(trajectory, lambda: iter(recorded), len(kept) / len(steps))
     measured = measure_map(measured_part(grid), journey)
     log = FabricatedLog(recorded, cleaning={"valid": 600, "zero": 7})
-    return Run(log, Config(), SlamResult(Steps(steps), trajectory, grid, lost), measured, Timing(2.0, 1.5, 0.5))
+    result = SlamResult(Steps(steps), trajectory, grid, lost)
+    typed = Typed(("mavnav", "replay", "room [1].mcap"), folder="/logs")
+    made = provenance("2026-01-31T12:00:00Z", typed, ["mavnav", "replay", "/logs/room [1].mcap"])
+    return Run(log, Config(), result, measured, Timing(2.0, 1.5, 0.5), made)
 
 
 @pytest.fixture(scope="session")
