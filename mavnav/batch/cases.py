@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mavnav.batch.find_logs import check_found, gather, is_address
+from mavnav.batch.find_logs import check_found, gather
 from mavnav.batch.remote import fetched
 from mavnav.batch.settings import formatted
 from mavnav.errors import ExitCode, MavnavError, UsageError
@@ -16,7 +16,7 @@ from mavnav.ground_truth.topics import recorded_topic
 from mavnav.jobs.run_cache import REFERENCES, PlannedRun, make_run, references_sha256
 from mavnav.logs import content_sha256
 from mavnav.metrics.gates import Gate, parse_gate
-from mavnav.outputs.addresses import public_address
+from mavnav.outputs.addresses import is_address, public_address
 from mavnav.pipelines.replay import ReplayRequest
 from mavnav.pose import Pose
 

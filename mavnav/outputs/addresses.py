@@ -6,10 +6,15 @@ import re
 from typing import Final
 from urllib.parse import unquote
 
-_SCHEME: Final = re.compile(r"[a-z][a-z0-9+.-]*://", re.IGNORECASE)
+_SCHEME: Final = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 _IN_TEXT: Final = re.compile(rf"{_SCHEME.pattern}[^\s'\"<>]+", re.IGNORECASE)
 _LEAST_SECRET: Final = 4
 """Shorter parts of an address stand for other things in a text, too."""
+
+
+def is_address(text: str) -> bool:
+    """Return whether a text is an address (``s3://bucket/drive.mcap``), not a path."""
+    return _SCHEME.match(text) is not None
 
 
 def public_address(address: str) -> str:

@@ -16,6 +16,7 @@ from mavnav.config.yaml_layers import layer_of
 from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import recorded_topic
 from mavnav.logs import content_sha256
+from mavnav.outputs.addresses import is_address
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.provenance import Typed
 from mavnav.outputs.writers import REPORT_FILE
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.outputs.run_json import GivenPose, Options
 
-_ADDRESS: Final = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 _WORD: Final = re.compile(r"[A-Za-z/][\w/.-]*|\d+x\d+")
 _PATHS: Final = ("map", "truth", "truth_map", "relations")
 """Options that name files."""
@@ -149,7 +149,7 @@ def _config(run: EarlierRun) -> Config:
 def _same_log(run: EarlierRun, log: Path | None) -> Path:
     """Return the log of a run; raises UsageError unless it is there with the same content."""
     found, was = run.document["input"], run.document["input"]["path"]
-    if log is None and _ADDRESS.match(was):
+    if log is None and is_address(was):
         raise UsageError(
             f"the log was fetched from {was}; fetch it and write mavnav replay LOG --again {run.directory}"
         )
@@ -171,7 +171,7 @@ def replay_words(log: str, options: Options, config: Config) -> list[str]:
 
     It lists all values that differ from the method's defaults. A log at an address is a batch of one.
     """
-    command = "batch" if _ADDRESS.match(log) else "replay"
+    command = "batch" if is_address(log) else "replay"
     given: dict[str, Any] = {
         "--topic": options.topic,
         "--start": options.start_s,

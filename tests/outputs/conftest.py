@@ -59,6 +59,10 @@ class FabricatedLog:
         return self.recorded[-1].stamp_ns
 
     @property
+    def duration_s(self) -> float:
+        return (self.last_ns - self.first_ns) * 1e-9
+
+    @property
     def sensor(self):
         return self.recorded[0].spec
 
