@@ -75,7 +75,6 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
     """
     check_outputs(request)
     origin = provenance(utc_now(), request.typed, ["mavnav", "simulate", "--again", str(request.directory.absolute())])
-    content = request.content or _content(request.path)
     wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile()
     flight = fly(request.scenario, lambda phase, done: progress(phase, done, None))
     timing = Timing(perf_counter() - wall_s, process_time() - cpu_s, compile_s, stages)
@@ -97,7 +96,7 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
             measured=measured_map(flight.slam, log),
             timing=timing,
             truth=_truth(flight),
-            mission=_mission(request, flight, content),
+            mission=_mission(request, flight),
             reference=_reference(flight),
             provenance=origin,
         )
@@ -151,10 +150,10 @@ def _content(path: Path) -> tuple[str, int]:
     return sha256(content).hexdigest(), len(content)
 
 
-def _mission(request: SimulationRequest, flight: Flight, content: tuple[str, int]) -> Mission:
+def _mission(request: SimulationRequest, flight: Flight) -> Mission:
     mission = flight.mission
     numbers = {name: value for name, value in asdict(mission).items() if name != "end"}
-    digest, size_bytes = content
+    digest, size_bytes = request.content or _content(request.path)
     return Mission(
         path=request.path,
         sha256=digest,
