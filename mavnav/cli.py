@@ -96,7 +96,7 @@ def app_for(args: Sequence[str]) -> typer.Typer:
 def run(args: Sequence[str], *, debug: bool = False) -> int:
     """Run one command line and return its exit code; everything that goes wrong is said in one line on stderr."""
     try:
-        code = app_for(args)(args=list(args), prog_name="mavnav", standalone_mode=False)
+        code = app_for(args)(args=list(args), prog_name="mavnav", standalone_mode=False, obj=("mavnav", *args))
         sys.stdout.flush()
     except BaseException as error:
         if debug and isinstance(error, Exception):

@@ -38,7 +38,8 @@ ALLOWED: dict[str, set[str]] = {
     "jobs": SHARED | {"config", "ground_truth", "outputs", "pipelines"},
     "batch": SHARED | {"config", "ground_truth", "jobs", "logs", "metrics", "outputs", "pipelines"},
     "compare": SHARED
-    | {"batch", "config", "jobs", "logs", "metrics", "outputs", "pipelines", "simulation", "simulation.world"},
+    | {"batch", "config", "ground_truth", "jobs", "logs", "metrics", "outputs", "pipelines", "simulation"}
+    | {"simulation.world"},
     "commands": SHARED
     | {"batch", "compare", "config", "ground_truth", "jobs", "kernels", "logs", "metrics", "outputs", "pipelines"}
     | {"simulation.world", "slam"},

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mavnav.batch.find_logs import check_found, gather, is_address
+from mavnav.batch.find_logs import check_found, gather
 from mavnav.batch.remote import fetched
 from mavnav.batch.settings import formatted
 from mavnav.errors import ExitCode, MavnavError, UsageError
 from mavnav.ground_truth.references import load_references
+from mavnav.ground_truth.topics import recorded_topic
 from mavnav.jobs.run_cache import REFERENCES, PlannedRun, make_run, references_sha256
 from mavnav.logs import content_sha256
 from mavnav.metrics.gates import Gate, parse_gate
+from mavnav.outputs.addresses import is_address, public_address
 from mavnav.pipelines.replay import ReplayRequest
 from mavnav.pose import Pose
 
@@ -72,12 +75,23 @@ def make_cases(request: BatchRequest, progress: Progress) -> list[Case]:
     cannot be read, for two references, and for folders that cannot be read.
     """
     logs = [(entry, log) for entry in request.entries for log in _logs(request, entry)]
+    names = display_names([log for _, log in logs])
     found: dict[str, Case] = {}
     for number, (entry, log) in enumerate(logs):
         progress("reading", number, len(logs) if len(logs) > 1 else None)
-        for case in _cases(request, entry, log):
+        for case in _cases(request, entry, log, names[log]):
             found[case.name] = _joined(found[case.name], case) if case.name in found else case
     return list(found.values())
+
+
+def display_names(logs: Sequence[str]) -> dict[str, str]:
+    """Return each log's display name: an address without its secrets, numbered where two then read the same."""
+    found, taken = dict[str, str](), Counter[str]()
+    for log in dict.fromkeys(logs):
+        name = public_address(log) if is_address(log) else log
+        taken[name] += 1
+        found[log] = name if taken[name] == 1 else f"{name} ({taken[name]})"
+    return found
 
 
 def _logs(request: BatchRequest, entry: Entry) -> Sequence[str]:
@@ -96,34 +110,38 @@ def _joined(one: Case, other: Case) -> Case:
     )
 
 
-def _cases(request: BatchRequest, entry: Entry, log: str) -> Iterator[Case]:
-    """Return the cases of one log, one for each setting."""
+def _cases(request: BatchRequest, entry: Entry, log: str, name: str) -> Iterator[Case]:
+    """Return the cases of one log with its display name, one for each setting."""
     references = {name: request.base / file for name in REFERENCES if (file := getattr(entry, name))}
+    topic = recorded_topic(str(entry.truth)) if entry.truth else None
+    if topic:
+        del references["truth"]
     shared: dict[str, Any] = {
-        "log": log,
+        "log": name,
         "gates": tuple(parse_gate(text) for text in entry.gates if text != BASELINE_GATE),
         "accept": frozenset(entry.accept),
-        "has_references": bool(references),
+        "has_references": bool(references) or topic is not None,
         "baseline_gate": BASELINE_GATE in entry.gates,
     }
     try:
         digests = _digest(request, log), references_sha256(load_references(**references))
     except MavnavError as error:
         shared |= {"run": None, "error": str(error), "exit_code": error.exit_code}
-        yield from (Case(_name(entry, log, setting), setting=setting, **shared) for setting in request.settings)
+        yield from (Case(_name(entry, name, setting), setting=setting, **shared) for setting in request.settings)
         return
-    options = _reading(entry) | references | {"report": request.report, "force": True}
-    path, address = (Path(log), log) if is_address(log) else (request.base / log, None)
+    options = _reading(entry) | references | {"truth_topic": topic, "typed": request.typed}
+    options |= {"report": request.report, "force": True}
+    path, address = (Path(public_address(log)), log) if is_address(log) else (request.base / log, None)
     for setting in request.settings:
         wanted = ReplayRequest(path, request.directory, setting.config, address=address, **options)
-        yield Case(_name(entry, log, setting), setting=setting, run=make_run(wanted, *digests), **shared)
+        yield Case(_name(entry, name, setting), setting=setting, run=make_run(wanted, *digests), **shared)
 
 
 def _digest(request: BatchRequest, log: str) -> str:
     """Return the hash of a log's content; one at an address is fetched for that."""
     if is_address(log):
         with fetched(log) as folder:
-            return content_sha256(folder / log)
+            return content_sha256(folder / public_address(log))
     path = request.base / log
     if request.patterns:
         check_found(log, path)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from mavnav.errors import NoScansError, UsageError
+from mavnav.outputs.addresses import is_address
 from mavnav.outputs.directory import RUN_FILE
 
 if TYPE_CHECKING:
@@ -16,13 +17,6 @@ SUFFIXES: Final = (".mcap", ".bag", ".db3", ".active", ".zst", ".zstd")
 """How logs in a folder end; a log that is named itself may be called anything."""
 
 _PATTERN: Final = re.compile(r"[*?[]")
-
-_ADDRESS: Final = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
-
-
-def is_address(text: str) -> bool:
-    """Return whether a text is an address (``s3://bucket/drive.mcap``), not a path."""
-    return _ADDRESS.match(text) is not None
 
 
 def gather(patterns: Iterable[str], base: Path) -> list[str]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from mavnav.batch.remote import fetched
 from mavnav.errors import MavnavError
+from mavnav.outputs.addresses import public_address
 from mavnav.pipelines.replay import replay_log
 
 if TYPE_CHECKING:
@@ -25,11 +26,12 @@ def replay_remote(request: ReplayRequest, report: Report) -> None:
     """Fetch a log and replay it; errors name it by its address."""
     report("fetching", 0, None)
     address = str(request.address)
+    name = public_address(address)
     paths = {field.name: getattr(request, field.name) for field in fields(request) if field.name != "log"}
     absolute: dict[str, Any] = {name: path.absolute() for name, path in paths.items() if isinstance(path, Path)}
     with fetched(address) as folder, chdir(folder):
         try:
             replay_local(replace(request, **absolute), report)
         except MavnavError as error:
-            error.args = (str(error).replace(str(request.log), address),)
+            error.args = (str(error).replace(str(request.log), name),)
             raise

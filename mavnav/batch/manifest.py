@@ -39,7 +39,9 @@ class Entry(Strict):
         None, description="laser on its base: x and y in m, yaw in rad"
     )
     strict: bool = Field(False, description="leave out scans from where a checksum does not match")
-    truth: str | None = Field(None, description="true trajectory, as of mavnav replay --truth")
+    truth: str | None = Field(
+        None, description="true trajectory: a TUM file, auto, or topic:NAME of the log, as of mavnav replay --truth"
+    )
     truth_map: str | None = Field(None, description="true map, as of --truth-map")
     relations: str | None = Field(None, description="true relative poses, as of --relations")
     gates: Texts = Field((), description="bounds such as wall_thickness.p95_cells<=7")

@@ -17,6 +17,7 @@ from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import usable_cores
 from mavnav.jobs.dask import LOCAL
 from mavnav.metrics.gates import Gate, parse_gate
+from mavnav.outputs.provenance import Typed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -30,9 +31,11 @@ MANIFEST_SUFFIXES = (".yaml", ".yml")
 class Options:
     """The command line: what was not given is None or empty.
 
-    ``sources`` are a manifest and logs; ``options`` values of the configuration, ``reading`` those of an `Entry`.
+    ``words`` is all of it as typed; ``sources`` are a manifest and logs; ``options`` values of the configuration,
+    ``reading`` those of an `Entry`.
     """
 
+    words: Sequence[str] = ()
     sources: Sequence[str] = ()
     methods: Sequence[str] = ()
     grids: Sequence[str] = ()
@@ -77,6 +80,7 @@ def request_of(options: Options) -> BatchRequest:
         force=options.force,
         report=options.report or manifest.report,
         new_baseline=baseline if options.update_baseline else None,
+        typed=Typed(tuple(options.words), options.config, tuple(options.sets)),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -11,6 +12,7 @@ from mavnav.batch.summary import batch_headline, changed
 from mavnav.batch.thumbnail import thumbnail
 from mavnav.errors import ExitCode
 from mavnav.outputs.directory import RUN_FILE
+from mavnav.outputs.facts import facts
 from mavnav.outputs.html import environment, inlined
 from mavnav.outputs.quantities import NAMED, PATH, TIME
 from mavnav.outputs.writers import REPORT_FILE
@@ -44,13 +46,14 @@ class Field:
 class PageLine:
     """A run as the page shows it.
 
-    ``kind`` is passed, failed (a verdict) or broken (not made); ``link`` leads to the run, ``change`` is that
-    since the baseline.
+    ``facts`` are its date, log and sensor; ``kind`` is passed, failed (a verdict) or broken (not made); ``link`` leads
+    to the run, ``change`` is that since the baseline.
     """
 
     name: str
     kind: str
     end: str
+    facts: str
     reasons: tuple[str, ...]
     link: str | None
     picture: str | None
@@ -85,6 +88,7 @@ def _line(row: dict[str, Any], directory: Path) -> PageLine:
         name=row["name"],
         kind="passed" if not verdict else "failed" if row["run"] else "broken",
         end=end,
+        facts=_facts(path) if path else "",
         reasons=tuple(reason for reason in why(row) if reason != end),
         link=_link(path, row["directory"]) if path else None,
         picture=thumbnail(path) if path else None,
@@ -98,6 +102,15 @@ def _link(path: Path, address: str) -> str | None:
     """Return the address of the page of a run, or else of its map or run.json; ``address`` is that of its directory."""
     names = (name for name in (REPORT_FILE, "map.png", RUN_FILE) if (path / name).is_file())
     return next((f"{address}/{name}" for name in names), None)
+
+
+def _facts(path: Path) -> str:
+    """Describe the log of a run and when it was made, by its run.json; nothing where that cannot be read."""
+    try:
+        document = json.loads((path / RUN_FILE).read_bytes())
+    except (OSError, ValueError):
+        return ""
+    return facts([document])
 
 
 def _field(column: Quantity, run: Mapping[str, Any] | None) -> Field:

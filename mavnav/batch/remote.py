@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from mavnav.errors import UsageError
+from mavnav.outputs.addresses import public_address, public_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -18,11 +19,12 @@ if TYPE_CHECKING:
 def fetched(address: str) -> Iterator[Path]:
     """Give a folder in which the log lies under its address, taken as a path: that is how people know it.
 
-    Raises UsageError for what cannot be opened, and without fsspec.
+    User name, password and query of the address are left out of that path, and of errors. Raises UsageError for what
+    cannot be opened, and without fsspec.
     """
-    path = Path(address)
+    path = Path(public_address(address))
     if ".." in path.parts:
-        raise UsageError(f"{address}: an address with '..'; write it out")
+        raise UsageError(f"{public_address(address)}: an address with '..'; write it out")
     with TemporaryDirectory(prefix="mavnav-") as name:
         folder = Path(name)
         (folder / path).parent.mkdir(parents=True)
@@ -37,11 +39,12 @@ def _copy(address: str, file: Path) -> None:
             shutil.copyfileobj(source, copy, 2**20)
     except UsageError:
         raise
-    except FileNotFoundError as error:
-        raise UsageError(f"{address}: there is no such file; check the address") from error
+    except FileNotFoundError:
+        raise UsageError(f"{public_address(address)}: there is no such file; check the address") from None
     except Exception as error:  # every protocol has errors of its own
-        reason = str(error) or type(error).__name__
-        raise UsageError(f"{address}: cannot be read ({reason}); check the address and the permissions") from error
+        reason = public_text(str(error), address) or type(error).__name__
+        advice = "check the address and the permissions"
+        raise UsageError(f"{public_address(address)}: cannot be read ({reason}); {advice}") from None
 
 
 def _fsspec() -> Any:  # noqa: ANN401  a module

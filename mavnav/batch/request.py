@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mavnav.errors import UsageError
+from mavnav.outputs.provenance import Typed
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -65,7 +66,7 @@ class BatchRequest:
 
     Relative paths of ``entries`` count from ``base``; with ``patterns`` they may be patterns and folders, without they
     are single logs. ``force`` runs again what is finished; ``report`` writes a page of every run; the metrics are
-    written to the file ``new_baseline``, for later batches.
+    written to the file ``new_baseline``, for later batches. ``typed`` is the command line.
     """
 
     entries: tuple[Entry, ...]
@@ -79,3 +80,4 @@ class BatchRequest:
     report: bool = False
     new_baseline: Path | None = None
     patterns: bool = True
+    typed: Typed = field(default_factory=Typed)

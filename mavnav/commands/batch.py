@@ -63,6 +63,7 @@ mavnav batch nightly.yaml --scheduler tcp://10.0.0.1:8786
 
 
 def batch(
+    context: typer.Context,
     sources: Annotated[
         list[str] | None,
         typer.Argument(
@@ -157,6 +158,7 @@ def batch(
         for file in filter(None, (junit, summary)):
             check_file(file)
         options = Options(
+            words=context.obj,
             sources=sources or (),
             methods=methods or (),
             grids=grids or (),

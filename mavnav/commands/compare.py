@@ -56,6 +56,7 @@ mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.p95_c
 
 
 def compare(
+    context: typer.Context,
     logs: Annotated[
         list[Path] | None,
         typer.Argument(metavar="[LOG ...]", help="Logs (default: the sample corridor).", show_default=False),
@@ -98,7 +99,7 @@ def compare(
     """
     overrides = given_values(odom=odom, final_pass=False if online else None)
     reading = given_values(topic=topic, start_s=start, end_s=end, extrinsic=parse_pose(extrinsic))
-    reading |= given_values(truth=truth, truth_map=truth_map, relations=relations)
+    reading |= given_values(truth=truth, truth_map=truth_map, relations=relations)  # of truth the text: file or topic
     for log in logs or []:
         if not log.exists():
             raise UsageError(f"{log}: no such file; name a log")
@@ -108,6 +109,7 @@ def compare(
             from mavnav.compare import comparison as pipeline
             from mavnav.compare.grids import comparison_settings
             from mavnav.jobs import usable_cores
+            from mavnav.outputs.provenance import Typed
             from mavnav.slam.registry import load_kernels
         target = directory or pipeline.comparison_directory(logs or ())
         if not logs:
@@ -118,7 +120,14 @@ def compare(
             for setting in settings:
                 load_kernels(setting.config)
         request = pipeline.comparison_request(
-            logs, settings, target, reading, workers=jobs or usable_cores(), gates=bounds, force=force
+            logs,
+            settings,
+            target,
+            reading,
+            workers=jobs or usable_cores(),
+            gates=bounds,
+            force=force,
+            typed=Typed(context.obj, config, tuple(sets or ())),
         )
         plan = pipeline.plan_comparison(request, report)
     document, page = _compared(plan, quiet=quiet)

@@ -7,10 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
-from mavnav.commands.options import Json, Quiet, RelationsFile, Truth, TruthMap
+from mavnav.commands.options import Json, Quiet, RelationsFile, Truth, TruthMap, truth_values
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows, wall_rows
 from mavnav.commands.terminal import emit_json, print_table
+from mavnav.errors import UsageError
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -44,12 +45,20 @@ def metrics(
         with loading_kernels(report):
             from mavnav.ground_truth.references import load_references
             from mavnav.pipelines.evaluate import evaluate
-        document = evaluate(paths, load_references(truth, truth_map, relations), report)
+        document = evaluate(paths, load_references(_truth_file(truth), truth_map, relations), report)
     if json:
         emit_json(document)
         return
     for found in document["maps"]:
         print_table(_summary(found))
+
+
+def _truth_file(truth: str | None) -> Path | None:
+    """Return the file of a truth; raises UsageError for a topic, which only a log has."""
+    values = truth_values(truth)
+    if "truth_topic" in values:
+        raise UsageError(f"--truth {truth}: the ground truth of a log is for replay and compare; name a TUM file")
+    return values.get("truth")
 
 
 def _summary(found: dict[str, Any]) -> list[tuple[str, str]]:

@@ -36,6 +36,14 @@ LogFile = Annotated[
     Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False)
 ]
 
+MaybeLogFile = Annotated[
+    Path | None,
+    typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False),
+]
+Again = Annotated[
+    Path | None, input_option("--again", metavar="RUN", help="Repeat the run in this directory, with its options.")
+]
+
 Topic = Annotated[str | None, input_option(help="Scan topic, if the log has several.")]
 Start = Annotated[
     float | None,
@@ -81,7 +89,12 @@ Jobs = Annotated[
 ]
 
 Truth = Annotated[
-    Path | None, check_option("--truth", metavar="FILE.tum", help="Ground-truth laser trajectory: ATE and RPE.")
+    str | None,
+    check_option(
+        "--truth",
+        metavar="FILE.tum|auto|topic:NAME",
+        help="Ground-truth trajectory: ATE and RPE. A TUM file of the laser, or poses on a topic of the log.",
+    ),
 ]
 TruthMap = Annotated[
     Path | None,
@@ -93,6 +106,34 @@ RelationsFile = Annotated[
         "--relations", metavar="FILE", help="Ground-truth relations, one 't1 t2 x y z roll pitch yaw' a line."
     ),
 ]
+
+
+def truth_values(truth: str | None) -> dict[str, Any]:
+    """Return ``truth_topic`` or ``truth``, a file, as ``--truth`` names one; nothing if it is not given."""
+    from mavnav.ground_truth.topics import recorded_topic
+
+    topic = None if truth is None else recorded_topic(truth)
+    return given_values(truth_topic=topic, truth=None if truth is None or topic else Path(truth))
+
+
+def again_directory(again: Path) -> Path:
+    """Return the default directory of a run that repeats another."""
+    return Path("runs") / f"{again.resolve().name}-again"
+
+
+def check_again(context: typer.Context, target: Path, *free: str) -> None:
+    """Raise UsageError where ``--again`` would replace the run that it repeats, or an option that it takes from there.
+
+    ``free`` are parameters, besides those of the output, that it does not take from there.
+    """
+    again = context.params["again"]
+    if target.resolve() == again.resolve():
+        raise UsageError(f"{target} is the run to repeat; choose another directory with -o")
+    allowed = {"again", "directory", "force", "report", "preview", "json", "quiet", "gates", *free}
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if parameter.name not in allowed and source is not None and source.name == "COMMANDLINE":
+            raise UsageError(f"--again takes {max(parameter.opts, key=len)} from the run; leave one of them out")
 
 
 def given_values(**values: object) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,6 +13,7 @@ from mavnav.commands import signals
 from mavnav.commands.gating import Gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
+    Again,
     Azimuth,
     ConfigFile,
     End,
@@ -19,7 +21,7 @@ from mavnav.commands.options import (
     Force,
     Grid,
     Json,
-    LogFile,
+    MaybeLogFile,
     Method,
     Odom,
     Online,
@@ -32,12 +34,15 @@ from mavnav.commands.options import (
     Truth,
     TruthMap,
     WriteReport,
+    again_directory,
+    check_again,
     directory_option,
     given_values,
     note_without_effect,
     output_option,
     parse_pose,
     search_option,
+    truth_values,
 )
 from mavnav.commands.progress import loading_kernels, reporting
 from mavnav.commands.quality_rows import page_row, quality_rows, reference_rows, wall_rows
@@ -62,12 +67,16 @@ mavnav replay rosbag2_folder --method paper --grid 20x20 --azimuth 40
 mavnav replay drive.mcap --map office.yaml --start-pose 2.1,0.4,1.57
 
 mavnav replay drive.mcap --set robust.cell_mm=25 --json | jq .wall_thickness
+
+mavnav replay --again runs/drive-robust-10x10 -o runs/repeated
 """
 
 
 def replay(
-    log: LogFile,
+    context: typer.Context,
+    log: MaybeLogFile = None,
     *,
+    again: Again = None,
     topic: Topic = None,
     start: Start = None,
     end: End = None,
@@ -120,20 +129,27 @@ def replay(
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
     overrides = given_values(method=method, grid=grid, azimuth=azimuth, search=search, odom=odom)
     overrides |= given_values(loop_closure=loop_closure, final_pass=False if online else None)
-    chosen = _config(config, [*(sets or []), *([] if deskew is None else [f"robust.deskew={deskew}"])], overrides)
+    fields = {} if again is None else _repeated(context, again, log, directory)
+    log = fields.get("log", log)
+    if log is None:
+        raise UsageError("no log; name one, or a run directory with --again")
+    chosen = fields.get("config") or _config(
+        config, [*(sets or []), *([] if deskew is None else [f"robust.deskew={deskew}"])], overrides
+    )
     bounds = gates_of(gates)
     mounting, began = parse_pose(extrinsic), parse_pose(start_pose, "--start-pose")
     _check_files(log, known, began)
     with reporting(quiet=quiet) as progress:
         startup_s, started_s = process_time(), perf_counter()
         with loading_kernels(progress):
+            from mavnav.outputs.provenance import Typed
             from mavnav.pipelines.replay import ReplayRequest, replay_directory, replay_log
             from mavnav.pose import Pose
             from mavnav.slam.registry import load_kernels
 
             load_kernels(chosen)
         compile_s = perf_counter() - started_s
-        target = directory or replay_directory(log, chosen)
+        target = directory or (again_directory(again) if again else replay_directory(log, chosen))
         request = ReplayRequest(
             log=log,
             directory=target,
@@ -144,13 +160,15 @@ def replay(
             extrinsic=mounting and Pose(*mounting),
             force=force,
             report=report,
-            truth=truth,
+            **truth_values(truth),
             truth_map=truth_map,
             relations=relations,
             strict=strict,
             map=known,
             start_pose=began and Pose(*began),
+            typed=Typed(context.obj, config, tuple(sets or ())),
         )
+        request = replace(request, **fields)
         _, document = replay_log(request, progress, compile_s, signals.keeping, startup_s)
     _print_result(document, target, json=json)
     if profile:
@@ -158,6 +176,17 @@ def replay(
     if preview:
         show_preview(target, stderr=json)
     raise typer.Exit(gated_code(document, bounds))
+
+
+def _repeated(context: typer.Context, again: Path, log: Path | None, directory: Path | None) -> dict[str, Any]:
+    """Return the fields of a request that repeat a run, and report what differs; ``log`` is given if it has moved."""
+    from mavnav.pipelines.again import earlier_run, replay_again, typed_again
+
+    check_again(context, directory or again_directory(again), "log", "profile")
+    run = earlier_run(again, simulated=False)
+    for difference in run.differences():
+        note(f"mavnav: warning: {difference}")
+    return replay_again(run, log) | {"typed": typed_again(run, context.obj)}
 
 
 def _config(file: str | None, sets: list[str], overrides: dict[str, Any]) -> Config:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,6 +12,7 @@ import typer
 from mavnav.commands.gating import Gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
+    Again,
     Azimuth,
     ConfigFile,
     Force,
@@ -20,6 +22,8 @@ from mavnav.commands.options import (
     Quiet,
     Sets,
     WriteReport,
+    again_directory,
+    check_again,
     directory_option,
     input_option,
     output_option,
@@ -47,15 +51,19 @@ mavnav simulate corner --method paper
 
 mavnav simulate corridor --record flight.mcap && mavnav replay flight.mcap
 
+mavnav simulate --again runs/corner-robust-10x10 -o runs/repeated
+
 mavnav simulate --list
 """
 
 
 def simulate(
+    context: typer.Context,
     scenario: Annotated[
         str | None, typer.Argument(metavar="SCENARIO", help="YAML file, or a shipped scenario.", show_default=False)
     ] = None,
     *,
+    again: Again = None,
     seed: Annotated[int | None, input_option(metavar="N", help="Seed of all random numbers.")] = None,
     planner: Annotated[
         str | None,
@@ -88,11 +96,12 @@ def simulate(
     if list_ or schema:
         _show(schema=schema)
         return
-    if scenario is None:
+    if scenario is None and again is None:
         raise UsageError("no scenario; name a YAML file or one of 'mavnav simulate --list'")
     bounds = gates_of(gates)
-    chosen = _load(
-        scenario,
+    fields = {} if again is None else _repeated(context, again, directory)
+    chosen = fields.get("scenario") or _load(
+        str(scenario),
         sets or [],
         {"seed": seed, "slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth, "planner.technique": planner},
         config,
@@ -100,19 +109,34 @@ def simulate(
     with reporting(quiet=quiet) as progress:
         started_s = perf_counter()
         with loading_kernels(progress):
+            from mavnav.outputs.provenance import Typed
             from mavnav.pipelines.simulate import SimulationRequest, simulate_mission, simulation_directory
             from mavnav.simulation.world.scenario_file import scenario_path
             from mavnav.slam.registry import load_kernels
 
             load_kernels(chosen.slam)
         compile_s = perf_counter() - started_s
-        target = directory or simulation_directory(chosen)
-        request = SimulationRequest(chosen, scenario_path(scenario), target, record, animate, force, report)
+        target = directory or (again_directory(again) if again else simulation_directory(chosen))
+        path = fields.get("path") or scenario_path(str(scenario))
+        typed = Typed(context.obj, config, tuple(sets or ()))
+        request = SimulationRequest(chosen, path, target, record, animate, force, report, typed)
+        request = replace(request, **fields)
         _, document = simulate_mission(request, progress, compile_s)
     _print_result(document, target, json=json)
     if preview:
         show_preview(target, stderr=json)
     raise typer.Exit(gated_code(document, bounds))
+
+
+def _repeated(context: typer.Context, again: Path, directory: Path | None) -> dict[str, Any]:
+    """Return the fields of a request that repeat a mission, and report what differs."""
+    from mavnav.pipelines.again import earlier_run, simulation_again
+
+    check_again(context, directory or again_directory(again), "record", "animate")
+    run = earlier_run(again, simulated=True)
+    for difference in run.differences():
+        note(f"mavnav: warning: {difference}")
+    return simulation_again(run)
 
 
 def _show(*, schema: bool) -> None:

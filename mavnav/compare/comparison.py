@@ -19,8 +19,10 @@ from mavnav.compare.document import comparison_document
 from mavnav.compare.figures import RELATIVE_COSTS
 from mavnav.compare.files import COMPARISON_FILE, write_comparison
 from mavnav.errors import UsageError
+from mavnav.ground_truth.topics import recorded_topic
 from mavnav.jobs.run_cache import REFERENCES, check_cache_directory
 from mavnav.outputs.document import plain
+from mavnav.outputs.provenance import Typed
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.replay import log_name
 
@@ -45,13 +47,15 @@ def comparison_request(
     workers: int = 1,
     gates: Sequence[Gate] = (),
     force: bool = False,
+    typed: Typed | None = None,
 ) -> BatchRequest:
     """Return the batch of every log with every setting.
 
     ``reading`` are values of an `Entry`: how a log is read, and its references. Raises UsageError for references of
     several logs.
     """
-    if len(logs) > 1 and any(reading.get(name) for name in REFERENCES):
+    files = [reading.get(name) for name in REFERENCES]
+    if len(logs) > 1 and any(file and recorded_topic(str(file)) is None for file in files):
         raise UsageError("--truth, --truth-map and --relations tell of one log; compare one log at a time with them")
     return BatchRequest(
         entries=tuple(Entry.model_construct(log=(str(log),), **reading) for log in logs),  # names need not be UTF-8
@@ -62,6 +66,7 @@ def comparison_request(
         rules=Rules(tuple(gates)),
         force=force,
         patterns=False,
+        typed=typed or Typed(),
     )
 
 

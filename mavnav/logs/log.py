@@ -13,10 +13,11 @@ from mavnav.logs.messages.decode import decoder, is_laser
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.preprocessing import KINDS, ScanFilter
 from mavnav.logs.read_report import ReadReport
-from mavnav.logs.records import Damage, Gap, Odometry, ScanCounts, Topic
+from mavnav.logs.records import Damage, Gap, Odometry, RecordedTruth, ScanCounts, Topic
 from mavnav.logs.stamps import KEPT_BYTES, StampSource, Timeline, period_and_gaps
 from mavnav.logs.survey import Survey, survey
 from mavnav.logs.transforms import BASE_FRAMES, mounting
+from mavnav.logs.truth import laser_truth
 from mavnav.memory import trim
 from mavnav.pose import Pose
 from mavnav.profiling import Stage, each
@@ -68,6 +69,7 @@ class Log:
     base_frame: str | None
     upside_down: bool
     odometry: Odometry | None
+    truth: RecordedTruth | None
     damage: tuple[Damage, ...]
     warnings: tuple[str, ...]
     strict: bool
@@ -157,6 +159,7 @@ def open_log(
     extrinsic: Pose | None = None,
     progress: Callable[[int, int], None] | None = None,
     strict: bool = False,
+    truth: str | None = None,
 ) -> Log:
     """Survey a log and choose what to use of it.
 
@@ -176,17 +179,19 @@ def open_log(
         Called now and then with the bytes done and in all.
     strict
         Leave out scans from where a checksum does not match.
+    truth
+        The topic of the ground truth, ``auto`` to find it by its name, None to leave it out.
 
     Raises
     ------
     UsageError
         No such file, or an empty window.
     TopicError
-        Several scan topics to choose from, or no such topic.
+        Several scan topics to choose from, or no such topic; no ground truth, or several.
     NoScansError
         No log, or no usable scan in it.
     """
-    found = survey(path, topic=topic, start_s=start_s, end_s=end_s, progress=progress, strict=strict)
+    found = survey(path, topic=topic, start_s=start_s, end_s=end_s, progress=progress, strict=strict, truth=truth)
     log = choose(found, topic=topic, odom=odom, extrinsic=extrinsic)
     del found
     if not log.is_short:
@@ -228,6 +233,7 @@ def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extri
         base_frame=None,
         upside_down=False,
         odometry=None,
+        truth=None,
         damage=found.damage,
         warnings=found.warnings,
         strict=found.strict,
@@ -313,8 +319,11 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
             text = f"no transform from {base_frame!r} to {log.frame_id!r}; the odometry is taken as the laser's own"
             warnings.append(f"{text} (give the mounting with --extrinsic x,y,yaw)")
         odometry = Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()))
+    known = found.truth.choose(found.topics)
+    sources = (log.stamp_source, log.frame_id, found.frames, base_T_laser, extrinsic, warnings.append)
     return replace(
         log,
+        truth=laser_truth(known, *sources) if known else None,
         base_T_laser=base_T_laser,
         mounting_source="option" if extrinsic else source,
         base_frame=base_frame,

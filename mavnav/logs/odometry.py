@@ -22,11 +22,10 @@ _ODOM_FRAME = "odom"
 
 
 @dataclass
-class OdometryTrack:
-    """Poses of the base in the odometry frame, as they came: 40 bytes each, with both stamps."""
+class PoseTrack:
+    """Poses of a body, frame ``base_frame``, in a fixed frame, as they came: 40 bytes each, with both stamps."""
 
     topic: str
-    source: Literal["odom", "tf"]
     base_frame: str
     header_ns: array[int] = field(default_factory=lambda: array("q"))
     log_ns: array[int] = field(default_factory=lambda: array("q"))
@@ -41,13 +40,20 @@ class OdometryTrack:
             self.xyyaw.extend((pose.x_m, pose.y_m, pose.yaw_rad))
 
     def trajectory(self, stamp_source: str) -> Trajectory:
-        """Return ``odom_T_base`` with the stamps of a source; duplicate and backward stamps are dropped."""
+        """Return ``fixed_T_base`` with the stamps of a source; duplicate and backward stamps are dropped."""
         stamps = np.array(self.header_ns if stamp_source == "header" else self.log_ns, dtype=np.int64)
         poses = np.array(self.xyyaw, dtype=np.float64).reshape(-1, 3)
         latest = np.maximum.accumulate(stamps) if len(stamps) else stamps
         keep = np.ones(len(stamps), dtype=bool)
         keep[1:] = stamps[1:] > latest[:-1]
         return Trajectory(stamps[keep], poses[keep])
+
+
+@dataclass
+class OdometryTrack(PoseTrack):
+    """Poses of the base in the odometry frame, of odometry messages or of transforms."""
+
+    source: Literal["odom", "tf"] = "odom"
 
 
 class OdometryTracks:
@@ -61,7 +67,7 @@ class OdometryTracks:
         """Take in a nav_msgs/Odometry message."""
         track = self.topics.get(topic)
         if track is None:
-            track = self.topics[topic] = OdometryTrack(topic, "odom", frame_name(message.child))
+            track = self.topics[topic] = OdometryTrack(topic, frame_name(message.child))
         track.add(message, log_ns)
 
     def add_transforms(self, topic: str, messages: list[TransformMessage], log_ns: int) -> None:
@@ -71,7 +77,7 @@ class OdometryTracks:
                 child = frame_name(message.child)
                 track = self.transforms.get(child)
                 if track is None:
-                    track = self.transforms[child] = OdometryTrack(topic, "tf", child)
+                    track = self.transforms[child] = OdometryTrack(topic, child, source="tf")
                 track.add(message, log_ns)
 
     def choose(self, wanted: str, warn: Callable[[str], None]) -> OdometryTrack | None:

@@ -96,6 +96,15 @@ class Odometry:
     odom_T_laser: Trajectory
 
 
+@dataclass(frozen=True, slots=True)
+class RecordedTruth:
+    """The ground truth of a log: the laser's poses in a fixed frame. ``body_frame`` is what was tracked, if stored."""
+
+    topic: str
+    body_frame: str | None
+    world_T_laser: Trajectory
+
+
 def ros_type(name: str) -> str:
     """Spell the type names of ROS 1 (``sensor_msgs/LaserScan``) and DDS (``sensor_msgs::msg::dds_::LaserScan_``).
 

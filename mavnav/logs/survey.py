@@ -20,6 +20,7 @@ from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Damage, RawMessage, Topic
 from mavnav.logs.stamps import TopicScans
 from mavnav.logs.transforms import FrameTree
+from mavnav.logs.truth import TruthTracks
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ class Survey:
     topics: tuple[Topic, ...]
     scans: dict[str, TopicScans]
     odometry: OdometryTracks
+    truth: TruthTracks
     frames: FrameTree
     damage: tuple[Damage, ...]
     warnings: tuple[str, ...]
@@ -73,6 +75,7 @@ class _Pass:
     doors: dict[str, ScanFilter] = field(default_factory=dict)
     scans: dict[str, TopicScans] = field(default_factory=dict)
     odometry: OdometryTracks = field(default_factory=OdometryTracks)
+    truth: TruthTracks = field(default_factory=TruthTracks)
     frames: FrameTree = field(default_factory=FrameTree)
 
     def take(self, message: RawMessage) -> None:
@@ -104,14 +107,16 @@ class _Pass:
         if is_laser(channel) and self.topic not in (None, channel.topic):
             return None
         try:
-            return decoder(channel)
+            return decoder(channel, poses=self.truth.takes(channel))
         except DecodeError as error:
             self.report.damage(str(error), channel.topic)
             return None
 
     def _take_motion(self, message: RawMessage, decoded: Any) -> None:  # noqa: ANN401
         channel, log_ns = message.channel, message.log_ns
-        if channel.type == ODOMETRY:
+        if self.truth.takes(channel):
+            self.truth.add(channel.topic, decoded[0], log_ns)
+        elif channel.type == ODOMETRY:
             self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
         else:
             static = channel.topic.endswith("tf_static")
@@ -161,6 +166,7 @@ def survey(
     end_s: float | None = None,
     progress: Callable[[int, int], None] | None = None,
     strict: bool = False,
+    truth: str | None = None,
 ) -> Survey:
     """Read a log once, from front to back.
 
@@ -176,6 +182,8 @@ def survey(
         Called now and then with the bytes done and in all.
     strict
         Leave out scans from where a checksum does not match.
+    truth
+        Read the ground truth of this topic, or with ``auto`` of topics that are named like one. It is no odometry then.
 
     Raises
     ------
@@ -185,7 +193,7 @@ def survey(
     """
     _check(path, start_s, end_s)
     report = ReadReport()
-    state = _Pass(topic, strict, report)
+    state = _Pass(topic, strict, report, truth=TruthTracks(truth))
     try:
         name = detect.sniff(path)
         if name == detect.UNKNOWN:
@@ -204,6 +212,7 @@ def survey(
         topics=_topics(report, state.kinds),
         scans=state.scans,
         odometry=state.odometry,
+        truth=state.truth,
         frames=state.frames,
         damage=report.damages(),
         warnings=tuple(report.warnings),

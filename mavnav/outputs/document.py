@@ -6,7 +6,6 @@ import json
 import platform
 import sys
 from dataclasses import asdict, fields, is_dataclass
-from hashlib import sha256
 from importlib.metadata import version
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
@@ -17,6 +16,7 @@ from mavnav import __version__
 from mavnav.config.models import Config
 from mavnav.metrics.fields import ABSENT
 from mavnav.outputs import run_json as model
+from mavnav.outputs.addresses import public_address
 from mavnav.outputs.run import base_frame
 from mavnav.units import DEG, MM, NS
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from mavnav.logs import Log
     from mavnav.outputs.run import Run
 
 SCHEMA_VERSION: Final = 1
@@ -58,6 +59,7 @@ def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
         mission=mission.result if mission else ABSENT,
         truth=mission.errors if mission else ABSENT,
         timing=_timing(run),
+        provenance=run.provenance,
         damage=list(run.log.damage),
         warnings=[*run.log.warnings, *run.slam.warnings],
         outputs=outputs,
@@ -114,15 +116,23 @@ def _input(run: Run) -> model.Input:
         base_T_laser=None if mounting is None else model.LaserPose(*mounting),
         mounting_source=log.mounting_source,
         odometry=None if odometry is None else model.OdometrySource(odometry.topic, odometry.source),
+        sensor=_sensor(log),
+        truth=ABSENT if log.truth is None else model.RecordedTruthSource(log.truth.topic, log.truth.body_frame),
     )
+
+
+def _sensor(log: Log) -> model.Sensor:
+    spec = log.sensor
+    rate_hz = 1.0 / log.period_s if log.period_s else np.nan
+    return model.Sensor(spec.beams, spec.field_of_view_rad / DEG, spec.range_min_m, spec.range_max_m, rate_hz)
 
 
 def _file(run: Run) -> tuple[str, str, int, str]:
     """Return path, SHA-256, size in bytes and format of what the user named: a log, or a scenario."""
     if run.mission is None:
-        return run.address or str(run.log.path), run.log.sha256, run.log.size_bytes, run.log.format
-    content = run.mission.path.read_bytes()
-    return str(run.mission.path), sha256(content).hexdigest(), len(content), "scenario"
+        path = public_address(run.address) if run.address else str(run.log.path)
+        return path, run.log.sha256, run.log.size_bytes, run.log.format
+    return str(run.mission.path), run.mission.sha256, run.mission.size_bytes, "scenario"
 
 
 def _scans(run: Run) -> model.Scans:

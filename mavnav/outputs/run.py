@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.metrics.reference import Reference
     from mavnav.metrics.wall_report import WallThicknessReport
-    from mavnav.outputs.run_json import Localisation, MissionResult, TruthErrors
+    from mavnav.outputs.run_json import Localisation, MissionResult, Provenance, TruthErrors
     from mavnav.pose import Trajectory
     from mavnav.slam.result import SlamResult
 
@@ -84,9 +84,14 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """What a simulated run knows besides: the scenario's file, the effective scenario, and how the mission ended."""
+    """What a simulated run knows besides: the scenario's file, the effective scenario, and how the mission ended.
+
+    ``sha256`` and ``size_bytes`` are those of the file, which need not exist any more.
+    """
 
     path: Path
+    sha256: str
+    size_bytes: int
     scenario: dict[str, Any]
     result: MissionResult
     errors: TruthErrors
@@ -100,7 +105,7 @@ class Run:
     and ``true_map`` the one among them. ``stopped`` is the code of the signal that stopped
     the run before the log ended.
     ``localisation`` says where the laser was found in a given map.
-    ``address`` is where the log was fetched from, if it was.
+    ``address`` is where the log was fetched from, if it was; ``provenance`` says when and how the run was made.
     """
 
     log: Log
@@ -108,6 +113,7 @@ class Run:
     slam: SlamResult
     measured: MeasuredMap
     timing: Timing
+    provenance: Provenance
     truth: Truth | None = None
     mission: Mission | None = None
     reference: Reference | None = None

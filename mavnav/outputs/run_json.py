@@ -33,6 +33,25 @@ class OdometrySource:
 
 
 @dataclass(frozen=True, slots=True)
+class RecordedTruthSource:
+    """The recorded ground truth that the run is compared with; ``body_frame`` is what was tracked, null if unknown."""
+
+    topic: str
+    body_frame: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """The laser as it is in the first usable scan."""
+
+    beams: int = field(metadata=number("beams of a scan"))
+    field_of_view_deg: float = field(metadata=number("angle between the first beam and the last"))
+    range_min_m: Measured = field(metadata=number("least range"))
+    range_max_m: Measured = field(metadata=number("greatest range, null without a limit"))
+    rate_hz: Measured = field(metadata=number("scans per second, by the median period"))
+
+
+@dataclass(frozen=True, slots=True)
 class Input:
     """The log, or the scenario of a simulated run, and what was read of it."""
 
@@ -49,6 +68,8 @@ class Input:
     base_T_laser: LaserPose | None
     mounting_source: str | None
     odometry: OdometrySource | None
+    sensor: Sensor
+    truth: RecordedTruthSource = field(default_factory=absent)
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,11 +253,69 @@ class TimingReport:
     realtime_factor: float = field(metadata=number("duration of the log as a multiple of the time that the run took"))
 
 
+@dataclass(frozen=True, slots=True)
+class Host:
+    """The machine: model of the processor, and operating system with its release and architecture."""
+
+    processor: str
+    cores: int = field(metadata=number("logical processors"))
+    system: str
+
+
+@dataclass(frozen=True, slots=True)
+class GivenPose:
+    """A pose of the laser as it was given, on its base or in a map."""
+
+    x_m: float = field(metadata=number("position"))
+    y_m: float = field(metadata=number("position"))
+    yaw_rad: float = field(metadata=number("heading, counter-clockwise"))
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """The options of a replay, null where not given; those that change the configuration are in ``config``.
+
+    ``config`` and ``sets`` are the configuration file or preset and the ``--set`` values. ``truth`` is a file, ``auto``
+    or ``topic:NAME``. Relative paths count from ``folder`` of the provenance.
+    """
+
+    topic: str | None
+    start_s: float | None = field(metadata=number("time after the first usable scan to begin at"))
+    end_s: float | None = field(metadata=number("time after the first usable scan to end at"))
+    odom: str
+    extrinsic: GivenPose | None
+    strict: bool
+    map: str | None
+    start_pose: GivenPose | None
+    truth: str | None
+    truth_map: str | None
+    relations: str | None
+    config: str | None
+    sets: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where the run comes from, without user names, passwords and queries of addresses.
+
+    ``started`` is the time in UTC (ISO 8601), ``command`` the command line as typed, ``again`` one that repeats this
+    run, both quoted for a shell; ``folder`` is the working directory. ``options`` are those of a replay.
+    """
+
+    started: str
+    command: str | None
+    again: str
+    folder: str | None
+    options: Options | None
+    host: Host
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunDocument:
     """A run: input, configuration, results and how it ended.
 
-    ``outputs`` are the files written with their SHA-256. A ``partial`` run was stopped before the log ended.
+    ``outputs`` are the files written with their SHA-256. A ``partial`` run was stopped before the log ended. The same
+    log, configuration and version give the same bytes of all sections but ``timing`` and ``provenance``.
     """
 
     schema_version: int = field(metadata=number("version of this format"))
@@ -264,6 +343,7 @@ class RunDocument:
     mission: MissionResult = field(default_factory=absent)
     truth: TruthErrors = field(default_factory=absent)
     timing: TimingReport
+    provenance: Provenance
     damage: list[Damage]
     warnings: list[str]
     outputs: dict[str, str]

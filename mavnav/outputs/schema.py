@@ -26,6 +26,7 @@ UNITS: Final = {
     "_m": "m",
     "_s": "s",
     "_deg": "deg",
+    "_hz": "Hz",
     "_rad": "rad",
     "_cells": "cells",
     "_bits": "bit",

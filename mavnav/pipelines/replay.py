@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from dataclasses import replace as changed
 from itertools import takewhile
 from pathlib import Path
@@ -14,15 +14,19 @@ from typing import TYPE_CHECKING, Any
 from mavnav.errors import ExitCode, StoppedError, UsageError
 from mavnav.ground_truth.map_file import occupied_xy_m, read_map
 from mavnav.ground_truth.references import check_times, compared, load_references
+from mavnav.ground_truth.topics import truth_text
 from mavnav.logs import check_log, open_log
 from mavnav.mapping.occupancy_grid import measured_part
 from mavnav.memory import give_back
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
+from mavnav.metrics.trajectory_error import MAX_GAP_NS
 from mavnav.outputs.directory import check_directory
+from mavnav.outputs.provenance import Typed, provenance, utc_now
 from mavnav.outputs.run import Run, Timing
-from mavnav.outputs.run_json import FoundPose, Localisation, StartPose
+from mavnav.outputs.run_json import FoundPose, GivenPose, Localisation, Options, StartPose
 from mavnav.outputs.writers import write_run
+from mavnav.pipelines.again import replay_words
 from mavnav.profiling import new_profile, timed
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.prior_map import prior_map_of
@@ -36,6 +40,7 @@ if TYPE_CHECKING:
     from mavnav.ground_truth.references import References
     from mavnav.logs import Log
     from mavnav.metrics.map_quality import MeasuredMap
+    from mavnav.outputs.run_json import Provenance
     from mavnav.pose import Pose
     from mavnav.scan import Scan
     from mavnav.slam.prior_map import PriorMap
@@ -57,9 +62,11 @@ class ReplayRequest:
 
     ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base;
     ``report`` writes the page as well; ``truth``, ``truth_map`` and ``relations`` are files to compare the outcome
-    with; ``strict`` leaves out scans from where a checksum does not match. ``map`` is a map to localise in instead of
-    making one, and ``start_pose`` about where in it the laser begins. ``address`` is where the log was fetched from,
-    for run.json; ``log_sha256`` is the content that the log must have, if the run is to be known by it.
+    with, ``truth_topic`` is where the log itself has the truth (``auto``: found by its name); ``strict`` leaves out
+    scans from where a checksum does not match. ``map`` is a map to localise in instead of making one, and
+    ``start_pose`` about where in it the laser begins. ``address`` is where the log was fetched from, for run.json;
+    ``log_sha256`` is the content that the log must have, if the run is to be known by it. ``typed`` is the command
+    line.
     """
 
     log: Path
@@ -72,6 +79,7 @@ class ReplayRequest:
     force: bool = False
     report: bool = False
     truth: Path | None = None
+    truth_topic: str | None = None
     truth_map: Path | None = None
     relations: Path | None = None
     strict: bool = False
@@ -79,14 +87,16 @@ class ReplayRequest:
     start_pose: Pose | None = None
     address: str | None = None
     log_sha256: str | None = None
+    typed: Typed = field(default_factory=Typed)
 
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """What was read besides the log: references to compare with, and the map to localise in, None without one."""
+    """What is known besides the log: references, the map to localise in (None without one), and the provenance."""
 
     references: References
     known: PriorMap | None
+    provenance: Provenance
 
 
 def read_prior_map(request: ReplayRequest) -> PriorMap | None:
@@ -158,14 +168,58 @@ def replay_log(
     """
     check_log(request.log, request.start_s, request.end_s)
     check_directory(request.directory, force=request.force)
-    given = Given(load_references(request.truth, request.truth_map, request.relations), read_prior_map(request))
+    references = load_references(request.truth, request.truth_map, request.relations)
+    given = Given(references, read_prior_map(request), replay_provenance(request))
     wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile(loading=compile_s, starting=startup_s)
     log = _open(request, progress)
     if request.log_sha256 not in {None, log.sha256}:
         raise UsageError(f"{request.log}: changed since it was first read; run again once it is complete")
+    given = changed(given, references=with_recorded_truth(given.references, log, known_map=request.map is not None))
     check_times(given.references, log.first_ns, log.last_ns)
     with stoppable() as stop:
         return _mapped(request, log, given, progress, stop, Timing(wall_s, cpu_s, compile_s, stages))
+
+
+def replay_provenance(request: ReplayRequest) -> Provenance:
+    """Describe a replay that starts now."""
+    options = _options(request)
+    again = replay_words(request.address or str(request.log.absolute()), options, request.config)
+    return provenance(utc_now(), request.typed, again, options)
+
+
+def _options(request: ReplayRequest) -> Options:
+    truth = truth_text(request.truth_topic) if request.truth_topic else _text(request.truth)
+    return Options(
+        topic=request.topic,
+        start_s=request.start_s,
+        end_s=request.end_s,
+        odom=request.config.odom,
+        extrinsic=request.extrinsic and GivenPose(*request.extrinsic),
+        strict=request.strict,
+        map=_text(request.map),
+        start_pose=request.start_pose and GivenPose(*request.start_pose),
+        truth=truth,
+        truth_map=_text(request.truth_map),
+        relations=_text(request.relations),
+        config=request.typed.config,
+        sets=list(request.typed.sets),
+    )
+
+
+def _text(path: Path | None) -> str | None:
+    return None if path is None else str(path)
+
+
+def with_recorded_truth(references: References, log: Log, *, known_map: bool) -> References:
+    """Add the truth that the log holds, if it was asked for, in the map frame: that of the first laser pose.
+
+    Localized in a known map, or where there is no truth at the first scan, it stays in its own frame.
+    """
+    if log.truth is None:
+        return references
+    truth = log.truth.world_T_laser
+    first = None if known_map else truth.at(log.first_ns, MAX_GAP_NS)
+    return changed(references, truth=truth.seen_from(first.inverse()) if first else truth)
 
 
 def _mapped(
@@ -196,6 +250,7 @@ def _mapped(
         stopped=stopped,
         localisation=None if given.known is None else localisation(request, outcome),
         address=request.address,
+        provenance=given.provenance,
     )
     progress("writing", 0, None)
     return run, write_run(run, request.directory, force=request.force, report=request.report)
@@ -218,6 +273,7 @@ def _open(request: ReplayRequest, progress: Progress) -> Log:
         end_s=request.end_s,
         extrinsic=request.extrinsic,
         strict=request.strict,
+        truth=request.truth_topic,
         progress=lambda done, total: progress("reading", done, total),
     )
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
@@ -20,6 +21,7 @@ from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.metrics.trajectory_error import absolute_error, align
 from mavnav.outputs.animation import animate, check_animation
 from mavnav.outputs.directory import check_directory
+from mavnav.outputs.provenance import Typed, provenance, utc_now
 from mavnav.outputs.run import Mission, Run, Timing, Truth, WallShapes
 from mavnav.outputs.run_json import MissionResult, TruthErrors
 from mavnav.outputs.writers import write_run
@@ -44,7 +46,10 @@ WALL_GAP_CELLS = 8
 
 @dataclass(frozen=True, slots=True)
 class SimulationRequest:
-    """One mission: the scenario and its file, the run directory, and the paths of further outputs."""
+    """One mission: the scenario and its file, the run directory, and the paths of further outputs.
+
+    ``typed`` is the command line; ``content`` SHA-256 and size in bytes of the file, if it is not to be read.
+    """
 
     scenario: Scenario
     path: Path
@@ -53,6 +58,8 @@ class SimulationRequest:
     animation: Path | None = None
     force: bool = False
     report: bool = False
+    typed: Typed = field(default_factory=Typed)
+    content: tuple[str, int] | None = None
 
 
 def simulation_directory(scenario: Scenario) -> Path:
@@ -68,6 +75,7 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
     NoScansError where no scan could even begin a map.
     """
     check_outputs(request)
+    origin = provenance(utc_now(), request.typed, ["mavnav", "simulate", "--again", str(request.directory.absolute())])
     wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile()
     flight = fly(request.scenario, lambda phase, done: progress(phase, done, None))
     timing = Timing(perf_counter() - wall_s, process_time() - cpu_s, compile_s, stages)
@@ -91,6 +99,7 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
             truth=_truth(flight),
             mission=_mission(request, flight),
             reference=_reference(flight),
+            provenance=origin,
         )
         document = write_run(run, request.directory, force=request.force, report=request.report)
         if request.recording:
@@ -144,11 +153,20 @@ def _reference(flight: Flight) -> Reference | None:
     return compared(truth, flight.slam.trajectory, occupied_xy_m(flight.slam.grid))
 
 
+def _content(path: Path) -> tuple[str, int]:
+    """Return SHA-256 and size in bytes of a file."""
+    content = path.read_bytes()
+    return sha256(content).hexdigest(), len(content)
+
+
 def _mission(request: SimulationRequest, flight: Flight) -> Mission:
     mission = flight.mission
     numbers = {name: value for name, value in asdict(mission).items() if name != "end"}
+    digest, size_bytes = request.content or _content(request.path)
     return Mission(
         path=request.path,
+        sha256=digest,
+        size_bytes=size_bytes,
         scenario=flight.scenario.document(),
         result=MissionResult(mission.reached, mission.end.value, **numbers),
         errors=truth_errors(flight),

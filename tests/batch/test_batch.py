@@ -113,7 +113,12 @@ def test_numbers_that_no_run_has_stop_before_the_work(home: Path, asked: dict, s
         batch(**asked, directory=Path("new"), listen=lambda event: pytest.fail("nothing is to be run"))
 
 
-NULL = ("input.base_frame", "input.base_T_laser", "input.mounting_source", "input.odometry")
+NULL = (
+    *(f"input.{name}" for name in ("base_frame", "base_T_laser", "mounting_source", "odometry")),
+    "provenance.command",
+    *(f"provenance.options.{name}" for name in ("topic", "extrinsic", "map", "start_pose", "config")),
+    *(f"provenance.options.{name}" for name in ("truth", "truth_map", "relations")),
+)
 """Names that `names` takes for numbers, because they are null in these runs."""
 
 

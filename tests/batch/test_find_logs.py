@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.batch.find_logs import check_found, gather, is_address
+from mavnav.batch.find_logs import check_found, gather
 from mavnav.errors import NoScansError, UsageError
+from mavnav.outputs.addresses import is_address
 
 
 @pytest.fixture

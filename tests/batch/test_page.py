@@ -68,6 +68,8 @@ def test_a_batch_leaves_its_page_worst_first(home: Path) -> None:
     assert "no such file" in page.rows[1]
     assert "passed" in page.rows[4]
     assert page.rows[3].count("the log is damaged") == 1
+    assert re.search(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC · log of [\d.]+ s · 681 beams, .* Hz, frame \w+", page.rows[4])
+    assert "UTC" not in page.rows[1]
 
 
 def test_links_lead_to_what_is_there(home: Path, document: dict[str, Any]) -> None:

@@ -84,6 +84,27 @@ def test_a_log_in_a_bucket(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (far / "map.pgm").read_bytes() == (Path("runs/batch/cells") / far.name / "map.pgm").read_bytes()
 
 
+def test_secrets_of_an_address_are_written_nowhere(served: str, home: Path) -> None:
+    pytest.importorskip("aiohttp", reason="the extra mavnav[cluster]")
+    address = served.replace("http://", "http://alice:hunter2@")
+    sources = (f"{address}/good.mcap?sig=SECRET", f"{address}/good.mcap?sig=SECRET2", f"{address}/gone.mcap?sig=SECRET")
+    words = ("mavnav", "batch", *sources)
+    document, _ = batch(sources=sources, words=words, directory=Path("runs/far"))
+    shown = f"{served}/good.mcap"
+    assert [row["log"] for row in document["cells"]] == [shown, f"{shown} (2)", f"{served}/gone.mcap"]
+    assert document["cells"][2]["error"] == f"{served}/gone.mcap: there is no such file; check the address"
+    (far,) = Path("runs/far/cells").iterdir()
+    run = json.loads((far / "run.json").read_text())
+    assert run["input"]["path"] == shown
+    assert run["provenance"]["command"] == f"mavnav batch {shown} {shown} {served}/gone.mcap"
+    assert run["provenance"]["again"].startswith(f"mavnav batch {shown} --end=0.5 ")
+    assert run["provenance"]["folder"] == str(home)
+    for path in Path("runs/far").rglob("*"):
+        assert not any(secret in str(path) for secret in ("alice", "hunter2", "SECRET"))
+        if path.is_file():
+            assert not any(secret in path.read_bytes() for secret in (b"alice", b"hunter2", b"SECRET")), path
+
+
 def test_memory_is_an_address_too() -> None:
     with fsspec.open("memory://a/b.mcap", "wb") as file:
         file.write(b"\x00" * 3_000_000)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
+from mavnav.cli import run
 from mavnav.commands.replay import lost_line
 from mavnav.errors import ExitCode
 
@@ -22,8 +25,6 @@ FEW = ("--end", 2.0, "--quiet")
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory, sample: Path) -> Path:
     """Return the directory of a short run."""
-    from mavnav.cli import run
-
     directory = tmp_path_factory.mktemp("runs") / "first"
     assert run(["replay", str(sample), "-o", str(directory), *map(str, FEW)]) == 0
     return directory
@@ -50,6 +51,105 @@ def test_again_gives_the_same_bytes(mavnav: Callable, sample: Path, finished: Pa
 def scans_in(run: Path) -> int:
     """Return how many scans the log of a run has."""
     return json.loads((run / "run.json").read_text())["scans"]["total"]
+
+
+def differing(one: dict, other: dict) -> set[str]:
+    """Return the sections of run.json that differ, text by text."""
+    assert list(one) == list(other)
+    return {name for name in one if json.dumps(one[name]) != json.dumps(other[name])}
+
+
+def test_only_timing_and_provenance_differ(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    runs = []
+    for name in ("a", "b"):
+        mavnav("replay", sample, "-o", tmp_path / name, *FEW)
+        runs.append(json.loads((tmp_path / name / "run.json").read_text()))
+        assert "provenance" not in json.loads((tmp_path / name / "metrics.json").read_text())
+    assert differing(*runs) <= {"timing", "provenance"}
+    made = runs[0]["provenance"]
+    assert datetime.fromisoformat(made["started"]).tzinfo == UTC
+    words = ["mavnav", "replay", str(sample), "-o", str(tmp_path / "a"), *map(str, FEW)]
+    assert shlex.split(made["command"]) == words
+    assert made["options"]["end_s"] == 2.0
+    assert made["folder"] == str(Path.cwd())
+    assert made["host"].keys() == {"processor", "cores", "system"}
+
+
+OPTIONS = (
+    *("--odom", "/odom", "--start", "0.5", "--extrinsic=-0.01,0,0.1", "--truth", "auto", "--grid", "6x6"),
+    *("--set", "robust.cell_mm=25", "--azimuth", "8", "--end", "2"),
+)
+
+
+@pytest.fixture(scope="module")
+def with_options(sample: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the read-only copy of a run with many options, and a configuration file that is gone."""
+    folder = tmp_path_factory.mktemp("options")
+    config = folder / "my.yaml"
+    config.write_text("robust: {deskew: off}\n")
+    assert run(["replay", str(sample), "-o", str(folder / "run"), "--config", str(config), *OPTIONS, "-q"]) == 0
+    config.unlink()
+    copy = shutil.copytree(folder / "run", folder / "copy of it")
+    shutil.rmtree(folder / "run")
+    for path in (*copy.iterdir(), copy):
+        path.chmod(path.stat().st_mode & ~0o222)
+    return copy
+
+
+def test_again_repeats_a_run_from_a_read_only_copy(mavnav: Callable, with_options: Path, tmp_path: Path) -> None:
+    code, _, err = mavnav("replay", "--again", with_options, "-o", tmp_path / "again", "-q")
+    assert (code, err) == (0, "")
+    first, second = (json.loads((path / "run.json").read_text()) for path in (with_options, tmp_path / "again"))
+    assert differing(first, second) <= {"timing", "provenance"}
+    assert second["provenance"]["options"] == first["provenance"]["options"]
+    for path in with_options.iterdir():
+        if path.name != "run.json":
+            assert (tmp_path / "again" / path.name).read_bytes() == path.read_bytes(), path.name
+
+
+def test_the_printed_command_repeats_a_run(mavnav: Callable, with_options: Path, tmp_path: Path) -> None:
+    first = json.loads((with_options / "run.json").read_text())
+    words = shlex.split(first["provenance"]["again"])
+    assert words[0] == "mavnav"
+    code, _, _ = mavnav(*words[1:], "-o", tmp_path / "again", "-q")
+    second = json.loads((tmp_path / "again" / "run.json").read_text())
+    assert code == 0
+    assert differing(first, second) <= {"timing", "provenance"}
+
+
+def test_again_says_what_cannot_be_repeated(mavnav: Callable, with_options: Path, tmp_path: Path, sample: Path) -> None:
+    changed = tmp_path / "corridor.mcap"
+    changed.write_bytes(sample.read_bytes() + b"x")
+    for words, said in (
+        ((changed, "--again", with_options), "is not the log of"),
+        ((changed, "--again", with_options), "SHA-256 was"),
+        ((tmp_path / "gone.mcap", "--again", with_options), "the log of the run is not there"),
+        (("--again", with_options, "--grid", "5x5"), "--again takes --grid from the run"),
+        (("--again", with_options, "-o", with_options), "is the run to repeat; choose another directory"),
+        (("--again", tmp_path), "holds no run"),
+        ((), "no log; name one"),
+    ):
+        code, _, err = mavnav("replay", *words, "-q")
+        assert code == ExitCode.USAGE
+        assert said in err
+    assert "write mavnav replay --again" in mavnav("simulate", "--again", with_options)[2]
+
+
+def test_again_warns_of_another_version(mavnav: Callable, with_options: Path, tmp_path: Path, sample: Path) -> None:
+    old = tmp_path / "old"
+    old.mkdir()
+    document = json.loads((with_options / "run.json").read_text())
+    document["libraries"]["numpy"] = "1.0"
+    (old / "run.json").write_text(json.dumps(document | {"mavnav_version": "0.0.1", "partial": True}))
+    moved = shutil.copy(sample, tmp_path / "moved.mcap")
+    code, _, err = mavnav("replay", moved, "--again", old, "-o", tmp_path / "again", "-q")
+    assert code == 0
+    assert f"other versions than in {old}, results may differ: mavnav 0.0.1 then" in err
+    assert "numpy 1.0 then" in err
+    assert "was stopped before the log ended" in err
+    second = json.loads((tmp_path / "again" / "run.json").read_text())
+    assert differing(document, second) == {"input", "timing", "provenance", "libraries", "outputs"}  # the log's name
+    assert second["input"] == document["input"] | {"path": str(moved)}
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are UTF-8 there")

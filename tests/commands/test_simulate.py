@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
@@ -124,6 +125,19 @@ def test_the_document_s_scenario_flies_the_same_mission(
     assert again["mission"] == document["mission"]
 
 
+def test_again_repeats_a_mission_without_its_file(mavnav: Callable, scenario: Path, tmp_path: Path) -> None:
+    words = ("--seed", 3, "--set", "vehicle.noise_yaw_deg=2", "--grid", "6x6", "-q")
+    assert mavnav("simulate", scenario, *words, "-o", tmp_path / "first")[0] == 0
+    scenario.unlink()
+    code, _, err = mavnav("simulate", "--again", tmp_path / "first", "-o", tmp_path / "second", "-q")
+    assert (code, err) == (0, "")
+    first, second = (json.loads((tmp_path / name / "run.json").read_text()) for name in ("first", "second"))
+    assert {name for name in first if first[name] != second[name]} <= {"timing", "provenance"}
+    assert shlex.split(first["provenance"]["again"]) == ["mavnav", "simulate", "--again", str(tmp_path / "first")]
+    assert "--again takes --seed from the run" in mavnav("simulate", "--again", tmp_path / "first", "--seed", 4)[2]
+    assert "write mavnav simulate --again" in mavnav("replay", "--again", tmp_path / "first")[2]
+
+
 def test_recordings_replay_to_the_same_map(
     corner: tuple[Path, subprocess.CompletedProcess[str]], mavnav: Callable, tmp_path: Path
 ) -> None:
@@ -138,6 +152,26 @@ def test_recordings_replay_to_the_same_map(
     for hits in ("1", "2"):
         a, b = (document["wall_thickness"][hits]["p95_mm"] for document in (flown, replayed))
         assert b == pytest.approx(a, abs=flown["map"]["cell_mm"])
+
+
+def test_a_recorded_truth_measures_as_the_truth_file(
+    corner: tuple[Path, subprocess.CompletedProcess[str]], mavnav: Callable, tmp_path: Path
+) -> None:
+    folder, _ = corner
+    given = {"auto": "auto", "named": "topic:/ground_truth", "file": folder / "out" / "truth.tum"}
+    found = {}
+    for name, truth in given.items():
+        words = ("replay", folder / "corner.mcap", "--truth", truth, "-o", tmp_path / name, "-q", "--json")
+        code, out, err = mavnav(*words)
+        assert (code, err) == (0, "")
+        found[name] = json.loads(out)
+    numbers = {name: run["reference"] for name, run in found.items()}
+    assert numbers["auto"] == numbers["named"]
+    for part in ("ate", "rpe"):
+        of_file = {key: value for key, value in numbers["file"][part].items() if key != "alignment"}
+        assert {key: numbers["auto"][part][key] for key in of_file} == pytest.approx(of_file, rel=1e-5)
+    assert found["auto"]["input"]["truth"] == {"topic": "/ground_truth", "body_frame": None}
+    assert "truth" not in found["file"]["input"]
 
 
 @pytest.mark.parametrize("name", ["short.bag", "short_ros2"])

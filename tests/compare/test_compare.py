@@ -167,6 +167,20 @@ def test_references_are_read_before_the_work_and_are_part_of_the_key(tmp_path: P
         request(tmp_path / "out", SAMPLE, truth, reading={"truth_map": Path("corridor")})
 
 
+def test_a_truth_in_the_log_is_part_of_the_key(tmp_path: Path) -> None:
+    def keys(**reading: str) -> list[str]:
+        return keys_of(request(tmp_path / "out", reading=reading))
+
+    named = keys(truth="topic:/ground_truth")
+    assert len({*keys(), *keys(truth="auto"), *named}) == 3 * len(GRIDS)
+    both = request(tmp_path / "out", SAMPLE, SAMPLE.with_name("other.mcap"), reading={"truth": "auto"})
+    assert len(both.entries) == 2
+    case = plan(request(tmp_path / "out", reading={"truth": "auto"})).cases[0]
+    assert case.has_references
+    assert case.run is not None
+    assert (case.run.request.truth, case.run.request.truth_topic) == (None, "auto")
+
+
 def test_the_same_log_twice_is_compared_once(tmp_path: Path) -> None:
     copy = Path(shutil.copy(SAMPLE, tmp_path / "copy.mcap"))
     assert len(plan(request(tmp_path / "out", SAMPLE, copy, SAMPLE)).cases) == 2

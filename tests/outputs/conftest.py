@@ -13,6 +13,7 @@ from mavnav.logs import Damage, Odometry, ScanCounts, Topic
 from mavnav.mapping.occupancy_grid import GridBuilder, measured_part
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
+from mavnav.outputs.provenance import Typed, provenance
 from mavnav.outputs.run import Run, Timing
 from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.result import SlamResult
@@ -45,6 +46,7 @@ class FabricatedLog:
     mounting_source: str | None = "tf_static"
     base_frame: str | None = "base_footprint"
     odometry: Odometry | None = None
+    truth: None = None
     damage: tuple[Damage, ...] = ()
     warnings: tuple[str, ...] = ("a warning",)
 
@@ -55,6 +57,10 @@ class FabricatedLog:
     @property
     def last_ns(self) -> int:
         return self.recorded[-1].stamp_ns
+
+    @property
+    def duration_s(self) -> float:
+        return (self.last_ns - self.first_ns) * 1e-9
 
     @property
     def sensor(self):
@@ -91,7 +97,10 @@ def run_of(recorded, poses, cell_m: float = 0.02) -> Run:
     journey = Journey(trajectory, lambda: iter(recorded), len(kept) / len(steps))
     measured = measure_map(measured_part(grid), journey)
     log = FabricatedLog(recorded, cleaning={"valid": 600, "zero": 7})
-    return Run(log, Config(), SlamResult(Steps(steps), trajectory, grid, lost), measured, Timing(2.0, 1.5, 0.5))
+    result = SlamResult(Steps(steps), trajectory, grid, lost)
+    typed = Typed(("mavnav", "replay", "room [1].mcap"), folder="/logs")
+    made = provenance("2026-01-31T12:00:00Z", typed, ["mavnav", "replay", "/logs/room [1].mcap"])
+    return Run(log, Config(), result, measured, Timing(2.0, 1.5, 0.5), made)
 
 
 @pytest.fixture(scope="session")

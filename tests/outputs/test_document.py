@@ -16,7 +16,7 @@ from mavnav.slam.steps import LostInterval, Steps
 KEYS = {
     "schema_version", "mavnav_version", "input", "config", "method", "grid", "azimuth", "scans", "cleaning", "tracking",
     "timing", "search", "wall_thickness", "map", "damage", "warnings", "outputs", "partial", "exit_code", "python",
-    "libraries",
+    "provenance", "libraries",
     "map_quality", "loop_closure",
 }  # fmt: skip
 

@@ -122,6 +122,11 @@ def test_the_page_is_whole(page):
     assert page.all("img") and all(attrs["alt"] and int(attrs["width"]) for attrs in page.all("img"))
 
 
+def test_the_page_names_date_log_and_sensor(report, run):
+    assert f"2026-01-31 12:00 UTC · log of {run.log.duration_s:.1f} s · {run.log.sensor.beams} beams, " in report
+    assert "mavnav replay &#39;/logs/room [1].mcap&#39;" in report
+
+
 def test_the_page_asks_for_nothing_from_outside(report, page):
     links = [v for _, attrs in page.tags for k, v in attrs.items() if k in {"src", "href", "srcset", "action", "data"}]
     assert links and all(link.startswith("data:") for link in links)

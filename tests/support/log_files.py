@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 LASER = "sensor_msgs/msg/LaserScan"
 ODOM = "nav_msgs/msg/Odometry"
 TF = "tf2_msgs/msg/TFMessage"
+POSE = "geometry_msgs/msg/PoseStamped"
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 100_000_000
 
@@ -66,11 +68,11 @@ def build(message: Message, ros: int) -> Any:
         values["ranges"] = np.asarray(values["ranges"], dtype=np.float32)
         header = _header(types, message.stamp_ns, f.get("frame_id", "laser"), ros)
         return types[LASER](header=header, intensities=np.array([], dtype=np.float32), **values)
+    if message.type == POSE:
+        return types[POSE](header=_header(types, message.stamp_ns, "world", ros), pose=_pose(types, f))
     if message.type == ODOM:
         zero = types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
-        pose = types["geometry_msgs/msg/Pose"](
-            position=types["geometry_msgs/msg/Point"](x=f["x"], y=f["y"], z=0.0), orientation=_yaw(types, f["yaw"])
-        )
+        pose = _pose(types, f)
         covariance = np.zeros(36)
         twist = types["geometry_msgs/msg/Twist"](linear=zero, angular=zero)
         return types[ODOM](
@@ -86,7 +88,12 @@ def build(message: Message, ros: int) -> Any:
     stamped = types["geometry_msgs/msg/TransformStamped"](
         header=_header(types, message.stamp_ns, f["parent"], ros), child_frame_id=f["child"], transform=transform
     )
-    return types[TF](transforms=[stamped])
+    return stamped if message.type == TRANSFORM else types[TF](transforms=[stamped])
+
+
+def _pose(types: dict[str, Any], fields: dict[str, Any]) -> Any:
+    position = types["geometry_msgs/msg/Point"](x=fields["x"], y=fields["y"], z=0.0)
+    return types["geometry_msgs/msg/Pose"](position=position, orientation=_yaw(types, fields["yaw"]))
 
 
 def _yaw(types: dict[str, Any], yaw: float) -> Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
-from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, ODOMETRY, SCAN, TF, TF_ROS1
+from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, ODOMETRY, POSE, SCAN, TF, TF_ROS1, TRANSFORM
 from mavnav.logs.messages.fast_cdr import laser_of, odometry_of, transforms_of
 from mavnav.logs.messages.records import DecodeError, LaserMessage, TransformMessage
 
@@ -21,12 +21,14 @@ if TYPE_CHECKING:
 LASER_TYPES = frozenset({SCAN, FOXGLOVE_SCAN})
 
 
-def decoder(channel: Channel) -> Callable[[bytes], Any] | None:
+def decoder(channel: Channel, *, poses: bool = False) -> Callable[[bytes], Any] | None:
     """Return the function that decodes a channel's messages; None for kinds that mavnav has no use for.
 
-    It returns a LaserMessage, or a list of TransformMessage for odometry and transforms, and raises DecodeError.
+    It returns a LaserMessage, or a list of TransformMessage for odometry and transforms, and raises DecodeError. With
+    ``poses`` there is a use for single poses and transforms, too.
     """
-    make = DECODERS.get((channel.encoding, channel.type))
+    kind = (channel.encoding, channel.type)
+    make = DECODERS.get(kind) or (POSE_DECODERS.get(kind) if poses else None)
     if make is None:
         return None
     decode = make(channel)
@@ -113,6 +115,20 @@ def _transform(stamped: Any) -> TransformMessage:  # noqa: ANN401
     )
 
 
+def _pose(message: Any) -> list[TransformMessage]:  # noqa: ANN401
+    p, q = message.pose.position, message.pose.orientation
+    header = message.header
+    return [TransformMessage(_stamp_ns(header.stamp), header.frame_id, "", (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))]
+
+
+def _one_transform(message: Any) -> list[TransformMessage]:  # noqa: ANN401
+    return [_transform(message)]
+
+
+def _no_layout(_data: bytes, _encoding: str) -> None:
+    """Leave a message to its definition."""
+
+
 def _foxglove_json(channel: Channel) -> Callable[[bytes], LaserMessage]:
     from mavnav.logs.messages.foxglove import json_decoder  # noqa: PLC0415
 
@@ -134,4 +150,9 @@ DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     ("json", FOXGLOVE_SCAN): _foxglove_json,
     ("protobuf", FOXGLOVE_SCAN): _foxglove_protobuf,
     **{(encoding, name): make for name, make in _ROS_KINDS.items() for encoding in ("cdr", "ros1")},
+}
+POSE_DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
+    (encoding, name): _ros(_no_layout, convert, name)
+    for name, convert in ((POSE, _pose), (TRANSFORM, _one_transform))
+    for encoding in ("cdr", "ros1")
 }

@@ -66,6 +66,12 @@ def _made_by(document: dict[str, Any]) -> dict[str, Any]:
     return {"mavnav": document.get("mavnav_version"), "python": document.get("python"), **libraries}
 
 
+def commands(entries: Sequence[Entry]) -> list[tuple[str, str]]:
+    """Return (run, command line that repeats it) of the runs that have one."""
+    found = [(entry.name, (entry.document.get("provenance") or {}).get("again")) for entry in entries]
+    return [(name, str(line)) for name, line in found if line]
+
+
 def notes(entries: Sequence[Entry]) -> list[tuple[str, str]]:
     """Return (run, text) of each warning and each damage; what all runs say is said once."""
     said: dict[str, list[str]] = {}

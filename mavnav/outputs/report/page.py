@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav import __version__
 from mavnav.atomic_files import beside
 from mavnav.errors import OutputError
+from mavnav.outputs.facts import facts
 from mavnav.outputs.html import environment, inlined
 from mavnav.outputs.report import details, panels
 from mavnav.outputs.report.columns import Table, table
@@ -31,6 +32,7 @@ class Section:
 
     log: str
     headline: str
+    facts: str
     entries: list[Entry]
     failures: list[Failure]
     table: Table
@@ -79,6 +81,7 @@ def _section(log: str, loaded: list[Entry | Failure]) -> Section:
     return Section(
         log=log,
         headline=headline(entries),
+        facts=facts([e.document for e in entries]),
         entries=entries,
         failures=[e for e in loaded if isinstance(e, Failure)],
         table=table(entries),

@@ -1,0 +1,68 @@
+"""Addresses of logs as they may be written: without user names, passwords and query strings."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+from urllib.parse import unquote
+
+_SCHEME: Final = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
+_IN_TEXT: Final = re.compile(rf"{_SCHEME.pattern}[^\s'\"<>]+", re.IGNORECASE)
+_LEAST_SECRET: Final = 4
+"""Shorter parts of an address stand for other things in a text, too."""
+
+
+def is_address(text: str) -> bool:
+    """Return whether a text is an address (``s3://bucket/drive.mcap``), not a path."""
+    return _SCHEME.match(text) is not None
+
+
+def public_address(address: str) -> str:
+    """Return an address without user name, password, query and, on a web server, fragment; ``a::b`` part by part."""
+    return "::".join(_public(part) for part in address.split("::"))
+
+
+def public_word(word: str) -> str:
+    """Return a word of a command line, in which an address may extend from anywhere to the end."""
+    begin = _SCHEME.search(word)
+    return word if begin is None else word[: begin.start()] + public_address(word[begin.start() :])
+
+
+def public_text(text: str, address: str) -> str:
+    """Return a text, such as an error of a library, that may hold ``address``, others, or the secrets of it."""
+    text = _IN_TEXT.sub(lambda found: public_address(found[0]), text.replace(address, public_address(address)))
+    for secret in _secrets(address):
+        text = text.replace(secret, "***")
+    return text
+
+
+def _public(address: str) -> str:
+    scheme, separator, rest = address.partition("://")
+    if not separator:
+        return address.partition("?")[0]
+    rest = rest[len(_user(rest)) :].partition("?")[0]
+    return f"{scheme}://{rest.partition('#')[0] if scheme.lower().startswith('http') else rest}"
+
+
+def _user(rest: str) -> str:
+    """Return user name and password, with the ``@`` behind them, of what follows the scheme.
+
+    A password may hold characters that end the host; what stands for a port then is no number.
+    """
+    host = re.split(r"[/?#]", rest, maxsplit=1)[0]
+    if "@" not in host:
+        port = host.rpartition(":")[2] if ":" in host and not host.endswith("]") else ""
+        host = rest if port and not port.isdecimal() else ""
+    return host[: host.rfind("@") + 1]
+
+
+def _secrets(address: str) -> list[str]:
+    """Return what `public_address` leaves out, whole and in its parts, the longest first."""
+    found: set[str] = set()
+    for part in address.split("::"):
+        _, _, rest = part.partition("://")
+        user, query = _user(rest).removesuffix("@"), rest.partition("?")[2]
+        values = [field.partition("=")[2] for field in re.split("[&#]", query)]
+        found |= {user, query, *user.split(":", 1), *values}
+    found |= {unquote(secret) for secret in found}
+    return sorted((secret for secret in found if len(secret) >= _LEAST_SECRET), key=len, reverse=True)

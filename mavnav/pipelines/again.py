@@ -1,0 +1,216 @@
+"""Repeating a run: from its run.json back to what it was made with."""
+
+from __future__ import annotations
+
+import json
+import platform
+import re
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav import __version__
+from mavnav.config.loading import load_config, validated
+from mavnav.config.yaml_layers import layer_of
+from mavnav.errors import UsageError
+from mavnav.ground_truth.topics import recorded_topic
+from mavnav.logs import content_sha256
+from mavnav.outputs.addresses import is_address
+from mavnav.outputs.directory import RUN_FILE
+from mavnav.outputs.provenance import Typed
+from mavnav.outputs.writers import REPORT_FILE
+from mavnav.pose import Pose
+from mavnav.simulation.world import Scenario
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mavnav.config.models import Config
+    from mavnav.outputs.run_json import GivenPose, Options
+
+_WORD: Final = re.compile(r"[A-Za-z/][\w/.-]*|\d+x\d+")
+_PATHS: Final = ("map", "truth", "truth_map", "relations")
+"""Options that name files."""
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierRun:
+    """A run to be repeated: its directory, which is only read, and its run.json."""
+
+    directory: Path
+    document: dict[str, Any]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The options of a replay by their names in run.json."""
+        return dict(self.document["provenance"]["options"])
+
+    def path(self, text: str) -> Path:
+        """Return a path that counted from the working directory of the run."""
+        folder = self.document["provenance"]["folder"]
+        return Path(text) if folder in {None, str(Path.cwd())} else Path(folder) / text
+
+    def differences(self) -> list[str]:
+        """Return what may keep the repetition from being the same, a line each."""
+        made, now = _versions(self.document), {"mavnav": __version__, "Python": platform.python_version()}
+        changed = [
+            f"{name} {then} then, {found} now"
+            for name, then in made.items()
+            if (found := now.get(name) or _installed(name)) != then
+        ]
+        lines = (
+            [f"other versions than in {self.directory}, results may differ: {', '.join(changed)}"] if changed else []
+        )
+        if self.document["partial"]:
+            lines.append(f"{self.directory} was stopped before the log ended; this run goes on to its end")
+        return lines
+
+
+def _versions(document: dict[str, Any]) -> dict[str, str]:
+    return {"mavnav": document["mavnav_version"], "Python": document["python"], **document["libraries"]}
+
+
+def _installed(library: str) -> str:
+    try:
+        return version(library)
+    except PackageNotFoundError:
+        return "none"
+
+
+def earlier_run(directory: Path, *, simulated: bool) -> EarlierRun:
+    """Read a run directory; raises UsageError for what is none, or of the other command."""
+    try:
+        document = json.loads((directory / RUN_FILE).read_text(encoding="utf-8"))
+        kind = document["input"]["format"]
+        _ = (
+            document["provenance"]["folder"],
+            document["provenance"]["options"],
+            document["config"],
+            _versions(document),
+        )
+    except OSError as error:
+        raise UsageError(f"{directory} holds no run ({RUN_FILE}: {error.strerror}); name a run directory") from error
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        reason = "an earlier version may have written it; repeat it by its configuration, with --config"
+        raise UsageError(f"{directory / RUN_FILE} does not tell how the run was made; {reason}") from error
+    if (kind == "scenario") != simulated:
+        other = "replay" if simulated else "simulate"
+        raise UsageError(f"{directory} is of another command; write mavnav {other} --again {directory}")
+    return EarlierRun(directory, document)
+
+
+def replay_again(run: EarlierRun, log: Path | None) -> dict[str, Any]:
+    """Return the fields of the request that repeats a replay; ``log`` is where the log is now, if it has moved.
+
+    Raises UsageError where the log is gone or has another content, ConfigError where this version has other keys.
+    """
+    options = run.options
+    files = {name: run.path(text) for name in _PATHS if (text := options[name]) and not _topic(name, text)}
+    extrinsic, start = (options[name] and Pose(**options[name]) for name in ("extrinsic", "start_pose"))
+    return {
+        **files,
+        "log": _same_log(run, log),
+        "config": _config(run),
+        "extrinsic": extrinsic,
+        "start_pose": start,
+        "truth_topic": _topic("truth", options["truth"]),
+        "report": (run.directory / REPORT_FILE).is_file(),
+        **{name: options[name] for name in ("topic", "start_s", "end_s", "strict")},
+    }
+
+
+def typed_again(run: EarlierRun, words: Sequence[str]) -> Typed:
+    """Return what was typed: the words of now, with configuration and values of the run that is repeated."""
+    options = run.document["provenance"]["options"] or {}
+    return Typed(tuple(words), options.get("config"), tuple(options.get("sets", ())))
+
+
+def simulation_again(run: EarlierRun) -> dict[str, Any]:
+    """Return the fields of the request that repeats a mission: its effective scenario, whatever became of the file."""
+    name, found = str(run.directory / RUN_FILE), run.document["input"]
+    return {
+        "scenario": validated(Scenario, layer_of(json.dumps(run.document["scenario"]), name), name),
+        "path": run.path(found["path"]),
+        "content": (found["sha256"], found["size_bytes"]),
+        "report": (run.directory / REPORT_FILE).is_file(),
+    }
+
+
+def _topic(name: str, text: str | None) -> str | None:
+    return recorded_topic(text) if name == "truth" and text else None
+
+
+def _config(run: EarlierRun) -> Config:
+    """Return the effective configuration of a run; raises ConfigError where this version has other keys."""
+    return load_config(values=layer_of(json.dumps(run.document["config"]), str(run.directory / RUN_FILE)))
+
+
+def _same_log(run: EarlierRun, log: Path | None) -> Path:
+    """Return the log of a run; raises UsageError unless it is there with the same content."""
+    found, was = run.document["input"], run.document["input"]["path"]
+    if log is None and is_address(was):
+        raise UsageError(
+            f"the log was fetched from {was}; fetch it and write mavnav replay LOG --again {run.directory}"
+        )
+    path = log or run.path(was)
+    if not path.exists():
+        where = f"write mavnav replay LOG --again {run.directory} with its place now"
+        raise UsageError(f"{path}: the log of the run is not there; {where}")
+    digest = content_sha256(path)
+    if digest != found["sha256"]:
+        changed = f"its SHA-256 was {found['sha256']} and is {digest}"
+        raise UsageError(
+            f"{path} is not the log of {run.directory}, {changed}; name the right one, or leave out --again"
+        )
+    return path
+
+
+def replay_words(log: str, options: Options, config: Config) -> list[str]:
+    """Return the words of a command line that repeats a replay from anywhere, without its configuration file.
+
+    It lists all values that differ from the method's defaults. A log at an address is a batch of one.
+    """
+    command = "batch" if is_address(log) else "replay"
+    given: dict[str, Any] = {
+        "--topic": options.topic,
+        "--start": options.start_s,
+        "--end": options.end_s,
+        "--extrinsic": _joined(options.extrinsic),
+        "--map": _absolute(options.map),
+        "--start-pose": _joined(options.start_pose),
+        "--truth": options.truth if _topic("truth", options.truth) else _absolute(options.truth),
+        "--truth-map": _absolute(options.truth_map),
+        "--relations": _absolute(options.relations),
+    }
+    words = ["mavnav", command, log]
+    words += [f"{name}={value}" for name, value in given.items() if value is not None]
+    words += ["--strict"] if options.strict else []
+    return words + [f"--set={key}={_written(value)}" for key, value in changed_values(config).items()]
+
+
+def changed_values(config: Config) -> dict[str, Any]:
+    """Return the values of a configuration, by dotted keys, that differ from the defaults of its method."""
+    default = dict(_flat(load_config(sets=[f"method={config.method}"]).document()))
+    own = dict(_flat(config.document()))
+    return {key: value for key, value in own.items() if key == "method" or value != default[key]}
+
+
+def _written(value: object) -> str:
+    """Write a value as YAML; a plain word without quotes, which a shell would need quotes for."""
+    return value if isinstance(value, str) and _WORD.fullmatch(value) else json.dumps(value)
+
+
+def _flat(section: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    pairs: list[tuple[str, Any]] = []
+    for key, value in section.items():
+        pairs += _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else [(prefix + key, value)]
+    return pairs
+
+
+def _joined(pose: GivenPose | None) -> str | None:
+    return None if pose is None else f"{pose.x_m!r},{pose.y_m!r},{pose.yaw_rad!r}"
+
+
+def _absolute(path: str | None) -> str | None:
+    return None if path is None else str(Path(path).absolute())
