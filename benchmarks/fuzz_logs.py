@@ -29,6 +29,7 @@ from pathlib import Path
 
 import numpy as np
 import zstandard
+from mcap.writer import IndexType
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
@@ -37,7 +38,7 @@ from mavnav.logs import Log, choose, survey
 from mavnav.logs.formats.decompress import decompress
 from mavnav.logs.formats.mcap_records import HEAD, MAGIC, Op, chunk_head, plain_records
 from support.fuzz import CHECKED, is_guarded, mutated
-from support.log_files import WRITERS, foxglove_json, foxglove_protobuf, laser, serialized, write_mcap, write_zstd
+from support.log_files import WRITERS, foxglove_json, foxglove_protobuf, laser, write_mcap
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
 MOST_SECONDS = 20.0
@@ -59,7 +60,14 @@ class Seed:
 
     @property
     def checked(self) -> bool:
-        return self.name in CHECKED or self.name in {"sample", "json", "protobuf", "mcap-nosummary", "mcap-large", "mcap-file-zstd"}
+        return self.name in CHECKED or self.name in {
+            "sample",
+            "json",
+            "protobuf",
+            "mcap-nosummary",
+            "mcap-large",
+            "mcap-file-zstd",
+        }
 
 
 def read_scans(path: Path, *, strict: bool) -> tuple[list[tuple[str, Log]], bool]:
@@ -93,16 +101,13 @@ def make_seeds(folder: Path, wanted: list[str]) -> list[Seed]:
         }
         for k in range(60)
     ]  # fmt: skip
-    options = {"use_summary_offsets": False, "use_statistics": False, "repeat_channels": False, "repeat_schemas": False}
-    nothing = {"index_types": 0, **options}
-    from mcap.writer import IndexType
-
-    nothing["index_types"] = IndexType.NONE
+    parts = ("summary_offsets", "statistics")
+    nothing = dict.fromkeys((*(f"use_{part}" for part in parts), "repeat_channels", "repeat_schemas"), False)
     large = [laser(k, beams=681) for k in range(48)]
     for name, path in (
         ("json", foxglove_json(folder / "json", fox, chunk_size=9000)),
         ("protobuf", foxglove_protobuf(folder / "protobuf", fox, chunk_size=5000)),
-        ("mcap-nosummary", write_mcap(folder / "nosummary", scans, **nothing)),
+        ("mcap-nosummary", write_mcap(folder / "nosummary", scans, index_types=IndexType.NONE, **nothing)),
         ("mcap-large", write_mcap(folder / "large", large, compression="NONE", chunk_size=24000)),
     ):
         seeds.append(Seed(name, path.read_bytes(), ".mcap"))
@@ -173,7 +178,9 @@ def attacked(seed: Seed, number: int) -> bytes:
         elif kind == 4:
             data[place:place] = data[place : place + size]
         else:
-            data[place : place + size] = (b"\xff" if rng.random() < 0.5 else rng.bytes(1)) * min(size, len(data) - place)
+            data[place : place + size] = (b"\xff" if rng.random() < 0.5 else rng.bytes(1)) * min(
+                size, len(data) - place
+            )
     return bytes(data)
 
 
@@ -249,12 +256,15 @@ def judge(seed: Seed, path: Path, damaged: bytes) -> Case:
     return case
 
 
-COLUMNS = ("cases", "whole", "lost", "altered", "unmarked", "strict", "silent", "invented", "duplicated", "errors", "slow")
+COUNTED = "cases whole lost altered unmarked strict silent invented duplicated errors slow"
+COLUMNS = {name: max(len(name), 6) + 1 for name in COUNTED.split()}
+"""What is counted, and how wide its column is."""
 
 
-def row(name: str, counts: Counter[str]) -> str:
+def row(log: str, counts: Counter[str]) -> str:
+    """Return a line of the table."""
     share = f"{100 * (1 - counts['lost'] / counts['whole']):.3f}" if counts["whole"] else "-"
-    return f"{name:18s}" + "".join(f"{counts[column]:>{max(len(column), 6) + 1}d}" for column in COLUMNS) + f"{share:>10s}"
+    return f"{log:18s}" + "".join(f"{counts[name]:>{width}d}" for name, width in COLUMNS.items()) + f"{share:>10s}"
 
 
 def main() -> None:
@@ -263,18 +273,19 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int, default=1000, help="mutated logs in all")
     parser.add_argument("--logs", nargs="*", default=[], help="names of containers")
-    parser.add_argument("--verbose", action="store_true", help="print every case with a finding")
+    parser.add_argument("-v", "--verbose", action="store_true", help="print every case with a finding")
     options = parser.parse_args()
     total: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         seeds = make_seeds(folder, options.logs)
-        print(f"{'log':18s}" + "".join(f"{column:>{max(len(column), 6) + 1}s}" for column in COLUMNS) + "  recovered %")
+        print(f"{'log':18s}" + "".join(f"{name:>{width}s}" for name, width in COLUMNS.items()) + "  recovered %")
         for index, seed in enumerate(seeds):
             counts: Counter[str] = Counter()
             path = folder / f"case{seed.suffix}"
             for number in range(options.seed + index, options.seed + options.count, len(seeds)):
-                damaged = (attacked if number // len(seeds) % 2 else anyhow)(seed, number)
+                attack = attacked if number // len(seeds) % 2 else anyhow
+                damaged = attack(seed, number)
                 path.write_bytes(damaged)
                 case = judge(seed, path, damaged)
                 counts += Counter(cases=1) + case.counts
