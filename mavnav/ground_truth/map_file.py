@@ -9,11 +9,12 @@ from __future__ import annotations
 import re
 import warnings
 from dataclasses import dataclass
-from math import isfinite
+from io import BytesIO
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from mavnav.config.named_files import read_named
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import UsageError
 from mavnav.mapping.occupancy_grid import Grid, occupied_cells
@@ -26,6 +27,13 @@ if TYPE_CHECKING:
 
 MODES: Final = ("trinary", "scale", "raw")
 MAX_CELLS: Final = 400_000_000
+MAX_PICTURE_BYTES: Final = 1 << 30
+CELLS_M: Final = (1e-4, 100.0)
+"""Least and greatest resolution of a map."""
+
+FARTHEST_ORIGIN_M: Final = 1e8
+"""Origins may be map coordinates of the whole earth, in m; no kernel counts cells beyond."""
+
 SAVED_UNKNOWN: Final = 205
 SAVED_SHADES: Final = (0, SAVED_UNKNOWN, 254)
 """What map savers write. Some write a ``free_thresh`` of 0.25 beside it, by which unknown cells would be free."""
@@ -71,7 +79,7 @@ def read_map(path: Path) -> MapFile:
     if "image" not in about or "resolution" not in about:
         raise UsageError(f"{path} describes no map, it has no image or no resolution; name a map_server YAML file")
     cell_m = _number(path, about, "resolution", None)
-    if not 0.0 < cell_m < 1e3:
+    if not CELLS_M[0] <= cell_m <= CELLS_M[1]:
         raise UsageError(f"{path}: resolution {cell_m:g} is no size of a cell; write metres, for example 0.05")
     picture = path.parent / str(about["image"])
     shade, solid = _read_picture(picture, path)
@@ -82,17 +90,22 @@ def read_map(path: Path) -> MapFile:
 
 def _origin(path: Path, about: dict[str, Any]) -> Pose:
     origin = about.get("origin", [0.0, 0.0, 0.0])
-    numbers = isinstance(origin, list) and all(isinstance(v, int | float) and isfinite(v) for v in origin)
-    if not numbers or len(origin) not in {2, 3}:
-        raise UsageError(f"{path}: origin {origin} is no pose; write [x, y, yaw] in m, m, rad")
+    numbers = isinstance(origin, list) and all(isinstance(v, int | float) for v in origin)
+    if not numbers or len(origin) not in {2, 3} or not all(abs(v) <= FARTHEST_ORIGIN_M for v in origin):
+        raise UsageError(f"{path}: origin {_short(origin)} is no pose; write [x, y, yaw] in m, m, rad")
     return Pose(*(float(v) for v in origin))
 
 
 def _number(path: Path, about: dict[str, Any], key: str, default: float | None) -> float:
     value = about.get(key, default)
-    if not isinstance(value, int | float) or not isfinite(value):
-        raise UsageError(f"{path}: {key} {value!r} is no number; write one")
+    if not isinstance(value, int | float) or not abs(value) <= FARTHEST_ORIGIN_M:
+        raise UsageError(f"{path}: {key} {_short(value)} is no number of use; write one")
     return float(value)
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def _kinds(
@@ -120,13 +133,13 @@ def _kinds(
 def _read_picture(path: Path, described_by: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the shade of the pixels, 0 to 255, and which of them are not transparent, (rows, cols) each."""
     try:
-        data = path.read_bytes()
+        data = read_named(path, MAX_PICTURE_BYTES)
     except OSError as error:
         reason = f"cannot be read: {error.strerror}"
         raise UsageError(f"{path}, the image of {described_by}, {reason}; mend 'image:'") from error
     header = _HEADER.match(data)
     if header is None:
-        return _read_by_pillow(path)
+        return _read_by_pillow(path, data)
     shade = _read_pgm(path, header, data)
     return shade, np.ones(shade.shape, np.bool_)
 
@@ -152,13 +165,13 @@ def _plain_pixels(path: Path, text: bytes) -> NDArray[np.int64]:
         raise UsageError(f"{path}: a pixel is no number; get a sound copy") from error
 
 
-def _read_by_pillow(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _read_by_pillow(path: Path, data: bytes) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     from PIL import Image  # noqa: PLC0415  only for pictures that need it
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(path, formats=("PNG", "BMP")) as image:
+            with Image.open(BytesIO(data), formats=("PNG", "BMP")) as image:
                 pixels = np.asarray(image.convert("RGBA"), np.float64)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise UsageError(f"{path} is no picture of a map (PGM or PNG): {error}; mend 'image:'") from error

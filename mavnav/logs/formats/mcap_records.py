@@ -25,6 +25,8 @@ HEAD: Final = struct.Struct("<BQ")
 MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQI")
 _COMPRESSION = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4|\x03\0\0\0bz2")
+_NAME_LENGTH = slice(_CHUNK_HEAD.size, _CHUNK_HEAD.size + 4)
+_NAME_LENGTHS = frozenset(len(name).to_bytes(4, "little") for name in CODECS)
 _PREFIX_BYTES = 64
 _FIRST_BLOCK_BYTES, _BLOCK_BYTES = 1 << 12, 1 << 20
 _MOST_CANDIDATES = 200_000
@@ -126,7 +128,7 @@ def record_at(source: Source, offset: int, *, mend: bool = True) -> Record | Non
     start, rest, content = offset + HEAD.size, source.size - offset - HEAD.size, prefix[HEAD.size :]
     known = _CHECKS.get(opcode, _never if opcode == 0 else _any)
     told = None if length > rest or not known(content, length) else Record(opcode, start, start + length)
-    if told is not None and not _may_be_chunk(opcode):
+    if told is not None and not (mend and _may_be_chunk(opcode)):
         return told
     head = _head_of_chunk(content)
     if head is None:
@@ -157,6 +159,8 @@ def _is_chunk_instead(source: Source, told: Record | None, opcode: int, start: i
 
 def _head_of_chunk(content: bytes) -> ChunkHead | None:
     """Return the head of a chunk; None where the bytes cannot be one."""
+    if content[_NAME_LENGTH] not in _NAME_LENGTHS:  # a quick no for millions of others
+        return None
     try:
         head = chunk_head(content[:_PREFIX_BYTES])
     except struct.error:
