@@ -172,7 +172,7 @@ def _read_by_pillow(path: Path, data: bytes) -> tuple[NDArray[np.float64], NDArr
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(BytesIO(data), formats=("PNG", "BMP")) as image:
-                pixels = np.asarray(image.convert("RGBA"), np.float64)
+                pixels = np.asarray(image.convert("RGBA"))
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise UsageError(f"{path} is no picture of a map (PGM or PNG): {error}; mend 'image:'") from error
-    return pixels[:, :, :3].mean(axis=2), pixels[:, :, 3] > 0.0
+    return pixels[:, :, :3].mean(axis=2), pixels[:, :, 3] > 0

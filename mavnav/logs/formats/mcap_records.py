@@ -128,7 +128,7 @@ def record_at(source: Source, offset: int, *, mend: bool = True) -> Record | Non
     start, rest, content = offset + HEAD.size, source.size - offset - HEAD.size, prefix[HEAD.size :]
     known = _CHECKS.get(opcode, _never if opcode == 0 else _any)
     told = None if length > rest or not known(content, length) else Record(opcode, start, start + length)
-    if told is not None and not (mend and _may_be_chunk(opcode)):
+    if told is not None and not (mend and _may_be_chunk(opcode, length)):
         return told
     head = _head_of_chunk(content)
     if head is None:
@@ -141,14 +141,15 @@ def record_at(source: Source, offset: int, *, mend: bool = True) -> Record | Non
     return told
 
 
-def _may_be_chunk(opcode: int) -> bool:
-    """Tell whether an opcode is that of a chunk, also with one bit wrong, or of no record that is known."""
-    return opcode > Op.DATA_END or (opcode ^ Op.CHUNK).bit_count() <= 1
+def _may_be_chunk(opcode: int, length: int) -> bool:
+    """Tell whether a head is that of a chunk, also with one bit of its opcode wrong, or of no record that is known."""
+    long_enough = length > _CHUNK_HEAD.size or opcode == Op.CHUNK
+    return long_enough and (opcode > Op.DATA_END or (opcode ^ Op.CHUNK).bit_count() <= 1)
 
 
 def _is_chunk_instead(source: Source, told: Record | None, opcode: int, start: int, head: ChunkHead) -> bool:
     """Tell whether a chunk that ends by its own fields stands where a record's head says otherwise."""
-    if not _may_be_chunk(opcode) and not head.compression:
+    if not _may_be_chunk(opcode, _PREFIX_BYTES) and not head.compression:
         return False
     end = start + head.start + head.stored_bytes
     if end > source.size or not is_boundary(source, end):
