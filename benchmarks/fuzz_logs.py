@@ -10,7 +10,8 @@ record where no chunk holds it. Counted per container:
 - unmarked: altered scans that are not suspect, where a checksum covers them; must be 0;
 - strict: altered scans that ``--strict`` keeps, where a checksum covers them; must be 0;
 - silent: cases with altered scans and neither damage nor a warning; must be 0 where a checksum covers them;
-- invented: topics of no sound log while the real one is in the file; duplicated: a scan read twice; must be 0;
+- invented: topics of no sound log while the real one is in the file; duplicated: a scan twice on one topic and not
+  suspect; must be 0;
 - errors: exceptions other than the documented ones (exit code 70); slow: more than 20 s of CPU; must be 0.
 """
 
@@ -250,9 +251,11 @@ def judge(seed: Seed, path: Path, damaged: bytes) -> Case:
     invented = {topic for topic, _ in logs if topic not in seed.topics and topic.startswith("/channel_")}
     named = any(topic.encode() in plain for topic in seed.topics)
     case.note("invented", len(invented) if named else 0, f"{invented}")
-    by_ranges = Counter(ranges for _, (_, ranges) in read)
     usual = Counter(ranges for _, ranges in seed.scans)
-    case.note("duplicated", sum((by_ranges - usual)[ranges] for ranges in usual))
+    for topic, _ in logs:
+        here = Counter(ranges for name, (_, ranges) in read if name == topic)
+        twice = sum((here - usual)[ranges] for ranges in usual)
+        case.note("duplicated", max(twice - suspect, 0))
     return case
 
 
