@@ -167,5 +167,9 @@ def _value(node: yaml.Node, key: Key, name: str, layer: Layer) -> object:
         where = f"{name}:{_line(node.start_mark)}: {'.'.join(key)}"
         raise ConfigError(f"{where} has a tag; write a plain number, word or list")
     loader = _Yaml12("")
-    value: object = loader.construct_object(node)
+    try:
+        value: object = loader.construct_object(node)
+    except ValueError as error:  # a whole number of more digits than Python reads
+        where = f"{name}:{_line(node.start_mark)}: {'.'.join(key)}"
+        raise ConfigError(f"{where} is a number of {len(node.value)} digits; write fewer") from error
     return value

@@ -9,11 +9,12 @@ from __future__ import annotations
 import re
 import warnings
 from dataclasses import dataclass
-from math import isfinite
-from typing import TYPE_CHECKING, Any, Final
+from io import BytesIO
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from mavnav.config.named_files import read_named
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import UsageError
 from mavnav.mapping.occupancy_grid import Grid, occupied_cells
@@ -26,6 +27,13 @@ if TYPE_CHECKING:
 
 MODES: Final = ("trinary", "scale", "raw")
 MAX_CELLS: Final = 400_000_000
+MAX_PICTURE_BYTES: Final = 1 << 30
+CELLS_M: Final = (1e-4, 100.0)
+"""Least and greatest resolution of a map."""
+
+FARTHEST_ORIGIN_M: Final = 1e8
+"""Origins may be map coordinates of the whole earth, in m; no kernel counts cells beyond."""
+
 SAVED_UNKNOWN: Final = 205
 SAVED_SHADES: Final = (0, SAVED_UNKNOWN, 254)
 """What map savers write. Some write a ``free_thresh`` of 0.25 beside it, by which unknown cells would be free."""
@@ -71,34 +79,54 @@ def read_map(path: Path) -> MapFile:
     if "image" not in about or "resolution" not in about:
         raise UsageError(f"{path} describes no map, it has no image or no resolution; name a map_server YAML file")
     cell_m = _number(path, about, "resolution", None)
-    if not 0.0 < cell_m < 1e3:
+    if not CELLS_M[0] <= cell_m <= CELLS_M[1]:
         raise UsageError(f"{path}: resolution {cell_m:g} is no size of a cell; write metres, for example 0.05")
     picture = path.parent / str(about["image"])
     shade, solid = _read_picture(picture, path)
-    cells = _kinds(path, about, shade)
-    occupied, free = (np.ascontiguousarray((kind & solid)[::-1], np.uint16) for kind in cells)
+    occupied, free = (shade.upwards(kind, solid) for kind in _kinds(path, about, shade))
     return MapFile(Grid(cell_m, (0.0, 0.0), occupied, free), _origin(path, about))
 
 
 def _origin(path: Path, about: dict[str, Any]) -> Pose:
     origin = about.get("origin", [0.0, 0.0, 0.0])
-    numbers = isinstance(origin, list) and all(isinstance(v, int | float) and isfinite(v) for v in origin)
-    if not numbers or len(origin) not in {2, 3}:
-        raise UsageError(f"{path}: origin {origin} is no pose; write [x, y, yaw] in m, m, rad")
+    numbers = isinstance(origin, list) and all(isinstance(v, int | float) for v in origin)
+    if not numbers or len(origin) not in {2, 3} or not all(abs(v) <= FARTHEST_ORIGIN_M for v in origin):
+        raise UsageError(f"{path}: origin {_short(origin)} is no pose; write [x, y, yaw] in m, m, rad")
     return Pose(*(float(v) for v in origin))
 
 
 def _number(path: Path, about: dict[str, Any], key: str, default: float | None) -> float:
     value = about.get(key, default)
-    if not isinstance(value, int | float) or not isfinite(value):
-        raise UsageError(f"{path}: {key} {value!r} is no number; write one")
+    if not isinstance(value, int | float) or not abs(value) <= FARTHEST_ORIGIN_M:
+        raise UsageError(f"{path}: {key} {_short(value)} is no number of use; write one")
     return float(value)
 
 
-def _kinds(
-    path: Path, about: dict[str, Any], shade: NDArray[np.float64]
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the occupied and free pixels of a picture (rows, cols), 0 black to 255 white."""
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+class _Shades(NamedTuple):
+    """The pixels of a picture: ``levels`` (rows, cols) are indices into ``values`` (n,), 0 black to 255 white.
+
+    So a pixel takes one or two bytes, not eight.
+    """
+
+    levels: NDArray[np.integer]
+    values: NDArray[np.float64]
+
+    def upwards(self, kind: NDArray[np.bool_], solid: NDArray[np.bool_]) -> NDArray[np.uint16]:
+        """Return 1 where a pixel's value is of a kind (n,) and the pixel solid, 0 elsewhere; the lowest row first."""
+        cells = np.empty(self.levels.shape, np.uint16)
+        for row, (levels, seen) in enumerate(zip(self.levels[::-1], solid[::-1], strict=True)):
+            cells[row] = kind[levels] & seen
+        return cells
+
+
+def _kinds(path: Path, about: dict[str, Any], shades: _Shades) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which of a picture's values are occupied and which free, (n,) each."""
+    shade = shades.values
     mode = about.get("mode", "trinary")
     if mode not in MODES:
         raise UsageError(f"{path}: mode {mode!r} is none of {', '.join(MODES)}; write one of them")
@@ -112,37 +140,50 @@ def _kinds(
         share = np.where(shade <= 100.0, shade / 100.0, np.nan)
     else:
         share = (shade if negate else 255.0 - shade) / 255.0
-    if mode == "trinary" and not negate and np.isin(shade, SAVED_SHADES).all():
+    used = np.zeros(len(shade), np.bool_)
+    for row in shades.levels:
+        used[row] = True
+    if mode == "trinary" and not negate and np.isin(shade[used], SAVED_SHADES).all():
         share = np.where(shade == SAVED_UNKNOWN, np.nan, share)
     return share > least, share < most
 
 
-def _read_picture(path: Path, described_by: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the shade of the pixels, 0 to 255, and which of them are not transparent, (rows, cols) each."""
+def _read_picture(path: Path, described_by: Path) -> tuple[_Shades, NDArray[np.bool_]]:
+    """Return the shades of the pixels, and which of them are not transparent, (rows, cols)."""
     try:
-        data = path.read_bytes()
+        data = read_named(path, MAX_PICTURE_BYTES)
     except OSError as error:
         reason = f"cannot be read: {error.strerror}"
         raise UsageError(f"{path}, the image of {described_by}, {reason}; mend 'image:'") from error
     header = _HEADER.match(data)
     if header is None:
-        return _read_by_pillow(path)
+        return _read_by_pillow(path, data)
     shade = _read_pgm(path, header, data)
-    return shade, np.ones(shade.shape, np.bool_)
+    return shade, np.ones(shade.levels.shape, np.bool_)
 
 
-def _read_pgm(path: Path, header: re.Match[bytes], data: bytes) -> NDArray[np.float64]:
+def _read_pgm(path: Path, header: re.Match[bytes], data: bytes) -> _Shades:
     kind, cols, rows, depth = (int(group) for group in header.groups())
     if not (0 < cols * rows <= MAX_CELLS and 0 < depth < 65536):
         raise UsageError(f"{path}: {cols} x {rows} pixels of depth {depth} is no map; mend its header")
+    pixels: NDArray[np.integer]
     if kind == 5:
         body = data[header.end() :]
-        pixels = np.frombuffer(body[: len(body) // 2 * 2], ">u2") if depth > 255 else np.frombuffer(body, np.uint8)
+        pixels = (
+            np.frombuffer(body[: len(body) // 2 * 2], ">u2").astype(np.uint16)
+            if depth > 255
+            else np.frombuffer(body, np.uint8)
+        )
     else:
         pixels = _plain_pixels(path, data[header.end() :])
     if len(pixels) < rows * cols:
         raise UsageError(f"{path} is cut short, {len(pixels)} of {rows * cols} pixels; get a whole copy")
-    return pixels[: rows * cols].reshape(rows, cols).astype(np.float64) * (255.0 / depth)
+    levels = pixels[: rows * cols]
+    if kind == 2:
+        values, levels = np.unique(levels, return_inverse=True)
+    else:
+        values = np.arange(1 << 8 * levels.itemsize)
+    return _Shades(levels.reshape(rows, cols), values.astype(np.float64) * (255.0 / depth))
 
 
 def _plain_pixels(path: Path, text: bytes) -> NDArray[np.int64]:
@@ -152,14 +193,18 @@ def _plain_pixels(path: Path, text: bytes) -> NDArray[np.int64]:
         raise UsageError(f"{path}: a pixel is no number; get a sound copy") from error
 
 
-def _read_by_pillow(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _read_by_pillow(path: Path, data: bytes) -> tuple[_Shades, NDArray[np.bool_]]:
     from PIL import Image  # noqa: PLC0415  only for pictures that need it
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(path, formats=("PNG", "BMP")) as image:
-                pixels = np.asarray(image.convert("RGBA"), np.float64)
+            with Image.open(BytesIO(data), formats=("PNG", "BMP")) as image:
+                if image.mode in {"1", "L"} and "transparency" not in image.info:
+                    grey = np.asarray(image.convert("L"))
+                    return _Shades(grey, np.arange(256.0)), np.ones(grey.shape, np.bool_)
+                pixels = np.asarray(image.convert("RGBA"))
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise UsageError(f"{path} is no picture of a map (PGM or PNG): {error}; mend 'image:'") from error
-    return pixels[:, :, :3].mean(axis=2), pixels[:, :, 3] > 0.0
+    total = pixels[:, :, :3].sum(axis=2, dtype=np.uint16)
+    return _Shades(total, np.arange(766) / 3.0), pixels[:, :, 3] > 0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mavnav.config.named_files import read_named
 from mavnav.errors import UsageError
 from mavnav.metrics.relations import Relations
 from mavnav.pose import Trajectory, yaw_of_quaternion
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
 
 COLUMNS: Final = 8
 UNIT_TOLERANCE: Final = 0.01
+MAX_BYTES: Final = 100_000_000
+"""A million rows; what is built of them takes several times as much memory."""
+
 LATEST_S: Final = 9_000_000_000
 """Times beyond this are no seconds (they would not fit in 64 bits of nanoseconds)."""
 
@@ -55,7 +59,7 @@ def read_relations(path: Path) -> Relations:
 
 def _rows(path: Path, what: str) -> Iterator[Row]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_named(path, MAX_BYTES).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not text"
         raise UsageError(f"{path} cannot be read, {reason}; name a file of {what}") from error

@@ -9,8 +9,9 @@ import numpy as np
 
 from mavnav.errors import NoScansError, TopicError
 from mavnav.logs.formats import detect
-from mavnav.logs.messages.decode import decoder, is_laser
+from mavnav.logs.messages.decode import LASER_TYPES, decoder, is_laser
 from mavnav.logs.messages.records import DecodeError
+from mavnav.logs.odometry import jump
 from mavnav.logs.preprocessing import KINDS, ScanFilter
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Damage, Gap, Odometry, RecordedTruth, ScanCounts, Topic
@@ -272,9 +273,10 @@ def _listed(found: Survey) -> str:
 
 
 def _no_scans(found: Survey) -> str:
-    if not found.topics and found.damage:
-        first = found.damage[0]
-        return f"{found.path}: no usable scans; {first.what} ({first.where})"
+    lasers = {topic.name for topic in found.topics if topic.type in LASER_TYPES and topic.count}
+    reason = next((d for d in found.damage if d.where in lasers or not any(t.count for t in found.topics)), None)
+    if reason is not None:
+        return f"{found.path}: no usable scans; {reason.what} ({reason.where})"
     kinds = [f"{t.name} ({t.type or 'no type'} in {t.encoding or 'no encoding'}, {t.count})" for t in found.topics]
     return f"{found.path}: no LaserScan messages; topics here: {_some(kinds) or 'none'}"
 
@@ -314,6 +316,8 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
     odom_T_base = track.trajectory(log.stamp_source) if track else None
     if track and odom_T_base and not _meet(odom_T_base.stamps_ns, log):
         warnings.append(f"{track.topic}: odometry and scans share no time; it is not used, check its clock")
+    elif track and odom_T_base and (text := jump(odom_T_base)):
+        warnings.append(f"{track.topic}: the odometry {text}; it is not used, check it or write --odom off")
     elif track and odom_T_base:
         if base_T_laser is None:
             text = f"no transform from {base_frame!r} to {log.frame_id!r}; the odometry is taken as the laser's own"

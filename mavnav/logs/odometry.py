@@ -11,6 +11,7 @@ import numpy as np
 from mavnav.errors import TopicError
 from mavnav.logs.transforms import frame_name, planar_pose
 from mavnav.pose import Trajectory
+from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 TF_TOPIC = "/tf"
 _ODOM_FRAME = "odom"
+_JUMP_M, _FASTEST_M_S = 100.0, 100.0
 
 
 @dataclass
@@ -54,6 +56,16 @@ class OdometryTrack(PoseTrack):
     """Poses of the base in the odometry frame, of odometry messages or of transforms."""
 
     source: Literal["odom", "tf"] = "odom"
+
+
+def jump(odom_T_base: Trajectory) -> str:
+    """Return where the odometry moves farther than any vehicle; empty where it does not."""
+    step_m = np.hypot(*np.diff(odom_T_base.xyyaw[:, :2], axis=0).T)
+    (far,) = (step_m > _JUMP_M + _FASTEST_M_S * NS * np.diff(odom_T_base.stamps_ns)).nonzero()
+    if not len(far):
+        return ""
+    since_s = (odom_T_base.stamps_ns[far[0] + 1] - odom_T_base.stamps_ns[0]) * NS
+    return f"jumps by {step_m[far[0]]:.3g} m, {since_s:.3f} s after its start"
 
 
 class OdometryTracks:

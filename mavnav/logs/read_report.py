@@ -16,6 +16,14 @@ if TYPE_CHECKING:
 MAX_DAMAGE = 100
 """Damage is listed singly up to here, so that a log of rubbish does not fill the memory; the rest is counted."""
 
+MAX_WARNINGS = 100
+"""Warnings are listed up to here, the rest is counted: every topic of a log carries them all."""
+
+MAX_TEXT = 300
+"""Characters of a line of damage or of a warning; names in a log may be of any length."""
+
+_MAX_KINDS = 20
+
 KNOWN_TYPES = (SCAN, FOXGLOVE_SCAN, ODOMETRY, TF, TF_ROS1)
 """Types that a scan, a pose or a mounting can come from."""
 
@@ -32,7 +40,8 @@ class ReadReport:
     def __init__(self) -> None:
         self.channels: dict[tuple[str, str, str], Channel] = {}
         self._declared: dict[tuple[str, str, str], Channel] = {}
-        self.warnings: list[str] = []
+        self._warnings: dict[str, None] = {}
+        self._more_warnings = 0
         self.total_bytes = 0
         self._base_bytes = 0
         self.here_bytes = 0
@@ -60,15 +69,27 @@ class ReadReport:
 
     def damage(self, what: str, where: str) -> None:
         """Note something that could not be read, or is suspect."""
+        what, where = _shortened(what), _shortened(where)
         if len(self._damage) < MAX_DAMAGE:
             self._damage.append(Damage(what, where))
-        else:
+        elif what in self._unlisted or len(self._unlisted) < _MAX_KINDS:
             self._unlisted[what] += 1
+        else:
+            self._unlisted["damage of other kinds"] += 1
 
     def warn(self, text: str) -> None:
-        """Note something odd by which no data are lost; once, however often it is told."""
-        if text not in self.warnings:
-            self.warnings.append(text)
+        """Note something odd by which no data are lost; once, however often it is reported."""
+        text = _shortened(text)
+        if text not in self._warnings and len(self._warnings) < MAX_WARNINGS:
+            self._warnings[text] = None
+        elif text not in self._warnings:
+            self._more_warnings += 1
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was warned about; the rest in a line."""
+        more = (f"{self._more_warnings} more warnings; choose a topic with --topic",) if self._more_warnings else ()
+        return (*self._warnings, *more)
 
     def at(self, offset: int) -> None:
         """Note the place in the present file."""
@@ -88,6 +109,10 @@ class ReadReport:
         """Return what was noted, the unlisted rest in one line a kind."""
         rest = (Damage(f"{what} ({count} more)", "further on") for what, count in self._unlisted.items())
         return (*self._damage, *rest)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= MAX_TEXT else f"{text[: MAX_TEXT - 3]}..."
 
 
 def _mended(channel: Channel) -> Channel:

@@ -155,13 +155,27 @@ class TopicScans:
     def _chosen(self, stamps: array[int]) -> NDArray[np.int64]:
         """Return the numbers of the scans to use, in the order of the file, or of recording where that keeps more."""
         stamps_ns, log_ns = _frozen(stamps), _frozen(self._log_ns)
-        sound = np.flatnonzero(~_impossible(stamps_ns) & self._plausible())
-        chosen = sound[ascending(stamps_ns[sound])]
-        if len(chosen) == len(sound):
+        possible = np.flatnonzero(~_impossible(stamps_ns) & self._plausible())
+        chosen = self._ascending(stamps_ns, possible)
+        if len(chosen) == len(possible):
             return chosen
-        recorded = sound[np.argsort(log_ns[sound], kind="stable")]
-        other = recorded[ascending(stamps_ns[recorded])]
+        other = self._ascending(stamps_ns, possible[np.argsort(log_ns[possible], kind="stable")])
         return other if len(other) > len(chosen) else chosen
+
+    def _ascending(self, stamps_ns: NDArray[np.int64], numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Choose the most scans of ascending stamps; no sound one is left out for a suspect one."""
+        suspect = np.frombuffer(self._suspect, np.bool_)[numbers]
+        if not suspect.any() or suspect.all():
+            return numbers[ascending(stamps_ns[numbers])]
+        (places,) = (~suspect).nonzero()
+        places = places[ascending(stamps_ns[numbers[places]])]
+        sound_ns = np.concatenate(([-1], stamps_ns[numbers[places]], [np.iinfo(np.int64).max]))
+        behind = np.searchsorted(places, np.arange(len(numbers)))
+        here_ns = stamps_ns[numbers]
+        fits = suspect & (sound_ns[behind] < here_ns) & (here_ns < sound_ns[behind + 1])
+        fits[places] = True
+        kept = numbers[fits]
+        return kept[ascending(stamps_ns[kept])]
 
     def _plausible(self) -> NDArray[np.bool_]:
         """Tell which scans are sound, or suspect but like the sound ones in geometry and time."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import TYPE_CHECKING, Any
@@ -30,6 +31,10 @@ if TYPE_CHECKING:
     from mavnav.logs.messages.records import LaserMessage
 
 _PROGRESS_STEPS = 200
+_MOST_HOLES_BYTES = 4 << 30
+"""Holes take no space on the disk, but must be hashed as zeros; no recorder leaves any."""
+
+_MOST_EXTENTS = 10_000
 _ZEROS = memoryview(bytes(1 << 16))
 
 
@@ -249,11 +254,30 @@ def _check(path: Path, start_s: float | None, end_s: float | None) -> None:
         raise UsageError(f"{path}: no such file or folder; give the path of a log")
     if not (path.is_file() or path.is_dir()):
         raise UsageError(f"{path}: neither a regular file nor a folder; give the path of a log")
+    if path.is_file() and (holes_bytes := _holes(path)) > _MOST_HOLES_BYTES:
+        text = f"{holes_bytes / 1e9:.0f} GB of the file are holes that no recorder wrote"
+        raise NoScansError(f"{path}: no usable scans; {text}; get a whole copy, or cut it with truncate")
     for name, value in (("--start", start_s), ("--end", end_s)):
         if value is not None and not (isfinite(value) and value >= 0.0):
             raise UsageError(f"{name} {value:g} is no time; it counts in seconds from the first usable scan, 0 or more")
     if start_s is not None and end_s is not None and end_s <= start_s:
         raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
+
+
+def _holes(path: Path) -> int:
+    """Count the bytes of a file before its end that the file system does not keep; 0 where few can be missing."""
+    status = path.stat()
+    if status.st_size - getattr(status, "st_blocks", status.st_size) * 512 <= _MOST_HOLES_BYTES:
+        return 0
+    holes_bytes, end = 0, 0
+    with path.open("rb") as file:
+        for _ in range(_MOST_EXTENTS):
+            start = os.lseek(file.fileno(), end, os.SEEK_HOLE)
+            end = Source(file, status.st_size).next_data(start)
+            holes_bytes += end - start
+            if end >= status.st_size:
+                break
+    return holes_bytes
 
 
 def _run(path: Path, state: _Pass, progress: Callable[[int, int], None] | None) -> None:

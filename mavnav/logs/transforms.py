@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 BASE_FRAMES = ("base_link", "base_footprint")
 
+FARTHEST_M = 1e8
+"""Coordinates of the whole earth are below; what is beyond is no pose, and would be no cell of a map either."""
+
 _SAME = 1e-6
 _UPRIGHT = cos(radians(10.0))
 
@@ -30,10 +33,10 @@ def frame_name(name: str) -> str:
 
 
 def matrix_of(message: TransformMessage) -> NDArray[np.float64] | None:
-    """Return ``parent_T_child`` as (4, 4); None where it is not finite or its quaternion is zero."""
+    """Return ``parent_T_child`` as (4, 4); None where it is not finite, too far, or its quaternion is zero."""
     q = np.array(message.xyzw, dtype=np.float64)
     norm = float(np.linalg.norm(q))
-    if not (np.isfinite(message.xyz).all() and np.isfinite(norm) and norm > _SAME):
+    if not (np.abs(message.xyz).max() <= FARTHEST_M and np.isfinite(norm) and norm > _SAME):
         return None
     x, y, z, w = q / norm
     matrix = np.eye(4)
@@ -47,10 +50,11 @@ def matrix_of(message: TransformMessage) -> NDArray[np.float64] | None:
 
 
 def planar_pose(message: TransformMessage) -> Pose | None:
-    """Return x, y and yaw of a transform; None where they are not finite."""
+    """Return x, y and yaw of a transform; None where they are not finite, or too far."""
     x, y, _ = message.xyz
     yaw = yaw_of_quaternion(*message.xyzw)
-    return Pose(x, y, yaw) if np.isfinite((x, y, yaw)).all() and any(message.xyzw) else None
+    near = abs(x) <= FARTHEST_M and abs(y) <= FARTHEST_M  # False for NaN, too
+    return Pose(x, y, yaw) if near and np.isfinite(yaw) and any(message.xyzw) else None
 
 
 @dataclass

@@ -215,9 +215,9 @@ WRITERS: dict[str, tuple[str, Callable[[Path, Sequence[Message]], Path]]] = {
 """Name -> (format that the survey tells, writer)."""
 
 
-def foxglove_json(path: Path, scans: Sequence[dict[str, Any]]) -> Path:
+def foxglove_json(path: Path, scans: Sequence[dict[str, Any]], **options: Any) -> Path:
     with path.open("wb") as file:
-        writer = McapWriter(file)
+        writer = McapWriter(file, **options)
         writer.start()
         schema = writer.register_schema("foxglove.LaserScan", "jsonschema", b"{}")
         channel = writer.register_channel("/scan", "json", schema)
@@ -227,7 +227,7 @@ def foxglove_json(path: Path, scans: Sequence[dict[str, Any]]) -> Path:
     return path
 
 
-def foxglove_protobuf(path: Path, scans: Sequence[dict[str, Any]]) -> Path:
+def foxglove_protobuf(path: Path, scans: Sequence[dict[str, Any]], **options: Any) -> Path:
     """Write scans by a schema of our own, with the field numbers of Foxglove's."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
     from google.protobuf.timestamp_pb2 import DESCRIPTOR as TIMESTAMP
@@ -257,7 +257,7 @@ def foxglove_protobuf(path: Path, scans: Sequence[dict[str, Any]]) -> Path:
         pool.Add(each)
     message_class = message_factory.GetMessageClass(pool.FindMessageTypeByName("foxglove.LaserScan"))
     with path.open("wb") as stream:
-        writer = McapWriter(stream)
+        writer = McapWriter(stream, **options)
         writer.start()
         schema = writer.register_schema("foxglove.LaserScan", "protobuf", files.SerializeToString())
         channel = writer.register_channel("/scan", "protobuf", schema)

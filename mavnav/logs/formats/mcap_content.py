@@ -21,8 +21,9 @@ _NO_SCHEMA = Schema()
 class State:
     """What the records read so far have told.
 
-    The data section is ``unsound`` where its CRC does not match. In a ``suspect`` chunk the summary's channels are
-    preferred to the chunk's own.
+    The data section is ``unsound`` where its CRC does not match, and ``verified`` where it does. In a ``suspect`` chunk
+    the channels known before and those of a sound summary are preferred to the chunk's own. In a ``chunked`` file
+    messages outside of the chunks are suspect.
     """
 
     report: ReadReport
@@ -34,11 +35,17 @@ class State:
     closed: bool = False
     suspect: bool = False
     unsound: bool = False
+    verified: bool = False
+    chunked: bool = False
+    spare_is_sound: bool = False
+    astray: bool = False
+    data_ended: bool = False
+    looked_at_bytes: int = 0
 
     def begin(self) -> None:
         """Forget what belongs to the file before, where several lie one behind the other."""
         self.schemas, self.channels, self.strangers = {}, {}, set()
-        self.messages, self.closed = 0, False
+        self.messages, self.closed, self.astray, self.data_ended = 0, False, False, False
 
 
 def take(opcode: int, content: bytes, where: str, state: State) -> RawMessage | None:
@@ -52,6 +59,8 @@ def take(opcode: int, content: bytes, where: str, state: State) -> RawMessage | 
             _declare_channel(Fields(content), where, state)
         elif opcode == Op.STATISTICS:
             _check_count(content, where, state)
+        elif opcode == Op.DATA_END:
+            state.data_ended = True
         elif opcode == Op.FOOTER:
             state.closed = True
     except struct.error as error:
@@ -91,6 +100,8 @@ def _stranger(number: int, log_ns: int, data: bytes, where: str, state: State) -
 def _declare_schema(fields: Fields, where: str, state: State) -> None:
     number, name, encoding = fields.number("H"), fields.text(), fields.text()
     schema = Schema(name, encoding, fields.block())
+    if state.suspect and number in state.schemas:
+        return
     if number in state.schemas and state.schemas[number] != schema:
         state.report.damage(f"schema {number} is declared twice, and differently; the later counts", where)
     state.schemas[number] = schema
@@ -102,9 +113,12 @@ def _declare_channel(fields: Fields, where: str, state: State) -> None:
     schema = state.schemas.get(schema_number, _NO_SCHEMA)
     encoding = encoding or _ENCODING_OF_SCHEMA.get(schema.encoding, "")
     channel = Channel(topic, ros_type(schema.name), encoding, schema)
-    if state.suspect or (schema_number and not schema.name):
-        channel = state.spare.get(number, channel)
     before = state.channels.get(number)
+    if state.suspect:
+        spare = state.spare.get(number) if state.spare_is_sound else None
+        channel = spare or before or channel
+    if schema_number and not schema.name:
+        channel = state.spare.get(number, channel)
     if before is not None and before != channel and before.topic != topic:
         text = f"channel {number} is declared twice, as {before.topic!r} and {topic!r}; the later counts"
         state.report.damage(text, where)

@@ -15,6 +15,7 @@ from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, DecompressError, dec
 from mavnav.logs.formats.mcap_content import State, take
 from mavnav.logs.formats.mcap_records import (
     HEAD,
+    IN_CHUNKS,
     MAGIC,
     PRIVATE,
     ChunkHead,
@@ -26,7 +27,7 @@ from mavnav.logs.formats.mcap_records import (
     plain_records,
     record_at,
 )
-from mavnav.logs.formats.mcap_summary import data_crc_fails, summary_channels
+from mavnav.logs.formats.mcap_summary import read_data_section, read_summary
 from mavnav.logs.formats.source import Source
 
 if TYPE_CHECKING:
@@ -37,8 +38,8 @@ if TYPE_CHECKING:
     from mavnav.logs.records import RawMessage
 
 _READ = frozenset({Op.HEADER, Op.FOOTER, Op.SCHEMA, Op.CHANNEL, Op.MESSAGE, Op.CHUNK, Op.STATISTICS, Op.DATA_END})
-_IN_CHUNKS = frozenset({Op.SCHEMA, Op.CHANNEL, Op.MESSAGE})
 _BLOCK_BYTES = 1 << 20
+_FREE_LOOK_BYTES = 1 << 28
 _SEARCH_BYTES = 1 << 16
 
 
@@ -51,18 +52,33 @@ def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     state = State(report)
     with path.open("rb") as file:
         source = Source(file, path.stat().st_size)
-        state.spare = summary_channels(source, report)
+        summary = read_summary(source, report)
+        state.spare, state.spare_is_sound, state.chunked = summary.channels, summary.sound, summary.chunked
         for record in _records(source, _begin(source, state), state):
             report.at(record.start)
             if record.opcode == Op.CHUNK:
                 yield from _chunk_messages(source, record, state)
             elif record.opcode in _READ:
-                content = source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES))
-                if message := take(record.opcode, content, source.where(record.start), state):
-                    doubtful = state.unsound or _runs_into_loss(source, record.end)
-                    yield message._replace(suspect=True) if doubtful else message
+                yield from _outside(source, record, state)
         if not state.closed:
             report.damage("the file ends without a footer; it was cut or not closed", source.where(source.size))
+
+
+def _outside(source: Source, record: Record, state: State) -> Iterator[RawMessage]:
+    """Take in a record that no chunk holds; in a file with chunks it has lost its chunk, or is what damage left."""
+    is_message = record.opcode == Op.MESSAGE
+    astray = state.chunked and not state.verified and (is_message or not state.data_ended)
+    if astray and is_message and not state.astray:
+        state.astray = True
+        text = "messages lie outside of the chunks, where no checksum guards them; they are suspect"
+        state.report.damage(text, source.where(record.start))
+    content = source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES))
+    state.suspect = astray
+    message = take(record.opcode, content, source.where(record.start), state)
+    state.suspect = False
+    if message is not None:
+        doubtful = astray or state.unsound or _runs_into_loss(source, record.end)
+        yield message._replace(suspect=True) if doubtful else message
 
 
 def _begin(source: Source, state: State) -> int:
@@ -73,15 +89,22 @@ def _begin(source: Source, state: State) -> int:
     state.report.damage("the file does not begin with the magic of MCAP", source.where(0))
     if at > 0 and record_at(source, at + len(MAGIC)) is not None:
         return at
-    state.unsound = data_crc_fails(source, 0, state.report)
+    _check_data(source, 0, state)
     return 0
+
+
+def _check_data(source: Source, start: int, state: State) -> None:
+    """Note what the data section that begins there is known by."""
+    section = read_data_section(source, start, state.report)
+    state.unsound, state.verified = section.crc_matches is False, section.crc_matches is True
+    state.chunked |= section.chunked
 
 
 def _records(source: Source, offset: int, state: State) -> Iterator[Record]:
     """Yield the sound records; behind a loss, go on at the next one.
 
-    A record that is not followed by another is yielded all the same, unless it is a chunk, and what it claims to hold
-    is searched for records: its length may lie.
+    A record that is not followed by another is yielded all the same, and what it claims to hold is searched for
+    records: its length may lie. A chunk ends at the first record found in it, unless its CRC matches.
     """
     while offset < source.size:
         if source.read(offset, len(MAGIC)) == MAGIC:
@@ -95,14 +118,41 @@ def _records(source: Source, offset: int, state: State) -> Iterator[Record]:
             state.report.warn(f"a record of an unknown kind ({record.opcode}) was passed over")
         if record.odd:
             state.report.damage(record.odd, source.where(offset))
-        followed = record.opcode == Op.CHUNK or is_boundary(source, record.end)
+        followed = is_boundary(source, record.end)
+        if not followed and record.opcode == Op.CHUNK:
+            record = _clipped(source, record, state)
         yield record
         if state.closed:
             offset = _pass_end(source, record.end, state)
-        elif followed:
+        elif followed or record.opcode == Op.CHUNK:
             offset = record.end
         else:
             offset = _lose(source, offset, record.start, state)
+
+
+def _clipped(source: Source, record: Record, state: State) -> Record:
+    """Let a chunk that no record follows, and whose CRC does not match, end where the next record is found in it.
+
+    Hostile files have many chunks that claim the same bytes: only so many bytes are looked at for this.
+    """
+    state.looked_at_bytes += record.end - record.start
+    if state.looked_at_bytes > _FREE_LOOK_BYTES + 4 * source.size or _is_verified(source, record):
+        return record
+    found = find_record(source, record.start + 1, outer=True)
+    if found >= record.end:
+        return record
+    text = f"the chunk has {found - record.start} of its {record.end - record.start} bytes"
+    state.report.damage(text, source.where(record.start))
+    return record._replace(end=found)
+
+
+def _is_verified(source: Source, record: Record) -> bool:
+    """Tell whether a chunk has a CRC, and it matches."""
+    try:
+        head, (records, _) = _read_chunk(source, record)
+    except (DecompressError, struct.error):
+        return False
+    return head.crc != 0 and zlib.crc32(records) == head.crc
 
 
 def _runs_into_loss(source: Source, end: int) -> bool:
@@ -130,7 +180,7 @@ def _pass_magic(source: Source, offset: int, state: State) -> int:
     if state.closed or state.messages:
         state.report.warn("several MCAP files lie one behind the other in this one; all were read")
         state.begin()
-    state.unsound = data_crc_fails(source, offset, state.report)
+    _check_data(source, offset, state)
     return offset + len(MAGIC)
 
 
@@ -161,13 +211,7 @@ def _chunk_messages(source: Source, record: Record, state: State) -> Iterator[Ra
 
 def _chunk_records(source: Source, record: Record, where: str, state: State) -> tuple[bytes, bool]:
     """Decompress a chunk as far as that goes; tell what is wrong, and return whether it is suspect."""
-    if record.end - record.start > MAX_CHUNK_BYTES:
-        raise DecompressError(
-            f"of {record.end - record.start} bytes; no more than {MAX_CHUNK_BYTES} are taken into memory"
-        )
-    content = source.read(record.start, record.end - record.start)
-    head = chunk_head(content)
-    records, problem = _unpacked(head, content[head.start :])
+    head, (records, problem) = _read_chunk(source, record)
     if problem is None and len(records) != head.declared_bytes:
         problem = f"the chunk declares {head.declared_bytes} bytes and holds {len(records)}"
     verified = head.crc != 0 and zlib.crc32(records) == head.crc
@@ -178,6 +222,16 @@ def _chunk_records(source: Source, record: Record, where: str, state: State) -> 
         state.report.damage(problem + text, where)
     doubtful = problem is not None or (state.unsound and not head.crc)
     return records, doubtful and not verified
+
+
+def _read_chunk(source: Source, record: Record) -> tuple[ChunkHead, tuple[bytes, str | None]]:
+    """Return the head of a chunk, and its records as far as they decompress; raises DecompressError, struct.error."""
+    size = record.end - record.start
+    if size > MAX_CHUNK_BYTES:
+        raise DecompressError(f"of {size} bytes; no more than {MAX_CHUNK_BYTES} are taken into memory")
+    content = source.read(record.start, size)
+    head = chunk_head(content)
+    return head, _unpacked(head, content[head.start :])
 
 
 def _unpacked(head: ChunkHead, data: bytes) -> tuple[bytes, str | None]:
@@ -192,15 +246,23 @@ def _sound_messages(records: bytes, inner: Source, state: State) -> Iterator[Raw
     """Yield the messages of a chunk that is as it was written; walk on with care where its records still lie."""
     offset = 0
     for opcode, content in plain_records(records):
-        if opcode in _IN_CHUNKS and (message := take(opcode, content, inner.where(offset), state)):
+        if opcode in IN_CHUNKS and (message := take(opcode, content, inner.where(offset), state)):
             yield message
+        elif opcode == Op.CHUNK:
+            _refuse_nested(inner.where(offset), state)
         offset += HEAD.size + len(content)
     yield from _walk(inner, offset, state)
 
 
 def _walk(inner: Source, offset: int, state: State) -> Iterator[RawMessage]:
     for record in _records(inner, offset, state):
-        if record.opcode in _IN_CHUNKS:
+        if record.opcode in IN_CHUNKS:
             content = inner.read(record.start, record.end - record.start)
             if message := take(record.opcode, content, inner.where(record.start), state):
                 yield message
+        elif record.opcode == Op.CHUNK:
+            _refuse_nested(inner.where(record.start), state)
+
+
+def _refuse_nested(where: str, state: State) -> None:
+    state.report.damage("a chunk lies within a chunk, which is not legal; it is not read", where)

@@ -6,6 +6,7 @@ only if its content can be what its opcode says.
 
 from __future__ import annotations
 
+import re
 import struct
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -23,8 +24,11 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 HEAD: Final = struct.Struct("<BQ")
 MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQI")
+_COMPRESSION = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4|\x03\0\0\0bz2")
+_NAME_LENGTH = slice(_CHUNK_HEAD.size, _CHUNK_HEAD.size + 4)
+_NAME_LENGTHS = frozenset(len(name).to_bytes(4, "little") for name in CODECS)
 _PREFIX_BYTES = 64
-_BLOCK_BYTES = 1 << 20
+_FIRST_BLOCK_BYTES, _BLOCK_BYTES = 1 << 12, 1 << 20
 _MOST_CANDIDATES = 200_000
 
 
@@ -47,6 +51,9 @@ class Op(IntEnum):
     SUMMARY_OFFSET = 14
     DATA_END = 15
 
+
+IN_CHUNKS: Final = frozenset({Op.SCHEMA, Op.CHANNEL, Op.MESSAGE})
+"""Records that stand in chunks."""
 
 PRIVATE: Final = 0x80
 """Opcodes from here on are free for anybody's use."""
@@ -111,44 +118,55 @@ def chunk_head(content: bytes) -> ChunkHead:
 def record_at(source: Source, offset: int, *, mend: bool = True) -> Record | None:
     """Read the record head at an offset; None where none is, or where its content cannot be what it says.
 
-    A chunk whose own fields tell its length is preferred to a wrong length or opcode of the record (``mend``), unless
-    another record follows where the head says.
+    A chunk whose own fields give its length is preferred to another length or opcode of the record (``mend``), if a
+    record follows there. The opcode of another record that can be one is believed, unless its length is the chunk's.
     """
     prefix = source.read(offset, HEAD.size + _PREFIX_BYTES)
     if len(prefix) < HEAD.size:
         return None
     opcode, length = HEAD.unpack_from(prefix)
     start, rest, content = offset + HEAD.size, source.size - offset - HEAD.size, prefix[HEAD.size :]
-    stored = _chunk_length(content)
     known = _CHECKS.get(opcode, _never if opcode == 0 else _any)
     told = None if length > rest or not known(content, length) else Record(opcode, start, start + length)
-    lies = mend and stored is not None and (opcode, length) != (Op.CHUNK, stored)
-    if lies and stored is not None and _is_chunk_instead(source, told, opcode, start + stored):
+    if told is not None and not (mend and _may_be_chunk(opcode, length)):
+        return told
+    head = _head_of_chunk(content)
+    if head is None:
+        return told
+    stored = head.start + head.stored_bytes
+    if mend and (opcode, length) != (Op.CHUNK, stored) and _is_chunk_instead(source, told, opcode, start, head):
         return Record(Op.CHUNK, start, start + stored, f"the record says kind {opcode} and {length} bytes")
     if opcode == Op.CHUNK and stored == length > rest:
         return Record(Op.CHUNK, start, source.size, "the chunk is cut by the end of the file")
     return told
 
 
-def _is_chunk_instead(source: Source, told: Record | None, opcode: int, end: int) -> bool:
-    """Tell whether a chunk that ends there stands where a record's head says otherwise.
+def _may_be_chunk(opcode: int, length: int) -> bool:
+    """Tell whether a head is that of a chunk, also with one bit of its opcode wrong, or of no record that is known."""
+    long_enough = length > _CHUNK_HEAD.size or opcode == Op.CHUNK
+    return long_enough and (opcode > Op.DATA_END or (opcode ^ Op.CHUNK).bit_count() <= 1)
 
-    A record that follows where the head says speaks for the head, but that anything can be a private one.
-    """
-    if opcode != Op.CHUNK and (opcode ^ Op.CHUNK).bit_count() != 1:
+
+def _is_chunk_instead(source: Source, told: Record | None, opcode: int, start: int, head: ChunkHead) -> bool:
+    """Tell whether a chunk that ends by its own fields stands where a record's head says otherwise."""
+    if not _may_be_chunk(opcode, _PREFIX_BYTES) and not head.compression:
         return False
-    if told is not None and told.opcode < PRIVATE and is_boundary(source, told.end):
+    end = start + head.start + head.stored_bytes
+    if end > source.size or not is_boundary(source, end):
         return False
-    return end == source.size or (end < source.size and is_boundary(source, end))
+    known = opcode not in (0, Op.CHUNK) and opcode <= Op.DATA_END and told is not None
+    return not known or (told is not None and told.end == end and bool(head.compression))
 
 
-def _chunk_length(content: bytes) -> int | None:
-    """Return the length of a chunk by its own fields; None where these cannot be a chunk's."""
+def _head_of_chunk(content: bytes) -> ChunkHead | None:
+    """Return the head of a chunk; None where the bytes cannot be one."""
+    if content[_NAME_LENGTH] not in _NAME_LENGTHS:  # a quick no for millions of others
+        return None
     try:
         head = chunk_head(content[:_PREFIX_BYTES])
     except struct.error:
         return None
-    return head.start + head.stored_bytes if head.compression in CODECS else None
+    return head if head.compression in CODECS else None
 
 
 def plain_records(records: bytes) -> Iterator[tuple[int, bytes]]:
@@ -164,48 +182,67 @@ def plain_records(records: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def is_boundary(source: Source, offset: int) -> bool:
-    """Tell whether a record, the magic or the end stands at an offset."""
+    """Tell whether a record, the magic or the end stands at an offset.
+
+    Where bytes are lost or gained, a length is easily taken for an unknown kind: such a record has another behind it.
+    """
     if offset == source.size or source.read(offset, len(MAGIC)) == MAGIC:
         return True
-    return record_at(source, offset, mend=False) is not None
+    record = record_at(source, offset, mend=False)
+    if record is None or record.opcode <= Op.DATA_END or record.end == source.size:
+        return record is not None
+    return record_at(source, record.end, mend=False) is not None
 
 
-def find_record(source: Source, offset: int) -> int:
+def find_record(source: Source, offset: int, *, outer: bool = False) -> int:
     """Return the offset of the next record that is followed by another, a chunk, or the magic; the size if none.
 
     Only heads whose length is below 4 GiB are looked at, and only so many that hostile bytes cost seconds at most.
+    Records that stand in chunks are passed over if only ``outer`` ones are wanted.
     """
-    tried = 0
+    tried, reach = 0, _FIRST_BLOCK_BYTES
     while offset < source.size:
-        block = source.read(offset, _BLOCK_BYTES + HEAD.size)
-        for at in _candidates(block):
+        block = source.read(offset, reach + HEAD.size + _PREFIX_BYTES)
+        for at in _candidates(block, reach):
+            if outer and block[at] in IN_CHUNKS:
+                continue
             tried += 1
             if _is_record(source, offset + at):
                 return offset + at
         if tried > _MOST_CANDIDATES:
             return source.size
-        offset = max(offset + _BLOCK_BYTES, source.next_data(offset + _BLOCK_BYTES) - HEAD.size)
+        offset = max(offset + reach, source.next_data(offset + reach) - HEAD.size)
+        reach = min(2 * reach, _BLOCK_BYTES)
     return source.size
 
 
-def _candidates(block: bytes) -> list[int]:
-    """Return the places in a block that have an opcode, and zeros where a length has its upper half."""
-    count = len(block) - HEAD.size + 1
+def _candidates(block: bytes, reach: int) -> list[int]:
+    """Return the places in the first ``reach`` bytes with an opcode, and zeros where a length has its upper half.
+
+    So are those before what reads like the head of a compressed chunk.
+    """
+    count = min(len(block) - HEAD.size + 1, reach)
     if count <= 0:
         return []
     values = np.frombuffer(block, np.uint8)
     upper = values[5 : 5 + count] | values[6 : 6 + count] | values[7 : 7 + count] | values[8 : 8 + count]
     good = (values[:count] > 0) & (values[:count] <= Op.DATA_END) & (upper == 0)
     places: list[int] = np.flatnonzero(good)[:_MOST_CANDIDATES].tolist()
+    named = (match.start() - HEAD.size - _CHUNK_HEAD.size for match in _COMPRESSION.finditer(block))
     magic = block.find(MAGIC)
-    return sorted({*places, magic}) if magic >= 0 else places
+    return sorted({*places, *(at for at in named if 0 <= at < count), *([magic] if magic >= 0 else [])})
 
 
 def _is_record(source: Source, offset: int) -> bool:
     if source.read(offset, len(MAGIC)) == MAGIC:
         return True
     record = record_at(source, offset)
-    return record is not None and (record.opcode == Op.CHUNK or is_boundary(source, record.end))
+    if record is None:
+        return False
+    if record.opcode != Op.CHUNK:
+        return is_boundary(source, record.end)
+    head = _head_of_chunk(source.read(record.start, _PREFIX_BYTES))
+    return head is not None and (bool(head.compression) or is_boundary(source, record.end))
 
 
 def _never(_content: bytes, _length: int) -> bool:

@@ -1,21 +1,24 @@
-"""What stands behind the data of an MCAP file: the summary's channels, and the data section's CRC.
+"""What an MCAP file says of itself besides its messages: the summary's channels, and the data section's CRC.
 
-Neither is needed to read the messages. The one stands in for what is lost, the other tells that something is wrong.
+Neither is needed to read the messages. The one stands in for what is lost, the other shows that something is wrong.
 """
 
 from __future__ import annotations
 
 import struct
 import zlib
-from typing import TYPE_CHECKING
+from io import BytesIO
+from typing import TYPE_CHECKING, NamedTuple
 
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
 from mavnav.logs.formats.mcap_content import State, take
-from mavnav.logs.formats.mcap_records import HEAD, MAGIC, Op, plain_records, record_at
+from mavnav.logs.formats.mcap_records import HEAD, MAGIC, Op, find_record, plain_records, record_at
+from mavnav.logs.formats.source import Source
 from mavnav.logs.read_report import ReadReport
 
 if TYPE_CHECKING:
-    from mavnav.logs.formats.source import Source
+    from collections.abc import Iterator
+
     from mavnav.logs.records import Channel
 
 _KINDS = frozenset(
@@ -24,60 +27,127 @@ _KINDS = frozenset(
 _FOOTER_BYTES = 20
 _DATA_END_HEAD = HEAD.pack(Op.DATA_END, 4)
 _BLOCK_BYTES = 1 << 20
+_CHUNK_LENGTH = slice(24, 32)
+_HOP_BYTES = 1 << 12
 
 
-def summary_channels(source: Source, report: ReadReport) -> dict[int, Channel]:
-    """Return the channels that the summary repeats: needed only where the chunk that declares them is damaged."""
+class Summary(NamedTuple):
+    """What the summary repeats: channels, and whether there are chunks; ``sound`` where nothing speaks against it."""
+
+    channels: dict[int, Channel]
+    chunked: bool = False
+    sound: bool = False
+
+
+def read_summary(source: Source, report: ReadReport) -> Summary:
+    """Return what the summary tells: needed only where the chunk that declares the channels is damaged.
+
+    Where the footer is lost, or its offset is wrong, the summary is what stands behind the end of the data.
+    """
     footer_at = source.size - len(MAGIC) - HEAD.size - _FOOTER_BYTES
     record = record_at(source, footer_at) if footer_at > 0 else None
     if record is None or record.opcode != Op.FOOTER:
-        return {}
+        return _searched(source)
     footer = source.read(record.start, _FOOTER_BYTES)
     start, _, crc = struct.unpack("<QQI", footer)
-    if not 0 < start < footer_at or footer_at - start > MAX_CHUNK_BYTES:
-        return {}
-    first = record_at(source, start)
-    if first is None or first.opcode not in _KINDS:  # of a file that lies behind other bytes
-        return {}
+    if start == 0:
+        return Summary({})
+    first = record_at(source, start) if start < footer_at <= start + MAX_CHUNK_BYTES else None
+    if first is None or first.opcode not in _KINDS:  # bytes were lost or gained before it
+        return _searched(source)
     summary = source.read(start, footer_at - start)
     guarded = summary + source.read(footer_at, HEAD.size + _FOOTER_BYTES - 4)
     if crc and zlib.crc32(guarded) != crc:
         report.damage("the CRC of the summary does not match; it is not needed", f"byte {start}")
-    return _channels(summary)
+        return _told(summary)._replace(sound=False)
+    return _told(summary)
 
 
-def _channels(summary: bytes) -> dict[int, Channel]:
+def _searched(source: Source) -> Summary:
+    """Return what is told behind the last end of the data, or, where there is none, in the last MiB."""
+    end = _last_data_end(source, MAX_CHUNK_BYTES)
+    start = max(source.size - _BLOCK_BYTES, 0) if end is None else end
+    return _told(source.read(start, MAX_CHUNK_BYTES))._replace(sound=False)
+
+
+def _told(summary: bytes) -> Summary:
     state = State(ReadReport())
-    for opcode, content in plain_records(summary):
+    for opcode, content in _records(summary):
         if opcode in (Op.SCHEMA, Op.CHANNEL):
             take(opcode, content, "summary", state)
-    return state.channels
+        elif opcode == Op.CHUNK_INDEX:
+            state.chunked |= any(content[_CHUNK_LENGTH])
+    return Summary(state.channels, state.chunked, sound=True)
 
 
-def data_crc_fails(source: Source, start: int, report: ReadReport) -> bool:
-    """Tell, and note, whether the data section that begins with the magic at ``start`` has a CRC that does not match.
+def _records(summary: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of the records; behind bytes that are none, go on at the next."""
+    source, offset = Source(BytesIO(summary), len(summary)), 0
+    while offset < source.size:
+        behind = offset
+        for opcode, content in plain_records(summary[offset:]):
+            if record_at(source, behind) is None:
+                break
+            yield opcode, content
+            behind += HEAD.size + len(content)
+        offset = find_record(source, behind + 1)
 
-    False where it has none, or lost its end.
+
+class DataSection(NamedTuple):
+    """What is known of the data: whether they have chunks, and whether their CRC matches, None where there is none."""
+
+    chunked: bool
+    crc_matches: bool | None
+
+
+def read_data_section(source: Source, start: int, report: ReadReport) -> DataSection:
+    """Check the CRC of the data section that begins with the magic at ``start``; note where it does not match.
+
+    It has none where it lost its end.
     """
-    end = _data_end(source, start)
+    opcodes, end = set[int](), None
+    for opcode, offset in _hops(source, start + len(MAGIC)):
+        opcodes.add(opcode)
+        if opcode == Op.DATA_END:
+            end = offset
+            break
+    end = _last_data_end(source, _BLOCK_BYTES, start) if end is None else end
     declared = 0 if end is None else int.from_bytes(source.read(end + HEAD.size, 4), "little")
-    if end is None or declared in (0, _crc(source, start, end)):
-        return False
+    chunked = Op.CHUNK in opcodes or Op.MESSAGE_INDEX in opcodes
+    if end is None or declared == 0:
+        return DataSection(chunked, None)
+    if declared == _crc(source, start, end):
+        return DataSection(chunked, True)
     text = "the CRC of the data section does not match; which record is wrong cannot be known"
     report.damage(f"{text}, so all that no chunk's own CRC guards are suspect", source.where(end))
-    return True
+    return DataSection(chunked, False)
 
 
-def _data_end(source: Source, start: int) -> int | None:
-    """Return where the record stands that ends the data: behind the others, else the last that looks like it."""
-    offset = start + len(MAGIC)
-    while (record := record_at(source, offset, mend=False)) is not None:
-        if record.opcode == Op.DATA_END:
-            return offset
-        offset = record.end
-    tail_at = max(source.size - _BLOCK_BYTES, start)
-    at = source.read(tail_at, _BLOCK_BYTES).rfind(_DATA_END_HEAD)
-    return tail_at + at if at >= 0 else None
+def _hops(source: Source, offset: int) -> Iterator[tuple[int, int]]:
+    """Yield opcode and offset of records, up to the first that cannot be one; fast, as there may be millions."""
+    block, base = b"", offset
+    while True:
+        if offset + HEAD.size > base + len(block):
+            block, base = source.read(offset, _HOP_BYTES), offset
+            if len(block) < HEAD.size:
+                return
+        opcode, length = HEAD.unpack_from(block, offset - base)
+        if opcode == 0 or offset + HEAD.size + length > source.size or (opcode == Op.DATA_END and length != 4):
+            return
+        yield opcode, offset
+        offset += HEAD.size + length
+
+
+def _last_data_end(source: Source, reach_bytes: int, start: int = 0) -> int | None:
+    """Return where the last record stands that looks like the end of the data, in so many bytes before the end."""
+    behind = source.size
+    while behind > max(source.size - reach_bytes, start):
+        tail_at = max(behind - _BLOCK_BYTES, start)
+        at = source.read(tail_at, _BLOCK_BYTES + len(_DATA_END_HEAD)).rfind(_DATA_END_HEAD)
+        if at >= 0:
+            return tail_at + at
+        behind = tail_at
+    return None
 
 
 def _crc(source: Source, start: int, end: int) -> int:

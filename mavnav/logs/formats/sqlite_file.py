@@ -31,6 +31,8 @@ MAGIC = b"SQLite format 3\x00"
 _TABLES = """SELECT count(*) FROM sqlite_master
 WHERE type = 'table' AND name IN ('topics', 'messages') AND sql NOT LIKE '%VIRTUAL%'"""
 _TOPICS = "SELECT id, name, type, serialization_format FROM topics"
+_COMPUTED = """SELECT m.name, c.name FROM sqlite_master AS m, pragma_table_xinfo(m.name) AS c
+WHERE m.name IN ('topics', 'messages') AND c.hidden > 1"""
 _MESSAGES = "SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED ORDER BY rowid"
 _COUNT_AT = 28
 _JOURNALS = ("-wal", "-journal")
@@ -88,11 +90,25 @@ def _rows(path: Path, state: _State) -> Iterator[RawMessage]:
         (tables,) = connection.execute(_TABLES).fetchone()
         if tables != 2:
             raise sqlite3.DatabaseError("there are no tables of messages and topics")
-        for number, name, kind, encoding in connection.execute(_TOPICS):
-            state.channels[number] = state.report.declare(Channel(str(name), ros_type(str(kind)), str(encoding)))
+        if computed := connection.execute(_COMPUTED).fetchone():
+            raise sqlite3.DatabaseError(f"the column {computed[1]} of {computed[0]} is computed; recorders store it")
+        for row in connection.execute(_TOPICS):
+            _declare(row, state)
         for number, topic_id, log_ns, data in connection.execute(_MESSAGES):
+            if number <= state.last:
+                raise sqlite3.DatabaseError(f"row {number} comes after row {state.last}; its pages form a loop")
             state.passed(number)
             yield from _message(topic_id, log_ns, data, state)
+
+
+def _declare(row: tuple[object, ...], state: _State) -> None:
+    """Take in a topic; one without a name is none."""
+    number, name, kind, encoding = row
+    if isinstance(number, int) and isinstance(name, str):
+        kind, encoding = ("" if text is None else str(text) for text in (kind, encoding))
+        state.channels[number] = state.report.declare(Channel(name, ros_type(kind), encoding))
+    else:
+        state.report.damage(f"topic {number} has no name", state.path.name)
 
 
 def _message(topic_id: object, log_ns: object, data: object, state: _State) -> Iterator[RawMessage]:

@@ -20,12 +20,30 @@ if TYPE_CHECKING:
     from mavnav.logs.records import Channel
 
 _NAN = float("nan")
+_MAX_JSON_BYTES = 8 << 20
+"""Larger than any scan in JSON; what is built of it takes many times as much memory."""
+
+_MAX_DESCRIPTOR_BYTES = 1 << 20
+_NUMBER, _XYZ = ("double", "float"), dict.fromkeys("xyz", ("double", "float"))
+_TIME = {"seconds": ("int64", "int32", "uint64", "uint32"), "nanos": ("int32", "int64", "uint32", "uint64")}
+_Kinds = dict[str, Any]
+_SCAN: _Kinds = {
+    "timestamp": _TIME,
+    "frame_id": ("string",),
+    "pose": {"position": _XYZ, "orientation": _XYZ},
+    "start_angle": _NUMBER,
+    "end_angle": _NUMBER,
+    "ranges": ("repeated double", "repeated float"),
+}
+"""Field that is read -> the types that it may have, or the fields of its message."""
 
 
 def json_decoder(_channel: Channel) -> Callable[[bytes], LaserMessage]:
     """Return the decoder of a JSON channel; it raises DecodeError."""
 
     def decode(data: bytes) -> LaserMessage:
+        if len(data) > _MAX_JSON_BYTES:
+            raise DecodeError(f"{len(data)} bytes of JSON; no more than {_MAX_JSON_BYTES} are read")
         try:
             scan = json.loads(data)
             stamp = scan["timestamp"]
@@ -79,13 +97,44 @@ def _message_class(channel: Channel) -> Any:  # noqa: ANN401  (generated at run 
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory  # noqa: PLC0415
     from google.protobuf.message import DecodeError as ProtobufError  # noqa: PLC0415
 
-    pool = descriptor_pool.DescriptorPool()
+    pool, data = descriptor_pool.DescriptorPool(), channel.schema.data
+    if len(data) > _MAX_DESCRIPTOR_BYTES:
+        raise DecodeError(f"the protobuf schema of {channel.topic} has more than {_MAX_DESCRIPTOR_BYTES} bytes")
     try:
-        for file in descriptor_pb2.FileDescriptorSet.FromString(channel.schema.data).file:
+        for file in descriptor_pb2.FileDescriptorSet.FromString(data).file:
             pool.Add(file)
-        return message_factory.GetMessageClass(pool.FindMessageTypeByName(channel.type))
+        found = pool.FindMessageTypeByName(channel.type)
+        _check_fields(found, _SCAN, "")
+        return message_factory.GetMessageClass(found)
     except (ProtobufError, KeyError, TypeError, ValueError) as error:
-        raise DecodeError(f"the protobuf schema of {channel.topic} cannot be used ({error})") from error
+        reason = " ".join(str(error).split())[:160]
+        raise DecodeError(f"the protobuf schema of {channel.topic} cannot be used ({reason})") from error
+
+
+def _check_fields(descriptor: Any, wanted: _Kinds, above: str) -> None:  # noqa: ANN401
+    """Raise TypeError with the name of the field that is missing or of a type that cannot be read."""
+    for name, kinds in wanted.items():
+        kind, field = _kind(descriptor, name), f"field {above}{name}"
+        if not isinstance(kinds, dict):
+            if kind not in kinds:
+                raise TypeError(f"{field} is {kind}, it should be {kinds[0]}")
+        elif kind != "message":
+            raise TypeError(f"{field} is {kind}, it should be a message")
+        else:
+            _check_fields(descriptor.fields_by_name[name].message_type, kinds, f"{above}{name}.")
+
+
+def _kind(descriptor: Any, name: str) -> str:  # noqa: ANN401
+    """Return the type of a field as it is written in a .proto file."""
+    from google.protobuf import descriptor_pb2  # noqa: PLC0415
+
+    proto, kinds = descriptor_pb2.DescriptorProto(), descriptor_pb2.FieldDescriptorProto
+    descriptor.CopyToProto(proto)
+    found = next((field for field in proto.field if field.name == name), None)
+    if found is None:
+        return "missing"
+    kind = kinds.Type.Name(found.type).removeprefix("TYPE_").lower()
+    return f"repeated {kind}" if found.label == kinds.LABEL_REPEATED else kind
 
 
 def _laser(
