@@ -53,12 +53,13 @@ def cost_floors(
     for level in range(1, LEVELS):
         reach = step << (level - 1)
         for row in range(rows):
-            here, low, high = floors[level, row], floors[level - 1, row], floors[level - 1, min(row + reach, rows - 1)]
+            above = row + reach if row + reach < rows else row
+            here, low, high = floors[level, row], floors[level - 1, row], floors[level - 1, above]
             for col in range(cols):
-                here[col] = low[col] if low[col] < high[col] else high[col]
+                here[col] = min(high[col], low[col])
             left, right = here[: cols - reach], here[reach:]
             for col in range(len(left)):
-                left[col] = left[col] if left[col] < right[col] else right[col]
+                left[col] = min(right[col], left[col])
     apart = step << (LEVELS - 1)
     planes = np.full((apart * apart, -(-rows // apart), -(-cols // apart)), uint8(WORST))
     for row in range(rows):

@@ -248,7 +248,10 @@ def lowest_poses(
     cells, counts = _cells(points, (x0, y0), yaws_rad, corner, geometry)
     held, spans = _squares(index)
     positions, n_yaws, (square_rows, square_cols) = index.size, len(yaws_rad), held.shape
-    sums, histogram = np.empty((n_yaws, square_rows, square_cols), np.uint16), np.zeros(MOST_POINTS * WORST + 1, np.int64)
+    sums, histogram = (
+        np.empty((n_yaws, square_rows, square_cols), np.uint16),
+        np.zeros(MOST_POINTS * WORST + 1, np.int64),
+    )
     for q in range(n_yaws):
         _bound_squares(cells[q], counts[q], spans, step, planes, sums[q])
         for row in range(square_rows):

@@ -52,7 +52,9 @@ class CostFloors:
         before = ((1 << (LEVELS - 1)) - 1) * step
         corner, size = (low - before)[::-1].copy(), (high - low + before)[::-1]
         box = np.concatenate((corner, size))
-        return cls(corner, *kernels.cost_floors(box, step, truncate_m, nearest, lines, geometry), truncate_m, step, wider)
+        return cls(
+            corner, *kernels.cost_floors(box, step, truncate_m, nearest, lines, geometry), truncate_m, step, wider
+        )
 
     def serve(self, truncate_m: float, step: int, extent_m: Extent) -> bool:
         """Tell whether a search with these settings, of poses whose points lie in an extent, can use the bounds."""

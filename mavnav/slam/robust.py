@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from math import floor
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,6 +49,11 @@ NEAR_MINIMA = 3
 """So many separate minima of the cost near the prediction are refined: the lowest of a coarse lattice may mislead."""
 
 
+EACH_SCANS, THEN_S = 8, 1.0
+"""Of a lost laser each of so many scans is searched in a wide region, then one in so much time: once it is found again,
+the scans between are matched from there."""
+
+
 AT_REST = np.zeros(3)
 """No motion to undo."""
 
@@ -69,6 +75,12 @@ is up to 0.1 in the right place."""
 def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
     """Return where the laser should be: as predicted, by its velocity, or where it was."""
     return tuple(dict.fromkeys((predicted, motion.by_velocity(scan.stamp_ns), motion.map_T_laser)))
+
+
+def _is_wide_search_due(motion: Motion, elapsed_s: float) -> bool:
+    """Tell whether a scan is searched wherever the laser can be: each of the first after the last accepted one."""
+    before_s = elapsed_s - motion.period_s
+    return elapsed_s <= EACH_SCANS * motion.period_s or floor(elapsed_s / THEN_S) > floor(before_s / THEN_S)
 
 
 class Robust:
@@ -144,7 +156,7 @@ class Robust:
         region = around(predicted, robust.window_mm * MM, robust.window_deg * DEG)
         tried += candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
         best = min(tried, key=lambda match: match.cost_m2)
-        if self._believable(best, motion, elapsed_s):
+        if self._believable(best, motion, elapsed_s) or not _is_wide_search_due(motion, elapsed_s):
             return with_effort(best, *tried)
         return self._match_wide(scan, predicted, motion, points, tried)
 

@@ -229,9 +229,7 @@ def fits(match: Match) -> bool:
     return match.inliers >= LEAST_INLIERS and match.conflicts <= MOST_CONFLICTS
 
 
-def measured(
-    keys: Sequence[KeyFrame], j: int, match: Match, places: Places, config: Config
-) -> Closure | None:
+def measured(keys: Sequence[KeyFrame], j: int, match: Match, places: Places, config: Config) -> Closure | None:
     """Measure key frame ``j`` against what was seen about that place; None where that speaks against it."""
     i = places.witness(replace(keys[j], map_T_laser=match.map_T_laser))
     old = range(places.count)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from heapq import heappop, heappush
+import numpy as np
 
 from mavnav.units import DEG
 
 DRIFT_M, DRIFT_RAD = (0.3, 0.06, 4.0), (5 * DEG, 0.8 * DEG, 30 * DEG)
 """Bounds of the drift: at first, more a metre of way, at most."""
+
+TIE_M = 1e-9
+"""A way is no shorter than another by what rounding leaves."""
 
 
 def drift_bound(way_m: float) -> tuple[float, float]:
@@ -28,19 +31,20 @@ class Ways:
         self._across.append((a_m, b_m))
 
     def between(self, a_m: float, b_m: float) -> float:
-        """Return the length of the shortest way (Dijkstra), m."""
-        ends = [end for pair in self._across for end in pair]
-        best, queue = abs(b_m - a_m), [(abs(end - a_m), k) for k, end in enumerate(ends)]
-        queue.sort()
-        done: set[int] = set()
-        while queue and queue[0][0] < best:
-            way_m, k = heappop(queue)
-            if k in done:
-                continue
-            other = k ^ 1
-            done |= {k, other}
-            best = min(best, way_m + abs(b_m - ends[other]))
-            for m, end in enumerate(ends):
-                if m not in done:
-                    heappush(queue, (way_m + abs(end - ends[other]), m))
-        return best
+        """Return the length of the shortest way, m.
+
+        Ways to all joined points are shortened until none is: across a joint, then along the track either way.
+        """
+        if not self._across:
+            return abs(b_m - a_m)
+        ends_m = np.array(self._across).ravel()
+        order = np.argsort(ends_m)
+        other = np.argsort(order)[order ^ 1]
+        ends_m = ends_m[order]
+        ways_m, before_m = np.abs(ends_m - a_m), np.full(len(ends_m), np.inf)
+        while (ways_m < before_m).any():
+            before_m, across_m = ways_m, np.minimum(ways_m, ways_m[other])
+            ahead_m = np.minimum.accumulate(across_m - ends_m) + ends_m
+            back_m = np.minimum.accumulate((across_m + ends_m)[::-1])[::-1] - ends_m
+            ways_m = np.minimum(before_m, np.minimum(ahead_m, back_m) + TIE_M)
+        return float(min(abs(b_m - a_m), (ways_m + np.abs(ends_m - b_m)).min()))

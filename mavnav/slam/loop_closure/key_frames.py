@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.kernels.points import extent
 from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose, transform_points, wrap_angle
@@ -66,10 +67,12 @@ class Part:
 
     def grow(self, keys: Sequence[KeyFrame], count: int) -> None:
         """Insert the next key frames, up to the number ``count``."""
-        for key in keys[self.count : count]:
-            xy_map_m = transform_points(key.map_T_laser, key.points)
-            self.lines.insert(xy_map_m)
-            self.grid.insert(key.map_T_laser, xy_map_m)
+        some = keys[self.count : count]
+        seen = [transform_points(key.map_T_laser, key.points) for key in some]
+        extent_m = extent(np.concatenate([np.zeros((0, 2)), *seen]))  # of all: the map is copied once as it grows
+        for key, xy_map_m in zip(some, seen, strict=True):
+            self.lines.insert(xy_map_m, extent_m)
+            self.grid.insert(key.map_T_laser, xy_map_m, extent_m)
         self.count = max(count, self.count)
 
 
