@@ -50,8 +50,8 @@ NEAR_MINIMA = 3
 
 
 EACH_SCANS, THEN_S = 8, 1.0
-"""Of a lost laser each of so many scans is searched in a wide region, then one in so much time: once it is found again,
-the scans between are matched from there."""
+"""Each of so many scans of a lost laser is searched in wide regions, then one a second: once it is found again, the
+scans between are matched from there."""
 
 
 AT_REST = np.zeros(3)
@@ -77,12 +77,6 @@ def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
     return tuple(dict.fromkeys((predicted, motion.by_velocity(scan.stamp_ns), motion.map_T_laser)))
 
 
-def _is_wide_search_due(motion: Motion, elapsed_s: float) -> bool:
-    """Tell whether a scan is searched wherever the laser can be: each of the first after the last accepted one."""
-    before_s = elapsed_s - motion.period_s
-    return elapsed_s <= EACH_SCANS * motion.period_s or floor(elapsed_s / THEN_S) > floor(before_s / THEN_S)
-
-
 class Robust:
     """Point to local line over the whole map; the grid of hit counts is kept beside it for the outputs.
 
@@ -101,6 +95,7 @@ class Robust:
         self._begin()
         self._limits_m = np.array([robust.near_mm * MM, robust.far_mm * MM, robust.voxel_mm * MM])
         self._deskewed: tuple[Scan, Motion, Points] | None = None
+        self._searches = 0  # since a scan was inserted
 
     @property
     def refiner(self) -> Robust:
@@ -153,12 +148,20 @@ class Robust:
         elapsed_s = motion.elapsed_s(scan.stamp_ns)
         if tried and self._inside(tried[0], predicted) and self._believable(tried[0], motion, elapsed_s):
             return tried[0]
+        self._searches += 1
+        if tried and not self._is_search_due(motion, elapsed_s):
+            return tried[0]
         region = around(predicted, robust.window_mm * MM, robust.window_deg * DEG)
         tried += candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
         best = min(tried, key=lambda match: match.cost_m2)
-        if self._believable(best, motion, elapsed_s) or not _is_wide_search_due(motion, elapsed_s):
+        if self._believable(best, motion, elapsed_s):
             return with_effort(best, *tried)
         return self._match_wide(scan, predicted, motion, points, tried)
+
+    def _is_search_due(self, motion: Motion, elapsed_s: float) -> bool:
+        """Tell whether a scan is searched farther than close to its prediction."""
+        few = self._searches <= EACH_SCANS or elapsed_s <= EACH_SCANS * motion.period_s
+        return few or floor(elapsed_s / THEN_S) > floor((elapsed_s - motion.period_s) / THEN_S)
 
     def _look_near(self, points: NDArray[np.float64], predicted: Pose, motion: Motion) -> list[Match]:
         """Search close to the prediction."""
@@ -227,6 +230,7 @@ class Robust:
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add every point of the de-skewed scan."""
+        self._searches = 0
         points = self._points(scan, motion)[0]
         xy_map_m = np.empty_like(points)
         extent_m = placed(points, map_T_laser.as_array(), xy_map_m)
