@@ -21,8 +21,12 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from mavnav.config.models import Config
 from mavnav.pose import Trajectory
 from mavnav.scan import LaserSpec, Scan
+from mavnav.slam.motion_model import Motion
 from mavnav.slam.pipeline import run_slam
+from mavnav.slam.relocalization import around, everywhere, lowest
 from mavnav.slam.result import SlamResult
+from mavnav.slam.robust import Robust
+from mavnav.slam.tracker import track
 from support.synthetic import along, box, polyline, scan_at
 
 SPEC = LaserSpec(-np.pi * 3 / 4, np.pi / 120, 181, 0.1, 12.0)
@@ -111,6 +115,27 @@ def off_m(found: SlamResult, truth: Trajectory) -> np.ndarray:
     return error
 
 
+def searches(scans: list[Scan]) -> None:
+    """Print how long the pruned wide search takes beside the exhaustive one, which finds the same minima."""
+    method = Robust(Config())
+    last = list(track(scans, method, Motion(PERIOD_S)))[-1].match.map_T_laser
+    few = method.match_points(scans[-1])[:100]
+    regions = {"disc of 2.5 m": around(last, 2.5, np.pi), "drift of 4 m": around(last, 4.0, np.pi / 6)}
+    for name, region in (regions | {"whole map": everywhere(method.known)}).items():
+        spent_s = []
+        for exhaustive in (False, True):
+            for _ in range(2):  # the first one makes the bounds
+                began_s = process_time()
+                found = lowest(few, method.lines, region, 0.15, 6, exhaustive=exhaustive)
+                end_s = process_time()
+            spent_s.append((end_s - began_s, found))
+        (pruned_s, a), (exhaustive_s, b) = spent_s
+        poses, same = len(region[0]) * len(region[1]), "the same minima" if a == b else "OTHER MINIMA"
+        print(
+            f"{name:14} {poses:9} poses  {pruned_s * 1e3:7.1f} ms, {pruned_s / exhaustive_s:.3f} of exhaustive, {same}"
+        )
+
+
 def main() -> None:
     """Simulate, track, print."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -125,6 +150,7 @@ def main() -> None:
     plain, plain_s = timed("loops off", scans, loop_closure="off")
     looped, _ = timed("loops on", scans, plain_s)
     timed("lost stretches", with_lost_stretches(scans), plain_s, loop_closure="off")
+    searches(scans)
     for name, found in (("off", plain), ("on", looped)):
         error_m = off_m(found, truth)
         print(f"loops {name}: {np.median(error_m) * 1e3:.0f} mm off (median), {error_m.max() * 1e3:.0f} mm at most")
