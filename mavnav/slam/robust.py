@@ -148,18 +148,16 @@ class Robust:
         elapsed_s = motion.elapsed_s(scan.stamp_ns)
         if tried and self._inside(tried[0], predicted) and self._believable(tried[0], motion, elapsed_s):
             return tried[0]
-        self._searches += 1
-        if tried and not self._is_search_due(motion, elapsed_s):
-            return tried[0]
         region = around(predicted, robust.window_mm * MM, robust.window_deg * DEG)
         tried += candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
         best = min(tried, key=lambda match: match.cost_m2)
-        if self._believable(best, motion, elapsed_s):
+        self._searches += 1
+        if self._believable(best, motion, elapsed_s) or not self._is_wide_search_due(motion, elapsed_s):
             return with_effort(best, *tried)
         return self._match_wide(scan, predicted, motion, points, tried)
 
-    def _is_search_due(self, motion: Motion, elapsed_s: float) -> bool:
-        """Tell whether a scan is searched farther than close to its prediction."""
+    def _is_wide_search_due(self, motion: Motion, elapsed_s: float) -> bool:
+        """Tell whether a scan is searched wherever the laser can be."""
         few = self._searches <= EACH_SCANS or elapsed_s <= EACH_SCANS * motion.period_s
         return few or floor(elapsed_s / THEN_S) > floor((elapsed_s - motion.period_s) / THEN_S)
 
