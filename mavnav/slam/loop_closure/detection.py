@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 LOOP_M = 8.0
 """What was seen a shorter way before is no loop: there the tracker itself keeps the map together."""
 
-LOOK_M, FAR_LOOK_M, RARE_LOOK_M = 0.25, 2.5, 1.0
-"""Way from one look for a loop to the next: at first; while the track holds; where looks tell nothing for long."""
+LOOK_M, FAR_LOOK_M = 0.25, 2.5
+"""Way from one look for a loop to the next: at first; while the track holds, or looks tell nothing for long."""
 
 HOLDING = 2
 """So many looks in a row that find the track where it should be tell that it holds."""
@@ -212,7 +212,7 @@ class Pace(NamedTuple):
     def after(self, way_m: float, found: Closure | None, *, holding: bool) -> Pace:
         """Return the pace after a look."""
         held, in_vain = (self.holding + 1 if holding else 0), (0 if found else self.in_vain + 1)
-        step_m = FAR_LOOK_M if held >= HOLDING else RARE_LOOK_M if in_vain >= IN_VAIN else LOOK_M
+        step_m = FAR_LOOK_M if held >= HOLDING or in_vain >= IN_VAIN else LOOK_M
         return Pace(way_m + step_m, held, in_vain)
 
 
