@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from numba import boolean, float64, int8, int16, int32, int64, types, uint16, uint32
+from numba import boolean, float64, int8, int16, int32, int64, types, uint8, uint16, uint32
 
 BOOL_2D = types.Array(boolean, 2, "C", readonly=True)
 
@@ -17,6 +17,8 @@ I32_2D = types.Array(int32, 2, "C", readonly=True)
 I64_1D = types.Array(int64, 1, "C", readonly=True)
 I64_2D = types.Array(int64, 2, "C", readonly=True)
 I64_3D = types.Array(int64, 3, "C", readonly=True)
+
+U8_3D = types.Array(uint8, 3, "C", readonly=True)
 
 U16_2D = types.Array(uint16, 2, "C", readonly=True)
 U16_3D = types.Array(uint16, 3, "C", readonly=True)

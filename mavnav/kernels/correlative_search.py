@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import float64, int32, int64
 
-from mavnav.kernels._jit import kernel
+from mavnav.kernels._jit import helper, kernel
 from mavnav.kernels._types import F64_1D, F64_2D, U32_2D
 from mavnav.kernels.lookup import line_distance2, slot_of
 
@@ -15,6 +15,33 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 BLOCK = 1024  # positions at once: what is kept of them stays in the cache
+
+
+@helper
+def pose_cost(
+    points: NDArray[np.float64],
+    xy_map_m: NDArray[np.float64],
+    yaw_rad: float,
+    truncate_m: float,
+    nearest: NDArray[np.uint32],
+    lines: NDArray[np.float64],
+    geometry: NDArray[np.float64],
+) -> float:
+    """Return the cost of ``pose_costs`` at one pose, bit for bit."""
+    (rows, cols), (x, y) = nearest.shape, xy_map_m
+    ox, oy, cell_m, _, _, _ = geometry
+    inverse, truncate_m2, total = 1.0 / cell_m, truncate_m * truncate_m, 0.0
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    for k in range(len(points)):
+        kx, ky = c * points[k, 0] - s * points[k, 1], s * points[k, 0] + c * points[k, 1]
+        fx, fy = (kx + x - ox) * inverse, (ky + y - oy) * inverse
+        d2 = truncate_m2
+        if (fx >= 0.0) & (fy >= 0.0) & (fx < cols) & (fy < rows):
+            slot = int64(slot_of(nearest[int32(fy), int32(fx)]))
+            if slot > 0:
+                d2 = line_distance2(kx + x, ky + y, truncate_m2, slot, lines)
+        total += d2
+    return total / len(points)
 
 
 @kernel(float64[:, ::1](F64_2D, F64_2D, F64_1D, float64, U32_2D, F64_2D, F64_1D))

@@ -22,3 +22,8 @@ WALL_HITS = 4
 """A cell with fewer hits may hold strays."""
 EXPLAINED_CELLS = 7
 """A hit so near explains an end point."""
+
+WORST = 255
+"""A bound of a point's cost in ``cost_floors``: the truncated cost."""
+LEVELS = 3
+"""Levels of ``cost_floors``: squares of 1, 2 and 4 positions a side are bounded."""

@@ -11,6 +11,7 @@ import numpy as np
 from mavnav.kernels.layout import FAR, NEAR, REACH_CELLS
 from mavnav.kernels.linemap import insert_points, rebuild
 from mavnav.kernels.points import extent
+from mavnav.mapping.cost_floors import CostFloors
 from mavnav.mapping.tiled_arrays import NO_ROOM, covering, moved, room, within
 from mavnav.memory import blank
 from mavnav.profiling import timed
@@ -55,6 +56,7 @@ class LineMap:
 
     geometry: NDArray[np.float64] = field(init=False)
     """Origin x, origin y, cell, line sigma, line noise in m, the share that may wait, shape (6,)."""
+    _floors: CostFloors | None = field(init=False, default=None)
     _room_m: Extent = field(init=False, default=NO_ROOM)
 
     def __post_init__(self) -> None:
@@ -73,11 +75,18 @@ class LineMap:
         """Return the value of ``nearest`` for a cell whose nearest occupied one is this far away, m."""
         return FAR + 1 - 1e-9 - (distance_m / self.cell_m) ** 2
 
+    def cost_floors(self, truncate_m: float, step: int, extent_m: Extent) -> CostFloors:
+        """Return bounds of the costs in an extent, for positions ``step`` cells apart; kept until the map changes."""
+        if self._floors is None or not self._floors.serve(truncate_m, step, extent_m):
+            self._floors = CostFloors.of(self.nearest, self.lines, self.geometry, truncate_m, step, extent_m)
+        return self._floors
+
     @timed("field update")
     def insert(self, xy_map_m: NDArray[np.float64], extent_m: Extent | None = None) -> None:
         """Add points (n, 2), in m, and refit the lines around them; their ``extent`` may be known."""
         if len(xy_map_m) == 0:
             return
+        self._floors = None
         extent_m = extent_m or extent(np.ascontiguousarray(xy_map_m))
         if not within(extent_m, self._room_m):
             self._cover(extent_m)
@@ -101,6 +110,7 @@ class LineMap:
 
         No points wait any longer.
         """
+        self._floors = None
         at = np.floor(xy_map_m / self.cell_m).astype(np.int64) - np.array(self.origin_cells)
         inside = ((at >= 0) & (at < np.array(self.nearest.shape[::-1]))).all(axis=1)
         col, row = at[inside].T

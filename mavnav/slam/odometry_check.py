@@ -10,14 +10,29 @@ import numpy as np
 from mavnav.slam.steps import tracked_trajectory
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from numpy.typing import NDArray
+
     from mavnav.pose import Pose, Trajectory
     from mavnav.slam.motion_model import Odometry
+    from mavnav.slam.steps import Step
     from mavnav.slam.track import Track
 
 LEAST_STEPS, MISLEADING = 20, 0.3
 """Steps that judge odometry; the share of the motion by which it may be wrong."""
 
+EARLY_STEPS, PLAINLY = 60, 1.5
+"""After so many steps odometry that is so many times worse than allowed is given up at once."""
+
 WARNING = "odometry contradicts the scans and is not used; check its scale, axes and clock"
+
+
+def while_odometry_fits(track: Track) -> Track:
+    """Track the log, with odometry as long as that does not plainly contradict the scans: the track then ends there."""
+    odometry = track.motion.odometry
+    scans = track.log_scans()
+    return track.over(scans, "track", None if odometry is None else lambda steps: until_misled(steps, odometry))
 
 
 def without_misleading_odometry(track: Track) -> Track:
@@ -25,8 +40,25 @@ def without_misleading_odometry(track: Track) -> Track:
     odometry = track.motion.odometry
     if odometry is None or not misleads(odometry, tracked_trajectory(track.steps)):
         return track
-    alone = track.again(replace(track, motion=track.motion._replace(odometry=None)))
-    return alone.with_warning(WARNING) if alone else track
+    alone = replace(track, motion=track.motion._replace(odometry=None))
+    alone = alone.over(alone.log_scans(), "track again")
+    return alone.with_warning(WARNING) if len(alone.steps) >= len(track.steps) else track
+
+
+def until_misled(steps: Iterable[Step], odometry: Odometry) -> Iterator[Step]:
+    """Yield the steps of a track until its odometry plainly misleads it."""
+    poses: list[tuple[int, Pose]] = []
+    squares, count = np.zeros(3), 0
+    for step in steps:
+        yield step
+        if not step.tracked:
+            continue
+        poses = [*poses[-2:], (step.stamp_ns, step.match.map_T_laser)]
+        errors = _errors(odometry, poses) if len(poses) == 3 else None
+        if errors is not None:
+            squares, count = squares + errors**2, count + 1
+        if count >= EARLY_STEPS and _is_worse(np.sqrt(squares / count), PLAINLY):
+            return
 
 
 def misleads(odometry: Odometry, map_T_laser: Trajectory) -> bool:
@@ -34,17 +66,25 @@ def misleads(odometry: Odometry, map_T_laser: Trajectory) -> bool:
 
     Errors are root mean squares over steps, in m; a radian counts as a metre.
     """
-    errors = []
     stamps = map_T_laser.stamps_ns.tolist()
-    for k in range(2, len(stamps)):
-        then, now = odometry(stamps[k - 1]), odometry(stamps[k])
-        if then and now:
-            went, moved = map_T_laser[k - 2].between(map_T_laser[k - 1]), map_T_laser[k - 1].between(map_T_laser[k])
-            errors.append([_size(p) for p in (then.between(now).between(moved), went.between(moved), moved)])
-    if len(errors) < LEAST_STEPS:
-        return False
-    by_odometry, by_velocity, motion = np.sqrt(np.square(errors).mean(axis=0))
-    return bool(by_odometry > max(by_velocity, MISLEADING * motion))
+    triples = ([(stamps[m], map_T_laser[m]) for m in range(k - 2, k + 1)] for k in range(2, len(stamps)))
+    errors = [found for triple in triples if (found := _errors(odometry, triple)) is not None]
+    return len(errors) >= LEAST_STEPS and _is_worse(np.sqrt(np.square(errors).mean(axis=0)))
+
+
+def _errors(odometry: Odometry, poses: list[tuple[int, Pose]]) -> NDArray[np.float64] | None:
+    """Return the errors of odometry and of constant velocity in the last of three poses, and the motion there, (3,)."""
+    (_, a), (b_ns, b), (c_ns, c) = poses
+    then, now = odometry(b_ns), odometry(c_ns)
+    if then is None or now is None:
+        return None
+    went, moved = a.between(b), b.between(c)
+    return np.array([_size(p) for p in (then.between(now).between(moved), went.between(moved), moved)])
+
+
+def _is_worse(errors: NDArray[np.float64], times: float = 1.0) -> bool:
+    by_odometry, by_velocity, motion = errors
+    return bool(by_odometry > times * max(by_velocity, MISLEADING * motion))
 
 
 def _size(motion: Pose) -> float:

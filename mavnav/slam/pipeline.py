@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from mavnav.slam.beam_order import with_reversed_beams
 from mavnav.slam.loop_closure.remap import close_loops
 from mavnav.slam.motion_model import Motion
-from mavnav.slam.odometry_check import without_misleading_odometry
+from mavnav.slam.odometry_check import while_odometry_fits, without_misleading_odometry
 from mavnav.slam.registry import make_method
 from mavnav.slam.rematch import refine_against_final_map, rematch_rejected, remove_dynamic_cells
 from mavnav.slam.resampled_track import with_coarser_voxels
@@ -73,7 +73,7 @@ def run_slam(
     method = make_method(config, prior_map)
     motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest)
     track = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step)
-    track = track.over(log_scans(), "track")  # steps 1 to 8
+    track = while_odometry_fits(track)  # steps 1 to 8
     for retry in RETRIES:
         track = retry(track)
     return finish(rematch_rejected(track))  # step 9

@@ -10,6 +10,7 @@ import numpy as np
 
 from mavnav.kernels.conflicts import conflicts
 from mavnav.kernels.correlative_search import pose_costs
+from mavnav.kernels.lowest_poses import lowest_poses
 from mavnav.mapping.tiled_arrays import bands, plain
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
@@ -32,12 +33,16 @@ STEP_M, STEP_RAD = 0.1, 4 * DEG
 """Spacing of the wide search: the cost is felt 0.15 m from a wall."""
 
 SEPARATE_M, SEPARATE_RAD = 0.25, 12 * DEG
+SEPARATE = np.array((SEPARATE_M, SEPARATE_RAD))
 """Minima nearer than this are one."""
 
 CANDIDATES = 6
 
+WORTH_PRUNING = 1 << 19
+"""Costs of points, in a search that is not pruned: with fewer it takes less than the bounds of its costs do."""
+
 AT_ONCE = 1 << 16
-"""Positions that are searched at once: their costs take 47 MB."""
+"""Positions whose costs are found at once where the search is not pruned: they take 47 MB."""
 
 FARTHEST_M = 2.5
 """A laser that was not seen for long can be anywhere: then the whole map is searched."""
@@ -114,17 +119,66 @@ def candidates(
 
     ``points`` (n, 2) are the scan's in the laser's frame, m, in an order any beginning of which is a fair sample.
     """
-    robust, (xy_m, yaws_rad) = config.robust, region
-    few = points[: robust.first_level_points]
-    nearest, lines, geometry = line_map.nearest, line_map.lines, line_map.geometry
+    few, truncate_m = points[: config.robust.first_level_points], config.robust.truncate_mm * MM
+    starts = lowest(few, line_map, region, truncate_m, most, exhaustive=config.search == "exhaustive")
+    schedule = Schedule.of(config, line_map, (1.5 * STEP_M, 1.5 * STEP_RAD))
+    return [judged(search_lines(points, line_map, pose, schedule), points, line_map, grid) for _, pose in starts]
+
+
+def lowest(
+    points: NDArray[np.float64],
+    line_map: LineMap,
+    region: Region,
+    truncate_m: float,
+    most: int,
+    *,
+    exhaustive: bool = False,
+) -> list[Start]:
+    """Return the ``most`` lowest separate minima of the cost of points (n, 2) in a region; pruned, they are the same.
+
+    A small region is not worth pruning. Pruning needs positions that are whole cells apart.
+    """
+    xy_m, yaws_rad = region
+    step = round(STEP_M / line_map.cell_m)
+    small = len(xy_m) * len(yaws_rad) * len(points) < WORTH_PRUNING
+    if exhaustive or small or abs(step * line_map.cell_m - STEP_M) > 1e-9:
+        return exhaustively(points, line_map, region, truncate_m, most)
+    far_m = float(np.hypot(*points.T).max())
+    extent_m = (*(xy_m.min(axis=0) - far_m).tolist(), *(xy_m.max(axis=0) + far_m).tolist())
+    floors = line_map.cost_floors(truncate_m, step, extent_m)
+    found = lowest_poses(
+        points,
+        xy_m,
+        yaws_rad,
+        truncate_m,
+        SEPARATE,
+        most,
+        step,
+        floors.corner,
+        floors.levels,
+        floors.planes,
+        line_map.nearest,
+        line_map.lines,
+        line_map.geometry,
+    )
+    return [(cost, _pose(xy_m[int(p)], yaws_rad[int(q)])) for cost, q, p in found.tolist()]
+
+
+def exhaustively(
+    points: NDArray[np.float64], line_map: LineMap, region: Region, truncate_m: float, most: int
+) -> list[Start]:
+    """Return what ``lowest`` does from the costs of all poses, of ``AT_ONCE`` positions at once."""
+    xy_m, yaws_rad = region
     starts: list[Start] = []
     for first in range(0, len(xy_m), AT_ONCE):
         some = xy_m[first : first + AT_ONCE]
-        costs = pose_costs(few, some, yaws_rad, robust.truncate_mm * MM, nearest, lines, geometry)
+        costs = pose_costs(points, some, yaws_rad, truncate_m, line_map.nearest, line_map.lines, line_map.geometry)
         starts += minima(costs, some, yaws_rad, most)
-    starts = starts if len(starts) <= most else lowest(starts, most)
-    schedule = Schedule.of(config, line_map, (1.5 * STEP_M, 1.5 * STEP_RAD))
-    return [judged(search_lines(points, line_map, pose, schedule), points, line_map, grid) for _, pose in starts]
+    return starts if len(starts) <= most else merged(starts, most)
+
+
+def _pose(xy_m: NDArray[np.float64], yaw_rad: float) -> Pose:
+    return Pose(float(xy_m[0]), float(xy_m[1]), wrap_angle(float(yaw_rad)))
 
 
 def best_of(found: list[Match], expected: tuple[Pose, ...], elapsed_s: float, config: Config) -> Match:
@@ -180,14 +234,14 @@ def minima(
         q, p = np.unravel_index(int(np.argmin(costs)), costs.shape)
         if not np.isfinite(costs[q, p]):
             break
-        found.append((float(costs[q, p]), Pose(float(xy_m[p, 0]), float(xy_m[p, 1]), wrap_angle(float(yaws_rad[q])))))
+        found.append((float(costs[q, p]), _pose(xy_m[p], yaws_rad[q])))
         near = np.hypot(*(xy_m - xy_m[p]).T) < SEPARATE_M
         turned = np.abs((yaws_rad - yaws_rad[q] + pi) % (2 * pi) - pi) < SEPARATE_RAD
         costs[np.ix_(turned, near)] = np.inf
     return found
 
 
-def lowest(starts: list[Start], most: int) -> list[Start]:
+def merged(starts: list[Start], most: int) -> list[Start]:
     """Return the ``most`` lowest minima that lie apart, of those of several parts of a region."""
     kept: list[Start] = []
     for start in sorted(starts, key=itemgetter(0)):

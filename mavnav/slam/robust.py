@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from math import floor
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,6 +49,11 @@ NEAR_MINIMA = 3
 """So many separate minima of the cost near the prediction are refined: the lowest of a coarse lattice may mislead."""
 
 
+EACH_SCANS, THEN_S = 8, 1.0
+"""Each of so many scans of a lost laser is searched in wide regions, then one a second: once it is found again, the
+scans between are matched from there."""
+
+
 AT_REST = np.zeros(3)
 """No motion to undo."""
 
@@ -89,6 +95,7 @@ class Robust:
         self._begin()
         self._limits_m = np.array([robust.near_mm * MM, robust.far_mm * MM, robust.voxel_mm * MM])
         self._deskewed: tuple[Scan, Motion, Points] | None = None
+        self._searches = 0  # since a scan was inserted
 
     @property
     def refiner(self) -> Robust:
@@ -144,9 +151,15 @@ class Robust:
         region = around(predicted, robust.window_mm * MM, robust.window_deg * DEG)
         tried += candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
         best = min(tried, key=lambda match: match.cost_m2)
-        if self._believable(best, motion, elapsed_s):
+        self._searches += 1
+        if self._believable(best, motion, elapsed_s) or not self._is_wide_search_due(motion, elapsed_s):
             return with_effort(best, *tried)
         return self._match_wide(scan, predicted, motion, points, tried)
+
+    def _is_wide_search_due(self, motion: Motion, elapsed_s: float) -> bool:
+        """Tell whether a scan is searched wherever the laser can be."""
+        few = self._searches <= EACH_SCANS or elapsed_s <= EACH_SCANS * motion.period_s
+        return few or floor(elapsed_s / THEN_S) > floor((elapsed_s - motion.period_s) / THEN_S)
 
     def _look_near(self, points: NDArray[np.float64], predicted: Pose, motion: Motion) -> list[Match]:
         """Search close to the prediction."""
@@ -215,6 +228,7 @@ class Robust:
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add every point of the de-skewed scan."""
+        self._searches = 0
         points = self._points(scan, motion)[0]
         xy_map_m = np.empty_like(points)
         extent_m = placed(points, map_T_laser.as_array(), xy_map_m)

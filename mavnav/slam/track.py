@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     """Gives the scans of a log, from the first one again at every call."""
     OnStep = Callable[[str, int], None]
     """Called with the name of the pass ("track", "track again", "final pass") and the number of scans done."""
+    Until = Callable[[Iterable[Step]], Iterator[Step]]
+    """Passes the first steps of a track on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +56,14 @@ class Track:
         """Return the same with one more line for the user."""
         return replace(self, warnings=(*self.warnings, text))
 
-    def over(self, scans: Iterable[Scan], phase: str = "") -> Track:
-        """Return the track through some scans from an empty map on, or in the prior map; a named phase is reported."""
+    def over(self, scans: Iterable[Scan], phase: str = "", until: Until | None = None) -> Track:
+        """Return the track through some scans from an empty map on, or in the prior map; a named phase is reported.
+
+        ``until`` may end it early.
+        """
         method = make_method(self.config, self.prior_map)
         steps = track(scans, method, self.motion)
+        steps = until(steps) if until else steps
         return replace(self, method=method, steps=Steps(self.reported(steps, phase) if phase else steps))
 
     def again(self, other: Track) -> Track | None:

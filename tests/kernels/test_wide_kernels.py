@@ -9,6 +9,9 @@ from hypothesis import strategies as st
 
 from mavnav.kernels.conflicts import conflicts
 from mavnav.kernels.correlative_search import BLOCK, pose_costs
+from mavnav.kernels.cost_floors import cost_floors
+from mavnav.kernels.layout import LEVELS
+from mavnav.kernels.lowest_poses import lowest_poses
 from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.tiled_arrays import in_strips
 from mavnav.pose import Pose, transform_points
@@ -94,3 +97,53 @@ def test_a_position_costs_the_same_among_many() -> None:
     outside = (np.abs(xy) > 2.5).any(axis=1)
     assert 0 < outside.sum() < len(xy)
     np.testing.assert_allclose(costs[:, outside], 0.15**2, rtol=1e-12)
+
+
+def scattered(seed: int) -> LineMap:
+    """Return a map of a few short walls."""
+    rng = np.random.default_rng(seed)
+    line_map = LineMap(0.02, 0.06, 0.01)
+    for _ in range(4):
+        a, b = rng.uniform(0, 1.5, (2, 2))
+        line_map.insert(a + np.linspace(0, 1, 40)[:, None] * (b - a) + rng.normal(0, 0.005, (40, 2)))
+    return line_map
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_cost_floors_are_their_twin_and_bound_every_point(seed: int) -> None:
+    line_map, rng, step = scattered(seed), np.random.default_rng(seed), 5
+    box = np.array([*np.floor(-np.array(line_map.origin_cells[::-1]) + rng.integers(-5, 9, 2)), 70, 61], np.int64)
+    told = line_map.nearest, line_map.lines, line_map.geometry
+    floors, planes = cost_floors(box, step, 0.15, *told)
+
+    def line(row: int, col: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float] | None:
+        slot = line_map.nearest[row, col] // 128
+        foot, metric = line_map.lines[slot, :2], line_map.lines[slot, [2, 3, 3, 4]].reshape(2, 2)
+        middle = np.array(line_map.origin_xy_m) + (np.array([col, row]) + 0.5) * 0.02
+        return (foot, metric, middle, 0.01 * 2**0.5) if slot else None
+
+    expected = naive.cost_floors(line, box, step, 0.15, LEVELS)
+    assert np.abs(floors.astype(int) - expected).max() <= 1  # 255 times a square may round to either side
+    apart = step << (LEVELS - 1)
+    for row, col in rng.integers(0, (70, 61), (200, 2)):
+        assert planes[row % apart * apart + col % apart, row // apart, col // apart] == floors[-1, row, col]
+        x, y = np.array(line_map.origin_xy_m) + (box[[1, 0]] + (col, row) + rng.uniform(0.01, 0.99, 2)) * 0.02
+        cost = pose_costs(np.zeros((1, 2)), np.array([[x, y]]), np.zeros(1), 0.15, *told)[0, 0]
+        assert floors[0, row, col] * 0.15**2 / 255 <= cost + 1e-15
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_lowest_poses_are_their_twin(seed: int) -> None:
+    line_map, rng, separate = scattered(seed), np.random.default_rng(seed), np.array((0.25, 0.25))
+    rows, cols = np.nonzero(rng.random((19, 23)) < 0.8)
+    xy = np.column_stack((cols, rows)) * 0.1 + rng.uniform(-0.3, 0.1, 2)
+    points, yaws = rng.uniform(-0.7, 0.7, (40, 2)), rng.uniform(-3, 3) + 0.1 * np.arange(12)
+    floors = line_map.cost_floors(0.15, 5, (-2.0, -2.0, 4.0, 4.0))
+    told = line_map.nearest, line_map.lines, line_map.geometry
+    found = lowest_poses(points, xy, yaws, 0.15, separate, 9, 5, floors.corner, floors.levels, floors.planes, *told)
+    costs = pose_costs(points, xy, yaws, 0.15, *told)
+    assert found.tolist() == [list(row) for row in naive.lowest_poses(costs, xy, yaws, separate, 9)]
+    few = lowest_poses(
+        points, xy[:1], yaws[:1], 0.15, separate, 9, 5, floors.corner, floors.levels, floors.planes, *told
+    )
+    assert few.tolist() == [[costs[0, 0], 0.0, 0.0]]

@@ -20,12 +20,15 @@ from mavnav.slam.relocalization import (
     CANDIDATES,
     STEP_M,
     TELLING,
+    WORTH_PRUNING,
     apart,
+    around,
     candidates,
     everywhere,
     firmness,
     judged,
     lowest,
+    merged,
     minima,
     surprise,
     unrivalled,
@@ -92,14 +95,37 @@ def test_everywhere_takes_little_memory_beside_the_map() -> None:
 def test_a_large_region_is_searched_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     method = mapped(furnished_rooms(), [Pose(1.0, 1.0, 0.5), Pose(4.6, 0.8, 2.0), Pose(3.0, 3.0, -1.0)])
     points = method.match_points(scan_at(furnished_rooms(), Pose(3.9, 1.1, -2.6), noise=0.01))
-    region = everywhere(method.known)
+    region, exhaustive = everywhere(method.known), Config(search="exhaustive")
     found = []
     for parts in (1, 7):
         monkeypatch.setattr(relocalization, "AT_ONCE", -(-len(region[0]) // parts))
-        found.append(candidates(points, method.lines, method.known, region, method.config))
+        found.append(candidates(points, method.lines, method.known, region, exhaustive))
     assert len(found[0]) == len(found[1]) == CANDIDATES
     best = [unrivalled(some, 0.0, method.config) for some in found]
     assert best[0] == best[1] is not None
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("cell_mm", [20.0, 50.0])
+def test_the_pruned_search_finds_the_minima_of_the_exhaustive_one(seed: int, cell_mm: float) -> None:
+    rng = np.random.default_rng(seed)
+    method = Robust(Config.model_validate({"robust": {"cell_mm": cell_mm}}))
+    for pose in (Pose(1.0, 1.0, 0.5), Pose(4.6, 0.8, 2.0), Pose(3.0, 3.0, -1.0)):
+        method.insert(scan_at(furnished_rooms(), pose, noise=0.01, rng=rng), pose, Motion(0.1))
+        there = Pose(*rng.uniform((0.6, 0.6, -3), (4.6, 3.0, 3)).tolist())
+        few = method.match_points(scan_at(furnished_rooms(), there, noise=0.02, rng=rng))[:100]
+        for region in (everywhere(method.known), around(there, 2.5, np.pi), around(Pose(-4.0, 9.0, 1.0), 3.0, 0.7)):
+            assert region[0].size * len(region[1]) * len(few) > 2 * WORTH_PRUNING
+            args = few, method.lines, region, 0.15, 30
+            assert lowest(*args) == lowest(*args, exhaustive=True)
+
+
+def test_cells_that_do_not_divide_the_step_are_searched_exhaustively() -> None:
+    method = Robust(Config.model_validate({"robust": {"cell_mm": 30.0}}))
+    method.insert(scan_at(furnished_rooms(), Pose(1.0, 1.0, 0.5)), Pose(1.0, 1.0, 0.5), Motion(0.1))
+    few = method.match_points(scan_at(furnished_rooms(), Pose(1.2, 1.0, 0.4)))[:100]
+    args = few, method.lines, around(Pose(1.0, 1.0, 0.5), 2.5, np.pi), 0.15, 6
+    assert lowest(*args) == lowest(*args, exhaustive=True)
 
 
 def test_a_sample_tells_what_speaks_against_a_place() -> None:
@@ -144,8 +170,8 @@ def test_minima_lie_apart_and_begin_with_the_lowest() -> None:
 
 def test_of_minima_of_several_parts_the_lowest_that_lie_apart_count() -> None:
     starts = [(0.3, Pose(0.0, 0.0)), (0.2, Pose(0.2, 0.0)), (0.1, Pose(3.0, 0.0)), (0.4, Pose(0.2, 0.0, 0.5))]
-    assert [cost for cost, _ in lowest(starts, 3)] == [0.1, 0.2, 0.4]
-    assert [cost for cost, _ in lowest(starts, 2)] == [0.1, 0.2]
+    assert [cost for cost, _ in merged(starts, 3)] == [0.1, 0.2, 0.4]
+    assert [cost for cost, _ in merged(starts, 2)] == [0.1, 0.2]
 
 
 @pytest.mark.parametrize("elapsed_s", [0.1, 0.7, 30.0])

@@ -297,6 +297,36 @@ def pose_costs(points, xy_map_m, yaws_rad, lines, cell_m, truncate_m):
     return [[None if None in point else sum(point) / len(point) for point in row] for row in costs]
 
 
+def lowest_poses(costs, xy_m, yaws_rad, separate, most):
+    """Lowest costs (q, p) one after the other, each apart from those before it; cost, yaw, position."""
+    found = []
+    for cost, q, p in sorted((cost, q, p) for q, row in enumerate(costs) for p, cost in enumerate(row)):
+        turns = [abs(np.angle(np.exp(1j * (yaws_rad[q] - yaws_rad[other])))) for _, other, _ in found]
+        steps = [np.hypot(*(xy_m[p] - xy_m[other])) for _, _, other in found]
+        if all(turn >= separate[1] or step >= separate[0] for turn, step in zip(turns, steps, strict=True)):
+            found.append((cost, q, p))
+    return found[:most]
+
+
+def cost_floors(lines, box, step, truncate_m, levels):
+    """Bounds of the cells of a box by level; ``lines`` as in ``line_costs``, of the nearest cell by (row, col)."""
+    first_row, first_col, rows, cols = box
+
+    def least(row, col):
+        foot, metric, middle, half_m = lines(row, col) or (None, None, None, None)
+        if foot is None:
+            return 255
+        off = middle - foot
+        return int(255 * min(max(np.sqrt(off @ metric @ off) - half_m, 0.0) / truncate_m, 1.0) ** 2)
+
+    cells = {(r, c): least(first_row + r, first_col + c) for r in range(rows) for c in range(cols)}
+    out = np.zeros((levels, rows, cols), int)
+    for level, r, c in np.ndindex(out.shape):
+        shifts = [step * k for k in range(2**level)]
+        out[level, r, c] = min(cells.get((r + i, c + j), 255) for i in shifts for j in shifts)
+    return out
+
+
 def observability(points, map_T_laser, line_map):
     """Least eigenvalue of the information of the points (n, 2), by way of every line's normal."""
     arm = np.linalg.norm(points, axis=1).mean()

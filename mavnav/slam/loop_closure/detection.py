@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.mapping.line_map import LineMap
-from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.pose import Pose, Trajectory, blend, transform_points, wrap_angle
+from mavnav.pose import Pose, Trajectory, blend
 from mavnav.profiling import timed
+from mavnav.slam.loop_closure.drift import DRIFT_RAD, Ways, drift_bound
+from mavnav.slam.loop_closure.key_frames import KeyFrame, Part, Places, key_rows
 from mavnav.slam.loop_closure.pose_graph import Edge, optimised
 from mavnav.slam.relocalization import apart, around, candidates, firmness, judged, unrivalled
 from mavnav.slam.scan_matching import Schedule, search_lines
@@ -33,20 +33,20 @@ if TYPE_CHECKING:
 
     Points = NDArray[np.float64]
 
-KEY_M, KEY_RAD = 0.3, 15 * DEG
-"""A key frame follows the last one after so much way or turning."""
-
 LOOP_M = 8.0
 """What was seen a shorter way before is no loop: there the tracker itself keeps the map together."""
 
-LOOK_M = 0.25
-"""Way from one look for a loop to the next."""
+LOOK_M, FAR_LOOK_M = 0.25, 2.5
+"""Way from one look for a loop to the next: at first; while the track holds, or looks tell nothing for long."""
+
+HOLDING = 2
+"""So many looks in a row that find the track where it should be tell that it holds."""
+
+IN_VAIN = 40
+"""After so many looks in a row that tell nothing they become rare."""
 
 SIGHT_M = 4.0
 """Old key frames within this, and the drift, may have seen the same walls."""
-
-DRIFT_M, DRIFT_RAD = (0.3, 0.06, 4.0), (5 * DEG, 0.8 * DEG, 30 * DEG)
-"""Bounds of the drift: at first, more a metre of way, at most."""
 
 LEAST_INLIERS = 0.5
 """Share of a closure's points that agree with the old part; the others may lie on what was not seen before."""
@@ -56,9 +56,6 @@ MOST_CONFLICTS = 0.05
 
 CLEAR_BY = 0.15
 """A closure is ambiguous if another place within the drift ranks nearer than this (``disagreement``)."""
-
-PLACE_M = 0.1
-"""Two key frames saw the same where their points lie in the same square of this edge."""
 
 PART_M = 1.0
 """A closure is measured against what was seen within so much way of its witness, because that is rigid."""
@@ -79,20 +76,13 @@ CLOSURE_SIGMA_M, CLOSURE_SIGMA_RAD = 0.03, 0.5 * DEG
 """Standard deviations of a closure."""
 
 SMALL_M, SMALL_RAD = 0.06, 1 * DEG
-"""Closures that are all off by less tell that the track holds; it is left as it is."""
+"""Closures that are off by less tell that the track holds; it is left as it is."""
+
+SMALL_SHARE, FAR_OFF = 0.95, 3.0
+"""That is so if this share of them is off by less, and none by so many times as much: that may be one loop of many."""
 
 ROUNDS = 3
 """A closed loop brings others within reach: the search is repeated so often at most."""
-
-
-@dataclass(frozen=True, slots=True)
-class KeyFrame:
-    """A tracked scan: its row in the trajectory, the way so far, its points (n, 2), laser frame, m, and its pose."""
-
-    row: int
-    way_m: float
-    points: Points
-    map_T_laser: Pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,29 +163,10 @@ def find_closures(tracked: list[KeyFrame], config: Config) -> tuple[list[KeyFram
         if len(agreed) < len(closures):
             break
         closures, refused = agreed, len(found) - len(agreed)
-        if all(is_small(closure.correction(keys)) for closure in closures):
+        if holds([closure.correction(keys) for closure in closures]):
             break
         keys = bent(tracked, closures)
     return keys, closures, refused
-
-
-def key_rows(xyyaw: NDArray[np.float64]) -> tuple[list[int], list[float]]:
-    """Choose the rows of key frames out of poses (n, 3); return them and the way up to each, m."""
-    steps_m = np.hypot(*np.diff(xyyaw[:, :2], axis=0).T)
-    way_m = np.concatenate(([0.0], steps_m.cumsum()))
-    rows: list[int] = []
-    last_m = last_rad = -np.inf
-    for row, (at_m, yaw_rad) in enumerate(zip(way_m.tolist(), xyyaw[:, 2].tolist(), strict=False)):
-        if at_m - last_m >= KEY_M or abs(wrap_angle(yaw_rad - last_rad)) >= KEY_RAD:
-            rows.append(row)
-            last_m, last_rad = at_m, yaw_rad
-    return rows, way_m[rows].tolist()
-
-
-def drift_bound(way_m: float) -> tuple[float, float]:
-    """Return how far a track may be off after so much way, m and rad."""
-    (first_m, more_m, most_m), (first_rad, more_rad, most_rad) = DRIFT_M, DRIFT_RAD
-    return min(first_m + more_m * way_m, most_m), min(first_rad + more_rad * way_m, most_rad)
 
 
 def nearest_old(xy_m: NDArray[np.float64], ways_m: NDArray[np.float64], j: int) -> int | None:
@@ -209,37 +180,40 @@ def nearest_old(xy_m: NDArray[np.float64], ways_m: NDArray[np.float64], j: int) 
 
 
 def returns(keys: Sequence[KeyFrame], config: Config) -> Iterator[Closure | None]:
-    """Look from key frames, ``LOOK_M`` apart, for what was seen long before; None for each that sees no sure place."""
-    old = Part(config)
+    """Look from key frames for what was seen long before; None for each that sees no sure place.
+
+    Looks are dense at first and sparse where the track holds; what is known to hold bounds the drift from there on.
+    """
+    old, places, ways, pace = Part(config), Places(keys), Ways(), Pace()
     xy_m = np.array([(k.map_T_laser.x_m, k.map_T_laser.y_m) for k in keys])
-    ways_m, last_m = np.array([k.way_m for k in keys]), -LOOK_M
+    ways_m = np.array([k.way_m for k in keys])
     for j, key in enumerate(keys):
-        i = nearest_old(xy_m, ways_m, j) if key.way_m >= last_m + LOOK_M else None
+        i = nearest_old(xy_m, ways_m, j) if key.way_m >= pace.next_m else None
         if i is None:
             continue
-        last_m = key.way_m
-        old.grow(keys, int(np.searchsorted(ways_m, key.way_m - LOOP_M)))
-        match = the_place(key, old, drift_bound(key.way_m - ways_m[i]), config)
-        yield None if match is None else measured(keys, j, match, config)
+        count = int(np.searchsorted(ways_m, key.way_m - LOOP_M))
+        old.grow(keys, count)
+        match = the_place(key, old, drift_bound(ways.between(keys[i].way_m, key.way_m)), config)
+        places.grow(count)
+        found = None if match is None else measured(keys, j, match, places, config)
+        pace = pace.after(key.way_m, found, holding=found is not None and is_small(found.correction(keys)))
+        if found and pace.holding >= HOLDING:
+            ways.join(keys[found.start].way_m, key.way_m)
+        yield found
 
 
-class Part:
-    """A part of the map: what some key frames saw."""
+class Pace(NamedTuple):
+    """When to look next: from ``next_m`` of the way on, after so many looks in a row that held or told nothing."""
 
-    def __init__(self, config: Config) -> None:
-        """Start empty."""
-        robust = config.robust
-        self.grid = GridBuilder(robust.cell_mm * MM)
-        self.lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
-        self.count = 0
+    next_m: float = 0.0
+    holding: int = 0
+    in_vain: int = 0
 
-    def grow(self, keys: Sequence[KeyFrame], count: int) -> None:
-        """Insert the next key frames, up to the number ``count``."""
-        for key in keys[self.count : count]:
-            xy_map_m = transform_points(key.map_T_laser, key.points)
-            self.lines.insert(xy_map_m)
-            self.grid.insert(key.map_T_laser, xy_map_m)
-        self.count = max(count, self.count)
+    def after(self, way_m: float, found: Closure | None, *, holding: bool) -> Pace:
+        """Return the pace after a look."""
+        held, in_vain = (self.holding + 1 if holding else 0), (0 if found else self.in_vain + 1)
+        step_m = FAR_LOOK_M if held >= HOLDING or in_vain >= IN_VAIN else LOOK_M
+        return Pace(way_m + step_m, held, in_vain)
 
 
 def the_place(key: KeyFrame, old: Part, bound: tuple[float, float], config: Config) -> Match | None:
@@ -255,12 +229,12 @@ def fits(match: Match) -> bool:
     return match.inliers >= LEAST_INLIERS and match.conflicts <= MOST_CONFLICTS
 
 
-def measured(keys: Sequence[KeyFrame], j: int, match: Match, config: Config) -> Closure | None:
+def measured(keys: Sequence[KeyFrame], j: int, match: Match, places: Places, config: Config) -> Closure | None:
     """Measure key frame ``j`` against what was seen about that place; None where that speaks against it."""
-    old = [k for k, key in enumerate(keys) if key.way_m < keys[j].way_m - LOOP_M]
-    i = witness(keys, old, replace(keys[j], map_T_laser=match.map_T_laser))
+    i = places.witness(replace(keys[j], map_T_laser=match.map_T_laser))
+    old = range(places.count)
     part = Part(config)
-    part.grow([keys[k] for k in old if abs(keys[k].way_m - keys[i].way_m) <= PART_M], len(old))
+    part.grow([keys[k] for k in old if abs(keys[k].way_m - keys[i].way_m) <= PART_M], places.count)
     robust, points = config.robust, keys[j].points
     first = Schedule.of(config, part.lines, (robust.truncate_mm * MM, DRIFT_RAD[0]))
     fine = search_lines(points, part.lines, match.map_T_laser, first)
@@ -272,19 +246,6 @@ def measured(keys: Sequence[KeyFrame], j: int, match: Match, config: Config) -> 
     if firmness(points, fine.map_T_laser, part.lines, config) < LEAST_FIRMNESS:
         return None
     return Closure(i, j, keys[i].map_T_laser.between(fine.map_T_laser), fine)
-
-
-def witness(keys: Sequence[KeyFrame], old: Sequence[int], key: KeyFrame) -> int:
-    """Return the old key frame that saw most of what a key frame saw, by its own pose: one nearer by may lie askew."""
-    seen = places(key)
-    common = {k: np.count_nonzero(np.isin(seen, places(keys[k]), assume_unique=True)) for k in old}
-    return max(old, key=lambda k: (common[k], -keys[k].map_T_laser.between(key.map_T_laser).distance_m))
-
-
-def places(key: KeyFrame) -> NDArray[np.complex128]:
-    """Return the squares of the plane that hold points of a key frame, each by its corner in the complex plane."""
-    xy = np.floor(transform_points(key.map_T_laser, key.points) / PLACE_M)
-    return np.unique(xy[:, 0] + 1j * xy[:, 1])
 
 
 def agreeing(closures: Sequence[Closure], keys: Sequence[KeyFrame]) -> list[Closure]:
@@ -307,9 +268,15 @@ def agree(a: Closure, b: Closure, keys: Sequence[KeyFrame]) -> bool | None:
     return off.distance_m <= AGREE_M[0] + AGREE_M[1] * way_m and abs(off.yaw_rad) <= AGREE_RAD[0] + AGREE_RAD[1] * way_m
 
 
-def is_small(correction: Pose) -> bool:
-    """Tell whether a track that is off by this had better be left as it is."""
-    return correction.distance_m <= SMALL_M and abs(correction.yaw_rad) <= SMALL_RAD
+def is_small(correction: Pose, times: float = 1.0) -> bool:
+    """Tell whether a correction is so small, or so many times as large."""
+    return correction.distance_m <= times * SMALL_M and abs(correction.yaw_rad) <= times * SMALL_RAD
+
+
+def holds(corrections: Sequence[Pose]) -> bool:
+    """Tell whether a track that is off by these had better be left as it is."""
+    few = sum(not is_small(correction) for correction in corrections) <= (1.0 - SMALL_SHARE) * len(corrections)
+    return few and all(is_small(correction, FAR_OFF) for correction in corrections)
 
 
 def bent(keys: Sequence[KeyFrame], closures: Sequence[Closure]) -> list[KeyFrame]:

@@ -14,16 +14,9 @@ from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
 from mavnav.slam.loop_closure import remap
-from mavnav.slam.loop_closure.detection import (
-    LOOP_M,
-    KeyFrame,
-    Loop,
-    Loops,
-    drift_bound,
-    find_loops,
-    key_rows,
-    witness,
-)
+from mavnav.slam.loop_closure.detection import LOOP_M, Loop, Loops, find_loops
+from mavnav.slam.loop_closure.drift import drift_bound
+from mavnav.slam.loop_closure.key_frames import KeyFrame, Places, key_rows
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.pipeline import finish
 from mavnav.slam.robust import Robust
@@ -211,7 +204,9 @@ def test_the_witness_saw_the_same_walls_even_from_farther_away() -> None:
     other = wall + np.array([0.0, 3.0])
     seen = [(Pose(-1.0, 0.0, 0.0), wall), (Pose(0.1, 0.0, 0.0), other), (Pose(-2.0, 0.0, 0.0), wall)]
     keys = [KeyFrame(k, float(k), xy_m - (pose.x_m, pose.y_m), pose) for k, (pose, xy_m) in enumerate(seen)]
-    assert witness(keys, [0, 1, 2], KeyFrame(9, 30.0, wall, Pose())) == 0
+    seen_by = Places(keys)
+    seen_by.grow(3)
+    assert seen_by.witness(KeyFrame(9, 30.0, wall, Pose())) == 0
 
 
 def test_the_bound_of_the_drift_grows_and_ends() -> None:

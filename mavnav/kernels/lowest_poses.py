@@ -1,0 +1,312 @@
+"""The lowest separate minima of a scan's cost on a lattice of poses, by branch and bound (Hess 2016; docs/method.md).
+
+The positions of the lattice form squares of 4 x 4. The bounds of ``cost_floors`` bound a scan's cost on a whole square.
+The square with the least bound is divided next, into squares of 2 x 2, then into positions; a position with the least
+bound is evaluated. So the poses come out in the order of their costs, and few are evaluated.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numba import float64, int64, uint16, uint64
+
+from mavnav.kernels._jit import helper, kernel
+from mavnav.kernels._types import F64_1D, F64_2D, I64_1D, U8_3D, U32_2D
+from mavnav.kernels.correlative_search import pose_cost
+from mavnav.kernels.layout import LEVELS, WORST
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+TOP = LEVELS - 1
+SIDE = 1 << TOP  # positions along a square of the top level
+
+MOST_POINTS = 257
+"""The bounds of so many points fit into two bytes; further points are bounded by 0."""
+
+UNSURE = 1e-6
+"""Of a cell: a point so near to an edge may fall on either side of it, and is bounded by 0."""
+
+ROUNDING = 1.0 - 1e-9
+"""What bounds are lowered by: a mean of costs is off by some 1e-14."""
+
+SLICE = 256
+"""The squares are ordered in slices; so many are in the first one at least, and each is twice the one before."""
+
+
+class Heap(NamedTuple):
+    """Entries in a heap, the least first: bound or cost, m2, and what it is of (``_code``)."""
+
+    cost_m2: NDArray[np.float64]
+    code: NDArray[np.int64]
+
+
+@helper
+def _grown(heap: Heap, count: int) -> Heap:
+    """Return a heap with room for one more entry than ``count``."""
+    if count < len(heap.code):
+        return heap
+    cost_m2, code = np.empty(2 * count), np.empty(2 * count, np.int64)
+    cost_m2[:count], code[:count] = heap.cost_m2[:count], heap.code[:count]
+    return Heap(cost_m2, code)
+
+
+@helper
+def _push(heap: Heap, count: int, cost_m2: float, code: int) -> None:
+    """Add an entry to ``count`` others; of equal costs the lower code comes first."""
+    at = count
+    while at > 0:
+        up = (at - 1) // 2
+        if heap.cost_m2[up] < cost_m2 or (heap.cost_m2[up] == cost_m2 and heap.code[up] < code):
+            break
+        heap.cost_m2[at], heap.code[at] = heap.cost_m2[up], heap.code[up]
+        at = up
+    heap.cost_m2[at], heap.code[at] = cost_m2, code
+
+
+@helper
+def _pop(heap: Heap, count: int) -> None:
+    """Remove the first of ``count`` entries."""
+    cost_m2, code, at = heap.cost_m2[count - 1], heap.code[count - 1], 0
+    while 2 * at + 1 < count - 1:
+        down = 2 * at + 1
+        if down + 1 < count - 1 and (
+            heap.cost_m2[down + 1] < heap.cost_m2[down]
+            or (heap.cost_m2[down + 1] == heap.cost_m2[down] and heap.code[down + 1] < heap.code[down])
+        ):
+            down += 1
+        if cost_m2 < heap.cost_m2[down] or (cost_m2 == heap.cost_m2[down] and code < heap.code[down]):
+            break
+        heap.cost_m2[at], heap.code[at] = heap.cost_m2[down], heap.code[down]
+        at = down
+    heap.cost_m2[at], heap.code[at] = cost_m2, code
+
+
+@helper
+def _cells(
+    points: NDArray[np.float64],
+    first_xy_m: tuple[float, float],
+    yaws_rad: NDArray[np.float64],
+    corner: NDArray[np.int64],
+    geometry: NDArray[np.float64],
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Return the cell of every point for every yaw at the first position, (yaws, 2, n), and how many are sure."""
+    ox, oy, cell_m, _, _, _ = geometry
+    cells, counts = np.empty((len(yaws_rad), 2, len(points)), np.int32), np.zeros(len(yaws_rad), np.int64)
+    for q in range(len(yaws_rad)):
+        c, s = np.cos(yaws_rad[q]), np.sin(yaws_rad[q])
+        for k in range(min(len(points), MOST_POINTS)):
+            u = (c * points[k, 0] - s * points[k, 1] + first_xy_m[0] - ox) / cell_m
+            v = (s * points[k, 0] + c * points[k, 1] + first_xy_m[1] - oy) / cell_m
+            col, row = np.floor(u), np.floor(v)
+            if UNSURE < u - col < 1.0 - UNSURE and UNSURE < v - row < 1.0 - UNSURE:
+                cells[q, 0, counts[q]], cells[q, 1, counts[q]] = int(row) - corner[0], int(col) - corner[1]
+                counts[q] += 1
+    return cells, counts
+
+
+@helper
+def _lattice(xy_m: NDArray[np.float64], step_m: float) -> tuple[NDArray[np.int32], float, float]:
+    """Return the index of each position of a lattice by row and column, -1 where none is, and the first x and y.
+
+    Rows and columns are whole squares.
+    """
+    x0, x1 = xy_m[0, 0], xy_m[0, 0]
+    for p in range(len(xy_m)):
+        x0, x1 = min(x0, xy_m[p, 0]), max(x1, xy_m[p, 0])
+    y0, y1 = xy_m[0, 1], xy_m[len(xy_m) - 1, 1]
+    rows = int(np.rint((y1 - y0) / step_m)) // SIDE * SIDE + SIDE
+    cols = int(np.rint((x1 - x0) / step_m)) // SIDE * SIDE + SIDE
+    index = np.full((rows, cols), np.int32(-1))
+    for p in range(len(xy_m)):
+        index[int(np.rint((xy_m[p, 1] - y0) / step_m)), int(np.rint((xy_m[p, 0] - x0) / step_m))] = p
+    return index, x0, y0
+
+
+@helper
+def _holds_any(index: NDArray[np.int32], row: int, col: int, side: int) -> bool:
+    for r in range(row, row + side):
+        for c in range(col, col + side):
+            if index[r, c] >= 0:
+                return True
+    return False
+
+
+@helper
+def _squares(index: NDArray[np.int32]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Return which squares hold positions, (rows, cols) of squares, and the stretch of them in each row, (rows, 2)."""
+    rows, cols = index.shape[0] // SIDE, index.shape[1] // SIDE
+    held, spans = np.zeros((rows, cols), np.bool_), np.zeros((rows, 2), np.int64)
+    for row in range(rows):
+        for col in range(cols):
+            if _holds_any(index, row * SIDE, col * SIDE, SIDE):
+                held[row, col] = True
+                if spans[row, 1] == 0:
+                    spans[row, 0] = col
+                spans[row, 1] = col + 1
+    return held, spans
+
+
+@helper
+def _bound_squares(
+    cells: NDArray[np.int32],
+    count: int,
+    spans: NDArray[np.int64],
+    step: int,
+    planes: NDArray[np.uint8],
+    sums: NDArray[np.uint16],
+) -> None:
+    """Bound the summed cost of the points, at one yaw, on the squares (rows, cols) in their spans."""
+    _, rows, cols = planes.shape
+    apart = SIDE * step
+    sums[:] = uint16(0)
+    for k in range(count):
+        first_row, col = cells[0, k] // apart, cells[1, k] // apart
+        plane = planes[cells[0, k] % apart * apart + cells[1, k] % apart]
+        for row in range(len(spans)):
+            begin, end = spans[row]
+            low = high = end
+            if 0 <= first_row + row < rows:
+                low = min(max(-col, begin), end)
+                high = max(min(cols - col, end), low)
+                inside, line = sums[row, low:high], plane[first_row + row, col + low : col + high]
+                for j in range(len(inside)):
+                    inside[j] += uint16(line[j])
+            for j in range(begin, low):
+                sums[row, j] += uint16(WORST)
+            for j in range(high, end):
+                sums[row, j] += uint16(WORST)
+
+
+@helper
+def _bound_quarters(
+    cells: NDArray[np.int32], count: int, row: int, col: int, side: int, floors: NDArray[np.uint8]
+) -> tuple[int, int, int, int]:
+    """Bound the summed cost of the points on the quarters of a square, whose first cell and quarters' side are given.
+
+    ``floors`` (rows, cols) are of the level of the quarters.
+    """
+    rows, cols = floors.shape
+    a = b = c = d = 0
+    for k in range(count):
+        y, x = cells[0, k] + row, cells[1, k] + col
+        if 0 <= y < rows - side and 0 <= x < cols - side:
+            r, s = uint64(y), uint64(x)
+            up, right = uint64(y + side), uint64(x + side)
+            a += int64(floors[r, s])
+            b += int64(floors[r, right])
+            c += int64(floors[up, s])
+            d += int64(floors[up, right])
+        else:
+            low, high = 0 <= y < rows, 0 <= y + side < rows
+            left, beside = 0 <= x < cols, 0 <= x + side < cols
+            a += int64(floors[y, x]) if low and left else WORST
+            b += int64(floors[y, x + side]) if low and beside else WORST
+            c += int64(floors[y + side, x]) if high and left else WORST
+            d += int64(floors[y + side, x + side]) if high and beside else WORST
+    return a, b, c, d
+
+
+@helper
+def _upper_sum(histogram: NDArray[np.int64], after: int, least: int) -> int:
+    """Return the sum up to which ``least`` squares or more have a bound over ``after``."""
+    found = 0
+    for upper in range(after + 1, len(histogram)):
+        found += histogram[upper]
+        if found >= least:
+            return upper
+    return len(histogram) - 1
+
+
+@kernel(
+    float64[:, ::1](F64_2D, F64_2D, F64_1D, float64, F64_1D, int64, int64, I64_1D, U8_3D, U8_3D, U32_2D, F64_2D, F64_1D)
+)
+def lowest_poses(
+    points: NDArray[np.float64],
+    xy_map_m: NDArray[np.float64],
+    yaws_rad: NDArray[np.float64],
+    truncate_m: float,
+    separate: NDArray[np.float64],
+    most: int,
+    step: int,
+    corner: NDArray[np.int64],
+    floors: NDArray[np.uint8],
+    planes: NDArray[np.uint8],
+    nearest: NDArray[np.uint32],
+    lines: NDArray[np.float64],
+    geometry: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Find the ``most`` lowest costs of ``pose_costs`` that lie apart; returns cost (m2), yaw and position: (m, 3).
+
+    Each is the lowest that is not within ``separate`` (m, rad) of one before it; of equal costs it is the first.
+    ``xy_map_m`` (p, 2) are positions of a lattice of ``step`` cells, row by row. ``floors`` are ``cost_floors`` of the
+    same step from the cell ``corner`` (row, col) on, with all cells that points at these poses may be in.
+    """
+    index, x0, y0 = _lattice(xy_map_m, step * geometry[2])
+    cells, counts = _cells(points, (x0, y0), yaws_rad, corner, geometry)
+    held, spans = _squares(index)
+    positions, n_yaws, (square_rows, square_cols) = index.size, len(yaws_rad), held.shape
+    sums, histogram = (
+        np.empty((n_yaws, square_rows, square_cols), np.uint16),
+        np.zeros(MOST_POINTS * WORST + 1, np.int64),
+    )
+    for q in range(n_yaws):
+        _bound_squares(cells[q], counts[q], spans, step, planes, sums[q])
+        for row in range(square_rows):
+            for col in range(square_cols):
+                histogram[sums[q, row, col]] += held[row, col]
+    scale = ROUNDING * truncate_m * truncate_m / (WORST * len(points))
+    kind = n_yaws * positions  # a code is the level, downwards, LEVELS if exact, times this, plus yaw and position
+    heap, count, upper, slice_size = Heap(np.empty(4 * SLICE), np.empty(4 * SLICE, np.int64)), 0, -1, SLICE
+    found, n = np.empty((most, 3)), 0
+    while n < most:
+        if count == 0 or (upper + 1 < len(histogram) and heap.cost_m2[0] >= (upper + 1) * scale):
+            if upper + 1 >= len(histogram):
+                break
+            lower, upper = upper, _upper_sum(histogram, upper, slice_size)
+            slice_size *= 2
+            for q in range(n_yaws):
+                for row in range(square_rows):
+                    for col in range(square_cols):
+                        if held[row, col] and lower < int64(sums[q, row, col]) <= upper:
+                            heap = _grown(heap, count)
+                            at = q * positions + row * SIDE * index.shape[1] + col * SIDE
+                            _push(heap, count, sums[q, row, col] * scale, at)
+                            count += 1
+            continue
+        cost_m2, code = heap.cost_m2[0], heap.code[0]
+        _pop(heap, count)
+        count -= 1
+        level, at = TOP - code // kind, code % kind
+        q, row, col = at // positions, at % positions // index.shape[1], at % index.shape[1]
+        if level > 0:
+            side = 1 << (level - 1)
+            bounds = _bound_quarters(cells[q], counts[q], row * step, col * step, side * step, floors[level - 1])
+            for k in range(4):
+                r, c = k // 2 * side, k % 2 * side
+                if _holds_any(index, row + r, col + c, side):
+                    heap = _grown(heap, count)
+                    code = (TOP - level + 1) * kind + at + r * index.shape[1] + c
+                    _push(heap, count, bounds[k] * scale, code)
+                    count += 1
+            continue
+        p = int64(index[row, col])
+        taken = False
+        for k in range(n):
+            other_q, other_p = int(found[k, 1]), int(found[k, 2])
+            turn = abs((yaws_rad[q] - yaws_rad[other_q] + np.pi) % (2 * np.pi) - np.pi)
+            off = np.hypot(xy_map_m[p, 0] - xy_map_m[other_p, 0], xy_map_m[p, 1] - xy_map_m[other_p, 1])
+            taken |= turn < separate[1] and off < separate[0]
+        if taken:
+            continue
+        if level == 0:
+            cost_m2 = pose_cost(points, xy_map_m[p], yaws_rad[q], truncate_m, nearest, lines, geometry)
+            heap = _grown(heap, count)
+            _push(heap, count, cost_m2, LEVELS * kind + at)
+            count += 1
+        else:
+            found[n, 0], found[n, 1], found[n, 2] = cost_m2, q, p
+            n += 1
+    return found[:n].copy()

@@ -1,0 +1,63 @@
+"""Lower bounds of a point's cost over a part of a line map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.kernels import cost_floors as kernels
+from mavnav.kernels.layout import LEVELS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.mapping.tiled_arrays import Extent
+
+MARGIN_M = 2.0
+"""Bounds reach so much farther than asked for: the next search may be somewhat wider."""
+
+
+@dataclass(frozen=True, slots=True)
+class CostFloors:
+    """Bounds in the cells from ``corner`` (row, col) on, by level and as planes; see ``mavnav.kernels.cost_floors``.
+
+    They cover ``extent_m``, for the truncated distance ``truncate_m`` and positions ``step`` cells apart.
+    """
+
+    corner: NDArray[np.int64]
+    levels: NDArray[np.uint8]
+    planes: NDArray[np.uint8]
+    truncate_m: float
+    step: int
+    extent_m: Extent
+
+    @classmethod
+    def of(
+        cls,
+        nearest: NDArray[np.uint32],
+        lines: NDArray[np.float64],
+        geometry: NDArray[np.float64],
+        truncate_m: float,
+        step: int,
+        extent_m: Extent,
+    ) -> CostFloors:
+        """Bound the costs in an extent, and somewhat beyond, of the line map that these arrays are."""
+        x0, y0, x1, y1 = extent_m
+        wider = (x0 - MARGIN_M, y0 - MARGIN_M, x1 + MARGIN_M, y1 + MARGIN_M)
+        origin, cell_m, shape = geometry[:2], geometry[2], np.array(nearest.shape[::-1])
+        low = np.clip(np.floor((np.array(wider[:2]) - origin) / cell_m).astype(np.int64), 0, shape)
+        high = np.clip(np.ceil((np.array(wider[2:]) - origin) / cell_m).astype(np.int64), low, shape)
+        before = ((1 << (LEVELS - 1)) - 1) * step
+        corner, size = (low - before)[::-1].copy(), (high - low + before)[::-1]
+        box = np.concatenate((corner, size))
+        return cls(
+            corner, *kernels.cost_floors(box, step, truncate_m, nearest, lines, geometry), truncate_m, step, wider
+        )
+
+    def serve(self, truncate_m: float, step: int, extent_m: Extent) -> bool:
+        """Tell whether a search with these settings, of poses whose points lie in an extent, can use the bounds."""
+        (x0, y0, x1, y1), (low_x, low_y, high_x, high_y) = extent_m, self.extent_m
+        covered = low_x <= x0 and low_y <= y0 and x1 <= high_x and y1 <= high_y
+        return covered and (truncate_m, step) == (self.truncate_m, self.step)

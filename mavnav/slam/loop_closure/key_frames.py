@@ -1,0 +1,110 @@
+"""Key frames: the tracked scans that loops are looked for with, the map that some of them make, and what they share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.kernels.points import extent
+from mavnav.mapping.line_map import LineMap
+from mavnav.mapping.occupancy_grid import GridBuilder
+from mavnav.pose import Pose, transform_points, wrap_angle
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from mavnav.config.models import Config
+
+    Points = NDArray[np.float64]
+
+KEY_M, KEY_RAD = 0.3, 15 * DEG
+"""A key frame follows the last one after so much way or turning."""
+
+PLACE_M = 0.1
+"""Two key frames saw the same where their points lie in the same square of this edge."""
+
+_ROW = 1 << 32
+"""Squares of the plane are numbered row by row, each row so long."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeyFrame:
+    """A tracked scan: its row in the trajectory, the way so far, its points (n, 2), laser frame, m, and its pose."""
+
+    row: int
+    way_m: float
+    points: Points
+    map_T_laser: Pose
+
+
+def key_rows(xyyaw: NDArray[np.float64]) -> tuple[list[int], list[float]]:
+    """Choose the rows of key frames out of poses (n, 3); return them and the way up to each, m."""
+    steps_m = np.hypot(*np.diff(xyyaw[:, :2], axis=0).T)
+    way_m = np.concatenate(([0.0], steps_m.cumsum()))
+    rows: list[int] = []
+    last_m = last_rad = -np.inf
+    for row, (at_m, yaw_rad) in enumerate(zip(way_m.tolist(), xyyaw[:, 2].tolist(), strict=False)):
+        if at_m - last_m >= KEY_M or abs(wrap_angle(yaw_rad - last_rad)) >= KEY_RAD:
+            rows.append(row)
+            last_m, last_rad = at_m, yaw_rad
+    return rows, way_m[rows].tolist()
+
+
+class Part:
+    """A part of the map: what some key frames saw."""
+
+    def __init__(self, config: Config) -> None:
+        """Start empty."""
+        robust = config.robust
+        self.grid = GridBuilder(robust.cell_mm * MM)
+        self.lines = LineMap(robust.cell_mm * MM, robust.line_sigma_mm * MM, robust.line_noise_mm * MM)
+        self.count = 0
+
+    def grow(self, keys: Sequence[KeyFrame], count: int) -> None:
+        """Insert the next key frames, up to the number ``count``."""
+        some = keys[self.count : count]
+        seen = [transform_points(key.map_T_laser, key.points) for key in some]
+        extent_m = extent(np.concatenate([np.zeros((0, 2)), *seen]))  # of all: the map is copied once as it grows
+        for key, xy_map_m in zip(some, seen, strict=True):
+            self.lines.insert(xy_map_m, extent_m)
+            self.grid.insert(key.map_T_laser, xy_map_m, extent_m)
+        self.count = max(count, self.count)
+
+
+class Places:
+    """Which key frames saw which squares of the plane, kept as they come."""
+
+    def __init__(self, keys: Sequence[KeyFrame]) -> None:
+        """Start with none of the key frames."""
+        self.keys = keys
+        self.count = 0
+        self._seen_by: dict[int, list[int]] = {}
+
+    def grow(self, count: int) -> None:
+        """Enter the next key frames, up to the number ``count``."""
+        for k in range(self.count, count):
+            for place in places(self.keys[k]):
+                self._seen_by.setdefault(place, []).append(k)
+        self.count = max(count, self.count)
+
+    def witness(self, key: KeyFrame) -> int:
+        """Return the entered key frame that saw most of what a key frame saw, by its own pose: one nearer by may not.
+
+        Of equals it is the nearest, of equally near ones the first.
+        """
+        seen = [k for place in places(key) for k in self._seen_by.get(place, ())]
+        common = np.bincount(np.array(seen, np.intp), minlength=self.count)
+        most = np.flatnonzero(common == common.max()).tolist()
+        return min(most, key=lambda k: self.keys[k].map_T_laser.between(key.map_T_laser).distance_m)
+
+
+def places(key: KeyFrame) -> list[int]:
+    """Return the numbers of the squares that hold points of a key frame."""
+    col, row = np.floor(transform_points(key.map_T_laser, key.points) / PLACE_M).astype(np.int64).T
+    numbers: list[int] = np.unique(row * _ROW + col).tolist()
+    return numbers
