@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import sys
 from argparse import ArgumentParser
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +71,8 @@ def rest() -> None:
 def rounds() -> None:
     way, rng = along([(1.0, 0.8), (5.0, 0.8), (5.0, 3.2), (3.0, 3.3), (1.0, 3.2), (1.0, 0.8)]), np.random.default_rng(0)
     poses = [Pose(*way.xyyaw[k % len(way)]) for k in range(12_000)]
-    scans = [scan_at(FURNITURE, p, stamp_ns=k * 100_000_000, noise=0.01, rng=rng) for k, p in enumerate(poses)]
+    at_once = replace(URG_04LX, time_increment_s=0.0)  # these scans are taken at rest
+    scans = [scan_at(FURNITURE, p, at_once, stamp_ns=k * 100_000_000, noise=0.01, rng=rng) for k, p in enumerate(poses)]
     for name, count in (("one round", len(way)), ("6 rounds", 6 * len(way)), ("20 minutes", len(scans))):
         show_slam(f"{name}, {count} scans", scans[:count])
 
