@@ -34,7 +34,8 @@ ALLOWED: dict[str, set[str]] = {
     "outputs": SHARED | {"config", "logs", "mapping", "metrics", "slam"},
     "ground_truth": SHARED | {"config", "mapping", "metrics", "simulation.world"},
     "pipelines": SHARED
-    | {"config", "ground_truth", "logs", "mapping", "metrics", "outputs", "simulation", "simulation.world", "slam"},
+    | {"config", "ground_truth", "kernels", "logs", "mapping", "metrics", "outputs"}
+    | {"simulation", "simulation.world", "slam"},
     "jobs": SHARED | {"config", "ground_truth", "outputs", "pipelines"},
     "batch": SHARED | {"config", "ground_truth", "jobs", "logs", "metrics", "outputs", "pipelines"},
     "compare": SHARED

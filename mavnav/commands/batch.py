@@ -36,7 +36,7 @@ from mavnav.commands.options import (
     resource_option,
     schema_option,
 )
-from mavnav.commands.progress import loading_kernels, reporting
+from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.run_progress import watching
 from mavnav.commands.terminal import emit_json, note
 
@@ -151,7 +151,7 @@ def batch(
         _print_schema()
         return
     with reporting(quiet=quiet) as report:
-        with loading_kernels(report):
+        with loading_modules():
             from mavnav.batch.files import check_file
             from mavnav.batch.options import Options
         for file in filter(None, (junit, summary)):
@@ -198,9 +198,8 @@ def _planned(options: Options, report: Report) -> BatchPlan:
     from mavnav.slam.registry import load_kernels
 
     plan = plan_batch(request_of(options), report)
-    with loading_kernels(report):
-        for case in plan.missing if plan.request.limits.scheduler is None else ():
-            load_kernels(case.setting.config)
+    for case in plan.missing if plan.request.limits.scheduler is None else ():
+        load_kernels(case.setting.config, report)
     return plan
 
 

@@ -33,7 +33,7 @@ from mavnav.commands.options import (
     grids_option,
     parse_pose,
 )
-from mavnav.commands.progress import loading_kernels, reporting
+from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.run_progress import watching
 from mavnav.commands.terminal import emit, emit_json, note
 from mavnav.errors import UsageError
@@ -104,7 +104,7 @@ def compare(
             raise UsageError(f"{log}: no such file; name a log")
     bounds = gates_of(gates)
     with reporting(quiet=quiet) as report:
-        with loading_kernels(report):
+        with loading_modules():
             from mavnav.compare import comparison as pipeline
             from mavnav.compare.grids import comparison_settings
             from mavnav.jobs import usable_cores
@@ -114,13 +114,12 @@ def compare(
             logs, true_map = _sample(target, report)
             reading.setdefault("truth_map", true_map)
         settings = comparison_settings(config, sets or (), methods or (), grids or (), azimuths or (), overrides)
-        with loading_kernels(report):
-            for setting in settings:
-                load_kernels(setting.config)
         request = pipeline.comparison_request(
             logs, settings, target, reading, workers=jobs or usable_cores(), gates=bounds, force=force
         )
         plan = pipeline.plan_comparison(request, report)
+        for setting in settings if plan.missing else ():
+            load_kernels(setting.config, report)
     document, page = _compared(plan, quiet=quiet)
     _print_result(document, page, json=json)
     if preview:
@@ -133,7 +132,7 @@ def _sample(directory: Path, report: Report) -> tuple[list[Path], Path]:
     from mavnav.compare.comparison import check_comparison_directory
 
     check_comparison_directory(directory)
-    with loading_kernels(report):
+    with loading_modules():
         from mavnav.compare.sample import sample_log, sample_truth
     return [sample_log(directory, report)], sample_truth(directory)
 

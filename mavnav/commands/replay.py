@@ -38,7 +38,7 @@ from mavnav.commands.options import (
     parse_pose,
     search_option,
 )
-from mavnav.commands.progress import loading_kernels, reporting
+from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.quality_rows import page_row, quality_rows, reference_rows, wall_rows
 from mavnav.commands.terminal import emit, emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
@@ -125,12 +125,9 @@ def replay(
     _check_files(log, known, began)
     with reporting(quiet=quiet) as progress:
         startup_s, started_s = process_time(), perf_counter()
-        with loading_kernels(progress):
+        with loading_modules():
             from mavnav.pipelines.replay import ReplayRequest, replay_directory, replay_log
             from mavnav.pose import Pose
-            from mavnav.slam.registry import load_kernels
-
-            load_kernels(chosen)
         compile_s = perf_counter() - started_s
         target = directory or replay_directory(log, chosen)
         request = ReplayRequest(

@@ -25,7 +25,7 @@ from mavnav.commands.options import (
     output_option,
     schema_option,
 )
-from mavnav.commands.progress import loading_kernels, reporting
+from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.quality_rows import page_row, wall_rows
 from mavnav.commands.terminal import emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
@@ -99,12 +99,9 @@ def simulate(
     )
     with reporting(quiet=quiet) as progress:
         started_s = perf_counter()
-        with loading_kernels(progress):
+        with loading_modules():
             from mavnav.pipelines.simulate import SimulationRequest, simulate_mission, simulation_directory
             from mavnav.simulation.world.scenario_file import scenario_path
-            from mavnav.slam.registry import load_kernels
-
-            load_kernels(chosen.slam)
         compile_s = perf_counter() - started_s
         target = directory or simulation_directory(chosen)
         request = SimulationRequest(chosen, scenario_path(scenario), target, record, animate, force, report)
