@@ -160,6 +160,12 @@ def test_the_cache_sees_what_a_kernel_imports(path: Path) -> None:
     assert {name.rpartition(".")[0] for name in imports(path) if name.startswith("mavnav")} <= seen | typing
 
 
+def test_kernels_call_no_kernel_of_another_file() -> None:
+    """The cache keeps only what runs a kernel, not what would be linked into another."""
+    called = {name.removeprefix("mavnav.kernels.") for path in KERNEL_FILES for name in imports(path)}
+    assert called & kernels() == set()
+
+
 def test_pictures_need_no_plotting_library() -> None:
     assert [m for m, path in MODULES.items() if any(name.startswith("matplotlib") for name in imports(path))] == []
 

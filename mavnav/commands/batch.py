@@ -30,6 +30,7 @@ from mavnav.commands.options import (
     check_option,
     directory_option,
     given_values,
+    given_window,
     grids_option,
     output_option,
     parse_pose,
@@ -164,9 +165,8 @@ def batch(
             config=config,
             sets=sets or (),
             options=given_values(odom=odom, final_pass=False if online else None),
-            reading=given_values(
-                topic=topic, start_s=start, end_s=end, extrinsic=parse_pose(extrinsic), strict=strict or None
-            ),
+            reading=given_values(topic=topic, extrinsic=parse_pose(extrinsic), strict=strict or None)
+            | given_window(start, end),
             gates=gates or (),
             accept=accept or (),
             baseline=baseline,

@@ -30,6 +30,7 @@ from mavnav.commands.options import (
     azimuths_option,
     directory_option,
     given_values,
+    given_window,
     grids_option,
     parse_pose,
 )
@@ -97,7 +98,7 @@ def compare(
     Finished replays are reused; a replay that fails does not stop the others.
     """
     overrides = given_values(odom=odom, final_pass=False if online else None)
-    reading = given_values(topic=topic, start_s=start, end_s=end, extrinsic=parse_pose(extrinsic))
+    reading = given_values(topic=topic, extrinsic=parse_pose(extrinsic)) | given_window(start, end)
     reading |= given_values(truth=truth, truth_map=truth_map, relations=relations)
     for log in logs or []:
         if not log.exists():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mavnav.commands import signals
-from mavnav.commands.gating import Gates, gated_code, gates_of
+from mavnav.commands.gating import Gates, check_gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
     Azimuth,
@@ -123,6 +123,8 @@ def replay(
     bounds = gates_of(gates)
     mounting, began = parse_pose(extrinsic), parse_pose(start_pose, "--start-pose")
     _check_files(log, known, began)
+    optional = {"reference": truth or truth_map or relations, "localisation": known}
+    check_gates(bounds, *(section for section, file in optional.items() if file))
     with reporting(quiet=quiet) as progress:
         startup_s, started_s = process_time(), perf_counter()
         with loading_modules():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands.gating import Gates, gated_code, gates_of
+from mavnav.commands.gating import Gates, check_gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
     Azimuth,
@@ -97,6 +97,7 @@ def simulate(
         {"seed": seed, "slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth, "planner.technique": planner},
         config,
     )
+    check_gates(bounds, "mission", "truth", "reference")
     with reporting(quiet=quiet) as progress:
         started_s = perf_counter()
         with loading_modules():
