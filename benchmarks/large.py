@@ -135,7 +135,7 @@ def main() -> None:
 
     began_s = process_time()
     config = load_config(None, [], {"odom": "off"})
-    load_kernels(config)
+    load_kernels(config, lambda *_: None)
     run, _ = replay_log(ReplayRequest(args.log, args.output, config, force=True), progress, 0.0)
     rows, cols = run.known.hits.shape
     end = run.slam.trajectory[len(run.slam.trajectory) - 1]

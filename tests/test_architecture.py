@@ -34,7 +34,8 @@ ALLOWED: dict[str, set[str]] = {
     "outputs": SHARED | {"config", "logs", "mapping", "metrics", "slam"},
     "ground_truth": SHARED | {"config", "mapping", "metrics", "simulation.world"},
     "pipelines": SHARED
-    | {"config", "ground_truth", "logs", "mapping", "metrics", "outputs", "simulation", "simulation.world", "slam"},
+    | {"config", "ground_truth", "kernels", "logs", "mapping", "metrics", "outputs"}
+    | {"simulation", "simulation.world", "slam"},
     "jobs": SHARED | {"config", "ground_truth", "outputs", "pipelines"},
     "batch": SHARED | {"config", "ground_truth", "jobs", "logs", "metrics", "outputs", "pipelines"},
     "compare": SHARED
@@ -158,6 +159,17 @@ def test_the_cache_sees_what_a_kernel_imports(path: Path) -> None:
     typing = {"mavnav." + name for name in re.findall(r"^ +from mavnav\.([\w.]+) import ", text, re.MULTILINE)}
     assert all((ROOT / Path(*module.split("."))).with_suffix(".py").is_file() for module in seen | typing)
     assert {name.rpartition(".")[0] for name in imports(path) if name.startswith("mavnav")} <= seen | typing
+
+
+def test_kernels_call_no_kernel() -> None:
+    """The cache keeps only what runs a kernel, not what would be linked into another: that would crash."""
+    for path in KERNEL_FILES:
+        file = ".".join(path.relative_to(PACKAGE / "kernels").with_suffix("").parts)
+        nodes = ast.walk(ast.parse(path.read_text()))
+        called = {ast.unparse(node.func) for node in nodes if isinstance(node, ast.Call)}
+        imported = {name.removeprefix("mavnav.kernels.") for name in imports(path)}
+        assert not imported & kernels()
+        assert not {f"{file}.{name}" for name in called} & kernels()
 
 
 def test_pictures_need_no_plotting_library() -> None:

@@ -30,13 +30,14 @@ from mavnav.commands.options import (
     check_option,
     directory_option,
     given_values,
+    given_window,
     grids_option,
     output_option,
     parse_pose,
     resource_option,
     schema_option,
 )
-from mavnav.commands.progress import loading_kernels, reporting
+from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.run_progress import watching
 from mavnav.commands.terminal import emit_json, note
 
@@ -152,7 +153,7 @@ def batch(
         _print_schema()
         return
     with reporting(quiet=quiet) as report:
-        with loading_kernels(report):
+        with loading_modules():
             from mavnav.batch.files import check_file
             from mavnav.batch.options import Options
         for file in filter(None, (junit, summary)):
@@ -166,9 +167,8 @@ def batch(
             config=config,
             sets=sets or (),
             options=given_values(odom=odom, final_pass=False if online else None),
-            reading=given_values(
-                topic=topic, start_s=start, end_s=end, extrinsic=parse_pose(extrinsic), strict=strict or None
-            ),
+            reading=given_values(topic=topic, extrinsic=parse_pose(extrinsic), strict=strict or None)
+            | given_window(start, end),
             gates=gates or (),
             accept=accept or (),
             baseline=baseline,
@@ -200,9 +200,8 @@ def _planned(options: Options, report: Report) -> BatchPlan:
     from mavnav.slam.registry import load_kernels
 
     plan = plan_batch(request_of(options), report)
-    with loading_kernels(report):
-        for case in plan.missing if plan.request.limits.scheduler is None else ():
-            load_kernels(case.setting.config)
+    for case in plan.missing if plan.request.limits.scheduler is None else ():
+        load_kernels(case.setting.config, report)
     return plan
 
 

@@ -30,10 +30,11 @@ from mavnav.commands.options import (
     azimuths_option,
     directory_option,
     given_values,
+    given_window,
     grids_option,
     parse_pose,
 )
-from mavnav.commands.progress import loading_kernels, reporting
+from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.run_progress import watching
 from mavnav.commands.terminal import emit, emit_json, note
 from mavnav.errors import UsageError
@@ -98,14 +99,14 @@ def compare(
     Finished replays are reused; a replay that fails does not stop the others.
     """
     overrides = given_values(odom=odom, final_pass=False if online else None)
-    reading = given_values(topic=topic, start_s=start, end_s=end, extrinsic=parse_pose(extrinsic))
+    reading = given_values(topic=topic, extrinsic=parse_pose(extrinsic)) | given_window(start, end)
     reading |= given_values(truth=truth, truth_map=truth_map, relations=relations)  # of truth the text: file or topic
     for log in logs or []:
         if not log.exists():
             raise UsageError(f"{log}: no such file; name a log")
     bounds = gates_of(gates)
     with reporting(quiet=quiet) as report:
-        with loading_kernels(report):
+        with loading_modules():
             from mavnav.compare import comparison as pipeline
             from mavnav.compare.grids import comparison_settings
             from mavnav.jobs import usable_cores
@@ -116,9 +117,6 @@ def compare(
             logs, true_map = _sample(target, report)
             reading.setdefault("truth_map", true_map)
         settings = comparison_settings(config, sets or (), methods or (), grids or (), azimuths or (), overrides)
-        with loading_kernels(report):
-            for setting in settings:
-                load_kernels(setting.config)
         request = pipeline.comparison_request(
             logs,
             settings,
@@ -130,6 +128,8 @@ def compare(
             typed=Typed(context.obj, config, tuple(sets or ())),
         )
         plan = pipeline.plan_comparison(request, report)
+        for setting in settings if plan.missing else ():
+            load_kernels(setting.config, report)
     document, page = _compared(plan, quiet=quiet)
     _print_result(document, page, json=json)
     if preview:
@@ -142,7 +142,7 @@ def _sample(directory: Path, report: Report) -> tuple[list[Path], Path]:
     from mavnav.compare.comparison import check_comparison_directory
 
     check_comparison_directory(directory)
-    with loading_kernels(report):
+    with loading_modules():
         from mavnav.compare.sample import sample_log, sample_truth
     return [sample_log(directory, report)], sample_truth(directory)
 

@@ -32,10 +32,24 @@ def gates_of(texts: list[str] | None) -> list[Gate]:
     return [parse_gate(text) for text in texts or []]
 
 
+def check_gates(gates: list[Gate], *sections: str) -> None:
+    """Raise UsageError for a gate on a number that run.json will not have, before the work.
+
+    ``sections`` are the optional sections of run.json that it will have.
+    """
+    if not gates:
+        return
+    from mavnav.metrics.gates import check_names
+    from mavnav.outputs.schema import number_names, run_keys
+
+    more = [key for key in run_keys() if key.partition(".")[0] in sections]
+    check_names((gate.name for gate in gates), [*number_names(reference="reference" in sections), *more])
+
+
 def gated_code(document: dict[str, Any], gates: list[Gate]) -> ExitCode:
     """Return the exit code of a run and its gates, and report on stderr which of them do not hold.
 
-    Raises UsageError for a name that run.json does not have: the run is written by then.
+    Raises UsageError for a name that is a number in other runs only: the run is written by then.
     """
     from mavnav.metrics.gates import judge
 

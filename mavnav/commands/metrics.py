@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from mavnav.commands.options import Json, Quiet, RelationsFile, Truth, TruthMap, truth_values
-from mavnav.commands.progress import loading_kernels, reporting
+from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows, wall_rows
 from mavnav.commands.terminal import emit_json, print_table
 from mavnav.errors import UsageError
@@ -42,7 +42,7 @@ def metrics(
 ) -> None:
     """Measure maps: wall thickness, ghost walls, crispness, support, errors against a reference."""
     with reporting(quiet=quiet) as report:
-        with loading_kernels(report):
+        with loading_modules():
             from mavnav.ground_truth.references import load_references
             from mavnav.pipelines.evaluate import evaluate
         document = evaluate(paths, load_references(_truth_file(truth), truth_map, relations), report)

@@ -141,6 +141,13 @@ def given_values(**values: object) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
 
 
+def given_window(start_s: float | None, end_s: float | None) -> dict[str, float]:
+    """Return the bounds of the window that are given; raises UsageError for an empty window, whatever the log."""
+    if start_s is not None and end_s is not None and end_s <= start_s:
+        raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
+    return given_values(start_s=start_s, end_s=end_s)
+
+
 def parse_pose(text: str | None, option: str = "--extrinsic") -> tuple[float, float, float] | None:
     """Read the ``x,y,yaw`` of an option in m, m, rad, None where it is not given; raises UsageError."""
     if text is None:

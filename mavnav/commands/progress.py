@@ -68,12 +68,11 @@ def reporting(*, quiet: bool) -> Iterator[Report]:
 
 
 @contextmanager
-def loading_kernels(report: Report) -> Iterator[None]:
-    """Import within it what compiles kernels: the first time that takes a while, and no exception may interrupt it.
+def loading_modules() -> Iterator[None]:
+    """Import within it what takes long to load; a signal ends the process at once.
 
     What is imported stays: garbage is not looked for in it, now or later, which would take 0.1 s.
     """
-    report("loading kernels, compiled once after installation", 0, None)
     gc.disable()
     try:
         with signals.at_once():

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mavnav.commands import signals
-from mavnav.commands.gating import Gates, gated_code, gates_of
+from mavnav.commands.gating import Gates, check_gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
     Again,
@@ -44,7 +44,7 @@ from mavnav.commands.options import (
     search_option,
     truth_values,
 )
-from mavnav.commands.progress import loading_kernels, reporting
+from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.quality_rows import page_row, quality_rows, reference_rows, wall_rows
 from mavnav.commands.terminal import emit, emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
@@ -139,15 +139,16 @@ def replay(
     bounds = gates_of(gates)
     mounting, began = parse_pose(extrinsic), parse_pose(start_pose, "--start-pose")
     _check_files(log, known, began)
+    files = {"truth": truth, "truth_map": truth_map, "relations": relations, "map": known} | fields
+    compared = files["truth"] or files["truth_map"] or files["relations"]
+    optional = {"reference": compared, "localisation": files["map"]}
+    check_gates(bounds, *(section for section, file in optional.items() if file))
     with reporting(quiet=quiet) as progress:
         startup_s, started_s = process_time(), perf_counter()
-        with loading_kernels(progress):
+        with loading_modules():
             from mavnav.outputs.provenance import Typed
             from mavnav.pipelines.replay import ReplayRequest, replay_directory, replay_log
             from mavnav.pose import Pose
-            from mavnav.slam.registry import load_kernels
-
-            load_kernels(chosen)
         compile_s = perf_counter() - started_s
         target = directory or (again_directory(again) if again else replay_directory(log, chosen))
         request = ReplayRequest(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands.gating import Gates, gated_code, gates_of
+from mavnav.commands.gating import Gates, check_gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
     Again,
@@ -29,7 +29,7 @@ from mavnav.commands.options import (
     output_option,
     schema_option,
 )
-from mavnav.commands.progress import loading_kernels, reporting
+from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.quality_rows import page_row, wall_rows
 from mavnav.commands.terminal import emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
@@ -106,15 +106,13 @@ def simulate(
         {"seed": seed, "slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth, "planner.technique": planner},
         config,
     )
+    check_gates(bounds, "mission", "truth", "reference")
     with reporting(quiet=quiet) as progress:
         started_s = perf_counter()
-        with loading_kernels(progress):
+        with loading_modules():
             from mavnav.outputs.provenance import Typed
             from mavnav.pipelines.simulate import SimulationRequest, simulate_mission, simulation_directory
             from mavnav.simulation.world.scenario_file import scenario_path
-            from mavnav.slam.registry import load_kernels
-
-            load_kernels(chosen.slam)
         compile_s = perf_counter() - started_s
         target = directory or (again_directory(again) if again else simulation_directory(chosen))
         path = fields.get("path") or scenario_path(str(scenario))

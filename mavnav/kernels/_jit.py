@@ -1,16 +1,19 @@
-"""The decorators of all kernels, and the disk cache of their machine code."""
+"""The decorators of all kernels, whose machine code is loaded from the disk, or compiled, at their first call."""
 
 from __future__ import annotations
 
-import re
-import sys
-from functools import cache
+import pickle
+from dataclasses import dataclass
+from functools import cache, cached_property
 from hashlib import sha256
-from pathlib import Path
+from sys import version_info
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
 import numba
 from numba.core.runtime import rtsys
+
+from mavnav.kernels._cache import read_code, source_stamp, write_code
+from mavnav.kernels._compiler import whole_kernels
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -18,22 +21,93 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_IMPORT = re.compile(rb"^from ([\w.]+) import ", re.MULTILINE)
+
+@dataclass(eq=False)
+class Kernel:
+    """A numba function with its one signature, and where its machine code is kept."""
+
+    compiled: Any
+    signature: Any
+
+    @property
+    def module(self) -> str:
+        """The full name of the module that defines it."""
+        return str(self.compiled.py_func.__module__)
+
+    @cached_property
+    def _entry(self) -> tuple[str, str]:
+        """Key and name of its entry in the cache."""
+        function = self.compiled.py_func
+        return cache_key(), f"{self.module}.{function.__name__}-{source_stamp(self.module).hex()[:24]}"
+
+    @cached_property
+    def code(self) -> bytes | None:
+        """What the disk has of it, None where that is nothing whole."""
+        return read_code(*self._entry)
+
+    def look_again(self) -> None:
+        """Forget that the disk had nothing: another process may have compiled it since."""
+        if self.code is None:
+            del self.code
+
+    def load(self) -> None:
+        """Make it callable: from the disk, or else by compiling it, which keeps it there for the next time."""
+        if not self.compiled.overloads:
+            if not self._from_disk():
+                self._compile()
+            self.compiled.disable_compile()
+            self.code = None
+
+    def _from_disk(self) -> bool:
+        """Load the code as numba's cache would, but without its compiler; tell whether that was possible.
+
+        A numba that has moved these parts cannot, and compiles. Nor can one that finds other content than it wrote.
+        """
+        if self.code is None:
+            return False
+        context = self.compiled.targetctx
+        try:
+            _initialize(context)
+            found = numba.core.compiler.CompileResult._rebuild(context, *pickle.loads(self.code))  # noqa: S301, SLF001
+            context.insert_user_function(found.entry_point, found.fndesc, [found.library])
+            self.compiled.add_overload(found)
+            self.compiled._cache_hits[self.signature] += 1  # noqa: SLF001
+        except Exception:  # whatever is wrong with the entry, it is made anew
+            return bool(self.compiled.overloads)
+        return True
+
+    def _compile(self) -> None:
+        with whole_kernels(self.compiled.targetctx):
+            self.compiled.compile(self.signature)
+        (result,) = self.compiled.overloads.values()
+        try:
+            write_code(*self._entry, _packed(result))
+        except (AttributeError, ImportError, TypeError, ValueError):
+            return  # a numba that has moved these parts: kernels compile at every start
+
+
+KERNELS: list[Kernel] = []
+"""All kernels of the modules that are loaded."""
 
 
 def kernel(signature: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:  # noqa: ANN401
-    """Compile what Python calls, for one explicit signature, once a machine: cached on disk.
+    """Make a kernel of a function that Python calls: compiled for one explicit signature, once a machine.
 
-    Division is C-like, and the GIL is released.
+    Its machine code is loaded by the first call. Division is C-like, and the GIL is released.
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         compiled = numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
         if not numba.config.DISABLE_JIT:
-            _enable_cache(compiled)
-            if not _on_disk(compiled, signature):
-                compiled.compile(signature)
-            compiled.disable_compile()
+            made = Kernel(compiled, signature)
+            KERNELS.append(made)
+
+            def first_call(*_: Any, **__: Any) -> Any:  # noqa: ANN401
+                """Return what numba then calls with the same arguments."""
+                made.load()
+                return compiled
+
+            compiled._compile_for_args = first_call  # noqa: SLF001
         return cast("Callable[P, R]", compiled)
 
     return decorate
@@ -48,72 +122,29 @@ def helper(function: Callable[P, R]) -> Callable[P, R]:
     return cast("Callable[P, R]", compiled)
 
 
-def _enable_cache(compiled: Any) -> None:  # noqa: ANN401
-    """Keep a kernel's machine code on disk until a file that it depends on changes.
-
-    Without it kernels compile at every start: numba's own cache would miss an edit of an imported file. This is the
-    case where a numba has moved these parts of its inside.
-    """
-    try:
-        compiled._cache = _kernel_cache()(compiled.py_func)  # noqa: SLF001
-    except (AttributeError, ImportError, KeyError, OSError, TypeError):
-        return
-
-
 @cache
-def _kernel_cache() -> Any:  # noqa: ANN401
-    """Return numba's disk cache, but for the stamp by which it tells that an entry is out of date."""
-    from numba.core.caching import CompileResultCacheImpl, FunctionCache  # noqa: PLC0415
+def cache_key() -> str:
+    """Return what machine code depends on besides its source: numba, Python, the system and the processor."""
+    from numba.core.registry import cpu_target  # noqa: PLC0415
 
-    class StampedImpl(CompileResultCacheImpl):  # type: ignore[misc]
-        def __init__(self, function: Callable[..., Any]) -> None:
-            super().__init__(function)
-            stamp = source_stamp(function.__module__)
-            self.locator.get_source_stamp = lambda: stamp
-
-    class StampedCache(FunctionCache):  # type: ignore[misc]
-        _impl_class = StampedImpl
-
-    return StampedCache
+    processor = repr(cpu_target.target_context.codegen().magic_tuple())
+    digest = sha256(processor.encode()).hexdigest()[:16]
+    return f"numba-{numba.__version__}-py{version_info.major}{version_info.minor}-{digest}"
 
 
-def source_stamp(module: str) -> bytes:
-    """Hash a module's source, and those of the modules of its package and of this one that it imports, at any depth.
-
-    Imports count in the form ``from package.module import name`` at the start of a line; the modules are loaded.
-    """
-    packages = {name.partition(".")[0].encode() for name in (module, __name__)}
-    digests: dict[str, bytes] = {}
-    left = [module]
-    while left:
-        name = left.pop()
-        if name not in digests:
-            digests[name], imported = _source(name)
-            left += [other.decode() for other in imported if other.split(b".")[0] in packages]
-    return sha256(b"".join(name.encode() + digests[name] for name in sorted(digests))).digest()
-
-
-@cache
-def _source(module: str) -> tuple[bytes, list[bytes]]:
-    """Return the hash of a loaded module's source, and the names of the modules that it imports from."""
-    source = Path(cast("str", sys.modules[module].__file__)).read_bytes()
-    return sha256(source).digest(), _IMPORT.findall(source)
-
-
-def _on_disk(compiled: Any, signature: Any) -> bool:  # noqa: ANN401
-    """Load a kernel's machine code from the disk; tell whether it was there.
-
-    This is what ``compile`` would do, without the compiler's knowledge of all of Python and NumPy, which it loads
-    first, in 0.3 s. A numba that has moved these parts compiles, and loads, as it always did.
-    """
+def _initialize(context: Any) -> None:  # noqa: ANN401
+    """Load numba's runtime, but not its knowledge of all of Python and NumPy, which takes 0.3 s."""
     try:
-        context, disk = compiled.targetctx, compiled._cache  # noqa: SLF001
         rtsys.initialize(context)
-        found = disk._load_overload(signature, context)  # noqa: SLF001
     except AttributeError:
-        return False
-    if found is None:
-        return False
-    context.insert_user_function(found.entry_point, found.fndesc, [found.library])
-    compiled.add_overload(found)
-    return True
+        context.refresh()
+
+
+def _packed(result: Any) -> bytes:  # noqa: ANN401
+    """Return the machine code of a compiled function, without what only other functions that call it would need."""
+    from llvmlite.binding import parse_assembly  # noqa: PLC0415
+    from numba.core.serialize import dumps  # noqa: PLC0415
+
+    (name, kind, (code, _)), *rest = result._reduce()  # noqa: SLF001
+    names = f'define void @"{result.fndesc.llvm_cpython_wrapper_name}"() {{ ret void }}'
+    return cast("bytes", dumps(((name, kind, (code, parse_assembly(names).as_bitcode())), *rest)))

@@ -113,14 +113,19 @@ def scan_points(
     return n, voxel_means(ends[:n], voxel_m, means)
 
 
-@kernel(types.UniTuple(float64, 4)(F64_2D))
-def extent(points: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """Return least x, least y, largest x and largest y of points (n, 2); without points inf, inf, -inf, -inf."""
+@helper
+def _extent(points: NDArray[np.float64]) -> tuple[float, float, float, float]:
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
     for k in range(len(points)):
         low_x, high_x = min(low_x, points[k, 0]), max(high_x, points[k, 0])
         low_y, high_y = min(low_y, points[k, 1]), max(high_y, points[k, 1])
     return low_x, low_y, high_x, high_y
+
+
+@kernel(types.UniTuple(float64, 4)(F64_2D))
+def extent(points: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """Return least x, least y, largest x and largest y of points (n, 2); without points inf, inf, -inf, -inf."""
+    return _extent(points)
 
 
 @kernel(types.UniTuple(float64, 4)(F64_2D, F64_1D, float64[:, ::1]))
@@ -136,4 +141,4 @@ def placed(
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
         out[k, 0], out[k, 1] = to_x + c * x - s * y, to_y + s * x + c * y
-    return extent(out)
+    return _extent(out)

@@ -63,7 +63,9 @@ def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: in
     """
     rows, cols = weights.shape
     framed = np.zeros((rows + 2, cols + 2), np.int32)  # a blocked frame: no step leads out
-    framed[1:-1, 1:-1] = weights
+    for r in range(rows):
+        for c in range(cols):
+            framed[r + 1, c + 1] = weights[r, c]
     w, wide = framed.ravel(), cols + 2
     cost = np.full(len(w), UNREACHED, np.int32)
     straight = np.array([-wide, -1, 1, wide])

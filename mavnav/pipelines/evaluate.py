@@ -12,6 +12,7 @@ from mavnav.errors import MavnavError, UsageError
 from mavnav.ground_truth.map_file import occupied_xy_m, read_map
 from mavnav.ground_truth.references import References, check_times, compared
 from mavnav.ground_truth.tables import read_tum
+from mavnav.kernels.building import prepare
 from mavnav.logs import open_log
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.ghost_walls import GhostWall
@@ -63,6 +64,7 @@ class Subject:
 def evaluate(paths: list[Path], references: References, progress: Progress) -> dict[str, Any]:
     """Measure run directories and map files; raises UsageError for what is neither."""
     subjects = [subject(path) for path in paths]
+    prepare(progress)
     documents = []
     for number, (path, what) in enumerate(zip(paths, subjects, strict=True)):
         progress("measuring", number, len(paths))

@@ -30,6 +30,7 @@ from mavnav.pose import Pose
 from mavnav.profiling import new_profile
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.world.laser import EDGE_M
+from mavnav.slam.registry import load_kernels
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -76,6 +77,9 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
     """
     check_outputs(request)
     origin = provenance(utc_now(), request.typed, ["mavnav", "simulate", "--again", str(request.directory.absolute())])
+    started_s = perf_counter()
+    load_kernels(request.scenario.slam, progress)
+    compile_s += perf_counter() - started_s
     wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile()
     flight = fly(request.scenario, lambda phase, done: progress(phase, done, None))
     timing = Timing(perf_counter() - wall_s, process_time() - cpu_s, compile_s, stages)

@@ -32,6 +32,8 @@ class Paper:
 
     uses_odometry = False
     refiner = None
+    own_kernels = ("beams", "polar_search.search", "raycast")
+    """The modules of kernels that no other method needs."""
 
     def __init__(self, config: Config) -> None:
         """Start with an empty map."""
@@ -39,12 +41,6 @@ class Paper:
         self.expects_rest = config.paper.predict == "rest"
         self.grid = GridBuilder(config.paper.cell_mm * MM)
         self._seen: tuple[Pose, LaserSpec, NDArray[np.float64]] | None = None
-
-    @staticmethod
-    def load_kernels() -> None:
-        """Load the kernels that no other method has, compiled the first time."""
-        from mavnav.kernels import beams, raycast  # noqa: F401, PLC0415
-        from mavnav.kernels.polar_search import search  # noqa: F401, PLC0415
 
     def first(self, scan: Scan) -> Match:
         """Begin the map with any scan that has enough beams to be matched later."""

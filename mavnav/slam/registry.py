@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
+from mavnav.kernels.building import prepare
 from mavnav.slam.localization import Localizer
 from mavnav.slam.paper import Paper
 from mavnav.slam.robust import Robust
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mavnav.config.models import Config
     from mavnav.slam.method import Method
     from mavnav.slam.prior_map import PriorMap
@@ -28,6 +32,13 @@ def uses_odometry(config: Config) -> bool:
     return METHODS[config.method].uses_odometry
 
 
-def load_kernels(config: Config) -> None:
-    """Load the kernels that only the configured method has, compiled the first time; others load on import."""
-    METHODS[config.method].load_kernels()
+def load_kernels(config: Config, progress: Callable[[str, int, int | None], None]) -> None:
+    """See to it that all kernels of imported modules are compiled, but for those that only other methods need.
+
+    ``progress`` is called while kernels are compiled, which is the case once on a machine.
+    """
+    chosen = METHODS[config.method]
+    for name in chosen.own_kernels:
+        import_module(f"mavnav.kernels.{name}")
+    others = {name for method in METHODS.values() for name in method.own_kernels}
+    prepare(progress, others.difference(chosen.own_kernels))

@@ -86,6 +86,8 @@ class Robust:
     expects_rest = False
     uses_odometry = True
     builds_map = True
+    own_kernels = ("conflicts", "correlative_search", "line_search.search", "linemap", "observability", "rts_smoother")
+    """The modules of kernels that no other method needs."""
     found_conflicts = FOUND_CONFLICTS
 
     def __init__(self, config: Config) -> None:
@@ -128,10 +130,6 @@ class Robust:
             robust.overlap_points,
             robust.waiting_share,
         )
-
-    @staticmethod
-    def load_kernels() -> None:
-        """Load nothing: the kernels of this method load on import."""
 
     def first(self, scan: Scan) -> Match:
         """Begin the map with any scan of enough points."""

@@ -86,7 +86,7 @@ def test_an_interrupted_batch_says_what_stays(mavnav: Callable, empty: Path, mon
 def test_kernels_are_there_before_the_workers(mavnav: Callable, empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Or all of them would compile at once, and what that takes would count against the time of a run."""
     loaded: list[str] = []
-    monkeypatch.setattr(registry, "load_kernels", lambda config: loaded.append(config.method))
+    monkeypatch.setattr(registry, "load_kernels", lambda config, _: loaded.append(config.method))
     monkeypatch.setattr(run, "run_batch", lambda *_: pytest.fail("too early") if not loaded else _stop())
     Path("logs/a.mcap").write_bytes(b"")
     mavnav("batch", "logs", "gone.bag", "--method", "robust", "--method", "paper", "-q")

@@ -237,7 +237,7 @@ def test_kernels_that_compile_are_interrupted_at_once() -> None:
 import os, signal
 from mavnav.commands import progress
 
-with progress.loading_kernels(progress.silent):
+with progress.loading_modules():
     try:
         os.kill(os.getpid(), signal.SIGTERM)
     finally:

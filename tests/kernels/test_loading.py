@@ -5,21 +5,32 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from hashlib import sha256
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
-import mavnav.kernels.hits
-import mavnav.kernels.points  # noqa: F401  compiled by now
+from mavnav.kernels._cache import VERSIONS_KEPT
+from mavnav.kernels.points import extent
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
+
+
+@pytest.fixture(autouse=True, scope="module")
+def compiled() -> None:
+    """Have the kernels on disk that these tests load."""
+    assert extent(np.ones((3, 2))) == (1.0, 1.0, 1.0, 1.0)
 
 
 def test_machine_code_is_loaded_without_the_compiler() -> None:
     code = (
-        "import sys, numba\nbefore = set(sys.modules)\nfrom mavnav.kernels.hits import add_scan\n"
-        "assert len(add_scan.overloads) == 1\n"
+        "import sys, numba, numpy as np\nbefore = set(sys.modules)\nfrom mavnav.kernels.points import extent\n"
+        "assert len(extent.overloads) == 0\n"
+        "extent(np.ones((3, 2)))\n"
+        "assert len(extent.overloads) == 1\n"
         "print(*(set(sys.modules) - before))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -31,8 +42,8 @@ def test_a_numba_that_keeps_its_code_in_another_way_loads_it_as_it_does() -> Non
         "from unittest.mock import patch\nimport mavnav.kernels._jit as jit, numpy as np\n"
         "with patch.object(jit, 'rtsys', None):\n"
         "    from mavnav.kernels.points import extent\n"
+        "    assert extent(np.ones((3, 2))) == (1.0, 1.0, 1.0, 1.0)\n"
         "assert sum(extent.stats.cache_hits.values()) == 1\n"
-        "assert extent(np.ones((3, 2))) == (1.0, 1.0, 1.0, 1.0)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
@@ -72,7 +83,7 @@ def trial(tmp_path: Path) -> Path:
 
 def called(trial: Path, before: str = "") -> list[float]:
     """Run both kernels in a process of its own; returns their results, and how often each was compiled."""
-    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}
+    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "MAVNAV_CACHE_DIR": str(trial.parent / "cache")}
     command = [sys.executable, "-c", before + CALL]
     done = subprocess.run(command, cwd=trial.parent, env=environment, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
@@ -93,18 +104,110 @@ def test_a_kernel_is_compiled_again_where_a_file_that_it_imports_was_edited(
     assert called(trial) == [4200.0, 2.0, 0, 0]
 
 
-CACHING = "import numba.core.ccallback\nfrom numba.core import caching\n"
+def entries(trial: Path) -> list[Path]:
+    """Return the files of the trial's cache."""
+    return sorted((trial.parent / "cache").glob("*/trial.*"))
 
 
-@pytest.mark.parametrize(
-    "moved",
-    [CACHING + "del caching.CompileResultCacheImpl\n", CACHING + "del caching.CacheImpl.locator\n"],
-    ids=["import", "attribute"],
-)
-def test_a_numba_without_these_parts_compiles_at_every_start(trial: Path, moved: str) -> None:
+MOVED = {
+    "packing": "from numba.core import compiler\ndel compiler.CompileResult._reduce\n",
+    "loading": "from numba.core import compiler\ndel compiler.CompileResult._rebuild\n",
+    "libraries": "import numba.core.codegen as c\ndel c.JITCodeLibrary\n",
+}
+"""What numba might look like in another version."""
+
+
+@pytest.mark.parametrize("moved", MOVED)
+def test_a_numba_without_these_parts_still_works(trial: Path, moved: str) -> None:
     assert called(trial)[:2] == [42.0, 2.0]
     path = trial / "helping.py"
     path.write_text(path.read_text().replace("FACTOR * x", "FACTOR * x + 1.0"))
     for _ in range(2):
-        assert called(trial, moved)[:2] == [43.0, 2.0]
-    assert not list(trial.glob("**/*.tmp*"))
+        assert called(trial, MOVED[moved])[:2] == [43.0, 2.0]
+    assert not list(trial.parent.glob("cache/*/.*"))
+
+
+@pytest.mark.parametrize("damage", [lambda code: code[: len(code) // 2], lambda _: b"", lambda code: code[:-1] + b"x"])
+def test_a_damaged_entry_is_made_anew(trial: Path, damage: Callable[[bytes], bytes]) -> None:
+    called(trial)
+    path = entries(trial)[-1]
+    whole = path.read_bytes()
+    path.write_bytes(damage(whole))
+    assert sum(called(trial)[2:]) == 1
+    assert called(trial)[2:] == [0, 0]
+
+
+def test_an_entry_that_numba_cannot_read_is_made_anew(trial: Path) -> None:
+    called(trial)
+    code = b"not what numba wrote"
+    for path in entries(trial):
+        path.write_bytes(sha256(code).digest() + code)
+    assert called(trial) == [42.0, 2.0, 1, 1]
+    assert called(trial) == [42.0, 2.0, 0, 0]
+
+
+def test_what_cannot_be_written_goes_to_a_private_directory(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It ends with the process that made it."""
+    (trial.parent / "cache").write_text("a file where the directory should be")
+    temporary = trial.parent / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    look = "import os, tempfile\nfrom mavnav.kernels import _cache\n_cache.write_code('key', 'name-1', b'code')\n"
+    look += "assert _cache.read_code('key', 'name-1') == b'code'\n(made,) = os.scandir(tempfile.gettempdir())\n"
+    assert called(trial, look + "assert made.stat().st_mode & 0o777 == 0o700\n") == [42.0, 2.0, 1, 1]
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_cache_that_can_only_be_read_serves(trial: Path) -> None:
+    called(trial)
+    (folder,) = (trial.parent / "cache").iterdir()
+    folder.chmod(0o555)
+    try:
+        assert called(trial) == [42.0, 2.0, 0, 0]
+    finally:
+        folder.chmod(0o755)
+
+
+def test_old_versions_of_a_kernel_are_removed(trial: Path) -> None:
+    path = trial / "constants.py"
+    for factor in range(7):
+        path.write_text(f"FACTOR = {factor}.0\n")
+        assert called(trial)[0] == 21.0 * factor
+    assert len([entry for entry in entries(trial) if "calling" in entry.name]) == VERSIONS_KEPT
+
+
+BUILD = (
+    "import trial.apart, trial.calling\nfrom mavnav.kernels._jit import KERNELS\n"
+    "from mavnav.kernels.building import prepare\nprepare(lambda *told: print(told[0]))\n"
+    "print(all(made.code for made in KERNELS), *(len(made.compiled.overloads) for made in KERNELS))\n"
+)
+
+
+def built(trial: Path) -> subprocess.Popen[str]:
+    environment = os.environ | {"MAVNAV_CACHE_DIR": str(trial.parent / "cache")}
+    return subprocess.Popen(
+        [sys.executable, "-c", BUILD], cwd=trial.parent, env=environment, stdout=subprocess.PIPE, text=True
+    )
+
+
+def test_kernels_compile_in_other_processes_and_say_so_once(trial: Path) -> None:
+    told = [f"compiling kernels (first run only): {done} of 2" for done in range(3)]
+    assert built(trial).communicate(timeout=120)[0].splitlines() == [*told, "True 0 0"]
+    assert built(trial).communicate(timeout=120)[0].splitlines() == ["True 0 0"]
+
+
+def test_two_processes_may_fill_an_empty_cache(trial: Path) -> None:
+    both = [built(trial) for _ in range(2)]
+    assert [process.communicate(timeout=120)[0].splitlines()[-1] for process in both] == ["True 0 0"] * 2
+    assert called(trial) == [42.0, 2.0, 0, 0]
+
+
+def test_kernels_that_are_not_used_are_left_out(tmp_path: Path) -> None:
+    code = (
+        "from mavnav.kernels import points, regions\nfrom mavnav.kernels.building import prepare\n"
+        "prepare(lambda *_: None, {'points'})"
+    )
+    environment = os.environ | {"MAVNAV_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+    (entry,) = tmp_path.glob("*/*")
+    assert entry.name.startswith("mavnav.kernels.regions.region_sizes-")

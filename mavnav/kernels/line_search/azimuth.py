@@ -8,7 +8,7 @@ import numpy as np
 from numba import float64, int64, uint64
 
 from mavnav.kernels._jit import helper
-from mavnav.kernels.line_search.cost import Window, cost_sum, least, mean, rotate
+from mavnav.kernels.line_search.cost import Window, cost_sum, least, mean_absolute, rotate
 from mavnav.kernels.line_search.quadratic_form import quadratic_form
 from mavnav.kernels.lookup import slot_of
 
@@ -72,7 +72,8 @@ def turn_sums(
     flat, wide = nearest.ravel(), float64(nearest.shape[1])
     last_col, last_row = nearest.shape[1] - 1.0, nearest.shape[0] - 1.0
     bends, cells, starts = np.zeros((azimuths + 1, 6)), np.empty(azimuths), np.empty(azimuths + 1, np.int64)
-    bends[0] = (form[0, 0], form[0, 1], form[0, 2], form[1, 1], form[1, 2], form[2, 2])
+    bends[0, 0], bends[0, 1], bends[0, 2] = form[0, 0], form[0, 1], form[0, 2]
+    bends[0, 3], bends[0, 4], bends[0, 5] = form[1, 1], form[1, 2], form[2, 2]
     for n in range(found):
         k = uint64(loose[uint64(n)])
         from_x, from_y = points[0, k], points[1, k]
@@ -132,7 +133,7 @@ def least_turn(
     """Return the index of the yaw sample of the least cost; every candidate finds its own lines."""
     azimuths, half_rad, pruned = turns.shape[1], window.half_rad, window.prune
     sums, step, near = np.zeros(azimuths), 2 * half_rad / (azimuths - 1), np.inf
-    by_cells = pruned and ARC_COST * half_rad * mean(np.abs(points).ravel()) < azimuths * line_map.cell_m
+    by_cells = pruned and ARC_COST * half_rad * mean_absolute(points) < azimuths * line_map.cell_m
     if by_cells:
         turn_sums(points, middle, window, turns, sums, line_map)
         near, alone = least(sums)

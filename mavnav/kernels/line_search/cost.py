@@ -61,6 +61,16 @@ def mean(values: NDArray[np.float64]) -> float:
 
 
 @helper
+def mean_absolute(values: NDArray[np.float64]) -> float:
+    """Return the mean of the absolute values of (rows, cols)."""
+    total = 0.0
+    for row in range(values.shape[0]):
+        for col in range(values.shape[1]):
+            total += abs(values[row, col])
+    return total / values.size
+
+
+@helper
 def least(sums: NDArray[np.float64]) -> tuple[float, int]:
     """Return up to where rounding may hide the least, and its index where it is alone there, else -1."""
     at = 0

@@ -83,6 +83,16 @@ def _spans(
 
 
 @helper
+def _nodes(middle_m: float, half_m: float, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the nodes of a grid along an axis, and what they are from its middle."""
+    to, away = np.empty(count), np.empty(count)
+    for i in range(count):
+        to[i] = middle_m - half_m + i * (2 * half_m / (count - 1))
+        away[i] = to[i] - middle_m
+    return to, away
+
+
+@helper
 def shift_sums(
     points: NDArray[np.float64],
     middle: Middle,
@@ -101,17 +111,13 @@ def shift_sums(
     nearest, lines, half_m, truncate_m2 = line_map.nearest, line_map.lines, window.half_m, window.truncate_m2
     at_x, at_y, c, s = middle.x_m, middle.y_m, np.cos(middle.yaw_rad), np.sin(middle.yaw_rad)
     truncate_m = np.sqrt(truncate_m2)
-    to_x, to_y = np.empty(nx), np.empty(ny)
-    for i in range(nx):
-        to_x[i] = at_x - half_m + i * (2 * half_m / (nx - 1))
-    for j in range(ny):
-        to_y[j] = at_y - half_m + j * (2 * half_m / (ny - 1))
-    right, up = to_x - at_x, to_y - at_y
+    (to_x, right), (to_y, up) = _nodes(at_x, half_m, nx), _nodes(at_y, half_m, ny)
     form, loose = np.zeros((5, 5)), np.empty(points.shape[1], np.int64)
     shifting = Window(half_m, 0.0, window.prior, truncate_m2, window.prune)
     found = quadratic_form(points, middle, shifting, form, loose, line_map)
     bends, steps = np.zeros((ny, nx, 6)), np.zeros((nx, 6))
-    bends[0, 0] = (form[0, 0], 2.0 * form[0, 3], 2.0 * form[0, 4], form[3, 3], 2.0 * form[3, 4], form[4, 4])
+    bends[0, 0, 0], bends[0, 0, 1], bends[0, 0, 2] = form[0, 0], 2.0 * form[0, 3], 2.0 * form[0, 4]
+    bends[0, 0, 3], bends[0, 0, 4], bends[0, 0, 5] = form[3, 3], 2.0 * form[3, 4], form[4, 4]
     ox, oy, inverse = line_map.origin_x_m, line_map.origin_y_m, 1.0 / line_map.cell_m
     near, far = max(truncate_m - 1.5 * half_m, 0.0) ** 2, (truncate_m + 1.5 * half_m) ** 2
     flat, wide, last_col, last_row = nearest.ravel(), nearest.shape[1], nearest.shape[1] - 1, nearest.shape[0] - 1

@@ -59,6 +59,14 @@ def _turned(middle: Middle, turn_rad: float) -> Middle:
 
 
 @helper
+def _move_back(points: NDArray[np.float64], right_m: float, up_m: float) -> None:
+    """Subtract a shift from points (2, n); an expression of whole arrays would take 1 s to compile."""
+    for k in range(points.shape[1]):
+        points[0, k] -= right_m
+        points[1, k] -= up_m
+
+
+@helper
 def _joint_search(
     points: NDArray[np.float64],
     middle: Middle,
@@ -207,7 +215,8 @@ def search(
     x, y, yaw = start
     pivot_x, pivot_y = mean(points[:, 0]), mean(points[:, 1])
     centred = np.empty((2, n))
-    centred[0], centred[1] = points[:, 0] - pivot_x, points[:, 1] - pivot_y
+    for k in range(n):
+        centred[0, k], centred[1, k] = points[k, 0] - pivot_x, points[k, 1] - pivot_y
     start_c, start_s = np.cos(yaw), np.sin(yaw)
     at_x, at_y = x + start_c * pivot_x - start_s * pivot_y, y + start_s * pivot_x + start_c * pivot_y
     middle = Middle(at_x, at_y, yaw, at_x, at_y)
@@ -238,9 +247,8 @@ def search(
             settled, deciding = True, on_known_ground(centred, middle, closeness, known_points, line_map)
             right, up = mean(deciding[0]), mean(deciding[1])
             pivot_x, pivot_y = pivot_x + right, pivot_y + up
-            for points_m in (centred, deciding):
-                points_m[0] -= right
-                points_m[1] -= up
+            _move_back(centred, right, up)
+            _move_back(deciding, right, up)
             c, s = np.cos(middle.yaw_rad), np.sin(middle.yaw_rad)
             middle = Middle(
                 middle.x_m + (c * right - s * up),

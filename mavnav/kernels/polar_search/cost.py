@@ -86,7 +86,9 @@ def work_for(points: int, beams: int) -> Work:
 def _joined(points: NDArray[np.float64], edge: float) -> NDArray[np.float64]:
     """Return points (5, n) with a row more: 1 where a point and the one before are of one surface."""
     out = np.zeros((6, points.shape[1]))
-    out[:5] = points
+    for row in range(5):
+        for k in range(points.shape[1]):
+            out[row, k] = points[row, k]
     for k in range(1, points.shape[1]):
         out[5, k] = (points[2, k] == points[2, k - 1] + 1.0) & (abs(points[3, k] - points[3, k - 1]) < edge)
     return out

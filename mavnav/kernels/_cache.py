@@ -1,0 +1,133 @@
+"""The disk cache of machine code: one file a kernel, named by what the code was made of, with a checksum.
+
+It lies in ``MAVNAV_CACHE_DIR``, else ``NUMBA_CACHE_DIR``, else the user's cache directory. What cannot be written there
+goes to a private temporary directory, which later processes of this one share and which ends with it; what can only be
+read there is used.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import re
+import shutil
+import sys
+from contextlib import suppress
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from tempfile import NamedTemporaryFile, TemporaryFile, mkdtemp
+from typing import Final, cast
+
+_IMPORT = re.compile(rb"^from ([\w.]+) import ", re.MULTILINE)
+
+PRIVATE: Final = "MAVNAV_PRIVATE_CACHE_DIR"
+"""The environment variable by which a process passes its private directory on to those that it starts."""
+
+VERSIONS_KEPT = 4
+"""Of a kernel whose source changed, so many versions of its code stay on disk."""
+
+_DIGEST_BYTES = 32
+
+
+def user_directory() -> Path:
+    """Return the directory of all of mavnav's machine code, which need not exist; relative only without a home."""
+    for variable in ("MAVNAV_CACHE_DIR", "NUMBA_CACHE_DIR"):
+        if named := os.environ.get(variable):
+            return Path(named).absolute()
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or "~/AppData/Local"
+    else:
+        base = "~/Library/Caches" if sys.platform == "darwin" else os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return Path(os.path.expanduser(base)) / "mavnav"  # noqa: PTH111  Path's own raises where there is no home
+
+
+def share_private_directory(key: str) -> None:
+    """Make the private directory where the user's cannot be written, for this process and those that it will start."""
+    folder = user_directory() / key
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        TemporaryFile(dir=folder).close()
+        return
+    _private_directory()
+
+
+def _private_directory() -> Path:
+    """Return the private directory, made and to be removed at the end by the first process that needs it."""
+    if not os.environ.get(PRIVATE):
+        os.environ[PRIVATE] = made = mkdtemp(prefix="mavnav-")
+        atexit.register(_remove, made, os.getpid())
+    return Path(os.environ[PRIVATE])
+
+
+def _remove(folder: str, owner: int) -> None:
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def read_code(key: str, name: str) -> bytes | None:
+    """Return the whole and unchanged content of an entry; None where there is none."""
+    private = os.environ.get(PRIVATE)
+    for folder in (user_directory(), *([Path(private)] if private else [])):
+        with suppress(OSError):
+            content = (folder / key / name).read_bytes()
+            if sha256(content[_DIGEST_BYTES:]).digest() == content[:_DIGEST_BYTES]:
+                return content[_DIGEST_BYTES:]
+    return None
+
+
+def write_code(key: str, name: str, code: bytes) -> None:
+    """Keep an entry; nothing happens where no disk takes it. Files appear whole: two processes may write one."""
+    content = sha256(code).digest() + code
+    with suppress(OSError):
+        _write(user_directory() / key, name, content)
+        return
+    with suppress(OSError):
+        _write(_private_directory() / key, name, content)
+
+
+def _write(folder: Path, name: str, content: bytes) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    file = NamedTemporaryFile(dir=folder, prefix=".", delete=False)  # noqa: SIM115  it takes its name below
+    try:
+        with file:
+            file.write(content)
+        mask = os.umask(0)
+        os.umask(mask)
+        Path(file.name).chmod(0o666 & ~mask)
+        Path(file.name).replace(folder / name)
+    except OSError:
+        Path(file.name).unlink(missing_ok=True)
+        raise
+    _forget_old(folder, name.rpartition("-")[0])
+
+
+def _forget_old(folder: Path, kernel: str) -> None:
+    """Remove the code of a kernel's oldest versions."""
+    with suppress(OSError):
+        by_age = sorted(folder.glob(f"{kernel}-*"), key=lambda path: path.stat().st_mtime)
+        for path in by_age[:-VERSIONS_KEPT]:
+            path.unlink()
+
+
+def source_stamp(module: str) -> bytes:
+    """Hash a module's source, and those of the modules of its package and of this one that it imports, at any depth.
+
+    Imports count in the form ``from package.module import name`` at the start of a line; the modules are loaded.
+    """
+    packages = {name.partition(".")[0].encode() for name in (module, __name__)}
+    digests: dict[str, bytes] = {}
+    left = [module]
+    while left:
+        name = left.pop()
+        if name not in digests:
+            digests[name], imported = _source(name)
+            left += [other.decode() for other in imported if other.split(b".")[0] in packages]
+    return sha256(b"".join(name.encode() + digests[name] for name in sorted(digests))).digest()
+
+
+@cache
+def _source(module: str) -> tuple[bytes, list[bytes]]:
+    """Return the hash of a loaded module's source, and the names of the modules that it imports from."""
+    source = Path(cast("str", sys.modules[module].__file__)).read_bytes()
+    return sha256(source).digest(), _IMPORT.findall(source)

@@ -1,0 +1,97 @@
+"""Mistakes on the command line are found before kernels are compiled or loaded."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+import mavnav.pipelines.evaluate
+import mavnav.slam.registry
+from mavnav.errors import ExitCode
+from mavnav.kernels._jit import Kernel
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+USAGE, NO_SCANS, OUTPUT = ExitCode.USAGE, ExitCode.NO_SCANS, ExitCode.OUTPUT
+
+MISTAKES = [
+    (USAGE, "replay none.mcap"),
+    (USAGE, "replay LOG --start 5 --end 2"),
+    (USAGE, "replay LOG --gate tracking.lots==false"),
+    (USAGE, "replay LOG --gate reference.ate.rmse_m<=1"),
+    (USAGE, "replay LOG --gate tracking.lost"),
+    (USAGE, "replay LOG --topic /none"),
+    (USAGE, "replay LOG --odom /none"),
+    (NO_SCANS, "replay LOG --start 1000"),
+    (OUTPUT, "replay LOG -o kept"),
+    (USAGE, "replay LOG --map . --method paper"),
+    (USAGE, "replay LOG --map none.yaml"),
+    (USAGE, "replay LOG --start-pose 1,2,3"),
+    (USAGE, "replay LOG --truth none.tum"),
+    (USAGE, "replay LOG --truth-map none.yaml"),
+    (USAGE, "replay LOG --relations none.relations"),
+    (USAGE, "replay LOG --grid 0x5"),
+    (USAGE, "replay LOG --set robust.cel_mm=3"),
+    (USAGE, "replay LOG --config none.yaml"),
+    (USAGE, "compare none.mcap"),
+    (USAGE, "compare LOG --grid 0x5"),
+    (USAGE, "compare LOG --gate tracking.lots==false"),
+    (USAGE, "compare LOG --start 5 --end 2"),
+    (OUTPUT, "compare LOG -o kept"),
+    (USAGE, "batch LOG --gate tracking.lots==false"),
+    (USAGE, "batch LOG --start 5 --end 2"),
+    (USAGE, "batch LOG --baseline none"),
+    (USAGE, "batch LOG --tolerance tracking.lots=1"),
+    (USAGE, "batch none.yaml"),
+    (OUTPUT, "batch LOG -o kept"),
+    (USAGE, "simulate none"),
+    (USAGE, "simulate corner --gate mission.reachd==true"),
+    (USAGE, "simulate corner --planner none"),
+    (OUTPUT, "simulate corner -o kept"),
+    (USAGE, "simulate corner --record a.txt"),
+    (USAGE, "metrics none"),
+    (USAGE, "metrics kept"),
+    (USAGE, "metrics kept --truth none.tum"),
+    (USAGE, "check none"),
+    (USAGE, "check kept --gate tracking.lost"),
+]
+
+
+@pytest.fixture
+def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a working directory with a directory of other files, in which no kernel may be asked for."""
+
+    def asked(*_: object) -> None:
+        pytest.fail("kernels are asked for")
+
+    monkeypatch.setattr(mavnav.slam.registry, "prepare", asked)
+    monkeypatch.setattr(mavnav.pipelines.evaluate, "prepare", asked)
+    monkeypatch.setattr(Kernel, "load", asked)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "notes.txt").touch()
+    return tmp_path
+
+
+@pytest.mark.parametrize(("code", "line"), MISTAKES, ids=[line for _, line in MISTAKES])
+def test_mistakes_are_found_before_kernels_are_needed(
+    mavnav: Callable, sample: Path, kept: Path, code: ExitCode, line: str
+) -> None:
+    found, _, err = mavnav(*(str(sample) if word == "LOG" else word for word in line.split()))
+    assert (found, err.count("\n")) == (code, 1), err
+    assert err.startswith("mavnav: error: ")
+    assert [path.name for path in kept.iterdir() if path.name not in {"kept", "runs"}] == []
+
+
+def test_a_mistake_compiles_nothing(sample: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "mavnav", "replay", str(sample), "-q", "--gate", "tracking.lots==false"]
+    environment = os.environ | {"MAVNAV_CACHE_DIR": str(tmp_path / "cache")}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, "did you mean tracking.lost" in done.stderr) == (ExitCode.USAGE, True)
+    assert not (tmp_path / "cache").exists()
