@@ -21,7 +21,16 @@ if TYPE_CHECKING:
 
     Progress = Callable[[str, int, int | None], None]
 
-LONG: Final = ("line_search.search", "polar_search.search", "polar_search.cost", "linemap", "thickness", "wavefront")
+LONG: Final = (
+    "line_search.search",
+    "polar_search.search",
+    "polar_search.cost",
+    "scan_pairs",
+    "hits",
+    "thickness",
+    "linemap",
+    "wavefront",
+)
 """The modules that take longest to compile, which are begun first: the last one begun decides when all are done."""
 
 _FASTER: Final = {"NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"}

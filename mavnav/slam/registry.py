@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from mavnav.kernels.building import prepare
 from mavnav.slam.localization import Localizer
@@ -32,8 +32,12 @@ def uses_odometry(config: Config) -> bool:
     return METHODS[config.method].uses_odometry
 
 
+RARE_KERNELS: Final = ("cost_floors", "lowest_poses", "correlative_search")
+"""Modules that only loops and lost scans need: compiled in 5 s when the first one comes, or by `mavnav warmup`."""
+
+
 def load_kernels(config: Config, progress: Callable[[str, int, int | None], None]) -> None:
-    """See to it that all kernels of imported modules are compiled, but for those that only other methods need.
+    """See to it that the kernels of imported modules are compiled, but for rare ones and those of other methods.
 
     ``progress`` is called while kernels are compiled, which is the case once on a machine.
     """
@@ -41,4 +45,4 @@ def load_kernels(config: Config, progress: Callable[[str, int, int | None], None
     for name in chosen.own_kernels:
         import_module(f"mavnav.kernels.{name}")
     others = {name for method in METHODS.values() for name in method.own_kernels}
-    prepare(progress, others.difference(chosen.own_kernels))
+    prepare(progress, others.difference(chosen.own_kernels).union(RARE_KERNELS))

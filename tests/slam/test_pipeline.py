@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
@@ -16,6 +17,7 @@ from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Scan
 from mavnav.slam.odometry_check import EARLY_STEPS
 from mavnav.slam.pipeline import run_slam
+from mavnav.slam.registry import METHODS, RARE_KERNELS
 from mavnav.slam.result import SlamResult
 from support.synthetic import (
     LDS_01,
@@ -256,3 +258,9 @@ def test_a_run_that_is_stopped_keeps_the_longest_track(after: int) -> None:
     assert len(outcome.steps) == (after if after <= first else max(first, min(after - first, len(scans))))
     assert [step.index for step in outcome.steps] == list(range(len(outcome.steps)))
     assert bool(outcome.warnings) == (after - first >= first)
+
+
+def test_rare_kernels_are_modules_that_no_tracked_scan_needs() -> None:
+    for name in RARE_KERNELS:
+        import_module(f"mavnav.kernels.{name}")
+    assert not {name for method in METHODS.values() for name in method.own_kernels} & set(RARE_KERNELS)
