@@ -72,6 +72,11 @@ class Quantity:
             found = number(run, self.otherwise)
         return None if found is None else float(found) * self.factor
 
+    def same(self, a: float, b: float) -> bool:
+        """Return whether two values, in the unit they are written in, do not differ by more than the noise."""
+        a, b = round(a, self.digits), round(b, self.digits)
+        return abs(a - b) <= self.noise * min(abs(a), abs(b))
+
     def shown(self, run: Run | None) -> str:
         """Write the number of a run, or a dash where there is none."""
         value = self.of(run)
@@ -132,5 +137,5 @@ def winners(quantity: Quantity, runs: Sequence[Run | None]) -> list[int]:
     if not found or not quantity.ranked or (quantity.per_cell and len(cells_mm) > 1):
         return []
     top = max(found.values(), key=lambda value: quantity.better * value)
-    best = [k for k, value in found.items() if abs(value - top) <= quantity.noise * abs(top)]
+    best = [k for k, value in found.items() if quantity.same(value, top)]
     return best if len(best) < len(found) else []

@@ -276,6 +276,19 @@ def test_a_difference_within_the_noise_does_not_count(entries):
     assert best == [True, True, False]
 
 
+def test_headline_and_mark_agree_on_what_is_the_same(entries):
+    """63.4 and 66.6 mm read 63 and 67: they differ in both, or in neither."""
+
+    def walls(p95_mm, grid, ghosts):
+        spread = {"spread": {"p95_mm": p95_mm}}
+        return with_document(entries[1], grid=grid, wall_thickness=spread, map_quality=quality(ghosts=ghosts))
+
+    fine, coarse = walls(63.4, "20x20", 0.0), walls(66.6, "5x5", 1.0)
+    titles = [c.title for c in columns.table([coarse, fine]).columns]
+    assert columns.table([coarse, fine]).rows[1].fields[titles.index("wall p95")].best
+    assert "its walls are thinner than those of" in headline([coarse, fine])
+
+
 def test_a_map_of_nothing_never_wins(entries):
     nothing = with_document(entries[1], map_quality=quality(meaningful=False))
     assert "Only robust 20/5x5" in headline([entries[0], nothing])

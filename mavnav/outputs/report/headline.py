@@ -102,7 +102,7 @@ def _thinner(sound: Sequence[Entry], best: Entry) -> str:
     ours, theirs = P95.of(best.document), P95.of(coarse.document)
     if coarse is best or ours is None or theirs is None:
         return ""
-    if abs(ours - theirs) <= P95.noise * max(ours, theirs):
+    if P95.same(ours, theirs):
         return f"; its walls are as thick as those of {coarse.name} ({_mm(ours)} against {_mm(theirs)} at p95)"
     than = "thinner" if ours < theirs else "thicker"
     return f"; its walls are {than} than those of {coarse.name}, {_mm(ours)} against {_mm(theirs)} at p95"
