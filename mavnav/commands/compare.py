@@ -71,7 +71,7 @@ def compare(
     methods: Methods = None,
     grids: Annotated[
         list[str] | None,
-        grids_option(help="Search grid; repeatable. A single one is compared with 10x10 (default 5x5, 10x10, 20x20)."),
+        grids_option(help="Search grid; repeatable (default 5x5, 10x10, 20x20). To a single one, 10x10 is added."),
     ] = None,
     azimuths: Annotated[
         list[int] | None,
@@ -94,7 +94,7 @@ def compare(
     truth_map: TruthMap = None,
     relations: RelationsFile = None,
 ) -> None:
-    """Replay logs with several search grids and methods and compare maps, metrics and cost.
+    """Replay logs with several search grids, or methods, and compare maps, metrics and cost.
 
     Finished replays are reused; a replay that fails does not stop the others.
     """

@@ -47,9 +47,9 @@ Again = Annotated[
 Topic = Annotated[str | None, input_option(help="Scan topic, if the log has several.")]
 Start = Annotated[
     float | None,
-    input_option(metavar="SECONDS", help="Skip the log before this time after the first scan."),
+    input_option(metavar="SECONDS", help="Start this many seconds after the first scan."),
 ]
-End = Annotated[float | None, input_option(metavar="SECONDS", help="Stop at this time after the first scan.")]
+End = Annotated[float | None, input_option(metavar="SECONDS", help="Stop this many seconds after the first scan.")]
 Extrinsic = Annotated[
     str | None,
     input_option(metavar="X,Y,YAW", help="Pose of the laser on its base (m, m, rad); overrides tf."),
@@ -80,7 +80,7 @@ Sets = Annotated[
 
 WriteReport = Annotated[bool, output_option("--report", help="Also write the run as one page, report.html.")]
 Force = Annotated[bool, output_option("--force", help="Overwrite the output if it exists.")]
-RunAgain = Annotated[bool, output_option("--force", help="Run again what is already in the cache.")]
+RunAgain = Annotated[bool, output_option("--force", help="Ignore finished runs and repeat them.")]
 Json = Annotated[bool, output_option("--json", help="Print one JSON document on stdout and nothing else.")]
 Quiet = Annotated[bool, output_option("--quiet", "-q", help="Show no progress.")]
 Jobs = Annotated[

@@ -18,22 +18,22 @@ def wall_rows(document: dict[str, Any]) -> Rows:
     rows = [("wall thickness", _spread(walls["spread"]))] if "spread" in walls else []
     paper = walls.get("paper_cells")
     if paper and paper["max"] is not None:
-        counted = f"median {paper['median']:.0f}, p95 {paper['p95']:.0f}, max {paper['max']:.0f}"
-        rows.append(("wall cells", f"{counted} (of >= {paper['min_hits']} hits, as the paper counts)"))
-    return [*rows, ("published map", _cells(walls["published_map"]))]
+        counted = f"median {paper['median']:.1f}, p95 {paper['p95']:.1f}, max {paper['max']:.1f} cells"
+        rows.append(("cells across walls", f"{counted} of >= {paper['min_hits']} hits"))
+    return [*rows, ("walls in map.pgm", _cells(walls["published_map"]))]
 
 
 def _spread(spread: dict[str, Any]) -> str:
     if spread["median_mm"] is None:
         return "no straight wall to measure"
-    share = f"{spread['length_m']:.1f} m of wall, {spread['measured_share']:.0%} of what the laser saw"
+    share = f"{spread['length_m']:.1f} m, {spread['measured_share']:.0%} of the straight walls in the scans"
     return f"median {spread['median_mm']:.0f} mm, p95 {spread['p95_mm']:.0f} mm ({share})"
 
 
 def _cells(wall: dict[str, Any]) -> str:
     if not wall["sections"]:
         return "no straight wall"
-    return f"walls of {wall['median_mm']:.0f} mm in the median, p95 {wall['p95_mm']:.0f} mm"
+    return f"median {wall['median_mm']:.0f} mm, p95 {wall['p95_mm']:.0f} mm"
 
 
 def page_row(directory: Path) -> Rows:
@@ -56,7 +56,7 @@ def quality_rows(quality: dict[str, Any]) -> Rows:
     if revisits and revisits["nn_l_mm"] is not None:
         near = "" if revisits["nn_s_mm"] is None else f", neighbours {revisits['nn_s_mm']:.1f} mm"
         rows.append(("revisits", f"{revisits['nn_l_mm']:.1f} mm apart{near}"))
-    rows.append(("walls", f"{support['wall_m']:.1f} m straight"))
+    rows.append(("straight walls", f"{support['wall_m']:.1f} m"))
     return rows + [("not meaningful", why) for why in quality["why"]]
 
 
@@ -65,9 +65,11 @@ def more_rows(quality: dict[str, Any]) -> Rows:
     crisp, areas, support = quality["crispness"], quality["enclosed_areas"], quality["support"]
     rows = []
     if crisp["occupied_cells_per_m"] is not None:
-        rows.append(("crispness", f"{crisp['occupied_cells_per_m']:.0f} occupied cells a metre of wall"))
+        rows.append(
+            ("crispness", f"{crisp['occupied_cells_per_m']:.0f} occupied cells per meter of wall (fewer is crisper)")
+        )
     if crisp["entropy_bits"] is not None:
-        rows.append(("entropy", f"{crisp['entropy_bits']:.3f} bits a cell hit"))
+        rows.append(("entropy", f"{crisp['entropy_bits']:.3f} bits per hit cell (lower is crisper)"))
     if support["mapped_share"] is not None:
         rows.append(("mapped", f"{support['mapped_share']:.1%} of the scans"))
     if support["explained_share"] is not None:

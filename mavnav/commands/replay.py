@@ -68,7 +68,7 @@ mavnav replay drive.mcap --map office.yaml --start-pose 2.1,0.4,1.57
 
 mavnav replay drive.mcap --set robust.cell_mm=25 --json | jq .wall_thickness
 
-mavnav replay --again runs/drive-robust-10x10 -o runs/repeated
+mavnav replay --again runs/drive-robust-20-10x10 -o runs/repeated
 """
 
 

@@ -51,7 +51,7 @@ mavnav simulate corner --method paper
 
 mavnav simulate corridor --record flight.mcap && mavnav replay flight.mcap
 
-mavnav simulate --again runs/corner-robust-10x10 -o runs/repeated
+mavnav simulate --again runs/corner-robust-20-10x10 -o runs/repeated
 
 mavnav simulate --list
 """

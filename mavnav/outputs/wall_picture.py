@@ -63,7 +63,9 @@ def _draw_map(axes: Axes, run: Run) -> None:
     draw_axes(axes)
     axes.names("x [m]", "y [m]")
     left, top, right, _ = axes.box
-    for line, y in (("width that holds 95 % of the hits", 36), ("black: a wall that cannot be measured", 14)):
+    lost = run.measured.cuts is not None and not np.isfinite(run.measured.cuts.width_m).all()
+    marks = "black: cannot be measured; grey: no straight wall" if lost else "grey: no straight wall"
+    for line, y in (("width that holds 95 % of the hits", 36), (marks, 14)):
         axes.canvas.text(((left + right) / 2, top - y), line, 8.5, MUTED)
 
 
@@ -123,8 +125,8 @@ def _width_chart(cuts: WallCuts, spread: WallSpread) -> _Chart:
     if not measured.any():
         return _Chart("no straight wall to measure", "thickness [mm]", metres, WIDTH_BIN_MM, np.nan)
     title = (
-        f"95 % of the hits: median {spread.median_mm:.0f} mm, p95 {spread.p95_mm:.0f} mm\n"
-        f"{spread.length_m:.1f} m of wall, {spread.measured_share:.0%} of what the laser saw"
+        f"thickness: median {spread.median_mm:.0f} mm, p95 {spread.p95_mm:.0f} mm\n"
+        f"{spread.length_m:.1f} m of wall, {spread.measured_share:.0%} of the straight walls in the scans"
     )
     return _Chart(title, "thickness [mm]", metres, WIDTH_BIN_MM, spread.p95_mm)
 

@@ -175,11 +175,15 @@ def lay(scan: Scan, work: Work, seen: NDArray[np.float64]) -> None:
 def _compare(
     virtual: NDArray[np.float64], limits: Limits, seen: NDArray[np.float64], squares: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Sum the squared differences of the beams that see the same, and count these."""
+    """Sum the squared differences of the beams that see the same, and count these.
+
+    The bounds of the pruned search apply step viii as well: ``polynomial``, ``fixed_beams``, ``wide_bounds``.
+    """
     near, far, occlusion, counted = limits.near_m, limits.far_m, limits.occlusion_m, limits.counted
     total, used = 0.0, 0
     for j in range(len(virtual)):
-        # Step ix: empty cells match nothing. Step vi: too close or too far. Steps v and viii
+        # Cost step ix: empty cells match nothing. vi: too close or too far. v: the squared difference.
+        # viii: a difference above the threshold is an occlusion.
         v, d = virtual[j], seen[j] - virtual[j]
         both = (near < v) & (v < far) & (near < seen[j]) & (seen[j] < far)
         same = abs(d) < occlusion
