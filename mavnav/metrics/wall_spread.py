@@ -32,9 +32,9 @@ SPACING_M: Final = 0.02
 RADII_M: Final = np.array((0.25, 0.5, 1.0))
 LEAST_REACH, MAX_RATIO, MIN_POINTS = 0.7, 0.1, 6
 
-TILE_M: Final = 0.1
+TILE_M: Final = 0.05
 DIRECTIONS: Final = 8
-MIN_SEEN: Final = 4.0
+MIN_SEEN: Final = 2.0
 """A tile counts as wall if the scans saw a straight wall there with at least so many beams."""
 
 LINK_M, ACROSS_M, TURN_RAD = 0.2, 0.06, 15.0 * DEG

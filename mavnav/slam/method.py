@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid, GridBuilder
+    from mavnav.mapping.tiled_arrays import Extent
     from mavnav.pose import Pose
     from mavnav.scan import Scan
     from mavnav.slam.motion_model import Motion
@@ -32,6 +33,9 @@ class Refiner(Protocol):
 
     def refine(self, points: NDArray[np.float64], match: Match) -> Match:
         """Match points (n, 2) of a scan, m, laser frame, against the finished map, close to an earlier match."""
+
+    def placed_points(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> tuple[NDArray[np.float64], Extent]:
+        """Return all points (n, 2) of the de-skewed scan as they enter the map, m, map frame, and their extent."""
 
     def observability(self, points: NDArray[np.float64], match: Match) -> float:
         """Return how well the map constrains a refined scan in its least constrained direction, 0 to 1."""

@@ -9,6 +9,7 @@ from mavnav.slam.beam_order import with_reversed_beams
 from mavnav.slam.loop_closure.remap import close_loops
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.odometry_check import while_odometry_fits, without_misleading_odometry
+from mavnav.slam.redraw import redraw_map
 from mavnav.slam.registry import make_method
 from mavnav.slam.rematch import refine_against_final_map, rematch_rejected, remove_dynamic_cells
 from mavnav.slam.resampled_track import with_coarser_voxels
@@ -46,6 +47,7 @@ LAST_PASSES: Final[tuple[Pass, ...]] = (
     remove_dynamic_cells,  # step 12
     refine_against_final_map,  # step 13
     smooth_jitter,  # step 14
+    redraw_map,  # step 15
 )
 """What the finished track is corrected by; nothing of it on line, nor in the paper's method."""
 

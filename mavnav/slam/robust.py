@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from mavnav.config.models import Config
     from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.mapping.tiled_arrays import Extent
     from mavnav.scan import Scan
     from mavnav.slam.motion_model import Motion
 
@@ -227,11 +228,15 @@ class Robust:
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add every point of the de-skewed scan."""
         self._searches = 0
-        points = self._points(scan, motion)[0]
-        xy_map_m = np.empty_like(points)
-        extent_m = placed(points, map_T_laser.as_array(), xy_map_m)
+        xy_map_m, extent_m = self.placed_points(scan, map_T_laser, motion)
         self.lines.insert(xy_map_m, extent_m)
         self.grid.insert(map_T_laser, xy_map_m, extent_m)
+
+    def placed_points(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> tuple[NDArray[np.float64], Extent]:
+        """Return every point (n, 2) of the de-skewed scan, m, map frame, and their extent."""
+        points = self._points(scan, motion)[0]
+        xy_map_m = np.empty_like(points)
+        return xy_map_m, placed(points, map_T_laser.as_array(), xy_map_m)
 
     def remove_dynamic_cells(self) -> None:
         """Take people who walked by, and the like, out of grid and lines."""

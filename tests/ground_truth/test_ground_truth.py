@@ -70,7 +70,7 @@ def write_relations(path, truth: Trajectory, pairs) -> None:
 PAIRS = [(0, 10), (10, 40), (5, 290), (100, 299)]
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(x=st.floats(-50, 50), y=st.floats(-50, 50), yaw=st.floats(-3.1, 3.1))
 def test_relations_and_errors_do_not_depend_on_the_frame(tmp_path_factory, x, y, yaw) -> None:
     path = tmp_path_factory.mktemp("relations") / "r.txt"

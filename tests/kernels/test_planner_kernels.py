@@ -12,7 +12,7 @@ from support import naive_planner as naive
 
 LATTICE = np.array([-1.0, -0.5, 0.05])
 SEEDS = st.integers(0, 2**32 - 1)
-few = settings(max_examples=30, deadline=None)
+few = settings(max_examples=30)
 
 
 def stored(hits: np.ndarray, passes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

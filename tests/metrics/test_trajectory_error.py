@@ -20,7 +20,7 @@ def path(seed: int, n: int = 40) -> np.ndarray:
     return np.cumsum(np.random.default_rng(seed).normal(0, 0.3, (n, 2)), axis=0)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=st.integers(0, 999), x=coordinate, y=coordinate, yaw=st.floats(-3.1, 3.1))
 def test_a_rigid_motion_is_no_error(seed: int, x: float, y: float, yaw: float) -> None:
     truth = path(seed)

@@ -48,7 +48,7 @@ DIAGONAL[[0, 1, 2, 3, 3, 3], [0, 2, 4, 1, 2, 3]] = 9, 2, 1, 1, 2, 9
     arrays(np.int32, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.sampled_from([0, 0, 0, 1, 2, 9]))
 )
 @example(DIAGONAL)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_any_small_map_is_cut_as_the_slow_twin_cuts_it(walls, hits):
     got, expected = table(hits, 1, 0.1003), naive(walls, hits, 1, 0.1003)
     assert got.shape == expected.shape
@@ -183,7 +183,7 @@ def test_nothing_is_occupied_from_zero_hits_on():
     arrays(np.uint16, st.tuples(st.integers(1, 60), st.integers(1, 30)), elements=st.sampled_from([0, 0, 0, 1, 2, 9])),
     st.sampled_from([0.05, 0.1]),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_bands_of_a_map_are_cut_as_the_whole_map(hits, cell_m):
     whole = wall_sections(hits, cell_m, 1)
     with pytest.MonkeyPatch.context() as patch:

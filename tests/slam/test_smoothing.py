@@ -43,7 +43,7 @@ def length_m(xy_m: np.ndarray) -> float:
     return float(np.linalg.norm(np.diff(xy_m, axis=0), axis=1).sum())
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(3, 30), stiffness=st.floats(1e-3, 1e6))
 def test_smooth_positions_are_those_of_the_dense_system(seed: int, n: int, stiffness: float) -> None:
     rng = np.random.default_rng(seed)
@@ -105,7 +105,7 @@ def test_gaps_leaps_and_short_stretches_are_not_smoothed_over() -> None:
     assert [smoothed[k] for k in gap] == [steps[k] for k in gap]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_rest_stays_in_its_box(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -76,7 +76,7 @@ numbers = st.floats(-3, 3, allow_nan=False)
 anywhere = st.builds(Pose, numbers, numbers, numbers)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(anywhere, min_size=4, max_size=4), anywhere)
 def test_jacobian_is_the_slope_of_the_errors(poses: list[Pose], measured: Pose) -> None:
     graph = _Graph([*way(poses, 0.1, 0.2), Edge(0, 3, measured, 0.3, 0.4)], len(poses))
