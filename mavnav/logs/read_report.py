@@ -27,7 +27,7 @@ _MAX_KINDS = 20
 KNOWN_TYPES = (SCAN, FOXGLOVE_SCAN, ODOMETRY, TF, TF_ROS1)
 """Types that a scan, a pose or a mounting can come from."""
 
-KNOWN_ENCODINGS = ("cdr", "ros1", "ros2", "json", "protobuf")
+KNOWN_ENCODINGS = ("cdr", "ros1", "ros2", "json", "protobuf", "carmen")
 """Encodings of messages; ``ros2`` is none, and no misspelt ``ros1`` either."""
 
 

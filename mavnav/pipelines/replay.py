@@ -16,6 +16,7 @@ from mavnav.ground_truth.map_file import occupied_xy_m, read_map
 from mavnav.ground_truth.references import check_times, compared, load_references
 from mavnav.ground_truth.topics import truth_text
 from mavnav.logs import check_log, open_log
+from mavnav.logs.formats.detect import SUFFIXES
 from mavnav.mapping.occupancy_grid import measured_part
 from mavnav.memory import give_back
 from mavnav.metrics.journey import Journey
@@ -52,8 +53,6 @@ Stop = Callable[[], ExitCode | None]
 
 Progress = Callable[[str, int, int | None], None]
 """What is being done, how much of it is done, how much there is or None."""
-
-LOG_SUFFIXES = (".zst", ".zstd", ".active", ".mcap", ".bag", ".db3")
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +137,7 @@ def log_name(log: Path) -> str:
     """Return what a log is called in the names of directories: a folder as it is, a file without its suffixes."""
     name = log.resolve().name
     if not log.is_dir():
-        for suffix in LOG_SUFFIXES:
+        for suffix in reversed(SUFFIXES):
             name = name.removesuffix(suffix) or name
     return name
 

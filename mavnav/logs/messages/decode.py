@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
+from mavnav.logs.messages import carmen
 from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, ODOMETRY, POSE, SCAN, TF, TF_ROS1, TRANSFORM
 from mavnav.logs.messages.fast_cdr import laser_of, odometry_of, transforms_of
 from mavnav.logs.messages.records import DecodeError, LaserMessage, TransformMessage
@@ -150,9 +151,12 @@ DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     ("json", FOXGLOVE_SCAN): _foxglove_json,
     ("protobuf", FOXGLOVE_SCAN): _foxglove_protobuf,
     **{(encoding, name): make for name, make in _ROS_KINDS.items() for encoding in ("cdr", "ros1")},
+    (carmen.ENCODING, SCAN): carmen.scan_decoder,
+    (carmen.ENCODING, ODOMETRY): carmen.pose_decoder,
+    (carmen.ENCODING, TF): carmen.pose_decoder,
 }
 POSE_DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     (encoding, name): _ros(_no_layout, convert, name)
     for name, convert in ((POSE, _pose), (TRANSFORM, _one_transform))
     for encoding in ("cdr", "ros1")
-}
+} | {(carmen.ENCODING, TRANSFORM): carmen.pose_decoder}
