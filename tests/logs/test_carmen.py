@@ -11,6 +11,7 @@ import pytest
 
 from mavnav.errors import NoScansError
 from mavnav.logs import Log, open_log
+from mavnav.logs.writing.convert import convert_log
 from mavnav.pose import Pose
 
 OFFSET, HERE = Pose(0.2, 0.0, 0.0), Pose()
@@ -150,3 +151,22 @@ def test_what_is_no_carmen_log_is_refused(tmp_path: Path) -> None:
     text.write_text("the FLASER lines were lost\n" * 9)
     with pytest.raises(NoScansError, match="CARMEN"):
         opened(text)
+
+
+@pytest.mark.parametrize("corrected", [False, True])
+def test_converted_to_ros_it_is_the_same_log(tmp_path: Path, *, corrected: bool) -> None:
+    lines = [odom(k) + front(k) + ("NEFF 9\n" if corrected else "") for k in range(9)]
+    source, truth = written(tmp_path / "a.log", *lines), "auto" if corrected else None
+    convert_log(source, tmp_path / "a.mcap")
+    before, after = (opened(path, truth=truth) for path in (source, tmp_path / "a.mcap"))
+    assert after.format == "mcap"
+    assert (after.sensor, after.base_T_laser) == (before.sensor, pytest.approx(before.base_T_laser))
+    for a, b in zip(before.scans(), after.scans(), strict=True):
+        assert a.stamp_ns == b.stamp_ns
+        np.testing.assert_array_equal(a.ranges_m, b.ranges_m)
+    for a, b in ((before.odometry, after.odometry), (before.truth, after.truth)):
+        assert (a is None) == (b is None)
+    if before.truth and after.truth:
+        np.testing.assert_allclose(after.truth.world_T_laser.xyyaw, before.truth.world_T_laser.xyyaw, atol=1e-12)
+    if before.odometry and after.odometry:
+        np.testing.assert_allclose(after.odometry.odom_T_base.xyyaw, before.odometry.odom_T_base.xyyaw, atol=1e-12)
