@@ -20,13 +20,11 @@ if TYPE_CHECKING:
 
 def carmen_to_cdr(channel: Channel) -> Callable[[bytes], bytes]:
     """Return the translation of a channel's lines to messages of its type; it raises DecodeError."""
-    decode: Callable[[bytes], Any]
-    build: Callable[[Any], Any]
     if channel.type == SCAN:
-        decode, build = scan_decoder(channel), _scan
-    else:
-        decode, build = pose_decoder(channel), _BUILDERS.get(channel.type, _transforms)
-    return lambda line: ros.cdr(build(decode(line)))
+        scan = scan_decoder(channel)
+        return lambda line: ros.cdr(_scan(scan(line)))
+    poses, build = pose_decoder(channel), _BUILDERS.get(channel.type, _transforms)
+    return lambda line: ros.cdr(build(poses(line)))
 
 
 def _scan(laser: LaserMessage) -> Any:  # noqa: ANN401  rosbags' types are made at run time
