@@ -32,19 +32,17 @@ azimuths_option = partial(search_option, "--azimuth", metavar="N")
 schema_option = partial(input_option, "--schema")
 """Options whose help differs between commands."""
 
-LogFile = Annotated[
-    Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False)
-]
+_log_argument = partial(
+    typer.Argument, metavar="LOG", help="MCAP, ROS 1 bag, ROS 2 bag folder, .db3 or CARMEN log.", show_default=False
+)
+LogFile = Annotated[Path, _log_argument()]
 
-MaybeLogFile = Annotated[
-    Path | None,
-    typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False),
-]
+MaybeLogFile = Annotated[Path | None, _log_argument()]
 Again = Annotated[
     Path | None, input_option("--again", metavar="RUN", help="Repeat the run in this directory, with its options.")
 ]
 
-Topic = Annotated[str | None, input_option(help="Scan topic, if the log has several.")]
+Topic = Annotated[str | None, input_option(metavar="NAME", help="Scan topic, if the log has several.")]
 Start = Annotated[
     float | None,
     input_option(metavar="SECONDS", help="Start this many seconds after the first scan."),
