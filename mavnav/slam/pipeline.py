@@ -6,6 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from mavnav.slam.beam_order import with_reversed_beams
+from mavnav.slam.beginning import rematch_beginning, with_another_beginning
 from mavnav.slam.loop_closure.remap import close_loops
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.odometry_check import while_odometry_fits, without_misleading_odometry
@@ -35,8 +36,9 @@ SHORTEST_PERIOD_S = 1e-3
 """A log of one scan has no period."""
 
 RETRIES: Final[tuple[Pass, ...]] = (
-    without_misleading_odometry,  # "What is not taken on trust"
-    with_reversed_beams,  # "What is not taken on trust"
+    without_misleading_odometry,  # "Input checks"
+    with_another_beginning,  # "Beginning"
+    with_reversed_beams,  # "Input checks"
     with_coarser_voxels,  # step 10
 )
 """Each tracks the log again where something is in doubt, and keeps the better of two tracks."""
@@ -76,7 +78,7 @@ def run_slam(
     track = while_odometry_fits(track)  # steps 1 to 8
     for retry in RETRIES:
         track = retry(track)
-    return finish(rematch_rejected(track))  # step 9
+    return finish(rematch_rejected(rematch_beginning(track)))  # step 9
 
 
 def finish(track: Track) -> SlamResult:
