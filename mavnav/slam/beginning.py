@@ -6,12 +6,13 @@ A partial sweep while the laser spins up, a hand before it or a fast turn can ma
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mavnav.slam.motion_model import LONGEST_S
-from mavnav.slam.odometry_check import while_odometry_fits, without_misleading_odometry
+from mavnav.slam.odometry_check import while_odometry_fits
 from mavnav.slam.scan_matching import with_effort
 from mavnav.slam.steps import LOST_SCANS, Step, Steps
 from mavnav.slam.track_state import Verdict
@@ -30,34 +31,39 @@ EARLY_SCANS, MISSED_SCANS = 30, 16
 MOST_TRIES, EACH_TRIES = 12, 4
 """So many beginnings are tried: the first ones scan by scan, then twice as far apart each time, 260 scans in all."""
 
+MOST_SHARE = 0.9
+"""With so many of the scans after it a beginning is taken at once."""
 
-def with_another_beginning(track: Track) -> Track:
-    """Track again from a later scan where the map of the first ones fits none of the next; keep the longer track."""
+
+def with_good_beginning(track: Track) -> Track:
+    """Track the log, from a later scan on where the map of the first ones fits none of the next.
+
+    The beginning with which most of the scans after it have a pose is taken at once; otherwise the longest track is.
+    """
     refiner, least_points = track.method.refiner, track.config.robust.min_points
-    begin = early_loss(track.steps, least_points)
-    if refiner is None or not refiner.builds_map or begin is None:
-        return track
-    best, whole = track, len(track.steps)
+    if refiner is None or not refiner.builds_map:
+        return while_odometry_fits(track)
+    first = best = while_odometry_fits(track, "track", partial(until_missing, least_points=least_points))
+    begin = early_loss(first.steps, least_points)
+    if begin is None:
+        return first
     for tried in range(MOST_TRIES):
-        if accepted(best) >= whole - begin:
-            break
-        other = while_odometry_fits(
-            replace(track, begin=begin), "track again", lambda steps: until_early_loss(steps, least_points)
-        )
+        later = replace(track, begin=begin)
+        other = while_odometry_fits(later, "track again", partial(until_missing, least_points=least_points))
         lost = early_loss(other.steps, least_points)
+        if lost is None and accepted(other) >= MOST_SHARE * (len(other.steps) - begin):
+            return after_another(other, first)
         best = max(best, other, key=accepted)
-        if lost is None:
-            break
-        begin = max(lost, begin + (1 << max(tried - EACH_TRIES, 0)))
-    return track if best is track else continued(best, track)
+        begin = max(lost or begin + 1, begin + (1 << max(tried - EACH_TRIES, 0)))
+    whole = (while_odometry_fits(replace(track, begin=some), "track again") for some in {0, best.begin})
+    longest = max(whole, key=accepted)
+    return after_another(longest, first) if longest.begin else longest
 
 
-def continued(best: Track, first: Track) -> Track:
-    """Return a track with another beginning, through the whole log; what was tracked before it is a part of its own."""
-    if len(best.steps) < len(first.steps) and early_loss(best.steps, best.config.robust.min_points) is not None:
-        best = while_odometry_fits(best, "track again")
-    before = tuple(step for step in first.steps[: best.begin] if step.tracked)
-    return without_misleading_odometry(replace(best, parts=(before,) if before else ()))
+def after_another(track: Track, first: Track) -> Track:
+    """Return a track with what a first one had tracked before its beginning: a part of its own."""
+    before = tuple(step for step in first.steps[: track.begin] if step.tracked)
+    return replace(track, parts=(before,) if before else ())
 
 
 def accepted(track: Track) -> int:
@@ -83,8 +89,10 @@ def early_loss(steps: Iterable[Step], least_points: int) -> int | None:
     return first if missed >= LOST_SCANS else None
 
 
-def until_early_loss(steps: Iterable[Step], least_points: int) -> Iterator[Step]:
-    """Yield the steps of a track until it is plain that its beginning fits nothing."""
+def until_missing(
+    steps: Iterable[Step], least_points: int, most_missed: int = MISSED_SCANS, most_held: float = EARLY_SCANS
+) -> Iterator[Step]:
+    """Yield the steps of a track until its map, of ``most_held`` scans at most, fits none of so many usable scans."""
     held, missed = 0, 0
     for step in steps:
         yield step
@@ -92,7 +100,7 @@ def until_early_loss(steps: Iterable[Step], least_points: int) -> Iterator[Step]
             held, missed = held + 1, 0
         elif held and step.match.beams_used >= least_points:
             missed += 1
-        if held <= EARLY_SCANS and missed >= MISSED_SCANS:
+        if held <= most_held and missed >= most_missed:
             return
 
 
