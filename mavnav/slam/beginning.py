@@ -31,7 +31,7 @@ EARLY_SCANS, MISSED_SCANS = 30, 16
 MOST_TRIES, EACH_TRIES = 12, 4
 """So many beginnings are tried: the first ones scan by scan, then twice as far apart each time, 260 scans in all."""
 
-MOST_SHARE = 0.9
+MOST_SHARE = 0.5
 """With so many of the scans after it a beginning is taken at once."""
 
 
@@ -116,8 +116,9 @@ def rematch_beginning(track: Track) -> Track:
         if (after.stamp_ns - step.stamp_ns) * NS > LONGEST_S:
             break
         found = before_the_map(scan, step, moving_back(track.motion, after, later), track)
-        if found.tracked:
-            steps[step.index], after, later = found, found, after
+        if not found.tracked:  # farther back the search is wide enough to fit a blocked scan somewhere
+            break
+        steps[step.index], after, later = found, found, after
     return replace(track, steps=steps)
 
 

@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from mavnav.slam.steps import LostInterval
     from mavnav.slam.track import Track
 
-LEAST_SCANS, MOST_TRACKED = 20, 8
-"""Stretches of fewer lost scans are not tracked on a map of their own, and of all no more than so many."""
+LEAST_SCANS, MOST_TRACKED = 20, 4
+"""Shorter stretches are not tracked on a map of their own, and of all no more than so many: each may cost seconds."""
 
-GIVE_UP_SCANS = 64
+GIVE_UP_SCANS = 16
 """The map of a part ends where so many usable scans in a row do not match it."""
 
-WITNESSES, LEAST_WITNESSES = 12, 3
+WITNESSES, LEAST_WITNESSES = 6, 3
 """So many scans of a part, taken at different places, are searched in the largest map; so many of them must agree."""
 
 LEAST_TRACKED_SHARE, MOST_LEFT_OUT = 0.5, 0.1
@@ -87,7 +87,7 @@ def lost_parts(track: Track) -> list[Track]:
         rest = lost_stretches(part.steps, range(stretch.start, len(part.steps)))
         rest += [range(len(part.steps), stretch.stop)] if stretch.stop - len(part.steps) >= LEAST_SCANS else []
         waiting += [some for some in rest if len(some) < len(stretch)]
-        if accepted(part) >= LOST_SCANS:
+        if accepted(part) >= LEAST_SCANS:
             found.append(part)
     return found
 
