@@ -266,6 +266,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         ("accepted", f"{100 * scans['accepted'] / max(scans['processed'], 1):.1f} %"),
         ("rejected", f"{scans['rejected'] - lost} scans"),
         ("lost", f"{lost} scans in {len(tracking['intervals'])} stretch(es)" if tracking["intervals"] else "never"),
+        *([("left out", text)] if (text := _left_out(tracking.get("parts", []))) else []),
         ("path", f"{tracking['path_length_m']:.2f} m"),
     ]
     if "localisation" in document:
@@ -276,6 +277,12 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         ("pictures", f"{directory / 'map.png'}, {directory / 'wall_thickness.png'}"),
     ]
     return rows + page_row(directory)
+
+
+def _left_out(parts: list[dict[str, Any]]) -> str:
+    """Name the parts of the log that are not in the map, by their times."""
+    times = [f"{part['scans']} at {part['from_s']:.1f} to {part['to_s']:.1f} s" for part in parts if not part["joined"]]
+    return f"scans tracked on other maps: {', '.join(times)}" if times else ""
 
 
 def _found(localisation: dict[str, Any]) -> str:

@@ -67,7 +67,9 @@ class Track:
         The steps of the scans before ``begin`` have no pose. ``until`` may end it early.
         """
         method, coming = make_method(self.config, self.prior_map), iter(scans)
-        before = (Step(k, s.stamp_ns, no_match(Pose()), tracked=False) for k, s in enumerate(islice(coming, self.begin)))
+        before = (
+            Step(k, s.stamp_ns, no_match(Pose()), tracked=False) for k, s in enumerate(islice(coming, self.begin))
+        )
         steps: Iterator[Step] = chain(before, track(coming, method, self.motion, self.begin))
         steps = until(steps) if until else steps
         return replace(self, method=method, steps=Steps(self.reported(steps, phase) if phase else steps))
