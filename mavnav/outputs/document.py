@@ -163,6 +163,11 @@ def _tracking(run: Run) -> model.Tracking:
         path_length_m=slam.trajectory.length_m,
         frames={"trajectory.tum": ["map", run.log.frame_id]}
         | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),
+        parts=[
+            model.TrackedPart((p.start_ns - first_ns) * NS, (p.end_ns - first_ns) * NS, p.scans, p.joined)
+            for p in slam.parts
+        ]
+        or ABSENT,
     )
 
 
