@@ -46,7 +46,7 @@ from mavnav.commands.options import (
     search_option,
     truth_values,
 )
-from mavnav.commands.progress import loading_modules, reporting
+from mavnav.commands.progress import REPLAY, loading_modules, reporting
 from mavnav.commands.quality_rows import page_row, picture_row, quality_rows, reference_rows, wall_rows
 from mavnav.commands.terminal import emit, emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
@@ -146,7 +146,7 @@ def replay(
     compared = files["truth"] or files["truth_map"] or files["relations"]
     optional = {"reference": compared, "localisation": files["map"]}
     check_gates(bounds, *(section for section, file in optional.items() if file))
-    with reporting(quiet=quiet) as progress:
+    with reporting(quiet=quiet, stages=REPLAY) as progress:
         startup_s, started_s = process_time(), perf_counter()
         with loading_modules():
             from mavnav.outputs.provenance import Typed

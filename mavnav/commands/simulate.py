@@ -31,7 +31,7 @@ from mavnav.commands.options import (
     output_values,
     schema_option,
 )
-from mavnav.commands.progress import loading_modules, reporting
+from mavnav.commands.progress import MISSION, loading_modules, reporting
 from mavnav.commands.quality_rows import page_row, picture_row, wall_rows
 from mavnav.commands.terminal import emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
@@ -110,7 +110,7 @@ def simulate(
         config,
     )
     check_gates(bounds, "mission", "truth", "reference")
-    with reporting(quiet=quiet) as progress:
+    with reporting(quiet=quiet, stages=MISSION) as progress:
         started_s = perf_counter()
         with loading_modules():
             from mavnav.outputs.provenance import Typed
