@@ -6,10 +6,10 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do command 
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test fuzz check format-check lint types bench figures samples golden clean
+.PHONY: help demo test fuzz check format-check lint types bench bench-peers figures samples golden clean
 
 help:
-	@echo "make demo | test | fuzz | check | bench | figures | samples | golden | clean"
+	@echo "make demo | test | fuzz | check | bench | bench-peers | figures | samples | golden | clean"
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=..."; exit 1; }
@@ -50,6 +50,15 @@ bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/replays.py
 	$(BIN)/python benchmarks/exactness.py
 	$(BIN)/python benchmarks/exactness.py --method paper
+
+$(VENV)-peers/.done: pyproject.toml
+	$(PYTHON) -m venv $(VENV)-peers
+	$(VENV)-peers/bin/python -m pip install --quiet --editable . kiss-icp small-gicp || \
+		{ echo "pip cannot get kiss-icp and small-gicp: connect to a package index, then run make bench-peers again"; exit 1; }
+	@touch $@
+
+bench-peers: $(VENV)-peers/.done
+	$(VENV)-peers/bin/python benchmarks/peers.py $(LOGS)
 
 figures: $(VENV)/.dev
 	$(BIN)/python benchmarks/figures.py

@@ -41,7 +41,18 @@ SECTIONS: Final = (
 REFERENCES = ("truth", "truth_map", "relations")
 """Of a request: the files to compare the outcome with."""
 
-_NOT_OPTIONS = {"log", "log_sha256", "address", "directory", "config", "force", "report", "typed", *REFERENCES}
+_NOT_OPTIONS = {
+    "log",
+    "log_sha256",
+    "address",
+    "directory",
+    "config",
+    "force",
+    "report",
+    "outputs",
+    "typed",
+    *REFERENCES,
+}
 """Of a request: where things are, what does not change a result, and what enters the key by itself."""
 
 

@@ -10,10 +10,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import float64, int64, uint16, uint64
 
 from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F64_1D, F64_2D, I64_1D, U8_3D, U32_2D
+from mavnav.kernels._types import F64_1D, F64_2D, I64_1D, U8_3D, U32_2D, float64, int64, uint16, uint64
 from mavnav.kernels.correlative_search import pose_cost
 from mavnav.kernels.layout import LEVELS, WORST
 

@@ -21,7 +21,6 @@ from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.provenance import Typed
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pose import Pose
-from mavnav.simulation.world import Scenario
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -129,6 +128,8 @@ def typed_again(run: EarlierRun, words: Sequence[str]) -> Typed:
 def simulation_again(run: EarlierRun) -> dict[str, Any]:
     """Return the fields of the request that repeats a mission: its effective scenario, whatever became of the file."""
     name, found = str(run.directory / RUN_FILE), run.document["input"]
+    from mavnav.simulation.world import Scenario  # noqa: PLC0415  models take time to build
+
     return {
         "scenario": validated(Scenario, layer_of(json.dumps(run.document["scenario"]), name), name),
         "path": run.path(found["path"]),

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from time import sleep
 
 import pytest
 
@@ -193,6 +194,33 @@ def test_plain_lines_come_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys: 
     assert 3 < len(lines) < 20
     assert lines[0].startswith("mavnav: track ")
     assert lines[0].endswith(" s left")
+
+
+def test_lines_have_the_number_of_the_stage_and_the_time_left_of_the_job(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr(progress, "monotonic", lambda: now[0])
+    with progress.reporting(quiet=False, stages={"read": 0, "track": 50, "write": 50}) as report:
+        for phase in ("read", "track", "track again"):
+            for done in (25, 50):
+                now[0] += 6.0 if done == 25 else 12.0
+                report(phase, done, 100)
+    told = [line for line in capsys.readouterr().err.splitlines() if "%" in line]
+    assert told[0] == "mavnav: read (1 of 3) 50 %"
+    assert told[1] == "mavnav: track (2 of 3) 50 %, 36 s left"
+    assert told[2].startswith("mavnav: track again (2 of 3) 50 %, ")
+
+
+def test_no_stage_is_silent_for_long(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, value in (("LINE_PERIOD_S", 0.05), ("TICK_S", 0.01), ("SPEAK_AFTER_S", 0.02)):
+        monkeypatch.setattr(progress, name, value)
+    with progress.reporting(quiet=False, stages=progress.REPLAY) as report:
+        report("close loops", 0, 100)
+        sleep(0.2)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) >= 2
+    assert set(lines) <= {"mavnav: close loops (3 of 6)", "mavnav: close loops (3 of 6), for 0 s"}
 
 
 def test_quiet_is_silent(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
