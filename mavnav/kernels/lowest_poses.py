@@ -33,7 +33,10 @@ ROUNDING = 1.0 - 1e-9
 """What bounds are lowered by: a mean of costs is off by some 1e-14."""
 
 SLICE = 256
-"""The squares are ordered in slices; so many are in the first one at least, and each is twice the one before."""
+"""The squares are ordered in slices; so many are in the first one at least, and each is four times the one before."""
+
+AT_ONCE = 20
+"""Points after whose bounds a sum is compared with the limit."""
 
 
 class Heap(NamedTuple):
@@ -187,15 +190,17 @@ def _bound_squares(
 
 @helper
 def _bound_quarters(
-    cells: NDArray[np.int32], count: int, row: int, col: int, side: int, floors: NDArray[np.uint8]
+    cells: NDArray[np.int32], count: int, row: int, col: int, side: int, floors: NDArray[np.uint8], most: int
 ) -> tuple[int, int, int, int]:
     """Bound the summed cost of the points on the quarters of a square, whose first cell and quarters' side are given.
 
-    ``floors`` (rows, cols) are of the level of the quarters.
+    ``floors`` (rows, cols) are of the level of the quarters. Once all sums are over ``most`` the rest is left out.
     """
     rows, cols = floors.shape
     a = b = c = d = 0
     for k in range(count):
+        if k % AT_ONCE == 0 and min(a, b, c, d) > most:
+            break
         y, x = cells[0, k] + row, cells[1, k] + col
         if 0 <= y < rows - side and 0 <= x < cols - side:
             r, s = uint64(y), uint64(x)
@@ -248,7 +253,8 @@ def lowest_poses(
 ) -> NDArray[np.float64]:
     """Find the ``most`` lowest costs of ``pose_costs`` that lie apart; returns cost (m2), yaw and position: (m, 3).
 
-    None costs more than ``limit_m2``. Each is the lowest that is not within ``separate`` (m, rad) of one before it; of equal costs it is the first.
+    None costs more than ``limit_m2``.
+    Each is the lowest that is not within ``separate`` (m, rad) of one before it; of equal costs it is the first.
     ``xy_map_m`` (p, 2) are positions of a lattice of ``step`` cells, row by row. ``floors`` are ``cost_floors`` of the
     same step from the cell ``corner`` (row, col) on, with all cells that points at these poses may be in.
     """
@@ -265,6 +271,7 @@ def lowest_poses(
             for col in range(square_cols):
                 histogram[sums[q, row, col]] += held[row, col]
     scale = ROUNDING * truncate_m * truncate_m / (WORST * len(points))
+    limit = int(min(limit_m2 / scale, float(len(histogram)))) + 1
     kind = n_yaws * positions  # a code is the level, downwards, LEVELS if exact, times this, plus yaw and position
     heap, count, upper, slice_size = Heap(np.empty(4 * SLICE), np.empty(4 * SLICE, np.int64)), 0, -1, SLICE
     found, n = np.empty((most, 3)), 0
@@ -273,7 +280,7 @@ def lowest_poses(
             if upper + 1 >= len(histogram) or (upper + 1) * scale > limit_m2:
                 break
             lower, upper = upper, _upper_sum(histogram, upper, slice_size)
-            slice_size *= 2
+            slice_size *= 4
             for q in range(n_yaws):
                 for row in range(square_rows):
                     for col in range(square_cols):
@@ -292,10 +299,10 @@ def lowest_poses(
         q, row, col = at // positions, at % positions // index.shape[1], at % index.shape[1]
         if level > 0:
             side = 1 << (level - 1)
-            bounds = _bound_quarters(cells[q], counts[q], row * step, col * step, side * step, floors[level - 1])
+            bounds = _bound_quarters(cells[q], counts[q], row * step, col * step, side * step, floors[level - 1], limit)
             for k in range(4):
                 r, c = k // 2 * side, k % 2 * side
-                if _holds_any(index, row + r, col + c, side):
+                if bounds[k] <= limit and _holds_any(index, row + r, col + c, side):
                     heap = _grown(heap, count)
                     code = (TOP - level + 1) * kind + at + r * index.shape[1] + c
                     _push(heap, count, bounds[k] * scale, code)

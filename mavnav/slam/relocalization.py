@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import floor, pi
 from operator import itemgetter
 from typing import TYPE_CHECKING
@@ -86,11 +87,18 @@ def within_reach(pose: Pose, elapsed_s: float) -> Region:
 
 def around(pose: Pose, radius_m: float, half_rad: float) -> Region:
     """Return a disc of positions and the yaws about a pose, in m and rad."""
-    n, k = int(np.ceil(radius_m / STEP_M)), int(np.ceil(half_rad / STEP_RAD))
+    k = int(np.ceil(half_rad / STEP_RAD))
+    return _disc(radius_m) + pose.as_array()[:2], pose.yaw_rad + STEP_RAD * np.arange(-k, k + 1, dtype=np.float64)
+
+
+@lru_cache(maxsize=8)
+def _disc(radius_m: float) -> NDArray[np.float64]:
+    """Return the positions (p, 2) of a lattice about the origin, m."""
+    n = int(np.ceil(radius_m / STEP_M))
     rows, cols = np.indices((2 * n + 1, 2 * n + 1), dtype=np.float64)
     lattice = STEP_M * (np.column_stack((cols.ravel(), rows.ravel())) - n)
-    disc = lattice[np.hypot(*lattice.T) <= radius_m + 1e-9]
-    return disc + pose.as_array()[:2], pose.yaw_rad + STEP_RAD * np.arange(-k, k + 1, dtype=np.float64)
+    disc: NDArray[np.float64] = lattice[np.hypot(*lattice.T) <= radius_m + 1e-9]
+    return disc
 
 
 def everywhere(grid: GridBuilder) -> Region:
