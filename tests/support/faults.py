@@ -109,7 +109,7 @@ class _Stdout(io.RawIOBase):
 
 def _patches(disk: Disk) -> Iterator[Any]:
     real: dict[str, Callable[..., Any]] = {
-        name: getattr(os, name) for name in ("fsync", "mkdir", "rename", "replace", "open")
+        name: getattr(os, name) for name in ("fsync", "mkdir", "rename", "replace", "link", "open")
     }
     real_file, swapped = io.open, atomic_files._swapped
 
@@ -166,7 +166,7 @@ def _patches(disk: Disk) -> Iterator[Any]:
     yield patch.object(runner, "run_jobs", run_here)
     for name, made in {"fsync": fsync, "mkdir": mkdir, "open": open_number}.items():
         yield patch.object(os, name, made)
-    for name in ("rename", "replace"):
+    for name in ("rename", "replace", "link"):
         yield patch.object(os, name, renamer(name))
 
 
@@ -271,7 +271,9 @@ def faults_of(trial: Trial, fail_at: int, *, again: bool = True) -> list[str]:
     problems = [*_wrong_end(trial, end, disk, found), *_harm(trial, found)]
     if again:
         second = run_command(trial.args, Disk(trial.folder))
-        if second.code != trial.code and not (second.code == 6 and "exists" in second.err):
+        if second.code == 6 and "exists" in second.err:
+            second = run_command([*trial.args, "--force"], Disk(trial.folder))
+        if second.code != trial.code:
             problems.append(f"the next run ends with {second.code}: {second.err}")
         if not trial.after.keys() <= tree(trial.folder).keys():
             problems.append("the next run is not complete")
