@@ -102,7 +102,8 @@ def run(args: Sequence[str], *, debug: bool = False) -> int:
         if debug and isinstance(error, Exception):
             import traceback
 
-            traceback.print_exception(error)
+            with suppress(OSError, ValueError):
+                traceback.print_exception(error)
         return _explain(error)
     return int(code or 0)
 
