@@ -114,7 +114,7 @@ def read_baseline(path: Path) -> Baseline:
         raise UsageError(
             f"{file}: the baseline {reason}; name an earlier batch, or make one with --update-baseline"
         ) from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise UsageError(
             f"{file} is no baseline; name the directory of a batch, its batch.json, or a baseline file"
         ) from error

@@ -24,7 +24,10 @@ def printable(text: object) -> str:
 
 
 def _visible(text: object) -> str:
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+    from mavnav.outputs.addresses import public_line
+
+    text = public_line(str(text))
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return re.sub(r"##(?=\w*\[)", r"#\\x23", shown)
 
 
@@ -51,6 +54,16 @@ def note(text: str) -> None:
     """Print one line on stderr; where that is full or closed, the exit code still says how the work ended."""
     with suppress(OSError, ValueError):
         print(_visible(text), file=sys.stderr, flush=True)  # noqa: T201  only the command line prints
+
+
+def print_traceback(error: BaseException) -> None:
+    """Print the traceback of an exception on stderr, without the secrets of addresses in it."""
+    from traceback import format_exception
+
+    from mavnav.outputs.addresses import public_line
+
+    with suppress(OSError, ValueError):
+        sys.stderr.write(public_line("".join(format_exception(error))))
 
 
 def note_oddities(document: dict[str, Any]) -> None:

@@ -124,12 +124,16 @@ def helper(function: Callable[P, R]) -> Callable[P, R]:
 
 @cache
 def cache_key() -> str:
-    """Return what machine code depends on besides its source: numba, Python, the system and the processor."""
+    """Return what machine code depends on besides its source: numba, Python, the system and the processor.
+
+    ``NUMBA_BOUNDSCHECK=1`` compiles with checked indices, which takes longer; that code is kept apart.
+    """
     from numba.core.registry import cpu_target  # noqa: PLC0415
 
     processor = repr(cpu_target.target_context.codegen().magic_tuple())
     digest = sha256(processor.encode()).hexdigest()[:16]
-    return f"numba-{numba.__version__}-py{version_info.major}{version_info.minor}-{digest}"
+    checked = "-bounds" if numba.config.BOUNDSCHECK else ""
+    return f"numba-{numba.__version__}-py{version_info.major}{version_info.minor}-{digest}{checked}"
 
 
 def _initialize(context: Any) -> None:  # noqa: ANN401

@@ -20,6 +20,8 @@ from support.fuzz import mutated
 if TYPE_CHECKING:
     from pathlib import Path
 
+DIGITS = f'{{"mavnav_version": "1", "cells": [{{"name": "a", "exit_code": 0, "figures": {{"a": {"9" * 400}}}}}]}}'
+
 
 def described(folder: Path, **changed: str) -> Path:
     (folder / "m.pgm").write_bytes(b"P5\n4 4\n255\n" + bytes(16))
@@ -79,12 +81,13 @@ def test_a_large_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
         read_json(large)
 
 
-@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "9" * 5000, "\0", "{"])
-def test_json_that_cannot_be_read_is_a_value_error(text: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "9" * 5000, DIGITS, "\0", "{"])
+def test_json_that_cannot_be_read_is_no_baseline(text: str, tmp_path: Path) -> None:
     path = tmp_path / "run.json"
     path.write_text(text)
-    with pytest.raises(ValueError, match=r"."):
-        read_json(path)
+    if text != DIGITS:
+        with pytest.raises(ValueError, match=r"."):
+            read_json(path)
     with pytest.raises(UsageError, match="is no baseline"):
         read_baseline(path)
 
