@@ -8,12 +8,14 @@ from __future__ import annotations
 import os
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Event, Thread
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import urlsplit
 
 from mavnav.errors import MavnavError, OutputError, UsageError
 from mavnav.outputs.addresses import public_address, public_text
@@ -65,6 +67,7 @@ def fetched(address: str) -> Iterator[Path]:
     path = Path(public_address(address))
     if ".." in path.parts:
         raise UsageError(f"{public_address(address)}: an address with '..'; write it out")
+    check_allowed(address)
     with TemporaryDirectory(prefix="mavnav-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         try:
@@ -73,6 +76,22 @@ def fetched(address: str) -> Iterator[Path]:
             raise _full(address, error) from error
         _Copy(address, folder / path, limits()).run()
         yield folder
+
+
+def check_allowed(address: str) -> None:
+    """Raise UsageError for hosts that ``MAVNAV_FETCH_HOSTS`` does not list, and for local files that never end."""
+    allowed = [pattern.strip().lower() for pattern in os.environ.get("MAVNAV_FETCH_HOSTS", "").split(",")]
+    shown = public_address(address)
+    *inner, outer = shown.split("::")
+    for part in (*(part for part in inner if part.lower().startswith("http")), outer):
+        scheme, _, rest = part.partition("://")
+        if scheme.lower() in {"file", "local"}:
+            if Path(rest).exists() and not Path(rest).is_file():
+                raise UsageError(f"{shown}: cannot be read (it is not a regular file); name a log")
+        elif rest and any(allowed):
+            host = (urlsplit(part).hostname or "").lower()
+            if not any(fnmatchcase(host, pattern) for pattern in allowed if pattern):
+                raise UsageError(f"{shown}: {host or scheme} is not one of MAVNAV_FETCH_HOSTS; add it there")
 
 
 def _full(address: str, error: OSError) -> OutputError:

@@ -155,3 +155,28 @@ def test_a_full_temporary_folder_is_named(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(Path, "mkdir", full)
     with pytest.raises(OutputError, match=r"No space left on device.*TMPDIR"), fetched("file:///etc/hostname"):
         pass
+
+
+@pytest.mark.parametrize(
+    ("address", "allowed"),
+    [
+        ("http://data.example.org/a.mcap", True),
+        ("https://alice:hunter2@B.Example.com:8443/a.mcap?sig=SECRET", True),
+        ("s3://drives/a.mcap", True),
+        ("zip://a.mcap::https://data.example.org/a.zip", True),
+        ("file:///etc/hostname", True),
+        ("https://example.com/a.mcap", False),
+        ("https://data.example.org@127.0.0.1/a.mcap", False),
+        ("s3://others/a.mcap", False),
+        ("zip://a.mcap::https://127.0.0.1/a.zip", False),
+        ("file:///dev/zero", False),
+        ("file:///dev", False),
+    ],
+)
+def test_only_hosts_of_the_list_are_asked(address: str, allowed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MAVNAV_FETCH_HOSTS", "data.example.org, *.example.com,drives")
+    if allowed:
+        remote.check_allowed(address)
+    else:
+        with pytest.raises(UsageError, match=r"MAVNAV_FETCH_HOSTS|regular file"):
+            remote.check_allowed(address)
