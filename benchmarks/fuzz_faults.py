@@ -1,6 +1,6 @@
 """What a failing disk leaves behind: every operation of every command fails once.
 
-    python benchmarks/fuzz_faults.py [--seconds S] [--commands NAME ...]
+    python benchmarks/fuzz_faults.py [--seconds S] [--count N] [--commands NAME ...]
 
 Opening for writing, writing, fsync, rename, mkdir and writing to stdout fail at the n-th operation, for every n: with
 ENOSPC from there on, or with EIO once. After each fault the exit code, the message and the files are checked, and the
@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 from support.faults import faults_of, spread, trials
 
+COMMANDS = 9
 SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
 
 
@@ -32,10 +33,11 @@ def main() -> int:
     options = parser.parse_args()
     began_s, total, problems = time.monotonic(), 0, 0
     with tempfile.TemporaryDirectory() as name:
-        for trial in trials(Path(name), SAMPLE, options.commands):
+        count = len(options.commands) or COMMANDS
+        for number, trial in enumerate(trials(Path(name), SAMPLE, options.commands), 1):
             done, found = 0, 0
             for fail_at in spread(trial.steps, options.count):
-                if time.monotonic() - began_s > options.seconds:
+                if time.monotonic() - began_s > options.seconds * number / count:
                     break
                 done += 1
                 for problem in faults_of(trial, fail_at):

@@ -118,6 +118,7 @@ KINDS = (
     Kind("trajectory", "run/trajectory.tum", (("metrics", "run"),)),
     Kind("hits", "run/hits.npz", (("metrics", "run"),)),
     Kind("result", "run/result.mcap", (("metrics", "run"),)),
+    Kind("log", "log.mcap", (("info", "log.mcap"), ("convert", "log.mcap", "out/x.mcap", "-q"))),
     Kind("map.yaml", "map.yaml", (("metrics", "map.yaml"),)),
     Kind("picture", "map.pgm", (("metrics", "map.yaml"),), attack_picture),
 )
@@ -130,6 +131,7 @@ def make_home(folder: Path) -> None:
     for name in ("map.yaml", "map.pgm"):
         shutil.copy(folder / "run" / name, folder / name)
     (folder / "empty.mcap").write_bytes(b"")
+    shutil.copy(SAMPLE, folder / "log.mcap")
     (folder / "c.yaml").write_text("method: robust\ngrid: 5x5\nrobust: {cell_mm: 25, near_mm: 100}\n")
     shutil.copy(ROOT / "configs" / "corner.yaml", folder / "s.yaml")
     manifest = {
@@ -220,7 +222,7 @@ def attack(kind: Kind, rng: Random, folder: Path) -> None:
         path.write_bytes(attack_document(rng, content))
     elif path.suffix == ".tum" and way < 0.5:
         path.write_bytes(attack_table(rng, content))
-    elif way > 0.98:
+    elif way > 0.95:
         path.unlink()
         ways = (os.mkfifo, os.mkdir, lambda place: place.symlink_to("/dev/zero"))
         ways[int(rng.integers(3))](path)
