@@ -184,7 +184,7 @@ def test_a_file_never_takes_the_place_of_a_folder(old: Path) -> None:
     assert names(old.parent) == {"run"}
 
 
-@pytest.mark.parametrize("pid", [os.getpid(), 2**22 + 1])
+@pytest.mark.parametrize("pid", [os.getpid(), 2**22 + 1], ids=["ours", "nobody"])
 def test_what_another_machine_is_writing_is_left_alone(pid: int, tmp_path: Path) -> None:
     theirs = tmp_path / f".run.partial-0123456789ab-{pid}"
     theirs.mkdir()
