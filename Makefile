@@ -7,6 +7,7 @@ BIN := $(VENV)/bin
 DEMO := runs/demo
 FUZZ_SECONDS ?= 600
 FUZZ_SEED ?= 0
+FUZZ_COUNT ?= 1000000
 FUZZ_FAULTS ?= 1000
 BOUNDS := tests/kernels tests/mapping
 
@@ -36,8 +37,8 @@ test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2
 
 fuzz: $(VENV)/.dev
-	$(BIN)/python benchmarks/fuzz_logs.py --seed $(FUZZ_SEED) --count 1000000 --seconds $$(($(FUZZ_SECONDS) / 3))
-	$(BIN)/python benchmarks/fuzz_inputs.py --seed $(FUZZ_SEED) --count 1000000 --seconds $$(($(FUZZ_SECONDS) / 3))
+	$(BIN)/python benchmarks/fuzz_logs.py --seed $(FUZZ_SEED) --count $(FUZZ_COUNT) --seconds $$(($(FUZZ_SECONDS) / 3))
+	$(BIN)/python benchmarks/fuzz_inputs.py --seed $(FUZZ_SEED) --count $(FUZZ_COUNT) --seconds $$(($(FUZZ_SECONDS) / 3))
 	$(BIN)/python benchmarks/fuzz_faults.py --seconds $$(($(FUZZ_SECONDS) / 3)) --count $(FUZZ_FAULTS)
 
 bounds: $(VENV)/.dev

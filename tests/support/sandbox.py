@@ -16,7 +16,7 @@ from pathlib import Path
 from mavnav import cli
 
 MOST_CPU_S = 20
-MOST_WALL_S = 60.0
+MOST_WALL_S = 300.0  # a busy machine is no hang
 MOST_BYTES = 1 << 30
 GUARD_BYTES = 4 << 30
 CODES = {0, 1, 2, 3, 4, 5, 6}
