@@ -58,7 +58,8 @@ class MachineCode:
 def cache_key() -> str:
     """Return what machine code depends on besides its source: numba, Python, the system and the processor."""
     llvm = _llvm()
-    chosen = [os.environ.get(f"NUMBA_{name}", "") for name in ("CPU_NAME", "CPU_FEATURES", "OPT", "ENABLE_AVX")]
+    names = ("CPU_NAME", "CPU_FEATURES", "OPT", "ENABLE_AVX", "BOUNDSCHECK")
+    chosen = [os.environ.get(f"NUMBA_{name}", "") for name in names]
     processor = [llvm.get_process_triple(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten(), *chosen]
     digest = sha256(repr(processor).encode()).hexdigest()[:16]
     return f"numba-{version('numba')}-py{sys.version_info.major}{sys.version_info.minor}-{digest}"

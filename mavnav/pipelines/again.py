@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
 from mavnav.config.loading import load_config, validated
+from mavnav.config.named_files import read_json
 from mavnav.config.yaml_layers import layer_of
 from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import recorded_topic
@@ -80,7 +81,7 @@ def _installed(library: str) -> str:
 def earlier_run(directory: Path, *, simulated: bool) -> EarlierRun:
     """Read a run directory; raises UsageError for what is none, or of the other command."""
     try:
-        document = json.loads((directory / RUN_FILE).read_text(encoding="utf-8"))
+        document = read_json(directory / RUN_FILE)
         kind = document["input"]["format"]
         _ = (
             document["provenance"]["folder"],

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,7 +16,7 @@ import pytest
 
 from mavnav import __version__, cli
 from mavnav.commands import progress, signals
-from mavnav.commands.terminal import printable
+from mavnav.commands.terminal import json_text, printable
 from mavnav.errors import ExitCode, MavnavError, NoScansError, OutputError, TopicError
 
 
@@ -121,8 +123,6 @@ def test_config_show_can_be_read_back(mavnav: Callable, tmp_path: Path) -> None:
 
 
 def test_config_schema_is_json(mavnav: Callable) -> None:
-    import json
-
     schema = json.loads(mavnav("config", "schema")[1])
     assert schema["additionalProperties"] is False
     assert json.loads(mavnav("config", "schema", "config")[1]) == schema
@@ -178,6 +178,10 @@ def test_no_color_is_respected(sample: Path) -> None:
         ("x\u202ey\u200bz\x9b", "x\\u202ey\\u200bz\\x9b"),
         ("\udcff", "\\udcff"),
         ("Büro 3", "Büro 3"),
+        ("::error::x", "\\x3a:error::x"),
+        ("  ::set-env::x", "  \\x3a:set-env::x"),
+        ("zip://a::b", "zip://a::b"),
+        ("a##[error]b ##vso[x]", "a#\\x23[error]b #\\x23vso[x]"),
     ],
 )
 def test_printable(text: str, safe: str) -> None:
@@ -306,3 +310,51 @@ def test_the_command_line_begins_no_threads_of_linear_algebra() -> None:
     env = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=env)
     assert done.stdout == "1\n"
+
+
+def test_json_holds_no_workflow_command() -> None:
+    text = json_text({"log": "##[error]x ##vso[y] # ##"})
+    assert "##[" not in text
+    assert json.loads(text) == {"log": "##[error]x ##vso[y] # ##"}
+
+
+def test_names_of_logs_start_no_workflow_command(
+    mavnav: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name = f"::error::{'x' * 190}::error::##[error]\x1b[31m.mcap"
+    Path(name).touch()
+    for args in (("batch", name, "-o", "out"), ("batch", name, "-o", "out", "--json"), ("info", name)):
+        code, out, err = mavnav(*args)
+        assert code == ExitCode.NO_SCANS
+        for line in (out + err).splitlines():
+            assert not line.lstrip().startswith("::")
+            assert "##[" not in line
+            assert "\x1b" not in line
+
+
+@pytest.mark.parametrize(
+    "args", [("info", "gone.mcap"), ("config", "show", "--set", "nonsense"), ("--debug", "info", "x")]
+)
+def test_a_full_stderr_keeps_the_exit_code(args: tuple[str, ...], repo_root: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run([sys.executable, "-m", "mavnav", *args], stdout=subprocess.PIPE, stderr=full, check=False)
+    assert (done.returncode, done.stdout) == (ExitCode.USAGE, b"")
+
+
+def test_an_early_ctrl_c_leaves_no_traceback() -> None:
+    """As soon as the first line of the package has run; before it, it is Python's own."""
+    code = """
+import os, runpy, signal, sys
+class Finder:
+    def find_spec(self, name, *_):
+        if name == sys.argv[1]:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+runpy.run_module("mavnav", run_name="__main__")
+"""
+    for name in ("mavnav.cli", "typer", "mavnav.commands.signals"):
+        line = [sys.executable, "-c", code, name]
+        done = subprocess.run(line, capture_output=True, text=True, check=False)
+        assert done.returncode in {-signal.SIGINT, ExitCode.INTERRUPTED}, name
+        assert "Traceback" not in done.stderr

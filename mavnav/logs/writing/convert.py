@@ -69,13 +69,15 @@ def convert_log(
     _check(source, target, force=force)
     report = ReadReport()
     try:
-        with beside(target) as partial:
+        with beside(target, exclusive=not force) as partial:
             writing = _Writing(strict, report)
             _write(source, partial, writing, progress)
             topics = writing.topics()
             if not topics:
                 raise NoScansError(f"{source}: no message can be read; {_first(report, source)}")
             _compare(partial, target, topics)
+    except FileExistsError as error:
+        raise OutputError(f"{target} exists; choose another name, or --force to replace it") from error
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"{target} cannot be written: {reason}; make room or choose another place") from error
