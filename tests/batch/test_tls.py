@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import shutil
 import subprocess
 from pathlib import Path
@@ -47,6 +48,7 @@ def test_an_encrypted_cluster(certificate: tuple[str, str], tmp_path: Path, monk
             connected(address, tmp_path, 1, None, 1),
         ):
             pass
+        gc.collect()  # the client that failed: its finalizer waits for a lock that the next one takes
         names = {"ca-file": public, "client.key": key, "client.cert": public}
         with (
             dask.config.set({f"distributed.comm.tls.{name}": value for name, value in names.items()}),
