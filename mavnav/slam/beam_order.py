@@ -69,7 +69,7 @@ def fires_backwards(track: Track) -> bool:
         return False
     if is_plainly_listed(*glance(scans, track.steps[stretch.start : stretch.stop], track.motion, refiner)):
         return False
-    alone = replace(track, prior_map=None)
+    alone = replace(track, prior_map=None, begin=0)
     listed, other = (alone.over(some).steps for some in (scans, map(backwards, scans)))
     return is_backwards([s.match for s in listed], [s.match for s in other])
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from mavnav.pose import Pose, Trajectory
     from mavnav.slam.motion_model import Odometry
     from mavnav.slam.steps import Step
-    from mavnav.slam.track import Track
+    from mavnav.slam.track import Track, Until
 
 LEAST_STEPS, MISLEADING = 20, 0.3
 """Steps that judge odometry; the share of the motion by which it may be wrong."""
@@ -28,11 +28,18 @@ EARLY_STEPS, PLAINLY = 60, 1.5
 WARNING = "odometry contradicts the scans and is not used; check its scale, axes and clock"
 
 
-def while_odometry_fits(track: Track) -> Track:
-    """Track the log, with odometry as long as that does not plainly contradict the scans: the track then ends there."""
+def while_odometry_fits(track: Track, phase: str = "track", until: Until | None = None) -> Track:
+    """Track the log, with odometry as long as that does not plainly contradict the scans: the track then ends there.
+
+    ``until`` may end it earlier.
+    """
     odometry = track.motion.odometry
-    scans = track.log_scans()
-    return track.over(scans, "track", None if odometry is None else lambda steps: until_misled(steps, odometry))
+
+    def passed_on(steps: Iterable[Step]) -> Iterator[Step]:
+        fitting = iter(steps) if odometry is None else until_misled(steps, odometry)
+        return until(fitting) if until else fitting
+
+    return track.over(track.log_scans(), phase, passed_on)
 
 
 def without_misleading_odometry(track: Track) -> Track:

@@ -6,9 +6,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from mavnav.slam.beam_order import with_reversed_beams
+from mavnav.slam.beginning import rematch_beginning, with_good_beginning
 from mavnav.slam.loop_closure.remap import close_loops
 from mavnav.slam.motion_model import Motion
-from mavnav.slam.odometry_check import while_odometry_fits, without_misleading_odometry
+from mavnav.slam.odometry_check import without_misleading_odometry
+from mavnav.slam.parts import with_lost_parts
 from mavnav.slam.redraw import redraw_map
 from mavnav.slam.registry import make_method
 from mavnav.slam.rematch import refine_against_final_map, rematch_rejected, remove_dynamic_cells
@@ -36,8 +38,8 @@ SHORTEST_PERIOD_S = 1e-3
 """A log of one scan has no period."""
 
 RETRIES: Final[tuple[Pass, ...]] = (
-    without_misleading_odometry,  # "What is not taken on trust"
-    with_reversed_beams,  # "What is not taken on trust"
+    without_misleading_odometry,  # "Input checks"
+    with_reversed_beams,  # "Input checks"
     with_coarser_voxels,  # step 10
 )
 """Each tracks the log again where something is in doubt, and keeps the better of two tracks."""
@@ -75,10 +77,11 @@ def run_slam(
     method = make_method(config, prior_map)
     motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest)
     track = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step)
-    track = while_odometry_fits(track)  # steps 1 to 8
+    track = with_good_beginning(track)  # steps 1 to 8
     for retry in RETRIES:
         track = retry(track)
-    return finish(rematch_rejected(track))  # step 9
+    track = rematch_rejected(rematch_beginning(track))  # step 9
+    return finish(with_lost_parts(track))  # "Parts"
 
 
 def finish(track: Track) -> SlamResult:

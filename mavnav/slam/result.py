@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mavnav.slam.loop_closure.detection import Loops
+from mavnav.slam.parts import Part, lost_for_good, part_warnings, parts_of
 from mavnav.slam.steps import LostInterval, Steps, lost_intervals, tracked_trajectory
 
 if TYPE_CHECKING:
@@ -13,16 +14,14 @@ if TYPE_CHECKING:
     from mavnav.pose import Trajectory
     from mavnav.slam.track import Track
 
-LEAST_TRACKED_SHARE = 0.5
-"""With poses for fewer of its scans a log is lost for good: what is found again at its end by chance tracks no log."""
-
 
 @dataclass(frozen=True, slots=True)
 class SlamResult:
     """The outcome: a step for every scan, the poses of the tracked ones (map_T_laser), map, lost stretches, loops.
 
     ``warnings`` are lines for the user: what of the log was not taken as it stands there. ``tracks_compared``
-    counts the tracks of which the sharpest was kept.
+    counts the tracks of which the sharpest was kept. ``parts`` are the stretches of a log that was not tracked as a
+    whole, each on a map of its own at first; none otherwise.
     """
 
     steps: Steps
@@ -32,6 +31,7 @@ class SlamResult:
     loops: Loops = field(default_factory=Loops)
     warnings: tuple[str, ...] = ()
     tracks_compared: int = 1
+    parts: tuple[Part, ...] = ()
 
     @property
     def tracked_share(self) -> float:
@@ -40,20 +40,20 @@ class SlamResult:
 
     @property
     def lost_for_good(self) -> bool:
-        """Whether the track ended before the log did, or has fewer than ``LEAST_TRACKED_SHARE`` of its scans."""
-        ended = bool(self.lost) and not self.lost[-1].recovered
-        return ended or (bool(self.steps) and self.tracked_share < LEAST_TRACKED_SHARE)
+        """Whether the track ended before the log did, has too few of its scans, or left too many out."""
+        return lost_for_good(self.steps, self.lost, self.parts)
 
 
 def summarize(track: Track) -> SlamResult:
     """Return the result of a finished track; its map is taken from the method."""
-    steps = track.steps
+    steps, parts = track.steps, parts_of(track)
     return SlamResult(
         steps,
         tracked_trajectory(steps),
         track.method.finished(),
         tuple(lost_intervals(steps)),
         track.loops,
-        track.warnings,
+        (*track.warnings, *(part_warnings(parts, steps[0].stamp_ns) if parts else ())),
         track.tracks_compared,
+        parts,
     )

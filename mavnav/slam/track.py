@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import chain, islice
 from typing import TYPE_CHECKING
 
+from mavnav.pose import Pose
 from mavnav.slam.loop_closure.detection import Loops
 from mavnav.slam.registry import make_method
-from mavnav.slam.steps import Steps
+from mavnav.slam.scan_matching import no_match
+from mavnav.slam.steps import Step, Steps
 from mavnav.slam.tracker import track
 
 if TYPE_CHECKING:
@@ -18,7 +21,6 @@ if TYPE_CHECKING:
     from mavnav.slam.method import Method, Refiner
     from mavnav.slam.motion_model import Motion
     from mavnav.slam.prior_map import PriorMap
-    from mavnav.slam.steps import Step
 
     LogScans = Callable[[], Iterable[Scan]]
     """Gives the scans of a log, from the first one again at every call."""
@@ -33,7 +35,8 @@ class Track:
     """A pass of the tracker over a log.
 
     ``motion`` is the state before the first scan, with the odometry that is used. ``warnings`` are lines for the user.
-    ``tracks_compared`` counts the tracks that were compared for the sharper map.
+    ``tracks_compared`` counts the tracks that were compared for the sharper map. The map begins with the first usable
+    scan from number ``begin`` on. ``parts`` are stretches that were tracked on maps of their own: their accepted steps.
     """
 
     log_scans: LogScans
@@ -46,6 +49,8 @@ class Track:
     loops: Loops = field(default_factory=Loops)
     warnings: tuple[str, ...] = ()
     tracks_compared: int = 1
+    begin: int = 0
+    parts: tuple[tuple[Step, ...], ...] = ()
 
     @property
     def refiner(self) -> Refiner | None:
@@ -59,10 +64,11 @@ class Track:
     def over(self, scans: Iterable[Scan], phase: str = "", until: Until | None = None) -> Track:
         """Return the track through some scans from an empty map on, or in the prior map; a named phase is reported.
 
-        ``until`` may end it early.
+        The steps of the scans before ``begin`` have no pose. ``until`` may end it early.
         """
-        method = make_method(self.config, self.prior_map)
-        steps = track(scans, method, self.motion)
+        method, coming = make_method(self.config, self.prior_map), iter(scans)
+        before = (Step(k, s.stamp_ns, no_match(Pose()), tracked=False) for k, s in enumerate(islice(coming, self.begin)))
+        steps: Iterator[Step] = chain(before, track(coming, method, self.motion, self.begin))
         steps = until(steps) if until else steps
         return replace(self, method=method, steps=Steps(self.reported(steps, phase) if phase else steps))
 

@@ -20,14 +20,14 @@ LONG_LOST_SCANS, RARELY_SCANS = 8, 64
 """The whole map is searched after so many scans without an accepted pose, then ever more rarely, down to one in 64."""
 
 
-def track(scans: Iterable[Scan], method: Method, motion: Motion) -> Iterator[Step]:
+def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0) -> Iterator[Step]:
     """Follow the laser through the scans while the method's map grows (paper, Figure 1).
 
     The first scan that the method can use becomes the map, and its pose the map frame. Afterwards a scan that does
-    not match well enough moves neither map nor pose (paper, "Map Update").
+    not match well enough moves neither map nor pose (paper, "Map Update"). Steps are numbered from ``first`` on.
     """
     state = None
-    for index, scan in enumerate(scans):
+    for index, scan in enumerate(scans, first):
         if state is None:
             match = method.first(scan)
             here, tracked = motion, match.converged

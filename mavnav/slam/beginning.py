@@ -1,0 +1,138 @@
+"""The beginning of the map: a later one where the first scans do not fit those that follow.
+
+A partial sweep while the laser spins up, a hand before it or a fast turn can make a map that no later scan matches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.slam.motion_model import LONGEST_S
+from mavnav.slam.odometry_check import while_odometry_fits
+from mavnav.slam.scan_matching import with_effort
+from mavnav.slam.steps import LOST_SCANS, Step, Steps
+from mavnav.slam.track_state import Verdict
+from mavnav.units import NS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from mavnav.scan import Scan
+    from mavnav.slam.motion_model import Motion
+    from mavnav.slam.track import Track
+
+EARLY_SCANS, MISSED_SCANS = 30, 16
+"""A map of at most so many scans is in doubt once so many usable scans in a row do not match it."""
+
+MOST_TRIES, EACH_TRIES = 12, 4
+"""So many beginnings are tried: the first ones scan by scan, then twice as far apart each time, 260 scans in all."""
+
+MOST_SHARE = 0.5
+"""With so many of the scans after it a beginning is taken at once."""
+
+
+def with_good_beginning(track: Track) -> Track:
+    """Track the log, from a later scan on where the map of the first ones fits none of the next.
+
+    The beginning with which most of the scans after it have a pose is taken at once; otherwise the longest track is.
+    """
+    refiner, least_points = track.method.refiner, track.config.robust.min_points
+    if refiner is None or not refiner.builds_map:
+        return while_odometry_fits(track)
+    first = best = while_odometry_fits(track, "track", partial(until_missing, least_points=least_points))
+    begin = early_loss(first.steps, least_points)
+    if begin is None:
+        return first
+    for tried in range(MOST_TRIES):
+        later = replace(track, begin=begin)
+        other = while_odometry_fits(later, "track again", partial(until_missing, least_points=least_points))
+        lost = early_loss(other.steps, least_points)
+        if lost is None and accepted(other) >= MOST_SHARE * (len(other.steps) - begin):
+            return after_another(other, first)
+        best = max(best, other, key=accepted)
+        begin = max(lost or begin + 1, begin + (1 << max(tried - EACH_TRIES, 0)))
+    whole = (while_odometry_fits(replace(track, begin=some), "track again") for some in {0, best.begin})
+    longest = max(whole, key=accepted)
+    return after_another(longest, first) if longest.begin else longest
+
+
+def after_another(track: Track, first: Track) -> Track:
+    """Return a track with what a first one had tracked before its beginning: a part of its own."""
+    before = tuple(step for step in first.steps[: track.begin] if step.tracked)
+    return replace(track, parts=(before,) if before else ())
+
+
+def accepted(track: Track) -> int:
+    """Count the scans with a pose."""
+    return int(np.count_nonzero(track.steps.column("tracked")))
+
+
+def early_loss(steps: Iterable[Step], least_points: int) -> int | None:
+    """Return the first scan of those that a map of few scans lost; None where it did not lose any.
+
+    Scans of fewer than ``least_points`` points do not count. At the end of a log ``LOST_SCANS`` are enough.
+    """
+    held, first, missed = 0, 0, 0
+    for step in steps:
+        if step.tracked:
+            held, missed = held + 1, 0
+        elif held and step.match.beams_used >= least_points:
+            first, missed = first if missed else step.index, missed + 1
+        if held > EARLY_SCANS:
+            return None
+        if missed >= MISSED_SCANS:
+            return first
+    return first if missed >= LOST_SCANS else None
+
+
+def until_missing(
+    steps: Iterable[Step], least_points: int, most_missed: int = MISSED_SCANS, most_held: float = EARLY_SCANS
+) -> Iterator[Step]:
+    """Yield the steps of a track until its map, of ``most_held`` scans at most, fits none of so many usable scans."""
+    held, missed = 0, 0
+    for step in steps:
+        yield step
+        if step.tracked:
+            held, missed = held + 1, 0
+        elif held and step.match.beams_used >= least_points:
+            missed += 1
+        if held <= most_held and missed >= most_missed:
+            return
+
+
+def rematch_beginning(track: Track) -> Track:
+    """Match the scans before the beginning of the map against it, from the first accepted pose backwards."""
+    tracked = np.flatnonzero(track.steps.column("tracked"))
+    if track.refiner is None or not track.begin or len(tracked) < 2:
+        return track
+    steps, (first, second) = Steps(track.steps), tracked[:2].tolist()
+    scans = [scan for scan, _ in zip(track.log_scans(), range(first), strict=False)]
+    after, later = steps[first], steps[second]
+    for scan, step in zip(reversed(scans), reversed(steps[: len(scans)]), strict=True):
+        if (after.stamp_ns - step.stamp_ns) * NS > LONGEST_S:
+            break
+        found = before_the_map(scan, step, moving_back(track.motion, after, later), track)
+        if not found.tracked:  # farther back the search is wide enough to fit a blocked scan somewhere
+            break
+        steps[step.index], after, later = found, found, after
+    return replace(track, steps=steps)
+
+
+def moving_back(motion: Motion, after: Step, later: Step) -> Motion:
+    """Return the motion at an accepted step with the velocity that leads from it to the next one."""
+    here = motion.started_at(later.match.map_T_laser, later.stamp_ns)
+    here = here.coming_from(after.match.map_T_laser, after.stamp_ns)
+    return here._replace(map_T_laser=after.match.map_T_laser, stamp_ns=after.stamp_ns)
+
+
+def before_the_map(scan: Scan, step: Step, here: Motion, track: Track) -> Step:
+    """Match a scan that is earlier than the map; return its step, tracked and in the map if it fits."""
+    match = track.method.match(scan, here.predict(scan.stamp_ns), here)
+    if track.method.gate(match, scan, here) is not Verdict.SURE:
+        return step
+    track.method.insert(scan, match.map_T_laser, here)
+    return step._replace(match=with_effort(match, step.match, match), tracked=True)

@@ -1,0 +1,208 @@
+"""Parts of a log that was lost for good: each is tracked on a map of its own, and joined to the largest where possible.
+
+A part is joined if several of its scans are found in the map of the largest, by the whole-map search, and agree on how
+the two maps lie to each other. What is not joined has no row in the trajectory and is no part of the map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.pose import Pose
+from mavnav.slam.beginning import accepted, until_missing
+from mavnav.slam.relocalization import apart
+from mavnav.slam.scan_matching import no_match
+from mavnav.slam.steps import LOST_SCANS, Step, Steps, lost_intervals
+from mavnav.units import NS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from mavnav.scan import Scan
+    from mavnav.slam.motion_model import Motion
+    from mavnav.slam.steps import LostInterval
+    from mavnav.slam.track import Track
+
+LEAST_SCANS, MOST_TRACKED = 20, 4
+"""Shorter stretches are not tracked on a map of their own, and of all no more than so many: each may cost seconds."""
+
+GIVE_UP_SCANS = 16
+"""The map of a part ends where so many usable scans in a row do not match it."""
+
+WITNESSES, LEAST_WITNESSES = 6, 3
+"""So many scans of a part, taken at different places, are searched in the largest map; so many of them must agree."""
+
+LEAST_TRACKED_SHARE, MOST_LEFT_OUT = 0.5, 0.1
+"""With poses for fewer of its scans a log is lost for good: what is found again at its end by chance tracks no log. So
+it is with more of its scans in parts that are not joined."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A stretch of the log with a map of its own: its first and last accepted scan, and how many they are.
+
+    ``joined``: the scans are in the map of the run, and their poses in its trajectory.
+    """
+
+    start_ns: int
+    end_ns: int
+    scans: int
+    joined: bool
+
+
+def lost_for_good(steps: Steps, lost: Sequence[LostInterval], parts: Sequence[Part] = ()) -> bool:
+    """Return whether the track ended before the log did, has too few of the scans, or too many are in other parts."""
+    ended = bool(lost) and not lost[-1].recovered
+    left_out = sum(part.scans for part in parts if not part.joined)
+    few = steps.share("tracked") < LEAST_TRACKED_SHARE or left_out > MOST_LEFT_OUT * len(steps)
+    return ended or (bool(steps) and few)
+
+
+def with_lost_parts(track: Track) -> Track:
+    """Track the lost stretches of a log that was lost for good on maps of their own; join what can be joined."""
+    if track.refiner is None or not track.refiner.builds_map:
+        return track
+    found = lost_parts(track) if lost_for_good(track.steps, list(lost_intervals(track.steps))) else []
+    largest = max([track, *found], key=accepted)
+    others = [accepted_steps(t) for t in [track, *found] if t is not largest]
+    taken = {step.index for part in others for step in part}
+    others += [part for part in track.parts if not taken.intersection(step.index for step in part)]
+    whole = with_all_scans(replace(largest, warnings=track.warnings, parts=()), track.steps)
+    return joined(whole, [part for part in others if part])
+
+
+def lost_parts(track: Track) -> list[Track]:
+    """Track the longest stretches of lost scans, each from an empty map, and what they lose in turn."""
+    found: list[Track] = []
+    waiting = lost_stretches(track.steps, range(len(track.steps)))
+    for _ in range(MOST_TRACKED):
+        if not waiting:
+            break
+        stretch = waiting.pop(int(np.argmax([len(some) for some in waiting])))
+        part = over_stretch(track, stretch)
+        rest = lost_stretches(part.steps, range(stretch.start, len(part.steps)))
+        rest += [range(len(part.steps), stretch.stop)] if stretch.stop - len(part.steps) >= LEAST_SCANS else []
+        waiting += [some for some in rest if len(some) < len(stretch)]
+        if accepted(part) >= LEAST_SCANS:
+            found.append(part)
+    return found
+
+
+def over_stretch(track: Track, stretch: range) -> Track:
+    """Track a stretch of scans from an empty map, until too many do not match it."""
+    least_points = track.config.robust.min_points
+    part = replace(track, begin=stretch.start, parts=())
+    scans = islice(track.log_scans(), stretch.stop)
+    return part.over(scans, "track again", lambda steps: until_missing(steps, least_points, GIVE_UP_SCANS, np.inf))
+
+
+def lost_stretches(steps: Steps, within: range) -> list[range]:
+    """Find ``LEAST_SCANS`` and more scans in a row without a pose, as ranges of their numbers."""
+    lost = ~steps.column("tracked")[within.start : within.stop]
+    edges = np.diff(np.concatenate(([False], lost, [False])).astype(np.int8))
+    pairs = zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True)
+    return [range(within.start + int(a), within.start + int(b)) for a, b in pairs if b - a >= LEAST_SCANS]
+
+
+def accepted_steps(track: Track) -> tuple[Step, ...]:
+    """Return the steps with a pose."""
+    return tuple(step for step in track.steps if step.tracked)
+
+
+def with_all_scans(track: Track, steps: Steps) -> Track:
+    """Return a track of a part of a log with a step for each of its scans: those of the others have no pose."""
+    if track.steps is steps:
+        return track
+    own = {step.index: step for step in track.steps if step.tracked}
+    none = (own.get(s.index) or s._replace(match=no_match(Pose(), s.match.beams_used), tracked=False) for s in steps)
+    return replace(track, steps=Steps(none))
+
+
+def joined(track: Track, others: list[tuple[Step, ...]]) -> Track:
+    """Join parts to a track where they lie in its map, the longest first; each may make room for the next one."""
+    steps, parts = Steps(track.steps), sorted(others, key=len, reverse=True)
+    for part in parts:
+        wanted = {step.index for step in part if not steps[step.index].tracked}
+        scans = {k: scan for k, scan in enumerate(track.log_scans()) if k in wanted} if len(wanted) >= LOST_SCANS else {}
+        part_T = placement([s for s in part if s.index in scans], scans, track)
+        if part_T is not None:
+            for step in put(part, part_T, scans, track):
+                steps[step.index] = step
+    return replace(track, steps=steps, parts=tuple(parts))
+
+
+def placement(part: list[Step], scans: dict[int, Scan], track: Track) -> Pose | None:
+    """Return the pose of a part's map in the map of a track; None unless several of its scans agree on it.
+
+    More than half of the scans that are found must agree.
+    """
+    refiner = track.refiner
+    chosen = witnesses(part)
+    if refiner is None or len(chosen) < LEAST_WITNESSES:
+        return None
+    anywhere = track.motion._replace(odometry=None).started_at(Pose(), 0)
+    found: list[tuple[Pose, Pose]] = []
+    for step in chosen:
+        match = refiner.relocalize(scans[step.index], no_match(Pose()), anywhere)
+        if match:
+            found.append((step.match.map_T_laser, match.map_T_laser))
+    return agreed(found)
+
+
+def witnesses(part: list[Step]) -> list[Step]:
+    """Choose ``WITNESSES`` steps of a part at different places: a laser at rest is one witness, however long."""
+    places: list[Step] = []
+    for step in part:
+        if all(apart(step.match.map_T_laser, other.match.map_T_laser) for other in places):
+            places.append(step)
+    return [places[k] for k in np.unique(np.linspace(0, len(places) - 1, WITNESSES).astype(int))] if places else []
+
+
+def agreed(found: list[tuple[Pose, Pose]]) -> Pose | None:
+    """Return the motion from the first to the second poses of most pairs; None if too few agree."""
+    best, most = None, 0
+    for before, after in found:
+        moved = after @ before.inverse()
+        agree = sum(not apart(moved @ a, b) for a, b in found)
+        best, most = (moved, agree) if agree > most else (best, most)
+    return best if most >= LEAST_WITNESSES and 2 * most > len(found) else None
+
+
+def put(part: Sequence[Step], map_T_part: Pose, scans: dict[int, Scan], track: Track) -> Iterator[Step]:
+    """Insert the scans of a part where they lie in the map; yield their steps there."""
+    here: Motion | None = None
+    for step in part:
+        if step.index not in scans:
+            continue
+        pose = map_T_part @ step.match.map_T_laser
+        here = here or track.motion.started_at(pose, step.stamp_ns)
+        track.method.insert(scans[step.index], pose, here)
+        here = here.moved_to(pose, step.stamp_ns)
+        yield step._replace(match=step.match._replace(map_T_laser=pose))
+
+
+def parts_of(track: Track) -> tuple[Part, ...]:
+    """Return the parts of a log in the order of time; none if it was tracked as a whole."""
+    if not track.parts:
+        return ()
+    tracked, elsewhere = track.steps.column("tracked"), {step.index for part in track.parts for step in part}
+    own = [step for step in track.steps if step.tracked and step.index not in elsewhere]
+    parts = [(own, True)] if own else []
+    parts += [(list(part), bool(2 * tracked[[s.index for s in part]].sum() > len(part))) for part in track.parts]
+    records = (Part(part[0].stamp_ns, part[-1].stamp_ns, len(part), whole) for part, whole in parts)
+    return tuple(sorted(records, key=lambda part: part.start_ns))
+
+
+def part_warnings(parts: Sequence[Part], first_ns: int) -> Iterator[str]:
+    """Say which scans were tracked on another map than the rest, and whether the maps could be joined."""
+    for k, part in enumerate(parts):
+        from_s, to_s = ((stamp - first_ns) * NS for stamp in (part.start_ns, part.end_ns))
+        what = f"{part.scans} scan(s) from {from_s:.1f} to {to_s:.1f} s"
+        if not part.joined and k == 0:
+            yield f"{what} do not match the later ones and are left out; the map begins after them"
+        elif not part.joined:
+            yield f"{what} do not match the map of the others and are left out; replay them alone with --start and --end"
