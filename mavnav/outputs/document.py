@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from mavnav.logs import Log
     from mavnav.outputs.run import Run
+    from mavnav.slam.doubt.record import Doubt
 
 SCHEMA_VERSION: Final = 1
 LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "pillow", "pydantic", "pyyaml")
@@ -61,7 +62,7 @@ def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
         timing=_timing(run),
         provenance=run.provenance,
         damage=list(run.log.damage),
-        warnings=[*run.log.warnings, *run.slam.warnings],
+        warnings=[*run.log.warnings, *run.slam.warnings, *_doubt_warnings(run)],
         outputs=outputs,
         partial=run.stopped is not None,
         exit_code=int(run.exit_code),
@@ -161,9 +162,32 @@ def _tracking(run: Run) -> model.Tracking:
         tracked_share=slam.tracked_share,
         opinions=slam.tracks_compared,
         path_length_m=slam.trajectory.length_m,
+        doubt=_doubt(slam.doubt, first_ns),
         frames={"trajectory.tum": ["map", run.log.frame_id]}
         | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),
     )
+
+
+def _doubt(doubt: Doubt | None, first_ns: int) -> model.Doubt:
+    if doubt is None:
+        return model.Doubt(np.nan, [], [])
+    reasons = [
+        model.DoubtReason(r.name, (r.start_ns - first_ns) * NS, (r.end_ns - first_ns) * NS, r.value)
+        for r in doubt.reasons
+    ]
+    return model.Doubt(doubt.probability, reasons, list(doubt.tried))
+
+
+def _doubt_warnings(run: Run) -> list[str]:
+    """Return the line for the user where the doubt is high."""
+    found = _doubt(run.slam.doubt, run.log.first_ns)
+    if run.slam.doubt is None or not run.slam.doubt.high:
+        return []
+    why = ", ".join(f"{r.reason} (from {r.from_s:.1f} to {r.to_s:.1f} s)" for r in found.reasons[:3])
+    return [
+        f"the track may be wrong though the scans fit, with probability {found.probability:.2f}: {why}; "
+        "compare map.png with the place before it is used"
+    ]
 
 
 def _loop_closure(run: Run) -> model.LoopClosure:

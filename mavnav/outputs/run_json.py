@@ -97,6 +97,31 @@ class Interval:
 
 
 @dataclass(frozen=True, slots=True)
+class DoubtReason:
+    """A reason to doubt the track, and where it holds; times from the first scan."""
+
+    reason: str
+    from_s: float = field(metadata=number("first scan that shows it"))
+    to_s: float = field(metadata=number("last scan that shows it"))
+    value: float = field(metadata=number("strength: 1 is much", better="lower"))
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """Whether trajectory or map may be wrong although the scans were accepted (docs/method.md, "Doubt").
+
+    The strongest reason comes first; ``tried`` is what was done because of the doubt. ``probability`` is null on line,
+    in a known map and for methods without a final pass.
+    """
+
+    probability: Measured = field(
+        metadata=number("probability that the track is off by 0.2 m or 5 deg somewhere", title="doubt", better="lower")
+    )
+    reasons: list[DoubtReason]
+    tried: list[str]
+
+
+@dataclass(frozen=True, slots=True)
 class Tracking:
     """Where the track was lost; ``lost`` means for good. ``frames`` are parent and child of each trajectory file."""
 
@@ -105,6 +130,7 @@ class Tracking:
     tracked_share: float = field(metadata=number("part of the processed scans with a pose", better="higher"))
     opinions: int = field(metadata=number("tracks compared, of which the sharpest was kept"))
     path_length_m: float = field(metadata=number("length of the path of the laser", title="path"))
+    doubt: Doubt
     frames: dict[str, list[str]]
 
 
