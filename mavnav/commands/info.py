@@ -72,7 +72,7 @@ def document(found: Survey, logs: list[Log], code: ExitCode) -> dict[str, Any]:
     ``logs`` holds the usable scan topics. The fields about one topic are empty where there are several, or none;
     ``scan_topics`` has them for each.
     """
-    log = logs[0] if len(logs) == 1 else None
+    log, topics = logs[0] if len(logs) == 1 else None, [_topic(each) for each in logs]
     return {
         "schema_version": SCHEMA_VERSION,
         "input": {
@@ -83,8 +83,8 @@ def document(found: Survey, logs: list[Log], code: ExitCode) -> dict[str, Any]:
         },
         "topics": [asdict(topic) for topic in found.topics],
         "scans": _counts(found, logs),
-        **_topic(log),
-        "scan_topics": [{"scans": asdict(each.counts), **_topic(each)} for each in logs],
+        **(_topic(log) if log is None else topics[0]),
+        "scan_topics": [{"scans": asdict(each.counts), **topic} for each, topic in zip(logs, topics, strict=True)],
         "damage": [asdict(damage) for damage in found.damage],
         "warnings": _warnings(found, logs),
         "exit_code": int(code),
@@ -98,6 +98,7 @@ def _topic(log: Log | None) -> dict[str, Any]:
         "frame_id": log.frame_id if log else None,
         "sensor": _sensor(log) if log else None,
         "time": _time(log) if log else None,
+        "health": _health(log) if log else None,
         "cleaning": log.cleaning if log else {},
         "odometry": _odometry(log) if log else None,
         "mounting": _mounting(log) if log else None,
@@ -143,6 +144,12 @@ def _time(log: Log) -> dict[str, Any]:
         "stamp_source": log.stamp_source,
         "gaps": [asdict(gap) for gap in log.gaps],
     }
+
+
+def _health(log: Log) -> dict[str, Any]:
+    from mavnav.logs.health import sensor_health
+
+    return asdict(sensor_health(log))
 
 
 def _odometry(log: Log) -> dict[str, Any] | None:
@@ -195,6 +202,7 @@ def _rows(document: dict[str, Any]) -> list[tuple[str, str]]:
             *_sensor_rows(topic["sensor"]),
             *_time_rows(topic["time"]),
             ("ranges", _shares(topic["cleaning"])),
+            *_health_rows(topic["health"]),
             ("odometry", _odometry_text(topic["odometry"])),
             ("mounting", _mounting_text(topic["mounting"])),
         ]
@@ -205,7 +213,8 @@ def _verdict(document: dict[str, Any]) -> str:
     """Say in a line what to make of the log."""
     match document["exit_code"]:
         case ExitCode.DONE:
-            return "sound"
+            odd = sum(len(topic["health"]["findings"]) for topic in document["scan_topics"])
+            return f"sound; {odd} thing(s) of the sensor to check" if odd else "sound"
         case ExitCode.DAMAGED_INPUT:
             return f"damaged in {len(document['damage'])} place(s); what is intact can be used"
         case _:
@@ -235,6 +244,12 @@ def _time_rows(time: dict[str, Any]) -> list[tuple[str, str]]:
 def _shares(cleaning: dict[str, int]) -> str:
     beams = max(sum(cleaning.values()), 1)
     return ", ".join(f"{kind.replace('_', ' ')} {100 * n / beams:.2f} %" for kind, n in cleaning.items() if n)
+
+
+def _health_rows(health: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return a row for a healthy sensor, else one for each finding with what to do."""
+    lines = [f"{found['what']}: {found['advice']}" for found in health["findings"]] or ["healthy"]
+    return [("health" if k == 0 else "", line) for k, line in enumerate(lines)]
 
 
 def _odometry_text(odometry: dict[str, Any] | None) -> str:

@@ -235,9 +235,8 @@ def lost_line(document: dict[str, Any]) -> str:
     if "localisation" in document:
         return (
             f"mavnav: error: the laser was lost for good in the map{since}, {poses}; see whether the map is of this "
-            "place, and try --start-pose"
+            f"place, and try {'another' if document['localisation']['start_pose'] else 'a'} --start-pose"
         )
-    advice = "--method robust" if document["method"] == "paper" else "--odom auto or a finer --grid"
     beams = document["search"]["beams_used"]["median"] or 0
     if beams < _FEW_BEAMS:
         return (
@@ -245,9 +244,21 @@ def lost_line(document: dict[str, Any]) -> str:
             "what could be tracked is written, look at the ranges with 'mavnav info', and at near_mm and far_mm"
         )
     return (
-        f"mavnav: error: tracking was lost for good{since}, {poses}; what could be tracked is written, try {advice}, "
-        "and look at map.png"
+        f"mavnav: error: tracking was lost for good{since}, {poses}; what could be tracked is written, "
+        f"{_advice(document)}, and look at map.png"
     )
+
+
+def _advice(document: dict[str, Any]) -> str:
+    """Say what helps where tracking was lost for good."""
+    if document["method"] == "paper":
+        return "try --method robust"
+    if any(not part["joined"] for part in document["tracking"].get("parts", [])):
+        return "replay the parts that are left out alone with --start and --end"
+    if document["config"]["odom"] == "off":
+        return "try --odom auto if the log has odometry"
+    record = "more scans a second" if document["input"]["odometry"] else "odometry, or more scans a second"
+    return f"look at the sensor with 'mavnav info', record {record}"
 
 
 def _lost_since(intervals: list[dict[str, Any]]) -> str:
@@ -266,6 +277,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         ("accepted", f"{100 * scans['accepted'] / max(scans['processed'], 1):.1f} %"),
         ("rejected", f"{scans['rejected'] - lost} scans"),
         ("lost", f"{lost} scans in {len(tracking['intervals'])} stretch(es)" if tracking["intervals"] else "never"),
+        *([("left out", text)] if (text := left_out_text(tracking.get("parts", []))) else []),
         ("path", f"{tracking['path_length_m']:.2f} m"),
         *doubt_rows(tracking["doubt"]),
     ]
@@ -277,6 +289,12 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         ("pictures", f"{directory / 'map.png'}, {directory / 'wall_thickness.png'}"),
     ]
     return rows + page_row(directory)
+
+
+def left_out_text(parts: list[dict[str, Any]]) -> str:
+    """Name the parts of the log that are not in the map, by their times."""
+    times = [f"{part['scans']} at {part['from_s']:.1f} to {part['to_s']:.1f} s" for part in parts if not part["joined"]]
+    return f"scans tracked on other maps: {', '.join(times)}" if times else ""
 
 
 def _found(localisation: dict[str, Any]) -> str:

@@ -165,6 +165,11 @@ def _tracking(run: Run) -> model.Tracking:
         doubt=_doubt(slam.doubt, first_ns),
         frames={"trajectory.tum": ["map", run.log.frame_id]}
         | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),
+        parts=[
+            model.TrackedPart((p.start_ns - first_ns) * NS, (p.end_ns - first_ns) * NS, p.scans, p.joined)
+            for p in slam.parts
+        ]
+        or ABSENT,
     )
 
 

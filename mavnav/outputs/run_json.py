@@ -122,8 +122,24 @@ class Doubt:
 
 
 @dataclass(frozen=True, slots=True)
+class TrackedPart:
+    """A stretch of scans with a map of its own at first; times from the first scan.
+
+    ``joined``: its scans are in the map and in the trajectory of the run.
+    """
+
+    from_s: float = field(metadata=number("first scan with a pose in the map of the part"))
+    to_s: float = field(metadata=number("last scan with a pose in the map of the part"))
+    scans: int = field(metadata=number("scans with a pose in the map of the part"))
+    joined: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Tracking:
-    """Where the track was lost; ``lost`` means for good. ``frames`` are parent and child of each trajectory file."""
+    """Where the track was lost; ``lost`` means for good. ``frames`` are parent and child of each trajectory file.
+
+    ``parts`` is absent where one map holds all tracked scans from the first usable one on.
+    """
 
     lost: bool
     intervals: list[Interval]
@@ -132,6 +148,7 @@ class Tracking:
     path_length_m: float = field(metadata=number("length of the path of the laser", title="path"))
     doubt: Doubt
     frames: dict[str, list[str]]
+    parts: list[TrackedPart] = field(default_factory=absent)
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,13 +51,23 @@ def with_good_beginning(track: Track) -> Track:
         later = replace(track, begin=begin)
         other = while_odometry_fits(later, "track again", partial(until_missing, least_points=least_points))
         lost = early_loss(other.steps, least_points)
-        if lost is None and accepted(other) >= MOST_SHARE * (len(other.steps) - begin):
+        enough = max(MOST_SHARE * (len(other.steps) - begin), accepted(first) + 1)
+        if lost is None and accepted(other) >= enough:
             return after_another(other, first)
-        best = max(best, other, key=accepted)
-        begin = max(lost or begin + 1, begin + (1 << max(tried - EACH_TRIES, 0)))
-    whole = (while_odometry_fits(replace(track, begin=some), "track again") for some in {0, best.begin})
-    longest = max(whole, key=accepted)
+        if accepted(other) > accepted(best):
+            best = other
+        if lost is None:
+            break
+        begin = max(lost, begin + (1 << max(tried - EACH_TRIES, 0)))
+    tracks = [continued(some, least_points) for some in ([first] if best is first else [first, best])]
+    longest = max(tracks, key=accepted)
     return after_another(longest, first) if longest.begin else longest
+
+
+def continued(track: Track, least_points: int) -> Track:
+    """Return a track through the whole log that was ended because of its beginning."""
+    ended = early_loss(track.steps, least_points) is not None
+    return while_odometry_fits(track, "track again") if ended else track
 
 
 def after_another(track: Track, first: Track) -> Track:

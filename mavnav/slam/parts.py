@@ -58,7 +58,7 @@ def lost_for_good(steps: Steps, lost: Sequence[LostInterval], parts: Sequence[Pa
     """Return whether the track ended before the log did, has too few of the scans, or too many are in other parts."""
     ended = bool(lost) and not lost[-1].recovered
     left_out = sum(part.scans for part in parts if not part.joined)
-    few = steps.share("tracked") < LEAST_TRACKED_SHARE or left_out > MOST_LEFT_OUT * len(steps)
+    few = bool(steps.share("tracked") < LEAST_TRACKED_SHARE) or left_out > MOST_LEFT_OUT * len(steps)
     return ended or (bool(steps) and few)
 
 
@@ -127,7 +127,9 @@ def joined(track: Track, others: list[tuple[Step, ...]]) -> Track:
     steps, parts = Steps(track.steps), sorted(others, key=len, reverse=True)
     for part in parts:
         wanted = {step.index for step in part if not steps[step.index].tracked}
-        scans = {k: scan for k, scan in enumerate(track.log_scans()) if k in wanted} if len(wanted) >= LOST_SCANS else {}
+        scans = (
+            {k: scan for k, scan in enumerate(track.log_scans()) if k in wanted} if len(wanted) >= LOST_SCANS else {}
+        )
         part_T = placement([s for s in part if s.index in scans], scans, track)
         if part_T is not None:
             for step in put(part, part_T, scans, track):
@@ -205,4 +207,4 @@ def part_warnings(parts: Sequence[Part], first_ns: int) -> Iterator[str]:
         if not part.joined and k == 0:
             yield f"{what} do not match the later ones and are left out; the map begins after them"
         elif not part.joined:
-            yield f"{what} do not match the map of the others and are left out; replay them alone with --start and --end"
+            yield f"{what} do not match the map of the others and are left out; --start and --end replay them alone"

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from mavnav.cli import run
-from mavnav.commands.replay import lost_line
+from mavnav.commands.replay import left_out_text, lost_line
 from mavnav.errors import ExitCode
 
 FEW = ("--end", 2.0, "--quiet")
@@ -387,6 +387,32 @@ def test_a_track_of_few_scans_is_told_without_the_time_of_an_end() -> None:
     assert "tracking was lost for good, 1 % of the scans have a pose" in lost_line(document)
     document["tracking"]["intervals"] = []
     assert "tracking was lost for good, 1 %" in lost_line(document)
+
+
+@pytest.mark.parametrize(
+    ("change", "advice"),
+    [
+        ({"method": "paper"}, "try --method robust"),
+        ({"config": {"odom": "off"}}, "try --odom auto if the log has odometry"),
+        ({"input": {"odometry": None}}, "record odometry, or more scans a second"),
+        ({"input": {"odometry": {"topic": "/odom"}}}, "with 'mavnav info', record more scans a second"),
+        ({"localisation": {"start_pose": None}}, "try a --start-pose"),
+        ({"localisation": {"start_pose": {"x_m": 0.0}}}, "try another --start-pose"),
+    ],
+)
+def test_the_advice_fits_the_run(change: dict, advice: str) -> None:
+    tracking = {"tracked_share": 0.3, "intervals": []}
+    document = {"tracking": tracking, "method": "robust", "search": {"beams_used": {"median": 500}}}
+    document |= {"config": {"odom": "auto"}, "input": {"odometry": None}}
+    assert advice in lost_line(document | change)
+
+
+def test_parts_that_are_left_out_are_named_with_their_times() -> None:
+    parts = [{"from_s": 0.0, "to_s": 9.0, "scans": 91, "joined": True}]
+    parts += [{"from_s": 9.1, "to_s": 12.0, "scans": 30, "joined": False}]
+    document = {"tracking": {"tracked_share": 0.7, "intervals": [], "parts": parts}, "method": "robust"}
+    assert "alone with --start and --end" in lost_line(document | {"search": {"beams_used": {"median": 500}}})
+    assert left_out_text(parts) == "scans tracked on other maps: 30 at 9.1 to 12.0 s"
 
 
 # --- in a known map -----------------------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ ONE_TRACK: Final = Weights(
 )
 """Of a track alone."""
 
-TWO_TRACKS: Final= Weights(
+TWO_TRACKS: Final = Weights(
     -5.6,
     {
         "tracks_disagree": 1.51,

@@ -1,0 +1,229 @@
+"""Sensor health: what the scans of a log say about the laser, its driver and its clock, each with what to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import islice
+from math import ceil
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mavnav.units import DEG, NS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from mavnav.logs.log import Log
+    from mavnav.scan import LaserSpec, Scan
+
+MOST_SCANS: Final = 5000
+"""The ranges of the first so many scans are examined: 0.1 s for 700 beams."""
+
+LEAST_SHARE, LEAST_BEAMS = 0.25, 60
+"""Share of valid beams, and their median number in a scan, below which scans are sparse."""
+
+PARTIAL, NEIGHBOURS = 0.5, 10
+"""A scan is partial with fewer valid beams than this share of the median of so many scans on either side."""
+
+FIRST_SCANS, SOME_SHARE = 10, 0.01
+"""One partial scan counts among so many at the beginning; later ones, and repeated ones, from this share on."""
+
+SECTOR_DEG, SECTOR_SCANS = 10, 20
+"""The narrowest sector without any return that is reported, deg, and the fewest scans that show it."""
+
+SLOW_HZ, JITTER = 2.0, 0.3
+"""The rate below which scans are too far apart for motion between them; the 90th percentile of the errors of the stamp
+steps, as a share of the period, above which stamps jitter."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something of the sensor to check: its kind, what was found, and what to do."""
+
+    kind: str
+    what: str
+    advice: str
+
+
+@dataclass(frozen=True, slots=True)
+class SensorHealth:
+    """What was measured on the first ``examined`` scans; ``findings`` are empty for a healthy sensor.
+
+    ``dead_sectors_deg`` are sectors (from, to) without a valid return in any scan, degrees counter-clockwise from the
+    laser's x axis. ``repeated`` scans equal the one before. ``jitter_share`` is the 90th percentile of the differences
+    between stamp steps and period, gaps left out, as a share of the period.
+    """
+
+    healthy: bool
+    examined: int
+    valid_share: float
+    median_valid_beams: float
+    partial: int
+    repeated: int
+    dead_sectors_deg: list[tuple[float, float]]
+    jitter_share: float
+    findings: list[Finding]
+
+
+def sensor_health(log: Log) -> SensorHealth:
+    """Examine the first ``MOST_SCANS`` scans of a log, and the stamps of all."""
+    seen = _examined(islice(log.scans(), MOST_SCANS))
+    share = log.cleaning["valid"] / max(sum(log.cleaning.values()), 1)
+    partial, jitter = _partial(seen.valid), _jitter(seen.stamps_ns, log.period_s)
+    sectors = _sectors(seen.covered & ~seen.returned) if len(seen.valid) >= SECTOR_SCANS else []
+    median = float(np.median(seen.valid)) if len(seen.valid) else 0.0
+    findings = [
+        *_sparse(share, median),
+        *_partial_scans(partial, seen.stamps_ns),
+        *_hidden(sectors),
+        *_frozen(seen.repeated, len(seen.valid)),
+        *_rate(log),
+        *_stamps(log, jitter),
+    ]
+    return SensorHealth(
+        healthy=not findings,
+        examined=len(seen.valid),
+        valid_share=share,
+        median_valid_beams=median,
+        partial=len(partial),
+        repeated=seen.repeated,
+        dead_sectors_deg=sectors,
+        jitter_share=jitter,
+        findings=findings,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """Valid beams and stamps of the scans, (n,), repeated scans, degrees (360,) of beams and of valid returns."""
+
+    valid: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]
+    repeated: int
+    covered: NDArray[np.bool_]
+    returned: NDArray[np.bool_]
+
+
+def _examined(scans: Iterable[Scan]) -> _Seen:
+    valid, stamps_ns, repeated = [], [], 0
+    covered, returned = np.zeros(360, np.bool_), np.zeros(360, np.bool_)
+    before: Scan | None = None
+    degrees = np.zeros((0, 1), np.intp)
+    for scan in scans:
+        if before is None or before.spec is not scan.spec:
+            degrees = _degrees(scan.spec)
+            covered[degrees] = True
+        good = np.isfinite(scan.ranges_m)
+        returned[degrees[good]] = True
+        repeated += before is not None and np.array_equal(before.ranges_m, scan.ranges_m, equal_nan=True)
+        valid.append(int(np.count_nonzero(good)))
+        stamps_ns.append(scan.stamp_ns)
+        before = scan
+    return _Seen(np.array(valid), np.array(stamps_ns, np.int64), repeated, covered, returned)
+
+
+def _degrees(spec: LaserSpec) -> NDArray[np.intp]:
+    """Return the degrees (beams, k) of the full turn that each beam stands for."""
+    wide = np.arange(max(ceil(abs(spec.angle_step_rad) / DEG), 1))
+    return (np.floor(spec.angles_rad / DEG).astype(np.intp)[:, None] + wide) % 360
+
+
+def _partial(valid: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Return the numbers of the scans with far fewer valid beams than their neighbors."""
+    if len(valid) <= NEIGHBOURS:
+        return np.zeros(0, np.intp)
+    padded = np.pad(valid, NEIGHBOURS, mode="reflect")
+    usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1), axis=1)
+    return np.flatnonzero(valid < PARTIAL * usual)
+
+
+def _jitter(stamps_ns: NDArray[np.int64], period_s: float) -> float:
+    steps_s = np.diff(stamps_ns) * NS
+    steps_s = steps_s[steps_s <= 3.0 * period_s]
+    return float(np.quantile(np.abs(steps_s - period_s), 0.9)) / period_s if len(steps_s) and period_s else 0.0
+
+
+def _sectors(dead: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Return the runs of dead degrees (360,) that are wide enough; one across 0 deg begins below it."""
+    if dead.all():
+        return [(0.0, 360.0)]
+    turn = int(np.argmin(dead))  # begin at a degree that is not dead
+    edges = np.diff(np.concatenate((np.roll(dead, -turn), [False])).astype(np.int8), prepend=0)
+    pairs = zip(np.flatnonzero(edges > 0) + turn, np.flatnonzero(edges < 0) + turn, strict=True)
+    return [(float(a % 360), float(a % 360 + b - a)) for a, b in pairs if b - a >= SECTOR_DEG]
+
+
+def _sparse(share: float, median: float) -> Iterator[Finding]:
+    if share < LEAST_SHARE or median < LEAST_BEAMS:
+        yield Finding(
+            "sparse",
+            f"{100 * share:.0f} % of the beams are valid, {median:.0f} a scan in the median",
+            "clean the window, see that walls are in range, and check range_min and range_max; turn slowly",
+        )
+
+
+def _partial_scans(partial: NDArray[np.intp], stamps_ns: NDArray[np.int64]) -> Iterator[Finding]:
+    early = partial[partial < FIRST_SCANS]
+    if len(early) or len(partial) > SOME_SHARE * len(stamps_ns):
+        where = ", at the beginning" if len(early) == len(partial) else ""
+        until_s = (stamps_ns[partial[-1]] - stamps_ns[0]) * NS
+        yield Finding(
+            "partial",
+            f"{len(partial)} scan(s) have less than half of the valid beams of their neighbors{where}, "
+            f"the last after {until_s:.1f} s",
+            "record once the laser turns at full speed, and keep its view free; a replay begins its map after them"
+            if len(early)
+            else "keep the view of the laser free, and check its power and cable",
+        )
+
+
+def _hidden(sectors: list[tuple[float, float]]) -> Iterator[Finding]:
+    if sectors:
+        where = ", ".join(f"{a:.0f} to {b:.0f} deg" for a, b in sectors[:4]) + ", ..." * (len(sectors) > 4)
+        yield Finding(
+            "dead_sectors",
+            f"no valid return in any scan at {where}",
+            "see what hides them or whether nothing is in range there; if the robot hides them, nothing is to be done",
+        )
+
+
+def _frozen(repeated: int, scans: int) -> Iterator[Finding]:
+    if repeated > SOME_SHARE * scans:
+        yield Finding(
+            "repeated",
+            f"{repeated} of {scans} scans equal the one before",
+            "check the driver: it publishes old scans, or faster than the laser turns",
+        )
+
+
+def _rate(log: Log) -> Iterator[Finding]:
+    if log.gaps:
+        longest = max(gap.duration_s for gap in log.gaps)
+        yield Finding(
+            "gaps",
+            f"{len(log.gaps)} gap(s) between scans, the longest {longest:.2f} s",
+            "see whether the recorder or the network drops scans: record on the robot, with a larger buffer",
+        )
+    if log.period_s * SLOW_HZ > 1.0:
+        yield Finding("slow", f"only {1.0 / log.period_s:.2f} scans a second", "record odometry, or move slowly")
+
+
+def _stamps(log: Log, jitter: float) -> Iterator[Finding]:
+    kinds = ("backward_stamp", "duplicate_stamp", "impossible_stamp")
+    odd = {kind: log.counts.skipped[kind] for kind in kinds if log.counts.skipped.get(kind)}
+    if odd or log.stamp_source == "log":
+        counted = ", ".join(f"{count} {kind.replace('_', ' ')}(s)" for kind, count in odd.items())
+        yield Finding(
+            "stamps",
+            counted or "the stamps of the scans are unusable, the times of recording are used",
+            "check the clock of the driver: it jumps, stands still, or two drivers publish on the topic",
+        )
+    if jitter > JITTER:
+        yield Finding(
+            "jitter",
+            f"stamps jitter by {100 * jitter:.0f} % of the period (90th percentile)",
+            "stamp scans by the laser's clock instead of on arrival",
+        )

@@ -1,0 +1,110 @@
+"""Sensor health: what is reported of a laser, and that a healthy one is reported as healthy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavnav.cli import run
+from mavnav.logs import open_log
+from mavnav.logs.health import SensorHealth, sensor_health
+from support.log_files import PERIOD_NS, START_NS, Message, laser, write_mcap
+
+BEAMS, STEP_RAD = 90, 2 * np.pi / 90
+
+
+def scans(count: int = 40) -> list[Message]:
+    """Return scans all round by a noisy laser."""
+    rng = np.random.default_rng(0)
+    ranges = rng.uniform(2.0, 3.0, (count, BEAMS))
+    return [laser(k, ranges=ranges[k], angle_min=0.0, angle_increment=STEP_RAD) for k in range(count)]
+
+
+def spoilt(messages: list[Message], numbers: range, beams: slice) -> list[Message]:
+    for k in numbers:
+        messages[k].fields["ranges"][beams] = 0.0
+    return messages
+
+
+def sparse() -> list[Message]:
+    return spoilt(scans(), range(40), slice(0, None, 2))
+
+
+def partial() -> list[Message]:
+    return spoilt(scans(), range(1), slice(20, None))
+
+
+def hidden() -> list[Message]:
+    return spoilt(scans(), range(40), slice(10, 20))
+
+
+def repeated() -> list[Message]:
+    messages = scans()
+    for k in range(1, 40, 2):
+        messages[k].fields["ranges"] = messages[k - 1].fields["ranges"]
+    return messages
+
+
+def at(stamps_ns: list[int]) -> list[Message]:
+    found = zip(scans(len(stamps_ns)), stamps_ns, strict=True)
+    return [Message(m.topic, m.type, START_NS + ns, m.fields, m.time_ns) for m, ns in found]
+
+
+def gap() -> list[Message]:
+    return at([k * PERIOD_NS + (k > 20) * 10 * PERIOD_NS for k in range(40)])
+
+
+def slow() -> list[Message]:
+    return at([k * 10 * PERIOD_NS for k in range(40)])
+
+
+def jitter() -> list[Message]:
+    return at([k * PERIOD_NS + (k % 2) * 4 * PERIOD_NS // 10 for k in range(40)])
+
+
+def backwards() -> list[Message]:
+    return at([(k - 4 * (k == 20)) * PERIOD_NS + (k == 20) for k in range(40)])
+
+
+def examined(messages: list[Message], path: Path) -> SensorHealth:
+    return sensor_health(open_log(write_mcap(path, messages)))
+
+
+@pytest.mark.parametrize(
+    ("make", "kinds"),
+    [
+        (scans, []),
+        (sparse, ["sparse"]),
+        (partial, ["partial"]),
+        (hidden, ["dead_sectors"]),
+        (repeated, ["repeated"]),
+        (gap, ["gaps"]),
+        (slow, ["slow"]),
+        (jitter, ["jitter"]),
+        (backwards, ["stamps"]),
+    ],
+)
+def test_each_fault_is_found_alone(make: Callable[[], list[Message]], kinds: list[str], tmp_path: Path) -> None:
+    found = examined(make(), tmp_path / "a")
+    assert [finding.kind for finding in found.findings] == kinds
+    assert found.healthy == (not kinds)
+
+
+def test_a_sector_is_given_in_degrees(tmp_path: Path) -> None:
+    ((low, high),) = examined(hidden(), tmp_path / "a").dead_sectors_deg
+    assert abs(low - 40.0) <= 4.0
+    assert abs(high - 80.0) <= 4.0
+
+
+def test_the_table_names_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["info", str(write_mcap(tmp_path / "a", scans()))]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.split() == ["health", "healthy"] for line in lines)
+    assert any(line.split() == ["verdict", "sound"] for line in lines)
+    assert run(["info", str(write_mcap(tmp_path / "b", partial()))]) == 0
+    out = capsys.readouterr().out
+    assert "a replay begins its map after them" in out
+    assert "sound; 1 thing(s) of the sensor to check" in out
