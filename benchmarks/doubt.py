@@ -6,7 +6,7 @@
 
 ``collect`` runs what is not yet in the file: recorded logs, disturbed, compared with the undisturbed track; scenes and
 missions, compared with the truth. Each line holds the features of a run, always with a second track, and its errors. A
-run is wrong if the motion over a window of 2, 10 or 30 s is off by more than 0.2 m or 5 deg somewhere. ``fit`` prints
+run is wrong if the motion over a window of 2 or 10 s is off by more than 0.2 m or 5 deg somewhere. ``fit`` prints
 the coefficients that belong into mavnav/slam/doubt/coefficients.py, from the even seeds; ``report`` judges all runs
 with those that are there, the second track only where they ask for it, and prints both halves.
 """

@@ -19,6 +19,7 @@ from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
 from mavnav.simulation.mission import fly
 from mavnav.simulation.world.scenario_file import load_scenario
+from mavnav.slam.doubt.features import WINDOWS_S
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
 from mavnav.units import DEG
@@ -187,7 +188,7 @@ def mission_names(seeds: int = 6) -> list[str]:
 
 
 def largest_errors(poses: Trajectory, reference: Trajectory) -> tuple[float, float]:
-    """Return the largest error over windows of 2, 10 and 30 s: of the position in m, of the heading in deg.
+    """Return the largest error over windows of 2 and 10 s: of the position in m, of the heading in deg.
 
     The motion over a window is compared with the reference's over the same scans.
     """
@@ -195,7 +196,7 @@ def largest_errors(poses: Trajectory, reference: Trajectory) -> tuple[float, flo
     same = (rows < len(reference)) & (reference.stamps_ns[np.minimum(rows, len(reference) - 1)] == poses.stamps_ns)
     stamps, found, true = poses.stamps_ns[same], poses.xyyaw[same], reference.xyyaw[rows[same]]
     off_m = off_deg = 0.0
-    for window_s in (2.0, 10.0, 30.0):
+    for window_s in WINDOWS_S:
         end = np.minimum(np.searchsorted(stamps, stamps + int(window_s * 1e9)), len(stamps) - 1)
         for k, m in enumerate(end.tolist()):
             gap = Pose(*true[k]).between(Pose(*true[m])).between(Pose(*found[k]).between(Pose(*found[m])))

@@ -16,6 +16,7 @@ from mavnav import __version__
 from mavnav.config.models import Config
 from mavnav.metrics.fields import ABSENT
 from mavnav.outputs import run_json as model
+from mavnav.outputs import tracking_section as tracking
 from mavnav.outputs.addresses import public_address
 from mavnav.outputs.run import base_frame
 from mavnav.units import DEG, MM, NS
@@ -151,12 +152,12 @@ def _scans(run: Run) -> model.Scans:
     )
 
 
-def _tracking(run: Run) -> model.Tracking:
+def _tracking(run: Run) -> tracking.Tracking:
     slam, first_ns = run.slam, run.log.first_ns
-    return model.Tracking(
+    return tracking.Tracking(
         lost=slam.lost_for_good,
         intervals=[
-            model.Interval((i.start_ns - first_ns) * NS, (i.end_ns - first_ns) * NS, i.scans, i.recovered)
+            tracking.Interval((i.start_ns - first_ns) * NS, (i.end_ns - first_ns) * NS, i.scans, i.recovered)
             for i in slam.lost
         ],
         tracked_share=slam.tracked_share,
@@ -166,21 +167,21 @@ def _tracking(run: Run) -> model.Tracking:
         frames={"trajectory.tum": ["map", run.log.frame_id]}
         | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),
         parts=[
-            model.TrackedPart((p.start_ns - first_ns) * NS, (p.end_ns - first_ns) * NS, p.scans, p.joined)
+            tracking.TrackedPart((p.start_ns - first_ns) * NS, (p.end_ns - first_ns) * NS, p.scans, p.joined)
             for p in slam.parts
         ]
         or ABSENT,
     )
 
 
-def _doubt(doubt: Doubt | None, first_ns: int) -> model.Doubt:
+def _doubt(doubt: Doubt | None, first_ns: int) -> tracking.Doubt:
     if doubt is None:
-        return model.Doubt(np.nan, [], [])
+        return tracking.Doubt(np.nan, [], [])
     reasons = [
-        model.DoubtReason(r.name, (r.start_ns - first_ns) * NS, (r.end_ns - first_ns) * NS, r.value)
+        tracking.DoubtReason(r.name, (r.start_ns - first_ns) * NS, (r.end_ns - first_ns) * NS, r.value)
         for r in doubt.reasons
     ]
-    return model.Doubt(doubt.probability, reasons, list(doubt.tried))
+    return tracking.Doubt(doubt.probability, reasons, list(doubt.tried))
 
 
 def _doubt_warnings(run: Run) -> list[str]:
@@ -188,7 +189,8 @@ def _doubt_warnings(run: Run) -> list[str]:
     found = _doubt(run.slam.doubt, run.log.first_ns)
     if run.slam.doubt is None or not run.slam.doubt.high:
         return []
-    why = ", ".join(f"{r.reason} (from {r.from_s:.1f} to {r.to_s:.1f} s)" for r in found.reasons[:3])
+    first = {reason.reason: reason for reason in reversed(found.reasons)}.values()
+    why = ", ".join(f"{r.reason} (from {r.from_s:.1f} to {r.to_s:.1f} s)" for r in reversed(first))
     return [
         f"the track may be wrong though the scans fit, with probability {found.probability:.2f}: {why}; "
         "compare map.png with the place before it is used"

@@ -16,35 +16,35 @@ class Weights(NamedTuple):
 
 
 ONE_TRACK: Final = Weights(
-    -4.28,
+    -7.91,
     {
-        "slip": 0.1,
-        "weakly_constrained": 1.52,
-        "weak_with_odometry": 1.01,
-        "sparse_sampling": 0.57,
-        "symmetric_place": 0.59,
-        "not_planar": 1.11,
+        "slip": 0.93,
+        "weakly_constrained": 2.34,
+        "weak_with_odometry": 1.55,
+        "sparse_sampling": 1.45,
+        "symmetric_place": 0.7,
+        "not_planar": 1.62,
         "few_points": 0.1,
-        "gap": 0.16,
-        "unclosed_loop": 0.92,
+        "gap": 0.1,
+        "unclosed_loop": 0.61,
         "odometry_contradicts": 0.1,
     },
 )
 """Of a track alone."""
 
 TWO_TRACKS: Final = Weights(
-    -5.6,
+    -8.7,
     {
-        "tracks_disagree": 1.51,
-        "slip": 0.13,
-        "weakly_constrained": 1.41,
-        "weak_with_odometry": 0.53,
-        "sparse_sampling": 0.14,
+        "tracks_disagree": 1.23,
+        "slip": 0.72,
+        "weakly_constrained": 2.21,
+        "weak_with_odometry": 1.13,
+        "sparse_sampling": 1.31,
         "symmetric_place": 0.1,
-        "not_planar": 0.77,
+        "not_planar": 1.64,
         "few_points": 0.1,
-        "gap": 0.8,
-        "unclosed_loop": 0.59,
+        "gap": 0.34,
+        "unclosed_loop": 0.28,
         "odometry_contradicts": 0.1,
     },
 )

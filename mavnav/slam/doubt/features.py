@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-WINDOWS_S = (2.0, 10.0, 30.0)
+WINDOWS_S = (2.0, 10.0)
 """Two tracks are compared by the motion over windows of these lengths."""
 
 WRONG_M, WRONG_RAD = 0.2, 5 * DEG
@@ -46,7 +46,7 @@ def motions(xyyaw: Floats, start: NDArray[np.intp], end: NDArray[np.intp]) -> Fl
 
 
 def disagreement(evidence: Evidence) -> Floats:
-    """Return by how much two tracks disagree on the motion from each scan on, as a share of what is wrong.
+    """Return by how much two tracks disagree on the motion from or to each scan, as a share of what is wrong.
 
     NaN without a second track.
     """
@@ -58,7 +58,8 @@ def disagreement(evidence: Evidence) -> Floats:
         off = motions(evidence.xyyaw[found], start, end) - motions(evidence.resampled[found], start, end)
         share = np.maximum(np.hypot(off[:, 0], off[:, 1]) / WRONG_M, np.abs(wrapped(off[:, 2])) / WRONG_RAD)
         share[stamps_s[end] - stamps_s > window_s + 1.5] = 0.0  # across a gap both are guesses
-        out[found] = np.maximum(out[found], share)
+        np.maximum.at(out, found, share)
+        np.maximum.at(out, found[end], share)
     return out
 
 

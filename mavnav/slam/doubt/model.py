@@ -10,6 +10,7 @@ import numpy as np
 from mavnav.slam.doubt.coefficients import ONE_TRACK, TWO_TRACKS
 from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES
 from mavnav.slam.doubt.record import Doubt, Reason
+from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -24,8 +25,8 @@ LEAST, MOST_DOUBLINGS = 0.25, 5.0
 MUCH = 1.0
 """From this value on a feature that counts is a reason."""
 
-STRETCH_SHARE = 0.5
-"""A reason holds where it is at least so strong as in its strongest scan."""
+JOINED_S, MOST_STRETCHES = 2.0, 5
+"""Scans that show a reason at most so far apart are one stretch; of a reason the strongest stretches are reported."""
 
 
 def doubt_of(evidence: Evidence, tried: tuple[str, ...] = ()) -> Doubt:
@@ -34,11 +35,10 @@ def doubt_of(evidence: Evidence, tried: tuple[str, ...] = ()) -> Doubt:
     values = {name: feature.total(shown[name]) for name, feature in FEATURES.items()}
     log_odds = contributions(values)
     strongest = sorted(log_odds, key=lambda name: -log_odds[name])
-    reasons = (
-        _reason(FEATURES[name].reason, shown[name], evidence.stamps_ns)
-        for name in strongest
-        if log_odds[name] > 0.0 and values[name] >= MUCH
-    )
+    reasons: list[Reason] = []
+    for name in strongest:
+        if log_odds[name] > 0.0 and values[name] >= MUCH:
+            reasons += stretches(FEATURES[name].reason, shown[name], evidence.stamps_ns)
     return Doubt(probability(values), tuple(reasons), tried)
 
 
@@ -59,9 +59,9 @@ def doublings(value: float) -> float:
     return min(log2(max(value, LEAST) / LEAST), MOST_DOUBLINGS)
 
 
-def _reason(name: str, shown: NDArray[np.float64], stamps_ns: NDArray[np.int64]) -> Reason:
-    """Describe where a feature (n,) is strong, around its strongest scan."""
-    top = int(np.argmax(shown))
-    weak = np.flatnonzero(shown < STRETCH_SHARE * shown[top])
-    start, end = int(weak[weak < top].max(initial=-1)) + 1, int(weak[weak > top].min(initial=len(shown))) - 1
-    return Reason(name, int(stamps_ns[start]), int(stamps_ns[end]), float(shown[top]))
+def stretches(name: str, shown: NDArray[np.float64], stamps_ns: NDArray[np.int64]) -> list[Reason]:
+    """Return where scans show much of a feature (n,), in the order of time."""
+    rows = np.flatnonzero(shown >= MUCH)
+    parts = np.split(rows, np.flatnonzero(np.diff(stamps_ns[rows]) * NS > JOINED_S) + 1)
+    found = [Reason(name, int(stamps_ns[p[0]]), int(stamps_ns[p[-1]]), float(shown[p].max())) for p in parts]
+    return sorted(sorted(found, key=lambda r: -r.value)[:MOST_STRETCHES], key=lambda r: r.start_ns)

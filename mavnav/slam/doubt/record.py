@@ -43,8 +43,13 @@ class Doubt:
         return self.probability > HIGH
 
     def marks(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which of the scans (n,) are doubtful: those of the reasons, if the doubt is high."""
+        """Return which of the scans (n,) are doubtful: those of the reasons, if the doubt is high.
+
+        A reason that holds everywhere marks them only where no other says more.
+        """
+        found = [(stamps_ns >= r.start_ns) & (stamps_ns <= r.end_ns) for r in self.reasons if self.high]
+        local = [some for some in found if not some.all()]
         marked = np.zeros(len(stamps_ns), np.bool_)
-        for reason in self.reasons if self.high else ():
-            marked |= (stamps_ns >= reason.start_ns) & (stamps_ns <= reason.end_ns)
+        for some in local or found:
+            marked |= some
         return marked
