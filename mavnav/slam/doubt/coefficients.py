@@ -16,35 +16,35 @@ class Weights(NamedTuple):
 
 
 ONE_TRACK: Final = Weights(
-    -7.91,
+    -7.57,
     {
-        "slip": 0.93,
-        "weakly_constrained": 2.34,
-        "weak_with_odometry": 1.55,
-        "sparse_sampling": 1.45,
-        "symmetric_place": 0.7,
-        "not_planar": 1.62,
-        "few_points": 0.1,
+        "slip": 1.26,
+        "weakly_constrained": 2.17,
+        "weak_with_odometry": 1.49,
+        "sparse_sampling": 1.13,
+        "symmetric_place": 0.72,
+        "not_planar": 1.01,
+        "few_points": 0.94,
         "gap": 0.1,
-        "unclosed_loop": 0.61,
+        "unclosed_loop": 0.45,
         "odometry_contradicts": 0.1,
     },
 )
 """Of a track alone."""
 
 TWO_TRACKS: Final = Weights(
-    -8.7,
+    -8.34,
     {
-        "tracks_disagree": 1.23,
-        "slip": 0.72,
-        "weakly_constrained": 2.21,
-        "weak_with_odometry": 1.13,
-        "sparse_sampling": 1.31,
+        "tracks_disagree": 1.47,
+        "slip": 0.73,
+        "weakly_constrained": 1.94,
+        "weak_with_odometry": 0.92,
+        "sparse_sampling": 0.99,
         "symmetric_place": 0.1,
-        "not_planar": 1.64,
-        "few_points": 0.1,
-        "gap": 0.34,
-        "unclosed_loop": 0.28,
+        "not_planar": 1.15,
+        "few_points": 0.88,
+        "gap": 0.21,
+        "unclosed_loop": 0.11,
         "odometry_contradicts": 0.1,
     },
 )

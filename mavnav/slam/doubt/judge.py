@@ -22,8 +22,6 @@ FEWEST = 2
 
 RESAMPLED = "resampled track"
 
-WARNING = "the track is doubtful"
-
 
 def judge_track(track: Track) -> Track:
     """Give a track its probability to be wrong; not on line, in a known map, nor where nothing was tracked."""
