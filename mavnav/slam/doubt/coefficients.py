@@ -16,35 +16,35 @@ class Weights(NamedTuple):
 
 
 ONE_TRACK: Final = Weights(
-    -7.57,
+    -6.25,
     {
-        "slip": 1.26,
-        "weakly_constrained": 2.17,
-        "weak_with_odometry": 1.49,
-        "sparse_sampling": 1.13,
-        "symmetric_place": 0.72,
-        "not_planar": 1.01,
-        "few_points": 0.94,
+        "slip": 0.99,
+        "weakly_constrained": 2.01,
+        "weak_with_odometry": 1.31,
+        "sparse_sampling": 0.79,
+        "symmetric_place": 0.9,
+        "not_planar": 0.77,
+        "few_points": 0.48,
         "gap": 0.1,
-        "unclosed_loop": 0.45,
+        "unclosed_loop": 0.62,
         "odometry_contradicts": 0.1,
     },
 )
 """Of a track alone."""
 
 TWO_TRACKS: Final = Weights(
-    -8.34,
+    -6.5,
     {
-        "tracks_disagree": 1.47,
-        "slip": 0.73,
-        "weakly_constrained": 1.94,
-        "weak_with_odometry": 0.92,
-        "sparse_sampling": 0.99,
+        "tracks_disagree": 1.32,
+        "slip": 0.56,
+        "weakly_constrained": 1.67,
+        "weak_with_odometry": 0.73,
+        "sparse_sampling": 0.66,
         "symmetric_place": 0.1,
-        "not_planar": 1.15,
-        "few_points": 0.88,
-        "gap": 0.21,
-        "unclosed_loop": 0.11,
+        "not_planar": 0.66,
+        "few_points": 0.14,
+        "gap": 0.16,
+        "unclosed_loop": 0.37,
         "odometry_contradicts": 0.1,
     },
 )

@@ -96,8 +96,9 @@ def _weakness(evidence: Evidence) -> Floats:
 
 def sparse(evidence: Evidence) -> Floats:
     """Return the motion between two scans as a share of what is much."""
-    moved_m = np.hypot(*np.diff(evidence.xyyaw[:, :2], axis=0, prepend=evidence.xyyaw[:1, :2]).T)
-    return np.maximum(moved_m / SPARSE_M, turns_rad(evidence.xyyaw[:, 2]) / SPARSE_RAD)
+    moved_m = np.linalg.norm(np.diff(evidence.xyyaw[:, :2], axis=0, prepend=evidence.xyyaw[:1, :2]), axis=1)
+    share: Floats = np.maximum(moved_m / SPARSE_M, turns_rad(evidence.xyyaw[:, 2]) / SPARSE_RAD)
+    return share
 
 
 def not_planar(evidence: Evidence) -> Floats:
