@@ -5,11 +5,16 @@ VENV ?= .venv
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do command -v $$p && break; done)
 BIN := $(VENV)/bin
 DEMO := runs/demo
+FUZZ_SECONDS ?= 600
+FUZZ_SEED ?= 0
+FUZZ_COUNT ?= 1000000
+FUZZ_FAULTS ?= 1000
+BOUNDS := tests/kernels tests/mapping
 
-.PHONY: help demo test fuzz check format-check lint types bench figures samples golden clean
+.PHONY: help demo test fuzz bounds check format-check lint types bench bench-peers figures samples golden clean
 
 help:
-	@echo "make demo | test | fuzz | check | bench | figures | samples | golden | clean"
+	@echo "make demo | test | fuzz | bounds | check | bench | bench-peers | figures | samples | golden | clean"
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=..."; exit 1; }
@@ -32,7 +37,12 @@ test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2
 
 fuzz: $(VENV)/.dev
-	PYTHONPATH=tests $(BIN)/python -m support.fuzz 5000
+	$(BIN)/python benchmarks/fuzz_logs.py --seed $(FUZZ_SEED) --count $(FUZZ_COUNT) --seconds $$(($(FUZZ_SECONDS) / 3))
+	$(BIN)/python benchmarks/fuzz_inputs.py --seed $(FUZZ_SEED) --count $(FUZZ_COUNT) --seconds $$(($(FUZZ_SECONDS) / 3))
+	$(BIN)/python benchmarks/fuzz_faults.py --seconds $$(($(FUZZ_SECONDS) / 3)) --count $(FUZZ_FAULTS)
+
+bounds: $(VENV)/.dev
+	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -n 2 $(BOUNDS)
 
 check: format-check lint types test
 
@@ -50,6 +60,15 @@ bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/replays.py
 	$(BIN)/python benchmarks/exactness.py
 	$(BIN)/python benchmarks/exactness.py --method paper
+
+$(VENV)-peers/.done: pyproject.toml
+	$(PYTHON) -m venv $(VENV)-peers
+	$(VENV)-peers/bin/python -m pip install --quiet --editable . kiss-icp small-gicp || \
+		{ echo "pip cannot get kiss-icp and small-gicp: connect to a package index, then run make bench-peers again"; exit 1; }
+	@touch $@
+
+bench-peers: $(VENV)-peers/.done
+	$(VENV)-peers/bin/python benchmarks/peers.py $(LOGS)
 
 figures: $(VENV)/.dev
 	$(BIN)/python benchmarks/figures.py

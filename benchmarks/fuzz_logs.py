@@ -1,6 +1,6 @@
 """How much of damaged logs is recovered, and does any damage pass unmarked?
 
-    python benchmarks/fuzz_logs.py [--seed S] [--count N] [--logs NAME ...] [--verbose]
+    python benchmarks/fuzz_logs.py [--seed S] [--count N] [--seconds T] [--logs NAME ...] [--verbose]
 
 Small logs of every container are mutated, ``N`` times in all, and read back. Scans are compared by content, bit for
 bit. A scan is still whole where the bytes that hold it are in the file unaltered: the content of its chunk, or its own
@@ -263,6 +263,8 @@ COUNTED = "cases whole lost altered unmarked strict silent invented duplicated e
 COLUMNS = {name: max(len(name), 6) + 1 for name in COUNTED.split()}
 """What is counted, and how wide its column is."""
 
+MUST_BE_ZERO = ("unmarked", "strict", "silent", "invented", "duplicated", "errors", "slow")
+
 
 def row(log: str, counts: Counter[str]) -> str:
     """Return a line of the table."""
@@ -270,15 +272,17 @@ def row(log: str, counts: Counter[str]) -> str:
     return f"{log:18s}" + "".join(f"{counts[name]:>{width}d}" for name, width in COLUMNS.items()) + f"{share:>10s}"
 
 
-def main() -> None:
-    """Print a table of counts."""
+def main() -> int:
+    """Print a table of counts; return 1 where one that must be 0 is not."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int, default=1000, help="mutated logs in all")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after this time")
     parser.add_argument("--logs", nargs="*", default=[], help="names of containers")
     parser.add_argument("-v", "--verbose", action="store_true", help="print every case with a finding")
     options = parser.parse_args()
     total: Counter[str] = Counter()
+    began_s = time.monotonic()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         seeds = make_seeds(folder, options.logs)
@@ -286,7 +290,10 @@ def main() -> None:
         for index, seed in enumerate(seeds):
             counts: Counter[str] = Counter()
             path = folder / f"case{seed.suffix}"
+            end_s = began_s + options.seconds * (index + 1) / len(seeds)
             for number in range(options.seed + index, options.seed + options.count, len(seeds)):
+                if time.monotonic() > end_s:
+                    break
                 attack = attacked if number // len(seeds) % 2 else anyhow
                 damaged = attack(seed, number)
                 path.write_bytes(damaged)
@@ -298,7 +305,8 @@ def main() -> None:
             total += counts
     print(row("all", total))
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
+    return int(any(total[name] for name in MUST_BE_ZERO))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

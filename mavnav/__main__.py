@@ -9,6 +9,7 @@ import atexit  # noqa: E402
 import gc  # noqa: E402
 import os  # noqa: E402
 import sys  # noqa: E402
+from contextlib import suppress  # noqa: E402
 from typing import NoReturn  # noqa: E402
 
 gc.set_threshold(20_000, 20, 20)  # what is loaded stays: looking through it for garbage takes 10 ms
@@ -24,7 +25,8 @@ def main() -> NoReturn:
         cli.main()
     except SystemExit as ended:
         atexit._run_exitfuncs()  # noqa: SLF001
-        sys.stderr.flush()
+        with suppress(OSError, ValueError):  # it is full or closed
+            sys.stderr.flush()
         os._exit(int(ended.code or 0))
 
 

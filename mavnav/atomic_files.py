@@ -1,46 +1,94 @@
-"""Files and folders that appear complete or not at all: written beside their place, renamed at the end."""
+"""Files and folders that appear complete or not at all: written beside their place, renamed at the end.
+
+Hosts and containers may share the folder: what a process leaves unfinished is named by its machine and its number, and
+only processes of the same machine judge by the number whether it is still alive.
+"""
 
 from __future__ import annotations
 
 import ctypes
 import glob
 import os
+import platform
 import shutil
 from contextlib import contextmanager, suppress
+from errno import EEXIST, ENOTEMPTY
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from time import time
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
 
+FOREIGN_S = 7 * 86400.0
+"""What another machine has left unfinished is removed when nothing in it has changed for so long."""
+
 
 @contextmanager
-def beside(target: Path) -> Iterator[Path]:
+def beside(target: Path, *, exclusive: bool = False) -> Iterator[Path]:
     """Give a path for a file or folder that takes the place of ``target`` when the block ends well.
 
     The path has the target's own name, in a temporary folder next to it that is removed in any case; one that a killed
     process left is removed by the next. What was at ``target`` before is replaced in one step, or stays if the block
-    fails; a file never takes the place of a folder. Parents are made. Raises OSError where the disk refuses.
+    fails; a file never takes the place of a folder. Parents are made. Raises OSError where the disk refuses, and
+    FileExistsError with ``exclusive`` where another process has put something there in the meantime.
     """
     final = target.resolve()
     final.parent.mkdir(parents=True, exist_ok=True)
     _clear_leftovers(final)
     folder = _folder(final, os.getpid())
-    folder.mkdir()
     try:
+        folder.mkdir()
         partial = folder / final.name
         yield partial
         sync_all(partial)
-        if final.is_dir() and partial.is_dir():
+        if exclusive:
+            _take(partial, final)
+        elif final.is_dir() and partial.is_dir():
             _exchange(partial, final)
         else:
             partial.replace(final)
         sync(final.parent)
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        _remove(folder)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder, even if a signal interrupts that once or twice; its exception is raised at the end."""
+    stopped: BaseException | None = None
+    for _ in range(5):
+        try:
+            shutil.rmtree(folder, ignore_errors=True)
+            break
+        except BaseException as error:  # Ctrl-C, again
+            stopped = error
+    if stopped is not None:
+        raise stopped
+
+
+def _take(partial: Path, final: Path) -> None:
+    """Give a file or folder its name, unless that is taken."""
+    if partial.is_dir():
+        try:
+            partial.rename(final)  # an empty folder may be there
+        except OSError as error:
+            if error.errno in {EEXIST, ENOTEMPTY}:
+                raise FileExistsError(EEXIST, "another process has written it meanwhile", str(final)) from error
+            raise
+        return
+    try:
+        final.hardlink_to(partial)
+    except FileExistsError as error:
+        raise FileExistsError(EEXIST, "another process has written it meanwhile", str(final)) from error
+    except OSError:  # a file system without links
+        if os.path.lexists(final):
+            raise FileExistsError(EEXIST, "another process has written it meanwhile", str(final)) from None
+        partial.replace(final)
 
 
 def discard(target: Path, pid: int) -> None:
@@ -49,22 +97,41 @@ def discard(target: Path, pid: int) -> None:
 
 
 def _folder(final: Path, pid: int) -> Path:
-    return final.with_name(f".{final.name}.partial-{pid}")
+    return final.with_name(f".{final.name}.partial-{machine()}-{pid}")
+
+
+@cache
+def machine() -> str:
+    """Return what tells this machine from others that see the same folder: host, its start, and container."""
+    places = ("/proc/sys/kernel/random/boot_id", "/proc/self/ns/pid")
+    parts = [platform.node()]
+    with suppress(OSError):
+        parts.append(Path(places[0]).read_text(encoding="ascii"))
+    with suppress(OSError):
+        parts.append(str(Path(places[1]).stat().st_ino))
+    return sha256(" ".join(parts).encode()).hexdigest()[:12]
 
 
 def _clear_leftovers(final: Path) -> None:
-    """Remove what processes that are no more have left, as after kill -9; bring back a target that one had set aside.
-
-    The same number as this process's is that of a dead one.
-    """
-    for folder in final.parent.glob(f".{glob.escape(final.name)}.*-*"):
-        kind, _, number = folder.name.rpartition("-")
-        if not number.isdecimal() or (int(number) != os.getpid() and _is_alive(int(number))):
+    """Remove what dead processes have left, as after kill -9; bring back a target that one had set aside."""
+    for folder in final.parent.glob(f".{glob.escape(final.name)}.*-*-*"):
+        kind, owner, number = folder.name.rsplit("-", 2)
+        if not number.isdecimal() or not _is_left(folder, owner, int(number)):
             continue
         if kind.endswith(".replaced") and not final.exists():
-            folder.rename(final)
+            with suppress(OSError):  # another process was faster
+                folder.rename(final)
         elif kind.endswith((".partial", ".replaced")):
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def _is_left(folder: Path, owner: str, process: int) -> bool:
+    """Return whether nobody works on a folder any more; the number of this process is that of a dead one."""
+    if owner == machine():
+        return process == os.getpid() or not _is_alive(process)
+    with suppress(OSError):
+        return time() - max(path.lstat().st_mtime for path in (folder, *folder.rglob("*"))) > FOREIGN_S
+    return False
 
 
 def _is_alive(process: int) -> bool:
@@ -81,7 +148,7 @@ def _exchange(partial: Path, final: Path) -> None:
     """Let two folders swap their names, at once where the system can, so that the name is never without a folder."""
     if _swapped(partial, final):
         return
-    old = final.with_name(f".{final.name}.replaced-{os.getpid()}")
+    old = final.with_name(f".{final.name}.replaced-{machine()}-{os.getpid()}")
     final.rename(old)
     try:
         partial.rename(final)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Final, NoReturn
 import typer
 
 from mavnav.commands import signals
-from mavnav.commands.terminal import emit, note
+from mavnav.commands.terminal import emit, note, print_traceback
 from mavnav.errors import ExitCode, MavnavError
 
 if TYPE_CHECKING:
@@ -100,9 +100,7 @@ def run(args: Sequence[str], *, debug: bool = False) -> int:
         sys.stdout.flush()
     except BaseException as error:
         if debug and isinstance(error, Exception):
-            import traceback
-
-            traceback.print_exception(error)
+            print_traceback(error)
         return _explain(error)
     return int(code or 0)
 

@@ -94,14 +94,14 @@ def test_two_folders_swap_their_names_at_once(old: Path) -> None:
 
 
 def test_a_target_that_a_killed_process_had_set_aside_comes_back(old: Path) -> None:
-    old.rename(old.with_name(f".run.replaced-{2**22 + 1}"))
+    old.rename(old.with_name(f".run.replaced-{atomic_files.machine()}-{2**22 + 1}"))
     with pytest.raises(KeyError), beside(old):
         raise KeyError
     assert (names(old.parent), names(old)) == ({"run"}, {"old"})
 
 
 def test_what_a_killed_process_had_half_done_never_comes_to_life(tmp_path: Path) -> None:
-    half = tmp_path / f".run.partial-{2**22 + 1}"
+    half = tmp_path / f".run.partial-{atomic_files.machine()}-{2**22 + 1}"
     (half / "run").mkdir(parents=True)
     with pytest.raises(KeyError), beside(tmp_path / "run"):
         raise KeyError
@@ -169,7 +169,7 @@ def test_the_commands_say_in_one_line_that_the_disk_is_full(command: str, repo_r
 
 
 def test_a_stale_pid_of_a_living_process_is_left_alone(tmp_path: Path) -> None:
-    alive = tmp_path / f".run.partial-{os.getppid()}"
+    alive = tmp_path / f".run.partial-{atomic_files.machine()}-{os.getppid()}"
     alive.mkdir()
     with beside(tmp_path / "run") as partial:
         partial.touch()
@@ -182,3 +182,57 @@ def test_a_file_never_takes_the_place_of_a_folder(old: Path) -> None:
         partial.write_text("a report")
     assert names(old) == {"old"}
     assert names(old.parent) == {"run"}
+
+
+@pytest.mark.parametrize("pid", [os.getpid(), 2**22 + 1], ids=["ours", "nobody"])
+def test_what_another_machine_is_writing_is_left_alone(pid: int, tmp_path: Path) -> None:
+    theirs = tmp_path / f".run.partial-0123456789ab-{pid}"
+    theirs.mkdir()
+    with beside(tmp_path / "run") as partial:
+        partial.touch()
+    assert names(tmp_path) == {"run", theirs.name}
+
+
+def test_what_another_machine_left_long_ago_is_removed(tmp_path: Path) -> None:
+    theirs = tmp_path / ".run.partial-0123456789ab-7"
+    theirs.mkdir()
+    os.utime(theirs, (1, 1))
+    (tmp_path / ".run.partial-0123456789ac-7").mkdir()
+    with beside(tmp_path / "run") as partial:
+        partial.touch()
+    assert names(tmp_path) == {"run", ".run.partial-0123456789ac-7"}
+
+
+@pytest.mark.parametrize("folder", [True, False])
+def test_two_machines_on_one_target(folder: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both have the same process number; the second to finish fails and leaves the result of the first."""
+
+    def write(text: str) -> None:
+        with beside(tmp_path / "run", exclusive=True) as partial:
+            file = partial / "file" if folder else partial
+            file.parent.mkdir(exist_ok=True)
+            file.write_text(text)
+            if text == "second":
+                with monkeypatch.context() as other:
+                    other.setattr(atomic_files, "machine", lambda: "0123456789ab")
+                    write("first")
+
+    with pytest.raises(FileExistsError, match="another process has written it"):
+        write("second")
+    assert names(tmp_path) == {"run"}
+    assert (tmp_path / "run" / "file" if folder else tmp_path / "run").read_text() == "first"
+
+
+def test_ctrl_c_during_the_tidying_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real, interrupts = atomic_files.shutil.rmtree, iter([KeyboardInterrupt(), KeyboardInterrupt()])
+
+    def interrupted(*words: object, **options: object) -> None:
+        for error in interrupts:
+            raise error
+        real(*words, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(atomic_files.shutil, "rmtree", interrupted)
+    with pytest.raises(KeyboardInterrupt), beside(tmp_path / "run") as partial:
+        partial.mkdir()
+        raise KeyboardInterrupt
+    assert names(tmp_path) == set()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
 from mavnav.atomic_files import beside
+from mavnav.config.named_files import read_json
 from mavnav.errors import SEVERITY, ExitCode, OutputError, UsageError
 from mavnav.metrics.gates import full_name
 from mavnav.outputs.document import to_json
@@ -103,7 +103,7 @@ def read_baseline(path: Path) -> Baseline:
     """Read ``batch.json`` of a directory, or a file of `write_baseline`; raises UsageError where it is neither."""
     file = path / "batch.json" if path.is_dir() else path
     try:
-        document = json.loads(file.read_bytes())
+        document = read_json(file)
         cells = [{"run": None, **cell, "figures": _figures(cell.get("figures", {}))} for cell in document["cells"]]
         runs = {cell["name"]: cell for cell in cells}
         for run in cells:
@@ -114,7 +114,7 @@ def read_baseline(path: Path) -> Baseline:
         raise UsageError(
             f"{file}: the baseline {reason}; name an earlier batch, or make one with --update-baseline"
         ) from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise UsageError(
             f"{file} is no baseline; name the directory of a batch, its batch.json, or a baseline file"
         ) from error

@@ -11,6 +11,7 @@ from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.page import to_page
 from mavnav.errors import OutputError
 from mavnav.outputs.document import to_json
+from mavnav.outputs.markdown import inert
 from mavnav.outputs.quantities import number
 
 if TYPE_CHECKING:
@@ -80,7 +81,8 @@ def batch_csv(document: dict[str, Any]) -> str:
     for row in document["cells"]:
         failed = " ".join(gate["gate"] for gate in row["gates"] if not gate["passed"])
         more = [failed, (row["baseline"] or {}).get("change"), row["seconds"], row["directory"]]
-        table.writerow([*(row[key] for key in _HEAD), *more, *(number(row["run"], name) for name in FIGURES)])
+        texts = [inert(value) for value in (*(row[key] for key in _HEAD), *more)]
+        table.writerow([*texts, *(number(row["run"], name) for name in FIGURES)])
     return rows.getvalue()
 
 

@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from mavnav.errors import NoScansError, UsageError
+from mavnav.logs.formats.detect import SUFFIXES, is_named_like_a_log
 from mavnav.outputs.addresses import is_address
 from mavnav.outputs.directory import RUN_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
-
-SUFFIXES: Final = (".mcap", ".bag", ".db3", ".active", ".zst", ".zstd")
-"""How logs in a folder end; a log that is named itself may be called anything."""
 
 _PATTERN: Final = re.compile(r"[*?[]")
 
@@ -80,7 +78,7 @@ def _logs(path: Path) -> Iterator[Path]:
         yield path
     elif not (path / RUN_FILE).is_file():
         for inner in sorted(path.iterdir()):
-            if not inner.name.startswith(".") and (inner.is_dir() or inner.name.endswith(SUFFIXES)):
+            if not inner.name.startswith(".") and (inner.is_dir() or is_named_like_a_log(inner)):
                 yield from _logs(inner)
 
 

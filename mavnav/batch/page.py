@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav.batch.document import ENDS, why, worst_first
 from mavnav.batch.summary import batch_headline, changed
 from mavnav.batch.thumbnail import thumbnail
+from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.facts import facts
@@ -107,7 +107,7 @@ def _link(path: Path, address: str) -> str | None:
 def _facts(path: Path) -> str:
     """Describe the log of a run and when it was made, by its run.json; nothing where that cannot be read."""
     try:
-        document = json.loads((path / RUN_FILE).read_bytes())
+        document = read_json(path / RUN_FILE)
     except (OSError, ValueError):
         return ""
     return facts([document])

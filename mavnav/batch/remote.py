@@ -1,18 +1,60 @@
-"""Logs by their address: anything that fsspec can open, copied to a temporary folder while it is needed."""
+"""Logs by their address: anything that fsspec can open, copied to a temporary folder while it is needed.
+
+A server may never answer, send without end, or send next to nothing: the copy is bounded in time and size.
+"""
 
 from __future__ import annotations
 
-import shutil
+import os
 from contextlib import contextmanager
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from threading import Event, Thread
+from time import monotonic
+from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import urlsplit
 
-from mavnav.errors import UsageError
+from mavnav.errors import MavnavError, OutputError, UsageError
 from mavnav.outputs.addresses import public_address, public_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+PIECE_BYTES: Final = 2**20
+IDLE_S: Final = 60.0
+"""A server that sends nothing for so long is given up; so is one that by then sends less than `LEAST_RATE`."""
+
+LEAST_RATE: Final = 1000.0
+"""Bytes a second."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How long a log may take in all, how long nothing may come, and how large it may be."""
+
+    total_s: float
+    idle_s: float
+    most_bytes: float
+
+
+def limits() -> Limits:
+    """Return the limits of ``MAVNAV_FETCH_TIMEOUT_S`` and ``MAVNAV_FETCH_MAX_MB``; raises UsageError for no numbers."""
+    total_s = _number("MAVNAV_FETCH_TIMEOUT_S", 3600.0)
+    return Limits(total_s, min(IDLE_S, total_s), 1e6 * _number("MAVNAV_FETCH_MAX_MB", 65_536.0))
+
+
+def _number(variable: str, usual: float) -> float:
+    text = os.environ.get(variable) or str(usual)
+    try:
+        number = float(text)
+    except ValueError:
+        number = 0.0
+    if not (isfinite(number) and number > 0.0):
+        raise UsageError(f"{variable} is {text!r}; set it to a number above 0")
+    return number
 
 
 @contextmanager
@@ -20,31 +62,137 @@ def fetched(address: str) -> Iterator[Path]:
     """Give a folder in which the log lies under its address, taken as a path: that is how people know it.
 
     User name, password and query of the address are left out of that path, and of errors. Raises UsageError for what
-    cannot be opened, and without fsspec.
+    cannot be opened or exceeds `limits`, and without fsspec; OutputError where the temporary folder takes no more.
     """
     path = Path(public_address(address))
     if ".." in path.parts:
         raise UsageError(f"{public_address(address)}: an address with '..'; write it out")
-    with TemporaryDirectory(prefix="mavnav-") as name:
+    check_allowed(address)
+    with TemporaryDirectory(prefix="mavnav-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
-        (folder / path).parent.mkdir(parents=True)
-        _copy(address, folder / path)
+        try:
+            (folder / path).parent.mkdir(parents=True)
+        except OSError as error:
+            raise _full(address, error) from error
+        _Copy(address, folder / path, limits()).run()
         yield folder
 
 
-def _copy(address: str, file: Path) -> None:
-    """Copy what an address stands for, piece by piece."""
-    try:
-        with _fsspec().open(address, "rb") as source, file.open("wb") as copy:
-            shutil.copyfileobj(source, copy, 2**20)
-    except UsageError:
-        raise
-    except FileNotFoundError:
-        raise UsageError(f"{public_address(address)}: there is no such file; check the address") from None
-    except Exception as error:  # every protocol has errors of its own
-        reason = public_text(str(error), address) or type(error).__name__
-        advice = "check the address and the permissions"
-        raise UsageError(f"{public_address(address)}: cannot be read ({reason}); {advice}") from None
+def check_allowed(address: str) -> None:
+    """Raise UsageError for hosts that ``MAVNAV_FETCH_HOSTS`` does not list, and for local files that never end."""
+    allowed = [pattern.strip().lower() for pattern in os.environ.get("MAVNAV_FETCH_HOSTS", "").split(",")]
+    shown = public_address(address)
+    *inner, outer = shown.split("::")
+    for part in (*(part for part in inner if part.lower().startswith("http")), outer):
+        scheme, _, rest = part.partition("://")
+        if scheme.lower() in {"file", "local"}:
+            if Path(rest).exists() and not Path(rest).is_file():
+                raise UsageError(f"{shown}: cannot be read (it is not a regular file); name a log")
+        elif rest and any(allowed):
+            host = (urlsplit(part).hostname or "").lower()
+            if not any(fnmatchcase(host, pattern) for pattern in allowed if pattern):
+                raise UsageError(f"{shown}: {host or scheme} is not one of MAVNAV_FETCH_HOSTS; add it there")
+
+
+def _full(address: str, error: OSError) -> OutputError:
+    reason = f"the temporary folder cannot be written ({error.strerror or error})"
+    return OutputError(f"{public_address(address)}: {reason}; make room, or set TMPDIR to another folder")
+
+
+@dataclass(slots=True)
+class _Copy:
+    """The copy of what an address stands for, made by a thread that is left alone when a limit is reached."""
+
+    address: str
+    file: Path
+    limits: Limits
+    began_s: float = field(default_factory=monotonic)
+    latest_s: float = field(default_factory=monotonic)
+    done_bytes: int = 0
+    stop: Event = field(default_factory=Event)
+    ended: Event = field(default_factory=Event)
+    error: Exception | None = None
+
+    def run(self) -> None:
+        """Copy; raises MavnavError."""
+        _fsspec()
+        Thread(target=self._work, daemon=True).start()
+        try:
+            while not self.ended.wait(0.05):
+                self._check()
+        finally:
+            self.stop.set()
+        if self.error is not None:
+            raise self._explained(self.error) from None
+
+    def _work(self) -> None:
+        try:
+            self._copy()
+        except Exception as error:  # every protocol has errors of its own
+            self.error = error
+        finally:
+            self.ended.set()
+
+    def _copy(self) -> None:
+        with _opened(self.address, self.limits) as source, self._created() as copy:
+            while not self.stop.is_set() and (piece := source.read(PIECE_BYTES)):
+                self.done_bytes += len(piece)
+                self.latest_s = monotonic()
+                if self.done_bytes > self.limits.most_bytes:
+                    raise self._refused(f"larger than {self.limits.most_bytes / 1e6:g} MB", "MAVNAV_FETCH_MAX_MB")
+                self._put(copy, piece)
+
+    def _created(self) -> Any:  # noqa: ANN401  a file
+        try:
+            return self.file.open("wb", buffering=0)
+        except OSError as error:
+            raise _full(self.address, error) from error
+
+    def _put(self, copy: Any, piece: bytes) -> None:  # noqa: ANN401
+        left = memoryview(piece)
+        try:
+            while left:
+                left = left[copy.write(left) :]
+        except OSError as error:
+            raise _full(self.address, error) from error
+
+    def _check(self) -> None:
+        """Raise UsageError where a limit of time is reached."""
+        now_s, variable = monotonic(), "MAVNAV_FETCH_TIMEOUT_S"
+        elapsed_s = now_s - self.began_s
+        if elapsed_s > self.limits.total_s:
+            raise self._refused(f"not complete after {self.limits.total_s:g} s", variable)
+        if now_s - self.latest_s > self.limits.idle_s:
+            raise self._refused(f"no data for {self.limits.idle_s:g} s", variable)
+        if elapsed_s > self.limits.idle_s and self.done_bytes < LEAST_RATE * elapsed_s:
+            raise self._refused(f"less than {LEAST_RATE:g} bytes/s for {self.limits.idle_s:g} s", variable)
+
+    def _refused(self, reason: str, variable: str) -> UsageError:
+        advice = f"download it by other means, or set {variable}"
+        return UsageError(f"{public_address(self.address)}: cannot be read ({reason}); {advice}")
+
+    def _explained(self, error: Exception) -> MavnavError:
+        shown = public_address(self.address)
+        while isinstance(error, FileNotFoundError) and isinstance(error.__cause__, Exception):
+            error = error.__cause__  # fsspec calls everything so that goes wrong before the first byte
+        if isinstance(error, MavnavError):
+            return error
+        if isinstance(error, FileNotFoundError) or getattr(error, "status", None) == 404:
+            return UsageError(f"{shown}: there is no such file; check the address")
+        if type(error).__name__ == "TooManyRedirects":
+            return UsageError(f"{shown}: cannot be read (it redirects without end); check the address")
+        reason = " ".join(public_text(str(error), self.address).split()) or type(error).__name__
+        return UsageError(f"{shown}: cannot be read ({reason}); check the address and the permissions")
+
+
+def _opened(address: str, bounds: Limits) -> Any:  # noqa: ANN401  an open file of fsspec
+    """Open an address; one on a web server is read as a stream, and its redirections are watched."""
+    options: dict[str, Any] = {}
+    if any(part.lower().startswith(("http://", "https://")) for part in address.split("::")):
+        from mavnav.batch.web import client_options  # noqa: PLC0415  an extra
+
+        options = client_options(address, bounds.total_s, bounds.idle_s)
+    return _fsspec().open(address, "rb", **options)
 
 
 def _fsspec() -> Any:  # noqa: ANN401  a module

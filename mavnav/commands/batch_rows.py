@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
-from mavnav.commands.terminal import console, emit, note, printable
+from mavnav.commands.terminal import console, emit, json_text, note, printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,11 +43,9 @@ def row_printer(total: int, *, json: bool, quiet: bool) -> Callable[[dict[str, A
 
 
 def _line(document: dict[str, Any]) -> str:
-    from json import dumps
-
     from mavnav.outputs.document import plain
 
-    return dumps(plain(document))
+    return json_text(plain(document))
 
 
 def print_verdict(document: dict[str, Any], results: Path, *, json: bool) -> None:
@@ -84,8 +82,9 @@ def _table(document: dict[str, Any]) -> Table:
     for row in worst_first(document["cells"])[:MOST_ROWS]:
         texts = [figure.shown(row["run"]) for figure in FIGURES]
         remarks = [*why(row), changed(row), "from before" if row["status"] == "cached" else ""]
-        end = Text(printable("; ".join(filter(None, remarks))), style="bold red" if row["verdict"] else "")
-        table.add_row(Text(printable(row["name"])), *texts, end)
+        remark = printable("; ".join(filter(None, remarks))).replace("::", ":\\x3a")
+        end = Text(remark, style="bold red" if row["verdict"] else "")
+        table.add_row(Text(printable(row["name"]).replace("::", ":\\x3a")), *texts, end)  # it may be folded anywhere
     if len(document["cells"]) > MOST_ROWS:
         table.caption = f"{len(document['cells']) - MOST_ROWS} more in batch.csv"
     return table

@@ -12,6 +12,7 @@ import typer
 from mavnav.commands.gating import Gates, gates_of
 from mavnav.commands.options import Json
 from mavnav.commands.terminal import emit, emit_json, note, printable
+from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode, UsageError, worst
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ def _listed(file: Path) -> list[_Found]:
     """Return the runs of batch.json or comparison.json; what a batch accepts counts as done."""
     found = []
     with _reading(file):
-        for cell in _content(file)["cells"]:
+        for cell in read_json(file)["cells"]:
             accepted = bool(cell.get("accepted"))
             if cell["directory"] is None:
                 code = ExitCode.DONE if accepted else ExitCode(cell["exit_code"])
@@ -94,16 +95,10 @@ def _listed(file: Path) -> list[_Found]:
 def _run(directory: Path, *, accepted: bool = False) -> _Found:
     file = directory / RUN_FILE
     with _reading(file):
-        document: dict[str, Any] = _content(file)
+        document: dict[str, Any] = read_json(file)
         code = ExitCode(document["exit_code"])
     code = ExitCode.DONE if accepted else code
     return _Found(str(directory), code, document, f"it ended with exit code {code}" if code else None)
-
-
-def _content(file: Path) -> Any:  # noqa: ANN401
-    from json import loads
-
-    return loads(file.read_bytes())
 
 
 @contextmanager

@@ -10,7 +10,7 @@ import typer
 
 from mavnav.commands.options import Json, LogFile, Quiet, Strict, Topic
 from mavnav.commands.progress import reporting
-from mavnav.commands.terminal import LISTED, emit, note_oddities, print_table
+from mavnav.commands.terminal import LISTED, emit_json, note_oddities, print_table
 from mavnav.errors import ExitCode, MavnavError
 from mavnav.units import DEG, NS
 
@@ -177,9 +177,7 @@ def _mounting(log: Log) -> dict[str, Any] | None:
 def _print_result(document: dict[str, Any], *, json: bool) -> None:
     """Print the document, or the table and on stderr what must not be missed."""
     if json:
-        from json import dumps
-
-        emit(dumps(document, indent=2, allow_nan=False))
+        emit_json(document)
         return
     print_table(_rows(document))
     note_oddities(document)

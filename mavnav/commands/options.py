@@ -32,19 +32,17 @@ azimuths_option = partial(search_option, "--azimuth", metavar="N")
 schema_option = partial(input_option, "--schema")
 """Options whose help differs between commands."""
 
-LogFile = Annotated[
-    Path, typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False)
-]
+_log_argument = partial(
+    typer.Argument, metavar="LOG", help="MCAP, ROS 1 bag, ROS 2 bag folder, .db3 or CARMEN log.", show_default=False
+)
+LogFile = Annotated[Path, _log_argument()]
 
-MaybeLogFile = Annotated[
-    Path | None,
-    typer.Argument(metavar="LOG", help="MCAP file, ROS 1 bag, ROS 2 bag folder or .db3.", show_default=False),
-]
+MaybeLogFile = Annotated[Path | None, _log_argument()]
 Again = Annotated[
     Path | None, input_option("--again", metavar="RUN", help="Repeat the run in this directory, with its options.")
 ]
 
-Topic = Annotated[str | None, input_option(help="Scan topic, if the log has several.")]
+Topic = Annotated[str | None, input_option(metavar="NAME", help="Scan topic, if the log has several.")]
 Start = Annotated[
     float | None,
     input_option(metavar="SECONDS", help="Start this many seconds after the first scan."),
@@ -78,6 +76,14 @@ Sets = Annotated[
     search_option("--set", metavar="KEY=VALUE", help="Override one configuration value; repeatable."),
 ]
 
+Outputs = Annotated[
+    str | None,
+    output_option(
+        "--outputs",
+        metavar="GROUP,...",
+        help="Write only these files: trajectory, map, metrics, pictures, mcap, report (default all but report).",
+    ),
+]
 WriteReport = Annotated[bool, output_option("--report", help="Also write the run as one page, report.html.")]
 Force = Annotated[bool, output_option("--force", help="Overwrite the output if it exists.")]
 RunAgain = Annotated[bool, output_option("--force", help="Ignore finished runs and repeat them.")]
@@ -116,6 +122,16 @@ def truth_values(truth: str | None) -> dict[str, Any]:
     return given_values(truth_topic=topic, truth=None if truth is None or topic else Path(truth))
 
 
+def output_values(outputs: str | None, *, report: bool, preview: bool) -> dict[str, Any]:
+    """Return ``report``, and ``outputs`` as the names that ``--outputs`` lists; raises UsageError."""
+    if outputs is None:
+        return {"report": report}
+    names = tuple(dict.fromkeys([*outputs.split(","), *(["report"] if report else [])]))
+    if preview and "map" not in names:
+        raise UsageError("--preview is drawn from map; add it to --outputs")
+    return {"report": "report" in names, "outputs": names}
+
+
 def again_directory(again: Path) -> Path:
     """Return the default directory of a run that repeats another."""
     return Path("runs") / f"{again.resolve().name}-again"
@@ -129,7 +145,7 @@ def check_again(context: typer.Context, target: Path, *free: str) -> None:
     again = context.params["again"]
     if target.resolve() == again.resolve():
         raise UsageError(f"{target} is the run to repeat; choose another directory with -o")
-    allowed = {"again", "directory", "force", "report", "preview", "json", "quiet", "gates", *free}
+    allowed = {"again", "directory", "force", "report", "outputs", "preview", "json", "quiet", "gates", *free}
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
         if parameter.name not in allowed and source is not None and source.name == "COMMANDLINE":

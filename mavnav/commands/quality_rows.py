@@ -52,6 +52,12 @@ def page_row(directory: Path) -> Rows:
     return [("report", str(page))] if page.exists() else []
 
 
+def picture_row(directory: Path, document: dict[str, Any], other: str) -> Rows:
+    """Return the row that names the run's pictures, ``map.png`` and another, where they were written."""
+    written = "map.png" in document["outputs"]
+    return [("pictures", f"{directory / 'map.png'}, {directory / other}")] if written else []
+
+
 def quality_rows(quality: dict[str, Any]) -> Rows:
     """Return the rows on ``map_quality`` of a document that a summary shows."""
     ghosts, revisits, support = quality["ghost_walls"], quality["revisits"], quality["support"]

@@ -25,6 +25,7 @@ from mavnav.commands.options import (
     Method,
     Odom,
     Online,
+    Outputs,
     Quiet,
     RelationsFile,
     Sets,
@@ -40,12 +41,13 @@ from mavnav.commands.options import (
     given_values,
     note_without_effect,
     output_option,
+    output_values,
     parse_pose,
     search_option,
     truth_values,
 )
-from mavnav.commands.progress import loading_modules, reporting
-from mavnav.commands.quality_rows import doubt_rows, page_row, quality_rows, reference_rows, wall_rows
+from mavnav.commands.progress import REPLAY, loading_modules, reporting
+from mavnav.commands.quality_rows import doubt_rows, page_row, picture_row, quality_rows, reference_rows, wall_rows
 from mavnav.commands.terminal import emit, emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
 
@@ -117,6 +119,7 @@ def replay(
     ] = None,
     force: Force = False,
     report: WriteReport = False,
+    outputs: Outputs = None,
     preview: Preview = False,
     profile: Annotated[bool, output_option("--profile", help="Print the time of each stage.")] = False,
     json: Json = False,
@@ -136,14 +139,14 @@ def replay(
     chosen = fields.get("config") or _config(
         config, [*(sets or []), *([] if deskew is None else [f"robust.deskew={deskew}"])], overrides
     )
-    bounds = gates_of(gates)
+    bounds, written = gates_of(gates), output_values(outputs, report=report, preview=preview)
     mounting, began = parse_pose(extrinsic), parse_pose(start_pose, "--start-pose")
     _check_files(log, known, began)
     files = {"truth": truth, "truth_map": truth_map, "relations": relations, "map": known} | fields
     compared = files["truth"] or files["truth_map"] or files["relations"]
     optional = {"reference": compared, "localisation": files["map"]}
     check_gates(bounds, *(section for section, file in optional.items() if file))
-    with reporting(quiet=quiet) as progress:
+    with reporting(quiet=quiet, stages=REPLAY) as progress:
         startup_s, started_s = process_time(), perf_counter()
         with loading_modules():
             from mavnav.outputs.provenance import Typed
@@ -160,7 +163,7 @@ def replay(
             end_s=end,
             extrinsic=mounting and Pose(*mounting),
             force=force,
-            report=report,
+            **written,
             **truth_values(truth),
             truth_map=truth_map,
             relations=relations,
@@ -284,11 +287,8 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
     if "localisation" in document:
         rows.append(("found in the map", _found(document["localisation"])))
     rows += [*wall_rows(document), *quality_rows(document["map_quality"]), *reference_rows(document.get("reference"))]
-    rows += [
-        ("speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"),
-        ("pictures", f"{directory / 'map.png'}, {directory / 'wall_thickness.png'}"),
-    ]
-    return rows + page_row(directory)
+    rows.append(("speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"))
+    return [*rows, *picture_row(directory, document, "wall_thickness.png"), *page_row(directory)]
 
 
 def left_out_text(parts: list[dict[str, Any]]) -> str:

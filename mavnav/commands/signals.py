@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 import signal
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, NoReturn
 
 from mavnav.errors import ExitCode
@@ -72,7 +72,7 @@ def keeping() -> Iterator[Callable[[], ExitCode | None]]:
     try:
         yield ask
         if _ARRIVED and not heard:
-            os.write(2, b"mavnav: the signal came after the work was done: the result is complete\n")
+            _say("mavnav: the signal came after the work was done: the result is complete\n")
     finally:
         _FORGIVEN[0] = 0
         _ARRIVED.clear()
@@ -98,13 +98,19 @@ def _stop(number: int, _frame: FrameType | None) -> None:
     _ARRIVED.append(reason)
     if len(_ARRIVED) > _FORGIVEN[0]:
         raise reason
-    os.write(2, f"mavnav: {reason.word}: writing the results so far; interrupt again to discard them\n".encode())
+    _say(f"mavnav: {reason.word}: writing the results so far; interrupt again to discard them\n")
+
+
+def _say(text: str) -> None:
+    """Write to stderr past its buffer, which may be in use; nothing happens where it is full or closed."""
+    with suppress(OSError):
+        os.write(2, text.encode())
 
 
 def _end(number: int, _frame: FrameType | None) -> NoReturn:
     reason = _REASONS[signal.Signals(number)]
     show_cursor = "\x1b[?25h" if os.isatty(2) else ""  # a bar may have hidden it
-    os.write(2, f"{show_cursor}mavnav: {reason.word}\n".encode())
+    _say(f"{show_cursor}mavnav: {reason.word}\n")
     os._exit(reason.exit_code)
 
 

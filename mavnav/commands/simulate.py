@@ -19,6 +19,7 @@ from mavnav.commands.options import (
     Grid,
     Json,
     Method,
+    Outputs,
     Quiet,
     Sets,
     WriteReport,
@@ -27,10 +28,11 @@ from mavnav.commands.options import (
     directory_option,
     input_option,
     output_option,
+    output_values,
     schema_option,
 )
-from mavnav.commands.progress import loading_modules, reporting
-from mavnav.commands.quality_rows import doubt_rows, page_row, wall_rows
+from mavnav.commands.progress import MISSION, loading_modules, reporting
+from mavnav.commands.quality_rows import doubt_rows, page_row, picture_row, wall_rows
 from mavnav.commands.terminal import emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
 from mavnav.units import DEG
@@ -87,6 +89,7 @@ def simulate(
     animate: Annotated[Path | None, output_option(metavar="FILE.gif", help="Also write an animation.")] = None,
     force: Force = False,
     report: WriteReport = False,
+    outputs: Outputs = None,
     preview: Preview = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -98,7 +101,7 @@ def simulate(
         return
     if scenario is None and again is None:
         raise UsageError("no scenario; name a YAML file or one of 'mavnav simulate --list'")
-    bounds = gates_of(gates)
+    bounds, written = gates_of(gates), output_values(outputs, report=report, preview=preview)
     fields = {} if again is None else _repeated(context, again, directory)
     chosen = fields.get("scenario") or _load(
         str(scenario),
@@ -107,7 +110,7 @@ def simulate(
         config,
     )
     check_gates(bounds, "mission", "truth", "reference")
-    with reporting(quiet=quiet) as progress:
+    with reporting(quiet=quiet, stages=MISSION) as progress:
         started_s = perf_counter()
         with loading_modules():
             from mavnav.outputs.provenance import Typed
@@ -117,7 +120,7 @@ def simulate(
         target = directory or (again_directory(again) if again else simulation_directory(chosen))
         path = fields.get("path") or scenario_path(str(scenario))
         typed = Typed(context.obj, config, tuple(sets or ()))
-        request = SimulationRequest(chosen, path, target, record, animate, force, report, typed)
+        request = SimulationRequest(chosen, path, target, record, animate, force, typed=typed, **written)
         request = replace(request, **fields)
         _, document = simulate_mission(request, progress, compile_s)
     _print_result(document, target, json=json)
@@ -179,7 +182,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         *_truth_rows(truth),
         *wall_rows(document),
         ("speed", f"{mission['steps'] / timing['wall_s']:.0f} steps/s"),
-        ("pictures", f"{directory / 'map.png'}, {directory / 'true_map.png'}"),
+        *picture_row(directory, document, "true_map.png"),
         *page_row(directory),
     ]
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import sys
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, TextIO
 
 if TYPE_CHECKING:
@@ -13,8 +15,20 @@ LISTED: Final = 10
 
 
 def printable(text: object) -> str:
-    """Return text with control, format and bidirectional characters spelt out, so that data cannot steer a terminal."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+    """Return text that can steer neither a terminal nor, at the beginning of a line or within it, a CI runner.
+
+    Control, format and bidirectional characters are spelt out, and so is what begins a workflow command.
+    """
+    shown = _visible(text)
+    return re.sub(r"^( *):(?=:)", r"\1\\x3a", shown)
+
+
+def _visible(text: object) -> str:
+    from mavnav.outputs.addresses import public_line
+
+    text = public_line(str(text))
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return re.sub(r"##(?=\w*\[)", r"#\\x23", shown)
 
 
 def can_print(text: str, stream: TextIO) -> bool:
@@ -37,8 +51,19 @@ def console(*, stderr: bool = False) -> Console:
 
 
 def note(text: str) -> None:
-    """Print one line on stderr."""
-    print(printable(text), file=sys.stderr, flush=True)  # noqa: T201  only the command line prints
+    """Print one line on stderr; where that is full or closed, the exit code still says how the work ended."""
+    with suppress(OSError, ValueError):
+        print(_visible(text), file=sys.stderr, flush=True)  # noqa: T201  only the command line prints
+
+
+def print_traceback(error: BaseException) -> None:
+    """Print the traceback of an exception on stderr, without the secrets of addresses in it."""
+    from traceback import format_exception
+
+    from mavnav.outputs.addresses import public_line
+
+    with suppress(OSError, ValueError):
+        sys.stderr.write(public_line("".join(format_exception(error))))
 
 
 def note_oddities(document: dict[str, Any]) -> None:
@@ -59,9 +84,14 @@ def emit(text: str) -> None:
 
 def emit_json(document: dict[str, Any]) -> None:
     """Write a document to stdout as indented JSON."""
+    emit(json_text(document, indent=2))
+
+
+def json_text(document: dict[str, Any], *, indent: int | None = None) -> str:
+    """Return a document as JSON in which no text begins a workflow command of a CI runner."""
     from json import dumps
 
-    emit(dumps(document, indent=2))
+    return re.sub(r"##(?=\w*\[)", r"#\\u0023", dumps(document, indent=indent))
 
 
 def print_table(rows: list[tuple[str, str]]) -> None:

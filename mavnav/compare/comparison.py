@@ -6,7 +6,6 @@ A comparison lives in a directory: ``cells/`` holds a run directory for every ru
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,6 +17,7 @@ from mavnav.batch.runner import run_cases
 from mavnav.compare.document import comparison_document
 from mavnav.compare.figures import RELATIVE_COSTS
 from mavnav.compare.files import COMPARISON_FILE, write_comparison
+from mavnav.config.named_files import read_json
 from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import recorded_topic
 from mavnav.jobs.run_cache import REFERENCES, check_cache_directory
@@ -108,7 +108,7 @@ def is_drawn(plan: BatchPlan) -> bool:
     """Return whether all runs are finished, and report.html in their directory shows exactly them in this order."""
     keys = [case.run.key for case in plan.cases if case.run]
     try:
-        before = json.loads((plan.request.directory / COMPARISON_FILE).read_bytes())
+        before = read_json(plan.request.directory / COMPARISON_FILE)
         shown = [cell["key"] for cell in before["cells"] if cell["status"] != "failed"]
     except (OSError, ValueError, LookupError, TypeError):
         return False

@@ -10,7 +10,7 @@ from mavnav.atomic_files import beside
 from mavnav.compare.figures import RELATIVE_COSTS
 from mavnav.errors import OutputError
 from mavnav.outputs.document import to_json
-from mavnav.outputs.markdown import escaped, table_row
+from mavnav.outputs.markdown import escaped, inert, table_row
 from mavnav.outputs.quantities import QUANTITIES, number
 
 if TYPE_CHECKING:
@@ -43,9 +43,8 @@ def comparison_csv(document: dict[str, Any]) -> str:
     table.writerow([*head, *names, *(f"price.{name}" for name in RELATIVE_COSTS)])
     for k, cell in enumerate(document["cells"]):
         figures = [number(cell["run"], name) for name in names]
-        table.writerow(
-            [*(cell[key] for key in head), *figures, *(document["price"][name][k] for name in RELATIVE_COSTS)]
-        )
+        texts = [inert(cell[key]) for key in head]
+        table.writerow([*texts, *figures, *(document["price"][name][k] for name in RELATIVE_COSTS)])
     return rows.getvalue()
 
 

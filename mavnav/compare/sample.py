@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from mavnav import __version__
+from mavnav.atomic_files import beside
 from mavnav.errors import OutputError
 from mavnav.logs.writing.recorder import record
 from mavnav.pipelines.simulate import recorded
@@ -31,8 +32,8 @@ def sample_truth(directory: Path) -> Path:
     """Write the scenario of the sample log to ``directory``: its walls are the true map."""
     path = directory / "logs" / f"{SCENARIO}.yaml"
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(load_scenario(SCENARIO, SETS).document(), indent=1) + "\n", encoding="utf-8")
+        with beside(path) as partial:
+            partial.write_text(json.dumps(load_scenario(SCENARIO, SETS).document(), indent=1) + "\n", encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error.strerror}; choose another directory with -o") from error
     return path

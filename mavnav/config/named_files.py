@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import errno
 import stat
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+MAX_JSON_BYTES: Final = 1 << 28
 
 
 def read_named(path: Path, most_bytes: int) -> bytes:
@@ -15,10 +17,20 @@ def read_named(path: Path, most_bytes: int) -> bytes:
 
     Raises OSError, whose ``strerror`` says why: not readable, not a regular file, or larger than ``most_bytes``.
     """
-    if not stat.S_ISREG(path.stat().st_mode):
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "it is not a regular file")
-    with path.open("rb") as file:
-        content = file.read(most_bytes + 1)
-    if len(content) > most_bytes:
+    if status.st_size > most_bytes:
         raise OSError(errno.EFBIG, f"it is larger than {most_bytes} bytes")
-    return content
+    with path.open("rb") as file:
+        return file.read(most_bytes)
+
+
+def read_json(path: Path) -> Any:  # noqa: ANN401  any document
+    """Return a JSON document; raises OSError as `read_named`, and ValueError for what is none, or nested too deep."""
+    from json import loads  # noqa: PLC0415  not every command reads one
+
+    try:
+        return loads(read_named(path, MAX_JSON_BYTES))
+    except RecursionError:
+        raise ValueError("it is nested too deep") from None

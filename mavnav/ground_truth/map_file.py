@@ -24,10 +24,15 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+    from PIL import Image
 
 MODES: Final = ("trinary", "scale", "raw")
 MAX_CELLS: Final = 400_000_000
 MAX_PICTURE_BYTES: Final = 1 << 30
+BAND_ROWS: Final = 256
+MAX_OCCUPIED: Final = 5_000_000
+"""More occupied cells than the walls of a town have; measuring them would take gigabytes."""
+
 CELLS_M: Final = (1e-4, 100.0)
 """Least and greatest resolution of a map."""
 
@@ -84,6 +89,10 @@ def read_map(path: Path) -> MapFile:
     picture = path.parent / str(about["image"])
     shade, solid = _read_picture(picture, path)
     occupied, free = (shade.upwards(kind, solid) for kind in _kinds(path, about, shade))
+    if (count := np.count_nonzero(occupied)) > MAX_OCCUPIED:
+        raise UsageError(
+            f"{path}: {count} cells are occupied, more than {MAX_OCCUPIED}; see 'negate' and the thresholds"
+        )
     return MapFile(Grid(cell_m, (0.0, 0.0), occupied, free), _origin(path, about))
 
 
@@ -203,8 +212,17 @@ def _read_by_pillow(path: Path, data: bytes) -> tuple[_Shades, NDArray[np.bool_]
                 if image.mode in {"1", "L"} and "transparency" not in image.info:
                     grey = np.asarray(image.convert("L"))
                     return _Shades(grey, np.arange(256.0)), np.ones(grey.shape, np.bool_)
-                pixels = np.asarray(image.convert("RGBA"))
+                return _coloured(image)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise UsageError(f"{path} is no picture of a map (PGM or PNG): {error}; mend 'image:'") from error
-    total = pixels[:, :, :3].sum(axis=2, dtype=np.uint16)
-    return _Shades(total, np.arange(766) / 3.0), pixels[:, :, 3] > 0
+
+
+def _coloured(image: Image.Image) -> tuple[_Shades, NDArray[np.bool_]]:
+    """Return what `_read_picture` does for a picture with colours or transparency; a band of rows at a time."""
+    total, solid = np.empty((image.height, image.width), np.uint16), np.empty((image.height, image.width), np.bool_)
+    for row in range(0, image.height, BAND_ROWS):
+        band = (0, row, image.width, min(row + BAND_ROWS, image.height))
+        pixels = np.asarray(image.crop(band).convert("RGBA"))
+        pixels[:, :, :3].sum(axis=2, dtype=np.uint16, out=total[row : band[3]])
+        solid[row : band[3]] = pixels[:, :, 3] > 0
+    return _Shades(total, np.arange(766) / 3.0), solid

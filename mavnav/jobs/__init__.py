@@ -1,8 +1,8 @@
 """Functions run in processes of their own: one that crashes, hangs or eats the memory takes no other along.
 
 A job is a function by name with its arguments; a worker process runs one after another. A worker that ends in
-mid-job, whatever ended it, costs that job alone: another worker takes its place. Workers are spawned, not forked, so
-that they share no state with their parent, and they follow it when it dies. What they print goes nowhere.
+mid-job, whatever ended it, costs that job alone: another worker takes its place. Workers are forked on Linux, spawned
+elsewhere, and follow their parent when it dies. What they print goes nowhere.
 """
 
 from mavnav.jobs.pool import run_jobs, usable_cores

@@ -20,7 +20,11 @@ from mavnav.jobs.worker import serve
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-CONTEXT = get_context("spawn")
+CONTEXT = get_context("fork") if sys.platform == "linux" else get_context("spawn")
+"""A forked worker shares what its parent has loaded, where a spawned one takes a second of processor time to load it.
+
+On other systems libraries keep threads that do not survive a fork.
+"""
 
 LISTEN_S = 0.2
 """How long to listen at most before the clock is looked at."""
@@ -91,7 +95,7 @@ def _hand_out(
 def _listen(pool: list[_Worker], timeout_s: float | None) -> Iterator[Event]:
     """Receive the events of workers, and stop jobs whose time is over."""
     busy = {worker.channel: worker for worker in pool if worker.index is not None}
-    ready = connection.wait(list(busy), LISTEN_S)
+    ready = connection.wait(list(busy), LISTEN_S if timeout_s is None else min(LISTEN_S, timeout_s))
     for channel, worker in busy.items():
         if channel in ready:
             yield worker.receive()

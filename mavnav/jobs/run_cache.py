@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from mavnav import __version__
+from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode, OutputError
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.pipelines.replay import replay_directory
@@ -41,7 +42,18 @@ SECTIONS: Final = (
 REFERENCES = ("truth", "truth_map", "relations")
 """Of a request: the files to compare the outcome with."""
 
-_NOT_OPTIONS = {"log", "log_sha256", "address", "directory", "config", "force", "report", "typed", *REFERENCES}
+_NOT_OPTIONS = {
+    "log",
+    "log_sha256",
+    "address",
+    "directory",
+    "config",
+    "force",
+    "report",
+    "outputs",
+    "typed",
+    *REFERENCES,
+}
 """Of a request: where things are, what does not change a result, and what enters the key by itself."""
 
 
@@ -138,7 +150,7 @@ def source_sha256() -> str:
 def finished_document(run: PlannedRun) -> dict[str, Any] | None:
     """Return run.json of a finished run; None where there is none, or none that can be read."""
     try:
-        document: dict[str, Any] = json.loads((run.directory / RUN_FILE).read_bytes())
+        document: dict[str, Any] = read_json(run.directory / RUN_FILE)
         ExitCode(document["exit_code"])
     except (OSError, ValueError, LookupError, TypeError):
         return None

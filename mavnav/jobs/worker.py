@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import sys
 from multiprocessing import parent_process
 from threading import Thread
 from time import monotonic
@@ -37,6 +38,7 @@ def _prepare(memory_mb: int | None) -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(nowhere, stream)
+    sys.stdout = sys.stderr = open(nowhere, "w", closefd=False)  # noqa: SIM115  a forked one has its parent's
     Thread(target=_follow_parent, daemon=True).start()
     if memory_mb is not None:
         import resource  # noqa: PLC0415  not everywhere

@@ -1,5 +1,7 @@
 """numba's compiler, but for its habit of optimizing and translating every helper before the kernel that it is part of.
 
+Only what compiles kernels imports this module, and numba with it.
+
 numba makes machine code of each helper, and of each function of its own that a kernel needs, although only the kernel's
 is ever run; and at every depth of calls all that is called is optimized again. Here such parts are linked as they are,
 and the kernel is optimized once, with all that it calls.
@@ -7,12 +9,109 @@ and the kernel is optimized once, with all that it calls.
 
 from __future__ import annotations
 
+import pickle
 from contextlib import contextmanager
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
+
+import numba
+import numpy as np
+
+from mavnav.kernels._loader import MachineCode
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
+
+    from mavnav.kernels._types import Signature
+
+_OPTIONS: Final = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+
+
+def learn() -> None:
+    """Fill numba's tables of what it knows of Python and NumPy."""
+    from numba.core.registry import cpu_target  # noqa: PLC0415
+
+    cpu_target.target_context.refresh()
+    cpu_target.typing_context.refresh()
+
+
+def helping(function: Callable[..., Any]) -> Any:  # noqa: ANN401
+    """Return numba's form of a function that only kernels call."""
+    return numba.njit(no_cpython_wrapper=True, **_OPTIONS)(function)
+
+
+def compiled(function: Callable[..., Any], signature: Signature) -> tuple[Callable[..., Any], MachineCode | None]:
+    """Compile a kernel; returns what to call, and its code, None where this numba does not give it away."""
+    made = numba.njit(**_OPTIONS)(function)
+    with whole_kernels(made.targetctx):
+        made.compile(signature.numba)
+    made.disable_compile()
+    (result,) = made.overloads.values()
+    try:
+        return made, _packed(result)
+    except (AttributeError, ImportError, TypeError, ValueError):
+        return made, None  # a numba that has moved these parts: kernels compile at every start
+
+
+def loaded_by_numba(
+    entry: MachineCode, function: Callable[..., Any], signature: Signature
+) -> Callable[..., Any] | None:
+    """Load the code of a kernel as numba's own cache would, but without its compiler; None where that is not possible.
+
+    A numba that has moved these parts cannot, and compiles. Nor can one that finds other content than it wrote.
+    """
+    made = numba.njit(**_OPTIONS)(function)
+    context = made.targetctx
+    try:
+        _initialize(context)
+        (name, kind, (_, bitcode)), *rest = pickle.loads(entry.rest)  # noqa: S301
+        parts = ((name, kind, (entry.code, bitcode)), *rest)
+        found = numba.core.compiler.CompileResult._rebuild(context, *parts)  # noqa: SLF001
+        context.insert_user_function(found.entry_point, found.fndesc, [found.library])
+        made.add_overload(found)
+        made._cache_hits[signature.numba] += 1  # noqa: SLF001
+    except Exception:  # whatever is wrong with the entry, it is made anew
+        return None
+    made.disable_compile()
+    return made  # type: ignore[no-any-return]
+
+
+def _initialize(context: Any) -> None:  # noqa: ANN401
+    """Load numba's runtime, but not its knowledge of all of Python and NumPy, which takes 0.3 s."""
+    try:
+        from numba.core.runtime import rtsys  # noqa: PLC0415
+
+        rtsys.initialize(context)
+    except (AttributeError, ImportError):
+        context.refresh()
+
+
+def _packed(result: Any) -> MachineCode:  # noqa: ANN401
+    """Return the machine code of a compiled function, without what only other functions that call it would need."""
+    from llvmlite.binding import parse_assembly  # noqa: PLC0415
+    from numba.core.serialize import dumps  # noqa: PLC0415
+
+    (name, kind, (code, _)), *rest = result._reduce()  # noqa: SLF001
+    wrapper = result.fndesc.llvm_cpython_wrapper_name
+    names = f'define void @"{wrapper}"() {{ ret void }}'
+    packed = dumps(((name, kind, (b"", parse_assembly(names).as_bitcode())), *rest))
+    try:
+        return MachineCode(code, wrapper, *_needs(result), packed)
+    except (AttributeError, LookupError):
+        return MachineCode(code, "", "", (), (), packed)
+
+
+def _needs(result: Any) -> tuple[str, tuple[str, ...], tuple[str, ...]]:  # noqa: ANN401
+    """Return the variable of a function's environment, the types in it, and the names that its code leaves open.
+
+    Raises LookupError where the environment holds anything else, which only numba can restore.
+    """
+    module, kept = result.library._final_module, result.environment.consts  # noqa: SLF001
+    if not all(isinstance(one, np.dtype) and one.isbuiltin for one in kept):
+        raise LookupError(kept)
+    declared = (one.name for one in (*module.functions, *module.global_variables) if one.is_declaration)
+    symbols = tuple(name for name in declared if not name.startswith("llvm."))
+    return result.target_context.get_env_name(result.fndesc), tuple(one.str for one in kept), symbols
 
 
 @contextmanager

@@ -2,43 +2,83 @@
 
 from __future__ import annotations
 
-import pickle
-from dataclasses import dataclass
-from functools import cache, cached_property
-from hashlib import sha256
-from sys import version_info
+import os
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
-import numba
-from numba.core.runtime import rtsys
-
 from mavnav.kernels._cache import read_code, source_stamp, write_code
-from mavnav.kernels._compiler import whole_kernels
+from mavnav.kernels._loader import MachineCode, cache_key, loaded
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from mavnav.kernels._types import Signature, Type
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
+DISABLED = os.environ.get("NUMBA_DISABLE_JIT", "") not in {"", "0"}
+"""Whether kernels stay functions of Python, as numba's own variable says."""
 
-@dataclass(eq=False)
-class Kernel:
-    """A numba function with its one signature, and where its machine code is kept."""
+_ALIGNED, _C_ORDERED, _WRITABLE = 0x100, 0x1, 0x400
+"""Of ``ndarray.flags.num``."""
 
-    compiled: Any
-    signature: Any
+
+class Helper:
+    """A function that only kernels call; it is part of their machine code."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        """Wrap a function; numba is imported when a kernel that calls it is compiled."""
+        self.function = function
+
+    @cached_property
+    def _numba(self) -> Any:  # noqa: ANN401
+        """The function as numba knows it."""
+        from mavnav.kernels._compiler import helping  # noqa: PLC0415
+
+        return helping(self.function)
 
     @property
-    def module(self) -> str:
-        """The full name of the module that defines it."""
-        return str(self.compiled.py_func.__module__)
+    def _numba_type_(self) -> Any:  # noqa: ANN401
+        """What numba takes this for where a kernel calls it."""
+        return self._numba._numba_type_
+
+
+class Kernel:
+    """A function of machine code for one signature, and where that code is kept."""
+
+    def __init__(self, function: Callable[..., Any], signature: Signature) -> None:
+        """Wrap a function; its code is loaded by the first call."""
+        self.function, self.signature = function, signature
+        self.module, self.name = function.__module__, function.__qualname__
+        self.arrays = [(k, each.ndim, *_demands(each)) for k, each in enumerate(signature.arguments) if each.ndim]
+        self.loaded = self.compiled = False
+        self.__doc__, self.__name__ = function.__doc__, function.__name__
+
+    def __call__(self, *args: Any) -> Any:  # noqa: ANN401
+        """Call the machine code; raises TypeError for arguments of other types."""
+        try:
+            for k, ndim, dtype, mask in self.arrays:
+                array = args[k]
+                if array.flags.num & mask != mask or array.ndim != ndim or array.dtype != dtype:
+                    raise TypeError(self._mismatch(args))
+        except (AttributeError, IndexError):
+            raise TypeError(self._mismatch(args)) from None
+        return self.run(*args)
+
+    def run(self, *args: Any) -> Any:  # noqa: ANN401
+        """Load the machine code, which takes the place of this function, and call it."""
+        self.load()
+        return self.run(*args)
+
+    def _mismatch(self, args: tuple[Any, ...]) -> str:
+        given = ", ".join(f"{getattr(each, 'dtype', type(each).__name__)}{getattr(each, 'shape', '')}" for each in args)
+        return f"{self.name} takes other arguments than ({given})"
 
     @cached_property
     def _entry(self) -> tuple[str, str]:
         """Key and name of its entry in the cache."""
-        function = self.compiled.py_func
-        return cache_key(), f"{self.module}.{function.__name__}-{source_stamp(self.module).hex()[:24]}"
+        return cache_key(), f"{self.module}.{self.name}-{source_stamp(self.module).hex()[:24]}"
 
     @cached_property
     def code(self) -> bytes | None:
@@ -52,63 +92,48 @@ class Kernel:
 
     def load(self) -> None:
         """Make it callable: from the disk, or else by compiling it, which keeps it there for the next time."""
-        if not self.compiled.overloads:
-            if not self._from_disk():
-                self._compile()
-            self.compiled.disable_compile()
-            self.code = None
+        if self.loaded:
+            return
+        run = None if self.code is None else self._from_disk(self.code)
+        if run is None:
+            from mavnav.kernels._compiler import compiled  # noqa: PLC0415
 
-    def _from_disk(self) -> bool:
-        """Load the code as numba's cache would, but without its compiler; tell whether that was possible.
+            run, made = compiled(self.function, self.signature)
+            self.compiled = True
+            if made is not None:
+                write_code(*self._entry, made.packed())
+        self.run, self.loaded, self.code = run, True, None  # type: ignore[method-assign]
 
-        A numba that has moved these parts cannot, and compiles. Nor can one that finds other content than it wrote.
-        """
-        if self.code is None:
-            return False
-        context = self.compiled.targetctx
+    def _from_disk(self, content: bytes) -> Callable[..., Any] | None:
+        """Load the code without numba, or with it where that fails; None where it is not what numba wrote."""
         try:
-            _initialize(context)
-            found = numba.core.compiler.CompileResult._rebuild(context, *pickle.loads(self.code))  # noqa: S301, SLF001
-            context.insert_user_function(found.entry_point, found.fndesc, [found.library])
-            self.compiled.add_overload(found)
-            self.compiled._cache_hits[self.signature] += 1  # noqa: SLF001
-        except Exception:  # whatever is wrong with the entry, it is made anew
-            return bool(self.compiled.overloads)
-        return True
-
-    def _compile(self) -> None:
-        with whole_kernels(self.compiled.targetctx):
-            self.compiled.compile(self.signature)
-        (result,) = self.compiled.overloads.values()
+            entry = MachineCode.unpacked(content)
+        except (ValueError, EOFError, TypeError):
+            return None
         try:
-            write_code(*self._entry, _packed(result))
-        except (AttributeError, ImportError, TypeError, ValueError):
-            return  # a numba that has moved these parts: kernels compile at every start
+            return loaded(entry, self.module, self.name)
+        except Exception:  # numba has moved something: it knows where
+            from mavnav.kernels._compiler import loaded_by_numba  # noqa: PLC0415
+
+            return loaded_by_numba(entry, self.function, self.signature)
 
 
 KERNELS: list[Kernel] = []
 """All kernels of the modules that are loaded."""
 
 
-def kernel(signature: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:  # noqa: ANN401
+def kernel(signature: Signature) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Make a kernel of a function that Python calls: compiled for one explicit signature, once a machine.
 
     Its machine code is loaded by the first call. Division is C-like, and the GIL is released.
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        compiled = numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
-        if not numba.config.DISABLE_JIT:
-            made = Kernel(compiled, signature)
-            KERNELS.append(made)
-
-            def first_call(*_: Any, **__: Any) -> Any:  # noqa: ANN401
-                """Return what numba then calls with the same arguments."""
-                made.load()
-                return compiled
-
-            compiled._compile_for_args = first_call  # noqa: SLF001
-        return cast("Callable[P, R]", compiled)
+        if DISABLED:
+            return function
+        made = Kernel(function, signature)
+        KERNELS.append(made)
+        return cast("Callable[P, R]", made)
 
     return decorate
 
@@ -118,33 +143,12 @@ def helper(function: Callable[P, R]) -> Callable[P, R]:
 
     Its machine code is part of theirs; alone it is neither kept on disk nor callable from Python.
     """
-    compiled = numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True, no_cpython_wrapper=True)(function)
-    return cast("Callable[P, R]", compiled)
+    return function if DISABLED else cast("Callable[P, R]", Helper(function))
 
 
-@cache
-def cache_key() -> str:
-    """Return what machine code depends on besides its source: numba, Python, the system and the processor."""
-    from numba.core.registry import cpu_target  # noqa: PLC0415
+def _demands(array: Type) -> tuple[Any, int]:
+    """Return the dtype of an array, and the flags that it must have."""
+    import numpy as np  # noqa: PLC0415
 
-    processor = repr(cpu_target.target_context.codegen().magic_tuple())
-    digest = sha256(processor.encode()).hexdigest()[:16]
-    return f"numba-{numba.__version__}-py{version_info.major}{version_info.minor}-{digest}"
-
-
-def _initialize(context: Any) -> None:  # noqa: ANN401
-    """Load numba's runtime, but not its knowledge of all of Python and NumPy, which takes 0.3 s."""
-    try:
-        rtsys.initialize(context)
-    except AttributeError:
-        context.refresh()
-
-
-def _packed(result: Any) -> bytes:  # noqa: ANN401
-    """Return the machine code of a compiled function, without what only other functions that call it would need."""
-    from llvmlite.binding import parse_assembly  # noqa: PLC0415
-    from numba.core.serialize import dumps  # noqa: PLC0415
-
-    (name, kind, (code, _)), *rest = result._reduce()  # noqa: SLF001
-    names = f'define void @"{result.fndesc.llvm_cpython_wrapper_name}"() {{ ret void }}'
-    return cast("bytes", dumps(((name, kind, (code, parse_assembly(names).as_bitcode())), *rest)))
+    ordered = _C_ORDERED if array.layout == "C" else 0
+    return np.dtype(array.name), _ALIGNED | ordered | (0 if array.readonly else _WRITABLE)

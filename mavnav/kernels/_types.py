@@ -1,26 +1,105 @@
-"""The types of the arrays that kernels read: read-only, C-ordered unless they are called strided."""
+"""The types of what kernels take and return, by the names that numba has for them; numba is not imported.
+
+Arrays that kernels only read are C-ordered unless they are called strided. Inside a kernel a type of numbers converts,
+as numba's does.
+"""
 
 from __future__ import annotations
 
-from numba import boolean, float64, int8, int16, int32, int64, types, uint8, uint16, uint32
+from dataclasses import dataclass, replace
+from typing import Any
 
-BOOL_2D = types.Array(boolean, 2, "C", readonly=True)
 
-F32_2D = types.Array(types.float32, 2, "C", readonly=True)
+@dataclass(frozen=True, slots=True)
+class Type:
+    """Numbers of one kind, or with ``ndim`` an array of them; ``layout`` is C (C-ordered) or A (any)."""
 
-F64_1D = types.Array(float64, 1, "C", readonly=True)
-F64_2D = types.Array(float64, 2, "C", readonly=True)
+    name: str
+    ndim: int = 0
+    layout: str = "C"
+    readonly: bool = False
 
-I8_2D = types.Array(int8, 2, "C", readonly=True)
-I16_3D = types.Array(int16, 3, "C", readonly=True)
-I32_2D = types.Array(int32, 2, "C", readonly=True)
-I64_1D = types.Array(int64, 1, "C", readonly=True)
-I64_2D = types.Array(int64, 2, "C", readonly=True)
-I64_3D = types.Array(int64, 3, "C", readonly=True)
+    def __getitem__(self, axes: slice | tuple[slice, ...]) -> Type:
+        """Return the C-ordered array that a kernel may write: ``float64[:, ::1]``."""
+        return replace(self, ndim=len(axes) if isinstance(axes, tuple) else 1)
 
-U8_3D = types.Array(uint8, 3, "C", readonly=True)
+    def __call__(self, *types: Any) -> Any:  # noqa: ANN401
+        """Return the signature of a kernel that returns this, given those of its arguments; or convert a number."""
+        if all(isinstance(each, Type) for each in types):
+            return Signature(self, types)
+        import numpy as np  # noqa: PLC0415
 
-U16_2D = types.Array(uint16, 2, "C", readonly=True)
-U16_3D = types.Array(uint16, 3, "C", readonly=True)
-U16_2D_STRIDED = types.Array(uint16, 2, "A", readonly=True)
-U32_2D = types.Array(uint32, 2, "C", readonly=True)
+        return np.dtype(self.name).type(*types)
+
+    @property
+    def numba(self) -> Any:  # noqa: ANN401
+        """The type itself; imports numba."""
+        from numba import types  # noqa: PLC0415
+
+        scalar = getattr(types, self.name)
+        return types.Array(scalar, self.ndim, self.layout, readonly=self.readonly) if self.ndim else scalar
+
+    @property
+    def _numba_type_(self) -> Any:  # noqa: ANN401
+        """What numba takes this for where a kernel converts a number."""
+        from numba import types  # noqa: PLC0415
+
+        return types.NumberClass(getattr(types, self.name))
+
+
+@dataclass(frozen=True, slots=True)
+class Several:
+    """A tuple of values that a kernel returns."""
+
+    items: tuple[Type, ...]
+
+    def __call__(self, *types: Type) -> Signature:
+        """Return the signature of a kernel that returns this, given those of its arguments."""
+        return Signature(self, types)
+
+    @property
+    def numba(self) -> Any:  # noqa: ANN401
+        """The type itself; imports numba."""
+        from numba import types  # noqa: PLC0415
+
+        return types.Tuple([item.numba for item in self.items])
+
+
+@dataclass(frozen=True, slots=True)
+class Signature:
+    """What a kernel returns, and what it takes."""
+
+    result: Type | Several
+    arguments: tuple[Type, ...]
+
+    @property
+    def numba(self) -> Any:  # noqa: ANN401
+        """The signature itself; imports numba."""
+        return self.result.numba(*(argument.numba for argument in self.arguments))
+
+
+boolean, void = Type("bool_"), Type("void")
+int8, int16, int32, int64 = Type("int8"), Type("int16"), Type("int32"), Type("int64")
+uint8, uint16, uint32, uint64 = Type("uint8"), Type("uint16"), Type("uint32"), Type("uint64")
+float32, float64 = Type("float32"), Type("float64")
+
+BOOL_2D = Type("bool_", 2, readonly=True)
+
+F32_2D = Type("float32", 2, readonly=True)
+
+F64_1D = Type("float64", 1, readonly=True)
+F64_2D = Type("float64", 2, readonly=True)
+
+I8_2D = Type("int8", 2, readonly=True)
+I16_3D = Type("int16", 3, readonly=True)
+I32_2D = Type("int32", 2, readonly=True)
+I64_1D = Type("int64", 1, readonly=True)
+I64_2D = Type("int64", 2, readonly=True)
+I64_3D = Type("int64", 3, readonly=True)
+
+U8_3D = Type("uint8", 3, readonly=True)
+
+U16_2D = Type("uint16", 2, readonly=True)
+U16_3D = Type("uint16", 3, readonly=True)
+U16_2D_STRIDED = Type("uint16", 2, "A", readonly=True)
+U32_2D = Type("uint32", 2, readonly=True)

@@ -11,10 +11,9 @@ from contextlib import suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
-import numba
-
 from mavnav.kernels._cache import share_private_directory
-from mavnav.kernels._jit import KERNELS, Kernel, cache_key
+from mavnav.kernels._jit import DISABLED, KERNELS, Kernel
+from mavnav.kernels._loader import cache_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
@@ -45,11 +44,10 @@ def prepare(progress: Progress, unused: Collection[str] = ()) -> None:
     ``progress`` hears of what is compiled, and of nothing otherwise. Kernels of the modules in ``unused`` (names within
     ``mavnav.kernels``) are left out. What could not be compiled here is compiled when it is first called.
     """
-    if numba.config.DISABLE_JIT:
+    if DISABLED:
         return
     skipped = {_full(name) for name in unused}
-    missing = [made for made in KERNELS if made.module not in skipped and made.code is None]
-    missing = [made for made in missing if not made.compiled.overloads]
+    missing = [made for made in KERNELS if not made.loaded and made.module not in skipped and made.code is None]
     if not missing:
         return
     share_private_directory(cache_key())
@@ -72,7 +70,7 @@ def _compiled(kernels: Sequence[Kernel]) -> Iterator[None]:
     """Compile kernels into the cache; yields at the start, and whenever one is done."""
     paths = os.pathsep.join(map(os.path.abspath, sys.path))
     environment = os.environ | {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"} | _FASTER
-    names = [f"{made.module}:{made.compiled.py_func.__name__}" for made in kernels]
+    names = [f"{made.module}:{made.name}" for made in kernels]
     command = [sys.executable, "-P", "-c", _SERVE, *names]
     yield
     null, group = subprocess.DEVNULL, 0 if hasattr(os, "killpg") else None
@@ -103,13 +101,14 @@ def serve() -> None:
 
     The process forks to as many as there are cores; they take the next kernel from a pipe, which holds its number.
     """
+    from mavnav.kernels._compiler import learn  # noqa: PLC0415  it imports numba
+
     gc.disable()
     names = sys.argv[1:256]
     for name in names:
         import_module(name.partition(":")[0])
-    by_name = {f"{made.module}:{made.compiled.py_func.__name__}": made for made in KERNELS}
-    by_name[names[0]].compiled.targetctx.refresh()
-    by_name[names[0]].compiled.typingctx.refresh()
+    by_name = {f"{made.module}:{made.name}": made for made in KERNELS}
+    learn()
     numbers, entrance = os.pipe()
     os.write(entrance, bytes(range(len(names))))
     os.close(entrance)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import int64
 
 from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F64_1D, F64_2D, U16_2D, U16_3D, U32_2D
+from mavnav.kernels._types import F64_1D, F64_2D, U16_2D, U16_3D, U32_2D, int64
 from mavnav.kernels.layout import EXPLAINED_CELLS, FAR, WALL_HITS
 from mavnav.kernels.lookup import closeness_of, count_at
 

@@ -9,10 +9,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int64, types, uint8
 
 from mavnav.kernels._jit import kernel
-from mavnav.kernels._types import F64_1D, F64_2D, I64_1D, U32_2D
+from mavnav.kernels._types import F64_1D, F64_2D, I64_1D, U32_2D, Several, float64, int64, uint8
 from mavnav.kernels.layout import LEVELS, WORST
 from mavnav.kernels.lookup import line_distance2, slot_of
 
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-@kernel(types.Tuple((uint8[:, :, ::1], uint8[:, :, ::1]))(I64_1D, int64, float64, U32_2D, F64_2D, F64_1D))
+@kernel(Several((uint8[:, :, ::1], uint8[:, :, ::1]))(I64_1D, int64, float64, U32_2D, F64_2D, F64_1D))
 def cost_floors(
     box: NDArray[np.int64],
     step: int,

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import int64
 
 from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import I16_3D, U16_2D, U16_3D
+from mavnav.kernels._types import I16_3D, U16_2D, U16_3D, int64
 from mavnav.kernels.layout import EXPLAINED_CELLS, MOST_SHIELDED, WALL_HITS
 from mavnav.kernels.lookup import count_at
 

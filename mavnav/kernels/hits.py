@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int8, int16, int32, int64, uint16, uint64, void
 
 from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F64_1D, F64_2D, I8_2D
+from mavnav.kernels._types import F64_1D, F64_2D, I8_2D, float64, int8, int16, int32, int64, uint16, uint64, void
 from mavnav.kernels.layout import MOST, MOST_SHIELDED, SHIFT, WIDE
 
 if TYPE_CHECKING:

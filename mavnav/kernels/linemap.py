@@ -22,10 +22,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, uint32, uint64, void
 
 from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F64_1D, F64_2D
+from mavnav.kernels._types import F64_1D, F64_2D, float64, int32, int64, uint32, uint64, void
 from mavnav.kernels.layout import FAR, NEAR, REACH_CELLS
 from mavnav.kernels.lookup import closeness_of, slot_of
 

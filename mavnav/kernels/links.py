@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32
 
 from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F64_2D, I64_1D, I64_3D
+from mavnav.kernels._types import F64_2D, I64_1D, I64_3D, float64, int32
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

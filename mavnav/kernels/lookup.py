@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from numba import int64, uint64
-
 from mavnav.kernels._jit import helper
+from mavnav.kernels._types import int64, uint64
 from mavnav.kernels.layout import NEAR, SHIFT, WIDE
 
 if TYPE_CHECKING:

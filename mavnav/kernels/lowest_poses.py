@@ -10,10 +10,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import float64, int64, uint16, uint64
 
 from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F64_1D, F64_2D, I64_1D, U8_3D, U32_2D
+from mavnav.kernels._types import F64_1D, F64_2D, I64_1D, U8_3D, U32_2D, float64, int64, uint8, uint16, uint64
 from mavnav.kernels.correlative_search import pose_cost
 from mavnav.kernels.layout import LEVELS, WORST
 
@@ -33,7 +32,10 @@ ROUNDING = 1.0 - 1e-9
 """What bounds are lowered by: a mean of costs is off by some 1e-14."""
 
 SLICE = 256
-"""The squares are ordered in slices; so many are in the first one at least, and each is twice the one before."""
+"""The squares are ordered in slices; so many are in the first one at least, and each is four times the one before."""
+
+AT_ONCE = 20
+"""Points after whose bounds a sum is compared with the limit."""
 
 
 class Heap(NamedTuple):
@@ -135,62 +137,69 @@ def _holds_any(index: NDArray[np.int32], row: int, col: int, side: int) -> bool:
 
 
 @helper
-def _squares(index: NDArray[np.int32]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Return which squares hold positions, (rows, cols) of squares, and the stretch of them in each row, (rows, 2)."""
+def _squares(index: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Return which squares hold positions, (rows, cols) of squares."""
     rows, cols = index.shape[0] // SIDE, index.shape[1] // SIDE
-    held, spans = np.zeros((rows, cols), np.bool_), np.zeros((rows, 2), np.int64)
+    held = np.zeros((rows, cols), np.bool_)
     for row in range(rows):
         for col in range(cols):
-            if _holds_any(index, row * SIDE, col * SIDE, SIDE):
-                held[row, col] = True
-                if spans[row, 1] == 0:
-                    spans[row, 0] = col
-                spans[row, 1] = col + 1
-    return held, spans
+            held[row, col] = _holds_any(index, row * SIDE, col * SIDE, SIDE)
+    return held
+
+
+@helper
+def _widened(planes: NDArray[np.uint8], cols: int) -> NDArray[np.uint8]:
+    """Return planes of so many columns at least; those added are worst."""
+    n, rows, had = planes.shape
+    if had >= cols:
+        return planes
+    out = np.full((n, rows, cols), uint8(WORST))
+    for plane in range(n):
+        for row in range(rows):
+            for col in range(had):
+                out[plane, row, col] = planes[plane, row, col]
+    return out
 
 
 @helper
 def _bound_squares(
-    cells: NDArray[np.int32],
-    count: int,
-    spans: NDArray[np.int64],
-    step: int,
-    planes: NDArray[np.uint8],
-    sums: NDArray[np.uint16],
+    cells: NDArray[np.int32], count: int, step: int, planes: NDArray[np.uint8], sums: NDArray[np.uint16]
 ) -> None:
-    """Bound the summed cost of the points, at one yaw, on the squares (rows, cols) in their spans."""
+    """Bound the summed cost of the points, at one yaw, on squares row by row; a row is as long as that of a plane.
+
+    All rows are added at once. A point beyond the first or last column is thus bounded by the cell that lies there in
+    memory: too low a bound is one, too.
+    """
     _, rows, cols = planes.shape
-    apart = SIDE * step
+    apart, n = SIDE * step, len(sums)
     sums[:] = uint16(0)
     for k in range(count):
-        first_row, col = cells[0, k] // apart, cells[1, k] // apart
-        plane = planes[cells[0, k] % apart * apart + cells[1, k] % apart]
-        for row in range(len(spans)):
-            begin, end = spans[row]
-            low = high = end
-            if 0 <= first_row + row < rows:
-                low = min(max(-col, begin), end)
-                high = max(min(cols - col, end), low)
-                inside, line = sums[row, low:high], plane[first_row + row, col + low : col + high]
-                for j in range(len(inside)):
-                    inside[j] += uint16(line[j])
-            for j in range(begin, low):
-                sums[row, j] += uint16(WORST)
-            for j in range(high, end):
-                sums[row, j] += uint16(WORST)
+        first = cells[0, k] // apart * cols + cells[1, k] // apart
+        plane = planes[cells[0, k] % apart * apart + cells[1, k] % apart].ravel()
+        low = min(max(-first, 0), n)
+        high = max(min(rows * cols - first, n), low)
+        inside, line = sums[low:high], plane[first + low : first + high]
+        for j in range(len(inside)):
+            inside[j] += uint16(line[j])
+        for j in range(low):
+            sums[j] += uint16(WORST)
+        for j in range(high, n):
+            sums[j] += uint16(WORST)
 
 
 @helper
 def _bound_quarters(
-    cells: NDArray[np.int32], count: int, row: int, col: int, side: int, floors: NDArray[np.uint8]
+    cells: NDArray[np.int32], count: int, row: int, col: int, side: int, floors: NDArray[np.uint8], most: int
 ) -> tuple[int, int, int, int]:
     """Bound the summed cost of the points on the quarters of a square, whose first cell and quarters' side are given.
 
-    ``floors`` (rows, cols) are of the level of the quarters.
+    ``floors`` (rows, cols) are of the level of the quarters. Once all sums are over ``most`` the rest is left out.
     """
     rows, cols = floors.shape
     a = b = c = d = 0
     for k in range(count):
+        if k % AT_ONCE == 0 and min(a, b, c, d) > most:
+            break
         y, x = cells[0, k] + row, cells[1, k] + col
         if 0 <= y < rows - side and 0 <= x < cols - side:
             r, s = uint64(y), uint64(x)
@@ -221,7 +230,9 @@ def _upper_sum(histogram: NDArray[np.int64], after: int, least: int) -> int:
 
 
 @kernel(
-    float64[:, ::1](F64_2D, F64_2D, F64_1D, float64, F64_1D, int64, int64, I64_1D, U8_3D, U8_3D, U32_2D, F64_2D, F64_1D)
+    float64[:, ::1](
+        F64_2D, F64_2D, F64_1D, float64, F64_1D, float64, int64, int64, I64_1D, U8_3D, U8_3D, U32_2D, F64_2D, F64_1D
+    )
 )
 def lowest_poses(
     points: NDArray[np.float64],
@@ -229,6 +240,7 @@ def lowest_poses(
     yaws_rad: NDArray[np.float64],
     truncate_m: float,
     separate: NDArray[np.float64],
+    limit_m2: float,
     most: int,
     step: int,
     corner: NDArray[np.int64],
@@ -240,33 +252,34 @@ def lowest_poses(
 ) -> NDArray[np.float64]:
     """Find the ``most`` lowest costs of ``pose_costs`` that lie apart; returns cost (m2), yaw and position: (m, 3).
 
+    None costs more than ``limit_m2``.
     Each is the lowest that is not within ``separate`` (m, rad) of one before it; of equal costs it is the first.
     ``xy_map_m`` (p, 2) are positions of a lattice of ``step`` cells, row by row. ``floors`` are ``cost_floors`` of the
     same step from the cell ``corner`` (row, col) on, with all cells that points at these poses may be in.
     """
     index, x0, y0 = _lattice(xy_map_m, step * geometry[2])
     cells, counts = _cells(points, (x0, y0), yaws_rad, corner, geometry)
-    held, spans = _squares(index)
+    held = _squares(index)
     positions, n_yaws, (square_rows, square_cols) = index.size, len(yaws_rad), held.shape
-    sums, histogram = (
-        np.empty((n_yaws, square_rows, square_cols), np.uint16),
-        np.zeros(MOST_POINTS * WORST + 1, np.int64),
-    )
+    wide = _widened(planes, square_cols)
+    sums = np.empty((n_yaws, square_rows, wide.shape[2]), np.uint16)
+    histogram = np.zeros(MOST_POINTS * WORST + 1, np.int64)
     for q in range(n_yaws):
-        _bound_squares(cells[q], counts[q], spans, step, planes, sums[q])
+        _bound_squares(cells[q], counts[q], step, wide, sums[q].ravel())
         for row in range(square_rows):
             for col in range(square_cols):
                 histogram[sums[q, row, col]] += held[row, col]
     scale = ROUNDING * truncate_m * truncate_m / (WORST * len(points))
+    limit = int(min(limit_m2 / scale, float(len(histogram)))) + 1
     kind = n_yaws * positions  # a code is the level, downwards, LEVELS if exact, times this, plus yaw and position
     heap, count, upper, slice_size = Heap(np.empty(4 * SLICE), np.empty(4 * SLICE, np.int64)), 0, -1, SLICE
     found, n = np.empty((most, 3)), 0
     while n < most:
         if count == 0 or (upper + 1 < len(histogram) and heap.cost_m2[0] >= (upper + 1) * scale):
-            if upper + 1 >= len(histogram):
+            if upper + 1 >= len(histogram) or (upper + 1) * scale > limit_m2:
                 break
             lower, upper = upper, _upper_sum(histogram, upper, slice_size)
-            slice_size *= 2
+            slice_size *= 4
             for q in range(n_yaws):
                 for row in range(square_rows):
                     for col in range(square_cols):
@@ -277,16 +290,18 @@ def lowest_poses(
                             count += 1
             continue
         cost_m2, code = heap.cost_m2[0], heap.code[0]
+        if cost_m2 > limit_m2:
+            break
         _pop(heap, count)
         count -= 1
         level, at = TOP - code // kind, code % kind
         q, row, col = at // positions, at % positions // index.shape[1], at % index.shape[1]
         if level > 0:
             side = 1 << (level - 1)
-            bounds = _bound_quarters(cells[q], counts[q], row * step, col * step, side * step, floors[level - 1])
+            bounds = _bound_quarters(cells[q], counts[q], row * step, col * step, side * step, floors[level - 1], limit)
             for k in range(4):
                 r, c = k // 2 * side, k % 2 * side
-                if _holds_any(index, row + r, col + c, side):
+                if bounds[k] <= limit and _holds_any(index, row + r, col + c, side):
                     heap = _grown(heap, count)
                     code = (TOP - level + 1) * kind + at + r * index.shape[1] + c
                     _push(heap, count, bounds[k] * scale, code)

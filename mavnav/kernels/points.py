@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64, types, uint64
 
 from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F64_1D, F64_2D
+from mavnav.kernels._types import F64_1D, F64_2D, Several, float64, int32, int64, uint64
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -86,7 +85,7 @@ def voxel_means(points: NDArray[np.float64], voxel_m: float, out: NDArray[np.flo
     return m
 
 
-@kernel(types.UniTuple(int64, 2)(F64_1D, F64_2D, F64_1D, float64, F64_1D, float64[:, ::1], float64[:, ::1]))
+@kernel(Several((int64, int64))(F64_1D, F64_2D, F64_1D, float64, F64_1D, float64[:, ::1], float64[:, ::1]))
 def scan_points(
     ranges_m: NDArray[np.float64],
     directions: NDArray[np.float64],
@@ -122,13 +121,13 @@ def _extent(points: NDArray[np.float64]) -> tuple[float, float, float, float]:
     return low_x, low_y, high_x, high_y
 
 
-@kernel(types.UniTuple(float64, 4)(F64_2D))
+@kernel(Several((float64, float64, float64, float64))(F64_2D))
 def extent(points: NDArray[np.float64]) -> tuple[float, float, float, float]:
     """Return least x, least y, largest x and largest y of points (n, 2); without points inf, inf, -inf, -inf."""
     return _extent(points)
 
 
-@kernel(types.UniTuple(float64, 4)(F64_2D, F64_1D, float64[:, ::1]))
+@kernel(Several((float64, float64, float64, float64))(F64_2D, F64_1D, float64[:, ::1]))
 def placed(
     points: NDArray[np.float64], pose: NDArray[np.float64], out: NDArray[np.float64]
 ) -> tuple[float, float, float, float]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int64
 
 from mavnav.kernels._jit import kernel
-from mavnav.kernels._types import F64_1D, F64_2D, U16_2D, U16_3D
+from mavnav.kernels._types import F64_1D, F64_2D, U16_2D, U16_3D, float64, int64
 from mavnav.kernels.lookup import count_at
 
 if TYPE_CHECKING:

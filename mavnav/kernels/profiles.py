@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int32, int64
 
 from mavnav.kernels._jit import kernel
-from mavnav.kernels._types import F64_2D, U16_2D_STRIDED
+from mavnav.kernels._types import F64_2D, U16_2D_STRIDED, float64, int32, int64
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import boolean, float64, int64, uint64
 
 from mavnav.kernels._jit import kernel
-from mavnav.kernels._types import F64_1D, F64_2D, U16_3D
+from mavnav.kernels._types import F64_1D, F64_2D, U16_3D, boolean, float64, int64, uint64
 from mavnav.kernels.layout import SHIFT, WIDE
 
 if TYPE_CHECKING:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float64, int64
 
 from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F64_1D, F64_2D, I64_2D
+from mavnav.kernels._types import F64_1D, F64_2D, I64_2D, float64, int64
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import float32, float64
 
 from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F32_2D, F64_1D
+from mavnav.kernels._types import F32_2D, F64_1D, float32, float64
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

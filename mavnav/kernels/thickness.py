@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba as nb
 import numpy as np
 
 from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import I64_2D, U16_2D_STRIDED
+from mavnav.kernels._types import I64_2D, U16_2D_STRIDED, float64, int64
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-@kernel(nb.int64[:, ::1](U16_2D_STRIDED, nb.int64, nb.int64))
+@kernel(int64[:, ::1](U16_2D_STRIDED, int64, int64))
 def column_runs(hits: NDArray[np.uint16], min_hits: int, max_gap: int) -> NDArray[np.int64]:
     """Find the runs of occupied cells along the columns.
 
@@ -117,7 +116,7 @@ def _sum_up(
                     depth = _push_stretch(free, near, c, stack, depth)
 
 
-@kernel(nb.float64[:, ::1](U16_2D_STRIDED, I64_2D, nb.int64, nb.int64, nb.float64))
+@kernel(float64[:, ::1](U16_2D_STRIDED, I64_2D, int64, int64, float64))
 def run_moments(
     hits: NDArray[np.uint16], runs: NDArray[np.int64], min_hits: int, max_gap: int, radius: float
 ) -> NDArray[np.float64]:

@@ -9,7 +9,8 @@ import numpy as np
 
 from mavnav.errors import NoScansError, TopicError
 from mavnav.logs.formats import detect
-from mavnav.logs.messages.decode import LASER_TYPES, decoder, is_laser
+from mavnav.logs.messages.decode import LASER_TYPES, decoder, holds_scans
+from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.odometry import jump
 from mavnav.logs.preprocessing import KINDS, ScanFilter
@@ -137,12 +138,12 @@ class Log:
 def _laser_messages(path: Path, topic: str, report: ReadReport, *, strict: bool) -> Iterator[LaserMessage]:
     decoders: dict[object, Callable[[bytes], LaserMessage] | None] = {}
     for channel, _, data, suspect in detect.read(path, report):
-        if channel.topic != topic or not is_laser(channel) or (strict and suspect):
+        if not holds_scans(channel, topic) or (strict and suspect):
             continue
         try:
             if channel not in decoders:
                 decoders[channel] = None
-                decoders[channel] = decoder(channel)
+                decoders[channel] = decoder(channel, topic=topic)
             decode = decoders[channel]
             if decode is not None:
                 yield decode(data)
@@ -277,6 +278,11 @@ def _no_scans(found: Survey) -> str:
     reason = next((d for d in found.damage if d.where in lasers or not any(t.count for t in found.topics)), None)
     if reason is not None:
         return f"{found.path}: no usable scans; {reason.what} ({reason.where})"
+    others = [t.name for t in found.topics if t.type in OTHER_TYPES and t.count]
+    if others:
+        return (
+            f"{found.path}: no LaserScan messages; choose the messages to take scans from with --topic: {_some(others)}"
+        )
     kinds = [f"{t.name} ({t.type or 'no type'} in {t.encoding or 'no encoding'}, {t.count})" for t in found.topics]
     return f"{found.path}: no LaserScan messages; topics here: {_some(kinds) or 'none'}"
 

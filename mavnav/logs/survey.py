@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -12,8 +12,9 @@ from mavnav.errors import NoScansError, UsageError
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.rosbag2 import METADATA
 from mavnav.logs.formats.source import Source
-from mavnav.logs.messages.decode import decoder, is_laser
+from mavnav.logs.messages.decode import decoder, holds_scans, is_laser
 from mavnav.logs.messages.definitions import ODOMETRY
+from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.odometry import OdometryTracks
 from mavnav.logs.preprocessing import ScanFilter
@@ -62,10 +63,13 @@ class Survey:
 
 @dataclass(slots=True)
 class _Kind:
-    """What there is to know of a channel's messages; ``decode`` is None where there is no use for them."""
+    """What there is to know of a channel's messages; ``decode`` is None where there is no use for them.
+
+    ``scan_topic`` is the topic whose scans they are, None where they are none.
+    """
 
     decode: Callable[[bytes], Any] | None
-    is_laser: bool
+    scan_topic: str | None
     count: int = 0
 
 
@@ -91,28 +95,30 @@ class _Pass:
         if kind.decode is None:
             return
         if self.strict and message.suspect:
-            self._refuse(channel, "suspect")
+            self._refuse(kind.scan_topic, "suspect")
             return
         try:
             decoded = kind.decode(message.data)
         except DecodeError as error:
             self.report.damage(f"a message does not decode ({error})", f"{channel.topic}, {message.log_ns} ns")
-            self._refuse(channel, "undecodable")
+            self._refuse(kind.scan_topic, "undecodable")
             return
-        if kind.is_laser:
-            self._take_scan(message, decoded)
+        if kind.scan_topic is not None:
+            self._take_scan(kind.scan_topic, message, decoded)
         else:
             self._take_motion(message, decoded)
 
     def _meet(self, channel: Channel) -> _Kind:
-        self.kinds[channel] = _Kind(self._decoder(channel), is_laser(channel))
+        wanted = holds_scans(channel, self.topic)
+        topic = (self.topic or channel.topic) if wanted else None
+        self.kinds[channel] = _Kind(self._decoder(channel), topic)
         return self.kinds[channel]
 
     def _decoder(self, channel: Channel) -> Callable[[bytes], Any] | None:
-        if is_laser(channel) and self.topic not in (None, channel.topic):
+        if is_laser(channel) and not holds_scans(channel, self.topic):
             return None
         try:
-            return decoder(channel, poses=self.truth.takes(channel))
+            return decoder(channel, poses=self.truth.takes(channel), topic=self.topic)
         except DecodeError as error:
             self.report.damage(str(error), channel.topic)
             return None
@@ -129,8 +135,7 @@ class _Pass:
             if not static:
                 self.odometry.add_transforms(channel.topic, decoded, log_ns)
 
-    def _take_scan(self, message: RawMessage, laser: LaserMessage) -> None:
-        topic = message.channel.topic
+    def _take_scan(self, topic: str, message: RawMessage, laser: LaserMessage) -> None:
         scans = self._scans(topic)
         scans.total += 1
         admitted = self.doors[topic].admit(laser)
@@ -141,9 +146,9 @@ class _Pass:
         scans.keep(spec, ranges_m)
         scans.add((laser.stamp_ns, message.log_ns), spec, laser.frame_id, counts, suspect=message.suspect)
 
-    def _refuse(self, channel: Channel, reason: str) -> None:
-        if is_laser(channel):
-            scans = self._scans(channel.topic)
+    def _refuse(self, topic: str | None, reason: str) -> None:
+        if topic is not None:
+            scans = self._scans(topic)
             scans.total += 1
             scans.refused[reason] += 1
 
@@ -197,6 +202,24 @@ def survey(
         never raises: it stands in the survey.
     """
     _check(path, start_s, end_s)
+    found = _survey(path, topic, (start_s, end_s), progress, strict=strict, truth=truth)
+    others = [t.name for t in found.topics if t.type in OTHER_TYPES and t.count]
+    if topic is not None or found.scans or len(others) != 1:
+        return found
+    found = _survey(path, others[0], (start_s, end_s), progress, strict=strict, truth=truth)
+    text = f"the log has no LaserScan messages; the scans are taken from {others[0]}"
+    return replace(found, warnings=(text, *found.warnings)) if found.scans else found
+
+
+def _survey(
+    path: Path,
+    topic: str | None,
+    window_s: tuple[float | None, float | None],
+    progress: Callable[[int, int], None] | None,
+    *,
+    strict: bool,
+    truth: str | None,
+) -> Survey:
     report = ReadReport()
     state = _Pass(topic, strict, report, truth=TruthTracks(truth))
     try:
@@ -221,7 +244,7 @@ def survey(
         frames=state.frames,
         damage=report.damages(),
         warnings=tuple(report.warnings),
-        window_s=(start_s, end_s),
+        window_s=window_s,
         strict=strict,
     )
 

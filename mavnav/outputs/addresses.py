@@ -8,6 +8,9 @@ from urllib.parse import unquote
 
 _SCHEME: Final = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 _IN_TEXT: Final = re.compile(rf"{_SCHEME.pattern}[^\s'\"<>]+", re.IGNORECASE)
+_IN_LINE: Final = re.compile(
+    r"(?P<scheme>[a-z][a-z0-9+.-]+):(?P<slashes>//?)(?P<rest>[^\s'\"<>]*[?#@][^\s'\"<>]*)", re.IGNORECASE
+)
 _LEAST_SECRET: Final = 4
 """Shorter parts of an address stand for other things in a text, too."""
 
@@ -26,6 +29,18 @@ def public_word(word: str) -> str:
     """Return a word of a command line, in which an address may extend from anywhere to the end."""
     begin = _SCHEME.search(word)
     return word if begin is None else word[: begin.start()] + public_address(word[begin.start() :])
+
+
+def public_line(text: str) -> str:
+    """Return a text for people in which all addresses are public, also those that a path has taken a slash from."""
+    return _IN_LINE.sub(_public_found, text) if ":/" in text else text
+
+
+def _public_found(found: re.Match[str]) -> str:
+    scheme, slashes, rest = found["scheme"], found["slashes"], found["rest"]
+    end = rest[len(rest.rstrip(".,:;)")) :]
+    whole = public_address(f"{scheme}://{rest.removesuffix(end)}")
+    return f"{scheme}:{slashes}{whole.partition('://')[2]}{end}"
 
 
 def public_text(text: str, address: str) -> str:

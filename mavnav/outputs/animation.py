@@ -55,8 +55,10 @@ def animate(run: Run, path: Path, *, force: bool = False) -> None:
     """Write the animation of a run; scans are read once more. Raises OutputError where it cannot be written."""
     check_animation(path, force=force)
     try:
-        with beside(path) as partial:
+        with beside(path, exclusive=not force) as partial:
             _write(run, partial)
+    except FileExistsError as error:
+        raise OutputError(f"{path} exists; choose another name for the animation, or --force to replace it") from error
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"{path} cannot be written: {reason}; make room or choose another place") from error

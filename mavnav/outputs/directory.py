@@ -50,9 +50,11 @@ def staged(directory: Path, *, force: bool) -> Iterator[Path]:
     """
     try:
         check_directory(directory, force=force)
-        with beside(directory) as partial:
+        with beside(directory, exclusive=not force) as partial:
             partial.mkdir()
             yield partial
+    except FileExistsError as error:
+        raise OutputError(f"{directory} exists; choose another directory with -o, or --force to replace it") from error
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"{directory} cannot be written: {reason}; make room or choose another with -o") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from errno import ENOENT
 from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from mavnav.outputs.run import Run
 
 _PIXELS: Final = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
+
+MAX_NPZ_BYTES: Final = 1 << 32
 
 _PACKED: Final = 1
 """Of zlib's levels: a fifth of the time of 6, up to a fifth larger."""
@@ -53,10 +56,28 @@ def write_yaml(run: Run, path: Path) -> None:
 
 
 def read_npz(path: Path) -> Grid:
-    """Read the counts that `write_npz` wrote."""
-    with np.load(path) as counts:
-        x_m, y_m = counts["origin_xy_m"].tolist()
-        return Grid(float(counts["cell_m"]), (x_m, y_m), counts["counts"], counts["passes"])
+    """Read the counts that `write_npz` wrote; raises OSError, and ValueError for anything else than them."""
+    if not path.is_file():
+        raise FileNotFoundError(ENOENT, "no such file", str(path))
+    try:
+        _check_size(path)
+        with np.load(path) as counts:
+            (x_m, y_m), cell_m = counts["origin_xy_m"].tolist(), float(counts["cell_m"])
+            hits, passes = counts["counts"], counts["passes"]
+    except (OSError, ValueError, MemoryError):
+        raise
+    except Exception as error:  # numpy, zipfile and zlib have many
+        raise ValueError(f"{path.name} is damaged ({type(error).__name__})") from error
+    sound = hits.ndim == 2 and hits.shape == passes.shape and {hits.dtype.kind, passes.dtype.kind} <= {"i", "u"}
+    if not (sound and 0.0 < cell_m < np.inf and np.isfinite((x_m, y_m)).all()):
+        raise ValueError(f"{path.name} holds no counts of a map")
+    return Grid(cell_m, (x_m, y_m), hits, passes)
+
+
+def _check_size(path: Path) -> None:
+    with zipfile.ZipFile(path) as archive:
+        if sum(inner.file_size for inner in archive.infolist()) > MAX_NPZ_BYTES:
+            raise ValueError(f"{path.name} is larger than {MAX_NPZ_BYTES} bytes")
 
 
 def write_npz(run: Run, path: Path) -> None:

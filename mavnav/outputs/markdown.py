@@ -1,4 +1,4 @@
-"""Tables in GitHub's Markdown."""
+"""Tables in GitHub's Markdown, and cells of CSV files that a spreadsheet takes for text."""
 
 from __future__ import annotations
 
@@ -17,3 +17,8 @@ def escaped(text: str) -> str:
     """Keep Markdown from taking a log's name for its own marks, or a line's end in it for its own."""
     plain = "".join(c if c.isprintable() else "?" for c in text)
     return "".join(f"\\{c}" if c in r"\`*_{}[]<>|#" else c for c in plain)
+
+
+def inert(value: object) -> object:
+    """Return a cell of a CSV file that no spreadsheet takes for a formula: text that could be one begins with ``'``."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value

@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.atomic_files import sync
+from mavnav.errors import UsageError
 from mavnav.memory import give_back
 from mavnav.outputs.directory import RUN_FILE, check_directory, staged
 from mavnav.outputs.document import plain, run_document, to_json, write_metrics
@@ -27,7 +28,7 @@ from mavnav.outputs.trajectory import (
 from mavnav.profiling import Stage
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Collection
     from pathlib import Path
 
 __all__ = ["WRITERS", "Run", "Timing", "Truth", "check_directory", "to_json", "write_page", "write_run"]
@@ -58,15 +59,40 @@ WRITERS: Final[dict[str, Callable[[Run, Path], None]]] = {
     "metrics.json": write_metrics,
 }
 
+GROUPS: Final[dict[str, tuple[str, ...]]] = {
+    "trajectory": ("trajectory.tum", "trajectory_base.tum", "trajectory.csv", "truth.tum", TRUE_WALLS_FILE),
+    "map": ("map.pgm", "map.yaml", "hits.npz"),
+    "metrics": ("walls.csv", "metrics.json"),
+    "pictures": ("map.png", "true_map.png", "wall_thickness.png"),
+    "mcap": ("result.mcap",),
+    "report": (REPORT_FILE,),
+}
+"""The files of a run by the names of ``--outputs``; run.json is always written."""
 
-def write_run(run: Run, directory: Path, *, force: bool = False, report: bool = False) -> dict[str, Any]:
-    """Write all files of a run and return its document, which is run.json; with ``report`` its page as well.
+_OF_PAGE: Final = {"trajectory", "map"}
+"""The groups that a page is drawn from."""
 
-    The directory appears complete or not at all. Raises OutputError where it exists (and ``force`` does not say to
-    replace it), holds something else than a run, or cannot be written.
+
+def check_groups(names: Collection[str]) -> None:
+    """Raise UsageError for a name that is no group of files, and for a page without the files that it is drawn from."""
+    for name in names:
+        if name not in GROUPS:
+            raise UsageError(f"--outputs: unknown {name!r}; known are {', '.join(GROUPS)}")
+    if "report" in names and not set(names) >= _OF_PAGE:
+        raise UsageError("--outputs: report is drawn from trajectory and map; add them")
+
+
+def write_run(
+    run: Run, directory: Path, *, force: bool = False, report: bool = False, groups: Collection[str] | None = None
+) -> dict[str, Any]:
+    """Write the files of a run and return its document, which is run.json; with ``report`` its page as well.
+
+    ``groups`` are the `GROUPS` of files to write, by default all but the page. The directory appears complete or not at
+    all. Raises OutputError where it exists (and ``force`` does not say to replace it), holds something else than a run,
+    or cannot be written.
     """
     with staged(directory, force=force) as folder:
-        digests = {name: _write(run, folder / name) for name in _names(run)}
+        digests = {name: _write(run, folder / name) for name in _names(run, groups)}
         document: dict[str, Any] = plain(run_document(run, digests))
         path = folder / RUN_FILE
         path.write_text(to_json(document), encoding="utf-8")
@@ -81,12 +107,13 @@ def write_page(comparison: dict[str, Any], folder: Path) -> None:
     import_module("mavnav.outputs.report").write_report(comparison, folder, folder / REPORT_FILE)
 
 
-def _names(run: Run) -> list[str]:
-    """Return the files that can be written: some need to know more than every log tells."""
+def _names(run: Run, groups: Collection[str] | None) -> list[str]:
+    """Return the wanted files that can be written: some need to know more than every log tells."""
+    wanted = WRITERS if groups is None else {name for group in groups for name in GROUPS[group]}
     known = {"trajectory_base.tum": run.log.base_T_laser is not None}
     known |= dict.fromkeys(("truth.tum", "true_map.png"), run.truth is not None)
     known[TRUE_WALLS_FILE] = run.true_walls is not None
-    return [name for name in WRITERS if known.get(name, True)]
+    return [name for name in WRITERS if name in wanted and known.get(name, True)]
 
 
 def _write(run: Run, path: Path) -> str:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
 from mavnav.config.loading import load_config, validated
+from mavnav.config.named_files import read_json
 from mavnav.config.yaml_layers import layer_of
 from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import recorded_topic
@@ -21,7 +22,6 @@ from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.provenance import Typed
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pose import Pose
-from mavnav.simulation.world import Scenario
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -81,7 +81,7 @@ def _installed(library: str) -> str:
 def earlier_run(directory: Path, *, simulated: bool) -> EarlierRun:
     """Read a run directory; raises UsageError for what is none, or of the other command."""
     try:
-        document = json.loads((directory / RUN_FILE).read_text(encoding="utf-8"))
+        document = read_json(directory / RUN_FILE)
         kind = document["input"]["format"]
         _ = (
             document["provenance"]["folder"],
@@ -129,6 +129,8 @@ def typed_again(run: EarlierRun, words: Sequence[str]) -> Typed:
 def simulation_again(run: EarlierRun) -> dict[str, Any]:
     """Return the fields of the request that repeats a mission: its effective scenario, whatever became of the file."""
     name, found = str(run.directory / RUN_FILE), run.document["input"]
+    from mavnav.simulation.world import Scenario  # noqa: PLC0415  models take time to build
+
     return {
         "scenario": validated(Scenario, layer_of(json.dumps(run.document["scenario"]), name), name),
         "path": run.path(found["path"]),

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from mavnav import __version__
+from mavnav.config.named_files import read_json
 from mavnav.errors import MavnavError, UsageError
 from mavnav.ground_truth.map_file import occupied_xy_m, read_map
 from mavnav.ground_truth.references import References, check_times, compared
@@ -91,7 +91,7 @@ def _run(directory: Path) -> Subject:
     if not (directory / RUN_FILE).is_file():
         raise UsageError(f"{directory} holds no run (no {RUN_FILE}); name a run directory, or the YAML file of a map")
     try:
-        document = json.loads((directory / RUN_FILE).read_text(encoding="utf-8"))
+        document = read_json(directory / RUN_FILE)
         grid = read_npz(directory / "hits.npz")
         journey = Journey(
             map_T_laser=read_tum(directory / "trajectory.tum"),

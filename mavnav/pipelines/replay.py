@@ -16,6 +16,7 @@ from mavnav.ground_truth.map_file import occupied_xy_m, read_map
 from mavnav.ground_truth.references import check_times, compared, load_references
 from mavnav.ground_truth.topics import truth_text
 from mavnav.logs import check_log, open_log
+from mavnav.logs.formats.detect import SUFFIXES
 from mavnav.mapping.occupancy_grid import measured_part
 from mavnav.memory import give_back
 from mavnav.metrics.journey import Journey
@@ -25,7 +26,7 @@ from mavnav.outputs.directory import check_directory
 from mavnav.outputs.provenance import Typed, provenance, utc_now
 from mavnav.outputs.run import Run, Timing
 from mavnav.outputs.run_json import FoundPose, GivenPose, Localisation, Options, StartPose
-from mavnav.outputs.writers import write_run
+from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
 from mavnav.profiling import new_profile, timed
 from mavnav.slam.pipeline import run_slam
@@ -53,20 +54,18 @@ Stop = Callable[[], ExitCode | None]
 Progress = Callable[[str, int, int | None], None]
 """What is being done, how much of it is done, how much there is or None."""
 
-LOG_SUFFIXES = (".zst", ".zstd", ".active", ".mcap", ".bag", ".db3")
-
 
 @dataclass(frozen=True, slots=True)
 class ReplayRequest:
     """One run: the log, which part of it, with what configuration, and where its results go.
 
     ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base;
-    ``report`` writes the page as well; ``truth``, ``truth_map`` and ``relations`` are files to compare the outcome
-    with, ``truth_topic`` is where the log itself has the truth (``auto``: found by its name); ``strict`` leaves out
-    scans from where a checksum does not match. ``map`` is a map to localise in instead of making one, and
-    ``start_pose`` about where in it the laser begins. ``address`` is where the log was fetched from, for run.json;
-    ``log_sha256`` is the content that the log must have, if the run is to be known by it. ``typed`` is the command
-    line.
+    ``report`` writes the page as well; ``outputs`` are the groups of files to write, None for
+    all; ``truth``, ``truth_map`` and ``relations`` are files to compare the outcome with, ``truth_topic`` is where the
+    log itself has the truth (``auto``: found by its name); ``strict`` leaves out scans from where a checksum does not
+    match. ``map`` is a map to localise in instead of making one, and ``start_pose`` about where in it the laser begins.
+    ``address`` is where the log was fetched from, for run.json; ``log_sha256`` is the content that the log must have,
+    if the run is to be known by it. ``typed`` is the command line.
     """
 
     log: Path
@@ -78,6 +77,7 @@ class ReplayRequest:
     extrinsic: Pose | None = None
     force: bool = False
     report: bool = False
+    outputs: tuple[str, ...] | None = None
     truth: Path | None = None
     truth_topic: str | None = None
     truth_map: Path | None = None
@@ -138,7 +138,7 @@ def log_name(log: Path) -> str:
     """Return what a log is called in the names of directories: a folder as it is, a file without its suffixes."""
     name = log.resolve().name
     if not log.is_dir():
-        for suffix in LOG_SUFFIXES:
+        for suffix in reversed(SUFFIXES):
             name = name.removesuffix(suffix) or name
     return name
 
@@ -166,6 +166,7 @@ def replay_log(
     packages raise: TopicError, NoScansError, UsageError, OutputError; and StoppedError where nothing was tracked yet.
     """
     check_log(request.log, request.start_s, request.end_s)
+    check_groups(request.outputs or ())
     check_directory(request.directory, force=request.force)
     references = load_references(request.truth, request.truth_map, request.relations)
     given = Given(references, read_prior_map(request), replay_provenance(request))
@@ -262,7 +263,8 @@ def _mapped(
         provenance=given.provenance,
     )
     progress("writing", 0, None)
-    return run, write_run(run, request.directory, force=request.force, report=request.report)
+    document = write_run(run, request.directory, force=request.force, report=request.report, groups=request.outputs)
+    return run, document
 
 
 @timed("measuring")

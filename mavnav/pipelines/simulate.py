@@ -24,7 +24,7 @@ from mavnav.outputs.directory import check_directory
 from mavnav.outputs.provenance import Typed, provenance, utc_now
 from mavnav.outputs.run import Mission, Run, Timing, Truth, WallShapes
 from mavnav.outputs.run_json import MissionResult, TruthErrors
-from mavnav.outputs.writers import write_run
+from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.replay import Progress, measured_map
 from mavnav.pose import Pose
 from mavnav.profiling import new_profile
@@ -49,7 +49,8 @@ WALL_GAP_CELLS = 8
 class SimulationRequest:
     """One mission: the scenario and its file, the run directory, and the paths of further outputs.
 
-    ``typed`` is the command line; ``content`` SHA-256 and size in bytes of the file, if it is not to be read.
+    ``outputs`` are the groups of files to write, None for all; ``typed`` is the command line; ``content`` SHA-256 and
+    size in bytes of the file, if it is not to be read.
     """
 
     scenario: Scenario
@@ -59,6 +60,7 @@ class SimulationRequest:
     animation: Path | None = None
     force: bool = False
     report: bool = False
+    outputs: tuple[str, ...] | None = None
     typed: Typed = field(default_factory=Typed)
     content: tuple[str, int] | None = None
 
@@ -105,7 +107,7 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
             reference=_reference(flight),
             provenance=origin,
         )
-        document = write_run(run, request.directory, force=request.force, report=request.report)
+        document = write_run(run, request.directory, force=request.force, report=request.report, groups=request.outputs)
         if request.recording:
             record(recording, request.recording, force=request.force)
         if request.animation:
@@ -119,6 +121,7 @@ def check_outputs(request: SimulationRequest) -> None:
     twice = [str(p) for p in places if places.count(p) > 1]
     if twice:
         raise UsageError(f"{twice[0]} is to be two things; give run directory, recording and animation a name each")
+    check_groups(request.outputs or ())
     check_directory(request.directory, force=request.force)
     if request.recording:
         check_recording(request.recording, force=request.force)

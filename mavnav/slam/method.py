@@ -28,6 +28,9 @@ class Refiner(Protocol):
     def relocalize(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
         """Find the scan anywhere in the map; None unless exactly one place explains it. ``match`` is a hypothesis."""
 
+    def match_between(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
+        """Match a rejected scan between two accepted ones that lie far apart: not in wide regions."""
+
     def match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
         """Return the points (n, 2) of the scan that are matched, m, laser frame; as recorded, or de-skewed."""
 

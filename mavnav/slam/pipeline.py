@@ -72,7 +72,8 @@ def run_slam(
     config : the method, its grids and its numbers
     period_s : the sensor's time between scans, 0 if unknown
     odom_T_laser : odometry of the laser, used as the prediction
-    on_step : called with the name of the pass ("track", "track again", "final pass") and the number of scans done
+    on_step : called with the name of the pass ("track", "track again", "close loops", "final pass") and the number of
+        scans done
     prior_map : localize in this map, and leave it as it is, instead of making one
     """
     odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)

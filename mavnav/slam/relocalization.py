@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import floor, pi
 from operator import itemgetter
 from typing import TYPE_CHECKING
@@ -89,22 +90,35 @@ def within_reach(pose: Pose, elapsed_s: float) -> Region:
 
 def around(pose: Pose, radius_m: float, half_rad: float) -> Region:
     """Return a disc of positions and the yaws about a pose, in m and rad."""
-    n, k = int(np.ceil(radius_m / STEP_M)), int(np.ceil(half_rad / STEP_RAD))
+    k = int(np.ceil(half_rad / STEP_RAD))
+    return _disc(radius_m) + pose.as_array()[:2], pose.yaw_rad + STEP_RAD * np.arange(-k, k + 1, dtype=np.float64)
+
+
+@lru_cache(maxsize=8)
+def _disc(radius_m: float) -> NDArray[np.float64]:
+    """Return the positions (p, 2) of a lattice about the origin, m."""
+    n = int(np.ceil(radius_m / STEP_M))
     rows, cols = np.indices((2 * n + 1, 2 * n + 1), dtype=np.float64)
     lattice = STEP_M * (np.column_stack((cols.ravel(), rows.ravel())) - n)
-    disc = lattice[np.hypot(*lattice.T) <= radius_m + 1e-9]
-    return disc + pose.as_array()[:2], pose.yaw_rad + STEP_RAD * np.arange(-k, k + 1, dtype=np.float64)
+    disc: NDArray[np.float64] = lattice[np.hypot(*lattice.T) <= radius_m + 1e-9]
+    return disc
 
 
 def everywhere(grid: GridBuilder) -> Region:
     """Return the positions (p, 2), row by row, where the map was seen free, and yaws (q,) all round, in m and rad."""
-    shape, origin_m = grid.passes.shape, np.array(grid.origin_xy_m[::-1])
-    low, wide = floor(origin_m[1] / STEP_M) - 1, int(shape[1] * grid.cell_m / STEP_M) + 4
+    shape, (x0_m, y0_m) = grid.passes.shape, grid.origin_xy_m
+    low, wide = floor(x0_m / STEP_M) - 1, int(shape[1] * grid.cell_m / STEP_M) + 4
     hits, places = plain(grid.hits)[:, : shape[1]], [np.zeros(0, np.int64)]
+    rows, cols = (
+        np.round((first_m + (np.arange(n) + 0.5) * grid.cell_m) / STEP_M).astype(np.int64)
+        for first_m, n in zip((y0_m, x0_m), shape, strict=True)
+    )
+    col, first_cols = np.unique(cols, return_index=True)
     for _, _, band in bands(shape):
-        free = np.argwhere((grid.passes[band] > 0) & (grid.passes[band] > hits[band])) + np.array([band.start, 0])
-        row, col = np.round((origin_m + (free + 0.5) * grid.cell_m) / STEP_M).astype(np.int64).T
-        places.append(np.unique(row * wide + col - low))
+        row, first_rows = np.unique(rows[band], return_index=True)
+        free = np.logical_or.reduceat(grid.passes[band] > hits[band], first_rows, axis=0)
+        r, c = np.nonzero(np.logical_or.reduceat(free, first_cols, axis=1))
+        places.append(row[r] * wide + col[c] - low)
     row, col = np.divmod(np.unique(np.concatenate(places)), wide)
     return np.column_stack(((col + low) * STEP_M, row * STEP_M)), np.arange(-pi, pi, STEP_RAD)
 
@@ -117,13 +131,17 @@ def candidates(
     region: Region,
     config: Config,
     most: int = CANDIDATES,
+    limit: float = np.inf,
 ) -> list[Match]:
     """Search a region of poses; return its separate minima, ``most`` of them, refined and judged.
+
+    Minima are left out that cost more than ``limit``, a share of the worst cost.
 
     ``points`` (n, 2) are the scan's in the laser's frame, m, in an order any beginning of which is a fair sample.
     """
     few, truncate_m = points[: config.robust.first_level_points], config.robust.truncate_mm * MM
-    starts = lowest(few, line_map, region, truncate_m, most, exhaustive=config.search == "exhaustive")
+    limit_m2, exhaustive = limit * truncate_m**2, config.search == "exhaustive"
+    starts = lowest(few, line_map, region, truncate_m, most, limit_m2, exhaustive=exhaustive)
     schedule = Schedule.of(config, line_map, (1.5 * STEP_M, 1.5 * STEP_RAD))
     return [judged(search_lines(points, line_map, pose, schedule), points, line_map, grid) for _, pose in starts]
 
@@ -134,27 +152,30 @@ def lowest(
     region: Region,
     truncate_m: float,
     most: int,
+    limit_m2: float = np.inf,
     *,
     exhaustive: bool = False,
 ) -> list[Start]:
-    """Return the ``most`` lowest separate minima of the cost of points (n, 2) in a region; pruned, they are the same.
+    """Return the ``most`` lowest separate minima of the cost of points (n, 2) in a region, up to ``limit_m2``.
 
-    A small region is not worth pruning. Pruning needs positions that are whole cells apart.
+    Pruned, they are the same. A small region is not worth pruning. Pruning needs positions that are whole cells apart.
     """
     xy_m, yaws_rad = region
     step = round(STEP_M / line_map.cell_m)
     small = len(xy_m) * len(yaws_rad) * len(points) < WORTH_PRUNING
     if exhaustive or small or abs(step * line_map.cell_m - STEP_M) > 1e-9:
-        return exhaustively(points, line_map, region, truncate_m, most)
+        found = exhaustively(points, line_map, region, truncate_m, most)
+        return [start for start in found if start[0] <= limit_m2]
     far_m = float(np.hypot(*points.T).max())
     extent_m = (*(xy_m.min(axis=0) - far_m).tolist(), *(xy_m.max(axis=0) + far_m).tolist())
     floors = line_map.cost_floors(truncate_m, step, extent_m)
-    found = lowest_poses(
+    poses = lowest_poses(
         points,
         xy_m,
         yaws_rad,
         truncate_m,
         SEPARATE,
+        limit_m2,
         most,
         step,
         floors.corner,
@@ -164,7 +185,7 @@ def lowest(
         line_map.lines,
         line_map.geometry,
     )
-    return [(cost, _pose(xy_m[int(p)], yaws_rad[int(q)])) for cost, q, p in found.tolist()]
+    return [(cost, _pose(xy_m[int(p)], yaws_rad[int(q)])) for cost, q, p in poses.tolist()]
 
 
 def exhaustively(

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from mavnav.slam.method import Refiner
     from mavnav.slam.track import Track
 
+SHORT_SCANS = 8
+"""Scans between accepted ones so near to each other are searched in wide regions, too."""
+
 REFINED_AT_ONCE = 16
 """The same is done for so many scans in a row: it is found in the processor's caches."""
 
@@ -64,7 +67,9 @@ def rematched(scan: Scan, step: Step, before: Step, after: Step, track: Track) -
     """Match a scan between two accepted ones; return its step, tracked if it fits there."""
     here = track.motion.started_at(after.match.map_T_laser, after.stamp_ns)
     here = here.coming_from(before.match.map_T_laser, before.stamp_ns)
-    match = track.method.match(scan, here.predict(scan.stamp_ns), here)
+    short = here.elapsed_s(before.stamp_ns) <= SHORT_SCANS * here.period_s
+    match_it = track.method.match if short or track.refiner is None else track.refiner.match_between
+    match = match_it(scan, here.predict(scan.stamp_ns), here)
     if track.method.gate(match, scan, here) is not Verdict.SURE:
         return step
     track.method.insert(scan, match.map_T_laser, here)

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from mavnav.mapping.tiled_arrays import Extent
     from mavnav.scan import Scan
     from mavnav.slam.motion_model import Motion
+    from mavnav.slam.relocalization import Region
 
     Points = tuple[NDArray[np.float64], NDArray[np.float64]]
     """The good end points (n, 2) of a scan and their means (m, 2), m, laser frame."""
@@ -53,6 +54,10 @@ NEAR_MINIMA = 3
 EACH_SCANS, THEN_S = 8, 1.0
 """Each of so many scans of a lost laser is searched in wide regions, then one a second: once it is found again, the
 scans between are matched from there."""
+
+FOUND_COST, FOUND_ANYWHERE_COST = 0.4, 0.35
+"""Share of the worst cost that a minimum of a wide search, and of one of the whole map, has at most after so many
+scans, to be refined. Places where a lost laser was found cost up to 0.1 with 10 scans a second."""
 
 
 AT_REST = np.zeros(3)
@@ -78,6 +83,10 @@ def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
     return tuple(dict.fromkeys((predicted, motion.by_velocity(scan.stamp_ns), motion.map_T_laser)))
 
 
+def _is_lost(motion: Motion, elapsed_s: float) -> bool:
+    return elapsed_s > EACH_SCANS * motion.period_s
+
+
 class Robust:
     """Point to local line over the whole map; the grid of hit counts is kept beside it for the outputs.
 
@@ -99,6 +108,7 @@ class Robust:
         self._limits_m = np.array([robust.near_mm * MM, robust.far_mm * MM, robust.voxel_mm * MM])
         self._deskewed: tuple[Scan, Motion, Points] | None = None
         self._searches = 0  # since a scan was inserted
+        self._free: Region | None = None  # the whole map, as long as it does not grow
 
     @property
     def refiner(self) -> Robust:
@@ -139,31 +149,53 @@ class Robust:
 
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
         """Match the de-skewed scan close to the prediction; as long as that does not convince, look farther."""
-        robust = self.config.robust
-        points = self.match_points(scan, motion)
-        if len(points) < robust.min_points:
+        points, elapsed_s = self.match_points(scan, motion), motion.elapsed_s(scan.stamp_ns)
+        if len(points) < self.config.robust.min_points:
             return no_match(predicted, len(points))
-        tried = self._look_near(points, predicted, motion) if robust.near_window_mm else []
-        elapsed_s = motion.elapsed_s(scan.stamp_ns)
-        if tried and self._inside(tried[0], predicted) and self._believable(tried[0], motion, elapsed_s):
+        tried = self._look_near(points, predicted, motion)
+        if self._is_found_near(tried, predicted, motion, elapsed_s):
             return tried[0]
-        region = around(predicted, robust.window_mm * MM, robust.window_deg * DEG)
-        tried += candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
-        best = min(tried, key=lambda match: match.cost_m2)
         self._searches += 1
-        if self._believable(best, motion, elapsed_s) or not self._is_wide_search_due(motion, elapsed_s):
+        due = self._is_wide_search_due(motion, elapsed_s)
+        if tried and not due and motion.odometry is None:
+            return tried[0]
+        tried += self._look_around(points, predicted)
+        best = min(tried, key=lambda match: match.cost_m2)
+        if not due or self._believable(best, motion, elapsed_s):
             return with_effort(best, *tried)
         return self._match_wide(scan, predicted, motion, points, tried)
 
+    def match_between(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
+        """Match a scan between two accepted ones: close to the prediction, or within the second window."""
+        points, elapsed_s = self.match_points(scan, motion), motion.elapsed_s(scan.stamp_ns)
+        if len(points) < self.config.robust.min_points:
+            return no_match(predicted, len(points))
+        tried = self._look_near(points, predicted, motion)
+        if self._is_found_near(tried, predicted, motion, elapsed_s):
+            return tried[0]
+        tried += self._look_around(points, predicted)
+        return with_effort(min(tried, key=lambda match: match.cost_m2), *tried)
+
     def _is_wide_search_due(self, motion: Motion, elapsed_s: float) -> bool:
         """Tell whether a scan is searched wherever the laser can be."""
-        few = self._searches <= EACH_SCANS or elapsed_s <= EACH_SCANS * motion.period_s
+        few = self._searches <= EACH_SCANS or not _is_lost(motion, elapsed_s)
         return few or floor(elapsed_s / THEN_S) > floor((elapsed_s - motion.period_s) / THEN_S)
 
+    def _look_around(self, points: NDArray[np.float64], predicted: Pose) -> list[Match]:
+        """Search the second window around the prediction."""
+        region = around(predicted, self.config.robust.window_mm * MM, self.config.robust.window_deg * DEG)
+        return candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
+
     def _look_near(self, points: NDArray[np.float64], predicted: Pose, motion: Motion) -> list[Match]:
-        """Search close to the prediction."""
+        """Search close to the prediction, unless the configuration leaves that out."""
+        if not self.config.robust.near_window_mm:
+            return []
         found = search_lines(points, self.lines, predicted, self._near[motion.odometry is not None])
         return [judged(found, points, self.lines, self.known)]
+
+    def _is_found_near(self, tried: list[Match], predicted: Pose, motion: Motion, elapsed_s: float) -> bool:
+        """Return whether the search close to the prediction, if it was made, is enough."""
+        return bool(tried) and self._inside(tried[0], predicted) and self._believable(tried[0], motion, elapsed_s)
 
     def _inside(self, near: Match, predicted: Pose) -> bool:
         """Return whether a match lies so far within the near window that the laser cannot be beyond it."""
@@ -177,7 +209,8 @@ class Robust:
         """Search wherever the laser can be by now, from the prediction and from rest."""
         elapsed_s, found = motion.elapsed_s(scan.stamp_ns), tried
         for pose in (expected := _expected(scan, predicted, motion)):
-            found += candidates(points, self.lines, self.known, within_reach(pose, elapsed_s), self.config)
+            region, limit = within_reach(pose, elapsed_s), FOUND_COST if _is_lost(motion, elapsed_s) else np.inf
+            found += candidates(points, self.lines, self.known, region, self.config, limit=limit)
         return best_of(found, expected, elapsed_s, self.config)
 
     def _convinces(self, match: Match) -> bool:
@@ -219,15 +252,18 @@ class Robust:
         points = self.match_points(scan)
         if len(points) < self.config.robust.min_points:
             return None
-        found = [match, *candidates(points, self.lines, self.known, everywhere(self.known), self.config)]
+        elapsed_s = motion.elapsed_s(scan.stamp_ns)
+        self._free = self._free or everywhere(self.known)
+        limit = FOUND_ANYWHERE_COST if _is_lost(motion, elapsed_s) else np.inf
+        found = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
         expected = _expected(scan, motion.predict(scan.stamp_ns), motion)
-        best = best_of(found, expected, elapsed_s := motion.elapsed_s(scan.stamp_ns), self.config)
+        best = best_of(found, expected, elapsed_s, self.config)
         sure = self._convinces(best) and not best.ambiguous and not self._contradicted(best, motion, elapsed_s)
         return best if sure else None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add every point of the de-skewed scan."""
-        self._searches = 0
+        self._searches, self._free = 0, None
         xy_map_m, extent_m = self.placed_points(scan, map_T_laser, motion)
         self.lines.insert(xy_map_m, extent_m)
         self.grid.insert(map_T_laser, xy_map_m, extent_m)

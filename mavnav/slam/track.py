@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     LogScans = Callable[[], Iterable[Scan]]
     """Gives the scans of a log, from the first one again at every call."""
     OnStep = Callable[[str, int], None]
-    """Called with the name of the pass ("track", "track again", "final pass") and the number of scans done."""
+    """Called with the name of the pass ("track", "track again", "close loops", "final pass") and the scans done."""
     Until = Callable[[Iterable[Step]], Iterator[Step]]
     """Passes the first steps of a track on."""
 

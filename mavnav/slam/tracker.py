@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from mavnav.slam.motion_model import Motion
     from mavnav.slam.scan_matching import Match
 
-LONG_LOST_SCANS, RARELY_SCANS = 8, 64
-"""The whole map is searched after so many scans without an accepted pose, then ever more rarely, down to one in 64."""
+DOUBTFUL_SCANS, LONG_LOST_SCANS, RARELY_SCANS = 8, 16, 64
+"""The whole map is searched for a doubtful pose within the first so many scans without an accepted one; and for any
+pose after the second number, then at one scan in the third."""
 
 
 def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0) -> Iterator[Step]:
@@ -57,7 +58,7 @@ def search_everywhere(
 
 
 def worth_a_search(verdict: Verdict, missed: int) -> bool:
-    """Return whether to search the whole map: for the first doubtful poses, and ever more rarely when lost."""
-    if missed < LONG_LOST_SCANS:
+    """Return whether to search the whole map: for the first doubtful poses, and rarely when lost."""
+    if missed < DOUBTFUL_SCANS:
         return verdict is Verdict.PROBABLE
-    return verdict is not Verdict.SURE and (missed.bit_count() == 1 or missed % RARELY_SCANS == 0)
+    return verdict is not Verdict.SURE and (missed == LONG_LOST_SCANS or missed % RARELY_SCANS == 0)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from time import sleep
 
 import pytest
 
 from mavnav import __version__, cli
 from mavnav.commands import progress, signals
-from mavnav.commands.terminal import printable
+from mavnav.commands.terminal import json_text, printable
 from mavnav.errors import ExitCode, MavnavError, NoScansError, OutputError, TopicError
 
 
@@ -120,8 +123,6 @@ def test_config_show_can_be_read_back(mavnav: Callable, tmp_path: Path) -> None:
 
 
 def test_config_schema_is_json(mavnav: Callable) -> None:
-    import json
-
     schema = json.loads(mavnav("config", "schema")[1])
     assert schema["additionalProperties"] is False
     assert json.loads(mavnav("config", "schema", "config")[1]) == schema
@@ -177,6 +178,10 @@ def test_no_color_is_respected(sample: Path) -> None:
         ("x\u202ey\u200bz\x9b", "x\\u202ey\\u200bz\\x9b"),
         ("\udcff", "\\udcff"),
         ("Büro 3", "Büro 3"),
+        ("::error::x", "\\x3a:error::x"),
+        ("  ::set-env::x", "  \\x3a:set-env::x"),
+        ("zip://a::b", "zip://a::b"),
+        ("a##[error]b ##vso[x]", "a#\\x23[error]b #\\x23vso[x]"),
     ],
 )
 def test_printable(text: str, safe: str) -> None:
@@ -193,6 +198,33 @@ def test_plain_lines_come_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys: 
     assert 3 < len(lines) < 20
     assert lines[0].startswith("mavnav: track ")
     assert lines[0].endswith(" s left")
+
+
+def test_lines_have_the_number_of_the_stage_and_the_time_left_of_the_job(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr(progress, "monotonic", lambda: now[0])
+    with progress.reporting(quiet=False, stages={"read": 0, "track": 50, "write": 50}) as report:
+        for phase in ("read", "track", "track again"):
+            for done in (25, 50):
+                now[0] += 6.0 if done == 25 else 12.0
+                report(phase, done, 100)
+    told = [line for line in capsys.readouterr().err.splitlines() if "%" in line]
+    assert told[0] == "mavnav: read (1 of 3) 50 %"
+    assert told[1] == "mavnav: track (2 of 3) 50 %, 36 s left"
+    assert told[2].startswith("mavnav: track again (2 of 3) 50 %, ")
+
+
+def test_no_stage_is_silent_for_long(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, value in (("LINE_PERIOD_S", 0.05), ("TICK_S", 0.01), ("SPEAK_AFTER_S", 0.02)):
+        monkeypatch.setattr(progress, name, value)
+    with progress.reporting(quiet=False, stages=progress.REPLAY) as report:
+        report("close loops", 0, 100)
+        sleep(0.2)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) >= 2
+    assert set(lines) <= {"mavnav: close loops (3 of 6)", "mavnav: close loops (3 of 6), for 0 s"}
 
 
 def test_quiet_is_silent(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -278,3 +310,51 @@ def test_the_command_line_begins_no_threads_of_linear_algebra() -> None:
     env = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=env)
     assert done.stdout == "1\n"
+
+
+def test_json_holds_no_workflow_command() -> None:
+    text = json_text({"log": "##[error]x ##vso[y] # ##"})
+    assert "##[" not in text
+    assert json.loads(text) == {"log": "##[error]x ##vso[y] # ##"}
+
+
+def test_names_of_logs_start_no_workflow_command(
+    mavnav: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name = f"::error::{'x' * 190}::error::##[error]\x1b[31m.mcap"
+    Path(name).touch()
+    for args in (("batch", name, "-o", "out"), ("batch", name, "-o", "out", "--json"), ("info", name)):
+        code, out, err = mavnav(*args)
+        assert code == ExitCode.NO_SCANS
+        for line in (out + err).splitlines():
+            assert not line.lstrip().startswith("::")
+            assert "##[" not in line
+            assert "\x1b" not in line
+
+
+@pytest.mark.parametrize(
+    "args", [("info", "gone.mcap"), ("config", "show", "--set", "nonsense"), ("--debug", "info", "x")]
+)
+def test_a_full_stderr_keeps_the_exit_code(args: tuple[str, ...], repo_root: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run([sys.executable, "-m", "mavnav", *args], stdout=subprocess.PIPE, stderr=full, check=False)
+    assert (done.returncode, done.stdout) == (ExitCode.USAGE, b"")
+
+
+def test_an_early_ctrl_c_leaves_no_traceback() -> None:
+    """As soon as the first line of the package has run; before it, it is Python's own."""
+    code = """
+import os, runpy, signal, sys
+class Finder:
+    def find_spec(self, name, *_):
+        if name == sys.argv[1]:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+runpy.run_module("mavnav", run_name="__main__")
+"""
+    for name in ("mavnav.cli", "typer", "mavnav.commands.signals"):
+        line = [sys.executable, "-c", code, name]
+        done = subprocess.run(line, capture_output=True, text=True, check=False)
+        assert done.returncode in {-signal.SIGINT, ExitCode.INTERRUPTED}, name
+        assert "Traceback" not in done.stderr

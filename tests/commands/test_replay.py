@@ -186,6 +186,34 @@ def test_summary_on_stdout(mavnav: Callable, sample: Path, tmp_path: Path) -> No
         assert word in out
 
 
+def test_only_the_named_groups_of_files_are_written(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    made = tmp_path / "r"
+    code, stdout, _ = mavnav("replay", sample, "-o", made, *FEW, "--outputs", "trajectory,map")
+    assert (code, "pictures" in stdout) == (0, False)
+    names = {path.name for path in made.iterdir()}
+    assert names == json.loads((made / "run.json").read_text())["outputs"].keys() | {"run.json"}
+    written = {"trajectory.tum", "trajectory.csv", "map.pgm", "map.yaml", "hits.npz", "run.json"}
+    assert names - {"trajectory_base.tum"} == written
+    assert mavnav("check", made, "--gate", "scans.processed>=1")[0] == 0
+    code, _, stderr = mavnav("metrics", made)
+    assert (code, stderr.count("\n"), "result.mcap" in stderr) == (2, 1, True)
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["--outputs", "map,maps"], "known are trajectory, map, metrics, pictures, mcap, report"),
+        (["--outputs", "map", "--report"], "report is drawn from trajectory and map"),
+        (["--outputs", "trajectory", "--preview"], "--preview is drawn from map"),
+    ],
+)
+def test_groups_of_files_that_cannot_be_are_refused_before_the_work(
+    mavnav: Callable, sample: Path, tmp_path: Path, options: list[str], reason: str
+) -> None:
+    code, _, stderr = mavnav("replay", sample, "-o", tmp_path / "r", *options)
+    assert (code, reason in stderr, (tmp_path / "r").exists()) == (2, True, False)
+
+
 def test_json_is_run_json_and_nothing_else(spawn: Callable, sample: Path, tmp_path: Path) -> None:
     process = spawn("replay", sample, "-o", tmp_path / "r", "--end", 2.0, "--json")
     out, _ = process.communicate(timeout=120)

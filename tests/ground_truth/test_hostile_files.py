@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
+from mavnav.batch.baseline import read_baseline
+from mavnav.config.named_files import read_json
 from mavnav.errors import ConfigError, UsageError
 from mavnav.ground_truth.map_file import read_map
 from mavnav.ground_truth.tables import read_relations, read_tum
+from mavnav.outputs.gridmap import read_npz
+from support.fuzz import mutated
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+DIGITS = f'{{"mavnav_version": "1", "cells": [{{"name": "a", "exit_code": 0, "figures": {{"a": {"9" * 400}}}}}]}}'
 
 
 def described(folder: Path, **changed: str) -> Path:
@@ -57,3 +65,43 @@ def test_a_truth_that_is_a_pipe_or_too_large_is_refused(tmp_path: Path) -> None:
             read(tmp_path / "pipe")
         with pytest.raises(UsageError, match="larger than"):
             read(large)
+
+
+def test_a_map_of_nothing_but_walls_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mavnav.ground_truth.map_file.MAX_OCCUPIED", 15)
+    with pytest.raises(UsageError, match="16 cells are occupied, more than 15"):
+        read_map(described(tmp_path))
+
+
+def test_a_large_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    large = tmp_path / "large"
+    with large.open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(OSError, match="larger than"):
+        read_json(large)
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "9" * 5000, DIGITS, "\0", "{"])
+def test_json_that_cannot_be_read_is_no_baseline(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "run.json"
+    path.write_text(text)
+    if text != DIGITS:
+        with pytest.raises(ValueError, match=r"."):
+            read_json(path)
+    with pytest.raises(UsageError, match="is no baseline"):
+        read_baseline(path)
+
+
+def test_damaged_counts_are_a_value_error(tmp_path: Path) -> None:
+    path = tmp_path / "hits.npz"
+    cells = np.zeros((40, 40), np.int32)
+    np.savez_compressed(path, counts=cells, passes=cells, cell_m=0.05, origin_xy_m=np.zeros(2))
+    whole = path.read_bytes()
+    assert read_npz(path).hits.shape == (40, 40)
+    for seed in range(60):
+        path.write_bytes(mutated(whole, seed))
+        with suppress(OSError, ValueError, MemoryError):
+            read_npz(path)
+    np.savez(path, counts=cells, passes=cells[1:], cell_m=0.05, origin_xy_m=np.zeros(2))
+    with pytest.raises(ValueError, match="holds no counts of a map"):
+        read_npz(path)

@@ -140,10 +140,11 @@ def test_lowest_poses_are_their_twin(seed: int) -> None:
     points, yaws = rng.uniform(-0.7, 0.7, (40, 2)), rng.uniform(-3, 3) + 0.1 * np.arange(12)
     floors = line_map.cost_floors(0.15, 5, (-2.0, -2.0, 4.0, 4.0))
     told = line_map.nearest, line_map.lines, line_map.geometry
-    found = lowest_poses(points, xy, yaws, 0.15, separate, 9, 5, floors.corner, floors.levels, floors.planes, *told)
+    args = 9, 5, floors.corner, floors.levels, floors.planes, *told
+    found = lowest_poses(points, xy, yaws, 0.15, separate, np.inf, *args)
     costs = pose_costs(points, xy, yaws, 0.15, *told)
     assert found.tolist() == [list(row) for row in naive.lowest_poses(costs, xy, yaws, separate, 9)]
-    few = lowest_poses(
-        points, xy[:1], yaws[:1], 0.15, separate, 9, 5, floors.corner, floors.levels, floors.planes, *told
-    )
+    some = lowest_poses(points, xy, yaws, 0.15, separate, float(found[4, 0]), *args)
+    assert some.tolist() == found[:5].tolist()
+    few = lowest_poses(points, xy[:1], yaws[:1], 0.15, separate, np.inf, *args)
     assert few.tolist() == [[costs[0, 0], 0.0, 0.0]]

@@ -56,7 +56,11 @@ def test_log_whose_scans_are_all_unusable_says_why(tmp_path: Path) -> None:
         (b"hello world", "not an MCAP file"),
         (b"#ROSRECORD V1.1\nxyz", "format 1.1"),
         (b"\x28\xb5\x2f\xfdrubbish", "compressed with zstd, but"),
-        (gzip.compress(b"\x89MCAP0\r\n", mtime=0), "compressed with gzip, which is not read"),
+        (b"\xfd7zXZ\0" + bytes(30), "compressed with xz, which is not read"),
+        (gzip.compress(b"nothing", mtime=0), "compressed with gzip, but the start of what is inside is no log"),
+        (gzip.compress(b"\x00CObservation2DRangeScan", mtime=0), "rawlog of MRPT"),
+        (b"\xd4\xc3\xb2\xa1\x02\0\x04\0", "pcap"),
+        (b"RRF2\0\0", "Rerun"),
     ],
 )
 def test_files_that_are_no_logs_are_refused(content: bytes, what: str, tmp_path: Path) -> None:

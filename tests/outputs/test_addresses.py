@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mavnav.outputs.addresses import public_address, public_text, public_word
+from mavnav.outputs.addresses import public_address, public_line, public_text, public_word
 
 SECRETS = ("alice", "hunter2", "sig=", "token", "SECRET")
 
@@ -43,3 +43,11 @@ def test_secrets_are_found_in_other_spellings() -> None:
     address = "https://alice:hunter%322@host/a.mcap?sig=SECRET%2Bx"
     text = public_text("403 for sig SECRET+x of alice with hunter22 at https://host/a.mcap?other=1", address)
     assert text == "403 for sig *** of *** with *** at https://host/a.mcap"
+
+
+@pytest.mark.parametrize("slashes", ["/", "//"])
+def test_a_line_for_people_has_no_secrets(slashes: str) -> None:
+    text = public_line(f"https:{slashes}alice:hunter2@host/a.mcap?sig=SECRET: no such file; see 'x:{slashes}y@z'")
+    assert text == f"https:{slashes}host/a.mcap: no such file; see 'x:{slashes}y@z'"
+    for same in ("topic:/scan, 3 m", "C:/a@b", "me@host", "s3://bucket/a.mcap: no", "mavnav: error: /tmp/a?b"):
+        assert public_line(same) == same

@@ -11,6 +11,7 @@ from mavnav.logs import Damage
 from mavnav.metrics.gates import judge, parse_gate
 from mavnav.metrics.wall_thickness import wall_sections
 from mavnav.outputs.document import plain, run_document, to_json
+from mavnav.outputs.markdown import inert
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.doubt.record import Doubt, Reason
 from mavnav.slam.loop_closure.detection import Loop, Loops
@@ -146,3 +147,9 @@ def test_a_run_of_no_steps_has_a_document(run):
 def test_plain_values():
     value = {"a": np.float32(1.5), "b": [np.int64(2), float("inf"), np.nan], 3: (True, np.bool_(False), None)}
     assert plain(value) == {"a": 1.5, "b": [2, None, None], "3": [True, False, None]}
+
+
+@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1"])
+def test_no_cell_of_a_csv_file_is_a_formula(text: str) -> None:
+    assert inert(text) == f"'{text}"
+    assert [inert(value) for value in ("a=1", "", -1.5, None)] == ["a=1", "", -1.5, None]

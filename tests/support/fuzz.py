@@ -1,4 +1,4 @@
-"""Mutations of whole logs, and what must hold of every one of them; `make fuzz` runs it for longer than the suite does.
+"""Mutations of whole logs, and what must hold of every one of them.
 
     PYTHONPATH=tests python -m support.fuzz [CASES [SEED [LOG ...]]]
 

@@ -6,10 +6,8 @@ is half-windows (m, rad), the cost of a squared metre, the truncation (m2), and 
 
 from __future__ import annotations
 
-from numba import float64, int64, void
-
 from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F64_1D, F64_2D, U32_2D
+from mavnav.kernels._types import F64_1D, F64_2D, U32_2D, float64, int64, void
 from mavnav.kernels.line_search.azimuth import turn_sums as _turn_sums
 from mavnav.kernels.line_search.azimuth import turns_of
 from mavnav.kernels.line_search.cost import Lines, Middle, Window

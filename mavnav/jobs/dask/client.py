@@ -171,8 +171,16 @@ def connected(scheduler: str, directory: Path, workers: int, memory_mb: int | No
                 address = stack.enter_context(_started(workers, memory_mb, tries))
             client = stack.enter_context(distributed.Client(address, timeout=CONNECT_S, set_as_default=False))
             client.wait_for_workers(1, timeout=CONNECT_S)
-        except (OSError, TimeoutError, ValueError) as error:
+        except (
+            OSError,
+            TimeoutError,
+            ValueError,
+            TypeError,
+            RuntimeError,
+        ) as error:  # the last two without certificates
             advice = "start one with `dask scheduler`, and `dask worker ADDRESS` where the work is to be done"
+            if scheduler.startswith("tls://"):
+                advice = "name authority, certificate and key in Dask's settings, distributed.comm.tls"
             raise UsageError(f"{scheduler}: no scheduler with workers answers; {advice}") from error
         _check_workers(client, directory)
         yield Cluster(client, client.dashboard_link)

@@ -21,10 +21,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import boolean, float64, int64, types, uint64
 
 from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F64_1D, F64_2D, U32_2D
+from mavnav.kernels._types import F64_1D, F64_2D, U32_2D, Several, boolean, float64, int64, uint64
 from mavnav.kernels.line_search.azimuth import least_turn, turns_of
 from mavnav.kernels.line_search.cost import Lines, Middle, Window, mean, rotate
 from mavnav.kernels.line_search.plane import least_shift
@@ -176,7 +175,7 @@ def _evaluated(points: NDArray[np.float64], middle: Middle, truncate_m2: float, 
     return total, inliers
 
 
-@kernel(types.Tuple((*(5 * [float64]), int64, int64, boolean))(F64_2D, F64_1D, F64_1D, F64_1D, U32_2D, F64_2D, F64_1D))
+@kernel(Several((*(5 * [float64]), int64, int64, boolean))(F64_2D, F64_1D, F64_1D, F64_1D, U32_2D, F64_2D, F64_1D))
 def search(
     points: NDArray[np.float64],
     start: NDArray[np.float64],

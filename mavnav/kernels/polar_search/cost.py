@@ -8,10 +8,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import float64, int32, int64, types, uint64
 
 from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F64_1D, F64_2D
+from mavnav.kernels._types import F64_1D, F64_2D, Several, float64, int32, int64, uint64
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -219,7 +218,7 @@ def evaluate(scan: Scan, motion: NDArray[np.float64], work: Work) -> tuple[float
     return _mean(scan, work)
 
 
-@kernel(types.UniTuple(float64, 2)(F64_1D, F64_2D, float64, float64, float64, F64_1D))
+@kernel(Several((float64, float64))(F64_1D, F64_2D, float64, float64, float64, F64_1D))
 def polar_cost(
     virtual: NDArray[np.float64],
     points: NDArray[np.float64],

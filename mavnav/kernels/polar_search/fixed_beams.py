@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import int64, uint64
 
 from mavnav.kernels._jit import helper
+from mavnav.kernels._types import int64, uint64
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

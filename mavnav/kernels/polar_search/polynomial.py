@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import uint64
 
 from mavnav.kernels._jit import helper
+from mavnav.kernels._types import uint64
 from mavnav.kernels.polar_search.cost import lay, see, span
 
 if TYPE_CHECKING:

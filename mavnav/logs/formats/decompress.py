@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import bz2
+import gzip
 import tempfile
-from contextlib import contextmanager
+import zlib
+from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Protocol
@@ -202,40 +204,57 @@ def unpack_message(data: bytes) -> bytes:
     return unpacked
 
 
-def first_bytes(path: Path, count: int) -> bytes:
-    """Return the first decompressed bytes of a file compressed with zstd, none where it is broken."""
-    import zstandard  # noqa: PLC0415
-
-    with path.open("rb") as file:
-        try:
-            with _file_stream(file) as stream:
-                return bytes(stream.read(count))
-        except (zstandard.ZstdError, MemoryError):
-            return b""
+def first_bytes(path: Path, packer: str, count: int) -> bytes:
+    """Return the first decompressed bytes of a file, as far as it is sound; ``packer`` is a key of ``PACKERS``."""
+    found = b""
+    with path.open("rb") as file, suppress(*_file_errors(packer)), PACKERS[packer][1](file) as stream:
+        while len(found) < count and (block := stream.read(_PIECE_BYTES)):
+            found += block
+    return found[:count]
 
 
 @contextmanager
-def unpacked_file(path: Path, report: ReadReport) -> Iterator[Path]:
+def unpacked_file(path: Path, packer: str, report: ReadReport) -> Iterator[Path]:
     """Decompress a file into a temporary one, deleted at the end; what is broken is noted and left out."""
-    import zstandard  # noqa: PLC0415
-
     limit = _MAX_FILE_RATIO * path.stat().st_size + MAX_CHUNK_BYTES
     with tempfile.TemporaryDirectory(prefix="mavnav-") as folder, path.open("rb") as packed:
         target = Path(folder) / path.stem
         size = 0
-        with target.open("wb") as file, _file_stream(packed) as stream:
+        with target.open("wb") as file, PACKERS[packer][1](packed) as stream:
             try:
                 while size <= limit and (block := stream.read(_PIECE_BYTES)):
                     size += file.write(block)
-            except (zstandard.ZstdError, MemoryError) as error:
-                report.damage(f"zstd data cannot be decompressed ({error})", f"{path.name}, after {size} bytes")
+            except _file_errors(packer) as error:
+                report.damage(f"{packer} data cannot be decompressed ({error})", f"{path.name}, after {size} bytes")
         if size > limit:
             report.damage(f"decompresses to more than {limit} bytes; the rest is not read", path.name)
         yield target
 
 
-def _file_stream(file: IO[bytes]) -> Any:  # noqa: ANN401  (zstandard is untyped here)
+def _zstd_stream(file: IO[bytes]) -> Any:  # noqa: ANN401  (zstandard is untyped here)
     import zstandard  # noqa: PLC0415
 
     decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
     return decompressor.stream_reader(file, read_across_frames=True, closefd=False)
+
+
+def _gzip_stream(file: IO[bytes]) -> gzip.GzipFile:
+    return gzip.open(file)
+
+
+def _bzip2_stream(file: IO[bytes]) -> bz2.BZ2File:
+    return bz2.open(file)
+
+
+def _file_errors(packer: str) -> tuple[type[BaseException], ...]:
+    """Return what broken data raise; of zstd the library is loaded only where it is used."""
+    others = (zlib.error, EOFError, OSError, MemoryError)
+    return (_zstd_error(), *others) if packer == "zstd" else others
+
+
+PACKERS: dict[str, tuple[bytes, Callable[[IO[bytes]], Any]]] = {
+    "zstd": (ZSTD_MAGIC, _zstd_stream),
+    "gzip": (b"\x1f\x8b\x08", _gzip_stream),
+    "bzip2": (b"BZh", _bzip2_stream),
+}
+"""Name of a program that compresses whole files -> how they begin, and the stream of their content."""

@@ -6,7 +6,8 @@ import re
 from typing import TYPE_CHECKING
 
 from mavnav.logs.formats import mcap_file, mcap_records, rosbag1, rosbag1_records, sqlite_file, sqlite_pages
-from mavnav.logs.formats.decompress import ZSTD_MAGIC, first_bytes, unpacked_file
+from mavnav.logs.formats.carmen import is_carmen, read_carmen
+from mavnav.logs.formats.decompress import PACKERS, first_bytes, unpacked_file
 from mavnav.logs.formats.rosbag2 import METADATA, compare_count, read_metadata, storage_files
 from mavnav.logs.formats.source import Source
 
@@ -18,14 +19,16 @@ if TYPE_CHECKING:
     from mavnav.logs.records import RawMessage
 
 UNKNOWN = "unknown"
+SUFFIXES = (".mcap", ".bag", ".active", ".db3", ".clf", ".log", ".zst", ".zstd", ".gz", ".bz2")
+"""How names of logs end; the format is told by the content."""
+
+_AMBIGUOUS = (".log", ".gz", ".bz2")
 _HEAD_BYTES = 16
 _OLD_BAG = re.compile(rb"#ROS(?:BAG|RECORD|LOG) V(1\.[01])")
 _SEARCH_BYTES = 1 << 16
 _HEADLESS_BYTES = 1 << 20
-_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
-_PACKERS = {
-    b"\x1f\x8b\x08": "gzip",
-    b"BZh": "bzip2",
+_STORAGE_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_REFUSED = {
     b"\xfd7zXZ\0": "xz",
     b"\x04\x22\x4d\x18": "lz4",
     b"PK\x03\x04": "zip",
@@ -36,8 +39,8 @@ _STORAGES = {"rosbag2-sqlite3": "rosbag2-sqlite3", "mcap": "rosbag2-mcap"}
 def sniff(path: Path) -> str:
     """Name the format of a file or folder by its content; ``UNKNOWN`` where it is no log that is read here.
 
-    ``-zstd`` is appended where the whole file is compressed with zstd. A magic of which a quarter is wrong, or that
-    stands a little further on, or at the end (MCAP), will do.
+    ``-zstd``, ``-gzip`` or ``-bzip2`` is appended where the whole file is compressed. A magic of which a quarter is
+    wrong, or that stands a little further on, or at the end (MCAP), will do. A CARMEN log is known by its first lines.
     """
     if path.is_dir():
         return _sniff_folder(path)
@@ -47,15 +50,16 @@ def sniff(path: Path) -> str:
 
 def _sniff_strictly(path: Path) -> str:
     with path.open("rb") as file:
-        head = file.read(_HEAD_BYTES)
-    if head.startswith(ZSTD_MAGIC):
-        inner = _sniff_head(first_bytes(path, _HEAD_BYTES))
-        return UNKNOWN if inner == UNKNOWN else f"{inner}-zstd"
+        head = file.read(_SEARCH_BYTES)
+    if packer := _packer(head):
+        inner = _sniff_head(first_bytes(path, packer, _SEARCH_BYTES))
+        return UNKNOWN if inner == UNKNOWN else f"{inner}-{packer}"
     return _sniff_head(head)
 
 
 def _sniff_head(head: bytes) -> str:
-    return next((name for magic, name in MAGICS.items() if head.startswith(magic)), UNKNOWN)
+    found = next((name for magic, name in MAGICS.items() if head.startswith(magic)), UNKNOWN)
+    return "carmen" if found == UNKNOWN and is_carmen(head) else found
 
 
 def _sniff_damaged(path: Path) -> str:
@@ -63,7 +67,7 @@ def _sniff_damaged(path: Path) -> str:
         head = file.read(_SEARCH_BYTES)
         file.seek(max(path.stat().st_size - _HEAD_BYTES, 0))
         tail = file.read()
-    if _OLD_BAG.match(head) or _packer(head):
+    if _OLD_BAG.match(head) or _packer(head) or _refused_packer(head):
         return UNKNOWN
     for magic, name in MAGICS.items():
         wrong = sum(a != b for a, b in zip(magic, head, strict=False)) + max(len(magic) - len(head), 0)
@@ -88,10 +92,15 @@ def _sniff_headless(path: Path, head: bytes) -> str:
 
 def _sniff_folder(folder: Path) -> str:
     inner = next((sniff(file) for file in sorted(folder.iterdir()) if _is_storage(file)), UNKNOWN)
-    storage, packed, _ = inner.partition("-zstd")
+    storage, packer = split_name(inner)
     if storage in _STORAGES:
-        return _STORAGES[storage] + packed
+        return _STORAGES[storage] + (f"-{packer}" if packer else "")
     return "rosbag2" if (folder / METADATA).is_file() else UNKNOWN
+
+
+def is_named_like_a_log(path: Path) -> bool:
+    """Return whether the name of a file is that of a log; what others use too has to be one by its content."""
+    return path.name.endswith(SUFFIXES) and (not path.name.endswith(_AMBIGUOUS) or sniff(path) != UNKNOWN)
 
 
 def parts(path: Path, report: ReadReport) -> list[Path]:
@@ -103,7 +112,7 @@ def _is_storage(path: Path) -> bool:
     """Tell whether a file of a folder is a log: by its content, or by its name where its beginning is broken."""
     if not path.is_file():
         return False
-    named = any(path.name.endswith(suffix) for suffix in _SUFFIXES)
+    named = any(path.name.endswith(suffix) for suffix in _STORAGE_SUFFIXES)
     return _sniff_strictly(path) != UNKNOWN or (named and sniff(path) != UNKNOWN)
 
 
@@ -123,16 +132,20 @@ def read(path: Path, report: ReadReport) -> Iterator[RawMessage]:
 
 
 def _read_file(path: Path, report: ReadReport) -> Iterator[RawMessage]:
-    reader = READERS.get(sniff(path))
-    if reader is None:
+    name, packer = split_name(sniff(path))
+    if packer:
+        with unpacked_file(path, packer, report) as inner:
+            yield from _read_file(inner, report)
+    elif name in READERS:
+        yield from READERS[name](path, report)
+    else:
         report.damage(refusal(path), path.name)
-        return
-    yield from reader(path, report)
 
 
-def _read_zstd(path: Path, report: ReadReport) -> Iterator[RawMessage]:
-    with unpacked_file(path, report) as inner:
-        yield from _read_file(inner, report)
+def split_name(name: str) -> tuple[str, str]:
+    """Return the name of a format without that of the program that compressed it, and the latter, empty if none."""
+    inner, _, packer = name.rpartition("-")
+    return (inner, packer) if packer in PACKERS else (name, "")
 
 
 def refusal(path: Path) -> str:
@@ -140,20 +153,28 @@ def refusal(path: Path) -> str:
     if path.is_dir():
         return "the folder holds no ROS 2 bag (no metadata.yaml, no .db3 or .mcap)"
     with path.open("rb") as file:
-        head = file.read(_HEAD_BYTES)
+        head = file.read(_SEARCH_BYTES)
     if not head:
         return "the file is empty"
     if old := _OLD_BAG.match(head):
         return f"a ROS 1 bag of format {old[1].decode()}; only 1.2 and 2.0 are read, convert it with `rosbag fix`"
-    if packer := _packer(head):
-        return f"compressed with {packer}, which is not read (only zstd is); decompress it first"
-    if head.startswith(ZSTD_MAGIC):
-        return "compressed with zstd, but the start of what is inside is no log, or does not decompress"
-    return "not an MCAP file, ROS 1 bag or ROS 2 bag"
+    if packer := _refused_packer(head):
+        return f"compressed with {packer}, which is not read ({', '.join(PACKERS)} are); decompress it first"
+    packer = _packer(head)
+    inside = first_bytes(path, packer, _SEARCH_BYTES) if packer else head
+    if known := next((text for pattern, text in OTHERS.items() if re.search(pattern, inside)), None):
+        return known
+    if packer:
+        return f"compressed with {packer}, but the start of what is inside is no log, or does not decompress"
+    return "not an MCAP file, ROS 1 bag, ROS 2 bag or CARMEN log"
 
 
 def _packer(head: bytes) -> str | None:
-    return next((name for magic, name in _PACKERS.items() if head.startswith(magic)), None)
+    return next((name for name, (magic, _) in PACKERS.items() if head.startswith(magic)), None)
+
+
+def _refused_packer(head: bytes) -> str | None:
+    return next((name for magic, name in _REFUSED.items() if head.startswith(magic)), None)
 
 
 MAGICS: dict[bytes, str] = {
@@ -166,7 +187,16 @@ READERS: dict[str, Callable[[Path, ReadReport], Iterator[RawMessage]]] = {
     "mcap": mcap_file.read_mcap,
     "rosbag1": rosbag1.read_rosbag1,
     "rosbag2-sqlite3": sqlite_file.read_sqlite,
-    "mcap-zstd": _read_zstd,
-    "rosbag1-zstd": _read_zstd,
-    "rosbag2-sqlite3-zstd": _read_zstd,
+    "carmen": read_carmen,
 }
+
+_DRIVER = "replay it into the driver of the laser, and record its scans with `ros2 bag record`"
+OTHERS: dict[bytes, str] = {
+    rb"\A(?:\xd4\xc3\xb2\xa1|\xa1\xb2\xc3\xd4|\x4d\x3c\xb2\xa1)": f"a capture of network packets (pcap); {_DRIVER}",
+    rb"\A\x0a\x0d\x0d\x0a": f"a capture of network packets (pcapng); {_DRIVER}",
+    rb"\ARRF[0-9]": "a Rerun recording (.rrd), which is not read; replay the log that it was made of",
+    rb"CObservation2DRangeScan|CSensoryFrame|CActionCollection": (
+        "a rawlog of MRPT, which is not read; export it as CARMEN log with `rawlog-edit --export-2d-scans-txt`"
+    ),
+}
+"""Patterns of the beginnings of other kinds of files -> what they are, and what to do."""

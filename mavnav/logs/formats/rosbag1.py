@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
+from functools import partial
 from io import BytesIO
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,7 @@ from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, RawMessage, Schema, ros_type
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -36,6 +37,7 @@ class _State:
     report: ReadReport
     channels: dict[int, Channel] = field(default_factory=dict)
     spare: dict[int, Channel] = field(default_factory=dict)
+    search: Callable[[], dict[int, Channel]] | None = None
     strangers: set[int] = field(default_factory=set)
     messages: int = 0
     declared: int = 0
@@ -55,6 +57,7 @@ def read_rosbag1(path: Path, report: ReadReport) -> Iterator[RawMessage]:
         if source.size == begin:
             report.damage("the bag ends behind its magic line", source.where(source.size))
         state.spare = _index_connections(source)
+        state.search = partial(_all_connections, source, begin)
         for record in sound_records(source, begin, report):
             report.at(record.start)
             if record.opcode == Op.CHUNK and not is_flat(record):
@@ -89,6 +92,16 @@ def _index_connections(source: Source) -> dict[int, Channel]:
         for _ in _take(source, record, spare):
             pass
         record = parse_header(source, record.end)
+    return spare.channels
+
+
+def _all_connections(source: Source, begin: int) -> dict[int, Channel]:
+    """Return the connections that any record of the file declares: the index may be there, but not where it should."""
+    spare = _State(ReadReport())
+    for record in sound_records(source, begin, spare.report):
+        if record.opcode == Op.CONNECTION:
+            for _ in _take(source, record, spare):
+                pass
     return spare.channels
 
 
@@ -168,6 +181,8 @@ def _old_channel(record: Record, state: _State) -> Channel:
 def _channel(record: Record, state: _State) -> Channel | None:
     """Return the channel of a message's connection, as declared or by the index."""
     (number,) = U32.unpack(record.fields[b"conn"])
+    if number not in state.channels and number not in state.spare and state.search:
+        state.spare, state.search = state.search() | state.spare, None
     if number not in state.channels and number in state.spare:
         state.channels[number] = state.report.declare(state.spare[number])
     return state.channels.get(number)

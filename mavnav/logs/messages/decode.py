@@ -9,8 +9,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
+from mavnav.logs.messages import carmen
 from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, ODOMETRY, POSE, SCAN, TF, TF_ROS1, TRANSFORM
 from mavnav.logs.messages.fast_cdr import laser_of, odometry_of, transforms_of
+from mavnav.logs.messages.other_scans import other_scan, part_of
 from mavnav.logs.messages.records import DecodeError, LaserMessage, TransformMessage
 
 if TYPE_CHECKING:
@@ -19,20 +21,24 @@ if TYPE_CHECKING:
     from mavnav.logs.records import Channel
 
 LASER_TYPES = frozenset({SCAN, FOXGLOVE_SCAN})
+ROS_ENCODINGS = ("cdr", "ros1")
 
 
-def decoder(channel: Channel, *, poses: bool = False) -> Callable[[bytes], Any] | None:
+def decoder(channel: Channel, *, poses: bool = False, topic: str | None = None) -> Callable[[bytes], Any] | None:
     """Return the function that decodes a channel's messages; None for kinds that mavnav has no use for.
 
     It returns a LaserMessage, or a list of TransformMessage for odometry and transforms, and raises DecodeError. With
-    ``poses`` there is a use for single poses and transforms, too.
+    ``poses`` there is a use for single poses and transforms, too; with the ``topic`` that is asked for, for scans in
+    other messages.
     """
-    kind = (channel.encoding, channel.type)
+    kind, part = (channel.encoding, channel.type), part_of(channel, topic)
+    if part is not None and channel.encoding in ROS_ENCODINGS:
+        return _unpacked(_other_scans(channel, part))
     make = DECODERS.get(kind) or (POSE_DECODERS.get(kind) if poses else None)
-    if make is None:
-        return None
-    decode = make(channel)
+    return None if make is None else _unpacked(make(channel))
 
+
+def _unpacked(decode: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
     def checked(data: bytes) -> Any:  # noqa: ANN401
         try:
             return decode(unpack_message(data))
@@ -40,6 +46,21 @@ def decoder(channel: Channel, *, poses: bool = False) -> Callable[[bytes], Any] 
             raise DecodeError(str(error)) from error
 
     return checked
+
+
+def _other_scans(channel: Channel, part: str) -> Callable[[bytes], LaserMessage]:
+    state: dict[str, Any] = {}
+
+    def decode(data: bytes) -> LaserMessage:
+        return other_scan(_deserialized(data, channel.encoding, channel.type), channel.type, part, state)
+
+    return decode
+
+
+def holds_scans(channel: Channel, topic: str | None) -> bool:
+    """Tell whether a channel holds the scans that are asked for: of its topic, or of any where that is None."""
+    plain = is_laser(channel) and topic in (None, channel.topic)
+    return plain or (part_of(channel, topic) is not None and channel.encoding in ROS_ENCODINGS)
 
 
 def is_laser(channel: Channel) -> bool:
@@ -149,10 +170,13 @@ _ROS_KINDS: dict[str, Callable[[Channel], Callable[[bytes], Any]]] = {
 DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     ("json", FOXGLOVE_SCAN): _foxglove_json,
     ("protobuf", FOXGLOVE_SCAN): _foxglove_protobuf,
-    **{(encoding, name): make for name, make in _ROS_KINDS.items() for encoding in ("cdr", "ros1")},
+    **{(encoding, name): make for name, make in _ROS_KINDS.items() for encoding in ROS_ENCODINGS},
+    (carmen.ENCODING, SCAN): carmen.scan_decoder,
+    (carmen.ENCODING, ODOMETRY): carmen.pose_decoder,
+    (carmen.ENCODING, TF): carmen.pose_decoder,
 }
 POSE_DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     (encoding, name): _ros(_no_layout, convert, name)
     for name, convert in ((POSE, _pose), (TRANSFORM, _one_transform))
-    for encoding in ("cdr", "ros1")
-}
+    for encoding in ROS_ENCODINGS
+} | {(carmen.ENCODING, TRANSFORM): carmen.pose_decoder}

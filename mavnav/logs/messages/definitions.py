@@ -7,6 +7,8 @@ from typing import Final
 TF: Final = "tf2_msgs/msg/TFMessage"
 TF_ROS1: Final = "tf/msg/tfMessage"
 SCAN: Final = "sensor_msgs/msg/LaserScan"
+MULTI_ECHO: Final = "sensor_msgs/msg/MultiEchoLaserScan"
+CLOUD: Final = "sensor_msgs/msg/PointCloud2"
 POSE: Final = "geometry_msgs/msg/PoseStamped"
 TRANSFORM: Final = "geometry_msgs/msg/TransformStamped"
 PATH: Final = "nav_msgs/msg/Path"

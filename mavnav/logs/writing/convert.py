@@ -11,11 +11,13 @@ from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages import ros
+from mavnav.logs.messages.carmen import ENCODING
 from mavnav.logs.messages.decode import decoder
 from mavnav.logs.messages.definitions import TF, TF_ROS1
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Damage, RawMessage, Schema, Topic
+from mavnav.logs.writing.carmen_as_ros import carmen_to_cdr
 from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, qos_text
 from mavnav.logs.writing.mcap_writer import Channel as Written
 
@@ -67,13 +69,15 @@ def convert_log(
     _check(source, target, force=force)
     report = ReadReport()
     try:
-        with beside(target) as partial:
+        with beside(target, exclusive=not force) as partial:
             writing = _Writing(strict, report)
             _write(source, partial, writing, progress)
             topics = writing.topics()
             if not topics:
                 raise NoScansError(f"{source}: no message can be read; {_first(report, source)}")
             _compare(partial, target, topics)
+    except FileExistsError as error:
+        raise OutputError(f"{target} exists; choose another name, or --force to replace it") from error
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"{target} cannot be written: {reason}; make room or choose another place") from error
@@ -171,6 +175,8 @@ def _way(channel: Channel, data: bytes) -> tuple[Channel, Callable[[bytes], byte
     name = _ROS1_ONLY.get(channel.type, channel.type)
     if channel.encoding == "ros1" and _translates(name, data):
         return _ros2(channel.topic, name), lambda message: _to_cdr(message, name), check
+    if channel.encoding == ENCODING:
+        return _ros2(channel.topic, channel.type), carmen_to_cdr(channel), check
     if channel.encoding == "cdr" and not channel.schema.data and name in ros.types_ros2().types:
         return _ros2(channel.topic, name), _same, check
     return channel, _same, check

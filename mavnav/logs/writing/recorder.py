@@ -108,8 +108,10 @@ def recorder(path: Path, base_T_laser: Pose | None = None, *, force: bool = Fals
     """
     check_recording(path, force=force)
     try:
-        with beside(path) as partial, CONTAINERS[path.suffix](partial, CHANNELS) as put:
+        with beside(path, exclusive=not force) as partial, CONTAINERS[path.suffix](partial, CHANNELS) as put:
             yield Recorder(put, base_T_laser or Pose())
+    except FileExistsError as error:
+        raise OutputError(f"{path} exists; choose another name for the recording, or --force to replace it") from error
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(f"{path} cannot be written: {reason}; make room or choose another place") from error

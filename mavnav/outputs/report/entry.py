@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import zipfile
 from csv import DictReader
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from mavnav.config.named_files import read_json
 from mavnav.outputs import wall_table
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.gridmap import read_npz
@@ -78,7 +78,7 @@ def load(cell: dict[str, Any], base: Path) -> Entry | Failure:
         return Failure(log, name, str(cell.get("error") or f"exit code {cell.get('exit_code')}"))
     folder = base / str(cell["directory"])
     try:
-        document = json.loads((folder / RUN_FILE).read_text(encoding="utf-8"))
+        document = read_json(folder / RUN_FILE)
         return Entry(
             log=log,
             name=name,
@@ -114,6 +114,6 @@ def _true_walls(folder: Path) -> list[NDArray[np.float64]]:
     path = folder / TRUE_WALLS_FILE
     if not path.is_file():
         return []
-    walls = json.loads(path.read_text(encoding="utf-8"))
+    walls = read_json(path)
     segments, arcs = (np.array(walls[key], np.float64).reshape(-1, n) for key, n in (("segments", 4), ("arcs", 5)))
     return wall_lines(Truth(Trajectory.of([], []), segments, arcs, (0.0, 0.0)))

@@ -33,6 +33,8 @@ def close_loops(track: Track) -> Track:
     refiner, steps, config = track.refiner, track.steps, track.config
     if refiner is None or not refiner.builds_map or config.loop_closure != "auto":
         return track
+    if track.on_step:
+        track.on_step("close loops", 0)
     loops = find_loops(tracked_trajectory(steps), partial(points_of, track.log_scans, steps, refiner), config)
     if loops.map_T_laser is None:
         return replace(track, loops=loops)

@@ -1,0 +1,277 @@
+"""What hostile configurations, scenarios, manifests, maps, tables and results of earlier runs can do.
+
+    python benchmarks/fuzz_inputs.py [--seed S] [--count N] [--seconds T] [--kinds NAME ...] [--verbose]
+
+Sound files are mutated byte by byte, or a value in them is replaced: numbers of thousands of digits or beyond all
+bounds, deep nesting, huge strings, aliases, tags, paths to devices, pipes and addresses; pictures are pipes, devices,
+bombs, or lie about their size. Each is read by a command in a forked child. Counted, and 0 where all is well:
+tracebacks, exit code 70, crashes, hangs, more than 20 s of CPU, more than 1 GB of memory, altered inputs, and files
+outside of the output.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import struct
+import sys
+import tempfile
+import time
+import zlib
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+
+from mavnav import cli
+from support.fuzz import mutated
+from support.sandbox import problems
+
+ROOT = Path(__file__).parent.parent
+SAMPLE = ROOT / "sample_logs" / "corridor.mcap"
+SHORT = ("--end", "0.2", "--online", "--grid", "5x5", "--azimuth", "6", "-q")
+COUNTED = ("traceback", "exit 70", "crash", "hang", "slow", "memory", "altered inputs", "files outside")
+
+Random = np.random.Generator
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A file that is attacked, the commands that read it (one is chosen), and how to make another picture of it."""
+
+    name: str
+    file: str
+    commands: tuple[tuple[str, ...], ...]
+    picture: Callable[[Random, Path], None] | None = None
+
+
+def png(width: int, height: int, colour: int, body: bytes) -> bytes:
+    """Return a PNG file that says so of itself."""
+    head = struct.pack(">IIBBBBB", width, height, 8, colour, 0, 0, 0)
+    chunks = ((b"IHDR", head), (b"IDAT", body), (b"IEND", b""))
+    packed = (
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)) for name, data in chunks
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(packed)
+
+
+def attack_picture(rng: Random, path: Path) -> None:
+    """Replace a map's picture."""
+    path.unlink()
+    kind = int(rng.integers(12))
+    side = int(rng.choice([0, 1, 9000, 9400, 20_000, 2**31 - 1]))
+    if kind == 0:
+        os.mkfifo(path)
+    elif kind == 1:
+        path.symlink_to(str(rng.choice(["/dev/zero", "/dev/full", "/dev/tty", "/proc/self/mem", "map.png"])))
+    elif kind == 2:
+        path.mkdir()
+    elif kind == 3:
+        with path.open("wb") as file:
+            file.write(b"P5 30000 30000 255\n")
+            file.truncate(int(rng.choice([2**20, 2**31, 2**38])))
+    elif kind == 4:
+        path.write_bytes(f"P{rng.choice([2, 5])} {side} {side} {rng.choice([0, 1, 255, 65535, 10**9])}\n0 0 0".encode())
+    elif kind == 5:
+        path.write_bytes(b"P2 2 2 255\n" + b"9" * 100_000 + b" 1 -1 1e9")
+    elif kind == 6:
+        path.write_bytes(b"P5 " + b"#" * 500_000 + b"\n" * 1000 + b"# x\n2 2 255\n1234")
+    elif kind in {7, 8, 9}:
+        rows, colours = min(side, 9400) or 1, {0: 1, 2: 3, 6: 4}
+        colour = int(rng.choice(list(colours)))
+        packer = zlib.compressobj(1)
+        row = bytes(1 + rows * colours[colour])
+        body = b"".join(packer.compress(row) for _ in range(rows if kind != 9 else 3)) + packer.flush()
+        path.write_bytes(png(rows if kind == 7 else side, rows, colour, body))
+    else:
+        path.write_bytes(mutated(png(40, 40, 0, zlib.compress(bytes(41 * 40))), int(rng.integers(2**31))))
+
+
+KINDS = (
+    Kind("config", "c.yaml", (("config", "show", "c.yaml"),)),
+    Kind("scenario", "s.yaml", (("simulate", "s.yaml", "-o", "out/run", "-q", "--set", "max_steps=2"),)),
+    Kind("manifest", "m.yaml", (("batch", "m.yaml", "-o", "out/batch", "-q"),)),
+    Kind(
+        "baseline",
+        "b.json",
+        (("batch", "empty.mcap", "-o", "out/batch", "-q", "--baseline", "b.json", "--gate", "baseline"),),
+    ),
+    Kind(
+        "run.json",
+        "run/run.json",
+        (
+            ("check", "run", "--gate", "map.accepted_share>=0.5"),
+            ("metrics", "run"),
+            ("replay", "--again", "run", "-o", "out/again", "-q"),
+        ),
+    ),
+    Kind("batch.json", "done/batch.json", (("check", "done"),)),
+    Kind("table", "t.tum", (("metrics", "run", "--truth", "t.tum"),)),
+    Kind("trajectory", "run/trajectory.tum", (("metrics", "run"),)),
+    Kind("hits", "run/hits.npz", (("metrics", "run"),)),
+    Kind("result", "run/result.mcap", (("metrics", "run"),)),
+    Kind("log", "log.mcap", (("info", "log.mcap"), ("convert", "log.mcap", "out/x.mcap", "-q"))),
+    Kind("map.yaml", "map.yaml", (("metrics", "map.yaml"),)),
+    Kind("picture", "map.pgm", (("metrics", "map.yaml"),), attack_picture),
+)
+
+
+def make_home(folder: Path) -> None:
+    """Write a sound file of every kind; the run is a real one."""
+    assert cli.run(["replay", str(SAMPLE), "-o", str(folder / "run"), *SHORT]) == 0
+    shutil.copy(folder / "run" / "trajectory.tum", folder / "t.tum")
+    for name in ("map.yaml", "map.pgm"):
+        shutil.copy(folder / "run" / name, folder / name)
+    (folder / "empty.mcap").write_bytes(b"")
+    shutil.copy(SAMPLE, folder / "log.mcap")
+    (folder / "c.yaml").write_text("method: robust\ngrid: 5x5\nrobust: {cell_mm: 25, near_mm: 100}\n")
+    shutil.copy(ROOT / "configs" / "corner.yaml", folder / "s.yaml")
+    manifest = {
+        "logs": ["empty.mcap", {"log": "gone/*.mcap", "start_s": 0.5, "truth": "t.tum", "gates": ["scans.total>=1"]}],
+        "runs": [{"name": "a", "grid": "5x5"}, {"config": "c.yaml"}],
+        "gates": ["map.accepted_share>=0.5"], "accept": [3], "tolerances": {"map.accepted_share": "5%"}, "jobs": 1,
+        "timeout_s": 20,
+    }  # fmt: skip
+    (folder / "m.yaml").write_text(yaml.safe_dump(manifest))
+    cells = [{"name": "empty.mcap 20/10x10", "exit_code": 4, "figures": {"map.accepted_share": 0.5}}]
+    baseline = {"schema_version": 1, "mavnav_version": "1", "cells": cells}
+    (folder / "b.json").write_text(json.dumps(baseline))
+    (folder / "done").mkdir()
+    row = {"name": "a", "exit_code": 4, "directory": None, "error": "x", "accepted": False}
+    (folder / "done" / "batch.json").write_text(json.dumps({"cells": [row, {**row, "directory": "../run"}]}))
+    os.mkfifo(folder / "pipe")
+
+
+RAW = "@raw@"
+DEEP = (100, 5000, 200_000)
+
+
+def nasty(rng: Random) -> tuple[Any, str]:
+    """Return a value to put anywhere, and the text that takes the place of `RAW` in it."""
+    depth = int(rng.choice(DEEP))
+    values: list[tuple[Any, str]] = [
+        (RAW, "9" * int(rng.choice([400, 5000, 400_000]))),
+        (RAW, str(rng.choice(["1e300", "-1e308", "1e999", ".nan", ".inf", "-.inf", "NaN", "Infinity", "-Infinity"]))),
+        (RAW, str(rng.choice(["0", "-1", "1e-300", "2147483648", "-9223372036854775809", "0x10", "0o7", "1_0", "~"]))),
+        (RAW, "[" * depth + "]" * depth),
+        (RAW, '{"a":' * depth + "1" + "}" * depth),
+        (RAW, "&a [x,x]\nb: &b [*a,*a,*a]\nc: [*b,*b,*b]"),
+        (RAW, "!!python/object/apply:os.system ['touch out_of_bounds']"),
+        ("x" * int(rng.choice([300, 900_000, 3_000_000])), ""),
+        (str(rng.choice(["pipe", "/dev/zero", "/dev/stdin", "/proc/self/mem", "..", "/", ""])), ""),
+        (str(rng.choice(["\0", "a\n::error::b"])), ""),
+        (str(rng.choice(["file:///dev/zero", "http://127.0.0.1:9/x", "memory://x", "../../../etc/passwd", "~"])), ""),
+        (str(rng.choice(["\x1b[2J", "\u202e", "\ud800", "%s%n{0}", "**/*", "[", "run", "pipe::file://x"])), ""),
+        ([[]], ""), ({}, ""), (None, ""), (True, ""), (-0.0, ""), ([0] * 100_000, ""),
+        ({f"k{k}": k for k in range(int(rng.choice([10, 20_000])))}, ""),
+    ]  # fmt: skip
+    return values[int(rng.integers(len(values)))]
+
+
+def places(tree: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Return the keys of all values in a document, from the outside."""
+    inner = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
+    return [path, *(place for key, value in inner for place in places(value, (*path, key)))]
+
+
+def replaced(tree: Any, place: tuple[Any, ...], value: Any) -> Any:
+    """Return a document with another value at one place."""
+    if not place:
+        return value
+    copy = dict(tree) if isinstance(tree, dict) else list(tree)
+    copy[place[0]] = replaced(copy[place[0]], place[1:], value)
+    return copy
+
+
+def attack_document(rng: Random, content: bytes) -> bytes:
+    """Replace a value or two of a JSON or YAML document."""
+    tree = yaml.safe_load(content)
+    text = ""
+    for _ in range(int(rng.integers(1, 3))):
+        value, text = nasty(rng)
+        found = places(tree)
+        tree = replaced(tree, found[int(rng.integers(len(found)))], value)
+    return json.dumps(tree).replace(f'"{RAW}"', text or "0").encode()
+
+
+def attack_table(rng: Random, content: bytes) -> bytes:
+    """Replace words of a table."""
+    words = content.split(b" ")
+    for _ in range(int(rng.integers(1, 4))):
+        value, text = nasty(rng)
+        words[int(rng.integers(len(words)))] = (text or str(value)).encode("utf-8", "backslashreplace")
+    return b" ".join(words)
+
+
+def attack(kind: Kind, rng: Random, folder: Path) -> None:
+    """Change the file of a kind in a copy of the home."""
+    path = folder / kind.file
+    content = path.read_bytes()
+    way = float(rng.random())
+    if kind.picture and way < 0.7:
+        kind.picture(rng, path)
+    elif path.suffix in {".json", ".yaml"} and way < 0.65:
+        path.write_bytes(attack_document(rng, content))
+    elif path.suffix == ".tum" and way < 0.5:
+        path.write_bytes(attack_table(rng, content))
+    elif way > 0.95:
+        path.unlink()
+        ways = (os.mkfifo, os.mkdir, lambda place: place.symlink_to("/dev/zero"))
+        ways[int(rng.integers(3))](path)
+    else:
+        path.write_bytes(mutated(content, int(rng.integers(2**31))))
+
+
+def main() -> int:
+    """Print a line per kind and every finding; return whether there is one."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--count", type=int, default=1000, help="inputs in all")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after this time")
+    parser.add_argument("--kinds", nargs="*", default=[])
+    parser.add_argument("-v", "--verbose", action="store_true", help="print every end")
+    options = parser.parse_args()
+    os.environ |= {"MAVNAV_FETCH_TIMEOUT_S": "2", "MAVNAV_FETCH_MAX_MB": "10"}
+    kinds = [kind for kind in KINDS if not options.kinds or kind.name in options.kinds]
+    began_s, counts, total = time.monotonic(), {kind.name: Counter[str]() for kind in kinds}, Counter[str]()
+    with tempfile.TemporaryDirectory() as name:
+        home = Path(name) / "home"
+        home.mkdir()
+        make_home(home)
+        for number in range(options.count):
+            if time.monotonic() - began_s > options.seconds:
+                break
+            kind = kinds[number % len(kinds)]
+            rng = np.random.default_rng((options.seed, number))
+            case = Path(name) / "case"
+            shutil.copytree(home, case, ignore=shutil.ignore_patterns("pipe", "*.png"))
+            os.mkfifo(case / "pipe")
+            attack(kind, rng, case)
+            args = kind.commands[int(rng.integers(len(kind.commands)))]
+            end, found = problems(args, case)
+            counts[kind.name] += Counter(["inputs", *(text.partition(":")[0].split(" -")[0] for text in found)])
+            if found or options.verbose:
+                print(f"  {kind.name} {number}: {found} {end.code} {end.cpu_s:.1f} s {end.err[-300:]}", flush=True)
+            shutil.rmtree(case)
+    for kind in kinds:
+        total += counts[kind.name]
+        print(row(kind.name, counts[kind.name]))
+    print(row("all", total), f"in {time.monotonic() - began_s:.0f} s")
+    return int(any(total[name] for name in COUNTED))
+
+
+def row(name: str, counts: Counter[str]) -> str:
+    """Return a line of the table."""
+    return f"{name:12s}{counts['inputs']:6d} inputs  " + "  ".join(f"{what} {counts[what]}" for what in COUNTED)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

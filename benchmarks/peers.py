@@ -1,0 +1,152 @@
+"""How fast and how accurate are other scan matchers on the same scans, beside mavnav's?
+
+    make bench-peers LOGS="LOG ..."        # or, where kiss-icp and small-gicp are installed:
+    python benchmarks/peers.py [LOG ...] [--rounds N]
+
+Each is run in this process, in turn, on one core. mavnav's time includes reading the log; the others get points that
+are ready in memory. Accuracy is mavnav's own revisit metric of each one's poses: how far scans of a place lie from
+scans of it at another time. The peers match 3D points: kiss-icp gets the scan as it is, small_gicp the scan at three
+heights, so that walls have normals.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from time import process_time
+from typing import TYPE_CHECKING
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+from mavnav.config.loading import load_config
+from mavnav.logs import open_log
+from mavnav.metrics.journey import Journey, placed_scans
+from mavnav.metrics.revisits import pairs_of, revisits
+from mavnav.pose import Trajectory
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.registry import load_kernels
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from mavnav.logs import Log
+    from mavnav.metrics.revisits import Revisits
+
+    Clouds = list[NDArray[np.float64]]
+
+SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
+HEIGHTS_M = (-0.1, 0.0, 0.1)
+KEY_M, KEY_RAD, KEYS = 0.1, 0.1, 30
+"""A scan enters small_gicp's map after so much motion; the map is of the last so many."""
+
+
+def clouds_of(log: Log) -> tuple[NDArray[np.int64], Clouds]:
+    """Return the stamps of a log and the end points (n, 3) of its scans, laser frame, m."""
+    scans = list(log.scans())
+    found = []
+    for scan in scans:
+        ends = scan.ranges_m[:, None] * scan.spec.directions
+        ends = ends[np.isfinite(scan.ranges_m)]
+        found.append(np.column_stack((ends, np.zeros(len(ends)))))
+    return np.array([scan.stamp_ns for scan in scans]), found
+
+
+def with_kiss_icp(clouds: Clouds) -> Clouds:
+    """Return the pose of each cloud, (4, 4)."""
+    from kiss_icp.config import KISSConfig  # noqa: PLC0415  installed by make bench-peers
+    from kiss_icp.kiss_icp import KissICP  # noqa: PLC0415
+
+    config = KISSConfig()
+    config.data.max_range, config.data.min_range, config.data.deskew = 30.0, 0.0, False
+    config.mapping.voxel_size = 0.1
+    odometry, poses = KissICP(config), []
+    for cloud in clouds:
+        odometry.register_frame(cloud, np.zeros(len(cloud)))
+        poses.append(np.array(odometry.last_pose))
+    return poses
+
+
+def with_small_gicp(clouds: Clouds) -> Clouds:
+    """Return the pose of each cloud, (4, 4): matched to a map of the last key scans, with constant velocity."""
+    import small_gicp  # noqa: PLC0415
+
+    poses, keys, key, velocity = [np.eye(4)], [high(clouds[0])], np.eye(4), np.eye(4)
+    target, tree = small_gicp.preprocess_points(keys[0], downsampling_resolution=0.02)
+    for cloud in clouds[1:]:
+        source, _ = small_gicp.preprocess_points(high(cloud), downsampling_resolution=0.02)
+        found = small_gicp.align(target, source, tree, poses[-1] @ velocity, max_correspondence_distance=0.3)
+        pose = np.array(found.T_target_source)
+        velocity = np.linalg.inv(poses[-1]) @ pose
+        poses.append(pose)
+        moved = np.linalg.inv(key) @ pose
+        if np.hypot(moved[0, 3], moved[1, 3]) > KEY_M or abs(np.arctan2(moved[1, 0], moved[0, 0])) > KEY_RAD:
+            key, keys = pose, [*keys[-KEYS:], high(cloud) @ pose[:3, :3].T + pose[:3, 3]]
+            target, tree = small_gicp.preprocess_points(np.concatenate(keys), downsampling_resolution=0.02)
+    return poses
+
+
+def high(cloud: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the points at all heights."""
+    return np.concatenate([cloud + np.array((0.0, 0.0, height)) for height in HEIGHTS_M])
+
+
+PEERS: dict[str, Callable[[Clouds], Clouds]] = {"kiss-icp": with_kiss_icp, "small_gicp": with_small_gicp}
+
+
+def measured(log: Log, map_T_laser: Trajectory) -> Revisits:
+    """Return the self-consistency of poses."""
+    pairs = pairs_of(map_T_laser)
+    return revisits(map_T_laser, pairs, placed_scans(Journey(map_T_laser, log.scans, 1.0), pairs.rows))
+
+
+def compare(path: Path, rounds: int) -> None:
+    """Print a table of one log."""
+    log, config = open_log(path, odom="off"), load_config()
+    load_kernels(config, lambda *_: None)
+    stamps, clouds = clouds_of(log)
+    spent: dict[str, list[float]] = {}
+    tracks: dict[str, Trajectory] = {}
+    for _ in range(rounds):
+        began_s = process_time()
+        tracks["mavnav"] = run_slam(log.scans, config, log.period_s).trajectory
+        spent.setdefault("mavnav", []).append(process_time() - began_s)
+        for name, peer in PEERS.items():
+            began_s = process_time()
+            poses = peer(clouds)
+            spent.setdefault(name, []).append(process_time() - began_s)
+            tracks[name] = Trajectory(
+                stamps, np.array([(p[0, 3], p[1, 3], np.arctan2(p[1, 0], p[0, 0])) for p in poses])
+            )
+    sys.stdout.write(f"{path.name}: {len(clouds)} scans, median of {rounds} rounds\n")
+    for name, seconds in spent.items():
+        took_s, found = float(np.median(seconds)), measured(log, tracks[name])
+        ratio = took_s / float(np.median(spent["mavnav"]))
+        sys.stdout.write(
+            f"  {name:<11}{len(clouds) / took_s:>7.0f} scans/CPU-s, time {ratio:>5.2f} of mavnav's, "
+            f"revisits {found.nn_l_mm:.2f} mm, neighbours {found.nn_s_mm:.2f} mm\n"
+        )
+
+
+def main() -> None:
+    """Run the peers that are installed beside mavnav."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("logs", nargs="*", type=Path, default=[SAMPLE])
+    parser.add_argument("--rounds", type=int, default=3)
+    options = parser.parse_args()
+    try:
+        import kiss_icp  # noqa: F401, PLC0415
+        import small_gicp  # noqa: F401, PLC0415
+    except ImportError as error:
+        sys.exit(f"{error}; 'make bench-peers' installs kiss-icp and small-gicp with pip, which needs a network once")
+    for path in options.logs:
+        compare(path, options.rounds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""The client of web servers: limits of time, and no redirection into networks that the user did not name."""
+
+from __future__ import annotations
+
+import socket
+from contextlib import suppress
+from ipaddress import ip_address
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+import aiohttp
+
+from mavnav.errors import UsageError
+from mavnav.outputs.addresses import public_address
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def client_options(address: str, total_s: float, idle_s: float) -> dict[str, Any]:
+    """Return the options of ``fsspec.open`` for an address with ``http(s)://`` in it.
+
+    A request may take ``total_s`` in all and ``idle_s`` without a byte. A private network is entered only where the
+    address itself names it: a redirection from elsewhere raises UsageError.
+    """
+    parts = [part for part in address.split("::") if part.lower().startswith(("http://", "https://"))]
+    timeout = aiohttp.ClientTimeout(total=total_s, sock_connect=idle_s, sock_read=idle_s)
+    make_socket = _guard(parts)
+
+    async def get_client(**options: Any) -> aiohttp.ClientSession:  # noqa: ANN401
+        connector = aiohttp.TCPConnector(socket_factory=make_socket)
+        return aiohttp.ClientSession(**{"timeout": timeout, "connector": connector, **options})
+
+    client: dict[str, Any] = {"get_client": get_client, "skip_instance_cache": True}
+    if len(address.split("::")) == 1:
+        client["block_size"] = 0  # one request, read as it comes
+    return {part.partition("://")[0].lower(): client for part in parts}
+
+
+def _guard(addresses: list[str]) -> Callable[[Any], socket.socket]:
+    """Return what makes the sockets of a client; it refuses private networks that the addresses do not name."""
+    named: set[str] = set()
+
+    def make_socket(info: Any) -> socket.socket:  # noqa: ANN401  of getaddrinfo
+        family, kind, protocol, _, place = info
+        if not named:
+            named.update(*map(_hosts, addresses))
+        if place[0] not in named and not _is_public(place[0]):
+            shown = " and ".join(map(public_address, addresses))
+            raise UsageError(
+                f"{shown}: cannot be read (it redirects to the private address {place[0]}); name that address itself"
+            )
+        made = socket.socket(family, kind, protocol)
+        made.setblocking(False)
+        return made
+
+    return make_socket
+
+
+def _hosts(address: str) -> set[str]:
+    """Return the numeric addresses of a host; none where it has none."""
+    with suppress(OSError, ValueError):
+        return {str(found[4][0]) for found in socket.getaddrinfo(urlsplit(address).hostname, None)}
+    return set()
+
+
+def _is_public(host: str) -> bool:
+    try:
+        place = ip_address(host.partition("%")[0])
+    except ValueError:
+        return False
+    mapped = getattr(place, "ipv4_mapped", None)
+    return (mapped or place).is_global

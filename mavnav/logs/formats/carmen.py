@@ -1,0 +1,173 @@
+"""CARMEN logs: a line of text for each message, with poses of odometry or of a SLAM beside the scans.
+
+Format: CARMEN's logger (https://carmen.sourceforge.net/logger_playback.html). A line ends with the time of its message,
+the name of a computer, and the time since the logger started.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from enum import Enum
+from itertools import islice
+from typing import TYPE_CHECKING, Final
+
+from mavnav.logs.messages.carmen import ENCODING, laser_of, pose_line, pose_of, stamp_ns
+from mavnav.logs.messages.definitions import ODOMETRY, SCAN, TF, TRANSFORM
+from mavnav.logs.records import Channel, RawMessage, Schema
+from mavnav.pose import Pose
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+    from typing import IO
+
+    from mavnav.logs.read_report import ReadReport
+
+LASER_LINE: Final = re.compile(rb"^(?:[FR]LASER|(?:RAW|ROBOT)LASER\d) ", re.MULTILINE)
+_PARAMETER_LINE: Final = re.compile(rb"^PARAM \w+ ", re.MULTILINE)
+_TOPICS: Final = {"FLASER": "/scan", "RLASER": "/rear_scan"}
+_FRAMES: Final = {"FLASER": "laser", "RLASER": "rear_laser"}
+_MAXIMA: Final = {"FLASER": "robot_front_laser_max", "RLASER": "robot_rear_laser_max"}
+_STEPS: Final = {"FLASER": "laser_front_laser_resolution", "RLASER": "laser_rear_laser_resolution"}
+_OFFSETS: Final = {"FLASER": ("robot_frontlaser_offset", 0.0), "RLASER": ("robot_rearlaser_offset", 3.141592653589793)}
+_LONGEST_LINE: Final = 1 << 20
+_LINES_LOOKED_AT: Final = 4000
+_SAME_M: Final = 2e-3
+"""Poses are written with six digits."""
+
+
+class Poses(Enum):
+    """What the poses beside the scans are: odometry, a SLAM's with odometry beside them, or a SLAM's alone."""
+
+    ODOMETRY = "odometry"
+    BOTH = "both"
+    CORRECTED = "corrected"
+
+
+def is_carmen(head: bytes) -> bool:
+    """Return whether the first bytes of a file are those of a CARMEN log: a laser's line, or two parameters."""
+    return LASER_LINE.search(head) is not None or len(_PARAMETER_LINE.findall(head)) > 1
+
+
+@dataclass
+class _State:
+    """What is known so far."""
+
+    report: ReadReport
+    poses: Poses
+    has_odometry_lines: bool
+    parameters: dict[str, str] = field(default_factory=dict)
+    channels: dict[str, Channel] = field(default_factory=dict)
+
+    def channel(self, topic: str, kind: str, schema: bytes = b"") -> Channel:
+        if topic not in self.channels:
+            channel = Channel(topic, kind, ENCODING, Schema(kind, ENCODING, schema))
+            self.channels[topic] = self.report.declare(channel)
+        return self.channels[topic]
+
+
+def read_carmen(path: Path, report: ReadReport) -> Iterator[RawMessage]:
+    """Yield scans and poses of a CARMEN log, line by line.
+
+    Poses that a SLAM corrected are ground truth and no odometry; which they are shows in the first lines. A line that
+    is no message of its kind is noted and left out.
+    """
+    with path.open("rb") as file:
+        state = _State(report, *kinds_of_poses(islice(_lines(file), _LINES_LOOKED_AT)))
+    if state.poses is Poses.CORRECTED:
+        report.warn("the poses in the log are those of a SLAM and no odometry; compare with them by --truth auto")
+    offset = 0
+    with path.open("rb") as file:
+        for number, line in enumerate(_lines(file), start=1):
+            offset += len(line)
+            report.at(offset)
+            try:
+                yield from _messages(line, state)
+            except (ValueError, IndexError, OverflowError, UnicodeDecodeError):
+                end = "" if line.endswith(b"\n") else ": the log ends, or is too long, within it"
+                report.damage(f"a line is no message of its kind{end}", f"{path.name}, line {number}")
+
+
+def _lines(file: IO[bytes]) -> Iterator[bytes]:
+    """Give the lines of a file; one that is longer than any scan in parts."""
+    while line := file.readline(_LONGEST_LINE):
+        yield line
+
+
+def kinds_of_poses(lines: Iterable[bytes]) -> tuple[Poses, bool]:
+    """Return what the poses beside the scans are, and whether odometry has lines of its own.
+
+    Parameters
+    ----------
+    lines : the first of a log
+
+    Poses are corrected if the weights of a particle filter stand between them, or if odometry at the same time says
+    otherwise. Beside odometry they are a SLAM's where the laser is not always at the same place of the robot.
+    """
+    by_time: dict[int, Pose] = {}
+    mountings, corrected, contradicted = list[Pose](), False, False
+    for line in lines:
+        words = line.split()
+        try:
+            if words[:1] == [b"NEFF"]:
+                corrected = True
+            elif words[:1] == [b"ODOM"]:
+                by_time[stamp_ns(words[7])] = pose_of(words[1:4])
+            elif LASER_LINE.match(line):
+                laser = laser_of(words)
+                base = laser.odom_T_base
+                if laser.odom_T_laser is None or base is None:
+                    continue
+                mountings.append(base.between(laser.odom_T_laser))
+                contradicted |= base.gap(by_time.get(laser.stamp_ns, base))[0] > _SAME_M
+        except (ValueError, IndexError, OverflowError):
+            continue
+    if corrected or contradicted:
+        return Poses.CORRECTED, bool(by_time)
+    moved = any(mounting.gap(mountings[0])[0] > _SAME_M for mounting in mountings)
+    return Poses.BOTH if moved else Poses.ODOMETRY, bool(by_time)
+
+
+def _messages(line: bytes, state: _State) -> Iterator[RawMessage]:
+    """Yield what a line holds: a scan with the poses beside it, odometry, or nothing."""
+    if LASER_LINE.match(line):
+        yield from _scan(line, state)
+    elif line.startswith(b"PARAM "):
+        _, name, value, *_ = line.decode("utf-8").split()
+        state.parameters[name] = value
+    elif line.startswith(b"ODOM ") and state.poses is not Poses.CORRECTED:
+        words = line.split()
+        pose_of(words[1:4])
+        yield RawMessage(state.channel("/odom", ODOMETRY), stamp_ns(words[7]), line)
+
+
+def _scan(line: bytes, state: _State) -> Iterator[RawMessage]:
+    """Yield a scan, before the first one the mounting, and the poses that the line holds besides."""
+    laser = laser_of(line.split())
+    kind, at_ns = laser.kind, laser.stamp_ns
+    topic, frame = _TOPICS.get(kind, f"/{kind.lower()}"), _FRAMES.get(kind, kind.lower())
+    if topic not in state.channels:
+        limits = [state.parameters.get(names.get(kind, ""), "nan") for names in (_MAXIMA, _STEPS)]
+        state.channel(topic, SCAN, " ".join((frame, *limits)).encode())
+        if (mounting := _mounting(kind, laser.odom_T_base, laser.odom_T_laser, state)) is not None:
+            text = pose_line("base_link", frame, mounting, at_ns)
+            yield RawMessage(state.channel("/tf_static", TF), at_ns, text)
+    yield RawMessage(state.channels[topic], at_ns, line)
+    if laser.odom_T_base is None or laser.odom_T_laser is None or kind == "RLASER":
+        return
+    if state.poses is not Poses.ODOMETRY:
+        text = pose_line("world", frame, laser.odom_T_laser, at_ns)
+        yield RawMessage(state.channel("/truth", TRANSFORM), at_ns, text)
+    if state.poses is not Poses.CORRECTED and not state.has_odometry_lines:
+        text = pose_line("odom", "base_link", laser.odom_T_base, at_ns)
+        yield RawMessage(state.channel("/odom", ODOMETRY), at_ns, text)
+
+
+def _mounting(kind: str, base: Pose | None, laser: Pose | None, state: _State) -> Pose | None:
+    """Return where the laser sits on the robot: by the poses of both, else by the parameters; None if unknown."""
+    if state.poses is Poses.ODOMETRY and base is not None and laser is not None:
+        return base.between(laser)
+    name, yaw_rad = _OFFSETS.get(kind, ("", 0.0))
+    offset_m = state.parameters.get(name)
+    return None if offset_m is None else Pose(float(offset_m), 0.0, yaw_rad)

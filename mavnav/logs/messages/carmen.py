@@ -1,0 +1,143 @@
+"""Messages of CARMEN logs: lines of text.
+
+``FLASER`` and ``RLASER`` are a front and a rear laser that cover half a turn. ``RAWLASERn`` and ``ROBOTLASERn`` name
+the geometry; both are of CARMEN's laser and robot modules (logger.h, readlog.c describe the order of the words).
+"""
+
+from __future__ import annotations
+
+from math import cos, inf, isfinite, pi, sin
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from mavnav.logs.messages.records import DecodeError, LaserMessage, TransformMessage
+from mavnav.pose import Pose
+from mavnav.units import DEG
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from mavnav.logs.records import Channel
+
+ENCODING: Final = "carmen"
+_HALF_TURN_DEG: Final = 180.0
+_NAMED_GEOMETRY: Final = 8
+"""Words of the geometry of a RAWLASER or ROBOTLASER line, up to the number of ranges."""
+
+
+class LaserLine(NamedTuple):
+    """A line of a laser: ``ranges_m`` as written (float32), poses where the line has them.
+
+    ``geometry`` is the first angle and the step between beams, rad, and the greatest range, m; None where the line does
+    not name it.
+    """
+
+    kind: str
+    stamp_ns: int
+    ranges_m: NDArray[np.float32]
+    geometry: tuple[float, float, float] | None
+    odom_T_laser: Pose | None
+    odom_T_base: Pose | None
+
+
+def laser_of(words: Sequence[bytes]) -> LaserLine:
+    """Read the line of a laser; raises ValueError or IndexError if it is none."""
+    kind, geometry = words[0].decode("ascii"), None
+    if kind in ("FLASER", "RLASER"):
+        at, poses = 2, 2
+    else:
+        start_rad, _, step_rad, farthest_m = (float(word) for word in words[2:6])
+        geometry, at, poses = (start_rad, step_rad, farthest_m), _NAMED_GEOMETRY + 1, 2 * kind.startswith("ROBOT")
+    count = int(words[at - 1])
+    end = at + count
+    if count < 0 or len(words) < end:
+        raise ValueError(f"{count} ranges are announced")
+    ranges_m = np.array(words[at:end], dtype=np.float32)
+    if geometry:
+        end += 1 + int(words[end])
+    laser, base = (pose_of(words[end + 3 * k : end + 3 * k + 3]) if poses else None for k in (0, 1))
+    if len(words) < end + 3 * poses + 3:
+        raise ValueError("the line ends before its time")
+    return LaserLine(kind, stamp_ns(words[-3]), ranges_m, geometry, laser, base)
+
+
+def pose_of(words: Sequence[bytes]) -> Pose:
+    """Read x, y (m) and yaw (rad); raises ValueError."""
+    x_m, y_m, yaw_rad = (float(word) for word in words)
+    return Pose(x_m, y_m, yaw_rad)
+
+
+def stamp_ns(word: bytes) -> int:
+    """Read a time in seconds without loss; raises ValueError."""
+    whole, _, digits = word.decode("ascii").partition(".")
+    if not (whole + digits).isdigit():
+        return round(float(word) * 1e9)
+    return int(whole or "0") * 1_000_000_000 + int(digits[:9].ljust(9, "0"))
+
+
+def pose_line(parent: str, child: str, pose: Pose, at_ns: int) -> bytes:
+    """Write the pose of a frame as a line of this encoding, which `decode_pose` reads."""
+    return f"POSE {parent} {child} {pose.x_m!r} {pose.y_m!r} {pose.yaw_rad!r} {at_ns}".encode()
+
+
+def scan_decoder(channel: Channel) -> Callable[[bytes], LaserMessage]:
+    """Return the decoder of a laser's lines; it raises DecodeError.
+
+    The channel's schema holds frame, greatest range (m) and step between beams (degrees) of the log's parameters, NaN
+    where they are unknown.
+    """
+    frame, *numbers = channel.schema.data.decode().split()
+    range_max_m, step_deg = (float(word) for word in numbers)
+
+    def decode(data: bytes) -> LaserMessage:
+        try:
+            line = laser_of(data.split())
+        except (ValueError, IndexError) as error:
+            raise DecodeError(f"no line of a laser ({error})") from error
+        count = len(line.ranges_m)
+        start_rad, step_rad, farthest_m = line.geometry or (-pi / 2, _step_rad(count, step_deg), range_max_m)
+        return LaserMessage(
+            stamp_ns=line.stamp_ns,
+            frame_id=frame,
+            angle_min_rad=float(np.float32(start_rad)),
+            angle_step_rad=float(np.float32(step_rad)),
+            last_angle_rad=None,
+            range_min_m=0.0,
+            range_max_m=farthest_m if isfinite(farthest_m) else inf,
+            time_increment_s=0.0,
+            scan_time_s=0.0,
+            ranges_m=line.ranges_m,
+            has_limits=isfinite(farthest_m),
+        )
+
+    return decode
+
+
+def _step_rad(beams: int, step_deg: float) -> float:
+    """Return the angle between beams over half a turn: with a beam at either end if their number is odd."""
+    if isfinite(step_deg) and abs(beams * step_deg - _HALF_TURN_DEG) <= 1.5 * step_deg:
+        return step_deg * DEG
+    return _HALF_TURN_DEG * DEG / max(beams - beams % 2, 1)
+
+
+def pose_decoder(_channel: Channel) -> Callable[[bytes], list[TransformMessage]]:
+    """Return the decoder of odometry and of single poses; it raises DecodeError."""
+    return decode_pose
+
+
+def decode_pose(data: bytes) -> list[TransformMessage]:
+    """Read an ODOM line, or one of `pose_line`; raises DecodeError."""
+    try:
+        words = data.split()
+        if words[0] == b"ODOM":
+            parent, child, pose, at_ns = "odom", "base_link", pose_of(words[1:4]), stamp_ns(words[7])
+        else:
+            parent, child = words[1].decode(), words[2].decode()
+            pose, at_ns = pose_of(words[3:6]), int(words[6])
+    except (ValueError, IndexError) as error:
+        raise DecodeError(f"no pose ({error})") from error
+    half_rad = pose.yaw_rad / 2
+    return [TransformMessage(at_ns, parent, child, (pose.x_m, pose.y_m, 0.0), (0.0, 0.0, sin(half_rad), cos(half_rad)))]

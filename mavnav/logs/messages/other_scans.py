@@ -1,0 +1,168 @@
+"""Scans in messages that are no LaserScan: several echoes a beam (REP-138), and points of a planar laser or of a layer.
+
+Such a topic is read where it is asked for, or where the log has no other scans. A part of its name that follows a slash
+says which scan of the message is meant: ``/echoes/last``, ``/points/ring_7``, ``/points/z_-0.1_0.3``.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from math import inf, pi
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from mavnav.logs.messages.definitions import CLOUD, MULTI_ECHO
+from mavnav.logs.messages.records import DecodeError, LaserMessage
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from mavnav.logs.records import Channel
+
+    Array = NDArray[np.float64]
+    Pick = Callable[[dict[str, Array]], NDArray[np.bool_]]
+
+OTHER_TYPES: Final = frozenset({MULTI_ECHO, CLOUD})
+ECHOES: Final = ("first", "strongest", "last")
+_PARTS: Final = {
+    MULTI_ECHO: re.compile("|".join(ECHOES)),
+    CLOUD: re.compile(r"ring_\d{1,4}|z_-?\d+(?:\.\d+)?_-?\d+(?:\.\d+)?"),
+}
+_KINDS: Final = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_LAYER_M: Final = 0.1
+_FINEST_RAD, _COARSEST_RAD = 0.05 * pi / 180, 5 * pi / 180
+_USUAL_RAD: Final = 0.25 * pi / 180
+_SAME_RAD: Final = 1e-6
+
+
+def part_of(channel: Channel, topic: str | None) -> str | None:
+    """Return which scan of a channel's messages a topic asks for, empty for the usual one; None if for none."""
+    if topic is None or channel.type not in OTHER_TYPES:
+        return None
+    if topic == channel.topic:
+        return ""
+    name, _, part = topic.rpartition("/")
+    return part if name == channel.topic and _PARTS[channel.type].fullmatch(part) else None
+
+
+def other_scan(message: Any, message_type: str, part: str, state: dict[str, Any]) -> LaserMessage:  # noqa: ANN401
+    """Turn a deserialised message into a scan.
+
+    ``state`` is kept from message to message: the layer and the bearings of a cloud are those of its first message.
+    Raises DecodeError where there is no scan in the message.
+    """
+    try:
+        return _echo(message, part) if message_type == MULTI_ECHO else _layer(message, part, state)
+    except (ValueError, IndexError, KeyError, TypeError, OverflowError) as error:
+        raise DecodeError(f"no scan in a {message_type} ({error})") from error
+
+
+def _stamp_ns(message: Any) -> int:  # noqa: ANN401
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+
+
+def _echo(message: Any, part: str) -> LaserMessage:  # noqa: ANN401
+    echoes = [beam.echoes for beam in message.ranges]
+    if part == "strongest" and len(message.intensities) == len(echoes):
+        at = [int(np.argmax(beam.echoes)) if len(beam.echoes) else 0 for beam in message.intensities]
+    else:
+        at = [-1 if part == "last" else 0] * len(echoes)
+    ranges_m = np.array([beam[k] if len(beam) else inf for beam, k in zip(echoes, at, strict=True)], dtype=np.float32)
+    return LaserMessage(
+        _stamp_ns(message),
+        message.header.frame_id,
+        message.angle_min,
+        message.angle_increment,
+        message.angle_max,
+        message.range_min,
+        message.range_max,
+        message.time_increment,
+        message.scan_time,
+        ranges_m,
+    )
+
+
+def _layer(message: Any, part: str, state: dict[str, Any]) -> LaserMessage:  # noqa: ANN401
+    points = _points(message)
+    if "pick" not in state:
+        state["pick"] = _picker(points, part)
+    taken = state["pick"](points) & np.isfinite(points["x"]) & np.isfinite(points["y"])
+    x, y = points["x"][taken], points["y"][taken]
+    bearing_rad, range_m = np.arctan2(y, x), np.hypot(x, y)
+    if "bearings" not in state:
+        if not len(x):
+            raise ValueError("the first cloud has no point in the layer")
+        state["bearings"] = _bearings(bearing_rad)
+    first_rad, step_rad, beams = state["bearings"]
+    beam = np.round((bearing_rad - first_rad) / step_rad).astype(np.int64) % beams
+    ranges_m = np.full(beams, inf)
+    np.minimum.at(ranges_m, beam, range_m)
+    frame = message.header.frame_id
+    return LaserMessage(
+        _stamp_ns(message), frame, first_rad, step_rad, None, 0.0, inf, 0.0, 0.0, ranges_m, has_limits=False
+    )
+
+
+def _points(message: Any) -> dict[str, Array]:  # noqa: ANN401
+    """Return the fields of a PointCloud2 by name, (n,) float64 each; x, y and z are in m."""
+    order = ">" if message.is_bigendian else "<"
+    count = int(message.width) * int(message.height)
+    step, data = int(message.point_step), np.ascontiguousarray(message.data, dtype=np.uint8)
+    if message.height > 1 and message.row_step != message.width * step:
+        rows = data[: int(message.row_step) * int(message.height)].reshape(int(message.height), int(message.row_step))
+        data = np.ascontiguousarray(rows[:, : int(message.width) * step]).ravel()
+    if step <= 0 or len(data) < count * step:
+        raise ValueError(f"{len(data)} bytes for {count} points of {step}")
+    found = {}
+    for f in message.fields:
+        kind = f"{order}{_KINDS[int(f.datatype)]}"
+        found[f.name] = np.ndarray((count,), kind, data.data, int(f.offset), (step,)).astype(np.float64)
+    return {"z": np.zeros(count), **found, "x": found["x"], "y": found["y"]}
+
+
+def _picker(points: dict[str, Array], part: str) -> Pick:
+    """Return what tells the points of the wanted layer: a ring, heights, or by default the most level ring."""
+    if part.startswith("z_"):
+        _, low, high = part.split("_")
+        return partial(_between, low_m=float(low), high_m=float(high))
+    if part.startswith("ring_"):
+        return partial(_in_ring, ring=int(part.removeprefix("ring_")))
+    if "ring" in points and len(rings := np.unique(points["ring"])) > 1:
+        level = np.abs(np.arctan2(points["z"], np.hypot(points["x"], points["y"])))
+        slopes = [np.nanmedian(level[points["ring"] == ring]) for ring in rings]
+        return partial(_in_ring, ring=int(rings[int(np.argmin(slopes))]))
+    return partial(_between, low_m=-_LAYER_M, high_m=_LAYER_M)
+
+
+def _between(points: dict[str, Array], low_m: float, high_m: float) -> NDArray[np.bool_]:
+    inside: NDArray[np.bool_] = (points["z"] >= low_m) & (points["z"] <= high_m)
+    return inside
+
+
+def _in_ring(points: dict[str, Array], ring: int) -> NDArray[np.bool_]:
+    inside: NDArray[np.bool_] = points["ring"] == ring
+    return inside
+
+
+def _bearings(bearing_rad: Array) -> tuple[float, float, int]:
+    """Return the first bearing and the step, rad, and the number of beams of a turn that these bearings lie on.
+
+    The step is the usual distance of neighbours, if there is one; else a quarter of a degree.
+    """
+    apart = np.diff(np.sort(bearing_rad))
+    apart = apart[apart > _FINEST_RAD / 2]
+    step_rad = float(np.median(apart)) if len(apart) else _USUAL_RAD
+    whole = np.round(apart / step_rad)
+    regular = np.abs(apart - whole * step_rad) < 0.2 * step_rad
+    if len(apart) and regular.mean() > 0.8 and _FINEST_RAD <= step_rad <= _COARSEST_RAD:
+        step_rad = float(apart[regular].sum() / whole[regular].sum())
+    else:
+        step_rad = _USUAL_RAD
+    beams = int(2 * pi / step_rad + _SAME_RAD)
+    phase = np.exp(2j * pi * bearing_rad / step_rad).mean()
+    first_rad = float(np.angle(phase)) / (2 * pi) * step_rad - (beams // 2) * step_rad
+    return first_rad, step_rad, beams

@@ -1,0 +1,132 @@
+"""One command line in a forked child with limits of time and memory, and what is wrong with its end."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+
+from mavnav import cli
+
+MOST_CPU_S = 20
+MOST_WALL_S = 300.0  # a busy machine is no hang
+MOST_BYTES = 1 << 30
+GUARD_BYTES = 4 << 30
+CODES = {0, 1, 2, 3, 4, 5, 6}
+
+
+@dataclass(frozen=True)
+class End:
+    """How a child ended: exit code, or minus the signal; its stderr; CPU seconds and memory beyond its parent's."""
+
+    code: int
+    err: str
+    cpu_s: float
+    memory_bytes: int
+    timed_out: bool
+
+
+def run_forked(work: Callable[[], int], folder: Path) -> End:
+    """Run ``work`` in a child whose current folder is ``folder``; streams go to files beside it."""
+    before = _resident_bytes()
+    streams = [folder.with_name(f"{folder.name}.{name}") for name in ("out", "err")]
+    child = os.fork()
+    if child == 0:
+        _be_child(work, folder, streams)
+    deadline_s, timed_out = time.monotonic() + MOST_WALL_S, False
+    while True:
+        ended, status, usage = os.wait4(child, os.WNOHANG)
+        if ended:
+            break
+        if time.monotonic() > deadline_s and not timed_out:
+            timed_out = True
+            os.kill(child, signal.SIGKILL)
+        time.sleep(0.001)
+    err = streams[1].read_text(errors="replace")
+    more = max(usage.ru_maxrss * 1024 - before, 0)
+    return End(os.waitstatus_to_exitcode(status), err, usage.ru_utime + usage.ru_stime, more, timed_out)
+
+
+def _resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+
+def _be_child(work: Callable[[], int], folder: Path, streams: Sequence[Path]) -> None:
+    code = 99
+    try:
+        resource.setrlimit(resource.RLIMIT_CPU, (MOST_CPU_S + 1, MOST_CPU_S + 2))
+        resource.setrlimit(resource.RLIMIT_DATA, (GUARD_BYTES, GUARD_BYTES))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        for number, path in enumerate(streams, 1):
+            os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        sys.stdout = os.fdopen(1, "w", errors="backslashreplace")
+        sys.stderr = os.fdopen(2, "w", errors="backslashreplace")
+        os.chdir(folder)
+        code = work()
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except BaseException:
+        import traceback
+
+        traceback.print_exc(file=sys.stderr)
+        sys.stderr.flush()
+    finally:
+        os._exit(code)
+
+
+def state(folder: Path) -> dict[str, str]:
+    """Return the kinds and hashes of all that is in a folder, but for ``out``."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if name.partition("/")[0] != "out":
+            about, regular = path.lstat(), path.is_file() and not path.is_symlink()
+            content = sha256(path.read_bytes()).hexdigest() if regular and about.st_size < 1 << 26 else ""
+            found[name] = f"{about.st_mode} {about.st_size if regular else 0} {content}"
+    return found
+
+
+def problems(args: Sequence[str], folder: Path) -> tuple[End, list[str]]:
+    """Run ``mavnav args`` in a folder and return its end, and what no input may cause.
+
+    Only ``out`` in the folder may be written, and nothing may stay in the temporary folder.
+    """
+    temporary = folder.with_name(f"{folder.name}.tmp")
+    temporary.mkdir(exist_ok=True)
+    before = state(folder)
+
+    def work() -> int:
+        tempfile.tempdir = str(temporary)
+        return cli.run(args)
+
+    end = run_forked(work, folder)
+    found = list(_wrong(end))
+    now = state(folder)
+    if {name: now.get(name) for name in before} != before:
+        found.append("altered inputs")
+    if outside := [*(now.keys() - before.keys()), *(path.name for path in temporary.iterdir())]:
+        found.append(f"files outside: {outside[:3]}")
+    return end, found
+
+
+def _wrong(end: End) -> Iterator[str]:
+    if end.timed_out:
+        yield "hang"
+    elif end.code == -signal.SIGXCPU or end.cpu_s > MOST_CPU_S:
+        yield "slow"
+    elif end.code == 70:
+        yield "exit 70"
+    elif end.code not in CODES:
+        yield f"crash {end.code}"
+    if "Traceback" in end.err:
+        yield "traceback"
+    if end.memory_bytes > MOST_BYTES:
+        yield "memory"
