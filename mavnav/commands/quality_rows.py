@@ -12,6 +12,16 @@ if TYPE_CHECKING:
 Rows = list[tuple[str, str]]
 
 
+def doubt_rows(doubt: dict[str, Any]) -> Rows:
+    """Return the row on ``tracking.doubt`` of a summary table, where the doubt is high."""
+    from mavnav.slam.doubt.record import HIGH
+
+    probability = doubt["probability"]
+    if probability is None or probability <= HIGH:
+        return []
+    return [("doubtful", f"{probability:.0%}: {', '.join(dict.fromkeys(r['reason'] for r in doubt['reasons']))}")]
+
+
 def wall_rows(document: dict[str, Any]) -> Rows:
     """Return the rows on wall thickness of a summary table."""
     walls = document["wall_thickness"]

@@ -32,7 +32,7 @@ from mavnav.commands.options import (
     schema_option,
 )
 from mavnav.commands.progress import MISSION, loading_modules, reporting
-from mavnav.commands.quality_rows import page_row, picture_row, wall_rows
+from mavnav.commands.quality_rows import doubt_rows, page_row, picture_row, wall_rows
 from mavnav.commands.terminal import emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
 from mavnav.units import DEG
@@ -175,6 +175,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
             f"{mission['steps']}, {100 * document['scans']['accepted'] / mission['steps']:.0f} % of the scans mapped",
         ),
         ("path", f"{mission['path_length_m']:.2f} m, clearance {mission['min_clearance_m']:.2f} m at least"),
+        *doubt_rows(document["tracking"]["doubt"]),
     ]
     return [
         *rows,

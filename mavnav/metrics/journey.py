@@ -25,13 +25,14 @@ class Journey:
     """How a map came about.
 
     ``map_T_laser`` are the poses of the tracked scans, ``scans`` reads all of them again, ``mapped_share`` is the part
-    of the usable scans that went into the map, ``lost_for_good`` as `mavnav.slam.SlamResult` has it.
+    of the usable scans that went into the map, ``lost_for_good`` and ``planar`` as `mavnav.slam.SlamResult` has them.
     """
 
     map_T_laser: Trajectory
     scans: Callable[[], Iterable[Scan]]
     mapped_share: float
     lost_for_good: bool = False
+    planar: bool = True
 
 
 @dataclass(frozen=True, slots=True)

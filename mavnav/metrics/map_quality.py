@@ -99,7 +99,7 @@ def measure_map(grid: Grid, journey: Journey | None = None, *, counted: bool = T
     if ghosts is None:
         ghosts = ghost_walls(grid, sections.values())  # noise may hide one at some of the thresholds
     cells = occupancy(grid)
-    why = reasons(support, measured_share, lost_for_good=journey is not None and journey.lost_for_good)
+    why = reasons(support, measured_share, journey)
     crisp, share, shape = (
         crispness(grid, cells, support.wall_m, counted=counted),
         occupied_share(cells),

@@ -59,14 +59,16 @@ def map_support(
     )
 
 
-def reasons(support: Support, measured_share: float, *, lost_for_good: bool) -> tuple[str, ...]:
+def reasons(support: Support, measured_share: float, journey: Journey | None = None) -> tuple[str, ...]:
     """Return why a map is not meaningful; empty if it is.
 
     ``measured_share`` is the part of the walls seen that could be measured; NaN where it is not known.
     """
     found = []
-    if lost_for_good:
+    if journey and journey.lost_for_good:
         found.append("the track was lost for good")
+    if journey and not journey.planar:
+        found.append("the laser did not move in a plane")
     if support.wall_m < LEAST_WALL_M:
         found.append(f"{support.wall_m:.1f} m of straight wall, {LEAST_WALL_M:g} m are needed")
     if support.mapped_share < LEAST_MAPPED_SHARE:

@@ -16,6 +16,7 @@ from mavnav import __version__
 from mavnav.config.models import Config
 from mavnav.metrics.fields import ABSENT
 from mavnav.outputs import run_json as model
+from mavnav.outputs import tracking_section as tracking
 from mavnav.outputs.addresses import public_address
 from mavnav.outputs.run import base_frame
 from mavnav.units import DEG, MM, NS
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from mavnav.logs import Log
     from mavnav.outputs.run import Run
+    from mavnav.slam.doubt.record import Doubt
 
 SCHEMA_VERSION: Final = 1
 LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "pillow", "pydantic", "pyyaml")
@@ -61,7 +63,7 @@ def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
         timing=_timing(run),
         provenance=run.provenance,
         damage=list(run.log.damage),
-        warnings=[*run.log.warnings, *run.slam.warnings],
+        warnings=[*run.log.warnings, *run.slam.warnings, *_doubt_warnings(run)],
         outputs=outputs,
         partial=run.stopped is not None,
         exit_code=int(run.exit_code),
@@ -150,25 +152,49 @@ def _scans(run: Run) -> model.Scans:
     )
 
 
-def _tracking(run: Run) -> model.Tracking:
+def _tracking(run: Run) -> tracking.Tracking:
     slam, first_ns = run.slam, run.log.first_ns
-    return model.Tracking(
+    return tracking.Tracking(
         lost=slam.lost_for_good,
         intervals=[
-            model.Interval((i.start_ns - first_ns) * NS, (i.end_ns - first_ns) * NS, i.scans, i.recovered)
+            tracking.Interval((i.start_ns - first_ns) * NS, (i.end_ns - first_ns) * NS, i.scans, i.recovered)
             for i in slam.lost
         ],
         tracked_share=slam.tracked_share,
         opinions=slam.tracks_compared,
         path_length_m=slam.trajectory.length_m,
+        doubt=_doubt(slam.doubt, first_ns),
         frames={"trajectory.tum": ["map", run.log.frame_id]}
         | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),
         parts=[
-            model.TrackedPart((p.start_ns - first_ns) * NS, (p.end_ns - first_ns) * NS, p.scans, p.joined)
+            tracking.TrackedPart((p.start_ns - first_ns) * NS, (p.end_ns - first_ns) * NS, p.scans, p.joined)
             for p in slam.parts
         ]
         or ABSENT,
     )
+
+
+def _doubt(doubt: Doubt | None, first_ns: int) -> tracking.Doubt:
+    if doubt is None:
+        return tracking.Doubt(np.nan, [], [])
+    reasons = [
+        tracking.DoubtReason(r.name, (r.start_ns - first_ns) * NS, (r.end_ns - first_ns) * NS, r.value)
+        for r in doubt.reasons
+    ]
+    return tracking.Doubt(doubt.probability, reasons, list(doubt.tried))
+
+
+def _doubt_warnings(run: Run) -> list[str]:
+    """Return the line for the user where the doubt is high."""
+    found = _doubt(run.slam.doubt, run.log.first_ns)
+    if run.slam.doubt is None or not run.slam.doubt.high:
+        return []
+    first = {reason.reason: reason for reason in reversed(found.reasons)}.values()
+    why = ", ".join(f"{r.reason} (from {r.from_s:.1f} to {r.to_s:.1f} s)" for r in reversed(first))
+    return [
+        f"the track may be wrong though the scans fit, with probability {found.probability:.2f}: {why}; "
+        "compare map.png with the place before it is used"
+    ]
 
 
 def _loop_closure(run: Run) -> model.LoopClosure:

@@ -14,6 +14,7 @@ from mavnav.mapping.tiled_arrays import pooled, unchanged, where
 from mavnav.outputs.canvas import Canvas, dashed, ramp, rgb_of, stroke
 from mavnav.outputs.plot import Axes, Line, Mark, circle, cross, crossed_circle, labelled, ticks
 from mavnav.outputs.viewport import (
+    DOUBT_RED,
     FREE_GREY,
     GOAL_RED,
     INK,
@@ -45,6 +46,7 @@ GOAL: Final = Mark(GOAL_RED, "goal", END.draw)
 POSE: Final = Mark(POSE_MAGENTA, "estimated pose", partial(circle, size_pt=4.0, width_pt=0.8))
 TRUE_POSE: Final = Mark("#000000", "true pose", partial(cross, size_pt=3.5, width_pt=0.7))
 LOOP: Final = Line(INK, "closed loop", partial(stroke, width_pt=0.72))
+DOUBTFUL: Final = Line(DOUBT_RED, "doubtful", partial(stroke, width_pt=2.4))
 TRUE_WALL: Final = Line(TRUE_ORANGE, "true wall", dashed)
 MEASURED_WALL: Final = Line(MEASURED_BLUE, "measured by hand", dashed)
 

@@ -52,7 +52,8 @@ def write(run: Run, path: Path) -> None:
         axes.mark(mark, xy_m)
     map_axes.draw_axes(axes)
     axes.names("x [m]", "y [m]")
-    lines = compress((map_axes.LOOP, map_axes.TRUE_WALL), (run.slam.loops.closed, run.true_walls))
+    shown = (run.slam.loops.closed, run.true_walls, doubtful_parts(run.slam))
+    lines = compress((map_axes.LOOP, map_axes.TRUE_WALL, map_axes.DOUBTFUL), shown)
     centred_legend(axes.canvas, [*lines, *(mark for mark, _ in marks)])
     _title(axes.canvas, run)
     axes.canvas.save(path)
@@ -90,6 +91,7 @@ def _draw_lines(axes: Axes, run: Run) -> None:
     xy_m = run.slam.trajectory.xyyaw[:, :2]
     axes.lines(PATH, parts_of_path(run.slam))
     axes.lines(map_axes.LOOP, [xy_m[[loop.start, loop.end]] for loop in run.slam.loops.closed])
+    axes.lines(map_axes.DOUBTFUL, doubtful_parts(run.slam))
     if run.true_walls:
         axes.lines(map_axes.TRUE_WALL, wall_lines(run.true_walls))
 
@@ -98,6 +100,15 @@ def parts_of_path(slam: SlamResult) -> list[NDArray[np.float64]]:
     """Return the positions of the path (n, 2), in parts between the stretches where the track was lost."""
     breaks = np.searchsorted(slam.trajectory.stamps_ns, [lost.start_ns for lost in slam.lost], side="right")
     return np.split(slam.trajectory.xyyaw[:, :2], breaks)
+
+
+def doubtful_parts(slam: SlamResult) -> list[NDArray[np.float64]]:
+    """Return the positions (n, 2) of the doubtful stretches of the path."""
+    stamps_ns = slam.trajectory.stamps_ns
+    marked, breaks = slam.doubtful(stamps_ns), [lost.start_ns for lost in slam.lost]
+    ends = np.union1d(np.flatnonzero(np.diff(marked)) + 1, np.searchsorted(stamps_ns, breaks, side="right"))
+    parts = zip(np.split(slam.trajectory.xyyaw[:, :2], ends), np.split(marked, ends), strict=True)
+    return [xy_m for xy_m, doubtful in parts if doubtful.any()]
 
 
 def path_marks(trajectory: Trajectory, some: NDArray[np.intp]) -> list[tuple[Mark, NDArray[np.float64]]]:

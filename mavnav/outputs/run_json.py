@@ -13,6 +13,7 @@ from mavnav.metrics.fields import Measured, absent, number
 from mavnav.metrics.map_quality import MapQuality
 from mavnav.metrics.reference import Reference
 from mavnav.metrics.wall_report import WallThicknessReport
+from mavnav.outputs.tracking_section import Tracking
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,45 +85,6 @@ class Scans:
     rejected: int = field(metadata=number("processed scans without a pose"))
     skipped: dict[str, int] = field(metadata=number("scans that cannot be used, by reason"))
     suspect: int = field(metadata=number("usable scans from where a checksum does not match, or could not be checked"))
-
-
-@dataclass(frozen=True, slots=True)
-class Interval:
-    """A stretch of scans without a pose; times from the first scan."""
-
-    start_s: float = field(metadata=number("first scan without a pose"))
-    end_s: float = field(metadata=number("last scan without a pose"))
-    scans: int = field(metadata=number("scans without a pose"))
-    recovered: bool
-
-
-@dataclass(frozen=True, slots=True)
-class TrackedPart:
-    """A stretch of scans with a map of its own at first; times from the first scan.
-
-    ``joined``: its scans are in the map and in the trajectory of the run.
-    """
-
-    from_s: float = field(metadata=number("first scan with a pose in the map of the part"))
-    to_s: float = field(metadata=number("last scan with a pose in the map of the part"))
-    scans: int = field(metadata=number("scans with a pose in the map of the part"))
-    joined: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Tracking:
-    """Where the track was lost; ``lost`` means for good. ``frames`` are parent and child of each trajectory file.
-
-    ``parts`` is absent where one map holds all tracked scans from the first usable one on.
-    """
-
-    lost: bool
-    intervals: list[Interval]
-    tracked_share: float = field(metadata=number("part of the processed scans with a pose", better="higher"))
-    opinions: int = field(metadata=number("tracks compared, of which the sharpest was kept"))
-    path_length_m: float = field(metadata=number("length of the path of the laser", title="path"))
-    frames: dict[str, list[str]]
-    parts: list[TrackedPart] = field(default_factory=absent)
 
 
 @dataclass(frozen=True, slots=True)

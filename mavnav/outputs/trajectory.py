@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 COLUMNS = (
     "index", "stamp", "x_m", "y_m", "yaw_rad", "cost_m2", "beams_used", "inliers", "evaluations", "iterations",
-    "converged", "tracked", "accepted", "threshold_m2",
+    "converged", "tracked", "accepted", "threshold_m2", "doubtful",
 )  # fmt: skip
 
 TRUE_WALLS_FILE: Final = "true_walls.json"
@@ -75,11 +75,15 @@ def seconds(stamp_ns: int) -> str:
 
 
 def write_csv(run: Run, path: Path) -> None:
-    """Write a row for every scan that was matched; one that was not tracked has no pose."""
+    """Write a row for every scan that was matched; one that was not tracked has no pose.
+
+    ``doubtful`` is 1 for scans of a reason to doubt the track, if the doubt is high.
+    """
     poses = dict(zip(run.slam.trajectory.stamps_ns.tolist(), run.slam.trajectory.xyyaw.tolist(), strict=True))
     columns = [
         run.slam.steps.column(name).tolist() for name in ("index", "stamp_ns", *COLUMNS[5:12], "tracked", COLUMNS[13])
     ]
+    columns.append(run.slam.doubtful(run.slam.steps.column("stamp_ns")).astype(int).tolist())
     with path.open("w", encoding="ascii", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(COLUMNS)
@@ -87,8 +91,19 @@ def write_csv(run: Run, path: Path) -> None:
 
 
 def _csv_row(row: tuple[Any, ...], xyyaw: list[float] | None) -> tuple[object, ...]:
-    index, stamp_ns, cost_m2, beams, inliers, evaluations, iterations, *flags, threshold_m2 = row
+    index, stamp_ns, cost_m2, beams, inliers, evaluations, iterations, *flags, threshold_m2, doubtful = row
     pose = ("", "", "") if xyyaw is None else (f"{v:.9f}" for v in xyyaw)
     cost, threshold = (f"{value:.9g}" if isfinite(value) else "" for value in (cost_m2, threshold_m2))
     effort = (evaluations, iterations)
-    return index, seconds(stamp_ns), *pose, cost, beams, f"{inliers:.6f}", *effort, *map(int, flags), threshold
+    return (
+        index,
+        seconds(stamp_ns),
+        *pose,
+        cost,
+        beams,
+        f"{inliers:.6f}",
+        *effort,
+        *map(int, flags),
+        threshold,
+        doubtful,
+    )

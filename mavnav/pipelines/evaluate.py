@@ -25,6 +25,7 @@ from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.document import plain
 from mavnav.outputs.gridmap import read_npz
 from mavnav.pose import Pose, transform_points
+from mavnav.slam.doubt.record import HIGH, NOT_PLANAR
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -97,10 +98,17 @@ def _run(directory: Path) -> Subject:
             scans=open_log(directory / "result.mcap", odom="off").scans,
             mapped_share=document["scans"]["accepted"] / max(document["scans"]["processed"], 1),
             lost_for_good=document["tracking"]["lost"],
+            planar=_planar(document["tracking"].get("doubt")),
         )
     except (OSError, ValueError, KeyError, TypeError, MavnavError) as error:
         raise UsageError(f"{directory} is no whole run: {error}; make it again with mavnav replay --force") from error
     return Subject("run", grid, Pose(), journey)
+
+
+def _planar(doubt: dict[str, Any] | None) -> bool:
+    """Return whether the doubt of a run leaves its map a meaning, as `SlamResult` says; older runs have none."""
+    high = doubt is not None and (doubt["probability"] or 0.0) > HIGH
+    return not (doubt and high and NOT_PLANAR in {reason["reason"] for reason in doubt["reasons"]})
 
 
 def _document(path: Path, what: Subject, references: References) -> dict[str, Any]:

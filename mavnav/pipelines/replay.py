@@ -270,7 +270,9 @@ def _mapped(
 @timed("measuring")
 def measured_map(outcome: SlamResult, log: Log) -> MeasuredMap:
     """Measure the known part of the map of a run, with the scans behind it."""
-    journey = Journey(outcome.trajectory, log.scans, outcome.tracked_share, outcome.lost_for_good)
+    journey = Journey(
+        outcome.trajectory, log.scans, outcome.tracked_share, outcome.lost_for_good, planar=outcome.planar
+    )
     return measure_map(measured_part(outcome.grid), journey)
 
 

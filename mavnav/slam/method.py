@@ -43,6 +43,12 @@ class Refiner(Protocol):
     def observability(self, points: NDArray[np.float64], match: Match) -> float:
         """Return how well the map constrains a refined scan in its least constrained direction, 0 to 1."""
 
+    def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
+        """Return the share of a refined scan's points that conflict with what the finished map shows as free."""
+
+    def rival(self, points: NDArray[np.float64], match: Match) -> float:
+        """Return by how much the best other heading of a refined scan costs more, as a share of the worst cost."""
+
     def remove_dynamic_cells(self) -> None:
         """Remove from the map what did not stay where it was seen."""
 

@@ -49,7 +49,11 @@ def without_misleading_odometry(track: Track) -> Track:
         return track
     alone = replace(track, motion=track.motion._replace(odometry=None))
     alone = alone.over(alone.log_scans(), "track again")
-    return alone.with_warning(WARNING) if len(alone.steps) >= len(track.steps) else track
+    return (
+        replace(alone.with_warning(WARNING), odometry_contradicts=True)
+        if len(alone.steps) >= len(track.steps)
+        else track
+    )
 
 
 def until_misled(steps: Iterable[Step], odometry: Odometry) -> Iterator[Step]:

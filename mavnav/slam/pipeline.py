@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav.slam.beam_order import with_reversed_beams
 from mavnav.slam.beginning import rematch_beginning, with_good_beginning
+from mavnav.slam.doubt.judge import judge_track
 from mavnav.slam.loop_closure.remap import close_loops
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.odometry_check import without_misleading_odometry
@@ -48,6 +49,7 @@ LAST_PASSES: Final[tuple[Pass, ...]] = (
     close_loops,  # step 11
     remove_dynamic_cells,  # step 12
     refine_against_final_map,  # step 13
+    judge_track,  # "Doubt"
     smooth_jitter,  # step 14
     redraw_map,  # step 15
 )

@@ -55,6 +55,9 @@ ACCELERATION_M_S2, ACCELERATION_RAD_S2 = 4.0, 600 * DEG
 SLACK_M, SLACK_RAD = 0.1, 5 * DEG
 """Strong accelerations of vehicles and hands, and what velocity estimates and stamps leave open."""
 
+RIVAL_M, RIVAL_RAD = 0.3, 30 * DEG
+"""Headings that differ by more are compared within such a disc (``rival``)."""
+
 FARTHEST_SURPRISE = 4.0
 """Where no motion leads to, all places of the map are equally likely: someone carried the laser there."""
 
@@ -231,6 +234,18 @@ def firmness(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, 
     xy_m, yaw_rad = np.vstack(([(0.0, 0.0)], steps)) + map_T_laser.as_array()[:2], np.array([map_T_laser.yaw_rad])
     costs = pose_costs(points, xy_m, yaw_rad, truncate_m, line_map.nearest, line_map.lines, line_map.geometry)[0]
     return float(costs[1:].min() - costs[0]) / truncate_m**2
+
+
+def rival(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, config: Config) -> float:
+    """Tell by how much more the best other heading costs near a place, as a share of the worst cost.
+
+    It is nearly 0, or less, where the walls look alike from several sides.
+    """
+    truncate_m, some = config.robust.truncate_mm * MM, points[: config.robust.first_level_points]
+    xy_m, yaws_rad = around(map_T_laser, RIVAL_M, pi)
+    costs = pose_costs(some, xy_m, yaws_rad, truncate_m, line_map.nearest, line_map.lines, line_map.geometry)
+    other = np.abs(yaws_rad - map_T_laser.yaw_rad) > RIVAL_RAD
+    return float(costs[other].min() - costs[~other].min()) / truncate_m**2
 
 
 def surprise(expected: Pose, pose: Pose, elapsed_s: float) -> float:

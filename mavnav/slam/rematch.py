@@ -86,31 +86,32 @@ def remove_dynamic_cells(track: Track) -> Track:
 def refine_against_final_map(track: Track) -> Track:
     """Match every tracked scan against the finished map; without odometry, warn where its geometry is degenerate.
 
-    The steps themselves take what is found: there are many.
+    The steps themselves take what is found: there are many. What the map shows of each scan is kept with the track.
     """
     if track.refiner is None:
         return track
-    observed = None if track.motion.odometry else array("d")
-    for step in track.reported(refined(track.log_scans(), track.steps, track.refiner, observed), "final pass"):
+    shown = array("d")
+    for step in track.reported(refined(track.log_scans(), track.steps, track.refiner, shown), "final pass"):
         track.steps[step.index] = step
-    warning = degeneracy_warning(track.steps, np.array(observed)) if observed else ""
+    observed, conflicts = np.array(shown).reshape(-1, 2).T
+    track = replace(track, observed=observed, conflicts=conflicts)
+    warning = degeneracy_warning(track.steps, observed) if len(observed) and not track.motion.odometry else ""
     return track.with_warning(warning) if warning else track
 
 
-def refined(
-    scans: Iterable[Scan], steps: Iterable[Step], refiner: Refiner, observed: array[float] | None = None
-) -> Iterator[Step]:
+def refined(scans: Iterable[Scan], steps: Iterable[Step], refiner: Refiner, shown: array[float]) -> Iterator[Step]:
     """Match every tracked scan once more, against the finished map, close to where it was.
 
-    Steps whose scans do not come, because the run is being stopped, stay as they are. The observability of each of
-    the others is added to ``observed``.
+    Steps whose scans do not come, because the run is being stopped, stay as they are. Observability and visibility
+    conflicts of each of the others are added to ``shown``.
     """
     waiting, coming = iter(steps), iter(scans)
     while some := list(islice(waiting, REFINED_AT_ONCE)):
         points = [refiner.match_points(scan) for scan in islice(coming, len(some))]
         matches = [refiner.refine(p, s.match) if s.tracked else s.match for p, s in zip(points, some, strict=False)]
-        if observed is not None:
-            found = zip(points, some, matches, strict=False)
-            observed.extend(refiner.observability(p, m) if s.tracked else UNMEASURED for p, s, m in found)
+        for p, step, match in zip(points, some, matches, strict=False):
+            tracked = step.tracked
+            shown.append(refiner.observability(p, match) if tracked else UNMEASURED)
+            shown.append(refiner.conflicts(p, match) if tracked else 0.0)
         yield from (Step(*step[:2], match, *step[3:]) for step, match in zip(some, matches, strict=False))
         yield from some[len(matches) :]

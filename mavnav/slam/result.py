@@ -5,13 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from mavnav.slam.doubt.record import NOT_PLANAR
 from mavnav.slam.loop_closure.detection import Loops
 from mavnav.slam.parts import Part, lost_for_good, part_warnings, parts_of
 from mavnav.slam.steps import LostInterval, Steps, lost_intervals, tracked_trajectory
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.pose import Trajectory
+    from mavnav.slam.doubt.record import Doubt
     from mavnav.slam.track import Track
 
 
@@ -21,7 +27,7 @@ class SlamResult:
 
     ``warnings`` are lines for the user: what of the log was not taken as it stands there. ``tracks_compared``
     counts the tracks of which the sharpest was kept. ``parts`` are the stretches of a log that was not tracked as a
-    whole, each on a map of its own at first; none otherwise.
+    whole, each on a map of its own at first; none otherwise. ``doubt`` is None where it was not judged.
     """
 
     steps: Steps
@@ -32,6 +38,7 @@ class SlamResult:
     warnings: tuple[str, ...] = ()
     tracks_compared: int = 1
     parts: tuple[Part, ...] = ()
+    doubt: Doubt | None = None
 
     @property
     def tracked_share(self) -> float:
@@ -42,6 +49,15 @@ class SlamResult:
     def lost_for_good(self) -> bool:
         """Whether the track ended before the log did, has too few of its scans, or left too many out."""
         return lost_for_good(self.steps, self.lost, self.parts)
+
+    @property
+    def planar(self) -> bool:
+        """Whether nothing speaks for a tilting laser, or another one that no map of a plane fits."""
+        return self.doubt is None or not self.doubt.high or NOT_PLANAR not in {r.name for r in self.doubt.reasons}
+
+    def doubtful(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which of the scans (n,) are of a doubtful stretch: none where the doubt is not high."""
+        return np.zeros(len(stamps_ns), np.bool_) if self.doubt is None else self.doubt.marks(stamps_ns)
 
 
 def summarize(track: Track) -> SlamResult:
@@ -56,4 +72,5 @@ def summarize(track: Track) -> SlamResult:
         (*track.warnings, *(part_warnings(parts, steps[0].stamp_ns) if parts else ())),
         track.tracks_compared,
         parts,
+        track.doubt,
     )

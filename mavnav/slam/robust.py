@@ -15,7 +15,7 @@ from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
 from mavnav.slam.motion_model import LONGEST_S
-from mavnav.slam.relocalization import around, best_of, candidates, everywhere, judged, within_reach
+from mavnav.slam.relocalization import around, best_of, candidates, everywhere, judged, rival, within_reach
 from mavnav.slam.scan_matching import (
     Match,
     Schedule,
@@ -286,6 +286,14 @@ class Robust:
         """Ask the lines through the walls that the points lie on."""
         lines = self.lines
         return observability(points, match.map_T_laser.as_array(), lines.nearest, lines.lines, lines.geometry)
+
+    def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
+        """Count the visibility conflicts of a sample of the points."""
+        return judged(match, points, self.lines, self.known).conflicts
+
+    def rival(self, points: NDArray[np.float64], match: Match) -> float:
+        """Compare the cost of the pose with that of other headings near it."""
+        return rival(points, match.map_T_laser, self.lines, self.config)
 
     def finished(self) -> Grid:
         """Return the map, and forget it and its lines: of a large one there is no room for all."""

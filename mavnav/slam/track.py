@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain, islice
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from mavnav.pose import Pose
 from mavnav.slam.loop_closure.detection import Loops
@@ -16,8 +19,11 @@ from mavnav.slam.tracker import track
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
+    from numpy.typing import NDArray
+
     from mavnav.config.models import Config
     from mavnav.scan import Scan
+    from mavnav.slam.doubt.record import Doubt
     from mavnav.slam.method import Method, Refiner
     from mavnav.slam.motion_model import Motion
     from mavnav.slam.prior_map import PriorMap
@@ -37,6 +43,8 @@ class Track:
     ``motion`` is the state before the first scan, with the odometry that is used. ``warnings`` are lines for the user.
     ``tracks_compared`` counts the tracks that were compared for the sharper map. The map begins with the first usable
     scan from number ``begin`` on. ``parts`` are stretches that were tracked on maps of their own: their accepted steps.
+    ``odometry_contradicts``: the log has odometry that is not used. ``observed`` and ``conflicts`` (n,) are the
+    observability and the visibility conflicts of the steps in the finished map, empty before the final pass.
     """
 
     log_scans: LogScans
@@ -51,6 +59,10 @@ class Track:
     tracks_compared: int = 1
     begin: int = 0
     parts: tuple[tuple[Step, ...], ...] = ()
+    odometry_contradicts: bool = False
+    observed: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
+    conflicts: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
+    doubt: Doubt | None = None
 
     @property
     def refiner(self) -> Refiner | None:

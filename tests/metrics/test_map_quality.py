@@ -95,6 +95,12 @@ def test_only_the_thin_walls_left(grid, journey, good) -> None:
     assert found.support.explained_share < good.support.explained_share - 0.1
 
 
+def test_a_laser_that_tilts(grid, journey) -> None:
+    found = map_quality(grid, replace(journey, planar=False))
+    assert not found.meaningful
+    assert found.why == ("the laser did not move in a plane",)
+
+
 def test_a_lost_track(grid, journey) -> None:
     found = map_quality(grid, replace(journey, lost_for_good=True))
     assert (found.meaningful, found.why) == (False, ("the track was lost for good",))

@@ -6,11 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mavnav.commands.quality_rows import doubt_rows
 from mavnav.logs import Damage
+from mavnav.metrics.gates import judge, parse_gate
 from mavnav.metrics.wall_thickness import wall_sections
 from mavnav.outputs.document import plain, run_document, to_json
 from mavnav.outputs.markdown import inert
 from mavnav.pose import Pose, Trajectory
+from mavnav.slam.doubt.record import Doubt, Reason
 from mavnav.slam.loop_closure.detection import Loop, Loops
 from mavnav.slam.steps import LostInterval, Steps
 
@@ -75,6 +78,40 @@ def test_a_lost_stretch_is_told_in_seconds_from_the_first_scan(run):
     assert tracking["frames"] == {
         "trajectory.tum": ["map", "/laser"], "trajectory_base.tum": ["map", "base_footprint"]
     }  # fmt: skip
+
+
+def doubtful(run, probability):
+    stamps_ns = run.slam.trajectory.stamps_ns
+    slip = Reason("slip", int(stamps_ns[2]), int(stamps_ns[4]), 3.0)
+    return replace(run, slam=replace(run.slam, doubt=Doubt(probability, (slip,), ("resampled track",))))
+
+
+def test_doubt_is_reported_with_its_reasons(run):
+    document = strict(run_document(doubtful(run, 0.75), {}))
+    doubt = document["tracking"]["doubt"]
+    assert set(doubt) == {"probability", "reasons", "tried"}
+    assert doubt["probability"] == 0.75
+    assert doubt["tried"] == ["resampled track"]
+    assert doubt["reasons"] == [
+        {"reason": "slip", "from_s": pytest.approx(1.0), "to_s": pytest.approx(2.0), "value": 3.0}
+    ]
+    assert any("probability 0.75: slip (from 1.0 to 2.0 s)" in line for line in document["warnings"])
+    (held, failed) = judge([parse_gate(f"tracking.doubt.probability<={p}") for p in (0.8, 0.5)], document)
+    assert held.passed
+    assert not failed.passed
+    assert doubt_rows(doubt) == [("doubtful", "75%: slip")]
+
+
+def test_little_doubt_is_no_warning_and_no_row(run):
+    document = strict(run_document(doubtful(run, 0.3), {}))
+    assert document["warnings"] == strict(run_document(run, {}))["warnings"]
+    assert doubt_rows(document["tracking"]["doubt"]) == []
+
+
+def test_a_run_that_was_not_judged_has_no_probability(run):
+    doubt = strict(run_document(run, {}))["tracking"]["doubt"]
+    assert doubt == {"probability": None, "reasons": [], "tried": []}
+    assert doubt_rows(doubt) == []
 
 
 def lost_for_good(run):

@@ -17,6 +17,7 @@ from mavnav.outputs.canvas import Canvas, rgb_of
 from mavnav.outputs.plot import Axes, ticks
 from mavnav.outputs.viewport import Window, window_of
 from mavnav.pose import Pose, Trajectory
+from mavnav.slam.doubt.record import Doubt, Reason
 from mavnav.slam.loop_closure.detection import Loop, Loops
 
 WRITERS = pytest.mark.parametrize("write", [map_picture.write, wall_picture.write], ids=["map", "walls"])
@@ -84,6 +85,22 @@ def test_closed_loops_are_joined_and_named(run, tmp_path):
         return (np.abs(pixels - rgb_of(map_axes.LOOP.colour)).sum(axis=1) < 30).sum()
 
     assert ink(closed) > ink(run) + 100
+
+
+def test_the_doubtful_part_of_the_path_is_marked(run, tmp_path):
+    stamps_ns = run.slam.trajectory.stamps_ns
+    slip = Reason("slip", int(stamps_ns[2]), int(stamps_ns[6]), 3.0)
+
+    def red(probability):
+        slam = replace(run.slam, doubt=Doubt(probability, (slip,)))
+        map_picture.write(replace(run, slam=slam), tmp_path / "map.png")
+        with Image.open(tmp_path / "map.png") as image:
+            pixels = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
+        return (np.abs(pixels - rgb_of(map_axes.DOUBTFUL.colour)).sum(axis=1) < 20).sum()
+
+    assert red(0.9) > red(0.4) + 200
+    (part,) = map_picture.doubtful_parts(replace(run.slam, doubt=Doubt(0.9, (slip,))))
+    np.testing.assert_array_equal(part, run.slam.trajectory.xyyaw[2:7, :2])
 
 
 def test_a_wall_of_one_cell_survives_the_shrinking():

@@ -2,12 +2,14 @@
 
 import csv
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mavnav.outputs.trajectory import seconds, write_base_tum, write_csv, write_tum
 from mavnav.pose import Pose, yaw_of_quaternion
+from mavnav.slam.doubt.record import Doubt, Reason
 
 
 def read_tum(path):
@@ -59,6 +61,15 @@ def test_csv_has_a_row_for_every_scan_and_poses_for_the_tracked(run, tmp_path):
         assert int(row["evaluations"]) == step.match.evaluations
         if step.tracked:
             assert float(row["x_m"]) == pytest.approx(step.match.map_T_laser.x_m, abs=1e-9)
+
+
+def test_csv_marks_the_doubtful_scans(run, tmp_path):
+    stamps_ns = run.slam.steps.column("stamp_ns")
+    doubt = Doubt(0.9, (Reason("slip", int(stamps_ns[3]), int(stamps_ns[5]), 2.0),))
+    write_csv(replace(run, slam=replace(run.slam, doubt=doubt)), tmp_path / "t.csv")
+    with (tmp_path / "t.csv").open(newline="") as file:
+        marked = [row["index"] for row in csv.DictReader(file) if row["doubtful"] == "1"]
+    assert marked == ["3", "4", "5"]
 
 
 @pytest.mark.parametrize(

@@ -39,14 +39,22 @@ def driven(walls: np.ndarray, *way_m: tuple[float, float]) -> Recording:
 )
 def test_a_direction_that_is_left_open_is_told(walls: np.ndarray, way: list[tuple[float, float]]) -> None:
     drive = driven(walls, *way)
-    (warning,) = run_slam(lambda: drive.scans, Config(), 0.1).warnings
+    found = run_slam(lambda: drive.scans, Config(), 0.1)
+    (warning,) = found.warnings
     assert "leave a direction open" in warning
+    assert found.doubt is not None
+    assert found.doubt.high
+    assert "weakly constrained pose" in {reason.name for reason in found.doubt.reasons}
 
 
 @pytest.mark.parametrize("walls", [furnished_rooms(), room(4.0, 3.5)], ids=["furnished", "empty room"])
 def test_a_room_holds_the_laser(walls: np.ndarray) -> None:
     drive = driven(walls, (0.8, 0.7), (2.8, 0.7), (2.9, 1.5))
-    assert run_slam(lambda: drive.scans, Config(), 0.1).warnings == ()
+    found = run_slam(lambda: drive.scans, Config(), 0.1)
+    assert found.warnings == ()
+    assert found.doubt is not None
+    assert not found.doubt.high
+    assert found.doubt.reasons == ()
 
 
 def test_odometry_holds_it_too() -> None:

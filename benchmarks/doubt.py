@@ -1,0 +1,224 @@
+"""How well does `tracking.doubt` tell wrong tracks from right ones? Makes runs, fits the coefficients, and reports.
+
+    python benchmarks/doubt.py collect RUNS.jsonl [--logs FOLDER] [--jobs N] [--only TEXT]
+    python benchmarks/doubt.py fit RUNS.jsonl
+    python benchmarks/doubt.py report RUNS.jsonl [--plot FILE.png]
+
+``collect`` runs what is not yet in the file: recorded logs, disturbed, compared with the undisturbed track; scenes and
+missions, compared with the truth. Each line holds the features of a run, always with a second track, and its errors. A
+run is wrong if the motion over a window of 2 or 10 s is off by more than 0.2 m or 5 deg somewhere. ``fit`` prints
+the coefficients that belong into mavnav/slam/doubt/coefficients.py, from the even seeds; ``report`` judges all runs
+with those that are there, the second track only where they ask for it, and prints both halves.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from doubt_corpus import case_of, every_name, flown, largest_errors
+from matplotlib.figure import Figure
+from scipy.optimize import minimize
+
+from mavnav.config.models import Config
+from mavnav.slam import pipeline
+from mavnav.slam.doubt.coefficients import Weights
+from mavnav.slam.doubt.evidence import evidence_of, with_resampled_track
+from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, WRONG_M, WRONG_RAD
+from mavnav.slam.doubt.judge import FEWEST, WORTH_A_TRACK, judge_track
+from mavnav.slam.doubt.model import doublings, probability
+from mavnav.slam.doubt.record import HIGH
+from mavnav.slam.track import Track
+from mavnav.units import DEG
+
+Run = dict[str, Any]
+
+RIDGE, LEAST_WEIGHT = 0.3, 0.1
+"""The penalty on squared weights; what each doubling of a feature counts at least, however rare it is in the runs."""
+
+PASSES = pipeline.LAST_PASSES
+
+BINS = (0.0, 0.02, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
+"""Of the reliability diagram."""
+
+
+def features_of(track: Track) -> dict[str, float]:
+    """Return the features of a finished track, with a second one."""
+    refiner = track.refiner
+    if refiner is None or track.steps.column("tracked").sum() < FEWEST:
+        return {}
+    evidence = with_resampled_track(evidence_of(track, refiner), track)
+    return {name: feature.total(feature.of(evidence)) for name, feature in FEATURES.items()}
+
+
+def made(folder: Path, name: str) -> Run:
+    """Make a run, and return its features and errors."""
+    os.nice(5)
+    features: dict[str, float] = {}
+
+    def keep(track: Track) -> Track:
+        features.update(features_of(track))
+        return track
+
+    pipeline.LAST_PASSES = tuple(keep if some is judge_track else some for some in PASSES)
+    if name.startswith("mission-"):
+        slam, truth = flown(name)
+    else:
+        case = case_of(folder, name)
+        slam = pipeline.run_slam(lambda: case.scans, Config(), case.period_s, case.odometry)
+        truth = case.reference
+    off_m, off_deg = largest_errors(slam.trajectory, truth) if truth is not None else (0.0, 0.0)
+    return {"name": name, "lost": slam.lost_for_good, "off_m": off_m, "off_deg": off_deg, "features": features}
+
+
+def collect(file: Path, folder: Path, jobs: int, only: str) -> None:
+    """Make the runs that are missing in a file."""
+    there = {run["name"] for run in read(file)} if file.exists() else set()
+    names = [name for name in every_name() if only in name and name not in there]
+    np.random.default_rng(0).shuffle(names)
+    with ProcessPoolExecutor(jobs) as pool, file.open("a", encoding="utf-8") as out:
+        for run in pool.map(partial(made, folder), names):
+            out.write(json.dumps(run) + "\n")
+            out.flush()
+            print(f"{run['name']:32} {run['off_m']:6.2f} m {run['off_deg']:6.1f} deg", flush=True)
+
+
+def read(file: Path) -> list[Run]:
+    """Read the runs of a file."""
+    return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+
+
+def half(runs: list[Run], odd: int) -> list[Run]:
+    """Return the runs of even or of odd seeds."""
+    return [run for run in runs if int(run["name"].rpartition("/")[2]) % 2 == odd]
+
+
+def is_wrong(run: Run) -> bool:
+    """Return whether the track of a run is wrong somewhere."""
+    return bool(run["off_m"] > WRONG_M or run["off_deg"] > WRONG_RAD / DEG)
+
+
+def fitted(runs: list[Run], names: list[str]) -> Weights:
+    """Fit the weights of some features to runs: logistic regression with no negative weight."""
+    x = np.array([[doublings(run["features"][name]) for name in names] for run in runs])
+    wrong = np.array([is_wrong(run) for run in runs], dtype=np.float64)
+
+    def loss(p: np.ndarray) -> tuple[float, np.ndarray]:
+        z, weights = p[0] + x @ p[1:], p[1:]
+        slope = 1.0 / (1.0 + np.exp(-z)) - wrong
+        total = (np.logaddexp(0.0, z) - wrong * z).sum() + RIDGE * (weights**2).sum()
+        return total, np.concatenate(([slope.sum()], x.T @ slope + 2.0 * RIDGE * weights))
+
+    bounds = [(None, None), *[(LEAST_WEIGHT, None)] * len(names)]
+    found = minimize(loss, np.array([-3.0, *[0.5] * len(names)]), jac=True, bounds=bounds, method="L-BFGS-B").x
+    return Weights(round(found[0], 2), {n: round(w, 2) for n, w in zip(names, found[1:].tolist(), strict=True)})
+
+
+def fit(runs: list[Run]) -> None:
+    """Print the coefficients that follow from the even seeds."""
+    some = [run for run in half(runs, 0) if run["features"] and not run["lost"]]
+    cheap = [name for name in FEATURES if name != DISAGREEMENT]
+    print(f"{len(some)} runs, {sum(map(is_wrong, some))} of them wrong")
+    for title, names in (("ONE_TRACK", cheap), ("TWO_TRACKS", list(FEATURES))):
+        weights = fitted(some, names)
+        print(f"{title}: Final = Weights(\n    {weights.bias},\n    {{")
+        print("".join(f'        "{name}": {weight},\n' for name, weight in weights.weights.items()) + "    },\n)")
+
+
+def judged(run: Run) -> float:
+    """Return the doubt of a run: the second track counts where the first one's doubt asks for it."""
+    one = probability({**run["features"], DISAGREEMENT: np.nan})
+    return one if one < WORTH_A_TRACK else probability(run["features"])
+
+
+def outcomes(runs: list[Run]) -> str:
+    """Count right, marked, lost and silently wrong runs, as a row of a table."""
+    live = [run for run in runs if not run["lost"] and run["features"]]
+    right, wrong = ([judged(r) > HIGH for r in live if is_wrong(r) == w] for w in (False, True))
+    silent, false = len(wrong) - sum(wrong), sum(right)
+    return (
+        f"| {len(runs)} | {len(right) - false} | {false} ({100 * false / max(len(right), 1):.1f} %) | {sum(wrong)} "
+        f"| {len(runs) - len(live)} | {silent} ({100 * silent / max(len(runs), 1):.1f} %) |"
+    )
+
+
+def families(runs: list[Run]) -> Iterator[tuple[str, list[Run]]]:
+    """Group runs by what they are of."""
+    of = {run["name"]: run["name"].partition("/")[0].partition("-")[0] for run in runs}
+    for family in sorted(set(of.values())):
+        yield family, [run for run in runs if of[run["name"]] == family]
+
+
+def report(runs: list[Run], plot: Path | None) -> None:
+    """Print what became of the runs of both halves, those that slipped through, and the reliability."""
+    print("| runs | runs | right | right, marked | wrong, marked | exit 5 | silently wrong |\n|" + "---|" * 7)
+    for odd, title in enumerate(("fitted", "reported")):
+        print(f"| **{title} half** {outcomes(half(runs, odd))}")
+    for family, some in families(half(runs, 1)):
+        print(f"| {family} {outcomes(some)}")
+    live = [run for run in half(runs, 1) if not run["lost"] and run["features"]]
+    tried = np.mean([probability({**r["features"], DISAGREEMENT: np.nan}) >= WORTH_A_TRACK for r in live])
+    print(f"\nsecond track: {tried:.0%} of the reported half\n")
+    for run in live:
+        doubt = judged(run)
+        if (doubt > HIGH) != is_wrong(run):
+            print(f"{run['name']:32} {run['off_m']:.2f} m {run['off_deg']:.1f} deg, doubt {doubt:.2f}")
+    rows = reliability(live)
+    print("\n| doubt | runs | mean doubt | wrong |\n|---|---|---|---|")
+    for low, high, count, mean, share in rows:
+        print(f"| {low:g} to {high:g} | {count} | {mean:.2f} | {share:.2f} |")
+    if plot:
+        draw(rows, plot)
+
+
+def reliability(runs: list[Run]) -> list[tuple[float, float, int, float, float]]:
+    """Return for each bin its limits, the number of runs, their mean doubt and the share that is wrong."""
+    doubts, wrong = np.array([judged(r) for r in runs]), np.array([is_wrong(r) for r in runs])
+    rows = []
+    for low, high in pairwise(BINS):
+        inside = (doubts >= low) & ((doubts < high) | (high == 1.0))
+        if inside.any():
+            rows.append((low, high, int(inside.sum()), float(doubts[inside].mean()), float(wrong[inside].mean())))
+    return rows
+
+
+def draw(rows: list[tuple[float, float, int, float, float]], path: Path) -> None:
+    """Draw the reliability diagram."""
+    figure = Figure(figsize=(4.0, 4.0), layout="constrained")
+    axes = figure.subplots()
+    axes.plot([0, 1], [0, 1], color="0.7", linewidth=1)
+    axes.plot([row[3] for row in rows], [row[4] for row in rows], "o-", color="#0077bb")
+    for _, _, count, mean, share in rows:
+        axes.annotate(str(count), (mean, share), xytext=(6, -10), textcoords="offset points", fontsize=8)
+    axes.set(xlabel="doubt", ylabel="share of wrong runs", xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    """Collect, fit or report."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("action", choices=("collect", "fit", "report"))
+    parser.add_argument("runs", type=Path)
+    parser.add_argument("--logs", type=Path, default=Path("../shared/logs"))
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--plot", type=Path)
+    args = parser.parse_args()
+    if args.action == "collect":
+        collect(args.runs, args.logs, args.jobs, args.only)
+    elif args.action == "fit":
+        fit(read(args.runs))
+    else:
+        report(read(args.runs), args.plot)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,250 @@
+"""The runs that the doubt is fitted on: recorded logs, disturbed in many ways, and simulated scenes with truth.
+
+Every run has a name, ``LOG/KIND/LEVEL/SEED``. Even seeds are for fitting, odd ones for the report.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from mavnav.config.models import Config
+from mavnav.logs import open_log
+from mavnav.pose import Pose, Trajectory
+from mavnav.scan import LaserSpec, Scan
+from mavnav.simulation.mission import fly
+from mavnav.simulation.world.scenario_file import load_scenario
+from mavnav.slam.doubt.features import WINDOWS_S
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.result import SlamResult
+from mavnav.units import DEG
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+
+from support.synthetic import URG_04LX, along, box, drifting_odometry, furnished_rooms, polyline, record, room
+
+LOGS = {
+    "ccny_demo": ("ccny_demo/ccny_demo.mcap", None, None),
+    "lego_robot4": ("lego_robot4/lego_robot4.mcap", None, None),
+    "urg_exp1": ("urg_exp1/urg_exp1.mcap", None, None),
+    "turtlebot4_mac2": ("turtlebot4_mac2/turtlebot4_mac2_ros2", None, None),
+    "slambot_rplidar": ("slambot_rplidar/slambot_rplidar.mcap", None, None),
+    "fr079": ("fr079/fr079.mcap", 0.0, 80.0),
+    "fr079b": ("fr079/fr079.mcap", 300.0, 360.0),
+    "ydlidar_194415": ("ydlidar_194415/ydlidar_194415.mcap", None, None),
+}
+"""Files in the folder of logs, and the part that is used, in seconds."""
+
+LEVELS: dict[str, tuple[float, ...]] = {
+    "none": (0,),
+    "drop": (0.1, 0.2, 0.3, 0.4, 0.5),
+    "every": (2, 3, 4, 5, 6, 8, 10, 12),
+    "cut": (0.5, 1.0, 2.0, 3.0),
+    "noise": (0.005, 0.01, 0.02),
+    "mask": (0, 1, 2),
+    "far": (0.5, 0.75),
+}
+"""Kinds of disturbance, each with its levels: the share of dropped scans, one scan of so many, seconds cut out twice,
+noise in m, which third of the beams is masked (a tenth of the scans dropped), quantile of the ranges that are kept."""
+
+SEEDS = {"drop": 4, "every": 2, "none": 2}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A run: its scans, period, odometry and the poses to compare with."""
+
+    scans: list[Scan]
+    period_s: float
+    odometry: Trajectory | None
+    reference: Trajectory | None
+
+
+def disturbed(scans: list[Scan], period_s: float, kind: str, level: float, seed: int) -> tuple[list[Scan], float]:
+    """Return what a disturbance leaves of the scans, and their period."""
+    rng = np.random.default_rng([seed, int(1000 * level), sorted(LEVELS).index(kind)])
+    if kind == "drop":
+        return [s for s, keep in zip(scans, rng.random(len(scans)) >= level, strict=True) if keep], period_s
+    if kind == "every":
+        return scans[int(rng.integers(level)) :: int(level)], period_s * level
+    if kind == "cut":
+        starts = scans[0].stamp_ns + rng.random(2) * (scans[-1].stamp_ns - scans[0].stamp_ns)
+        return [s for s in scans if not any(0 <= s.stamp_ns - a < 1e9 * level for a in starts)], period_s
+    if kind == "noise":
+        return [changed(s, s.ranges_m + rng.normal(0.0, level, len(s.ranges_m))) for s in scans], period_s
+    if kind == "mask":
+        kept = [s for s in scans if rng.random() >= 0.1]
+        return [changed(s, masked(s.ranges_m, int(level))) for s in kept], period_s
+    if kind == "far":
+        far_m = float(np.nanquantile(np.concatenate([s.ranges_m for s in scans[::10]]), level + 0.05 * rng.random()))
+        return [changed(s, np.where(s.ranges_m <= far_m, s.ranges_m, np.nan)) for s in scans], period_s
+    return list(scans), period_s
+
+
+def changed(scan: Scan, ranges_m: np.ndarray) -> Scan:
+    """Return a scan with other ranges."""
+    return replace(scan, ranges_m=ranges_m)
+
+
+def masked(ranges_m: np.ndarray, third: int) -> np.ndarray:
+    """Return ranges without a third of the beams."""
+    out, n = ranges_m.copy(), len(ranges_m)
+    out[third * n // 3 : (third + 1) * n // 3] = np.nan
+    return out
+
+
+def recorded_names(logs: tuple[str, ...] = tuple(LOGS)) -> list[str]:
+    """Name all runs of recorded logs."""
+    return [
+        f"{log}/{kind}/{level}/{seed}"
+        for log in logs
+        for kind, levels in LEVELS.items()
+        for level in levels
+        for seed in range(SEEDS.get(kind, 2))
+    ]
+
+
+@lru_cache(maxsize=2)
+def read(folder: Path, log: str, odom: str) -> tuple[list[Scan], float, Trajectory | None]:
+    """Read a log: scans, period and odometry."""
+    file, start_s, end_s = LOGS[log]
+    opened = open_log(folder / file, odom=odom, start_s=start_s, end_s=end_s)
+    return list(opened.scans()), opened.period_s, opened.odometry.odom_T_laser if opened.odometry else None
+
+
+def recorded(folder: Path, name: str) -> Case:
+    """Return a run of a recorded log. Every second pair of seeds has the log's odometry, if it has any."""
+    log, kind, level, seed = name.split("/")
+    with_odometry = int(seed) // 2 % 2 == 1 or kind in ("cut", "far", "none")
+    scans, period_s, odometry = read(folder, log, "auto" if with_odometry else "off")
+    some, period_s = disturbed(scans, period_s, kind, float(level), int(seed))
+    return Case(some, period_s, odometry, undisturbed(folder, log))
+
+
+SHORT = LaserSpec(URG_04LX.angle_min_rad, URG_04LX.angle_step_rad, 681, 0.02, 4.0, 0.0, 0.1)
+SCENES = ("plain24", "doors24", "plain80", "doors80", "hall", "round", "wall", "rooms", "square", "boxed")
+
+
+def scene_names(seeds: int = 8) -> list[str]:
+    """Name all simulated scenes; ``odo`` have drifting odometry."""
+    kinds = ("plain", "every3", "odo")
+    return [f"sim-{scene}/{kind}/0/{seed}" for scene in SCENES for kind in kinds for seed in range(seeds)]
+
+
+def simulated(name: str) -> Case:
+    """Return a run through a simulated scene."""
+    scene, kind, _, seed = name.removeprefix("sim-").split("/")
+    rng = np.random.default_rng([int(seed), SCENES.index(scene)])
+    walls, way = scenery(scene, rng)
+    speed = float(rng.uniform(0.4, 1.0)) if not scene.endswith("80") else 1.5
+    path = along(way, speed_m_s=speed, turn_rad_s=float(rng.uniform(0.6, 2.0)))
+    drive = record(walls, path, SHORT, noise=float(rng.uniform(0.003, 0.015)), seed=int(seed))
+    odometry = drifting_odometry(drive.world_T_laser, int(seed)) if kind == "odo" else None
+    scans, period_s = (drive.scans[::3], 0.3) if kind == "every3" else (drive.scans, 0.1)
+    return Case(scans, period_s, odometry, drive.map_T_laser)
+
+
+def scenery(scene: str, rng: np.random.Generator) -> tuple[np.ndarray, list[tuple[float, float]]]:
+    """Return walls and a way through them."""
+    jitter = [(float(a), float(b)) for a, b in rng.uniform(-0.15, 0.15, (12, 2))]
+    if scene.startswith(("plain", "doors")):
+        length = float(scene[-2:])
+        walls = [polyline((0, -1), (length, -1), (length, 1), (0, 1), closed=True)]
+        places = np.arange(1.5, length - 1.0, 2.5) if scene.startswith("doors") else np.zeros(0)
+        walls += [
+            box(x + rng.uniform(-0.8, 0.8), rng.choice((-0.95, 0.95)), rng.uniform(0.3, 0.9), 0.3) for x in places
+        ]
+        end = length - 1.5 if length < 50 else 40.0
+        return np.vstack(walls), [(1.0, jitter[0][1]), (end / 2, jitter[1][1]), (end, jitter[2][1])]
+    if scene == "hall":
+        return polyline((0, 0), (14, 0), (14, 12), (0, 12), closed=True), [(2 + jitter[0][0], 2), (7, 6), (11, 9)]
+    if scene == "round":
+        ring = [(2.5 * np.cos(a), 2.5 * np.sin(a)) for a in np.arange(0.0, 2 * np.pi, np.pi / 60)]
+        return polyline(*ring, closed=True), [(-0.6, jitter[0][1]), (0.5, 0.4 + jitter[1][1]), (0.2, -0.7)]
+    if scene == "wall":
+        return polyline((-20, 1), (20, 1)), [(0.0, -1.0), (3.0, -1.0 + jitter[0][1])]
+    if scene == "square":
+        return room(3.0, 3.0), [(0.8, 0.8), (2.2, 0.8 + jitter[0][1]), (2.1, 2.2), (0.8, 2.1), (0.9, 0.9)]
+    if scene == "boxed":
+        walls = [
+            room(7.0, 5.0),
+            *(box(*rng.uniform((1, 1), (6, 4)), *rng.uniform(0.2, 0.6, 2), rng.uniform(0, 3)) for _ in range(4)),
+        ]
+        return np.vstack(walls), [(0.5, 0.5), (6.4, 0.5 + jitter[0][1] / 3), (6.5, 4.4), (0.5, 4.5), (0.5, 0.9)]
+    return furnished_rooms(), [(0.8, 0.7), (2.8 + jitter[0][0], 0.7), (4.9, 0.7), (5.2, 2.2), (4.65, 3.4), (4.65, 5.0)]
+
+
+MISSIONS = ("corner", "corridor", "complex", "curved", "loop", "u_trap")
+
+
+def mission_names(seeds: int = 6) -> list[str]:
+    """Name all missions."""
+    return [f"mission-{scenario}/fly/0/{seed}" for scenario in MISSIONS for seed in range(seeds)]
+
+
+def largest_errors(poses: Trajectory, reference: Trajectory) -> tuple[float, float]:
+    """Return the largest error over windows of 2 and 10 s: of the position in m, of the heading in deg.
+
+    The motion over a window is compared with the reference's over the same scans.
+    """
+    rows = np.searchsorted(reference.stamps_ns, poses.stamps_ns)
+    same = (rows < len(reference)) & (reference.stamps_ns[np.minimum(rows, len(reference) - 1)] == poses.stamps_ns)
+    stamps, found, true = poses.stamps_ns[same], poses.xyyaw[same], reference.xyyaw[rows[same]]
+    off_m = off_deg = 0.0
+    for window_s in WINDOWS_S:
+        end = np.minimum(np.searchsorted(stamps, stamps + int(window_s * 1e9)), len(stamps) - 1)
+        for k, m in enumerate(end.tolist()):
+            gap = Pose(*true[k]).between(Pose(*true[m])).between(Pose(*found[k]).between(Pose(*found[m])))
+            off_m, off_deg = max(off_m, gap.distance_m), max(off_deg, abs(gap.yaw_rad) / DEG)
+    return off_m, off_deg
+
+
+INTEL = "intel_sparse"
+STRETCH = 130
+"""Key frames of a stretch of the sparse log."""
+
+
+def sparse(folder: Path, name: str) -> Case:
+    """Return a stretch of a log of key frames, which is too sparse to be tracked, with the poses of another SLAM."""
+    first = int(name.split("/")[3]) * STRETCH
+    log = open_log(folder / INTEL / f"{INTEL}.mcap", odom="off")
+    scans, rows = list(log.scans()), np.loadtxt(folder / INTEL / "groundtruth.tum")
+    stamps = np.array([scan.stamp_ns for scan in scans])
+    at = [int(np.abs(rows[:, 0] - stamp * 1e-9).argmin()) for stamp in stamps.tolist()]
+    yaws = 2.0 * np.arctan2(rows[at, 6], rows[at, 7])
+    truth = Trajectory(stamps, np.column_stack((rows[at, 1], rows[at, 2], yaws)))
+    return Case(scans[first : first + STRETCH], log.period_s, None, truth)
+
+
+@lru_cache(maxsize=8)
+def undisturbed(folder: Path, log: str) -> Trajectory:
+    """Return the track of a log as it was recorded, with its odometry."""
+    scans, period_s, odometry = read(folder, log, "auto")
+    return run_slam(lambda: scans, Config(), period_s, odometry).trajectory
+
+
+def case_of(folder: Path, name: str) -> Case:
+    """Return a run by its name."""
+    if name.startswith("sim-"):
+        return simulated(name)
+    return sparse(folder, name) if name.startswith(INTEL) else recorded(folder, name)
+
+
+def flown(name: str) -> tuple[SlamResult, Trajectory]:
+    """Fly a mission; return what SLAM made of it, and the true poses."""
+    scenario, _, _, seed = name.removeprefix("mission-").split("/")
+    flight = fly(load_scenario(scenario, [], {"seed": int(seed)}))
+    return flight.slam, flight.map_T_laser
+
+
+def every_name() -> Iterator[str]:
+    """Give all names."""
+    yield from recorded_names()
+    yield from (f"{INTEL}/none/0/{stretch}" for stretch in range(7))
+    yield from scene_names()
+    yield from mission_names()

@@ -1,0 +1,1 @@
+"""How likely a finished track is wrong although its scans were accepted (docs/method.md, "Doubt")."""

@@ -1,0 +1,164 @@
+"""The features that doubt is computed from: what each scan of a track shows of each reason to doubt it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from mavnav.slam.doubt.evidence import turns_rad, wrapped
+from mavnav.slam.doubt.record import NOT_PLANAR
+from mavnav.units import DEG, NS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from mavnav.slam.doubt.evidence import Evidence
+
+    Floats = NDArray[np.float64]
+
+WINDOWS_S = (2.0, 10.0)
+"""Two tracks are compared by the motion over windows of these lengths."""
+
+WRONG_M, WRONG_RAD = 0.2, 5 * DEG
+"""A track is wrong if the motion over a window is off by more."""
+
+STEADY_M, STEADY_RAD, SPIKE = 0.01, 0.02, 5.0
+"""Changes of velocity, per period, that count as none; a spike is so many times what nine of ten changes stay below."""
+
+SPARSE_M, SPARSE_RAD = 0.3, 20 * DEG
+"""Motion between two scans that is much."""
+
+WEAK, FEW_POINTS, CONFLICTS, RIVALS = 0.01, 80, 0.05, 0.15
+"""Observability that is weak, points that are few, conflicts that are many, rivals that are near."""
+
+GAP_S, REFUSED_LOOPS = 2.0, 10
+"""Time without a pose that is long, and loops that are many."""
+
+
+def motions(xyyaw: Floats, start: NDArray[np.intp], end: NDArray[np.intp]) -> Floats:
+    """Return the motion (m, 3) from poses to poses of (n, 3), seen from the first: m, m, rad."""
+    x, y, yaw = (xyyaw[end] - xyyaw[start]).T
+    cos, sin = np.cos(xyyaw[start, 2]), np.sin(xyyaw[start, 2])
+    return np.column_stack((cos * x + sin * y, cos * y - sin * x, wrapped(yaw)))
+
+
+def disagreement(evidence: Evidence) -> Floats:
+    """Return by how much two tracks disagree on the motion from or to each scan, as a share of what is wrong.
+
+    NaN without a second track.
+    """
+    found = np.flatnonzero(np.isfinite(evidence.resampled[:, 0]))
+    out = np.full(len(evidence.stamps_ns), 0.0 if len(found) else np.nan)
+    stamps_s, start = evidence.stamps_ns[found] * NS, np.arange(len(found))
+    for window_s in WINDOWS_S if len(found) else ():
+        end = np.minimum(np.searchsorted(stamps_s, stamps_s + window_s), len(found) - 1)
+        off = motions(evidence.xyyaw[found], start, end) - motions(evidence.resampled[found], start, end)
+        share = np.maximum(np.hypot(off[:, 0], off[:, 1]) / WRONG_M, np.abs(wrapped(off[:, 2])) / WRONG_RAD)
+        share[stamps_s[end] - stamps_s > window_s + 1.5] = 0.0  # across a gap both are guesses
+        np.maximum.at(out, found, share)
+        np.maximum.at(out, found[end], share)
+    return out
+
+
+def slip(evidence: Evidence) -> Floats:
+    """Return by how much the velocity to each scan differs from those before and after, as a share of a spike."""
+    n = len(evidence.stamps_ns)
+    if n < 4:
+        return np.zeros(n)
+    periods = np.maximum(np.round(np.diff(evidence.stamps_ns) * NS / evidence.period_s), 1.0)
+    change = np.diff(motions(evidence.xyyaw, np.arange(n - 1), np.arange(1, n)) / periods[:, None], axis=0)
+    spikes = [_spikes(np.hypot(change[:, 0], change[:, 1]), STEADY_M), _spikes(np.abs(change[:, 2]), STEADY_RAD)]
+    return np.pad(np.maximum(*spikes), (2, 1))
+
+
+def _spikes(changes: Floats, steady: float) -> Floats:
+    """Return the lesser of two successive changes (n,), as a share of a spike."""
+    spike = SPIKE * (float(np.quantile(changes, 0.9)) + steady)
+    return np.asarray(np.minimum(changes[:-1], changes[1:]) / spike)
+
+
+def weak(evidence: Evidence) -> Floats:
+    """Return how weakly each pose is constrained by the walls; nothing where odometry constrains it."""
+    return np.zeros(len(evidence.observed)) if evidence.odometry else _weakness(evidence)
+
+
+def weak_but_odometry(evidence: Evidence) -> Floats:
+    """Return the same where the poses have odometry."""
+    return _weakness(evidence) if evidence.odometry else np.zeros(len(evidence.observed))
+
+
+def _weakness(evidence: Evidence) -> Floats:
+    return WEAK / np.maximum(evidence.observed, 1e-5)
+
+
+def sparse(evidence: Evidence) -> Floats:
+    """Return the motion between two scans as a share of what is much."""
+    moved_m = np.linalg.norm(np.diff(evidence.xyyaw[:, :2], axis=0, prepend=evidence.xyyaw[:1, :2]), axis=1)
+    share: Floats = np.maximum(moved_m / SPARSE_M, turns_rad(evidence.xyyaw[:, 2]) / SPARSE_RAD)
+    return share
+
+
+def not_planar(evidence: Evidence) -> Floats:
+    """Return the visibility conflicts with the finished map as a share of what is much."""
+    return evidence.conflicts / CONFLICTS
+
+
+def few_points(evidence: Evidence) -> Floats:
+    """Return how few points were matched."""
+    return FEW_POINTS / np.maximum(evidence.points, 1)
+
+
+def gap(evidence: Evidence) -> Floats:
+    """Return the time since the last pose as a multiple of what is long."""
+    return np.diff(evidence.stamps_ns, prepend=evidence.stamps_ns[:1]) * NS / GAP_S
+
+
+def symmetric(evidence: Evidence) -> Floats:
+    """Return the turn before each scan that fits in another heading as well, as a share of what is much."""
+    return np.where(evidence.rivals < RIVALS, turns_rad(evidence.xyyaw[:, 2]) / SPARSE_RAD, 0.0)
+
+
+def unclosed_loop(evidence: Evidence) -> Floats:
+    """Return the loops that were refused, where none was closed, as a share of many; the same for all scans."""
+    return np.full(len(evidence.stamps_ns), 0.0 if evidence.closed else evidence.refused / REFUSED_LOOPS)
+
+
+def odometry_contradicts(evidence: Evidence) -> Floats:
+    """Return 2 for all scans if the odometry of the log contradicts the track, and is not used; else 0."""
+    return np.full(len(evidence.stamps_ns), 2.0 * evidence.contradicted)
+
+
+class Feature(NamedTuple):
+    """A reason to doubt a track: what each scan shows of it, (n,), and the quantile over the scans that counts."""
+
+    reason: str
+    of: Callable[[Evidence], Floats]
+    quantile: float
+
+    def total(self, shown: Floats) -> float:
+        """Return the feature of a track from those of its scans; NaN where it was not measured."""
+        return float(np.quantile(shown, self.quantile))
+
+
+DISAGREEMENT: Final = "tracks_disagree"
+"""The feature that needs a second track."""
+
+ONE_SCAN, MANY_SCANS = 1.0, 0.9
+
+FEATURES: Final = {
+    DISAGREEMENT: Feature("two tracks disagree", disagreement, ONE_SCAN),
+    "slip": Feature("slip", slip, ONE_SCAN),
+    "weakly_constrained": Feature("weakly constrained pose", weak, MANY_SCANS),
+    "weak_with_odometry": Feature("weakly constrained pose", weak_but_odometry, MANY_SCANS),
+    "sparse_sampling": Feature("sampling too sparse for the motion", sparse, MANY_SCANS),
+    "symmetric_place": Feature("symmetric place", symmetric, ONE_SCAN),
+    "not_planar": Feature(NOT_PLANAR, not_planar, MANY_SCANS),
+    "few_points": Feature("too few beams", few_points, MANY_SCANS),
+    "gap": Feature("gap", gap, ONE_SCAN),
+    "unclosed_loop": Feature("unclosed loop", unclosed_loop, ONE_SCAN),
+    "odometry_contradicts": Feature("odometry contradicts", odometry_contradicts, ONE_SCAN),
+}
+"""A slip is of one scan, weak geometry of many."""
