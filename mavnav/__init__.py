@@ -1,3 +1,55 @@
-"""mavnav: offline SLAM, maps and map quality from recorded 2D laser logs."""
+"""mavnav: offline SLAM, maps and map quality from recorded 2D laser logs.
+
+The names below are the Python interface (docs/python.md). They are loaded when first used.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mavnav.api.functions import compare, open_log, replay, simulate, track
+    from mavnav.api.results import Comparison, Run, load_run
+    from mavnav.errors import MavnavError
+    from mavnav.logs import Log
+    from mavnav.pose import Pose, Trajectory
+    from mavnav.scan import LaserSpec, Scan
 
 __version__ = "0.1.0"
+__all__ = [
+    "Comparison",
+    "LaserSpec",
+    "Log",
+    "MavnavError",
+    "Pose",
+    "Run",
+    "Scan",
+    "Trajectory",
+    "__version__",
+    "compare",
+    "load_run",
+    "open_log",
+    "replay",
+    "simulate",
+    "track",
+]
+_MODULES = {
+    **dict.fromkeys(("compare", "open_log", "replay", "simulate", "track"), "mavnav.api.functions"),
+    **dict.fromkeys(("Comparison", "Run", "load_run"), "mavnav.api.results"),
+    **dict.fromkeys(("LaserSpec", "Scan"), "mavnav.scan"),
+    **dict.fromkeys(("Pose", "Trajectory"), "mavnav.pose"),
+    "Log": "mavnav.logs",
+    "MavnavError": "mavnav.errors",
+}
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401
+    """Load a name of the interface; raises AttributeError for others."""
+    if name not in _MODULES:
+        raise AttributeError(f"module 'mavnav' has no attribute {name!r}")
+    from importlib import import_module  # noqa: PLC0415
+
+    return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Return the names of the interface."""
+    return sorted(__all__)

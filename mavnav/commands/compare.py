@@ -107,8 +107,8 @@ def compare(
     bounds = gates_of(gates)
     with reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.compare import comparison as pipeline
-            from mavnav.compare.grids import comparison_settings
+            from mavnav.comparison import pipeline
+            from mavnav.comparison.grids import comparison_settings
             from mavnav.jobs import usable_cores
             from mavnav.outputs.provenance import Typed
             from mavnav.slam.registry import load_kernels
@@ -139,17 +139,17 @@ def compare(
 
 def _sample(directory: Path, report: Report) -> tuple[list[Path], Path]:
     """Return the sample corridor, simulated and kept in the directory where it is not shipped, and its true map."""
-    from mavnav.compare.comparison import check_comparison_directory
+    from mavnav.comparison.pipeline import check_comparison_directory
 
     check_comparison_directory(directory)
     with loading_modules():
-        from mavnav.compare.sample import sample_log, sample_truth
+        from mavnav.comparison.sample import sample_log, sample_truth
     return [sample_log(directory, report)], sample_truth(directory)
 
 
 def _compared(plan: BatchPlan, *, quiet: bool) -> tuple[dict[str, Any], Path]:
     """Run what is missing, and draw the report unless it shows these results; return comparison.json and its path."""
-    from mavnav.compare.comparison import is_drawn, run_comparison
+    from mavnav.comparison.pipeline import is_drawn, run_comparison
     from mavnav.outputs.writers import REPORT_FILE, write_page
 
     directory, drawn = plan.request.directory, is_drawn(plan)  # before comparison.json is written again
@@ -164,7 +164,7 @@ def _compared(plan: BatchPlan, *, quiet: bool) -> tuple[dict[str, Any], Path]:
 
 def _print_result(document: dict[str, Any], page: Path, *, json: bool) -> None:
     """Print the result on stdout, and on stderr what the user must not miss."""
-    from mavnav.compare.files import problems
+    from mavnav.comparison.files import problems
 
     if json:
         emit_json(document)

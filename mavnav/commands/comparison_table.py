@@ -52,7 +52,7 @@ def print_comparison(document: dict[str, Any]) -> None:
 def _table(document: dict[str, Any], left_out: set[str]) -> Table:
     from rich.table import Table
 
-    from mavnav.compare.files import ratio
+    from mavnav.comparison.files import ratio
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     known = [figure for figure in _known(document) if figure.name not in left_out]
@@ -86,7 +86,7 @@ def _text(text: str, style: str = "") -> Text:
 
 def _figure(document: dict[str, Any], k: int, figure: Quantity) -> Text:
     """Format a metric, its bar before it, an asterisk behind the best."""
-    from mavnav.compare.files import winning
+    from mavnav.comparison.files import winning
 
     run = document["cells"][k]["run"]
     number = figure.of(run)

@@ -90,6 +90,14 @@ class Log:
         """Whether the scans are read at once, and kept."""
         return 8 * self.sensor.beams * len(self._order) <= KEPT_BYTES
 
+    def __iter__(self) -> Iterator[Scan]:
+        """Read the usable scans, as `scans` does."""
+        return self.scans()
+
+    def __len__(self) -> int:
+        """Count the usable scans."""
+        return self.counts.usable
+
     def scans(self) -> Iterator[Scan]:
         """Read the usable scans again from the file: cleaned, stamps strictly ascending, in bounded memory."""
         if not self.is_short:

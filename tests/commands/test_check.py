@@ -11,7 +11,7 @@ import pytest
 
 from mavnav.batch.document import BATCH_FILE
 from mavnav.commands import check as command
-from mavnav.compare.files import COMPARISON_FILE
+from mavnav.comparison.files import COMPARISON_FILE
 from mavnav.errors import ExitCode
 from mavnav.outputs.directory import RUN_FILE
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mavnav.compare.figures import best, relative_costs
+from mavnav.comparison.figures import best, relative_costs
 from mavnav.outputs.quantities import QUANTITIES
 
 

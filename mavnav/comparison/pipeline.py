@@ -14,9 +14,9 @@ from mavnav.batch.manifest import Entry
 from mavnav.batch.plan import BatchPlan, check_gates, plan_cases
 from mavnav.batch.request import BatchRequest, Rules, RunLimits
 from mavnav.batch.runner import run_cases
-from mavnav.compare.document import comparison_document
-from mavnav.compare.figures import RELATIVE_COSTS
-from mavnav.compare.files import COMPARISON_FILE, write_comparison
+from mavnav.comparison.document import comparison_document
+from mavnav.comparison.figures import RELATIVE_COSTS
+from mavnav.comparison.files import COMPARISON_FILE, write_comparison
 from mavnav.config.named_files import read_json
 from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import recorded_topic

@@ -15,8 +15,8 @@ import pytest
 
 from mavnav.batch.plan import BatchPlan, plan_batch
 from mavnav.batch.request import BatchRequest
-from mavnav.compare.comparison import comparison_request, is_drawn, plan_comparison, run_comparison
-from mavnav.compare.grids import comparison_settings
+from mavnav.comparison.grids import comparison_settings
+from mavnav.comparison.pipeline import comparison_request, is_drawn, plan_comparison, run_comparison
 from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.jobs import Event, Started
 from mavnav.jobs.run_cache import run_key

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
-from mavnav.compare.figures import RELATIVE_COSTS, best, relative_costs
+from mavnav.comparison.figures import RELATIVE_COSTS, best, relative_costs
 from mavnav.errors import ExitCode, worst
 from mavnav.jobs.run_cache import run_row
 from mavnav.metrics.gates import judge_some

@@ -7,7 +7,7 @@ import io
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.atomic_files import beside
-from mavnav.compare.figures import RELATIVE_COSTS
+from mavnav.comparison.figures import RELATIVE_COSTS
 from mavnav.errors import OutputError
 from mavnav.outputs.document import to_json
 from mavnav.outputs.markdown import escaped, inert, table_row

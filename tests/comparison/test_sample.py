@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mavnav.compare import sample
+from mavnav.comparison import sample
 from mavnav.ground_truth.true_map import read_true_map
 from mavnav.logs import open_log
 

@@ -1,0 +1,108 @@
+"""Finished runs and comparisons: their directories, and what is in them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mavnav.errors import UsageError
+from mavnav.ground_truth.tables import read_tum
+from mavnav.outputs.directory import RUN_FILE, staged
+from mavnav.outputs.gridmap import read_npz
+
+if TYPE_CHECKING:
+    from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.pose import Trajectory
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run: its directory, and what is in it.
+
+    A run that was given no directory has a temporary one, which goes with this object; `save` keeps it.
+    """
+
+    directory: Path
+    _owner: object = field(default=None, repr=False, compare=False)
+
+    @cached_property
+    def metrics(self) -> dict[str, Any]:
+        """run.json: ``wall_thickness``, ``map_quality``, ``tracking`` and more, as docs/metrics.md describes."""
+        document: dict[str, Any] = json.loads((self.directory / RUN_FILE).read_text(encoding="utf-8"))
+        return document
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """The poses of the laser in the map frame: ``stamps_ns`` (n,) int64, ``xyyaw`` (n, 3) in m, m, rad."""
+        return read_tum(self.directory / "trajectory.tum")
+
+    @cached_property
+    def map(self) -> Grid:
+        """The occupancy grid: counts of ``hits`` and ``passes`` (rows, cols), ``cell_m``, ``origin_xy_m``.
+
+        The lower left corner of the cell ``hits[row, col]`` is ``origin_xy_m + cell_m * (col, row)``, map frame.
+        """
+        return read_npz(self.directory / "hits.npz")
+
+    @property
+    def lost(self) -> bool:
+        """Whether tracking was lost for good."""
+        return bool(self.metrics["tracking"]["lost"])
+
+    @property
+    def doubt(self) -> float | None:
+        """The probability, 0 to 1, that the trajectory is wrong although it was tracked; None if it was not judged."""
+        doubt = self.metrics["tracking"].get("doubt")
+        probability: float | None = doubt and doubt["probability"]
+        return probability
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was odd about the log or the run, a line each."""
+        return tuple(self.metrics["warnings"])
+
+    def frame(self) -> Any:  # noqa: ANN401  pandas is no dependency
+        """Return the trajectory as a pandas.DataFrame with columns x_m, y_m and yaw_rad, indexed by time (UTC).
+
+        Raises ImportError without pandas.
+        """
+        import pandas as pd  # noqa: PLC0415  optional
+
+        index = pd.to_datetime(self.trajectory.stamps_ns, unit="ns", utc=True)
+        return pd.DataFrame(self.trajectory.xyyaw, index=index, columns=["x_m", "y_m", "yaw_rad"])
+
+    def save(self, directory: str | Path, *, force: bool = False) -> Run:
+        """Copy the run to a directory, and return the run there.
+
+        Raises OutputError if the directory exists (and ``force`` does not say to replace it) or cannot be written.
+        """
+        target = Path(directory)
+        with staged(target, force=force) as folder:
+            shutil.copytree(self.directory, folder, dirs_exist_ok=True)
+        return Run(target)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A finished comparison: its directory, comparison.json, and the runs that did not fail."""
+
+    directory: Path
+    document: dict[str, Any]
+
+    @cached_property
+    def runs(self) -> dict[str, Run]:
+        """The runs by name, in the order of the table; those that failed are left out."""
+        cells = self.document["cells"]
+        return {cell["name"]: Run(self.directory / cell["directory"], self) for cell in cells if cell["directory"]}
+
+
+def load_run(directory: str | Path) -> Run:
+    """Open the directory of a finished run, of this interface or of a command; raises UsageError if it is none."""
+    run = Run(Path(directory))
+    if not (run.directory / RUN_FILE).is_file():
+        raise UsageError(f"{directory} holds no run (no {RUN_FILE}); name a run directory")
+    return run
