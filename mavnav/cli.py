@@ -111,7 +111,8 @@ def _explain(error: BaseException) -> int:
         case typer.TyperException():
             context = getattr(error, "ctx", None)
             command = context.command_path if context else "mavnav"
-            note(f"mavnav: error: {error.format_message().rstrip('.')}; see '{command} --help'")
+            text = error.format_message().replace("Value error, ", "").rstrip(".")
+            note(f"mavnav: error: {text}; see '{command} --help'")
             return ExitCode.USAGE
         case MavnavError():
             note(f"mavnav: error: {error}")

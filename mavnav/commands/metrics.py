@@ -10,7 +10,7 @@ import typer
 from mavnav.commands.options import Json, Quiet, RelationsFile, Truth, TruthMap, truth_values
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows, wall_rows
-from mavnav.commands.terminal import emit_json, print_table
+from mavnav.commands.terminal import emit, emit_json, print_table
 from mavnav.errors import UsageError
 
 EPILOG = """
@@ -49,7 +49,9 @@ def metrics(
     if json:
         emit_json(document)
         return
-    for found in document["maps"]:
+    for number, found in enumerate(document["maps"]):
+        if number:
+            emit("")
         print_table(_summary(found))
 
 

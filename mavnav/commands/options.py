@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from functools import partial
 from math import isfinite
 from pathlib import Path
@@ -150,6 +151,14 @@ def check_again(context: typer.Context, target: Path, *free: str) -> None:
         source = context.get_parameter_source(parameter.name or "")
         if parameter.name not in allowed and source is not None and source.name == "COMMANDLINE":
             raise UsageError(f"--again takes {max(parameter.opts, key=len)} from the run; leave one of them out")
+
+
+def note_repetition(again: Path, document: dict[str, Any]) -> None:
+    """Print whether a repetition has the files of the run that it repeats."""
+    from mavnav.pipelines.again import EarlierRun
+
+    made = json.loads((again / "run.json").read_text(encoding="utf-8"))
+    note(f"mavnav: {EarlierRun(again, made).outcome(document)}")
 
 
 def given_values(**values: object) -> dict[str, Any]:

@@ -39,6 +39,7 @@ from mavnav.commands.options import (
     check_again,
     directory_option,
     given_values,
+    note_repetition,
     note_without_effect,
     output_option,
     output_values,
@@ -175,6 +176,8 @@ def replay(
         request = replace(request, **fields)
         _, document = replay_log(request, progress, compile_s, signals.keeping, startup_s)
     _print_result(document, target, json=json)
+    if again:
+        note_repetition(again, document)
     if profile:
         print_stages(document["timing"]["stages"], stderr=json)
     if preview:

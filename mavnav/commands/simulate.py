@@ -27,6 +27,7 @@ from mavnav.commands.options import (
     check_again,
     directory_option,
     input_option,
+    note_repetition,
     output_option,
     output_values,
     schema_option,
@@ -124,6 +125,8 @@ def simulate(
         request = replace(request, **fields)
         _, document = simulate_mission(request, progress, compile_s)
     _print_result(document, target, json=json)
+    if again:
+        note_repetition(again, document)
     if preview:
         show_preview(target, stderr=json)
     raise typer.Exit(gated_code(document, bounds))

@@ -66,6 +66,15 @@ class EarlierRun:
             lines.append(f"{self.directory} was stopped before the log ended; this run goes on to its end")
         return lines
 
+    def outcome(self, document: dict[str, Any]) -> str:
+        """Return in a line whether the files of a repetition, by its run.json, are the same bytes."""
+        made, now = self.document["outputs"], document["outputs"]
+        both = made.keys() & now.keys()
+        changed = sorted(name for name in both if made[name] != now[name])
+        if changed:
+            return f"{len(changed)} of {len(both)} files differ from those in {self.directory}: {', '.join(changed)}"
+        return f"all {len(both)} files are the same as in {self.directory}"
+
 
 def _versions(document: dict[str, Any]) -> dict[str, str]:
     return {"mavnav": document["mavnav_version"], "Python": document["python"], **document["libraries"]}

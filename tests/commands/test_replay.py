@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -98,7 +99,8 @@ def with_options(sample: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 def test_again_repeats_a_run_from_a_read_only_copy(mavnav: Callable, with_options: Path, tmp_path: Path) -> None:
     code, _, err = mavnav("replay", "--again", with_options, "-o", tmp_path / "again", "-q")
-    assert (code, err) == (0, "")
+    assert code == 0
+    assert re.fullmatch(rf"mavnav: all \d+ files are the same as in {re.escape(str(with_options))}\n", err)
     first, second = (json.loads((path / "run.json").read_text()) for path in (with_options, tmp_path / "again"))
     assert differing(first, second) <= {"timing", "provenance"}
     assert second["provenance"]["options"] == first["provenance"]["options"]
@@ -607,3 +609,13 @@ def test_settings_without_effect_are_named(mavnav, sample, tmp_path, options, ke
 def test_settings_that_fit_the_method_are_not_warned_about(mavnav, sample, tmp_path) -> None:
     _, _, err = mavnav("replay", sample, "-o", tmp_path / "run", *FEW, "--method", "paper", "--odom", "off")
     assert "no effect" not in err
+
+
+def test_again_names_the_files_that_differ(mavnav: Callable, with_options: Path, tmp_path: Path) -> None:
+    made = shutil.copytree(with_options, tmp_path / "made")
+    document = json.loads((made / "run.json").read_text())
+    document["outputs"]["map.pgm"] = "0" * 64
+    (made / "run.json").write_text(json.dumps(document))
+    code, _, err = mavnav("replay", "--again", made, "-o", tmp_path / "again", "-q")
+    assert code == 0
+    assert f"1 of {len(document['outputs'])} files differ from those in {made}: map.pgm" in err
