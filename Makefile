@@ -11,10 +11,10 @@ FUZZ_COUNT ?= 1000000
 FUZZ_FAULTS ?= 1000
 BOUNDS := tests/kernels tests/mapping
 
-.PHONY: help demo test fuzz bounds check format-check lint types bench bench-peers figures samples golden clean
+.PHONY: help demo test fuzz bounds check format-check lint types bench bench-peers figures docs samples golden clean
 
 help:
-	@echo "make demo | test | fuzz | bounds | check | bench | bench-peers | figures | samples | golden | clean"
+	@echo "make demo | test | fuzz | bounds | check | bench | bench-peers | figures | docs | samples | golden | clean"
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=..."; exit 1; }
@@ -73,6 +73,11 @@ bench-peers: $(VENV)-peers/.done
 figures: $(VENV)/.dev
 	$(BIN)/python benchmarks/figures.py
 
+docs: $(BIN)/python
+	$(BIN)/python -m pip install --quiet --group docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --clean
+	@echo "The site is in site/: open site/index.html"
+
 samples: $(VENV)/.dev
 	MAVNAV_UPDATE_SAMPLES=1 $(BIN)/python -m pytest tests/pipelines/test_sample_logs.py -k makes_it_again
 
@@ -80,5 +85,5 @@ golden: $(VENV)/.dev
 	MAVNAV_UPDATE_GOLDEN=1 $(BIN)/python -m pytest tests/pipelines/test_golden.py
 
 clean:
-	rm -rf $(VENV) runs build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
+	rm -rf $(VENV) runs build dist site .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
 	find mavnav tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
