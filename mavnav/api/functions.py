@@ -59,13 +59,20 @@ def open_log(
 
     Parameters
     ----------
-    path : a file, or the folder of a ROS 2 bag
-    topic : the scan topic, if there are several
-    odom : ``auto``, ``off`` or a topic
-    start_s, end_s : window in seconds from the first usable scan
-    extrinsic : pose of the laser on its base, x, y (m), yaw (rad), in place of the log's
-    strict : leave out scans from where a checksum does not match
-    truth : topic of the ground truth, ``auto`` to find it by its name
+    path
+        A file, or the folder of a ROS 2 bag.
+    topic
+        The scan topic, if there are several.
+    odom
+        ``auto``, ``off`` or a topic.
+    start_s, end_s
+        Window in seconds from the first usable scan.
+    extrinsic
+        Pose of the laser on its base, x, y (m), yaw (rad), in place of the log's.
+    strict
+        Leave out scans from where a checksum does not match.
+    truth
+        Topic of the ground truth, ``auto`` to find it by its name.
 
     Raises UsageError, TopicError or NoScansError.
     """
@@ -110,16 +117,25 @@ def replay(
 
     Parameters
     ----------
-    log : the log, as for `open_log`
-    method, grid, azimuth : SLAM method, ``"20x20"``, and number of yaw samples
-    config, settings : configuration file or preset, and values over it by dotted key: ``{"robust.cell_mm": 25}``
-    online : causal mode: no loop closure, no final pass
-    topic, odom, start_s, end_s, extrinsic, strict : as for `open_log`
-    map, start_pose : localize in this map (a map_server YAML file or a run), from about this pose, m, m, rad
-    truth, truth_map, relations : references to compare with; ``truth`` is a file, ``"auto"`` or ``"topic:/name"``
-    directory, force, report : where to write the run, whether to replace it, whether to write its page; by default the
-        run is kept as long as the object that is returned
-    progress : called as work goes on
+    log
+        The log, as for `open_log`.
+    method, grid, azimuth
+        SLAM method, ``"20x20"``, and number of yaw samples.
+    config, settings
+        Configuration file or preset, and values over it by dotted key: ``{"robust.cell_mm": 25}``.
+    online
+        Causal mode: no loop closure, no final pass.
+    topic, odom, start_s, end_s, extrinsic, strict
+        As for `open_log`.
+    map, start_pose
+        Localize in this map (a map_server YAML file or a run), from about this pose, m, m, rad.
+    truth, truth_map, relations
+        References to compare with; ``truth`` is a file, ``"auto"`` or ``"topic:/name"``.
+    directory, force, report
+        Where to write the run, whether to replace it, whether to write its page; by default the run is kept as
+        long as the object that is returned.
+    progress
+        Called as work goes on.
 
     Raises UsageError, ConfigError, TopicError, NoScansError or OutputError. A run whose track was lost for good is
     returned: see `Run.lost`.
@@ -174,12 +190,18 @@ def simulate(
 
     Parameters
     ----------
-    scenario : YAML file, or the name of a shipped scenario
-    seed, planner : seed of all random numbers; planning technique
-    method, grid, azimuth, config : as for `replay`
-    settings : values of the scenario by dotted key: ``{"slam.robust.cell_mm": 25}``
-    record : also record the mission as a log: .mcap, .bag, or a folder
-    directory, force, report, progress : as for `replay`
+    scenario
+        YAML file, or the name of a shipped scenario.
+    seed, planner
+        Seed of all random numbers; planning technique.
+    method, grid, azimuth, config
+        As for `replay`.
+    settings
+        Values of the scenario by dotted key: ``{"slam.robust.cell_mm": 25}``.
+    record
+        Also record the mission as a log: .mcap, .bag, or a folder.
+    directory, force, report, progress
+        As for `replay`.
 
     Raises UsageError, ConfigError, NoScansError or OutputError. ``metrics["mission"]`` says how the mission ended.
     """
@@ -219,12 +241,18 @@ def compare(
 
     Parameters
     ----------
-    log : a log, or several
-    grids, methods, azimuths : search grids (5x5, 10x10 and 20x20 if none is given), methods and numbers of yaw samples
-    config, settings, online : what all runs share, as for `replay`
-    directory, force : where to write the comparison, whether to make finished runs again
-    workers : how many runs at a time, by default one for each core
-    progress : called as work goes on
+    log
+        A log, or several.
+    grids, methods, azimuths
+        Search grids (5x5, 10x10 and 20x20 if none is given), methods and numbers of yaw samples.
+    config, settings, online
+        What all runs share, as for `replay`.
+    directory, force
+        Where to write the comparison, whether to make finished runs again.
+    workers
+        How many runs at a time, by default one for each core.
+    progress
+        Called as work goes on.
 
     Raises UsageError, ConfigError or OutputError. A run that fails stops no other.
     """
@@ -268,9 +296,12 @@ def track(
 
     Parameters
     ----------
-    scans : in the order of their stamps: of `open_log`, or of your own sensor
-    period_s : time between scans; that of the first two scans if not given
-    method, grid, azimuth, config, settings : as for `replay`
+    scans
+        In the order of their stamps: of `open_log`, or of your own sensor.
+    period_s
+        Time between scans; that of the first two scans if not given.
+    method, grid, azimuth, config, settings
+        As for `replay`.
 
     Yields
     ------
