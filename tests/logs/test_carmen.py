@@ -146,6 +146,14 @@ def test_lines_that_are_no_messages_are_damage_and_cost_only_themselves(tmp_path
     assert "within it" in log.damage[-1].what
 
 
+@pytest.mark.parametrize("yaw", ["inf", "-1e999", "nan", "1e300"])
+def test_a_pose_without_a_finite_yaw_is_the_logs_fault(yaw: str, tmp_path: Path) -> None:
+    pose_without = f"ODOM 0 0 {yaw} 0 0 0 1000.1 host 0.1\n"
+    log = opened(written(tmp_path / "a.log", *(odom(k) + front(k) for k in range(9)), pose_without))
+    assert log.counts.usable == 9
+    assert len(log.damage) == (yaw in {"inf", "-1e999"})
+
+
 def test_what_is_no_carmen_log_is_refused(tmp_path: Path) -> None:
     text = tmp_path / "notes.log"
     text.write_text("the FLASER lines were lost\n" * 9)
