@@ -308,7 +308,7 @@ def attack_logs(seed: int, count: int, end_s: float, kinds: list[str], *, verbos
     total = sum(counts.values(), Counter[str]())
     for kind, found in (*counts.items(), ("all", total)):
         print(table_row(kind, found), " ".join(f"{k}: {n}" for k, n in sorted(found.items()) if k.startswith("exit ")))
-    print(f"{total['inputs']} attacks in {time.monotonic() - began_s:.0f} s")
+    print(f"{total['inputs']} attacks of {len(names)} kinds in {time.monotonic() - began_s:.0f} s")
     return sum(total[what] for what in ATTACK_COUNTED)
 
 
@@ -326,8 +326,9 @@ def main() -> int:
     began_s = time.monotonic()
     share = options.seconds / 2 if options.attacks else options.seconds
     wrong = mutate_logs(options, began_s, share) if options.count else 0
-    end_s = began_s + options.seconds
-    wrong += attack_logs(options.seed, options.attacks, end_s, options.kinds, verbose=options.verbose)
+    if options.attacks:
+        end_s = began_s + options.seconds
+        wrong += attack_logs(options.seed, options.attacks, end_s, options.kinds, verbose=options.verbose)
     return int(wrong > 0)
 
 
