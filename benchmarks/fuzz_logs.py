@@ -10,8 +10,8 @@ record where no chunk holds it. Counted per container:
 - unmarked: altered scans that are not suspect, where a checksum covers them; must be 0;
 - strict: altered scans that ``--strict`` keeps, where a checksum covers them; must be 0;
 - silent: cases with altered scans and neither damage nor a warning; must be 0 where a checksum covers them;
-- invented: topics of no sound log while the real one is in the file; duplicated: a scan twice on one topic and not
-  suspect; must be 0;
+- invented: topics of no sound log while the name of the real one (in MCAP with its length) is in the file; duplicated:
+  a scan twice on one topic and not suspect; must be 0;
 - errors: exceptions other than the documented ones (exit code 70); slow: more than 20 s of CPU; must be 0.
 
 With ``--attacks`` logs that are built to break a reader (`log_attacks`) are read by a command in a forked child, as
@@ -260,7 +260,7 @@ def judge(seed: Seed, path: Path, damaged: bytes) -> Case:
         case.note("strict", sum(scan not in sound for scan in kept))
         case.note("silent", int(altered > 0 and not marked))
     invented = {topic for topic, _ in logs if topic not in seed.topics and topic.startswith("/channel_")}
-    named = any(topic.encode() in plain for topic in seed.topics)
+    named = any(declared(topic, plain) in plain for topic in seed.topics)
     case.note("invented", len(invented) if named else 0, f"{invented}")
     usual = Counter(ranges for _, ranges in seed.scans)
     for topic, _ in logs:
@@ -268,6 +268,12 @@ def judge(seed: Seed, path: Path, damaged: bytes) -> Case:
         twice = sum((here - usual)[ranges] for ranges in usual)
         case.note("duplicated", max(twice - suspect, 0))
     return case
+
+
+def declared(topic: str, plain: bytes) -> bytes:
+    """Return the bytes of a name in a log; in MCAP its length stands before it, without which no record can be read."""
+    name = topic.encode()
+    return len(name).to_bytes(4, "little") + name if plain.startswith(MAGIC) else name
 
 
 COUNTED = "cases whole lost altered unmarked strict silent invented duplicated errors slow"
