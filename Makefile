@@ -37,7 +37,8 @@ test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2
 
 fuzz: $(VENV)/.dev
-	$(BIN)/python benchmarks/fuzz_logs.py --seed $(FUZZ_SEED) --count $(FUZZ_COUNT) --seconds $$(($(FUZZ_SECONDS) / 3))
+	$(BIN)/python benchmarks/fuzz_logs.py --seed $(FUZZ_SEED) --count $(FUZZ_COUNT) --attacks $(FUZZ_COUNT) \
+		--seconds $$(($(FUZZ_SECONDS) / 3))
 	$(BIN)/python benchmarks/fuzz_inputs.py --seed $(FUZZ_SEED) --count $(FUZZ_COUNT) --seconds $$(($(FUZZ_SECONDS) / 3))
 	$(BIN)/python benchmarks/fuzz_faults.py --seconds $$(($(FUZZ_SECONDS) / 3)) --count $(FUZZ_FAULTS)
 

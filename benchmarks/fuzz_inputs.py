@@ -33,12 +33,11 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 from mavnav import cli
 from support.fuzz import mutated
-from support.sandbox import problems
+from support.sandbox import COUNTED, problems, table_row
 
 ROOT = Path(__file__).parent.parent
 SAMPLE = ROOT / "sample_logs" / "corridor.mcap"
 SHORT = ("--end", "0.2", "--online", "--grid", "5x5", "--azimuth", "6", "-q")
-COUNTED = ("traceback", "exit 70", "crash", "hang", "slow", "memory", "altered inputs", "files outside")
 
 Random = np.random.Generator
 
@@ -257,20 +256,15 @@ def main() -> int:
             attack(kind, rng, case)
             args = kind.commands[int(rng.integers(len(kind.commands)))]
             end, found = problems(args, case)
-            counts[kind.name] += Counter(["inputs", *(text.partition(":")[0].split(" -")[0] for text in found)])
+            counts[kind.name] += Counter(["inputs", *(text.partition(":")[0] for text in found)])
             if found or options.verbose:
                 print(f"  {kind.name} {number}: {found} {end.code} {end.cpu_s:.1f} s {end.err[-300:]}", flush=True)
             shutil.rmtree(case)
     for kind in kinds:
         total += counts[kind.name]
-        print(row(kind.name, counts[kind.name]))
-    print(row("all", total), f"in {time.monotonic() - began_s:.0f} s")
+        print(table_row(kind.name, counts[kind.name]))
+    print(table_row("all", total), f"in {time.monotonic() - began_s:.0f} s")
     return int(any(total[name] for name in COUNTED))
-
-
-def row(name: str, counts: Counter[str]) -> str:
-    """Return a line of the table."""
-    return f"{name:12s}{counts['inputs']:6d} inputs  " + "  ".join(f"{what} {counts[what]}" for what in COUNTED)
 
 
 if __name__ == "__main__":

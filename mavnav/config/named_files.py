@@ -15,9 +15,13 @@ MAX_JSON_BYTES: Final = 1 << 28
 def read_named(path: Path, most_bytes: int) -> bytes:
     """Return the content of a file.
 
-    Raises OSError, whose ``strerror`` says why: not readable, not a regular file, or larger than ``most_bytes``.
+    Raises OSError, whose ``strerror`` says why: no name of a file, not readable, not a regular file, or
+    larger than ``most_bytes``.
     """
-    status = path.stat()
+    try:
+        status = path.stat()
+    except ValueError as error:  # a zero or half a character in the name
+        raise OSError(errno.EINVAL, "it is no name of a file") from error
     if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "it is not a regular file")
     if status.st_size > most_bytes:

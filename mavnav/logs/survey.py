@@ -231,7 +231,7 @@ def _survey(
             state.conclude()
         size_bytes, sha256 = _identity(path)
     except OSError as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
     return Survey(
         path=path,
         format=name,
@@ -255,7 +255,7 @@ def content_sha256(path: Path) -> str:
     try:
         return _identity(path)[1]
     except OSError as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
 
 
 def check_log(path: Path, start_s: float | None = None, end_s: float | None = None) -> None:
@@ -265,14 +265,25 @@ def check_log(path: Path, start_s: float | None = None, end_s: float | None = No
         if detect.sniff(path) == detect.UNKNOWN:
             raise NoScansError(f"{path}: no usable scans; {detect.refusal(path)}")
     except OSError as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
 
 
-def _unreadable(path: Path, error: OSError) -> UsageError:
+def unreadable(path: Path, error: OSError) -> UsageError:
+    """Return what is raised where the system cannot read a log."""
     return UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions")
 
 
 def _check(path: Path, start_s: float | None, end_s: float | None) -> None:
+    check_file(path)
+    for name, value in (("--start", start_s), ("--end", end_s)):
+        if value is not None and not (isfinite(value) and value >= 0.0):
+            raise UsageError(f"{name} {value:g} is no time; it counts in seconds from the first usable scan, 0 or more")
+    if start_s is not None and end_s is not None and end_s <= start_s:
+        raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
+
+
+def check_file(path: Path) -> None:
+    """Raise UsageError where there is no file or folder, NoScansError where a file is hardly more than holes."""
     if not path.exists():
         raise UsageError(f"{path}: no such file or folder; give the path of a log")
     if not (path.is_file() or path.is_dir()):
@@ -280,11 +291,6 @@ def _check(path: Path, start_s: float | None, end_s: float | None) -> None:
     if path.is_file() and (holes_bytes := _holes(path)) > _MOST_HOLES_BYTES:
         text = f"{holes_bytes / 1e9:.0f} GB of the file are holes that no recorder wrote"
         raise NoScansError(f"{path}: no usable scans; {text}; get a whole copy, or cut it with truncate")
-    for name, value in (("--start", start_s), ("--end", end_s)):
-        if value is not None and not (isfinite(value) and value >= 0.0):
-            raise UsageError(f"{name} {value:g} is no time; it counts in seconds from the first usable scan, 0 or more")
-    if start_s is not None and end_s is not None and end_s <= start_s:
-        raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
 
 
 def _holes(path: Path) -> int:

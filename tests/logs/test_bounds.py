@@ -234,6 +234,8 @@ def test_a_file_of_holes_is_refused_at_once(suffix: str, tmp_path: Path) -> None
     began_s = time.process_time()
     with pytest.raises(NoScansError, match="of the file are holes"):
         survey(path)
+    with pytest.raises(NoScansError, match="of the file are holes"):
+        convert_log(path, tmp_path / "c.mcap")
     assert time.process_time() - began_s < 1.0
 
 

@@ -146,6 +146,21 @@ def test_lines_that_are_no_messages_are_damage_and_cost_only_themselves(tmp_path
     assert "within it" in log.damage[-1].what
 
 
+@pytest.mark.parametrize("yaw", ["inf", "-1e999", "nan", "1e300"])
+def test_a_pose_without_a_finite_yaw_is_the_logs_fault(yaw: str, tmp_path: Path) -> None:
+    pose_without = f"ODOM 0 0 {yaw} 0 0 0 1000.1 host 0.1\n"
+    log = opened(written(tmp_path / "a.log", *(odom(k) + front(k) for k in range(9)), pose_without))
+    assert log.counts.usable == 9
+    assert len(log.damage) == (yaw in {"inf", "-1e999"})
+
+
+@pytest.mark.parametrize("name", ["robot_front_laser_max", "laser_front_laser_resolution", "robot_frontlaser_offset"])
+def test_a_parameter_that_is_no_number_costs_only_itself(name: str, tmp_path: Path) -> None:
+    path = written(tmp_path / "a.log", f"PARAM {name} 0x10 0.1 host 0.1\n", *(odom(k) + front(k) for k in range(9)))
+    assert [d.where for d in opened(path).damage] == ["a.log, line 4"]
+    assert convert_log(path, tmp_path / "a.mcap").messages == 19
+
+
 def test_what_is_no_carmen_log_is_refused(tmp_path: Path) -> None:
     text = tmp_path / "notes.log"
     text.write_text("the FLASER lines were lost\n" * 9)

@@ -96,6 +96,13 @@ def test_refusals_say_why_and_leave_everything_alone(tmp_path: Path) -> None:
     assert open_log(tmp_path / "there.mcap").counts.usable == 3
 
 
+def test_a_source_that_cannot_be_read_is_not_blamed_on_the_target(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").symlink_to("/proc/self/mem")
+    with pytest.raises(UsageError, match=r"a\.mcap: cannot be read \(Input/output error\)"):
+        convert_log(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+
+
 def test_what_does_not_read_back_gets_no_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mavnav.logs.writing.convert._by_name", lambda topics: {"/scan": 99})
     with pytest.raises(OutputError, match="reads back differently"):

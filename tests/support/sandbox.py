@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import resource
+import shutil
 import signal
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -20,6 +22,7 @@ MOST_WALL_S = 300.0  # a busy machine is no hang
 MOST_BYTES = 1 << 30
 GUARD_BYTES = 4 << 30
 CODES = {0, 1, 2, 3, 4, 5, 6}
+COUNTED = ("traceback", "exit 70", "crash", "hang", "slow", "memory", "altered inputs", "files outside")
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,7 @@ class End:
 
 def run_forked(work: Callable[[], int], folder: Path) -> End:
     """Run ``work`` in a child whose current folder is ``folder``; streams go to files beside it."""
-    before = _resident_bytes()
+    before = _private_bytes()
     streams = [folder.with_name(f"{folder.name}.{name}") for name in ("out", "err")]
     child = os.fork()
     if child == 0:
@@ -54,8 +57,10 @@ def run_forked(work: Callable[[], int], folder: Path) -> End:
     return End(os.waitstatus_to_exitcode(status), err, usage.ru_utime + usage.ru_stime, more, timed_out)
 
 
-def _resident_bytes() -> int:
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+def _private_bytes() -> int:
+    """Return the resident memory that a child gets at once; the pages of files come when they are touched."""
+    resident, shared = (int(pages) for pages in Path("/proc/self/statm").read_text().split()[1:3])
+    return (resident - shared) * resource.getpagesize()
 
 
 def _be_child(work: Callable[[], int], folder: Path, streams: Sequence[Path]) -> None:
@@ -100,7 +105,8 @@ def problems(args: Sequence[str], folder: Path) -> tuple[End, list[str]]:
     Only ``out`` in the folder may be written, and nothing may stay in the temporary folder.
     """
     temporary = folder.with_name(f"{folder.name}.tmp")
-    temporary.mkdir(exist_ok=True)
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.mkdir()
     before = state(folder)
 
     def work() -> int:
@@ -125,8 +131,13 @@ def _wrong(end: End) -> Iterator[str]:
     elif end.code == 70:
         yield "exit 70"
     elif end.code not in CODES:
-        yield f"crash {end.code}"
+        yield f"crash: {end.code}"
     if "Traceback" in end.err:
         yield "traceback"
     if end.memory_bytes > MOST_BYTES:
         yield "memory"
+
+
+def table_row(name: str, counts: Counter[str]) -> str:
+    """Return a line of a table of what was found, by the words of `problems`."""
+    return f"{name:16s}{counts['inputs']:6d} inputs  " + "  ".join(f"{what} {counts[what]}" for what in COUNTED)

@@ -31,6 +31,7 @@ _FRAMES: Final = {"FLASER": "laser", "RLASER": "rear_laser"}
 _MAXIMA: Final = {"FLASER": "robot_front_laser_max", "RLASER": "robot_rear_laser_max"}
 _STEPS: Final = {"FLASER": "laser_front_laser_resolution", "RLASER": "laser_rear_laser_resolution"}
 _OFFSETS: Final = {"FLASER": ("robot_frontlaser_offset", 0.0), "RLASER": ("robot_rearlaser_offset", 3.141592653589793)}
+_NUMBERS: Final = {*_MAXIMA.values(), *_STEPS.values(), *(name for name, _ in _OFFSETS.values())}
 _LONGEST_LINE: Final = 1 << 20
 _LINES_LOOKED_AT: Final = 4000
 _SAME_M: Final = 2e-3
@@ -135,7 +136,8 @@ def _messages(line: bytes, state: _State) -> Iterator[RawMessage]:
         yield from _scan(line, state)
     elif line.startswith(b"PARAM "):
         _, name, value, *_ = line.decode("utf-8").split()
-        state.parameters[name] = value
+        if name in _NUMBERS:
+            state.parameters[name] = repr(float(value))
     elif line.startswith(b"ODOM ") and state.poses is not Poses.CORRECTED:
         words = line.split()
         pose_of(words[1:4])

@@ -137,7 +137,7 @@ def decode_pose(data: bytes) -> list[TransformMessage]:
         else:
             parent, child = words[1].decode(), words[2].decode()
             pose, at_ns = pose_of(words[3:6]), int(words[6])
+        z, w = sin(pose.yaw_rad / 2), cos(pose.yaw_rad / 2)
     except (ValueError, IndexError) as error:
         raise DecodeError(f"no pose ({error})") from error
-    half_rad = pose.yaw_rad / 2
-    return [TransformMessage(at_ns, parent, child, (pose.x_m, pose.y_m, 0.0), (0.0, 0.0, sin(half_rad), cos(half_rad)))]
+    return [TransformMessage(at_ns, parent, child, (pose.x_m, pose.y_m, 0.0), (0.0, 0.0, z, w))]

@@ -17,12 +17,13 @@ from mavnav.logs.messages.definitions import TF, TF_ROS1
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, Damage, RawMessage, Schema, Topic
+from mavnav.logs.survey import check_file, unreadable
 from mavnav.logs.writing.carmen_as_ros import carmen_to_cdr
 from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, qos_text
 from mavnav.logs.writing.mcap_writer import Channel as Written
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
 _LATEST_NS = (1 << 63) - 1
@@ -60,7 +61,7 @@ def convert_log(
     Raises
     ------
     UsageError
-        No such log, or a target that is no ``.mcap`` or is the log itself.
+        No such log, one that the system cannot read, or a target that is no ``.mcap`` or is the log itself.
     NoScansError
         Nothing in the log can be read.
     OutputError
@@ -85,8 +86,7 @@ def convert_log(
 
 
 def _check(source: Path, target: Path, *, force: bool) -> None:
-    if not (source.is_file() or source.is_dir()):
-        raise UsageError(f"{source}: no such file or folder; give the path of a log")
+    check_file(source)
     if target.suffix != ".mcap":
         raise UsageError(f"{target}: a log is written as MCAP; let the name end in .mcap")
     if target.exists() and (target.samefile(source) or not target.is_file()):
@@ -157,16 +157,24 @@ def _write(source: Path, partial: Path, writing: _Writing, progress: Callable[[i
     from mavnav import __version__  # noqa: PLC0415
 
     report = writing.report
-    if detect.sniff(source) == detect.UNKNOWN:
-        raise NoScansError(f"{source}: {detect.refusal(source)}")
     with partial.open("wb") as file:
         writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library=f"mavnav {__version__}")
-        for message in detect.read(source, report):
+        for message in _read(source, report):
             writing.put(writer, message)
             if progress:
                 progress(min(report.done_bytes, report.total_bytes), report.total_bytes)
         writer.finish()
+
+
+def _read(source: Path, report: ReadReport) -> Iterator[RawMessage]:
+    """Yield the messages of the source; an error of the system in here is not one of the target."""
+    try:
+        if detect.sniff(source) == detect.UNKNOWN:
+            raise NoScansError(f"{source}: {detect.refusal(source)}")
+        yield from detect.read(source, report)
+    except OSError as error:
+        raise unreadable(source, error) from error
 
 
 def _way(channel: Channel, data: bytes) -> tuple[Channel, Callable[[bytes], bytes], Callable[[bytes], Any]]:
