@@ -123,7 +123,7 @@ def png(pixels: NDArray[np.uint8]) -> bytes:
     rows = np.full((height, 1 + 3 * width), _FROM_ABOVE, np.uint8)
     rows[:, 1:] = np.diff(pixels.reshape(height, -1), axis=0, prepend=np.zeros((1, 3 * width), np.uint8))
     header = pack(">IIBBBBB", width, height, 8, _RGB, 0, 0, 0)
-    chunks = ((b"IHDR", header), (b"IDAT", compress(rows, level=2)), (b"IEND", b""))
+    chunks = ((b"IHDR", header), (b"IDAT", compress(rows.data, level=2)), (b"IEND", b""))
     return _SIGNATURE + b"".join(pack(">I", len(d)) + name + d + pack(">I", crc32(name + d)) for name, d in chunks)
 
 
