@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -253,7 +253,7 @@ def ablation(ex: Executor, folder: Path | None) -> list[str]:
     best, literal = load_config("paper").paper, load_config("paper-literal").paper
     undone = [
         Reading.of(f"{key} {_yaml(was)}", "paper", {f"slam.paper.{key}": _yaml(was)})
-        for key, was in literal.model_dump().items()
+        for key, was in asdict(literal).items()
         if was != getattr(best, key)
     ]
     others = [

@@ -14,6 +14,7 @@ import typer
 
 from mavnav.commands import signals
 from mavnav.commands.terminal import emit, note, print_traceback
+from mavnav.commands.values import Command, Group
 from mavnav.errors import ExitCode, MavnavError
 
 if TYPE_CHECKING:
@@ -76,6 +77,7 @@ def app_for(args: Sequence[str]) -> typer.Typer:
     """Make the app with the command that is asked for, or with all, as for help: reading their options takes 60 ms."""
     app = typer.Typer(
         name="mavnav",
+        cls=Group,
         help="Map a recorded 2D laser log offline: trajectory, map and map quality, without ROS and without odometry.",
         epilog=EPILOG,
         pretty_exceptions_enable=False,
@@ -89,7 +91,7 @@ def app_for(args: Sequence[str]) -> typer.Typer:
         if name == "config":
             app.add_typer(module.app, name=name)
         else:
-            app.command(epilog=module.EPILOG)(getattr(module, name))
+            app.command(cls=Command, epilog=module.EPILOG)(getattr(module, name))
     return app
 
 

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from mavnav.config.loading import validated
-from mavnav.config.models import Strict
+from mavnav.config.strict import Strict
 from mavnav.config.yaml_layers import read_yaml
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mavnav.config.yaml_layers import Layer
+    from mavnav.config.layers import Layer
 
 
 def _listed(value: object) -> object:

@@ -12,7 +12,7 @@ from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.manifest import Entry, Manifest, read_manifest
 from mavnav.batch.request import BatchPart, BatchRequest, Rules, RunLimits
 from mavnav.batch.settings import Setting, crossed_settings, listed_settings
-from mavnav.config.yaml_layers import Layer
+from mavnav.config.layers import Layer
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import usable_cores
 from mavnav.jobs.dask import LOCAL

@@ -6,16 +6,16 @@ from dataclasses import dataclass
 from itertools import product, zip_longest
 from typing import TYPE_CHECKING, Any
 
+from mavnav.config.layers import Layer
 from mavnav.config.loading import load_config
-from mavnav.config.yaml_layers import Layer
 from mavnav.errors import ConfigError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from mavnav.config.layers import Key
     from mavnav.config.models import Config
-    from mavnav.config.yaml_layers import Key
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,11 +8,12 @@ import typer
 
 from mavnav.commands.options import Sets
 from mavnav.commands.terminal import emit, emit_json
+from mavnav.commands.values import Command, Group
 
-app = typer.Typer(help="Show the configuration, its presets and its schema.")
+app = typer.Typer(cls=Group, help="Show the configuration, its presets and its schema.")
 
 
-@app.command()
+@app.command(cls=Command)
 def show(
     config: Annotated[
         str | None, typer.Argument(metavar="FILE", help="YAML file, or the name of a preset.", show_default=False)
@@ -28,7 +29,7 @@ def show(
     emit(to_yaml(load_config(config, sets or [], {"method": method} if method else {})).rstrip())
 
 
-@app.command()
+@app.command(cls=Command)
 def schema(
     document: Annotated[
         Literal["config", "run"], typer.Argument(help="config: configuration files; run: run.json.")
@@ -40,6 +41,7 @@ def schema(
 
         emit_json(run_schema())
         return
+    from mavnav.config.loading import schema_of
     from mavnav.config.models import Config
 
-    emit_json(Config.model_json_schema())
+    emit_json(schema_of(Config))

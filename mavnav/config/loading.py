@@ -7,23 +7,26 @@ from __future__ import annotations
 
 import difflib
 import re
+from dataclasses import fields as fields_of
+from dataclasses import is_dataclass
 from functools import cache
 from json import dumps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_type_hints
 
-from pydantic import BaseModel, ValidationError
-
+from mavnav.config.layers import Layer
 from mavnav.config.models import Config
-from mavnav.config.yaml_layers import Key, Layer, layer_of, read_yaml
 from mavnav.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from pydantic import TypeAdapter
     from pydantic_core import ErrorDetails
 
-Model = TypeVar("Model", bound=BaseModel)
+    from mavnav.config.layers import Key
+
+Model = TypeVar("Model")
 
 HELP = {"Config": "mavnav config show", "Scenario": "mavnav simulate --schema", "Manifest": "mavnav batch --schema"}
 """Model -> the command that shows its keys."""
@@ -45,6 +48,7 @@ _PROBLEMS = {
     "string_type": "should be a word",
     "model_type": _SECTION,
     "model_attributes_type": _SECTION,
+    "dataclass_type": _SECTION,
     "dict_type": _SECTION,
     "tuple_type": "should be a list",
     "list_type": "should be a list",
@@ -54,6 +58,9 @@ _PROBLEMS = {
     "enum": "should be {expected}",
 }
 """Type of a rejected value -> what it should be."""
+
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+"""Types of an unknown key, of a model and of a dataclass."""
 
 
 @cache
@@ -89,6 +96,8 @@ def file_layer(file: str | Path | None) -> Layer:
         path = presets_folder() / f"{file}.yaml"
     if not path.exists():
         raise ConfigError(f"{path}: no such file; name a YAML file, or a preset: {', '.join(presets())}")
+    from mavnav.config.yaml_layers import read_yaml  # noqa: PLC0415  yaml takes 10 ms to load
+
     return read_yaml(path)
 
 
@@ -117,6 +126,8 @@ def load_config(
         One line: file and line, dotted key, what is wrong, the nearest known name.
     """
     top = overlaid((values or Layer()).over(file_layer(file)), sets, overrides or {})
+    if top.values.items() <= {("method",): Config().method}.items():
+        return Config()  # as the preset of its method says
     return validated(Config, top.over(method_layer(top.values.get(("method",)))))
 
 
@@ -129,7 +140,7 @@ def overlaid(layer: Layer, sets: Iterable[str], overrides: Mapping[str, object])
 
 def method_layer(method: object) -> Layer:
     """Return the preset of a method (None: of the default one), nothing where there is no such preset."""
-    name = method or Config.model_fields["method"].default
+    name = method or Config().method
     return file_layer(presets_folder() / f"{name}.yaml") if name in presets() else Layer()
 
 
@@ -137,6 +148,8 @@ def _set_layer(assignment: str) -> Layer:
     dotted, equals, text = assignment.partition("=")
     if not equals or not dotted.strip():
         raise ConfigError(f"--set {assignment!r} is not key=value; write for example --set robust.cell_mm=25")
+    from mavnav.config.yaml_layers import layer_of  # noqa: PLC0415  yaml takes 10 ms to load
+
     key = tuple(dotted.strip().split("."))
     value = layer_of(f"value: {text}", f"--set {assignment}").values
     if list(value) != [("value",)]:
@@ -152,17 +165,32 @@ def _option_layer(overrides: Mapping[str, object]) -> Layer:
     )
 
 
+@cache
+def _adapter(model: Any) -> TypeAdapter[Any]:  # noqa: ANN401  a class
+    from pydantic import TypeAdapter  # noqa: PLC0415  it takes 0.1 s to load
+
+    return TypeAdapter(model)
+
+
+def schema_of(model: type) -> dict[str, Any]:
+    """Return the JSON Schema of what is read into a model."""
+    return _adapter(model).json_schema()
+
+
 def validated(model: type[Model], layer: Layer, name: str = "configuration") -> Model:
     """Build a model of a layer's values; ``name`` is what errors without a line call it."""
+    from pydantic import ValidationError  # noqa: PLC0415  it takes 0.1 s to load
+
     try:
-        return model.model_validate(layer.tree())
+        made: Model = _adapter(model).validate_python(layer.tree())  # type: ignore[arg-type]
     except ValidationError as error:
-        details = sorted(error.errors(include_url=False), key=lambda d: d["type"] != "extra_forbidden")
+        details = sorted(error.errors(include_url=False), key=lambda d: d["type"] not in _UNKNOWN)
         more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
         raise ConfigError(_complaint(model, details[0], layer, name) + more) from error
     except ConfigError as error:
         grid = next((origin for key, origin in layer.origins.items() if key[-1] == "grid"), "grid")
         raise ConfigError(f"{grid}: {error}") from error
+    return made
 
 
 def origin(layer: Layer, key: Key, name: str = "configuration") -> str:
@@ -172,13 +200,13 @@ def origin(layer: Layer, key: Key, name: str = "configuration") -> str:
     return next(around, next(within, name))
 
 
-def _complaint(model: type[BaseModel], details: ErrorDetails, layer: Layer, name: str) -> str:
+def _complaint(model: type, details: ErrorDetails, layer: Layer, name: str) -> str:
     key = tuple(str(part) for part in details["loc"])
     where, dotted, known = origin(layer, key, name), ".".join(key), dict(fields(model))
     help_ = HELP[model.__name__]
     named = tuple(part for part in key if not part.isdecimal())
     hint = known.get(named) or f"see '{help_}'"
-    if details["type"] == "extra_forbidden":
+    if details["type"] in _UNKNOWN:
         advice = _nearest(named or key, list(known)) or f"see '{help_}' for the known keys"
         return f"{where}: unknown key {dotted}; {advice}"
     if details["type"] == "missing":
@@ -209,19 +237,27 @@ def _nearest(key: Key, keys: list[Key]) -> str:
     return f"did you mean {proposal[0]}?" if proposal else ""
 
 
-def fields(model: type[BaseModel] = Config, above: Key = ()) -> list[tuple[Key, str]]:
+def fields(model: type = Config, above: Key = ()) -> list[tuple[Key, str]]:
     """Return every key of a model with its description, in order; the items of a list share their list's key."""
     found: list[tuple[Key, str]] = []
-    for name, info in model.model_fields.items():
-        found.append(((*above, name), info.description or ""))
-        for kind in _models(info.annotation):
+    for name, annotation, description in _described(model):
+        found.append(((*above, name), description))
+        for kind in _models(annotation):
             found += fields(kind, (*above, name))
     return found
 
 
-def _models(annotation: object) -> list[type[BaseModel]]:
+def _described(model: Any) -> list[tuple[str, object, str]]:  # noqa: ANN401  a dataclass, or pydantic's model
+    """Return the name, annotation and description of every field."""
+    if is_dataclass(model):
+        kinds = get_type_hints(model)
+        return [(f.name, kinds[f.name], f.metadata.get("description", "")) for f in fields_of(model)]
+    return [(name, info.annotation, info.description or "") for name, info in model.model_fields.items()]
+
+
+def _models(annotation: object) -> list[type]:
     """Return the models in an annotation such as ``A``, ``A | None`` or ``tuple[A, ...]``."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+    if isinstance(annotation, type) and (is_dataclass(annotation) or hasattr(annotation, "model_fields")):
         return [annotation]
     return [model for part in get_args(annotation) for model in _models(part)]
 

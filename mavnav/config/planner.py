@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from mavnav.config.models import Strict
+from mavnav.config.strict import Strict
 
 TechniqueName = Literal["wavefront", "field", "wall_following", "virtual_obstacles"]
 

@@ -1,4 +1,4 @@
-"""Layers of configuration values that remember where each was written, and the strict YAML they are read from.
+"""The strict YAML that layers of configuration values are read from.
 
 YAML is read as version 1.2 does (``off`` is a word, ``1e-3`` a number), without aliases, tags or duplicate keys.
 """
@@ -6,11 +6,11 @@ YAML is read as version 1.2 does (``off`` is a word, ``1e-3`` a number), without
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from mavnav.config.layers import Key, Layer
 from mavnav.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -18,49 +18,6 @@ if TYPE_CHECKING:
 
 MAX_BYTES = 1_000_000
 MAX_DEPTH = 20
-
-Key = tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Layer:
-    """Values by dotted key, and for each where it was written (``file:line`` or the option)."""
-
-    values: dict[Key, object] = field(default_factory=dict)
-    origins: dict[Key, str] = field(default_factory=dict)
-
-    def over(self, below: Layer) -> Layer:
-        """Lay this layer over another one; a value hides what lay under and above its own key."""
-        kept = {k: v for k, v in below.values.items() if not any(_related(k, mine) for mine in self.values)}
-        origins = {k: o for k, o in below.origins.items() if not any(_inside(k, mine) for mine in self.values)}
-        return Layer(kept | self.values, origins | self.origins)
-
-    def within(self, section: str) -> Layer:
-        """Return the same layer as a section of a larger one."""
-        return Layer(
-            {(section, *key): value for key, value in self.values.items()},
-            {(section, *key): origin for key, origin in self.origins.items()},
-        )
-
-    def tree(self) -> dict[str, Any]:
-        """Return nested dictionaries."""
-        root: dict[str, Any] = {}
-        for key, value in self.values.items():
-            branch = root
-            for name in key[:-1]:
-                branch = branch.setdefault(name, {})
-            branch[key[-1]] = value
-        return root
-
-
-def _related(a: Key, b: Key) -> bool:
-    shorter = min(len(a), len(b))
-    return a[:shorter] == b[:shorter]
-
-
-def _inside(key: Key, list_key: Key) -> bool:
-    """Return whether a key is one of an item of a list."""
-    return len(key) > len(list_key) and key[: len(list_key)] == list_key
 
 
 class _Yaml12(yaml.SafeLoader):

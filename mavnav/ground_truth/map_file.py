@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from mavnav.config.named_files import read_named
-from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import UsageError
 from mavnav.mapping.occupancy_grid import Grid, occupied_cells
 from mavnav.pose import Pose, transform_points
@@ -80,6 +79,8 @@ def read_map(path: Path) -> MapFile:
     UsageError
         One line: which file, what is wrong with it, what to do.
     """
+    from mavnav.config.yaml_layers import read_yaml  # noqa: PLC0415  yaml takes 10 ms to load
+
     about = read_yaml(path).tree()
     if "image" not in about or "resolution" not in about:
         raise UsageError(f"{path} describes no map, it has no image or no resolution; name a map_server YAML file")

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import UsageError
 from mavnav.ground_truth.map_file import read_map
 from mavnav.metrics.map_distance import TrueMap
@@ -33,6 +32,8 @@ def read_true_map(path: Path) -> TrueMap:
 
     if not path.exists():
         path = scenario_path(path)
+    from mavnav.config.yaml_layers import read_yaml  # noqa: PLC0415  yaml takes 10 ms to load
+
     keys = {key[0] for key in read_yaml(path).values}
     if "image" in keys:
         return _of_map(path)

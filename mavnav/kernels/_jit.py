@@ -60,7 +60,9 @@ class Kernel:
         try:
             for k, ndim, dtype, mask in self.arrays:
                 array = args[k]
-                if array.flags.num & mask != mask or array.ndim != ndim or array.dtype != dtype:
+                if array.flags.num & mask != mask or array.ndim != ndim:
+                    raise TypeError(self._mismatch(args))
+                if array.dtype is not dtype and array.dtype != dtype:  # almost always the same object
                     raise TypeError(self._mismatch(args))
         except (AttributeError, IndexError):
             raise TypeError(self._mismatch(args)) from None

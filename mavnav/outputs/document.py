@@ -88,10 +88,10 @@ def to_json(document: object) -> str:
 
 def plain(value: Any) -> Any:  # noqa: ANN401  any JSON value
     """Bring records, numpy's numbers and numbers that JSON lacks to plain ones; what is absent is left out."""
-    if is_dataclass(value):
-        return plain({f.metadata.get("alias", f.name): getattr(value, f.name) for f in fields(value)})
     if isinstance(value, Config):
         return value.document()
+    if is_dataclass(value):
+        return plain({f.metadata.get("alias", f.name): getattr(value, f.name) for f in fields(value)})
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items() if v is not ABSENT}
     if isinstance(value, list | tuple):

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav import __version__
 from mavnav.config.loading import load_config, validated
 from mavnav.config.named_files import read_json
-from mavnav.config.yaml_layers import layer_of
 from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import recorded_topic
 from mavnav.logs import content_sha256
@@ -138,6 +137,7 @@ def typed_again(run: EarlierRun, words: Sequence[str]) -> Typed:
 def simulation_again(run: EarlierRun) -> dict[str, Any]:
     """Return the fields of the request that repeats a mission: its effective scenario, whatever became of the file."""
     name, found = str(run.directory / RUN_FILE), run.document["input"]
+    from mavnav.config.yaml_layers import layer_of  # noqa: PLC0415  yaml takes 10 ms to load
     from mavnav.simulation.world import Scenario  # noqa: PLC0415  models take time to build
 
     return {
@@ -154,6 +154,8 @@ def _topic(name: str, text: str | None) -> str | None:
 
 def _config(run: EarlierRun) -> Config:
     """Return the effective configuration of a run; raises ConfigError where this version has other keys."""
+    from mavnav.config.yaml_layers import layer_of  # noqa: PLC0415  yaml takes 10 ms to load
+
     return load_config(values=layer_of(json.dumps(run.document["config"]), str(run.directory / RUN_FILE)))
 
 
@@ -202,7 +204,7 @@ def replay_words(log: str, options: Options, config: Config) -> list[str]:
 
 def changed_values(config: Config) -> dict[str, Any]:
     """Return the values of a configuration, by dotted keys, that differ from the defaults of its method."""
-    default = dict(_flat(load_config(sets=[f"method={config.method}"]).document()))
+    default = dict(_flat(load_config(overrides={"method": config.method}).document()))
     own = dict(_flat(config.document()))
     return {key: value for key, value in own.items() if key == "method" or value != default[key]}
 

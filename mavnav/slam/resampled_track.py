@@ -39,8 +39,8 @@ def in_doubt(steps: Steps) -> bool:
 
 def coarser(config: Config) -> Config:
     """Return the configuration of the second track."""
-    robust = config.robust.model_copy(update={"voxel_mm": COARSER * config.robust.voxel_mm})
-    return config.model_copy(update={"robust": robust})
+    robust = replace(config.robust, voxel_mm=COARSER * config.robust.voxel_mm)
+    return replace(config, robust=robust)
 
 
 def blur(track: Track) -> tuple[int, int]:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavnav.config.loading import fields, load_config, presets, to_yaml
+from mavnav.config.loading import fields, load_config, method_layer, presets, to_yaml, validated
 from mavnav.config.models import Config, GridSize, PaperConfig
 from mavnav.errors import ConfigError
 
@@ -24,7 +24,7 @@ def write(folder: Path, text: str) -> Path:
 
 
 def test_without_anything_the_defaults_hold() -> None:
-    assert load_config() == Config()
+    assert load_config() == Config() == validated(Config, method_layer(Config().method))
 
 
 def test_layers_win_in_order(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mavnav.config.models import Config
+from mavnav.config.models import Config, GridSize, PaperConfig
 from mavnav.kernels import beams
 from mavnav.kernels.polar_search import search as polar_search
 from mavnav.kernels.polar_search.cost import polar_cost
@@ -91,7 +91,7 @@ def test_identical_shifted_scans_converge_to_the_motion(walls: np.ndarray, at: P
     """The paper: cost below 0.01 mm2; on average about 1000 evaluations on the usual grid."""
     scan = scan_at(walls, at)
     points = polar_points(scan.ranges_m, scan.spec, 0.1)
-    config = Config(method="paper", grid=grid)  # type: ignore[arg-type]
+    config = Config(method="paper", grid=GridSize.parse(grid))
     rng = np.random.default_rng(0)
     evaluations = []
     for _ in range(8):
@@ -116,7 +116,7 @@ def test_grid_is_refined_only_where_the_cost_stays_high_and_not_where_it_is_hope
     points = polar_points(a.ranges_m, a.spec, 0.1)
 
     def matched(ranges: np.ndarray, **paper: float) -> Match:
-        return match_polar(ranges, points, a.spec, Pose(), Config(method="paper", paper=paper))
+        return match_polar(ranges, points, a.spec, Pose(), Config(method="paper", paper=PaperConfig(**paper)))
 
     easy, coarse = matched(a.ranges_m), matched(b.ranges_m, refine_factor=1, gate_mm2=1e6)
     hard = matched(b.ranges_m, gate_mm2=coarse.cost_m2 * 1e6 / HOPELESS + 1)
@@ -133,7 +133,7 @@ def test_search_that_can_only_end_in_a_wrong_place_ends_at_once() -> None:
     a, b = scan_at(room(), Pose(2.2, 1.7, 0.4)), scan_at(furnished_rooms(), Pose(2.9, 2.2, 1.2))
     points = polar_points(a.ranges_m, a.spec, 0.1)
     whole, ended = (
-        match_polar(b.ranges_m, points, a.spec, Pose(), Config(method="paper", paper=paper))  # type: ignore[arg-type]
+        match_polar(b.ranges_m, points, a.spec, Pose(), Config(method="paper", paper=PaperConfig(**paper)))
         for paper in ({"refine_factor": 1, "gate_mm2": 1e6}, {"gate_mm2": 100.0})
     )
     assert whole.converged

@@ -1,11 +1,13 @@
 """Pictures: there, of a sane size, and drawn from any map."""
 
 from dataclasses import replace
+from io import BytesIO
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from PIL import Image
 
 from mavnav.mapping.occupancy_grid import Grid
@@ -13,7 +15,7 @@ from mavnav.mapping.tiled_arrays import pooled
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.wall_spread import WallCuts
 from mavnav.outputs import map_axes, map_picture, wall_picture
-from mavnav.outputs.canvas import Canvas, rgb_of
+from mavnav.outputs.canvas import Canvas, png, rgb_of
 from mavnav.outputs.plot import Axes, ticks
 from mavnav.outputs.viewport import Window, window_of
 from mavnav.pose import Pose, Trajectory
@@ -170,6 +172,12 @@ def test_pictures_repeat_to_the_byte(run, write, tmp_path):
     for name in ("a.png", "b.png"):
         write(run, tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+@given(arrays(np.uint8, st.tuples(st.integers(1, 5), st.integers(1, 5), st.just(3))))
+def test_a_png_holds_every_pixel(pixels):
+    with Image.open(BytesIO(png(pixels))) as image:
+        np.testing.assert_array_equal(np.asarray(image), pixels)
 
 
 def test_a_line_is_broken_where_a_point_is_missing():

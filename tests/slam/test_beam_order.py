@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavnav.config.models import Config
+from mavnav.config.models import Config, RobustConfig
 from mavnav.pose import Pose
 from mavnav.scan import Scan
 from mavnav.slam import beam_order
@@ -67,7 +67,8 @@ def test_a_wrong_order_is_found_out_and_said(sweeps: list[Scan]) -> None:
 
 
 @pytest.mark.parametrize(
-    "config", [Config(robust={"deskew": "on"}), Config(robust={"deskew": "off"}), Config(method="paper")]
+    "config",
+    [Config(robust=RobustConfig(deskew="on")), Config(robust=RobustConfig(deskew="off")), Config(method="paper")],
 )
 def test_only_auto_tries_both_orders(sweeps: list[Scan], config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(beam_order, "turning_stretch", lambda _: pytest.fail("it was looked for"))

@@ -11,6 +11,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from mavnav.config.loading import load_config
 from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.pose import Pose, Trajectory
@@ -40,7 +41,7 @@ def tour() -> Recording:
 
 
 def replay(scans: list[Scan], odom: Trajectory | None = None, **config: object) -> SlamResult:
-    return run_slam(lambda: scans, Config(**config), PERIOD_S, odom)  # type: ignore[arg-type]
+    return run_slam(lambda: scans, load_config(overrides=config), PERIOD_S, odom)
 
 
 def errors_m(outcome: SlamResult, recording: Recording) -> np.ndarray:
@@ -166,7 +167,7 @@ def test_motion_faster_than_any_vehicle_is_not_believed() -> None:
     scans = [scan_at(room(3.0, 2.4), Pose(1.0, 1.0), stamp_ns=k * 100_000_000) for k in range(5)]
     scans.append(scan_at(room(3.0, 2.4), Pose(1.4, 1.0), stamp_ns=500_000_000))
     assert not replay(scans).steps[-1].tracked
-    assert replay(scans, robust={"max_speed_m_s": 5.0}).steps[-1].tracked
+    assert replay(scans, **{"robust.max_speed_m_s": 5.0}).steps[-1].tracked
 
 
 # ---- real logs ------------------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mavnav.config.loading import load_config
 from mavnav.config.models import Config
 from mavnav.kernels.conflicts import conflicts
 from mavnav.mapping.tiled_arrays import blank_strips
@@ -109,7 +110,7 @@ def test_a_large_region_is_searched_in_parts(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize("cell_mm", [20.0, 50.0])
 def test_the_pruned_search_finds_the_minima_of_the_exhaustive_one(seed: int, cell_mm: float) -> None:
     rng = np.random.default_rng(seed)
-    method = Robust(Config.model_validate({"robust": {"cell_mm": cell_mm}}))
+    method = Robust(load_config(overrides={"robust.cell_mm": cell_mm}))
     for pose in (Pose(1.0, 1.0, 0.5), Pose(4.6, 0.8, 2.0), Pose(3.0, 3.0, -1.0)):
         method.insert(scan_at(furnished_rooms(), pose, noise=0.01, rng=rng), pose, Motion(0.1))
         there = Pose(*rng.uniform((0.6, 0.6, -3), (4.6, 3.0, 3)).tolist())
@@ -121,7 +122,7 @@ def test_the_pruned_search_finds_the_minima_of_the_exhaustive_one(seed: int, cel
 
 
 def test_cells_that_do_not_divide_the_step_are_searched_exhaustively() -> None:
-    method = Robust(Config.model_validate({"robust": {"cell_mm": 30.0}}))
+    method = Robust(load_config(overrides={"robust.cell_mm": 30.0}))
     method.insert(scan_at(furnished_rooms(), Pose(1.0, 1.0, 0.5)), Pose(1.0, 1.0, 0.5), Motion(0.1))
     few = method.match_points(scan_at(furnished_rooms(), Pose(1.2, 1.0, 0.4)))[:100]
     args = few, method.lines, around(Pose(1.0, 1.0, 0.5), 2.5, np.pi), 0.15, 6

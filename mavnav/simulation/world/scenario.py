@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from mavnav.config.models import Config, Strict
+from mavnav.config.models import Config
 from mavnav.config.planner import PlannerConfig
+from mavnav.config.strict import Strict
 from mavnav.pose import Pose
 from mavnav.simulation.world.laser import LASERS, LaserModel
 from mavnav.simulation.world.shapes import XY, Metre, Wall, world_of

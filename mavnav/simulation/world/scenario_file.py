@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mavnav.config.layers import Key, Layer
 from mavnav.config.loading import file_layer, method_layer, origin, overlaid, presets_folder, scenarios, validated
-from mavnav.config.yaml_layers import Key, Layer, read_yaml
+from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import ConfigError
 from mavnav.simulation.world.laser import LASERS
 from mavnav.simulation.world.scenario import Scenario

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Protocol
 import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
-from mavnav.config.models import Strict
+from mavnav.config.strict import Strict
 from mavnav.simulation.world.geometry import World
 from mavnav.units import DEG
 
