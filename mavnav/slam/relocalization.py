@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from math import floor, pi
+from math import atan2, floor, pi
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
@@ -63,6 +63,12 @@ FARTHEST_SURPRISE = 4.0
 
 CLEAR_BY = 0.05
 """A place is ambiguous if another one ranks nearer than this."""
+
+AROUND_RAD = np.arange(8, dtype=np.float64) * (pi / 4)
+"""Directions in which a place is moved to see whether it is observable."""
+
+ACROSS = 0.2
+"""Least growth of the cost ``SEPARATE_M`` across a direction that is not observable, as a share of the worst cost."""
 
 TELLING = 150
 """Points, a sample of the scan, that the visibility conflicts are counted on."""
@@ -225,15 +231,44 @@ def unrivalled(found: list[Match], clear_by: float, config: Config) -> Match | N
 
 
 def firmness(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, config: Config) -> float:
-    """Tell by how much the cost of a place grows, as a share of the worst, ``SEPARATE_M`` away in the best direction.
+    """Return by how much the cost of a place grows, as a share of the worst, ``SEPARATE_M`` away in the best direction.
 
     It is nearly 0 where walls on both sides leave open how far along them the laser is.
     """
-    angles, truncate_m = np.arange(8) * (pi / 4), config.robust.truncate_mm * MM
-    steps = SEPARATE_M * np.column_stack((np.cos(angles), np.sin(angles)))
+    return float(growth(points, map_T_laser, line_map, AROUND_RAD, SEPARATE_M, config).min())
+
+
+def growth(
+    points: NDArray[np.float64],
+    map_T_laser: Pose,
+    line_map: LineMap,
+    angles_rad: NDArray[np.float64],
+    step_m: float,
+    config: Config,
+) -> NDArray[np.float64]:
+    """Return by how much the cost of a place grows a step away in some directions (k,), as shares of the worst."""
+    truncate_m = config.robust.truncate_mm * MM
+    steps = step_m * np.column_stack((np.cos(angles_rad), np.sin(angles_rad)))
     xy_m, yaw_rad = np.vstack(([(0.0, 0.0)], steps)) + map_T_laser.as_array()[:2], np.array([map_T_laser.yaw_rad])
     costs = pose_costs(points, xy_m, yaw_rad, truncate_m, line_map.nearest, line_map.lines, line_map.geometry)[0]
-    return float(costs[1:].min() - costs[0]) / truncate_m**2
+    shares: NDArray[np.float64] = (costs[1:] - costs[0]) / truncate_m**2
+    return shares
+
+
+def least_observable(
+    points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, least: float, config: Config
+) -> float | None:
+    """Return the direction (rad, map frame) in which a place moves at a cost below ``least``.
+
+    It is None if there is no such direction, or if moving across it costs less than ``ACROSS``. The cost of small steps
+    is a quadratic form, whose axis is the second harmonic of its values around the place.
+    """
+    if firmness(points, map_T_laser, line_map, config) >= least:
+        return None
+    small = growth(points, map_T_laser, line_map, AROUND_RAD, STEP_M, config)
+    along_rad = 0.5 * atan2(-float(small @ np.sin(2 * AROUND_RAD)), -float(small @ np.cos(2 * AROUND_RAD)))
+    across = along_rad + np.array((0.5, -0.5)) * pi
+    return along_rad if growth(points, map_T_laser, line_map, across, SEPARATE_M, config).min() >= ACROSS else None
 
 
 def rival(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, config: Config) -> float:

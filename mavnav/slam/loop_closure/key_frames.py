@@ -1,4 +1,4 @@
-"""Key frames: the tracked scans that loops are looked for with, the map that some of them make, and what they share."""
+"""Key frames: the tracked scans that are searched for loops, the map of some of them, and what several saw."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     Points = NDArray[np.float64]
 
 KEY_M, KEY_RAD = 0.3, 15 * DEG
-"""A key frame follows the last one after so much way or turning."""
+"""A key frame follows the last one after this path length or rotation."""
 
-PLACE_M = 0.1
+SQUARE_M = 0.1
 """Two key frames saw the same where their points lie in the same square of this edge."""
 
 _ROW = 1 << 32
@@ -34,25 +34,25 @@ _ROW = 1 << 32
 
 @dataclass(frozen=True, slots=True)
 class KeyFrame:
-    """A tracked scan: its row in the trajectory, the way so far, its points (n, 2), laser frame, m, and its pose."""
+    """A tracked scan: row in the trajectory, path length so far (m), points (n, 2) in the laser frame (m), and pose."""
 
     row: int
-    way_m: float
+    path_m: float
     points: Points
     map_T_laser: Pose
 
 
 def key_rows(xyyaw: NDArray[np.float64]) -> tuple[list[int], list[float]]:
-    """Choose the rows of key frames out of poses (n, 3); return them and the way up to each, m."""
+    """Choose the rows of key frames out of poses (n, 3); return them and the path length up to each, m."""
     steps_m = np.hypot(*np.diff(xyyaw[:, :2], axis=0).T)
-    way_m = np.concatenate(([0.0], steps_m.cumsum()))
+    path_m = np.concatenate(([0.0], steps_m.cumsum()))
     rows: list[int] = []
     last_m = last_rad = -np.inf
-    for row, (at_m, yaw_rad) in enumerate(zip(way_m.tolist(), xyyaw[:, 2].tolist(), strict=False)):
+    for row, (at_m, yaw_rad) in enumerate(zip(path_m.tolist(), xyyaw[:, 2].tolist(), strict=False)):
         if at_m - last_m >= KEY_M or abs(wrap_angle(yaw_rad - last_rad)) >= KEY_RAD:
             rows.append(row)
             last_m, last_rad = at_m, yaw_rad
-    return rows, way_m[rows].tolist()
+    return rows, path_m[rows].tolist()
 
 
 class Part:
@@ -76,7 +76,7 @@ class Part:
         self.count = max(count, self.count)
 
 
-class Places:
+class Visibility:
     """Which key frames saw which squares of the plane, kept as they come."""
 
     def __init__(self, keys: Sequence[KeyFrame]) -> None:
@@ -88,23 +88,23 @@ class Places:
     def grow(self, count: int) -> None:
         """Enter the next key frames, up to the number ``count``."""
         for k in range(self.count, count):
-            for place in places(self.keys[k]):
-                self._seen_by.setdefault(place, []).append(k)
+            for square in squares(self.keys[k]):
+                self._seen_by.setdefault(square, []).append(k)
         self.count = max(count, self.count)
 
-    def witness(self, key: KeyFrame) -> int:
-        """Return the entered key frame that saw most of what a key frame saw, by its own pose: one nearer by may not.
+    def reference(self, key: KeyFrame) -> int:
+        """Return the entered key frame that saw most of what a key frame saw; a nearer one may not.
 
-        Of equals it is the nearest, of equally near ones the first.
+        Of equals it is the nearest, of equally near ones the first. ``key`` is placed by its own pose.
         """
-        seen = [k for place in places(key) for k in self._seen_by.get(place, ())]
+        seen = [k for square in squares(key) for k in self._seen_by.get(square, ())]
         common = np.bincount(np.array(seen, np.intp), minlength=self.count)
         most = np.flatnonzero(common == common.max()).tolist()
         return min(most, key=lambda k: self.keys[k].map_T_laser.between(key.map_T_laser).distance_m)
 
 
-def places(key: KeyFrame) -> list[int]:
+def squares(key: KeyFrame) -> list[int]:
     """Return the numbers of the squares that hold points of a key frame."""
-    col, row = np.floor(transform_points(key.map_T_laser, key.points) / PLACE_M).astype(np.int64).T
+    col, row = np.floor(transform_points(key.map_T_laser, key.points) / SQUARE_M).astype(np.int64).T
     numbers: list[int] = np.unique(row * _ROW + col).tolist()
     return numbers

@@ -1,6 +1,6 @@
 """A pose graph in the plane: the poses that agree best with what was measured between pairs of them (docs/method.md).
 
-Each edge says where one pose is seen from another. The squared errors, each over its standard deviation, are summed
+Each edge measures one pose from another. The squared errors, weighted by the edges' information matrices, are summed
 with a robust loss and minimised by damped Gauss-Newton steps on the sparse normal equations (Kuemmerle et al. 2011,
 "g2o: A general framework for graph optimization"; Levenberg-Marquardt damping; Huber's loss).
 """
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
 OUTLIER_SIGMAS = 3.0
-"""Errors beyond this count linearly instead of squared, so that one wrong edge cannot bend the rest."""
+"""Errors beyond this count linearly instead of squared, so that one wrong edge cannot distort the rest."""
 
 MAX_ITERATIONS = 50
 SMALL_STEP = 1e-6  # m, rad
@@ -29,16 +29,19 @@ SMALL_STEP = 1e-6  # m, rad
 
 @dataclass(frozen=True, slots=True)
 class Edge:
-    """Pose ``end`` was measured from pose ``start`` (numbers of poses), with standard deviations."""
+    """Pose ``end`` was measured from pose ``start`` (numbers of poses).
+
+    ``sqrt_information`` (3, 3) is the square root of the information matrix of x, y (m) and yaw (rad) in the frame of
+    ``start``: the inverse standard deviations on the diagonal; a row of zeros leaves a direction unconstrained.
+    """
 
     start: int
     end: int
     start_T_end: Pose
-    sigma_m: float
-    sigma_rad: float
+    sqrt_information: NDArray[np.float64]
 
 
-def optimised(poses: Sequence[Pose], edges: Sequence[Edge]) -> list[Pose]:
+def optimized(poses: Sequence[Pose], edges: Sequence[Edge]) -> list[Pose]:
     """Return the poses that fit the edges best; the first one stays where it is.
 
     ``poses`` are where the iteration starts, in any one frame; edges must join all of them to the first.
@@ -60,23 +63,23 @@ def optimised(poses: Sequence[Pose], edges: Sequence[Edge]) -> list[Pose]:
 
 
 class _Graph:
-    """The errors of all edges, and how they change with the poses (n, 3), of which the first is held."""
+    """The errors of all edges, and how they change with the poses (n, 3), of which the first is fixed."""
 
     def __init__(self, edges: Sequence[Edge], n: int) -> None:
         self.start = np.array([e.start for e in edges], np.intp)
         self.end = np.array([e.end for e in edges], np.intp)
         self.measured = np.array([e.start_T_end.as_array() for e in edges]).reshape(-1, 3)
-        self.weights = 1.0 / np.array([(e.sigma_m, e.sigma_m, e.sigma_rad) for e in edges]).reshape(-1, 3)
+        self.weights = np.array([e.sqrt_information for e in edges]).reshape(-1, 3, 3)
         self.n = n
 
     def errors(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what each edge is off, in standard deviations, (edges, 3)."""
+        """Return the error of each edge, in standard deviations, (edges, 3)."""
         a, b = poses[self.start], poses[self.end]
         c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
         dx, dy = (b - a)[:, :2].T
         error = np.column_stack((c * dx + s * dy, -s * dx + c * dy, b[:, 2] - a[:, 2])) - self.measured
         error[:, 2] = (error[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
-        scaled: NDArray[np.float64] = error * self.weights
+        scaled: NDArray[np.float64] = (self.weights @ error[:, :, None])[:, :, 0]
         return scaled
 
     def cost(self, poses: NDArray[np.float64]) -> float:
@@ -86,7 +89,7 @@ class _Graph:
         return float(np.where(far, OUTLIER_SIGMAS * (2.0 * size - OUTLIER_SIGMAS), size**2).sum())
 
     def step(self, poses: NDArray[np.float64], damping: float) -> NDArray[np.float64]:
-        """Return the damped Gauss-Newton step from here, (n, 3); outliers weigh less the farther they are off."""
+        """Return the damped Gauss-Newton step from here, (n, 3); outliers weigh less the larger they are."""
         from scipy.sparse import diags  # noqa: PLC0415  takes 0.2 s to load, and few logs have a loop
         from scipy.sparse.linalg import spsolve  # noqa: PLC0415
 
@@ -109,7 +112,7 @@ class _Graph:
         zero, one = np.zeros(len(a)), np.ones(len(a))
         by_start = [[-c, -s, -s * dx + c * dy], [s, -c, -c * dx - s * dy], [zero, zero, -one]]
         by_end = [[c, s, zero], [-s, c, zero], [zero, zero, one]]
-        values = np.array([by_start, by_end]).transpose(3, 0, 1, 2) * self.weights[:, None, :, None]
+        values = self.weights[:, None] @ np.array([by_start, by_end]).transpose(3, 0, 1, 2)
         rows = 3 * np.arange(len(a))[:, None, None, None] + np.arange(3)[:, None]
         cols = 3 * (np.column_stack((self.start, self.end)) - 1)[:, :, None, None] + np.arange(3)
         rows, cols = np.broadcast_to(rows, values.shape), np.broadcast_to(cols, values.shape)

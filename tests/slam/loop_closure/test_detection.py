@@ -16,7 +16,7 @@ from mavnav.scan import LaserSpec, Scan
 from mavnav.slam.loop_closure import remap
 from mavnav.slam.loop_closure.detection import LOOP_M, Loop, Loops, find_loops
 from mavnav.slam.loop_closure.drift import drift_bound
-from mavnav.slam.loop_closure.key_frames import KeyFrame, Places, key_rows
+from mavnav.slam.loop_closure.key_frames import KeyFrame, Visibility, key_rows
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.pipeline import finish
 from mavnav.slam.robust import Robust
@@ -74,15 +74,22 @@ def twin_rooms() -> Segments:
     return np.vstack((polyline(*outline, closed=True), *boxes))
 
 
+def plain_ring() -> Segments:
+    """Return a ring of plain corridors, 1.6 m wide; once round its middle are 55.6 m."""
+    sides = [((0, 0), (18, 13)), ((1.6, 1.6), (16.4, 11.4))]
+    return np.vstack([polyline((x, y), (u, y), (u, v), (x, v), closed=True) for (x, y), (u, v) in sides])
+
+
 ROUND = [(0.8, 0.8), (7.2, 0.8), (7.2, 5.2), (0.8, 5.2), (0.8, 0.9), (2.5, 0.8)]
 ROUND_DOORS = [(0.8, 0.8), (7.2, 0.8), (7.2, 7.2), (0.8, 7.2), (0.8, 0.9), (2.5, 0.8)]
 THERE_AND_BACK = [(1.0, 0.9), (12.8, 0.9), (12.7, 0.8), (1.2, 0.9)]
+ROUND_PLAIN = [(9, 0.8), (17.2, 0.8), (17.2, 12.2), (0.8, 12.2), (0.8, 0.8), (9.5, 0.8)]
 ROOM_TO_ROOM = [(2, 1.5), (1.95, 3.8), (9.05, 3.8), (9, 1.5), (9.1, 3.7), (1.95, 3.8), (2, 1.5)]
 
 
 @dataclass(frozen=True)
 class Walk:
-    """A true way through a world, and the scans that belong to it; frame of the first pose."""
+    """A true path through a world, and the scans that belong to it; frame of the first pose."""
 
     walls: Segments
     world_T_laser: Trajectory
@@ -97,7 +104,7 @@ class Walk:
         return [voxel_means(scan.points(), 0.03) for scan in scans]
 
     def drifted(self, step: Pose, seed: int | None = None) -> Trajectory:
-        """Return what a tracker makes of the way if every step is off by a motion, or by random shares of it."""
+        """Return a track of the path in which every step is off by a motion, or by random shares of it."""
         rng, truth = np.random.default_rng(seed or 0), self.truth
         poses = [truth[0]]
         bias = rng.standard_normal(3) if seed is not None else np.ones(3)
@@ -105,6 +112,14 @@ class Walk:
             off = bias * step.as_array()
             poses.append(poses[-1] @ truth[k - 1].between(truth[k]) @ Pose(*map(float, off)))
         return Trajectory.of(truth.stamps_ns.tolist(), poses)
+
+    def sheared(self, off_m: tuple[float, float]) -> Trajectory:
+        """Return a track that is off by a translation at its end, and before in proportion to the path."""
+        truth = self.truth
+        share = np.concatenate(([0.0], np.hypot(*np.diff(truth.xyyaw[:, :2], axis=0).T).cumsum()))
+        xyyaw = truth.xyyaw.copy()
+        xyyaw[:, :2] += np.outer(share / share[-1], off_m)
+        return Trajectory(truth.stamps_ns.copy(), xyyaw)
 
     def closed(self, tracked: Trajectory, seed: int = 0) -> Loops:
         return find_loops(tracked, lambda rows: self.points_of(seed, rows), Config())
@@ -119,6 +134,7 @@ class Walk:
 def walk(name: str) -> Walk:
     walls, way = {
         "ring": (ring(), ROUND),
+        "plain ring": (plain_ring(), ROUND_PLAIN),
         "ring of doors": (ring_of_doors(), ROUND_DOORS),
         "corridor of doors": (corridor_of_doors(), THERE_AND_BACK),
         "twin rooms": (twin_rooms(), ROOM_TO_ROOM),
@@ -141,6 +157,24 @@ def test_a_ring_is_closed() -> None:
     assert rmse_m(loops.map_T_laser, ring_walk.truth) < 0.35 * rmse_m(tracked, ring_walk.truth)
 
 
+def test_a_loop_is_closed_across_a_plain_corridor_and_left_as_tracked_along_it() -> None:
+    ring_walk = walk("plain ring")
+    tracked = ring_walk.sheared((0.2, 0.63))
+    loops = ring_walk.closed(tracked)
+    assert len(loops.closed) >= 3
+    assert all(abs(c.correction.y_m + 0.62) < 0.05 for c in loops.closed)
+    assert all(abs(c.correction.x_m) < 0.05 for c in loops.closed)
+    assert loops.map_T_laser is not None
+    end, truth, before = (t.xyyaw[-1] for t in (loops.map_T_laser, ring_walk.truth, tracked))
+    assert abs(end[1] - truth[1]) < 0.06
+    assert abs(end[0] - before[0]) < 0.05
+
+
+def test_a_good_track_round_plain_corridors_stays_as_it_is() -> None:
+    ring_walk = walk("plain ring")
+    assert ring_walk.closed(ring_walk.truth).map_T_laser is None
+
+
 def test_a_good_track_stays_as_it_is() -> None:
     ring_walk = walk("ring")
     loops = ring_walk.closed(ring_walk.truth)
@@ -148,7 +182,7 @@ def test_a_good_track_stays_as_it_is() -> None:
     assert loops.map_T_laser is None
 
 
-def test_a_way_that_never_comes_back_reads_no_scan() -> None:
+def test_a_path_that_never_comes_back_reads_no_scan() -> None:
     n = 60
     straight = Trajectory.of(list(range(n)), [Pose(0.5 * k, 0.0, 0.0) for k in range(n)])
 
@@ -188,29 +222,29 @@ def test_no_closure_joins_places_that_look_the_same_in_20_seeds(name: str) -> No
     assert sum(closures_without_a_wrong_one(name, seed) for seed in range(20)) > 20
 
 
-def test_key_frames_follow_way_and_turning() -> None:
+def test_key_frames_follow_path_and_turning() -> None:
     still = np.zeros((50, 3))
     assert key_rows(still) == ([0], [0.0])
     turning = np.column_stack((np.zeros((10, 2)), np.arange(10) * 10 * DEG))
     assert key_rows(turning)[0] == [0, 2, 4, 6, 8]
     moving = np.column_stack((np.arange(10) * 0.2, np.zeros((10, 2))))
-    rows, ways_m = key_rows(moving)
+    rows, paths_m = key_rows(moving)
     assert rows == [0, 2, 4, 6, 8]
-    np.testing.assert_allclose(ways_m, [0, 0.4, 0.8, 1.2, 1.6])
+    np.testing.assert_allclose(paths_m, [0, 0.4, 0.8, 1.2, 1.6])
 
 
-def test_the_witness_saw_the_same_walls_even_from_farther_away() -> None:
+def test_the_reference_key_frame_saw_the_same_walls_even_from_farther_away() -> None:
     wall = np.column_stack((np.linspace(3.0, 5.0, 30), np.full(30, 1.0)))
     other = wall + np.array([0.0, 3.0])
     seen = [(Pose(-1.0, 0.0, 0.0), wall), (Pose(0.1, 0.0, 0.0), other), (Pose(-2.0, 0.0, 0.0), wall)]
     keys = [KeyFrame(k, float(k), xy_m - (pose.x_m, pose.y_m), pose) for k, (pose, xy_m) in enumerate(seen)]
-    seen_by = Places(keys)
+    seen_by = Visibility(keys)
     seen_by.grow(3)
-    assert seen_by.witness(KeyFrame(9, 30.0, wall, Pose())) == 0
+    assert seen_by.reference(KeyFrame(9, 30.0, wall, Pose())) == 0
 
 
 def test_the_bound_of_the_drift_grows_and_ends() -> None:
-    bounds = np.array([drift_bound(way_m) for way_m in (LOOP_M, 20.0, 50.0, 500.0)])
+    bounds = np.array([drift_bound(path_m) for path_m in (LOOP_M, 20.0, 50.0, 500.0)])
     assert (np.diff(bounds, axis=0) >= 0).all()
     np.testing.assert_array_equal(bounds[-1], drift_bound(1e6))
 

@@ -7,7 +7,7 @@ import heapq
 import numpy as np
 import pytest
 
-from mavnav.slam.loop_closure.drift import Ways
+from mavnav.slam.loop_closure.drift import Paths
 
 
 def shortest(joints: list[tuple[float, float]], a_m: float, b_m: float) -> float:
@@ -15,13 +15,13 @@ def shortest(joints: list[tuple[float, float]], a_m: float, b_m: float) -> float
     ends = [a_m, b_m, *(end for joint in joints for end in joint)]
     ways, queue = dict.fromkeys(range(len(ends)), np.inf), [(0.0, 0)]
     while queue:
-        way_m, k = heapq.heappop(queue)
-        if way_m >= ways[k]:
+        path_m, k = heapq.heappop(queue)
+        if path_m >= ways[k]:
             continue
-        ways[k] = way_m
+        ways[k] = path_m
         for m, end in enumerate(ends):
             joined = k >= 2 and m >= 2 and k // 2 == m // 2
-            heapq.heappush(queue, (way_m + (0.0 if joined else abs(end - ends[k])), m))
+            heapq.heappush(queue, (path_m + (0.0 if joined else abs(end - ends[k])), m))
     return ways[1]
 
 
@@ -29,7 +29,7 @@ def shortest(joints: list[tuple[float, float]], a_m: float, b_m: float) -> float
 def test_the_shortest_way_is_dijkstras(seed: int) -> None:
     rng = np.random.default_rng(seed)
     joints = [(float(a), float(b)) for a, b in rng.uniform(0, 100, (rng.integers(0, 8), 2))]
-    ways = Ways()
+    ways = Paths()
     for joint in joints:
         ways.join(*joint)
     a_m, b_m = rng.uniform(0, 100, 2).tolist()

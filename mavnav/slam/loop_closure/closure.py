@@ -1,0 +1,111 @@
+"""Closures: two key frames that saw the same walls, what their match constrains, and whether closures agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, sin
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.pose import Pose
+from mavnav.units import DEG
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from mavnav.slam.loop_closure.key_frames import KeyFrame
+    from mavnav.slam.scan_matching import Match
+
+SIGMA_M, SIGMA_RAD = 0.03, 0.5 * DEG
+"""Standard deviations of a closure."""
+
+NEIGHBOR_M = 10.0
+"""Closures are compared if the paths between them are no longer."""
+
+AGREE_M, AGREE_RAD = (0.15, 0.05), (2 * DEG, 1 * DEG)
+"""Largest difference of two closures: at no path between them, more per metre of it."""
+
+PARALLEL_RAD = 20 * DEG
+"""Closures of corridors at a larger angle constrain no common direction."""
+
+SMALL_M, SMALL_RAD = 0.06, 1 * DEG
+"""Closures with a smaller correction confirm the track, which is left as it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """Key frame ``end`` saw again what key frame ``start`` saw (numbers of key frames); ``match`` is the evidence.
+
+    ``weak_rad`` is the direction, in the frame of ``start``, in which the pose is not observable (along a plain
+    corridor); None where it is observable in all.
+    """
+
+    start: int
+    end: int
+    start_T_end: Pose
+    match: Match
+    weak_rad: float | None = None
+
+    def correction(self, keys: Sequence[KeyFrame]) -> Pose:
+        """Return where ``end`` should be, seen from where it is, without what is not observable."""
+        off = keys[self.end].map_T_laser.between(keys[self.start].map_T_laser @ self.start_T_end)
+        if self.weak_rad is None:
+            return off
+        return Pose(*without(off, self.weak_rad - self.start_T_end.yaw_rad + off.yaw_rad), off.yaw_rad)
+
+    @property
+    def sqrt_information(self) -> NDArray[np.float64]:
+        """Square root (3, 3) of the information matrix of x, y and yaw, frame of ``start``; 1/m, 1/m and 1/rad."""
+        root = np.diag(1.0 / np.array((SIGMA_M, SIGMA_M, SIGMA_RAD)))
+        if self.weak_rad is not None:
+            c, s = cos(self.weak_rad), sin(self.weak_rad)
+            root[:2] = (0.0, 0.0, 0.0), (-s / SIGMA_M, c / SIGMA_M, 0.0)
+        return root
+
+
+def without(offset: Pose, direction_rad: float) -> tuple[float, float]:
+    """Return the translation (x, y) of an offset, m, without its part along a direction."""
+    c, s = cos(direction_rad), sin(direction_rad)
+    across_m = -s * offset.x_m + c * offset.y_m
+    return -s * across_m, c * across_m
+
+
+def agreeing(closures: Sequence[Closure], keys: Sequence[KeyFrame], accepted: Sequence[Closure] = ()) -> list[Closure]:
+    """Keep the closures that agree with more of their neighbours, and of the accepted ones, than they contradict."""
+    kept, before = list(closures), len(closures) + 1
+    while len(kept) < before:
+        before = len(kept)
+        kept = [a for a in kept if is_confirmed(a, [*accepted, *kept], keys)]
+    return kept
+
+
+def is_confirmed(a: Closure, others: Sequence[Closure], keys: Sequence[KeyFrame]) -> bool:
+    """Return whether a closure agrees with more of the others than it contradicts."""
+    verdicts = [agree(a, b, keys) for b in others if b is not a]
+    return verdicts.count(True) > verdicts.count(False)
+
+
+def agree(a: Closure, b: Closure, keys: Sequence[KeyFrame]) -> bool | None:
+    """Return whether two closures agree in what both constrain; None where they are too far apart to compare."""
+    path_m = sum(abs(keys[p].path_m - keys[q].path_m) for p, q in ((a.start, b.start), (a.end, b.end)))
+    if path_m > NEIGHBOR_M:
+        return None
+    starts, ends = (keys[p].map_T_laser.between(keys[q].map_T_laser) for p, q in ((a.start, b.start), (a.end, b.end)))
+    end_by_a = a.start_T_end @ ends
+    off = end_by_a.between(starts @ b.start_T_end)
+    weak = [c.weak_rad + turn for c, turn in ((a, 0.0), (b, starts.yaw_rad)) if c.weak_rad is not None]
+    if len(weak) > 1 and abs(sin(weak[0] - weak[1])) > sin(PARALLEL_RAD):
+        return None
+    for direction_rad in weak:
+        off = Pose(*without(off, direction_rad - end_by_a.yaw_rad), off.yaw_rad)
+    return (
+        off.distance_m <= AGREE_M[0] + AGREE_M[1] * path_m and abs(off.yaw_rad) <= AGREE_RAD[0] + AGREE_RAD[1] * path_m
+    )
+
+
+def is_small(correction: Pose, times: float = 1.0) -> bool:
+    """Return whether a correction is within ``times`` the bounds of a small one."""
+    return correction.distance_m <= times * SMALL_M and abs(correction.yaw_rad) <= times * SMALL_RAD

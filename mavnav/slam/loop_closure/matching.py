@@ -1,0 +1,125 @@
+"""Where does a key frame fit on the old part of the map? One closure, or none (docs/method.md, steps 2 and 3)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import cos, sin
+from typing import TYPE_CHECKING
+
+from mavnav.pose import wrap_angle
+from mavnav.slam.loop_closure.closure import Closure
+from mavnav.slam.loop_closure.drift import DRIFT_RAD
+from mavnav.slam.loop_closure.key_frames import Part
+from mavnav.slam.relocalization import (
+    apart,
+    around,
+    candidates,
+    disagreement,
+    firmness,
+    judged,
+    least_observable,
+    unrivalled,
+)
+from mavnav.slam.scan_matching import Schedule, search_lines
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mavnav.config.models import Config
+    from mavnav.slam.loop_closure.key_frames import KeyFrame, Visibility
+    from mavnav.slam.scan_matching import Match
+
+LEAST_INLIERS, LEAST_WEAK_INLIERS = 0.5, 0.7
+"""Share of a closure's points that agree with the old part, also of a weak one; the others may lie on new area."""
+
+MOST_CONFLICTS = 0.05
+"""Largest share of visibility conflicts of a closure's points with the old part."""
+
+CLEAR_BY = 0.15
+"""A closure is ambiguous if another place within the drift ranks nearer than this (``disagreement``)."""
+
+PART_M = 1.0
+"""A closure is measured against what was seen within this path length of its reference key frame, which is rigid."""
+
+LEAST_FIRMNESS = 0.03
+"""A direction is not observable if moving in it costs less (``relocalization.firmness``), as along a corridor."""
+
+STRIP_M = 0.15
+"""Half the width of the strip across a corridor that is searched for a weak closure."""
+
+MOST_WEAK_M, MOST_WEAK_RAD = 0.8, 10 * DEG
+"""Largest correction by a weak closure: a parallel corridor, which looks the same, is farther away."""
+
+
+def find_closure(
+    keys: Sequence[KeyFrame], j: int, old: Part, seen: Visibility, bound: tuple[float, float], config: Config
+) -> Closure | None:
+    """Find the one place within the bounds of the drift, m and rad, where key frame ``j`` fits on the old part.
+
+    In a plain corridor the closure is weak. None where the key frame fits nowhere, or in several places.
+    """
+    region = around(keys[j].map_T_laser, *bound)
+    found = candidates(keys[j].points, old.lines, old.grid, region, config)
+    best = unrivalled(found, CLEAR_BY, config)
+    closure = measured(keys, j, best, seen, config) if best and fits(best) else None
+    if closure and closure.weak_rad is None:
+        return closure
+    best = min(found, key=lambda match: disagreement(match, config), default=None)
+    return weak_closure(keys, j, best, old, seen, bound, config) if best and fits(best, LEAST_WEAK_INLIERS) else None
+
+
+def weak_closure(
+    keys: Sequence[KeyFrame],
+    j: int,
+    match: Match,
+    old: Part,
+    seen: Visibility,
+    bound: tuple[float, float],
+    config: Config,
+) -> Closure | None:
+    """Search across the corridor in which a key frame matches; along it the tracked position is kept."""
+    key = keys[j]
+    along_rad = least_observable(key.points, match.map_T_laser, old.lines, LEAST_FIRMNESS, config)
+    if along_rad is None:
+        return None
+    xy_m, yaws_rad = around(key.map_T_laser, *bound)
+    off_m = (xy_m - key.map_T_laser[:2]) @ (cos(along_rad), sin(along_rad))
+    found = candidates(key.points, old.lines, old.grid, (xy_m[abs(off_m) <= STRIP_M], yaws_rad), config)
+    best = unrivalled(found, CLEAR_BY, config)
+    closure = measured(keys, j, best, seen, config) if best and fits(best, LEAST_WEAK_INLIERS) else None
+    if closure is None or closure.weak_rad is None or closure.match.inliers < LEAST_WEAK_INLIERS:
+        return None
+    correction = closure.correction(keys)
+    return closure if correction.distance_m <= MOST_WEAK_M and abs(correction.yaw_rad) <= MOST_WEAK_RAD else None
+
+
+def fits(match: Match, least_inliers: float = LEAST_INLIERS) -> bool:
+    """Return whether enough of a key frame agrees with the old part, with few visibility conflicts."""
+    return match.inliers >= least_inliers and match.conflicts <= MOST_CONFLICTS
+
+
+def measured(keys: Sequence[KeyFrame], j: int, match: Match, seen: Visibility, config: Config) -> Closure | None:
+    """Match key frame ``j`` against what was seen near its reference key frame; None where it does not fit there.
+
+    The closure is weak where one direction is not observable; None where none is.
+    """
+    i = seen.reference(replace(keys[j], map_T_laser=match.map_T_laser))
+    old = range(seen.count)
+    part = Part(config)
+    part.grow([keys[k] for k in old if abs(keys[k].path_m - keys[i].path_m) <= PART_M], seen.count)
+    robust, points = config.robust, keys[j].points
+    first = Schedule.of(config, part.lines, (robust.truncate_mm * MM, DRIFT_RAD[0]))
+    fine = search_lines(points, part.lines, match.map_T_laser, first)
+    last = Schedule.of(config, part.lines, (robust.final_window_mm * MM, robust.final_window_deg * DEG), final=True)
+    placed = search_lines(points, part.lines, fine.map_T_laser, last)
+    fine = judged(fine._replace(map_T_laser=placed.map_T_laser), points, part.lines, part.grid)
+    if apart(match.map_T_laser, fine.map_T_laser) or not fits(fine):
+        return None
+    start, place = keys[i].map_T_laser, fine.map_T_laser
+    if firmness(points, place, part.lines, config) >= LEAST_FIRMNESS:
+        return Closure(i, j, start.between(place), fine)
+    along_rad = least_observable(points, place, part.lines, LEAST_FIRMNESS, config)
+    if along_rad is None:
+        return None
+    return Closure(i, j, start.between(place), fine, wrap_angle(along_rad - start.yaw_rad))

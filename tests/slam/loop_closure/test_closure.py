@@ -1,0 +1,72 @@
+"""Weak closures: compared, corrected and weighted only in what they constrain."""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+import pytest
+
+from mavnav.config.models import Config
+from mavnav.pose import Pose
+from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD, Closure, agree, agreeing
+from mavnav.slam.loop_closure.key_frames import KeyFrame, Part
+from mavnav.slam.loop_closure.matching import LEAST_FIRMNESS
+from mavnav.slam.relocalization import least_observable
+from mavnav.slam.scan_matching import first_match
+from support.synthetic import DEG, LDS_01, Segments, polyline, scan_at
+
+KEYS = [KeyFrame(k, path_m, np.zeros((0, 2)), Pose()) for k, path_m in enumerate((0.0, 30.0))]
+
+
+def closure(x_m: float, y_m: float, yaw_rad: float = 0.0, weak_rad: float | None = None) -> Closure:
+    """Return a closure of two key frames that were tracked at the origin."""
+    return Closure(0, 1, Pose(x_m, y_m, yaw_rad), first_match(100), weak_rad)
+
+
+def test_closures_are_compared_only_in_what_both_constrain() -> None:
+    firm, along_x = closure(0.0, 0.0), closure(1.5, 0.0, weak_rad=0.0)
+    assert agree(firm, closure(1.5, 0.0), KEYS) is False
+    assert agree(firm, along_x, KEYS) is True
+    assert agree(along_x, firm, KEYS) is True
+    assert agree(along_x, closure(-1.5, 0.1, weak_rad=0.0), KEYS) is True
+    assert agree(along_x, closure(-1.5, 0.4, weak_rad=0.0), KEYS) is False
+    assert agree(along_x, closure(1.5, 0.0, 5 * DEG, weak_rad=0.0), KEYS) is False
+    assert agree(along_x, closure(1.5, 0.0, weak_rad=pi / 2), KEYS) is None
+
+
+def test_weak_closures_are_checked_against_accepted_ones() -> None:
+    right, wrong = closure(1.0, 0.0, weak_rad=0.0), closure(1.0, 0.5, weak_rad=0.0)
+    assert agreeing([right, wrong], KEYS, [closure(0.0, 0.0)] * 2) == [right]
+
+
+def test_a_weak_correction_leaves_out_the_weak_direction() -> None:
+    correction = closure(1.0, 0.5, 0.1, weak_rad=0.0).correction(KEYS)
+    np.testing.assert_allclose(correction, (0.0, 0.5, 0.1), atol=1e-12)
+    assert closure(1.0, 0.5).correction(KEYS) == Pose(1.0, 0.5, 0.0)
+
+
+@pytest.mark.parametrize("weak_rad", [0.0, 0.7, -2.0])
+def test_the_information_is_zero_along_the_weak_direction(weak_rad: float) -> None:
+    root = closure(0.0, 0.0, weak_rad=weak_rad).sqrt_information
+    values, vectors = np.linalg.eigh(root.T @ root)
+    np.testing.assert_allclose(values, (0.0, SIGMA_M**-2, SIGMA_RAD**-2), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(abs(vectors[:, 0] @ (np.cos(weak_rad), np.sin(weak_rad), 0.0)), 1.0)
+
+
+@pytest.mark.parametrize("yaw_rad", [0.0, 0.4, -1.1])
+def test_the_least_observable_direction_is_along_the_corridor(yaw_rad: float) -> None:
+    corridor = np.vstack([polyline((-9, y), (9, y)) for y in (-0.8, 0.7)])
+    along_rad = direction(corridor, yaw_rad)
+    assert along_rad is not None
+    assert abs(np.sin(along_rad)) < np.sin(1 * DEG)
+    assert direction(np.vstack((corridor, polyline((2, -0.8), (2, 0.7)))), yaw_rad) is None
+
+
+def direction(walls: Segments, yaw_rad: float) -> float | None:
+    """Return the least observable direction of a scan at the origin, on a map of scans along the x axis."""
+    config, part, rng = Config(), Part(Config()), np.random.default_rng(0)
+    poses = [Pose(0.2 * k, 0.0, yaw_rad) for k in range(-5, 6)]
+    points = [scan_at(walls, pose, LDS_01, noise=0.005, rng=rng).points() for pose in poses]
+    part.grow([KeyFrame(k, 0.0, *seen) for k, seen in enumerate(zip(points, poses, strict=True))], len(poses))
+    return least_observable(points[5], poses[5], part.lines, LEAST_FIRMNESS, config)
