@@ -32,7 +32,7 @@ def uses_odometry(config: Config) -> bool:
     return METHODS[config.method].uses_odometry
 
 
-RARE_KERNELS: Final = ("cost_floors", "lowest_poses")
+RARE_KERNELS: Final = ("cost_floors", "free_cells", "lowest_poses")
 """Modules that only loops and lost scans need: compiled in 5 s when the first one comes, or by `mavnav warmup`."""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from math import atan2, floor, pi
+from math import atan2, pi
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from mavnav.kernels.conflicts import conflicts
 from mavnav.kernels.correlative_search import pose_costs
+from mavnav.kernels.free_cells import free_positions
 from mavnav.kernels.lowest_poses import lowest_poses
-from mavnav.mapping.tiled_arrays import bands, plain
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
 from mavnav.slam.scan_matching import Match, Schedule, search_lines, with_effort
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.mapping.line_map import LineMap
     from mavnav.mapping.occupancy_grid import GridBuilder
+    from mavnav.mapping.tiled_arrays import Extent
 
     Region = tuple[NDArray[np.float64], NDArray[np.float64]]
     """Positions (p, 2), m, and yaws (q,), rad, map frame: every position with every yaw."""
@@ -36,6 +37,9 @@ STEP_M, STEP_RAD = 0.1, 4 * DEG
 SEPARATE_M, SEPARATE_RAD = 0.25, 12 * DEG
 SEPARATE = np.array((SEPARATE_M, SEPARATE_RAD))
 """Minima nearer than this are one."""
+
+_ROW = 1 << 20
+"""Positions of a lattice are numbered row by row, each row so long."""
 
 CANDIDATES = 6
 
@@ -94,6 +98,20 @@ def within_reach(pose: Pose, elapsed_s: float) -> Region:
     return around(pose, radius_m, half_rad)
 
 
+def within_reach_of(poses: tuple[Pose, ...], elapsed_s: float) -> Region:
+    """Return the positions of the discs about several poses where a vehicle can be after a time, and their yaws.
+
+    The lattice is that of the first pose; it is searched once where the discs overlap.
+    """
+    first_xy, yaws_rad = within_reach(poses[0], elapsed_s)
+    cells = [np.round((within_reach(p, elapsed_s)[0] - first_xy[0]) / STEP_M).astype(np.int64) for p in poses]
+    col, row = np.concatenate(cells).T
+    row, col = np.divmod(np.unique(row * _ROW + col + _ROW // 2), _ROW)
+    more_rad = max(abs(wrap_angle(pose.yaw_rad - poses[0].yaw_rad)) for pose in poses)
+    half_rad = min(pi, 0.5 * (len(yaws_rad) - 1) * STEP_RAD + more_rad)
+    return first_xy[0] + STEP_M * np.column_stack((col - _ROW // 2, row)), around(poses[0], 0.0, half_rad)[1]
+
+
 def around(pose: Pose, radius_m: float, half_rad: float) -> Region:
     """Return a disc of positions and the yaws about a pose, in m and rad."""
     k = int(np.ceil(half_rad / STEP_RAD))
@@ -112,21 +130,15 @@ def _disc(radius_m: float) -> NDArray[np.float64]:
 
 def everywhere(grid: GridBuilder) -> Region:
     """Return the positions (p, 2), row by row, where the map was seen free, and yaws (q,) all round, in m and rad."""
-    shape, (x0_m, y0_m) = grid.passes.shape, grid.origin_xy_m
-    low, wide = floor(x0_m / STEP_M) - 1, int(shape[1] * grid.cell_m / STEP_M) + 4
-    hits, places = plain(grid.hits)[:, : shape[1]], [np.zeros(0, np.int64)]
-    rows, cols = (
+    yaws_rad = np.arange(-pi, pi, STEP_RAD)
+    if not grid.passes.size:
+        return np.zeros((0, 2)), yaws_rad
+    cells = [
         np.round((first_m + (np.arange(n) + 0.5) * grid.cell_m) / STEP_M).astype(np.int64)
-        for first_m, n in zip((y0_m, x0_m), shape, strict=True)
-    )
-    col, first_cols = np.unique(cols, return_index=True)
-    for _, _, band in bands(shape):
-        row, first_rows = np.unique(rows[band], return_index=True)
-        free = np.logical_or.reduceat(grid.passes[band] > hits[band], first_rows, axis=0)
-        r, c = np.nonzero(np.logical_or.reduceat(free, first_cols, axis=1))
-        places.append(row[r] * wide + col[c] - low)
-    row, col = np.divmod(np.unique(np.concatenate(places)), wide)
-    return np.column_stack(((col + low) * STEP_M, row * STEP_M)), np.arange(-pi, pi, STEP_RAD)
+        for first_m, n in zip(grid.origin_xy_m[::-1], grid.passes.shape, strict=True)
+    ]
+    row, col = np.nonzero(free_positions(grid.hits, grid.passes, *(lattice - lattice[0] for lattice in cells)))
+    return np.column_stack(((col + cells[1][0]) * STEP_M, (row + cells[0][0]) * STEP_M)), yaws_rad
 
 
 @timed("search")
@@ -172,9 +184,7 @@ def lowest(
     if exhaustive or small or abs(step * line_map.cell_m - STEP_M) > 1e-9:
         found = exhaustively(points, line_map, region, truncate_m, most)
         return [start for start in found if start[0] <= limit_m2]
-    far_m = float(np.hypot(*points.T).max())
-    extent_m = (*(xy_m.min(axis=0) - far_m).tolist(), *(xy_m.max(axis=0) + far_m).tolist())
-    floors = line_map.cost_floors(truncate_m, step, extent_m)
+    floors = line_map.cost_floors(truncate_m, step, reached_by(points, xy_m))
     poses = lowest_poses(
         points,
         xy_m,
@@ -192,6 +202,13 @@ def lowest(
         line_map.geometry,
     )
     return [(cost, _pose(xy_m[int(p)], yaws_rad[int(q)])) for cost, q, p in poses.tolist()]
+
+
+def reached_by(points: NDArray[np.float64], xy_m: NDArray[np.float64]) -> Extent:
+    """Return the extent of points (n, 2), laser frame, m, that are seen from positions (p, 2) at any yaw."""
+    far_m = float(np.hypot(*points.T).max())
+    (x0, y0), (x1, y1) = (xy_m.min(axis=0) - far_m).tolist(), (xy_m.max(axis=0) + far_m).tolist()
+    return x0, y0, x1, y1
 
 
 def exhaustively(

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from mavnav.kernels.conflicts import conflicts
 from mavnav.kernels.correlative_search import BLOCK, pose_costs
 from mavnav.kernels.cost_floors import cost_floors
+from mavnav.kernels.free_cells import free_positions
 from mavnav.kernels.layout import LEVELS
 from mavnav.kernels.lowest_poses import lowest_poses
 from mavnav.mapping.line_map import LineMap
@@ -148,3 +149,12 @@ def test_lowest_poses_are_their_twin(seed: int) -> None:
     assert some.tolist() == found[:5].tolist()
     few = lowest_poses(points, xy[:1], yaws[:1], 0.15, separate, np.inf, *args)
     assert few.tolist() == [[costs[0, 0], 0.0, 0.0]]
+
+
+def test_free_positions_are_the_twins() -> None:
+    rng = np.random.default_rng(0)
+    hits, passes = (rng.integers(0, 3, (30, 150)).astype(np.uint16) * (rng.random((30, 150)) < 0.1) for _ in range(2))
+    rows, cols = np.arange(30) // 5, np.sort(rng.integers(0, 40, 150))
+    found = free_positions(in_strips(hits), passes, rows, cols)
+    assert 20 < found.sum() < found.size
+    assert np.array_equal(found, naive.free_positions(hits, passes, rows, cols))

@@ -55,6 +55,13 @@ def show_ends(ranges_m, directions, pose, lattice, walls, cells):
     return count
 
 
+def free_positions(hits, passes, rows, cols):
+    free = np.zeros((rows[-1] + 1, cols[-1] + 1), np.uint8)
+    for row, col in np.argwhere(passes > hits):
+        free[rows[row], cols[col]] = 1
+    return free
+
+
 def dynamic_cells(hits, passes, shielded, clear=8, stays=0.15, wall=4, reach=7):
     through = passes - shielded
     share = np.where(hits > 0, hits / np.maximum(hits + through, 1), 0.0)

@@ -1,0 +1,33 @@
+"""Where a map was seen free, on a coarser lattice of positions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.kernels._jit import kernel
+from mavnav.kernels._types import I64_1D, U16_2D, U16_3D, uint8
+from mavnav.kernels.layout import SHIFT, WIDE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@kernel(uint8[:, ::1](U16_3D, U16_2D, I64_1D, I64_1D))
+def free_positions(
+    hits: NDArray[np.uint16], passes: NDArray[np.uint16], rows: NDArray[np.int64], cols: NDArray[np.int64]
+) -> NDArray[np.uint8]:
+    """Return which positions of a lattice hold a free cell: one that more beams crossed than ended in.
+
+    ``rows`` and ``cols``, ascending, are those of the lattice for each row and column of cells, from 0 on.
+    """
+    free = np.zeros((rows[-1] + 1, cols[-1] + 1), np.uint8)
+    for row in range(len(rows)):
+        out = free[rows[row]]
+        for strip in range(len(hits)):
+            ended, crossed = hits[strip, row], passes[row, strip << SHIFT : (strip + 1) << SHIFT]
+            for k in range(min(WIDE, len(cols) - (strip << SHIFT))):
+                if crossed[k] > ended[k]:
+                    out[cols[(strip << SHIFT) + k]] = uint8(1)
+    return free
