@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.slam.beginning import until_missing
+from mavnav.slam.steps import LOST_SCANS
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -28,8 +30,12 @@ if TYPE_CHECKING:
     from mavnav.slam.steps import Step
     from mavnav.slam.track import LogScans, Track
 
-STRETCH_SCANS = 80
-"""Both orders are tried on so many scans, where the laser turns most."""
+STRETCH_SCANS, LEAST_SCANS, TRIAL_SHARE = 80, 40, 0.25
+"""Both orders are compared on so many scans, where the laser turns most; they are tracked on no more than this share
+of a log, but on the second number of scans at least."""
+
+LEAST_COMPARED = 10
+"""Scans that both orders must have tracked to be compared."""
 
 LEAST_TURN_RAD = 90 * DEG
 """A stretch that turns less decides nothing."""
@@ -69,9 +75,18 @@ def fires_backwards(track: Track) -> bool:
         return False
     if is_plainly_listed(*glance(scans, track.steps[stretch.start : stretch.stop], track.motion, refiner)):
         return False
-    alone = replace(track, prior_map=None, begin=0)
-    listed, other = (alone.over(some).steps for some in (scans, map(backwards, scans)))
-    return is_backwards([s.match for s in listed], [s.match for s in other])
+    return is_backwards(*trial(scans, stretch, track))
+
+
+def trial(scans: list[Scan], stretch: range, track: Track) -> tuple[list[Match], list[Match]]:
+    """Track the scans of a stretch that turn most on a map of their own, in both orders, as long as both go well."""
+    yaws_rad = track.steps.column("map_T_laser")[stretch.start : stretch.stop + 1, 2]
+    part = turning_stretch(yaws_rad, max(LEAST_SCANS, int(TRIAL_SHARE * len(track.steps))), 0.0)
+    some, alone = scans[part.start : part.stop], replace(track, prior_map=None, begin=0)
+    until = partial(until_missing, least_points=0, most_missed=LOST_SCANS, most_held=np.inf)
+    listed, other = (alone.over(s, until=until).steps for s in (some, map(backwards, some)))
+    both = [(a.match, b.match) for a, b in zip(listed, other, strict=False) if a.tracked and b.tracked]
+    return ([a for a, _ in both], [b for _, b in both]) if len(both) >= LEAST_COMPARED else ([], [])
 
 
 def glance(scans: list[Scan], steps: list[Step], motion: Motion, refiner: Refiner) -> tuple[list[Match], list[Match]]:
@@ -91,15 +106,17 @@ def backwards(scan: Scan) -> Scan:
     return replace(scan, spec=replace(scan.spec, time_increment_s=-scan.spec.time_increment_s))
 
 
-def turning_stretch(yaws_rad: NDArray[np.float64]) -> range:
-    """Find the ``STRETCH_SCANS`` scans over which the headings (n,) turn most; empty where they hardly do."""
+def turning_stretch(
+    yaws_rad: NDArray[np.float64], scans: int = STRETCH_SCANS, least_rad: float = LEAST_TURN_RAD
+) -> range:
+    """Find so many scans over which the headings (n,) turn most; empty where they turn less than ``least_rad``."""
     turns = np.abs((np.diff(yaws_rad) + pi) % (2.0 * pi) - pi)
-    length = min(STRETCH_SCANS, len(turns))
+    length = min(scans, STRETCH_SCANS, len(turns))
     if length == 0:
         return range(0)
     sums = np.convolve(turns, np.ones(length), "valid")
     first = int(np.argmax(sums))
-    return range(first, first + length) if sums[first] >= LEAST_TURN_RAD else range(0)
+    return range(first, first + length) if sums[first] >= least_rad else range(0)
 
 
 def is_plainly_listed(listed: Sequence[Match], other: Sequence[Match]) -> bool:
