@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import compress
 from math import pi
 from typing import TYPE_CHECKING
 
@@ -13,10 +15,13 @@ from mavnav.slam.resampled_track import coarser
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
+    from mavnav.scan import Scan
     from mavnav.slam.method import Refiner
-    from mavnav.slam.track import Track
+    from mavnav.slam.track import LogScans, Track
 
     Floats = NDArray[np.float64]
 
@@ -94,10 +99,17 @@ def rivals(track: Track, refiner: Refiner, yaws_rad: Floats) -> Floats:
 
 
 def with_resampled_track(evidence: Evidence, track: Track) -> Evidence:
-    """Add the poses of a track with coarser voxels; none if the run is being stopped."""
-    other = track.again(replace(track, config=coarser(track.config)))
-    if other is None:
+    """Add the poses of a track of the same scans with coarser voxels; none if the run is being stopped."""
+    tracked = track.steps.column("tracked")
+    some = partial(tracked_scans, track.log_scans, tracked)
+    again = replace(track, config=coarser(track.config), log_scans=some, begin=int(tracked[: track.begin].sum()))
+    other = again.over(some(), "track again")
+    if len(other.steps) < len(evidence.xyyaw):
         return evidence
-    tracked, again = track.steps.column("tracked"), other.steps.column("tracked")
-    poses = np.where(again[:, None], other.steps.column("map_T_laser"), np.nan)
-    return replace(evidence, resampled=poses[tracked])
+    poses = other.steps.column("map_T_laser")
+    return replace(evidence, resampled=np.where(other.steps.column("tracked")[:, None], poses, np.nan))
+
+
+def tracked_scans(log_scans: LogScans, tracked: NDArray[np.bool_]) -> Iterable[Scan]:
+    """Return the scans with a pose: what was lost cannot be compared, and costs most."""
+    return compress(log_scans(), tracked)
