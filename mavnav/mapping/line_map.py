@@ -75,6 +75,13 @@ class LineMap:
         """Return the value of ``nearest`` for a cell whose nearest occupied one is this far away, m."""
         return FAR + 1 - 1e-9 - (distance_m / self.cell_m) ** 2
 
+    def cells_within(self, extent_m: Extent) -> float:
+        """Return about how many cells of the lattice lie within an extent."""
+        (x, y), (rows, cols), (x0, y0, x1, y1) = self.origin_xy_m, self.nearest.shape, extent_m
+        wide_m: float = min(x1, x + cols * self.cell_m) - max(x0, x)
+        high_m: float = min(y1, y + rows * self.cell_m) - max(y0, y)
+        return float(max(wide_m, 0.0) * max(high_m, 0.0) / self.cell_m**2)
+
     def cost_floors(self, truncate_m: float, step: int, extent_m: Extent) -> CostFloors:
         """Return bounds of the costs in an extent, for positions ``step`` cells apart; kept until the map changes."""
         if self._floors is None or not self._floors.serve(truncate_m, step, extent_m):

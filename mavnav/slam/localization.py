@@ -64,7 +64,6 @@ class Localizer(Robust):
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Count what the scan saw; the map that is matched against stays."""
-        self._searches = 0
         self.grid.insert(map_T_laser, transform_points(map_T_laser, self._points(scan, motion)[0]))
 
     def remove_dynamic_cells(self) -> None:

@@ -25,6 +25,9 @@ class Refiner(Protocol):
 
     builds_map: bool
 
+    def pays_for_whole_map(self, scan: Scan) -> bool:
+        """Return whether the budget of work pays for ``relocalize``, and spend it."""
+
     def relocalize(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
         """Find the scan anywhere in the map; None unless exactly one place explains it. ``match`` is a hypothesis."""
 

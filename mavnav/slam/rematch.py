@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 SHORT_SCANS = 8
 """Scans between accepted ones so near to each other are searched in wide regions, too."""
 
+MOST_FAILED = 5
+"""So many scans in a row that do not match end the rematching of a gap: the laser was elsewhere, or saw nothing."""
+
 REFINED_AT_ONCE = 16
 """The same is done for so many scans in a row: it is found in the processor's caches."""
 
@@ -41,11 +44,13 @@ def rematch_rejected(track: Track) -> Track:
     if not before:
         return track
     scans = {index: scan for index, scan in enumerate(track.log_scans()) if index in before}
-    settled, after = Steps(steps), steps[-1]
+    settled, after, failed = Steps(steps), steps[-1], 0
     for step in reversed(steps):
-        if step.index in scans and (after.stamp_ns - step.stamp_ns) * NS <= LONGEST_S:
+        if step.index in scans and failed < MOST_FAILED and (after.stamp_ns - step.stamp_ns) * NS <= LONGEST_S:
             settled[step.index] = rematched(scans[step.index], step, before[step.index], after, track)
-        after = settled[step.index] if settled[step.index].tracked else after
+            failed += 1
+        if settled[step.index].tracked:
+            after, failed = settled[step.index], 0
     return replace(track, steps=settled)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from math import floor
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,8 +13,20 @@ from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
+from mavnav.slam.budget import Budget, search_work
 from mavnav.slam.motion_model import LONGEST_S
-from mavnav.slam.relocalization import around, best_of, candidates, everywhere, judged, rival, within_reach
+from mavnav.slam.relocalization import (
+    CANDIDATES,
+    around,
+    best_of,
+    candidates,
+    everywhere,
+    judged,
+    reached_by,
+    rival,
+    within_reach,
+    within_reach_of,
+)
 from mavnav.slam.scan_matching import (
     Match,
     Schedule,
@@ -51,11 +62,15 @@ NEAR_MINIMA = 3
 """So many separate minima of the cost near the prediction are refined: the lowest of a coarse lattice may mislead."""
 
 
-EACH_SCANS, THEN_S = 8, 1.0
-"""Each of so many scans of a lost laser is searched in wide regions, then one a second: once it is found again, the
-scans between are matched from there."""
+LOST_PERIODS = 8
+"""Without an accepted pose for longer the laser is lost: wide regions are searched as their budget allows. Once it is
+found again, the scans between are matched from there."""
 
-FOUND_COST, FOUND_ANYWHERE_COST = 0.4, 0.35
+WIDE_EACH, WIDE_FIRST, WIDE_MOST = 2.0, 50.0, 80.0
+WHOLE_EACH, WHOLE_FIRST = 1.0, 50.0
+"""Budgets of wide regions and of the whole map, in local searches: what a scan earns, the first and the most credit."""
+
+FOUND_COST, FOUND_ANYWHERE_COST = 0.4, 0.25
 """Share of the worst cost that a minimum of a wide search, and of one of the whole map, has at most after so many
 scans, to be refined. Places where a lost laser was found cost up to 0.1 with 10 scans a second."""
 
@@ -84,7 +99,7 @@ def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
 
 
 def _is_lost(motion: Motion, elapsed_s: float) -> bool:
-    return elapsed_s > EACH_SCANS * motion.period_s
+    return elapsed_s > LOST_PERIODS * motion.period_s
 
 
 class Robust:
@@ -107,8 +122,10 @@ class Robust:
         self._begin()
         self._limits_m = np.array([robust.near_mm * MM, robust.far_mm * MM, robust.voxel_mm * MM])
         self._deskewed: tuple[Scan, Motion, Points] | None = None
-        self._searches = 0  # since a scan was inserted
         self._free: Region | None = None  # the whole map, as long as it does not grow
+        self._bounded = False  # the costs in the map, since it grew
+        self._wide_budget = Budget(WIDE_EACH, WIDE_FIRST, WIDE_MOST)
+        self._whole_budget = Budget(WHOLE_EACH, WHOLE_FIRST)
 
     @property
     def refiner(self) -> Robust:
@@ -152,18 +169,31 @@ class Robust:
         points, elapsed_s = self.match_points(scan, motion), motion.elapsed_s(scan.stamp_ns)
         if len(points) < self.config.robust.min_points:
             return no_match(predicted, len(points))
+        self._wide_budget.earn()
+        self._whole_budget.earn()
         tried = self._look_near(points, predicted, motion)
         if self._is_found_near(tried, predicted, motion, elapsed_s):
             return tried[0]
-        self._searches += 1
-        due = self._is_wide_search_due(motion, elapsed_s)
-        if tried and not due and motion.odometry is None:
+        expected, lost = _expected(scan, predicted, motion), _is_lost(motion, elapsed_s)
+        regions = self._paid_region(points, expected, elapsed_s) if lost else []
+        given_up = lost and not regions
+        if given_up and tried and motion.odometry is None:
             return tried[0]
         tried += self._look_around(points, predicted)
         best = min(tried, key=lambda match: match.cost_m2)
-        if not due or self._believable(best, motion, elapsed_s):
+        if given_up or self._believable(best, motion, elapsed_s):
             return with_effort(best, *tried)
-        return self._match_wide(scan, predicted, motion, points, tried)
+        for region in regions or [within_reach(pose, elapsed_s) for pose in expected]:
+            if lost or self._wide_budget.pays(self._work(points, region)):
+                tried += self._look_wide(points, region, FOUND_COST if lost else np.inf)
+        return best_of(tried, expected, elapsed_s, self.config)
+
+    def _paid_region(self, points: NDArray[np.float64], expected: tuple[Pose, ...], elapsed_s: float) -> list[Region]:
+        """Return where a lost laser can be, about all expected poses at once; nothing if the budget does not pay."""
+        if not self._wide_budget.is_ready:
+            return []
+        region = within_reach_of(expected, elapsed_s)
+        return [region] if self._wide_budget.pays(self._work(points, region)) else []
 
     def match_between(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
         """Match a scan between two accepted ones: close to the prediction, or within the second window."""
@@ -175,11 +205,6 @@ class Robust:
             return tried[0]
         tried += self._look_around(points, predicted)
         return with_effort(min(tried, key=lambda match: match.cost_m2), *tried)
-
-    def _is_wide_search_due(self, motion: Motion, elapsed_s: float) -> bool:
-        """Tell whether a scan is searched wherever the laser can be."""
-        few = self._searches <= EACH_SCANS or not _is_lost(motion, elapsed_s)
-        return few or floor(elapsed_s / THEN_S) > floor((elapsed_s - motion.period_s) / THEN_S)
 
     def _look_around(self, points: NDArray[np.float64], predicted: Pose) -> list[Match]:
         """Search the second window around the prediction."""
@@ -203,15 +228,16 @@ class Robust:
         half_m, half_rad = robust.near_window_mm * MM, robust.near_window_deg * DEG
         return off_m <= INSIDE * half_m and off_rad <= INSIDE * half_rad
 
-    def _match_wide(
-        self, scan: Scan, predicted: Pose, motion: Motion, points: NDArray[np.float64], tried: list[Match]
-    ) -> Match:
-        """Search wherever the laser can be by now, from the prediction and from rest."""
-        elapsed_s, found = motion.elapsed_s(scan.stamp_ns), tried
-        for pose in (expected := _expected(scan, predicted, motion)):
-            region, limit = within_reach(pose, elapsed_s), FOUND_COST if _is_lost(motion, elapsed_s) else np.inf
-            found += candidates(points, self.lines, self.known, region, self.config, limit=limit)
-        return best_of(found, expected, elapsed_s, self.config)
+    def _work(self, points: NDArray[np.float64], region: Region) -> float:
+        """Return the work of a search of a region; the map's costs are bounded once, until it grows."""
+        (xy_m, yaws_rad), some = region, points[: self.config.robust.first_level_points]
+        cells = 0.0 if self._bounded or not len(xy_m) else self.lines.cells_within(reached_by(some, xy_m))
+        return search_work(len(xy_m) * len(yaws_rad), cells, CANDIDATES)
+
+    def _look_wide(self, points: NDArray[np.float64], region: Region, limit: float) -> list[Match]:
+        """Search a region where the laser can be by now."""
+        self._bounded = True
+        return candidates(points, self.lines, self.known, region, self.config, limit=limit)
 
     def _convinces(self, match: Match) -> bool:
         return match.inliers >= self.config.robust.retry_below and match.conflicts <= self.config.robust.conflicts_below
@@ -247,13 +273,21 @@ class Robust:
         expected = match.surprise <= EXPECTED
         return Verdict.PROBABLE if expected or match.inliers >= robust.regain_above else Verdict.REFUSED
 
+    def pays_for_whole_map(self, scan: Scan) -> bool:
+        """Spend the work of a search of the whole map if the budget covers it."""
+        points = self.match_points(scan)
+        if not self._whole_budget.is_ready or len(points) < self.config.robust.min_points:
+            return False
+        self._free = self._free or everywhere(self.known)
+        return self._whole_budget.pays(self._work(points, self._free))
+
     def relocalize(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
         """Find the scan anywhere in the map; None unless one place, and no other, explains it."""
         points = self.match_points(scan)
         if len(points) < self.config.robust.min_points:
             return None
         elapsed_s = motion.elapsed_s(scan.stamp_ns)
-        self._free = self._free or everywhere(self.known)
+        self._free, self._bounded = self._free or everywhere(self.known), True
         limit = FOUND_ANYWHERE_COST if _is_lost(motion, elapsed_s) else np.inf
         found = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
         expected = _expected(scan, motion.predict(scan.stamp_ns), motion)
@@ -263,7 +297,7 @@ class Robust:
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add every point of the de-skewed scan."""
-        self._searches, self._free = 0, None
+        self._bounded, self._free = False, None
         xy_map_m, extent_m = self.placed_points(scan, map_T_laser, motion)
         self.lines.insert(xy_map_m, extent_m)
         self.grid.insert(map_T_laser, xy_map_m, extent_m)

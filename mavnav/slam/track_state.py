@@ -12,6 +12,9 @@ if TYPE_CHECKING:
 PROOFS = 3
 """So many scans in a row must agree on a place before it is accepted after a gap."""
 
+NEVER = -1000
+"""A number of scans so long ago that it does not matter."""
+
 
 class Verdict(Enum):
     """What a match is worth: accepted at once, accepted once the next scans agree, or nothing."""
@@ -24,13 +27,14 @@ class Verdict(Enum):
 class TrackState(NamedTuple):
     """The last accepted motion, and perhaps a trial: a motion that ``proofs`` scans in a row agreed on.
 
-    ``missed`` counts the scans since the last accepted one.
+    ``missed`` counts the scans since the last accepted one, ``searched`` those up to the last search of the whole map.
     """
 
     motion: Motion
     trial: Motion | None = None
     proofs: int = 0
     missed: int = 0
+    searched: int = NEVER
 
     @property
     def here(self) -> Motion:
@@ -47,4 +51,4 @@ class TrackState(NamedTuple):
         moved = (self.here.started_at if far else self.here.moved_to)(map_T_laser, stamp_ns)
         if self.trial and self.proofs + 1 >= PROOFS:
             return TrackState(moved)
-        return TrackState(self.motion, moved, self.proofs + 1, self.missed + 1)
+        return self._replace(trial=moved, proofs=self.proofs + 1, missed=self.missed + 1)

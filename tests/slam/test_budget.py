@@ -1,0 +1,117 @@
+"""The budget of work of the searches for a lost laser: counted, not timed, and never more than was earned."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mavnav.config.models import Config
+from mavnav.pose import Pose
+from mavnav.scan import Scan
+from mavnav.slam import tracker
+from mavnav.slam.budget import CELLS, POSES, Budget, search_work
+from mavnav.slam.motion_model import Motion
+from mavnav.slam.relocalization import STEP_M, around, within_reach, within_reach_of
+from mavnav.slam.robust import WHOLE_EACH, WHOLE_FIRST, WIDE_EACH, WIDE_FIRST, Robust
+from mavnav.slam.steps import Step
+from mavnav.slam.track_state import TrackState, Verdict
+from support.synthetic import TOUR, along, furnished_rooms, polyline, record, scan_at
+
+ELSEWHERE = polyline((0, 0), (2.2, 0), (3.1, 1.4), (1.2, 2.6), (-0.4, 1.6), closed=True)
+LOST = 150
+
+
+def test_a_search_is_paid_for_by_what_scans_earned() -> None:
+    budget = Budget(each_scan=2.0, first=5.0, most=20.0)
+    assert not budget.pays(8.0)
+    assert not budget.is_ready
+    budget.earn()
+    budget.earn()
+    assert budget.is_ready
+    assert budget.pays(8.0)
+    assert budget.credit == 1.0
+
+
+def test_a_search_of_more_than_the_most_credit_is_paid_off_later() -> None:
+    budget = Budget(each_scan=30.0, first=0.0, most=20.0)
+    assert not budget.pays(50.0)
+    budget.earn()
+    assert budget.credit == 20.0
+    assert budget.pays(50.0)
+    assert budget.credit == -30.0
+    budget.earn()
+    assert not budget.pays(1.0)
+
+
+def test_work_is_counted_in_local_searches() -> None:
+    assert search_work(0, 0, 6) == 6
+    assert search_work(3 * POSES, 2 * CELLS, 1) == 6
+
+
+def test_discs_about_several_poses_are_searched_once_where_they_overlap() -> None:
+    poses = Pose(1.03, 2.0, 0.5), Pose(1.5, 2.31, 0.7), Pose(1.03, 2.0, 0.5)
+    xy_m, yaws_rad = within_reach_of(poses, 0.9)
+    parts = [within_reach(pose, 0.9) for pose in poses]
+    assert len(parts[0][0]) < len(xy_m) < 1.5 * len(parts[0][0])
+    assert len(np.unique(np.round(xy_m / STEP_M, 3), axis=0)) == len(xy_m)
+    assert (np.diff(xy_m[:, 1]) > -1e-9).all()  # row by row
+    for part, _ in parts:
+        assert np.hypot(*(part[:, None] - xy_m).T).min(axis=0).max() < STEP_M
+    assert yaws_rad.min() <= min(q.min() for _, q in parts) + 1e-9
+    assert yaws_rad.max() >= max(q.max() for _, q in parts) - 1e-9
+
+
+@cache
+def lost_steps() -> tuple[list[Step], Counter[str], Robust]:
+    """Track a laser that is carried into a room that is not on the map; count the searches there by kind."""
+    scans = record(furnished_rooms(), along(TOUR[:3], speed_m_s=0.8)).scans
+    counts, method = Counter[str](), Robust(Config())
+    stamps_ns = scans[-1].stamp_ns + 100_000_000 * np.arange(1, LOST + 1)
+    other = [scan_at(ELSEWHERE, Pose(0.8, 0.8, 0.1e-9 * t), stamp_ns=t) for t in stamps_ns.tolist()]
+    wide, whole = method._look_wide, method.relocalize
+    method._look_wide = lambda *args: counts.update(wide=1) or wide(*args)  # type: ignore[method-assign]
+    method.relocalize = lambda *args: counts.update(whole=1) or whole(*args)  # type: ignore[method-assign]
+    return list(tracker.track([*scans, *other], method, Motion(0.1))), counts, method
+
+
+def test_a_lost_laser_is_searched_as_its_scans_earn() -> None:
+    steps, counts, method = lost_steps()
+    assert not any(step.tracked for step in steps[-LOST:])
+    discs = search_work(len(around(Pose(), 2.5, np.pi)[0]) * 91, 0, 6)
+    assert 4 < counts["wide"] < (WIDE_FIRST + WIDE_EACH * len(steps)) / discs + 8  # the first ones are small
+    assert 1 <= counts["whole"] <= (WHOLE_FIRST + WHOLE_EACH * len(steps)) / method._whole_budget.work
+    assert method._wide_budget.credit >= 0
+    assert method._whole_budget.credit >= 0
+
+
+def test_without_credit_the_whole_map_is_not_searched() -> None:
+    method, scan = Robust(Config()), scan_at(furnished_rooms(), Pose(1.0, 1.0))
+    method.insert(scan, Pose(1.0, 1.0), Motion(0.1))
+    assert method.pays_for_whole_map(scan)
+    method._whole_budget.credit = 0.0
+    assert not method.pays_for_whole_map(scan)
+    blank = Scan(0, np.full(scan.spec.beams, np.nan), scan.spec)
+    method._whole_budget.credit = 1e9
+    assert not method.pays_for_whole_map(blank)
+    assert not Robust(Config())._whole_budget.pays(1e9)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "missed", "odometry", "expected"),
+    [
+        (Verdict.PROBABLE, 0, True, True),
+        (Verdict.PROBABLE, 9, True, False),
+        (Verdict.PROBABLE, 9, False, True),
+        (Verdict.REFUSED, 9, False, False),
+        (Verdict.REFUSED, 0, False, False),
+        (Verdict.REFUSED, 16, True, True),
+        (Verdict.REFUSED, 128, False, True),
+        (Verdict.SURE, 16, False, False),
+    ],
+)
+def test_when_the_whole_map_is_searched(verdict: Verdict, missed: int, odometry: bool, expected: bool) -> None:
+    motion = Motion(0.1, (lambda _: Pose()) if odometry else None)
+    assert tracker.worth_a_search(verdict, TrackState(motion, missed=missed)) is expected
