@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from mavnav.commands.options import Json, LogFile, Quiet, Strict, Topic
+from mavnav.commands.options import Json, LogFile, Quiet, Strict, Topic, joined_topics
 from mavnav.commands.progress import reporting
 from mavnav.commands.terminal import LISTED, emit_json, note_oddities, print_table
 from mavnav.errors import ExitCode, MavnavError
@@ -41,9 +41,10 @@ def info(
     """Examine a log: topics, sensor, scans, rate, validity of ranges, odometry, and everything that is damaged."""
     from mavnav.logs import survey
 
+    name = joined_topics(topic)
     with reporting(quiet=quiet) as report:
-        found = survey(log, topic=topic, strict=strict, progress=lambda done, total: report("reading", done, total))
-    logs, error = _choices(found, topic)
+        found = survey(log, topic=name, strict=strict, progress=lambda done, total: report("reading", done, total))
+    logs, error = _choices(found, name)
     if error is not None:
         _print_result(document(found, logs, error.exit_code), json=json)
         raise error

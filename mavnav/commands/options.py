@@ -43,7 +43,10 @@ Again = Annotated[
     Path | None, input_option("--again", metavar="RUN", help="Repeat the run in this directory, with its options.")
 ]
 
-Topic = Annotated[str | None, input_option(metavar="NAME", help="Scan topic, if the log has several.")]
+Topic = Annotated[
+    list[str] | None,
+    input_option(metavar="NAME", help="Scan topic, if the log has several; repeatable to merge lasers by /tf_static."),
+]
 Start = Annotated[
     float | None,
     input_option(metavar="SECONDS", help="Start this many seconds after the first scan."),
@@ -171,6 +174,11 @@ def given_window(start_s: float | None, end_s: float | None) -> dict[str, float]
     if start_s is not None and end_s is not None and end_s <= start_s:
         raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
     return given_values(start_s=start_s, end_s=end_s)
+
+
+def joined_topics(topics: list[str] | None) -> str | None:
+    """Return the scan topics as one name, joined by commas as a merged log has it; None if none is given."""
+    return ",".join(topics) if topics else None
 
 
 def parse_pose(text: str | None, option: str = "--extrinsic") -> tuple[float, float, float] | None:

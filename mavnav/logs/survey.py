@@ -12,7 +12,7 @@ from mavnav.errors import NoScansError, UsageError
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.rosbag2 import METADATA
 from mavnav.logs.formats.source import Source
-from mavnav.logs.messages.decode import decoder, holds_scans, is_laser
+from mavnav.logs.messages.decode import decoder, is_laser, scan_topic
 from mavnav.logs.messages.definitions import ODOMETRY
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
@@ -109,16 +109,15 @@ class _Pass:
             self._take_motion(message, decoded)
 
     def _meet(self, channel: Channel) -> _Kind:
-        wanted = holds_scans(channel, self.topic)
-        topic = (self.topic or channel.topic) if wanted else None
-        self.kinds[channel] = _Kind(self._decoder(channel), topic)
+        topic = scan_topic(channel, self.topic)
+        self.kinds[channel] = _Kind(self._decoder(channel, topic), topic)
         return self.kinds[channel]
 
-    def _decoder(self, channel: Channel) -> Callable[[bytes], Any] | None:
-        if is_laser(channel) and not holds_scans(channel, self.topic):
+    def _decoder(self, channel: Channel, topic: str | None) -> Callable[[bytes], Any] | None:
+        if is_laser(channel) and topic is None:
             return None
         try:
-            return decoder(channel, poses=self.truth.takes(channel), topic=self.topic)
+            return decoder(channel, poses=self.truth.takes(channel), topic=topic)
         except DecodeError as error:
             self.report.damage(str(error), channel.topic)
             return None
@@ -185,7 +184,7 @@ def survey(
     path
         A file, or the folder of a ROS 2 bag.
     topic
-        Decode the scans of this topic alone.
+        Decode the scans of this topic alone, or of several, joined by commas.
     start_s, end_s
         Window of the scans to use, in seconds from the first usable scan.
     progress

@@ -315,11 +315,12 @@ class Robust:
         if last and last[0] is scan and last[1] is motion:
             return last[2]
         spec, twist, increment_s = scan.spec, AT_REST, 0.0
-        sweep_s = abs(spec.time_increment_s) * spec.beams
-        if self.config.robust.deskew != "off" and motion and sweep_s <= 1.2 * motion.period_s:
+        longest = 1.2 if scan.times_s is None else 2.2  # of merged lasers one may begin half a period later
+        if self.config.robust.deskew != "off" and motion and scan.sweep_s <= longest * motion.period_s:
             twist, increment_s = np.array(motion.twist_at(scan.stamp_ns)), spec.time_increment_s
+        seen = (scan.ranges_m, spec.directions) if scan.times_s is None else scan.seen_at_mid_sweep(twist)
         ends, means = np.empty((spec.beams, 2)), np.empty((spec.beams, 2))
-        n, m = scan_points(scan.ranges_m, spec.directions, twist, increment_s, self._limits_m, ends, means)
+        n, m = scan_points(*seen, twist, increment_s, self._limits_m, ends, means)
         points = ends[:n], means[:m]
         if motion:
             self._deskewed = scan, motion, points

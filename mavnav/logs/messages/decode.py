@@ -57,10 +57,22 @@ def _other_scans(channel: Channel, part: str) -> Callable[[bytes], LaserMessage]
     return decode
 
 
-def holds_scans(channel: Channel, topic: str | None) -> bool:
-    """Tell whether a channel holds the scans that are asked for: of its topic, or of any where that is None."""
-    plain = is_laser(channel) and topic in (None, channel.topic)
-    return plain or (part_of(channel, topic) is not None and channel.encoding in ROS_ENCODINGS)
+def scan_topics(topic: str) -> list[str]:
+    """Split the topics whose scans are merged: names joined by commas, which no ROS name holds."""
+    return [name for name in topic.split(",") if name]
+
+
+def scan_topic(channel: Channel, topic: str | None) -> str | None:
+    """Return which of the topics asked for has its scans in a channel, None if none; None asks for any LaserScan."""
+    if topic is None:
+        return channel.topic if is_laser(channel) else None
+    other = channel.encoding in ROS_ENCODINGS
+    found = (
+        name
+        for name in scan_topics(topic)
+        if (is_laser(channel) and name == channel.topic) or (other and part_of(channel, name) is not None)
+    )
+    return next(found, None)
 
 
 def is_laser(channel: Channel) -> bool:
