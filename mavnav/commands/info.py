@@ -102,6 +102,7 @@ def _topic(log: Log | None) -> dict[str, Any]:
         "health": _health(log) if log else None,
         "cleaning": log.cleaning if log else {},
         "odometry": _odometry(log) if log else None,
+        "imu": _imu(log) if log else None,
         "mounting": _mounting(log) if log else None,
     }
 
@@ -151,6 +152,14 @@ def _health(log: Log) -> dict[str, Any]:
     from mavnav.logs.health import sensor_health
 
     return asdict(sensor_health(log))
+
+
+def _imu(log: Log) -> dict[str, Any] | None:
+    if log.imu is None:
+        return None
+    found = log.imu.rotation
+    span_s = float(found.stamps_ns[-1] - found.stamps_ns[0]) * NS
+    return {"topic": log.imu.topic, "messages": len(found.stamps_ns), "rate_hz": (len(found.stamps_ns) - 1) / span_s}
 
 
 def _odometry(log: Log) -> dict[str, Any] | None:
@@ -203,6 +212,7 @@ def _rows(document: dict[str, Any]) -> list[tuple[str, str]]:
             ("ranges", _shares(topic["cleaning"])),
             *_health_rows(topic["health"]),
             ("odometry", _odometry_text(topic["odometry"])),
+            *_imu_row(topic["imu"]),
             ("mounting", _mounting_text(topic["mounting"])),
         ]
     return [*rows, ("verdict", _verdict(document))]
@@ -255,6 +265,10 @@ def _odometry_text(odometry: dict[str, Any] | None) -> str:
     if odometry is None:
         return "none"
     return f"{odometry['topic']}, {odometry['poses']} poses, {odometry['length_m']:.2f} m"
+
+
+def _imu_row(imu: dict[str, Any] | None) -> list[tuple[str, str]]:
+    return [] if imu is None else [("imu", f"{imu['topic']}, {imu['messages']} messages, {imu['rate_hz']:.0f} Hz")]
 
 
 def _mounting_text(mounting: dict[str, Any] | None) -> str:

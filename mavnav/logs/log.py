@@ -15,7 +15,7 @@ from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.odometry import jump
 from mavnav.logs.preprocessing import KINDS, ScanFilter
 from mavnav.logs.read_report import ReadReport
-from mavnav.logs.records import Damage, Gap, Odometry, RecordedTruth, ScanCounts, Topic
+from mavnav.logs.records import Damage, Gap, Imu, Odometry, RecordedTruth, ScanCounts, Topic
 from mavnav.logs.stamps import KEPT_BYTES, StampSource, period_and_gaps
 from mavnav.logs.survey import Survey, survey
 from mavnav.logs.topic_choice import chosen_topic, no_usable
@@ -70,6 +70,7 @@ class Log:
     base_frame: str | None
     upside_down: bool
     odometry: Odometry | None
+    imu: Imu | None
     truth: RecordedTruth | None
     damage: tuple[Damage, ...]
     warnings: tuple[str, ...]
@@ -257,6 +258,7 @@ def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extri
         base_frame=None,
         upside_down=False,
         odometry=None,
+        imu=None,
         truth=None,
         damage=found.damage,
         warnings=found.warnings,
@@ -353,8 +355,19 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
         base_frame=base_frame,
         upside_down=upside_down and extrinsic is None,
         odometry=odometry,
+        imu=_imu(log, found, odom, warnings.append),
         warnings=tuple(warnings),
     )
+
+
+def _imu(log: Log, found: Survey, odom: str, warn: Callable[[str], None]) -> Imu | None:
+    """Return the inertial sensor of a log, seen at mid-sweep; None without one."""
+    half_sweep_ns = round(0.5 * abs(log.sensor.time_increment_s) * log.sensor.beams / NS)
+    imu = found.imus.choose(odom, log.stamp_source, half_sweep_ns, warn)
+    if imu and not _meet(imu.rotation.stamps_ns, log):
+        warn(f"{imu.topic}: inertial sensor and scans share no time; it is not used, check its clock")
+        return None
+    return imu
 
 
 def _meet(stamps_ns: NDArray[np.int64], log: Log) -> bool:

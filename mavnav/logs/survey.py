@@ -12,8 +12,9 @@ from mavnav.errors import NoScansError, UsageError
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.rosbag2 import METADATA
 from mavnav.logs.formats.source import Source
+from mavnav.logs.imu import ImuTracks
 from mavnav.logs.messages.decode import decoder, is_laser, scan_topic
-from mavnav.logs.messages.definitions import ODOMETRY
+from mavnav.logs.messages.definitions import IMU, ODOMETRY
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.odometry import OdometryTracks
@@ -53,6 +54,7 @@ class Survey:
     topics: tuple[Topic, ...]
     scans: dict[str, TopicScans]
     odometry: OdometryTracks
+    imus: ImuTracks
     truth: TruthTracks
     frames: FrameTree
     damage: tuple[Damage, ...]
@@ -84,6 +86,7 @@ class _Pass:
     doors: dict[str, ScanFilter] = field(default_factory=dict)
     scans: dict[str, TopicScans] = field(default_factory=dict)
     odometry: OdometryTracks = field(default_factory=OdometryTracks)
+    imus: ImuTracks = field(default_factory=ImuTracks)
     truth: TruthTracks = field(default_factory=TruthTracks)
     frames: FrameTree = field(default_factory=FrameTree)
 
@@ -126,6 +129,8 @@ class _Pass:
         channel, log_ns = message.channel, message.log_ns
         if self.truth.takes(channel):
             self.truth.add(channel.topic, decoded[0], log_ns)
+        elif channel.type == IMU:
+            self.imus.add(channel.topic, decoded, log_ns)
         elif channel.type == ODOMETRY:
             self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
         else:
@@ -239,6 +244,7 @@ def _survey(
         topics=_topics(report, state.kinds),
         scans=state.scans,
         odometry=state.odometry,
+        imus=state.imus,
         truth=state.truth,
         frames=state.frames,
         damage=report.damages(),

@@ -302,6 +302,7 @@ def _track(log: Log, config: Config, known: PriorMap | None, progress: Progress,
         config,
         log.period_s,
         log.odometry.odom_T_laser if log.odometry else None,
+        rotation=log.imu.rotation if log.imu else None,
         on_step=lambda phase, done: progress(phase, done, total),
         prior_map=known,
     )

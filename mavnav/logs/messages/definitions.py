@@ -13,6 +13,7 @@ POSE: Final = "geometry_msgs/msg/PoseStamped"
 TRANSFORM: Final = "geometry_msgs/msg/TransformStamped"
 PATH: Final = "nav_msgs/msg/Path"
 MAP: Final = "nav_msgs/msg/OccupancyGrid"
+IMU: Final = "sensor_msgs/msg/Imu"
 ODOMETRY: Final = "nav_msgs/msg/Odometry"
 FOXGLOVE_SCAN: Final = "foxglove.LaserScan"
 
