@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -211,7 +212,8 @@ def open_log(
     NoScansError
         No log, or no usable scan in it.
     """
-    found = survey(path, topic=topic, start_s=start_s, end_s=end_s, progress=progress, strict=strict, truth=truth)
+    window = partial(survey, path, start_s=start_s, end_s=end_s)
+    found = window(topic=topic, progress=progress, strict=strict, truth=truth, odom=odom)
     log = choose(found, topic=topic, odom=odom, extrinsic=extrinsic)
     del found
     if not log.is_short:

@@ -120,7 +120,7 @@ class _Pass:
         if is_laser(channel) and topic is None:
             return None
         try:
-            return decoder(channel, poses=self.truth.takes(channel), topic=topic)
+            return decoder(channel, poses=self.truth.takes(channel) or self.odometry.takes(channel), topic=topic)
         except DecodeError as error:
             self.report.damage(str(error), channel.topic)
             return None
@@ -131,7 +131,7 @@ class _Pass:
             self.truth.add(channel.topic, decoded[0], log_ns)
         elif channel.type == IMU:
             self.imus.add(channel.topic, decoded, log_ns)
-        elif channel.type == ODOMETRY:
+        elif channel.type == ODOMETRY or self.odometry.takes(channel):
             self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
         else:
             static = channel.topic.endswith("tf_static")
@@ -181,6 +181,7 @@ def survey(
     progress: Callable[[int, int], None] | None = None,
     strict: bool = False,
     truth: str | None = None,
+    odom: str = "auto",
 ) -> Survey:
     """Read a log once, from front to back.
 
@@ -198,6 +199,8 @@ def survey(
         Leave out scans from where a checksum does not match.
     truth
         Read the ground truth of this topic, or with ``auto`` of topics that are named like one. It is no odometry then.
+    odom
+        Read poses of this topic as odometry, too, whatever their type.
 
     Raises
     ------
@@ -206,11 +209,11 @@ def survey(
         never raises: it stands in the survey.
     """
     _check(path, start_s, end_s)
-    found = _survey(path, topic, (start_s, end_s), progress, strict=strict, truth=truth)
+    found = _survey(path, topic, (start_s, end_s), progress, strict=strict, truth=truth, odom=odom)
     others = [t.name for t in found.topics if t.type in OTHER_TYPES and t.count]
     if topic is not None or found.scans or len(others) != 1:
         return found
-    found = _survey(path, others[0], (start_s, end_s), progress, strict=strict, truth=truth)
+    found = _survey(path, others[0], (start_s, end_s), progress, strict=strict, truth=truth, odom=odom)
     text = f"the log has no LaserScan messages; the scans are taken from {others[0]}"
     return replace(found, warnings=(text, *found.warnings)) if found.scans else found
 
@@ -223,9 +226,10 @@ def _survey(
     *,
     strict: bool,
     truth: str | None,
+    odom: str,
 ) -> Survey:
     report = ReadReport()
-    state = _Pass(topic, strict, report, truth=TruthTracks(truth))
+    state = _Pass(topic, strict, report, odometry=OdometryTracks(odom), truth=TruthTracks(truth))
     try:
         name = detect.sniff(path)
         if name == detect.UNKNOWN:
