@@ -56,6 +56,7 @@ WRITERS: Final[dict[str, Callable[[Run, Path], None]]] = {
     "true_map.png": partial(_late, "mission_picture"),
     "wall_thickness.png": partial(_late, "wall_picture"),
     "result.mcap": partial(_late, "replay_log"),
+    "foxglove_layout.json": partial(_late, "foxglove_layout"),
     "metrics.json": write_metrics,
 }
 
@@ -64,7 +65,7 @@ GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "map": ("map.pgm", "map.yaml", "hits.npz"),
     "metrics": ("walls.csv", "metrics.json"),
     "pictures": ("map.png", "true_map.png", "wall_thickness.png"),
-    "mcap": ("result.mcap",),
+    "mcap": ("result.mcap", "foxglove_layout.json"),
     "report": (REPORT_FILE,),
 }
 """The files of a run by the names of ``--outputs``; run.json is always written."""
