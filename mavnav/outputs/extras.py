@@ -41,9 +41,10 @@ def extras(run: Run) -> Extras:
 
 def _metadata(run: Run) -> dict[str, str]:
     """Return what identifies a run."""
+    name = run.name.encode(errors="backslashreplace").decode()  # names of files need not be UTF-8
     return {
         "version": __version__,
-        "log": run.name,
+        "log": name,
         "log_sha256": run.log.sha256,
         "topic": run.log.topic,
         "method": run.config.method,

@@ -70,6 +70,7 @@ def test_leaves_what_it_promises(corner: tuple[Path, subprocess.CompletedProcess
         "walls.csv",
         "wall_thickness.png",
         "result.mcap",
+        "foxglove_layout.json",
         "metrics.json",
         "truth.tum",
         "true_map.png",
