@@ -22,12 +22,14 @@ _CHANGING: Final = ("timing", "provenance", "outputs")
 def extras(run: Run) -> Extras:
     """Return the metadata record ``mavnav``, and run.json, configuration and map files as attachments.
 
-    Of run.json the sections are left out that differ from run to run, and the path of the log: equal runs have equal
-    bytes.
+    Of run.json the sections are left out that differ from run to run, and the path of the log, or the whole file of a
+    scenario: equal runs have equal bytes.
     """
     document: dict[str, Any] = plain(run_document(run, {}))
     document = {name: section for name, section in document.items() if name not in _CHANGING}
-    document["input"]["path"] = run.name
+    del document["input"]["path"]
+    for key in ("sha256", "size_bytes") if run.mission else ():
+        del document["input"][key]
     texts = {
         "run.json": ("application/json", to_json(document)),
         "config.json": ("application/json", to_json(run.config)),
@@ -40,12 +42,12 @@ def extras(run: Run) -> Extras:
 
 
 def _metadata(run: Run) -> dict[str, str]:
-    """Return what identifies a run."""
-    name = run.name.encode(errors="backslashreplace").decode()  # names of files need not be UTF-8
+    """Return what identifies a run; of a mission its recording has no name."""
+    name = run.log.path.name.encode(errors="backslashreplace").decode()  # names of files need not be UTF-8
+    log = {} if run.mission else {"log": name, "log_sha256": run.log.sha256}
     return {
         "version": __version__,
-        "log": name,
-        "log_sha256": run.log.sha256,
+        **log,
         "topic": run.log.topic,
         "method": run.config.method,
         "grid": str(run.config.grid),
