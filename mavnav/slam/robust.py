@@ -282,10 +282,11 @@ class Robust:
         """Place points of a scan: of a scan as it was recorded, so that pose and raw ranges fit together."""
         return search_lines(points, self.lines, match.map_T_laser, self._final, match)
 
-    def observability(self, points: NDArray[np.float64], match: Match) -> float:
+    def observability(self, points: NDArray[np.float64], match: Match) -> tuple[float, NDArray[np.float64]]:
         """Ask the lines through the walls that the points lie on."""
-        lines = self.lines
-        return observability(points, match.map_T_laser.as_array(), lines.nearest, lines.lines, lines.geometry)
+        lines, information = self.lines, np.empty(6)
+        pose = match.map_T_laser.as_array()
+        return observability(points, pose, lines.nearest, lines.lines, lines.geometry, information), information
 
     def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
         """Count the visibility conflicts of a sample of the points."""
