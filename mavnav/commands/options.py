@@ -85,7 +85,8 @@ Outputs = Annotated[
     output_option(
         "--outputs",
         metavar="GROUP,...",
-        help="Write only these files: trajectory, map, metrics, pictures, mcap, report (default all but report).",
+        help="Write only these files: trajectory, map, metrics, pictures, mcap (default: these); report, svg, scale, "
+        "graph; all.",
     ),
 ]
 WriteReport = Annotated[bool, output_option("--report", help="Also write the run as one page, report.html.")]
@@ -131,9 +132,9 @@ def output_values(outputs: str | None, *, report: bool, preview: bool) -> dict[s
     if outputs is None:
         return {"report": report}
     names = tuple(dict.fromkeys([*outputs.split(","), *(["report"] if report else [])]))
-    if preview and "map" not in names:
+    if preview and not {"map", "all"} & {*names}:
         raise UsageError("--preview is drawn from map; add it to --outputs")
-    return {"report": "report" in names, "outputs": names}
+    return {"report": bool({"report", "all"} & {*names}), "outputs": names}
 
 
 def again_directory(again: Path) -> Path:

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 MOST_CELLS: Final = 2_000_000
 """The picture of a larger map is not attached: ``/map`` has it, compressed."""
 
-_CHANGING: Final = ("timing", "provenance", "outputs")
-"""Sections of run.json that differ from run to run, or tell of the file itself."""
+_CHANGING: Final = ("timing", "provenance", "outputs", "python", "libraries")
+"""Sections of run.json that differ from run to run or between machines, or tell of the file itself."""
 
 
 def extras(run: Run) -> Extras:
