@@ -7,6 +7,8 @@ import json
 from math import cos, isfinite, nan, sin
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
@@ -18,6 +20,7 @@ COLUMNS = (
     "index", "stamp", "x_m", "y_m", "yaw_rad", "cost_m2", "beams_used", "inliers", "evaluations", "iterations",
     "converged", "tracked", "accepted", "threshold_m2", "doubtful",
     "cov_xx_m2", "cov_xy_m2", "cov_yy_m2", "cov_xyaw_m_rad", "cov_yyaw_m_rad", "cov_yawyaw_rad2",
+    "position_error_m",
 )  # fmt: skip
 
 UNKNOWN: Final = (nan,) * 6
@@ -80,9 +83,11 @@ def write_csv(run: Run, path: Path) -> None:
     """Write a row for every scan that was matched; one that was not tracked has no pose.
 
     ``doubtful`` is 1 for scans of a reason to doubt the track, if the doubt is high. The covariance of the pose is in
-    the map frame; empty where it is not known.
+    the map frame; empty where it is not known. So is the position error without a truth.
     """
-    poses = dict(zip(run.slam.trajectory.stamps_ns.tolist(), run.slam.trajectory.xyyaw.tolist(), strict=True))
+    trajectory, errors_m = run.slam.trajectory, run.position_errors_m
+    values = trajectory.xyyaw if errors_m is None else np.column_stack((trajectory.xyyaw, errors_m))
+    poses = dict(zip(trajectory.stamps_ns.tolist(), values.tolist(), strict=True))
     columns = [
         run.slam.steps.column(name).tolist() for name in ("index", "stamp_ns", *COLUMNS[5:12], "tracked", COLUMNS[13])
     ]
@@ -95,9 +100,11 @@ def write_csv(run: Run, path: Path) -> None:
         rows.writerows(_csv_row(row, poses.get(row[1])) for row in zip(*columns, strict=True))
 
 
-def _csv_row(row: tuple[Any, ...], xyyaw: list[float] | None) -> tuple[object, ...]:
+def _csv_row(row: tuple[Any, ...], placed: list[float] | None) -> tuple[object, ...]:
+    """Return a row of the table; ``placed`` is x, y, yaw, and the position error if there is a truth."""
     index, stamp_ns, cost_m2, beams, inliers, evaluations, iterations, *flags, threshold_m2, doubtful, covariance = row
-    pose = ("", "", "") if xyyaw is None else (f"{v:.9f}" for v in xyyaw)
+    pose = ("", "", "") if placed is None else (f"{v:.9f}" for v in placed[:3])
+    error_m = placed[3] if placed and len(placed) > 3 else nan
     cost, threshold = (f"{value:.9g}" if isfinite(value) else "" for value in (cost_m2, threshold_m2))
     effort = (evaluations, iterations)
     return (
@@ -112,4 +119,5 @@ def _csv_row(row: tuple[Any, ...], xyyaw: list[float] | None) -> tuple[object, .
         threshold,
         doubtful,
         *(f"{value:.4g}" if isfinite(value) else "" for value in covariance or UNKNOWN),
+        f"{error_m:.6f}" if isfinite(error_m) else "",
     )
