@@ -60,7 +60,7 @@ def compare(
     context: typer.Context,
     logs: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[LOG ...]", help="Logs (default: the sample corridor).", show_default=False),
+        typer.Argument(metavar="LOG", help="Logs (default: the sample corridor).", show_default=False),
     ] = None,
     *,
     topic: Topic = None,

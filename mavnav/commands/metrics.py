@@ -29,9 +29,7 @@ mavnav metrics map.yaml --truth-map corridor.yaml
 def metrics(
     paths: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="RUN|MAP.yaml ...", help="Run directories, or map_server maps (YAML).", show_default=False
-        ),
+        typer.Argument(metavar="RUN|MAP.yaml", help="Run directories, or map_server maps (YAML).", show_default=False),
     ],
     *,
     truth: Truth = None,

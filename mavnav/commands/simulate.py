@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mavnav.commands import completion
 from mavnav.commands.gating import Gates, check_gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
@@ -33,7 +34,7 @@ from mavnav.commands.options import (
     schema_option,
 )
 from mavnav.commands.progress import MISSION, loading_modules, reporting
-from mavnav.commands.quality_rows import doubt_rows, page_row, picture_row, wall_rows
+from mavnav.commands.quality_rows import closing_rows, doubt_rows, wall_rows
 from mavnav.commands.terminal import emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
 from mavnav.units import DEG
@@ -63,14 +64,26 @@ mavnav simulate --list
 def simulate(
     context: typer.Context,
     scenario: Annotated[
-        str | None, typer.Argument(metavar="SCENARIO", help="YAML file, or a shipped scenario.", show_default=False)
+        str | None,
+        typer.Argument(
+            metavar="SCENARIO",
+            help="YAML file, or a shipped scenario.",
+            show_default=False,
+            autocompletion=completion.scenarios,
+        ),
     ] = None,
     *,
     again: Again = None,
-    seed: Annotated[int | None, input_option(metavar="N", help="Seed of all random numbers.")] = None,
+    seed: Annotated[
+        int | None, input_option(metavar="N", help="Seed of all random numbers (default the scenario's).")
+    ] = None,
     planner: Annotated[
         str | None,
-        input_option(metavar="NAME", help="wavefront, field, wall_following or virtual_obstacles."),
+        input_option(
+            metavar="NAME",
+            help="wavefront, field, wall_following or virtual_obstacles (default the scenario's).",
+            autocompletion=completion.words("wavefront", "field", "wall_following", "virtual_obstacles"),
+        ),
     ] = None,
     list_: Annotated[bool, input_option("--list", help="List the shipped scenarios.")] = False,
     schema: Annotated[bool, schema_option(help="Print the JSON Schema of scenario files.")] = False,
@@ -185,8 +198,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         *_truth_rows(truth),
         *wall_rows(document),
         ("speed", f"{mission['steps'] / timing['wall_s']:.0f} steps/s"),
-        *picture_row(directory, document, "true_map.png"),
-        *page_row(directory),
+        *closing_rows(directory, document, "true_map.png"),
     ]
 
 
