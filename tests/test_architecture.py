@@ -37,7 +37,7 @@ ALLOWED: dict[str, set[str]] = {
     | {"config", "ground_truth", "kernels", "logs", "mapping", "metrics", "outputs"}
     | {"simulation", "simulation.world", "slam"},
     "jobs": SHARED | {"config", "ground_truth", "outputs", "pipelines"},
-    "batch": SHARED | {"config", "ground_truth", "jobs", "logs", "metrics", "outputs", "pipelines"},
+    "batch": SHARED | {"config", "ground_truth", "jobs", "logs", "metrics", "outputs", "pipelines", "slam"},
     "comparison": SHARED
     | {"batch", "config", "ground_truth", "jobs", "logs", "metrics", "outputs", "pipelines", "simulation"}
     | {"simulation.world"},
@@ -46,6 +46,7 @@ ALLOWED: dict[str, set[str]] = {
     | {"simulation.world", "slam"},
     "api": SHARED
     | {
+        "batch",
         "comparison",
         "config",
         "ground_truth",

@@ -199,14 +199,12 @@ def batch(
 
 
 def _planned(options: Options, report: Report) -> BatchPlan:
-    """Read manifest and logs, and load the kernels here, so that no run is charged with their compilation."""
+    """Read manifest and logs, and load the kernels here."""
     from mavnav.batch.options import request_of
-    from mavnav.batch.plan import plan_batch
-    from mavnav.slam.registry import load_kernels
+    from mavnav.batch.plan import load_kernels, plan_batch
 
     plan = plan_batch(request_of(options), report)
-    for case in plan.missing if plan.request.limits.scheduler is None else ():
-        load_kernels(case.setting.config, report)
+    load_kernels(plan, report)
     return plan
 
 

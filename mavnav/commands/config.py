@@ -49,7 +49,7 @@ def show(
     """Print the effective configuration as YAML, a comment for every value; it can be given to --config."""
     from mavnav.config.loading import load_config, to_yaml
 
-    emit(to_yaml(load_config(config, sets or [], {"method": method} if method else {})).rstrip())
+    emit(to_yaml(load_config(config, sets or [], {"method": method})).rstrip())
 
 
 @app.command(cls=Command)

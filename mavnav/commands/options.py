@@ -131,14 +131,6 @@ RelationsFile = Annotated[
 ]
 
 
-def truth_values(truth: str | None) -> dict[str, Any]:
-    """Return ``truth_topic`` or ``truth``, a file, as ``--truth`` names one; nothing if it is not given."""
-    from mavnav.ground_truth.topics import recorded_topic
-
-    topic = None if truth is None else recorded_topic(truth)
-    return given_values(truth_topic=topic, truth=None if truth is None or topic else Path(truth))
-
-
 def output_values(outputs: str | None, *, report: bool, preview: bool) -> dict[str, Any]:
     """Return ``report``, and ``outputs`` as the names that ``--outputs`` lists; raises UsageError."""
     if outputs is None:

@@ -45,7 +45,6 @@ from mavnav.commands.options import (
     output_values,
     parse_pose,
     search_option,
-    truth_values,
 )
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
 from mavnav.commands.quality_rows import closing_rows, doubt_rows, quality_rows, reference_rows, wall_rows
@@ -160,6 +159,7 @@ def replay(
     with reporting(quiet=quiet, stages=REPLAY) as progress:
         startup_s, started_s = process_time(), perf_counter()
         with loading_modules():
+            from mavnav.ground_truth.topics import truth_fields
             from mavnav.outputs.provenance import Typed
             from mavnav.pipelines.replay import ReplayRequest, replay_directory, replay_log
             from mavnav.pose import Pose
@@ -175,7 +175,7 @@ def replay(
             extrinsic=mounting and Pose(*mounting),
             force=force,
             **written,
-            **truth_values(truth),
+            **truth_fields(truth),
             truth_map=truth_map,
             relations=relations,
             strict=strict,

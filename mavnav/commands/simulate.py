@@ -40,6 +40,8 @@ from mavnav.errors import ExitCode, UsageError
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from mavnav.simulation.world import Scenario
 
 EPILOG = """
@@ -119,9 +121,9 @@ def simulate(
     fields = {} if again is None else _repeated(context, again, directory)
     chosen = fields.get("scenario") or _load(
         str(scenario),
-        sets or [],
-        {"seed": seed, "slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth, "planner.technique": planner},
+        sets or (),
         config,
+        {"seed": seed, "slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth, "planner.technique": planner},
     )
     check_gates(bounds, "mission", "truth", "reference")
     with reporting(quiet=quiet, stages=MISSION) as progress:
@@ -166,11 +168,10 @@ def _show(*, schema: bool) -> None:
         print_table([(name, load_scenario(name).about) for name in scenarios()])
 
 
-def _load(scenario: str, sets: list[str], options: dict[str, object], config: str | None) -> Scenario:
-    """Load the scenario; options that were not given leave it alone."""
+def _load(scenario: str, sets: Sequence[str], config: str | None, options: dict[str, object]) -> Scenario:
     from mavnav.simulation.world import load_scenario
 
-    return load_scenario(scenario, sets, {key: value for key, value in options.items() if value is not None}, config)
+    return load_scenario(scenario, sets, options, config)
 
 
 def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> None:
