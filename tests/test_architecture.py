@@ -243,41 +243,6 @@ def test_every_exit_code_is_documented_and_exists() -> None:
         }
 
 
-def documented_commands() -> list[str]:
-    """Return the subcommands that README and docs/cli.md show in code, by their words before any option."""
-    text = (ROOT / "README.md").read_text() + (ROOT / "docs/cli.md").read_text()
-    calls = re.findall(r"(?:^ {4}|`)(?:\$ )?mavnav ([a-z]+(?: (?:show|schema))?)", text, re.MULTILINE)
-    return sorted(set(calls))
-
-
-def test_documented_commands_answer_help() -> None:
-    found = documented_commands()
-    assert {"replay", "compare", "simulate", "info", "config show"} <= set(found)
-    for command in found:
-        subprocess.run(
-            [sys.executable, "-m", "mavnav", *command.split(), "--help"], check=True, capture_output=True, timeout=30
-        )
-
-
-def documented_options() -> set[str]:
-    text = (ROOT / "README.md").read_text() + (ROOT / "docs/cli.md").read_text()
-    return set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text))
-
-
-def test_documented_options_exist() -> None:
-    helps = "".join(
-        subprocess.run(
-            [sys.executable, "-m", "mavnav", *command, "--help"],
-            check=True,
-            capture_output=True,
-            text=True,
-            env={"COLUMNS": "200", "PATH": ""},
-        ).stdout
-        for command in ([], *([name] for name in COMMANDS), ["config", "show"])
-    )
-    assert {option for option in documented_options() if option not in helps} == set()
-
-
 TWINS = {
     "linemap.rebuild": "insert_points",
     "line_search.search.search": "coarse_to_fine",

@@ -74,7 +74,10 @@ def open_log(
     truth
         Topic of the ground truth, ``auto`` to find it by its name.
 
-    Raises UsageError, TopicError or NoScansError.
+    Raises
+    ------
+    MavnavError
+        UsageError, TopicError or NoScansError.
     """
     return logs.open_log(
         Path(path),
@@ -137,8 +140,11 @@ def replay(
     progress
         Called as work goes on.
 
-    Raises UsageError, ConfigError, TopicError, NoScansError or OutputError. A run whose track was lost for good is
-    returned: see `Run.lost`.
+    Raises
+    ------
+    MavnavError
+        UsageError, ConfigError, TopicError, NoScansError or OutputError. A run whose track was lost for good is
+        returned: see `Run.lost`.
     """
     from mavnav.pipelines.replay import ReplayRequest, replay_log  # noqa: PLC0415  heavy
 
@@ -201,7 +207,10 @@ def simulate(
     directory, force, report, progress
         As for `replay`.
 
-    Raises UsageError, ConfigError, NoScansError or OutputError. ``metrics["mission"]`` says how the mission ended.
+    Raises
+    ------
+    MavnavError
+        UsageError, ConfigError, NoScansError or OutputError. ``metrics["mission"]`` says how the mission ended.
     """
     from mavnav.pipelines.simulate import SimulationRequest, simulate_mission  # noqa: PLC0415  heavy
     from mavnav.simulation.world import load_scenario  # noqa: PLC0415
@@ -251,7 +260,10 @@ def compare(
     progress
         Called as work goes on.
 
-    Raises UsageError, ConfigError or OutputError. A run that fails stops no other.
+    Raises
+    ------
+    MavnavError
+        UsageError, ConfigError or OutputError. A run that fails stops no other.
     """
     from mavnav.batch.plan import load_kernels  # noqa: PLC0415  heavy
     from mavnav.comparison import pipeline  # noqa: PLC0415
@@ -304,7 +316,10 @@ def track(
     A step for every scan: ``index``, ``stamp_ns``, ``tracked`` (whether the scan was accepted and is in the map), and
     ``match`` with ``map_T_laser``, ``cost_m2``, ``inliers`` (0 to 1) and more.
 
-    Raises ConfigError.
+    Raises
+    ------
+    MavnavError
+        ConfigError.
     """
     from mavnav.slam.motion_model import Motion  # noqa: PLC0415  heavy
     from mavnav.slam.registry import load_kernels, make_method  # noqa: PLC0415
