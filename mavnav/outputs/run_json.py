@@ -67,9 +67,7 @@ class Input:
     duration_s: float = field(metadata=number("time from the first usable scan to the last"))
     base_frame: str | None = field(metadata=text("frame of the base, null if unknown"))
     base_T_laser: LaserPose | None = field(metadata=text("pose of the laser on the base, null if unknown"))
-    mounting_source: str | None = field(
-        metadata=text("tf_static, or option for --extrinsic; null if unknown")
-    )
+    mounting_source: str | None = field(metadata=text("tf_static, or option for --extrinsic; null if unknown"))
     odometry: OdometrySource | None = field(metadata=text("odometry in the log, null without"))
     sensor: Sensor
     truth: RecordedTruthSource = field(default_factory=absent)
