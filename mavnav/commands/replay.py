@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
 
 _FEW_BEAMS = 20
-"""A scan of fewer returns hardly tells one pose from another."""
+"""A scan of fewer returns hardly separates one pose from another."""
 
 EPILOG = """
 [bold]Examples[/bold]

@@ -1,6 +1,6 @@
 """Logs: from a file of any of the usual formats to clean scans, and to an account of everything odd about it.
 
-``survey`` reads a log once and tells what is there; ``open_log`` also chooses what to use; ``Log.scans`` streams it.
+``survey`` reads a log once and reports what is there; ``open_log`` also chooses what to use; ``Log.scans`` streams it.
 """
 
 from mavnav.logs.log import Log, choose, open_log

@@ -1,4 +1,4 @@
-"""The survey: one pass over a log that tells all there is to know about it before it is used."""
+"""The survey: one pass over a log that collects all there is to know about it before it is used."""
 
 from __future__ import annotations
 
@@ -328,15 +328,15 @@ def _holes(path: Path) -> int:
 
 
 def _run(path: Path, state: _Pass, progress: Callable[[int, int], None] | None) -> None:
-    told = -1
+    reported = -1
     for message in detect.read(path, state.report):
         state.take(message)
         if progress is None:
             continue
         total = state.report.total_bytes
         done = min(state.report.done_bytes, total)
-        if (step := done * _PROGRESS_STEPS // max(total, 1)) > told:
-            told = step
+        if (step := done * _PROGRESS_STEPS // max(total, 1)) > reported:
+            reported = step
             progress(done, total)
 
 

@@ -101,7 +101,7 @@ def earlier_run(directory: Path, *, simulated: bool) -> EarlierRun:
         raise UsageError(f"{directory} holds no run ({RUN_FILE}: {error.strerror}); name a run directory") from error
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         reason = "an earlier version may have written it; repeat it by its configuration, with --config"
-        raise UsageError(f"{directory / RUN_FILE} does not tell how the run was made; {reason}") from error
+        raise UsageError(f"{directory / RUN_FILE} does not record how the run was made; {reason}") from error
     if (kind == "scenario") != simulated:
         other = "replay" if simulated else "simulate"
         raise UsageError(f"{directory} is of another command; write mavnav {other} --again {directory}")

@@ -165,7 +165,7 @@ def _runs_into_loss(source: Source, end: int) -> bool:
 
 
 def _lose(source: Source, offset: int, search_from: int, state: State) -> int:
-    """Return the offset of the next record, having told of the bytes before it."""
+    """Return the offset of the next record, after reporting the bytes before it."""
     found = find_record(source, search_from)
     if found == offset:
         return found
@@ -210,7 +210,7 @@ def _chunk_messages(source: Source, record: Record, state: State) -> Iterator[Ra
 
 
 def _chunk_records(source: Source, record: Record, where: str, state: State) -> tuple[bytes, bool]:
-    """Decompress a chunk as far as that goes; tell what is wrong, and return whether it is suspect."""
+    """Decompress a chunk as far as that goes; report what is wrong, and return whether it is suspect."""
     head, (records, problem) = _read_chunk(source, record)
     if problem is None and len(records) != head.declared_bytes:
         problem = f"the chunk declares {head.declared_bytes} bytes and holds {len(records)}"
@@ -235,7 +235,7 @@ def _read_chunk(source: Source, record: Record) -> tuple[ChunkHead, tuple[bytes,
 
 
 def _unpacked(head: ChunkHead, data: bytes) -> tuple[bytes, str | None]:
-    """Decompress the bytes that a chunk tells, and all that are there where their number lies."""
+    """Decompress as many bytes as a chunk announces, or all that are there where that number is wrong."""
     records, problem = decompress(head.compression, data[: head.stored_bytes])
     if problem is None or len(data) <= head.stored_bytes:
         return records, problem

@@ -1,6 +1,6 @@
 """ROS 1 bags, formats 2.0 and 1.2, read from front to back, so that no index is needed.
 
-Formats: http://wiki.ros.org/Bags/Format/2.0, and 1.2, which has no chunks and tells topic and type in every message. A
+Formats: http://wiki.ros.org/Bags/Format/2.0, and 1.2, which has no chunks and has topic and type in every message. A
 bag is a magic line and records of ``header length u32, header, data length u32, data``; a header is fields of ``length
 u32, name=value``. A chunk's data are records again. The records of an uncompressed chunk are read as if they stood in
 the file itself: so nothing depends on the chunk's length, and memory does not grow with it.
@@ -126,7 +126,7 @@ def _chunk_messages(source: Source, record: Record, state: _State) -> Iterator[R
 
 
 def _take(source: Source, record: Record, state: _State) -> Iterator[RawMessage]:
-    """Yield the message, or take in the connection; other records tell nothing that is needed."""
+    """Yield the message, or take in the connection; other records contain nothing that is needed."""
     try:
         if record.opcode == Op.MESSAGE:
             yield from _message(source, record, state)

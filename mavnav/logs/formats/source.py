@@ -10,7 +10,7 @@ from typing import IO
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A run of records. ``name`` goes before a place when a person is told of it."""
+    """A run of records. ``name`` goes before a place when it is reported to a person."""
 
     file: IO[bytes]
     size: int
