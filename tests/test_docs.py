@@ -27,7 +27,7 @@ from mavnav.simulation.world import load_scenario
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
-PAGES = sorted([*DOCS.glob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"])
+PAGES = sorted([*DOCS.rglob("*.md"), ROOT / "sample_logs/README.md", ROOT / "README.md", ROOT / "CONTRIBUTING.md"])
 SEARCH = ("method", "grid", "azimuth", "search", "odom", "loop_closure")
 """Options of a replay that are keys of its configuration."""
 TUTORIAL = [
@@ -104,7 +104,7 @@ def check_values(given: dict[str, Any]) -> None:
         load_config(None, given.get("sets") or (), {name: given.get(name) for name in SEARCH})
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_command_on_a_page_is_one_that_the_program_takes(page: Path) -> None:
     for words in shown_commands(page):
         try:
@@ -114,10 +114,10 @@ def test_every_command_on_a_page_is_one_that_the_program_takes(page: Path) -> No
 
 
 def test_commands_on_pages_are_found() -> None:
-    found = {page.name: shown_commands(page) for page in PAGES}
+    found = {str(page.relative_to(ROOT)): shown_commands(page) for page in PAGES}
     assert sum(map(len, found.values())) > 80
-    assert found["fr079.md"][0] == ["info", "freiburg-079-corrected.log.gz"]
-    assert ["batch", "nightly.yaml", "--part", "1/1", "-j", "1"] in found["ci.md"]
+    assert found["docs/fr079.md"][0] == ["info", "freiburg-079-corrected.log.gz"]
+    assert ["batch", "nightly.yaml", "--part", "1/1", "-j", "1"] in found["docs/ci.md"]
     with pytest.raises(typer.TyperException):
         parsed(["replay", "drive.bag", "--cell", "3"])
     with pytest.raises(Exception, match="did you mean"):
@@ -130,7 +130,7 @@ def test_commands_and_options_in_texts_exist() -> None:
     for page in PAGES:
         text = page.read_text()
         assert set(re.findall(r"`mavnav ([a-z]+)", text)) <= known, page
-        if page.name in {"README.md", "cli.md"}:
+        if page in {ROOT / "README.md", DOCS / "cli.md"}:
             assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= options, page
 
 
