@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import os
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import isfinite
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from mavnav.errors import NoScansError, UsageError
+from mavnav.errors import MavnavError, NoScansError, UsageError
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.rosbag2 import METADATA
 from mavnav.logs.formats.source import Source
@@ -247,6 +249,22 @@ def _survey(
         window_s=window_s,
         strict=strict,
     )
+
+
+def motion_and_scan_topics(path: Path, most_s: float) -> tuple[set[str], set[str]]:
+    """Return the topics of odometry and of scans that a log declares in what can be read of it in about ``most_s``.
+
+    They are empty where the path is no log.
+    """
+    report, end_s = ReadReport(), monotonic() + most_s
+    with suppress(OSError, MavnavError):
+        check_file(path)
+        for _ in detect.read(path, report):
+            if monotonic() > end_s:
+                break
+    channels = report.channels.values()
+    scans = {channel.topic for channel in channels if is_laser(channel) or channel.type in OTHER_TYPES}
+    return {channel.topic for channel in channels if channel.type == ODOMETRY}, scans
 
 
 def content_sha256(path: Path) -> str:
