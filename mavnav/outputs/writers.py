@@ -122,7 +122,7 @@ def write_page(comparison: dict[str, Any], folder: Path) -> None:
 
 
 def _names(run: Run, groups: Collection[str] | None) -> list[str]:
-    """Return the wanted files that can be written: some need to know more than every log tells."""
+    """Return the wanted files that can be written: some need more than every log contains."""
     chosen = GROUPS.keys() - _IF_NAMED if groups is None else GROUPS if ALL in groups else groups
     wanted = {name for group in chosen for name in GROUPS[group]}
     known = {"trajectory_base.tum": run.log.base_T_laser is not None}
