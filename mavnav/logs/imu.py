@@ -26,13 +26,13 @@ USUAL_NAMES: Final = ("/imu/data", "/imu", "/imu/data_raw")
 
 STANDARD_GRAVITY_M_S2: Final = 9.81
 GRAVITY_SHARE: Final = 0.2
-"""A mean acceleration that differs from gravity by more of it says nothing of the vertical; some sensors count in g."""
+"""A mean acceleration that differs from gravity by more of it does not give the vertical; some sensors count in g."""
 
 SMOOTHED_S: Final = 1.0
 """Accelerations are averaged over this time: what is left is gravity."""
 
 LEAST_MESSAGES: Final = 10
-MOST_RAD_S: Final = 100.0
+MOST_RAD_S, MOST_M_S2 = 100.0, 1e4
 
 
 @dataclass
@@ -45,12 +45,13 @@ class ImuTrack:
     numbers: array[float] = field(default_factory=lambda: array("f"))
 
     def add(self, message: ImuMessage, log_ns: int) -> None:
-        """Take in one message; one with rates that are not finite, or impossible, is dropped."""
-        rates = message.angular_velocity_rad_s
-        if all(abs(rate) <= MOST_RAD_S for rate in rates):  # False for NaN, too
+        """Take in one message; one with rates or accelerations that are not finite, or impossible, is dropped."""
+        rates, accelerations = message.angular_velocity_rad_s, message.acceleration_m_s2
+        possible = all(abs(a) <= MOST_M_S2 for a in accelerations)  # False for NaN, too
+        if possible and all(abs(rate) <= MOST_RAD_S for rate in rates):
             self.header_ns.append(message.stamp_ns)
             self.log_ns.append(min(log_ns, (1 << 63) - 1))
-            self.numbers.extend((*rates, *message.acceleration_m_s2, *(message.xyzw or (np.nan,) * 4)))
+            self.numbers.extend((*rates, *accelerations, *(message.xyzw or (np.nan,) * 4)))
 
     def rotation(self, stamp_source: str, half_sweep_ns: int) -> Rotation | None:
         """Return the rotation at mid-sweep by the stamps of scans; None of too few messages."""
@@ -75,7 +76,7 @@ def _ups(stamps_ns: NDArray[np.int64], accelerations: Floats, xyzw: Floats) -> F
         return np.column_stack((2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)))
     gravity = np.linalg.norm(np.median(accelerations, axis=0))
     in_m_s2, in_g = abs(gravity / STANDARD_GRAVITY_M_S2 - 1.0), abs(gravity - 1.0)
-    if not (min(in_m_s2, in_g) <= GRAVITY_SHARE and np.isfinite(accelerations).all()):
+    if min(in_m_s2, in_g) > GRAVITY_SHARE:
         return np.tile((0.0, 0.0, 1.0), (len(accelerations), 1))
     return _unit(_smoothed(stamps_ns, accelerations))
 

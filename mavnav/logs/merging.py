@@ -138,7 +138,7 @@ def _on_base(scan: Scan, base_T_laser: Pose) -> tuple[Floats, Floats]:
 def _at_bearing(x: Floats, y: Floats, range_m: Floats, bearing_rad: Floats, ahead: NDArray[np.bool_]) -> Floats:
     """Return where the line through each return and its neighbor on the same surface has these bearings, m.
 
-    ``ahead`` tells on which side the bearing lies: the neighbor there goes before the other. Without any the range
+    ``ahead`` is the side on which the bearing lies: the neighbor there goes before the other. Without any the range
     stays.
     """
     found, c, s = range_m, np.cos(bearing_rad), np.sin(bearing_rad)

@@ -1,4 +1,4 @@
-"""What result.mcap holds besides messages: a metadata record, and the files that tell how the run was made."""
+"""What result.mcap holds besides messages: a metadata record, and the files that describe the run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST_CELLS: Final = 2_000_000
 """The picture of a larger map is not attached: ``/map`` has it, compressed."""
 
 _CHANGING: Final = ("timing", "provenance", "outputs", "python", "libraries")
-"""Sections of run.json that differ from run to run or between machines, or tell of the file itself."""
+"""Sections of run.json that differ from run to run or between machines, or describe the files beside it."""
 
 
 def extras(run: Run) -> Extras:

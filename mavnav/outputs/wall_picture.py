@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 BAR_COLOUR: Final = "#5b8db8"
 P95_COLOUR: Final = "#c0392b"
 THICKNESS: Final = ramp(("#fdca26", "#fb9f3a", "#ed7953", "#d8576b", "#bd3786", "#9c179e", "#7201a8", "#46039f"))
-"""From thin to thick, ever darker: told apart with any color vision (plasma, without its ends)."""
+"""From thin to thick, ever darker: distinguishable with any color vision (plasma, without its ends)."""
 LEFT, TOP, RIGHT, BOTTOM = 100, 90, 130, 80
 """Margins of the map in the picture, in pixels."""
 WIDTH_BIN_MM: Final = 10.0

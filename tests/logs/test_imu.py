@@ -98,6 +98,13 @@ def test_of_several_sensors_the_usual_name_is_used_and_off_uses_none(tmp_path: P
     assert any("several Imu topics" in text for text in log.warnings)
 
 
+def test_impossible_messages_are_dropped(tmp_path: Path) -> None:
+    odd = [imu(k, **{name: (np.nan, 0.0, 1e9)}) for k, name in ((50, "rates"), (51, "up"))]
+    log = log_of(tmp_path, *odd, imu(52))
+    assert log.imu is not None
+    assert len(log.imu.rotation.stamps_ns) == 51
+
+
 def test_a_sensor_of_another_clock_is_not_used(tmp_path: Path) -> None:
     late = [Message("/imu", IMU, START_NS + 10**12 + k * STEP_NS, {"rates": (0.0, 0.0, RATE)}) for k in range(20)]
     log = open_log(write_mcap(tmp_path / "late.mcap", [laser(k) for k in range(10)] + late))
