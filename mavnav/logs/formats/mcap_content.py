@@ -6,6 +6,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from mavnav.logs.formats.decompress import Allowance
 from mavnav.logs.formats.mcap_records import MESSAGE_HEAD, Fields, Op
 from mavnav.logs.formats.untyped import channel_of, is_vague, typed
 from mavnav.logs.records import Channel, RawMessage, Schema, ros_type
@@ -27,6 +28,7 @@ class State:
     """
 
     report: ReadReport
+    allowance: Allowance = field(default_factory=Allowance)
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     spare: dict[int, Channel] = field(default_factory=dict)
