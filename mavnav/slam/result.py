@@ -27,7 +27,8 @@ class SlamResult:
 
     ``warnings`` are lines for the user: what of the log was not taken as it stands there. ``tracks_compared``
     counts the tracks of which the sharpest was kept. ``parts`` are the stretches of a log that was not tracked as a
-    whole, each on a map of its own at first; none otherwise. ``doubt`` is None where it was not judged.
+    whole, each on a map of its own at first; none otherwise. ``doubt`` is None where it was not judged. ``begin_ns`` is
+    the stamp of the scan that begins the map, which is the map frame; None where nothing was tracked.
     """
 
     steps: Steps
@@ -39,6 +40,7 @@ class SlamResult:
     tracks_compared: int = 1
     parts: tuple[Part, ...] = ()
     doubt: Doubt | None = None
+    begin_ns: int | None = None
 
     @property
     def tracked_share(self) -> float:
@@ -73,4 +75,11 @@ def summarize(track: Track) -> SlamResult:
         track.tracks_compared,
         parts,
         track.doubt,
+        beginning_ns(steps, track.begin),
     )
+
+
+def beginning_ns(steps: Steps, begin: int) -> int | None:
+    """Return the stamp of the first tracked scan from number ``begin`` on; None if there is none."""
+    later = steps.column("stamp_ns")[begin:][steps.column("tracked")[begin:]]
+    return int(later[0]) if len(later) else None
