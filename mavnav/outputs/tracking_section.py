@@ -41,6 +41,19 @@ class Doubt:
 
 
 @dataclass(frozen=True, slots=True)
+class Remedy:
+    """Another track of the whole log, made because the first one was lost or doubtful.
+
+    ``used``: it is the track of the run; ``tracking.doubt`` is then its own.
+    """
+
+    remedy: str
+    doubt_before: float = field(metadata=number("doubt of the first track", better="lower"))
+    doubt_after: float = field(metadata=number("doubt of the other track", better="lower"))
+    used: bool
+
+
+@dataclass(frozen=True, slots=True)
 class TrackedPart:
     """A stretch of scans with a map of its own at first; times from the first scan.
 
@@ -57,7 +70,8 @@ class TrackedPart:
 class Tracking:
     """Where the track was lost; ``lost`` means for good. ``frames`` are parent and child of each trajectory file.
 
-    ``parts`` is absent where one map holds all tracked scans from the first usable one on.
+    ``parts`` is absent where one map holds all tracked scans from the first usable one on, ``remedies`` where none was
+    tried.
     """
 
     lost: bool
@@ -68,3 +82,4 @@ class Tracking:
     doubt: Doubt
     frames: dict[str, list[str]]
     parts: list[TrackedPart] = field(default_factory=absent)
+    remedies: list[Remedy] = field(default_factory=absent)

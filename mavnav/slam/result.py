@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.pose import Trajectory
-    from mavnav.slam.doubt.record import Doubt
+    from mavnav.slam.doubt.record import Doubt, Remedy
     from mavnav.slam.track import Track
 
 
@@ -29,6 +29,7 @@ class SlamResult:
     counts the tracks of which the sharpest was kept. ``parts`` are the stretches of a log that was not tracked as a
     whole, each on a map of its own at first; none otherwise. ``doubt`` is None where it was not judged. ``begin_ns`` is
     the stamp of the scan that begins the map, which is the map frame; None where nothing was tracked.
+    ``remedies`` are other tracks that were made because of the doubt.
     """
 
     steps: Steps
@@ -41,6 +42,7 @@ class SlamResult:
     parts: tuple[Part, ...] = ()
     doubt: Doubt | None = None
     begin_ns: int | None = None
+    remedies: tuple[Remedy, ...] = ()
 
     @property
     def tracked_share(self) -> float:
@@ -76,6 +78,7 @@ def summarize(track: Track) -> SlamResult:
         parts,
         track.doubt,
         beginning_ns(steps, track.begin),
+        track.remedies,
     )
 
 
