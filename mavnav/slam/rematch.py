@@ -95,7 +95,9 @@ def refine_against_final_map(track: Track) -> Track:
         track.steps[step.index] = step
     observed, conflicts = np.array(shown).reshape(-1, 2).T
     track = replace(track, observed=observed, conflicts=conflicts)
-    warning = degeneracy_warning(track.steps, observed) if len(observed) and not track.motion.odometry else ""
+    if not len(observed) or track.motion.odometry:
+        return track
+    warning = degeneracy_warning(track.steps, observed, contradicted=track.odometry_contradicts)
     return track.with_warning(warning) if warning else track
 
 

@@ -80,6 +80,12 @@ def test_a_few_scans_are_no_slide(loose: int, told: str) -> None:
     assert bool(degeneracy_warning(steps, holds)) == bool(told)
 
 
+def test_odometry_that_is_not_used_is_to_be_corrected() -> None:
+    steps = Steps(Step(k, k * 100_000_000, first_match(100), tracked=True) for k in range(20))
+    assert "; record odometry, or" in degeneracy_warning(steps, np.zeros(20))
+    assert "; correct the odometry, or" in degeneracy_warning(steps, np.zeros(20), contradicted=True)
+
+
 def test_a_run_that_was_stopped_tells_of_the_scans_that_came() -> None:
     steps = Steps(Step(k, k * 100_000_000, first_match(100), tracked=True) for k in range(20))
     assert "25 % of the scans" in degeneracy_warning(steps, np.zeros(5))
