@@ -60,7 +60,7 @@ def compare(
     context: typer.Context,
     logs: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[LOG ...]", help="Logs (default: the sample corridor).", show_default=False),
+        typer.Argument(metavar="LOG", help="Logs (default: the sample corridor).", show_default=False),
     ] = None,
     *,
     topic: Topic = None,
@@ -107,11 +107,11 @@ def compare(
     bounds = gates_of(gates)
     with reporting(quiet=quiet) as report:
         with loading_modules():
+            from mavnav.batch.plan import load_kernels
             from mavnav.comparison import pipeline
             from mavnav.comparison.grids import comparison_settings
             from mavnav.jobs import usable_cores
             from mavnav.outputs.provenance import Typed
-            from mavnav.slam.registry import load_kernels
         target = directory or pipeline.comparison_directory(logs or ())
         if not logs:
             logs, true_map = _sample(target, report)
@@ -128,8 +128,7 @@ def compare(
             typed=Typed(context.obj, config, tuple(sets or ())),
         )
         plan = pipeline.plan_comparison(request, report)
-        for setting in settings if plan.missing else ():
-            load_kernels(setting.config, report)
+        load_kernels(plan, report)
     document, page = _compared(plan, quiet=quiet)
     _print_result(document, page, json=json)
     if preview:

@@ -92,7 +92,7 @@ def document(found: Survey, logs: list[Log], code: ExitCode) -> dict[str, Any]:
 
 
 def _topic(log: Log | None) -> dict[str, Any]:
-    """Return what there is to tell of one scan topic."""
+    """Return what is printed about one scan topic."""
     return {
         "topic": log.topic if log else None,
         "frame_id": log.frame_id if log else None,
@@ -128,7 +128,7 @@ def _counts(found: Survey, logs: list[Log]) -> dict[str, Any]:
 
 def _sensor(log: Log) -> dict[str, Any]:
     sensor = asdict(log.sensor)
-    # JSON has no infinity: null means that the sensor tells no limit.
+    # JSON has no infinity: null means that the sensor has no limit.
     limit = sensor["range_max_m"]
     sensor["range_max_m"] = None if limit == float("inf") else limit
     return {**sensor, "field_of_view_rad": log.sensor.field_of_view_rad}

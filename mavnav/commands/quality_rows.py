@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from mavnav.units import MM
@@ -65,6 +66,15 @@ def picture_row(directory: Path, document: dict[str, Any], other: str) -> Rows:
     """Return the row that names the run's pictures, ``map.png`` and another, where they were written."""
     written = "map.png" in document["outputs"]
     return [("pictures", f"{directory / 'map.png'}, {directory / other}")] if written else []
+
+
+def closing_rows(directory: Path, document: dict[str, Any], other: str) -> Rows:
+    """Return the rows that end a summary: the pictures, ``map.png`` and another, the page, the run, the next step."""
+    here = quote(str(directory))
+    measurable = {"trajectory.tum", "hits.npz", "result.mcap"} <= set(document["outputs"])
+    step = f"mavnav metrics {here}" if measurable else f"mavnav check {here} --gate 'tracking.lost==false'"
+    rows = [*picture_row(directory, document, other), *page_row(directory)]
+    return [*rows, ("run directory", str(directory)), ("next", step)]
 
 
 def quality_rows(quality: dict[str, Any]) -> Rows:

@@ -134,7 +134,7 @@ class Log:
         return ((spec.turned_over(), ranges_m) for spec, ranges_m in admitted) if self.upside_down else admitted
 
     def _reread(self) -> Iterator[tuple[LaserSpec, NDArray[np.float64]]]:
-        report = ReadReport()  # the survey told everything already
+        report = ReadReport()  # the survey reported everything already
         scan_filter = ScanFilter(self.topic, report.warn)
         for message in _laser_messages(self.path, self.topic, report, strict=self.strict):
             admitted = scan_filter.admit(message)
@@ -176,7 +176,7 @@ def open_log(
     Parameters
     ----------
     path
-        A file, or the folder of a ROS 2 bag; the content tells the format, not the name.
+        A file, or the folder of a ROS 2 bag; the content decides the format, not the name.
     topic
         The scan topic; by itself where there is only one.
     odom
@@ -184,7 +184,7 @@ def open_log(
     start_s, end_s
         Window of the scans to use, in seconds from the first usable scan.
     extrinsic
-        ``base_T_laser``, in place of what the log tells.
+        ``base_T_laser``, in place of the log's.
     progress
         Called now and then with the bytes done and in all.
     strict

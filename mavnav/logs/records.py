@@ -23,7 +23,7 @@ class Channel:
     """A stream of messages of one type on one topic.
 
     ``type`` is spelt as in ROS 2 (``sensor_msgs/msg/LaserScan``), also where the log is of ROS 1; empty where it is
-    told nowhere.
+    written nowhere.
     """
 
     topic: str

@@ -1,14 +1,16 @@
-"""The survey: one pass over a log that tells all there is to know about it before it is used."""
+"""The survey: one pass over a log that collects all there is to know about it before it is used."""
 
 from __future__ import annotations
 
 import hashlib
 import os
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import isfinite
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from mavnav.errors import NoScansError, UsageError
+from mavnav.errors import MavnavError, NoScansError, UsageError
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.rosbag2 import METADATA
 from mavnav.logs.formats.source import Source
@@ -249,6 +251,22 @@ def _survey(
     )
 
 
+def motion_and_scan_topics(path: Path, most_s: float) -> tuple[set[str], set[str]]:
+    """Return the topics of odometry and of scans that a log declares in what can be read of it in about ``most_s``.
+
+    They are empty where the path is no log.
+    """
+    report, end_s = ReadReport(), monotonic() + most_s
+    with suppress(OSError, MavnavError):
+        check_file(path)
+        for _ in detect.read(path, report):
+            if monotonic() > end_s:
+                break
+    channels = report.channels.values()
+    scans = {channel.topic for channel in channels if is_laser(channel) or channel.type in OTHER_TYPES}
+    return {channel.topic for channel in channels if channel.type == ODOMETRY}, scans
+
+
 def content_sha256(path: Path) -> str:
     """Return the SHA-256 by which a survey knows a log's content, without reading its messages; raises UsageError."""
     _check(path, None, None)
@@ -310,15 +328,15 @@ def _holes(path: Path) -> int:
 
 
 def _run(path: Path, state: _Pass, progress: Callable[[int, int], None] | None) -> None:
-    told = -1
+    reported = -1
     for message in detect.read(path, state.report):
         state.take(message)
         if progress is None:
             continue
         total = state.report.total_bytes
         done = min(state.report.done_bytes, total)
-        if (step := done * _PROGRESS_STEPS // max(total, 1)) > told:
-            told = step
+        if (step := done * _PROGRESS_STEPS // max(total, 1)) > reported:
+            reported = step
             progress(done, total)
 
 

@@ -92,7 +92,7 @@ def _map(grid: Grid, cells: NDArray[np.int8], stamp_ns: int) -> bytes:
 
 
 class _GrowingMap:
-    """The walls of the ``finished`` map as they come into sight; free space is told by that alone.
+    """The walls of the ``finished`` map as they come into sight; free space follows from that alone.
 
     Shown at most `MAX_MAPS` times, and less often where the map is so large that the file would swell. A map that is
     too large to be shown once is shown in larger cells, each the most of what it holds: occupied, free, unknown.
@@ -110,7 +110,7 @@ class _GrowingMap:
         self._next_ns = run.log.first_ns
 
     def add(self, scan: Scan, map_T_laser: Pose) -> bool:
-        """Show what a scan saw; tell whether it is time to publish."""
+        """Show what a scan saw; return whether it is time to publish."""
         show_ends(scan.ranges_m, scan.spec.directions, map_T_laser, self.grid, self.finished, self.cells)
         if self._period_ns is None or scan.stamp_ns < self._next_ns:
             return False

@@ -140,7 +140,7 @@ class Run:
 
     @property
     def cells(self) -> NDArray[np.int8]:
-        """What is free, occupied and unknown in it; of a large map told anew each time, for it takes much memory."""
+        """What is free, occupied and unknown in it; of a large map computed each time, to save memory."""
         return occupancy(self.known) if self.known.hits.size > KEPT_CELLS else self._cells
 
     @cached_property
@@ -172,5 +172,5 @@ class Run:
 
 
 def base_frame(run: Run) -> str:
-    """Name the base's frame; an ``--extrinsic`` alone does not tell it."""
+    """Name the base's frame; an ``--extrinsic`` alone does not name it."""
     return (run.log.base_frame or "base_link").lstrip("/")

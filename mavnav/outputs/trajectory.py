@@ -28,7 +28,7 @@ def write_tum(run: Run, path: Path) -> None:
 
 
 def write_base_tum(run: Run, path: Path) -> None:
-    """Write map_T_base in the same way; the run must know the mounting."""
+    """Write map_T_base in the same format; the run must know the mounting."""
     trajectory = run.map_T_base
     if trajectory is None:
         msg = "the laser's mounting is not known"
@@ -37,7 +37,7 @@ def write_base_tum(run: Run, path: Path) -> None:
 
 
 def write_truth_tum(run: Run, path: Path) -> None:
-    """Write the true map_T_laser of every scan in the same way; the run must be a mission."""
+    """Write the true map_T_laser of every scan in the same format; the run must be a mission."""
     if run.truth is None:
         msg = "the truth is not known"
         raise ValueError(msg)

@@ -108,7 +108,7 @@ def write_page(comparison: dict[str, Any], folder: Path) -> None:
 
 
 def _names(run: Run, groups: Collection[str] | None) -> list[str]:
-    """Return the wanted files that can be written: some need to know more than every log tells."""
+    """Return the wanted files that can be written: some need more than every log contains."""
     wanted = WRITERS if groups is None else {name for group in groups for name in GROUPS[group]}
     known = {"trajectory_base.tum": run.log.base_T_laser is not None}
     known |= dict.fromkeys(("truth.tum", "true_map.png"), run.truth is not None)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 UNKNOWN = "unknown"
 SUFFIXES = (".mcap", ".bag", ".active", ".db3", ".clf", ".log", ".zst", ".zstd", ".gz", ".bz2")
-"""How names of logs end; the format is told by the content."""
+"""How names of logs end; the content decides the format."""
 
 _AMBIGUOUS = (".log", ".gz", ".bz2")
 _HEAD_BYTES = 16

@@ -1,7 +1,7 @@
 """Messages read field by field by their layout: quicker than by their definitions, which take 0.1 s to load.
 
 The parts must fill the message exactly. Of a LaserScan it is not asked what a string should look like: neither the zero
-that ends it, nor UTF-8 decide on ranges; so bytes that no library takes are read, and those whose type no record tells.
+that ends it, nor UTF-8 decide on ranges; so bytes that no library takes are read, and those whose type no record names.
 Plain CDR of both versions lays its fields out alike: none is longer than four bytes (OMG DDS-XTypes 1.3, 7.6.3). All
 that is in doubt in other messages is left to their definitions.
 """

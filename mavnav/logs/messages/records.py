@@ -1,4 +1,4 @@
-"""What the messages of interest tell, whatever encoding they came in."""
+"""The content of the messages of interest, whatever encoding they came in."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class DecodeError(Exception):
 class LaserMessage(NamedTuple):
     """A scan message, uncleaned: lengths in m, angles in rad, ``ranges_m`` of any float type, shape (beams,).
 
-    ``last_angle_rad`` is None where the message does not tell it. Limits are NaN where there are none.
+    ``last_angle_rad`` is None where the message does not have it. Limits are NaN where there are none.
     """
 
     stamp_ns: int
