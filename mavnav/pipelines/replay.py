@@ -21,7 +21,7 @@ from mavnav.mapping.occupancy_grid import measured_part
 from mavnav.memory import give_back
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
-from mavnav.metrics.trajectory_error import MAX_GAP_NS
+from mavnav.metrics.trajectory_error import MAX_GAP_NS, position_errors
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.provenance import Typed, provenance, utc_now
 from mavnav.outputs.run import Run, Timing
@@ -249,6 +249,7 @@ def _mapped(
     references = with_recorded_truth(given.references, log, outcome.begin_ns if given.known is None else None)
     measured = measured_map(outcome, log)
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
+    truth = references.truth
     run = Run(
         log=log,
         config=request.config,
@@ -257,6 +258,7 @@ def _mapped(
         timing=timing,
         reference=compared(references, outcome.trajectory, occupied_xy_m(outcome.grid)),
         true_map=references.true_map,
+        position_errors_m=position_errors(outcome.trajectory, truth, aligned=True) if truth else None,
         stopped=stopped,
         localisation=None if given.known is None else localisation(request, outcome),
         address=request.address,
@@ -302,6 +304,7 @@ def _track(log: Log, config: Config, known: PriorMap | None, progress: Progress,
         config,
         log.period_s,
         log.odometry.odom_T_laser if log.odometry else None,
+        rotation=log.imu.rotation if log.imu else None,
         on_step=lambda phase, done: progress(phase, done, total),
         prior_map=known,
     )

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mavnav.config.models import Config
-    from mavnav.pose import Trajectory
+    from mavnav.pose import Rotation, Trajectory
     from mavnav.slam.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
     from mavnav.slam.track import LogScans, OnStep
@@ -68,6 +68,7 @@ def run_slam(
     odom_T_laser: Trajectory | None = None,
     on_step: OnStep | None = None,
     prior_map: PriorMap | None = None,
+    rotation: Rotation | None = None,
 ) -> SlamResult:
     """Run the configured method over a recorded log.
 
@@ -80,10 +81,12 @@ def run_slam(
     on_step : called with the name of the pass ("track", "track again", "close loops", "final pass") and the number of
         scans done
     prior_map : localize in this map, and leave it as it is, instead of making one
+    rotation : what an inertial sensor measured: its yaw rate predicts turns where odometry does not, its tilt is
+        evidence of motion that is not planar
     """
     odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
     method = make_method(config, prior_map)
-    motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest)
+    motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation)
     start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step)
     track = with_remedy(judged_track(start), start, judged_track)  # "Remedies"
     return summarize(after(track, DRAWING))

@@ -44,9 +44,10 @@ class Track:
     ``tracks_compared`` counts the tracks that were compared for the sharper map. The map begins with the first usable
     scan from number ``begin`` on. ``parts`` are stretches that were tracked on maps of their own: their accepted steps.
     ``odometry_contradicts``: the log has odometry that is not used. ``observed`` and ``conflicts`` (n,) are the
-    observability and the visibility conflicts of the steps in the finished map, empty before the final pass.
-    ``resampled`` (n, 3) are the poses of the steps in a track with coarser voxels, NaN where it has none; empty where
-    there is no such track. ``remedies`` are other tracks that were made because of the doubt.
+    observability and the visibility conflicts of the steps in the finished map, ``hessians`` (n, 6) what covariances
+    follow from; empty before the final pass. ``resampled`` (n, 3) are the poses of the steps in a track with coarser
+    voxels, NaN where it has none; empty where there is no such track. ``remedies`` are other tracks that were made
+    because of the doubt.
     """
 
     log_scans: LogScans
@@ -64,6 +65,7 @@ class Track:
     odometry_contradicts: bool = False
     observed: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
     conflicts: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
+    hessians: NDArray[np.float64] = field(default_factory=partial(np.zeros, (0, 6)))
     doubt: Doubt | None = None
     resampled: NDArray[np.float64] = field(default_factory=partial(np.zeros, (0, 3)))
     remedies: tuple[Remedy, ...] = ()

@@ -100,12 +100,15 @@ def test_the_kernel_is_its_twin(seed: int) -> None:
     line_map.insert(walls)
     laser = Pose(0.3, -0.2, 0.7)
     points = transform_points(laser.inverse(), np.vstack((walls[::3], rng.uniform(-5, 5, (20, 2)))))
-    fast = observability(points, laser.as_array(), line_map.nearest, line_map.lines, line_map.geometry)
-    slow = naive.observability(points, laser, line_map)
+    sums = np.empty(6)
+    fast = observability(points, laser.as_array(), line_map.nearest, line_map.lines, line_map.geometry, sums)
+    slow, information = naive.observability(points, laser, line_map)
     assert slow > 0.01
     assert fast == pytest.approx(slow, abs=1e-9)
+    np.testing.assert_allclose(sums, information[(0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)], atol=1e-6)
 
 
 def test_no_point_holds_nothing() -> None:
     line_map = LineMap(0.02, 0.06, 0.01)
-    assert observability(np.zeros((0, 2)), np.zeros(3), line_map.nearest, line_map.lines, line_map.geometry) == 0.0
+    arrays = line_map.nearest, line_map.lines, line_map.geometry
+    assert observability(np.zeros((0, 2)), np.zeros(3), *arrays, np.empty(6)) == 0.0

@@ -40,6 +40,7 @@ def clean(*, compared: bool = False, **changes: object) -> Evidence:
         conflicts=np.zeros(N),
         rivals=np.full(N, np.inf),
         resampled=xyyaw.copy() if compared else np.full((N, 3), np.nan),
+        tilt_rad=np.zeros(N),
     )
     return replace(good, **changes)
 
@@ -71,7 +72,7 @@ PLANTED = {
     "weakly constrained pose": clean(observed=np.full(N, 0.001)),
     "sampling too sparse for the motion": clean(xyyaw=clean().xyyaw * (8.0, 1.0, 1.0)),
     "symmetric place": clean(xyyaw=jumped(yaw_deg=90.0), rivals=some(0.05, np.inf)),
-    NOT_PLANAR: clean(conflicts=np.full(N, 0.08)),
+    NOT_PLANAR: clean(conflicts=np.full(N, 0.08), tilt_rad=np.full(N, 0.2)),
     "too few beams": clean(points=np.full(N, 50)),
     "gap": clean(stamps_ns=late()),
     "unclosed loop": clean(refused=30),
