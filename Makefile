@@ -74,9 +74,9 @@ bench-peers: $(VENV)-peers/.done
 figures: $(VENV)/.dev
 	$(BIN)/python benchmarks/figures.py
 
-docs: $(BIN)/python
+docs: $(VENV)/.run
 	$(BIN)/python -m pip install --quiet --group docs
-	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --clean
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --clean
 	@echo "The site is in site/: open site/index.html"
 
 samples: $(VENV)/.dev

@@ -136,11 +136,16 @@ def bomb(rng: Random, folder: Path) -> Path:
         return path
     packers = {"zstd": zstandard.compress, "lz4": lz4.frame.compress, "bz2": bz2.compress, "none": bytes, "": bytes}
     name = str(pick(rng, *packers))
-    packed = packers[name](bytes(int(pick(rng, 1 << 16, 1 << 22, 1 << 25)))) if name else b"abc"
-    body = struct.pack("<QQQII", 0, 9, pick(rng, *SIZES), 0, len(name)) + name.encode()
+    size = int(pick(rng, 1 << 16, 1 << 22, 1 << 25))
+    record = pick(rng, b"", HEAD.pack(200, 0), HEAD.pack(5, 22) + bytes(22), HEAD.pack(4, 30) + bytes(30))
+    content = record * (size // len(record)) if record else bytes(size)
+    packed = packers[name](content) if name else b"abc"
+    declared = pick(rng, len(content), len(content), *SIZES)
+    body = struct.pack("<QQQII", 0, 9, declared, 0, len(name)) + name.encode()
     body += struct.pack("<Q", len(packed)) + packed
     data = sound("mcap")
-    path.write_bytes(data[:8] + (HEAD.pack(6, len(body)) + body) * int(pick(rng, 1, 5, 40)) + data[8:])
+    count = int(pick(rng, 1, 5, 40)) if len(packed) < 100_000 else 1
+    path.write_bytes(data[:8] + (HEAD.pack(6, len(body)) + body) * count + data[8:])
     return path
 
 

@@ -3,9 +3,12 @@
 The names below are the Python interface (docs/python.md). They are loaded when first used.
 """
 
-from typing import TYPE_CHECKING, Any
+from __future__ import annotations
 
+TYPE_CHECKING = False  # as in typing, whose import would take most of the time
 if TYPE_CHECKING:
+    from typing import Any
+
     from mavnav.api.functions import compare, open_log, replay, simulate, track
     from mavnav.api.results import Comparison, Run, load_run
     from mavnav.errors import MavnavError
@@ -13,7 +16,7 @@ if TYPE_CHECKING:
     from mavnav.pose import Pose, Trajectory
     from mavnav.scan import LaserSpec, Scan
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "Comparison",
     "LaserSpec",

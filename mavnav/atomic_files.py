@@ -102,7 +102,7 @@ def _folder(final: Path, pid: int) -> Path:
 
 @cache
 def machine() -> str:
-    """Return what tells this machine from others that see the same folder: host, its start, and container."""
+    """Return what identifies this machine among others that see the same folder: host, its start, and container."""
     places = ("/proc/sys/kernel/random/boot_id", "/proc/self/ns/pid")
     parts = [platform.node()]
     with suppress(OSError):

@@ -45,8 +45,19 @@ mavnav simulate corner.yaml
 """
 
 
-COMMANDS: Final = ("replay", "compare", "batch", "check", "metrics", "simulate", "info", "convert", "warmup", "config")
-"""Each is a function, or an app of its own, in the module of its name."""
+COMMANDS: Final = {
+    "replay": "cli.md#replay",
+    "compare": "compare.md",
+    "batch": "ci.md",
+    "check": "cli.md#quality-gates",
+    "metrics": "metrics.md",
+    "simulate": "scenarios.md",
+    "info": "cli.md#examine-and-convert",
+    "convert": "cli.md#examine-and-convert",
+    "warmup": "ci.md#compiled-kernels",
+    "config": "cli.md#configuration",
+}
+"""The commands, each a function or an app of its own in the module of its name, and their pages in docs/."""
 
 
 def _print_version(wanted: bool) -> None:
@@ -79,7 +90,7 @@ def app_for(args: Sequence[str]) -> typer.Typer:
         name="mavnav",
         cls=Group,
         help="Map a recorded 2D laser log offline: trajectory, map and map quality, without ROS and without odometry.",
-        epilog=EPILOG,
+        epilog=_epilog(EPILOG, "index.md"),
         pretty_exceptions_enable=False,
         rich_markup_mode="rich",
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -88,11 +99,19 @@ def app_for(args: Sequence[str]) -> typer.Typer:
     asked = next((arg for arg in args if not arg.startswith("-")), "")
     for name in (asked,) if asked in COMMANDS else COMMANDS:
         module = import_module(f"mavnav.commands.{name}")
+        epilog = _epilog(module.EPILOG, COMMANDS[name])
         if name == "config":
-            app.add_typer(module.app, name=name)
+            app.add_typer(module.app, name=name, epilog=epilog)
+            for command in module.app.registered_commands:
+                command.epilog = epilog
         else:
-            app.command(cls=Command, epilog=module.EPILOG)(getattr(module, name))
+            app.command(cls=Command, epilog=epilog)(getattr(module, name))
     return app
+
+
+def _epilog(text: str, page: str) -> str:
+    """Return what follows the options in a help, with the page of the documentation."""
+    return f"{text.rstrip()}\n\n[bold]Documentation[/bold]  docs/{page}"
 
 
 def run(args: Sequence[str], *, debug: bool = False) -> int:

@@ -5,16 +5,31 @@ from __future__ import annotations
 import re
 import shlex
 import shutil
+import sys
+from functools import cache
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
+import typer
 import yaml
+from typer.main import get_command
 
-from mavnav.cli import run
-from mavnav.config.loading import fields
+from mavnav.batch.manifest import read_manifest
+from mavnav.cli import app_for, run
+from mavnav.comparison.figures import RELATIVE_COSTS
+from mavnav.config.loading import fields, load_config
+from mavnav.metrics.gates import check_names, parse_gate
+from mavnav.outputs.schema import number_names, run_keys
+from mavnav.simulation.world import load_scenario
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
+PAGES = sorted([*DOCS.rglob("*.md"), ROOT / "sample_logs/README.md", ROOT / "README.md", ROOT / "CONTRIBUTING.md"])
+SEARCH = ("method", "grid", "azimuth", "search", "odom", "loop_closure")
+"""Options of a replay that are keys of its configuration."""
 TUTORIAL = [
     shlex.split(line)[1:] for line in re.findall(r"^    (mavnav .*)$", (DOCS / "tutorial.md").read_text(), re.MULTILINE)
 ]
@@ -32,6 +47,138 @@ def test_the_commands_of_the_tutorial_run_in_their_order(
     for file in ("map.png", "wall_thickness.png", "map.yaml", "trajectory.tum", "result.mcap"):
         assert (tmp_path / "runs/drive" / file).is_file()
     assert (tmp_path / "runs/grids/report.html").is_file()
+    (example,) = blocks("howto.md", "python")
+    exec(compile(example, "howto.md", "exec"), {})
+    assert capsys.readouterr().out
+
+
+def blocks(page: str, language: str) -> list[str]:
+    """Return the fenced blocks of a page in one language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", (DOCS / page).read_text(), re.MULTILINE | re.DOTALL)
+
+
+def shown_commands(page: Path) -> list[list[str]]:
+    """Return the calls of mavnav that a page shows in code blocks, a list of words each, shell variables as 1."""
+    text = re.sub(r"\$\{?\w+\}?", "1", page.read_text())
+    code = [*re.findall(r"^```.*?^```", text, re.MULTILINE | re.DOTALL), *re.findall(r"^ {4}.*$", text, re.MULTILINE)]
+    lines = re.findall(r"^\s*(?:\$ |- |- run: )?(mavnav [^|`\n]*)", "\n".join(code), re.MULTILINE)
+    found = []
+    for line in lines:
+        lexer = shlex.shlex(line, posix=True, punctuation_chars=True)
+        lexer.whitespace_split = True
+        words: list[str] = []
+        for word in [*lexer, "&&"]:
+            if set(word) <= set("&;<>()"):
+                found += [words[1:]] if words[:1] == ["mavnav"] else []
+                words = []
+            else:
+                words.append(word)
+    return found
+
+
+@cache
+def program() -> Any:
+    return get_command(app_for([]))
+
+
+def parsed(words: list[str]) -> dict[str, Any]:
+    """Return the values of a command line as the program reads them, and the name of the command."""
+    command, context, names = program(), program().make_context("mavnav", list(words)), []
+    while hasattr(command, "commands"):
+        name, command, rest = command.resolve_command(context, [*context._protected_args, *context.args])
+        names.append(name)
+        context = command.make_context(name, rest, parent=context)
+    return {"command": " ".join(names), **context.params}
+
+
+def check_values(given: dict[str, Any]) -> None:
+    """Raise what the program would say of gates and settings, before it looks for any file."""
+    gates = [gate for gate in given.get("gates") or () if gate != "baseline"]
+    sections = {"mission", "truth", "localisation"}
+    more = [key for key in run_keys() if key.partition(".")[0] in sections]
+    costs = [f"price.{name}" for name in RELATIVE_COSTS]
+    check_names((parse_gate(gate).name for gate in gates), [*number_names(reference=True), *more, *costs])
+    if given["command"] == "simulate":
+        load_scenario("corner", given["sets"] or (), {"planner.technique": given["planner"], "seed": given["seed"]})
+    else:
+        load_config(None, given.get("sets") or (), {name: given.get(name) for name in SEARCH})
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_command_on_a_page_is_one_that_the_program_takes(page: Path) -> None:
+    for words in shown_commands(page):
+        try:
+            check_values(parsed(words))
+        except typer.Exit:
+            assert {"--help", "--version"} & set(words)
+
+
+def test_commands_on_pages_are_found() -> None:
+    found = {str(page.relative_to(ROOT)): shown_commands(page) for page in PAGES}
+    assert sum(map(len, found.values())) > 80
+    assert found["docs/fr079.md"][0] == ["info", "freiburg-079-corrected.log.gz"]
+    assert ["batch", "nightly.yaml", "--part", "1/1", "-j", "1"] in found["docs/ci.md"]
+    with pytest.raises(typer.TyperException):
+        parsed(["replay", "drive.bag", "--cell", "3"])
+    with pytest.raises(Exception, match="did you mean"):
+        check_values(parsed(["replay", "drive.bag", "--set", "robust.cel_mm=3"]))
+
+
+def test_commands_and_options_in_texts_exist() -> None:
+    known = {"show", "schema", *program().commands}
+    options = {"--help", *(name for command in commands() for param in command.params for name in param.opts)}
+    for page in PAGES:
+        text = page.read_text()
+        assert set(re.findall(r"`mavnav ([a-z]+)", text)) <= known, page
+        if page in {ROOT / "README.md", DOCS / "cli.md"}:
+            assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= options, page
+
+
+def commands() -> list[Any]:
+    top = [program(), *program().commands.values()]
+    return [*top, *program().commands["config"].commands.values()]
+
+
+def test_the_scenario_of_its_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (scenario,) = blocks("scenarios.md", "yaml")
+    (tmp_path / "room.yaml").write_text(scenario)
+    assert run(["simulate", "room.yaml", "-q", "-o", "room", "--outputs", "trajectory"]) == 0
+
+
+def test_manifest_and_configuration_of_their_pages_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "nightly.yaml").write_text(blocks("ci.md", "yaml")[0])
+    manifest, _ = read_manifest(tmp_path / "nightly.yaml")
+    assert (len(manifest.logs), len(manifest.runs)) == (4, 3)
+    (settings,) = blocks("settings.md", "yaml")
+    (tmp_path / "my.yaml").write_text(settings)
+    assert run(["config", "show", "my.yaml"]) == 0
+    assert "grid: 20x20" in capsys.readouterr().out
+
+
+@cache
+def hooks() -> ModuleType:
+    spec = spec_from_file_location("mkdocs_hooks", ROOT / "mkdocs_hooks.py")
+    assert spec
+    assert spec.loader
+    module = sys.modules[spec.name] = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_generated_pages_have_every_option_and_every_key() -> None:
+    text = hooks().commands_page()
+    for command in commands():
+        for param in command.params:
+            assert all(f"`{name}`" in text for name in param.opts if name.startswith("--"))
+    assert "## mavnav config show" in text
+    assert "More: [cli.md#replay](cli.md#replay)" in text
+    assert {f"`{name}`" for name in run_keys()} <= set(
+        re.findall(r"^\| (`.*?`) \|", hooks().run_json_page(), re.MULTILINE)
+    )
 
 
 def test_settings_on_the_pages_exist() -> None:
@@ -49,4 +196,4 @@ def pages(nav: object) -> set[str]:
 
 def test_every_page_is_in_the_navigation() -> None:
     nav = yaml.load((ROOT / "mkdocs.yml").read_text(), Loader=yaml.BaseLoader)["nav"]
-    assert pages(nav) == {path.name for path in DOCS.glob("*.md")}
+    assert pages(nav) == {path.name for path in DOCS.glob("*.md")} | {"commands.md", "run_json.md"}

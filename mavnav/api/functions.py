@@ -20,7 +20,7 @@ from mavnav import logs
 from mavnav.api.results import Comparison, Run
 from mavnav.config.loading import load_config
 from mavnav.errors import UsageError
-from mavnav.ground_truth.topics import recorded_topic
+from mavnav.ground_truth.topics import truth_fields
 from mavnav.pose import Pose
 from mavnav.units import NS
 
@@ -62,7 +62,7 @@ def open_log(
     path
         A file, or the folder of a ROS 2 bag.
     topic
-        The scan topic, if there are several.
+        The scan topic, if there are several; several, joined by commas, are merged by their mountings.
     odom
         ``auto``, ``off`` or a topic.
     start_s, end_s
@@ -74,7 +74,10 @@ def open_log(
     truth
         Topic of the ground truth, ``auto`` to find it by its name.
 
-    Raises UsageError, TopicError or NoScansError.
+    Raises
+    ------
+    MavnavError
+        UsageError, TopicError or NoScansError.
     """
     return logs.open_log(
         Path(path),
@@ -137,13 +140,15 @@ def replay(
     progress
         Called as work goes on.
 
-    Raises UsageError, ConfigError, TopicError, NoScansError or OutputError. A run whose track was lost for good is
-    returned: see `Run.lost`.
+    Raises
+    ------
+    MavnavError
+        UsageError, ConfigError, TopicError, NoScansError or OutputError. A run whose track was lost for good is
+        returned: see `Run.lost`.
     """
     from mavnav.pipelines.replay import ReplayRequest, replay_log  # noqa: PLC0415  heavy
 
     chosen = _config(config, settings, method=method, grid=grid, azimuth=azimuth, odom=odom, online=online)
-    recorded = recorded_topic(str(truth)) if truth is not None else None
     request = ReplayRequest(
         log=Path(log),
         directory=Path(directory or ""),
@@ -154,8 +159,7 @@ def replay(
         extrinsic=_pose(extrinsic),
         force=force,
         report=report,
-        truth=_path(truth) if recorded is None else None,
-        truth_topic=recorded,
+        **truth_fields(truth),
         truth_map=_path(truth_map),
         relations=_path(relations),
         strict=strict,
@@ -203,7 +207,10 @@ def simulate(
     directory, force, report, progress
         As for `replay`.
 
-    Raises UsageError, ConfigError, NoScansError or OutputError. ``metrics["mission"]`` says how the mission ended.
+    Raises
+    ------
+    MavnavError
+        UsageError, ConfigError, NoScansError or OutputError. ``metrics["mission"]`` says how the mission ended.
     """
     from mavnav.pipelines.simulate import SimulationRequest, simulate_mission  # noqa: PLC0415  heavy
     from mavnav.simulation.world import load_scenario  # noqa: PLC0415
@@ -211,8 +218,7 @@ def simulate(
 
     options = {"slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth}
     options |= {"seed": seed, "planner.technique": planner}
-    given = {name: value for name, value in options.items() if value is not None}
-    chosen = load_scenario(scenario, _sets(settings), given, config)
+    chosen = load_scenario(scenario, _sets(settings), options, config)
     path = scenario_path(scenario)
 
     def work(target: Path) -> Run:
@@ -254,13 +260,16 @@ def compare(
     progress
         Called as work goes on.
 
-    Raises UsageError, ConfigError or OutputError. A run that fails stops no other.
+    Raises
+    ------
+    MavnavError
+        UsageError, ConfigError or OutputError. A run that fails stops no other.
     """
-    from mavnav.comparison import pipeline  # noqa: PLC0415  heavy
+    from mavnav.batch.plan import load_kernels  # noqa: PLC0415  heavy
+    from mavnav.comparison import pipeline  # noqa: PLC0415
     from mavnav.comparison.grids import comparison_settings  # noqa: PLC0415
     from mavnav.jobs import usable_cores  # noqa: PLC0415
     from mavnav.outputs.writers import write_page  # noqa: PLC0415
-    from mavnav.slam.registry import load_kernels  # noqa: PLC0415
 
     names = [Path(log)] if isinstance(log, str | Path) else [Path(each) for each in log]
     if not names:
@@ -273,8 +282,7 @@ def compare(
         cores = workers or usable_cores()
         request = pipeline.comparison_request(names, chosen, target, {}, workers=cores, force=force)
         plan = pipeline.plan_comparison(request, progress or _silent)
-        for setting in chosen if plan.missing else ():
-            load_kernels(setting.config, progress or _silent)
+        load_kernels(plan, progress or _silent)
         document = pipeline.run_comparison(plan, lambda _event: None)
         write_page(document, target)
         return Comparison(target, document)
@@ -308,7 +316,10 @@ def track(
     A step for every scan: ``index``, ``stamp_ns``, ``tracked`` (whether the scan was accepted and is in the map), and
     ``match`` with ``map_T_laser``, ``cost_m2``, ``inliers`` (0 to 1) and more.
 
-    Raises ConfigError.
+    Raises
+    ------
+    MavnavError
+        ConfigError.
     """
     from mavnav.slam.motion_model import Motion  # noqa: PLC0415  heavy
     from mavnav.slam.registry import load_kernels, make_method  # noqa: PLC0415
@@ -325,8 +336,7 @@ def track(
 
 
 def _config(file: File | None, settings: Mapping[str, object] | None, *, online: bool, **options: object) -> Config:
-    given = {name: value for name, value in options.items() if value is not None}
-    return load_config(file, _sets(settings), given | ({"final_pass": False} if online else {}))
+    return load_config(file, _sets(settings), options | {"final_pass": False if online else None})
 
 
 def _sets(settings: Mapping[str, object] | None) -> list[str]:

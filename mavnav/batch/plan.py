@@ -12,6 +12,7 @@ from mavnav.jobs.run_cache import PlannedRun, check_cache_directory, finished_do
 from mavnav.metrics.gates import check_names
 from mavnav.outputs.schema import number_names
 from mavnav.outputs.writers import REPORT_FILE
+from mavnav.slam import registry
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -70,6 +71,12 @@ def plan_cases(request: BatchRequest, cases: Sequence[Case]) -> BatchPlan:
 def _is_finished(run: PlannedRun) -> bool:
     """Return whether a run is finished, and its page written if the request has one."""
     return finished_document(run) is not None and (not run.request.report or (run.directory / REPORT_FILE).is_file())
+
+
+def load_kernels(plan: BatchPlan, progress: Progress) -> None:
+    """Compile the kernels of the runs to make, so that none is charged with it; a cluster's workers compile theirs."""
+    for case in plan.missing if plan.request.limits.scheduler is None else ():
+        registry.load_kernels(case.setting.config, progress)
 
 
 def check_gates(request: BatchRequest, cases: Sequence[Case], more: Sequence[str] = ()) -> None:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
 
 from mavnav.errors import MavnavError, OutputError, UsageError
+from mavnav.jobs.dask.worker import in_cluster
 from mavnav.outputs.addresses import public_address, public_text
 
 if TYPE_CHECKING:
@@ -33,17 +34,20 @@ LEAST_RATE: Final = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """How long a log may take in all, how long nothing may come, and how large it may be."""
+    """How long a log may take in all, how long nothing may come, how large it may be, and from where it may come."""
 
     total_s: float
     idle_s: float
     most_bytes: float
+    private: bool
+    """Whether the address may name a host of a private network."""
 
 
 def limits() -> Limits:
-    """Return the limits of ``MAVNAV_FETCH_TIMEOUT_S`` and ``MAVNAV_FETCH_MAX_MB``; raises UsageError for no numbers."""
+    """Return the limits of the ``MAVNAV_FETCH_*`` variables; raises UsageError for no numbers."""
     total_s = _number("MAVNAV_FETCH_TIMEOUT_S", 3600.0)
-    return Limits(total_s, min(IDLE_S, total_s), 1e6 * _number("MAVNAV_FETCH_MAX_MB", 65_536.0))
+    most_bytes = 1e6 * _number("MAVNAV_FETCH_MAX_MB", 65_536.0)
+    return Limits(total_s, min(IDLE_S, total_s), most_bytes, private=any(_allowed_hosts()) or not in_cluster())
 
 
 def _number(variable: str, usual: float) -> float:
@@ -80,7 +84,7 @@ def fetched(address: str) -> Iterator[Path]:
 
 def check_allowed(address: str) -> None:
     """Raise UsageError for hosts that ``MAVNAV_FETCH_HOSTS`` does not list, and for local files that never end."""
-    allowed = [pattern.strip().lower() for pattern in os.environ.get("MAVNAV_FETCH_HOSTS", "").split(",")]
+    allowed = _allowed_hosts()
     shown = public_address(address)
     *inner, outer = shown.split("::")
     for part in (*(part for part in inner if part.lower().startswith("http")), outer):
@@ -92,6 +96,10 @@ def check_allowed(address: str) -> None:
             host = (urlsplit(part).hostname or "").lower()
             if not any(fnmatchcase(host, pattern) for pattern in allowed if pattern):
                 raise UsageError(f"{shown}: {host or scheme} is not one of MAVNAV_FETCH_HOSTS; add it there")
+
+
+def _allowed_hosts() -> list[str]:
+    return [pattern.strip().lower() for pattern in os.environ.get("MAVNAV_FETCH_HOSTS", "").split(",")]
 
 
 def _full(address: str, error: OSError) -> OutputError:
@@ -191,7 +199,7 @@ def _opened(address: str, bounds: Limits) -> Any:  # noqa: ANN401  an open file 
     if any(part.lower().startswith(("http://", "https://")) for part in address.split("::")):
         from mavnav.batch.web import client_options  # noqa: PLC0415  an extra
 
-        options = client_options(address, bounds.total_s, bounds.idle_s)
+        options = client_options(address, bounds.total_s, bounds.idle_s, private=bounds.private)
     return _fsspec().open(address, "rb", **options)
 
 

@@ -17,15 +17,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-def client_options(address: str, total_s: float, idle_s: float) -> dict[str, Any]:
+def client_options(address: str, total_s: float, idle_s: float, *, private: bool) -> dict[str, Any]:
     """Return the options of ``fsspec.open`` for an address with ``http(s)://`` in it.
 
-    A request may take ``total_s`` in all and ``idle_s`` without a byte. A private network is entered only where the
-    address itself names it: a redirection from elsewhere raises UsageError.
+    A request may take ``total_s`` in all and ``idle_s`` without a byte. A private network is entered only with
+    ``private``, where the address itself names it: a redirection from elsewhere raises UsageError.
     """
     parts = [part for part in address.split("::") if part.lower().startswith(("http://", "https://"))]
     timeout = aiohttp.ClientTimeout(total=total_s, sock_connect=idle_s, sock_read=idle_s)
-    make_socket = _guard(parts)
+    make_socket = _guard(parts, private=private)
 
     async def get_client(**options: Any) -> aiohttp.ClientSession:  # noqa: ANN401
         connector = aiohttp.TCPConnector(socket_factory=make_socket)
@@ -37,19 +37,24 @@ def client_options(address: str, total_s: float, idle_s: float) -> dict[str, Any
     return {part.partition("://")[0].lower(): client for part in parts}
 
 
-def _guard(addresses: list[str]) -> Callable[[Any], socket.socket]:
-    """Return what makes the sockets of a client; it refuses private networks that the addresses do not name."""
+def _guard(addresses: list[str], *, private: bool) -> Callable[[Any], socket.socket]:
+    """Return what makes the sockets of a client; it refuses private networks, unless they may be named and are."""
     named: set[str] = set()
 
     def make_socket(info: Any) -> socket.socket:  # noqa: ANN401  of getaddrinfo
         family, kind, protocol, _, place = info
         if not named:
             named.update(*map(_hosts, addresses))
-        if place[0] not in named and not _is_public(place[0]):
+        if (place[0] not in named or not private) and not _is_public(place[0]):
             shown = " and ".join(map(public_address, addresses))
-            raise UsageError(
-                f"{shown}: cannot be read (it redirects to the private address {place[0]}); name that address itself"
-            )
+            if place[0] in named:
+                reason, advice = (
+                    f"{place[0]} is a private address",
+                    "list the host in MAVNAV_FETCH_HOSTS on the workers",
+                )
+            else:
+                reason, advice = f"it redirects to the private address {place[0]}", "name that address itself"
+            raise UsageError(f"{shown}: cannot be read ({reason}); {advice}")
         made = socket.socket(family, kind, protocol)
         made.setblocking(False)
         return made

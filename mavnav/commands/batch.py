@@ -32,6 +32,7 @@ from mavnav.commands.options import (
     given_values,
     given_window,
     grids_option,
+    joined_topics,
     output_option,
     parse_pose,
     resource_option,
@@ -68,7 +69,7 @@ def batch(
     sources: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[MANIFEST.yaml | LOG ...]", help="A manifest, or logs, folders and patterns.", show_default=False
+            metavar="MANIFEST.yaml|LOG", help="A manifest, or logs, folders and patterns.", show_default=False
         ),
     ] = None,
     *,
@@ -82,18 +83,18 @@ def batch(
     methods: Methods = None,
     grids: Annotated[
         list[str] | None,
-        grids_option(help="Search grid; repeatable."),
+        grids_option(help="Search grid; repeatable (default 10x10)."),
     ] = None,
     azimuths: Annotated[
         list[int] | None,
-        azimuths_option(help="Yaw samples: one number for all grids, or one for each."),
+        azimuths_option(help="Yaw samples: one number for all grids, or one for each (default twice N, at most 40)."),
     ] = None,
     online: Online = False,
     config: ConfigFile = None,
     sets: Sets = None,
     directory: Annotated[
         Path | None,
-        directory_option(help="Output directory (default runs/batch)."),
+        directory_option(help="Output directory (default runs/batch, or runs/batch-MANIFEST)."),
     ] = None,
     force: RunAgain = False,
     pages: Annotated[bool, output_option("--report", help="Also write a page for every run.")] = False,
@@ -116,7 +117,7 @@ def batch(
     gates: Gates = None,
     accept: Annotated[
         list[int] | None,
-        check_option("--accept", metavar="CODE", help="Exit code that counts as done; repeatable."),
+        check_option("--accept", metavar="CODE", help="Exit code that counts as done (0 does); repeatable."),
     ] = None,
     baseline: Annotated[Path | None, check_option(metavar="DIR|FILE", help="Compare with an earlier batch.")] = None,
     tolerances: Annotated[
@@ -130,10 +131,12 @@ def batch(
         check_option("--update-baseline", help="Overwrite the baseline file with this batch."),
     ] = False,
     jobs: Jobs = None,
-    timeout: Annotated[float | None, resource_option(min=0.1, metavar="SECONDS", help="Time limit of a run.")] = None,
+    timeout: Annotated[
+        float | None, resource_option(min=0.1, metavar="SECONDS", help="Time limit of a run (default none).")
+    ] = None,
     memory_mb: Annotated[
         int | None,
-        resource_option("--memory-mb", min=1, metavar="MB", help="Memory limit of a run (Linux)."),
+        resource_option("--memory-mb", min=1, metavar="MB", help="Memory limit of a run (Linux; default none)."),
     ] = None,
     tries: Annotated[
         int | None,
@@ -141,11 +144,14 @@ def batch(
     ] = None,
     scheduler: Annotated[
         str | None,
-        resource_option(metavar="tcp://HOST:PORT|local", help=r"Run on a Dask cluster (needs mavnav\[cluster])."),
+        resource_option(
+            metavar="tcp://HOST:PORT|local",
+            help=r"Run on a Dask cluster (default this machine; needs mavnav\[cluster]).",
+        ),
     ] = None,
     part: Annotated[
         str | None,
-        resource_option(metavar="I/N", help="Run part I of N; all parts share --output."),
+        resource_option(metavar="I/N", help="Run part I of N (default all); all parts share --output."),
     ] = None,
 ) -> None:
     """Replay many logs with many settings; a failed run does not stop the others, finished runs are reused."""
@@ -167,7 +173,7 @@ def batch(
             config=config,
             sets=sets or (),
             options=given_values(odom=odom, final_pass=False if online else None),
-            reading=given_values(topic=topic, extrinsic=parse_pose(extrinsic), strict=strict or None)
+            reading=given_values(topic=joined_topics(topic), extrinsic=parse_pose(extrinsic), strict=strict or None)
             | given_window(start, end),
             gates=gates or (),
             accept=accept or (),
@@ -194,14 +200,12 @@ def batch(
 
 
 def _planned(options: Options, report: Report) -> BatchPlan:
-    """Read manifest and logs, and load the kernels here, so that no run is charged with their compilation."""
+    """Read manifest and logs, and load the kernels here."""
     from mavnav.batch.options import request_of
-    from mavnav.batch.plan import plan_batch
-    from mavnav.slam.registry import load_kernels
+    from mavnav.batch.plan import load_kernels, plan_batch
 
     plan = plan_batch(request_of(options), report)
-    for case in plan.missing if plan.request.limits.scheduler is None else ():
-        load_kernels(case.setting.config, report)
+    load_kernels(plan, report)
     return plan
 
 

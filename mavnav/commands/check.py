@@ -36,7 +36,7 @@ mavnav check runs/* --gate 'map.accepted_share>=0.95' --gate 'tracking.lost==fal
 def check(
     runs: Annotated[
         list[Path],
-        typer.Argument(metavar="RUN ...", help="Directories of runs, comparisons or batches.", show_default=False),
+        typer.Argument(metavar="RUN", help="Directories of runs, comparisons or batches.", show_default=False),
     ],
     *,
     gates: Gates = None,

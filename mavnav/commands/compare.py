@@ -32,6 +32,7 @@ from mavnav.commands.options import (
     given_values,
     given_window,
     grids_option,
+    joined_topics,
     parse_pose,
 )
 from mavnav.commands.progress import loading_modules, reporting
@@ -60,7 +61,7 @@ def compare(
     context: typer.Context,
     logs: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[LOG ...]", help="Logs (default: the sample corridor).", show_default=False),
+        typer.Argument(metavar="LOG", help="Logs (default: the sample corridor).", show_default=False),
     ] = None,
     *,
     topic: Topic = None,
@@ -99,7 +100,7 @@ def compare(
     Finished replays are reused; a replay that fails does not stop the others.
     """
     overrides = given_values(odom=odom, final_pass=False if online else None)
-    reading = given_values(topic=topic, extrinsic=parse_pose(extrinsic)) | given_window(start, end)
+    reading = given_values(topic=joined_topics(topic), extrinsic=parse_pose(extrinsic)) | given_window(start, end)
     reading |= given_values(truth=truth, truth_map=truth_map, relations=relations)  # of truth the text: file or topic
     for log in logs or []:
         if not log.exists():
@@ -107,11 +108,11 @@ def compare(
     bounds = gates_of(gates)
     with reporting(quiet=quiet) as report:
         with loading_modules():
+            from mavnav.batch.plan import load_kernels
             from mavnav.comparison import pipeline
             from mavnav.comparison.grids import comparison_settings
             from mavnav.jobs import usable_cores
             from mavnav.outputs.provenance import Typed
-            from mavnav.slam.registry import load_kernels
         target = directory or pipeline.comparison_directory(logs or ())
         if not logs:
             logs, true_map = _sample(target, report)
@@ -128,8 +129,7 @@ def compare(
             typed=Typed(context.obj, config, tuple(sets or ())),
         )
         plan = pipeline.plan_comparison(request, report)
-        for setting in settings if plan.missing else ():
-            load_kernels(setting.config, report)
+        load_kernels(plan, report)
     document, page = _compared(plan, quiet=quiet)
     _print_result(document, page, json=json)
     if preview:

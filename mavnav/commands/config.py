@@ -6,9 +6,20 @@ from typing import Annotated, Literal
 
 import typer
 
+from mavnav.commands import completion
 from mavnav.commands.options import Sets
 from mavnav.commands.terminal import emit, emit_json
 from mavnav.commands.values import Command, Group
+
+EPILOG = """
+[bold]Examples[/bold]
+
+mavnav config show paper
+
+mavnav config show --set robust.cell_mm=25 > my.yaml
+
+mavnav config schema run
+"""
 
 app = typer.Typer(cls=Group, help="Show the configuration, its presets and its schema.")
 
@@ -16,17 +27,29 @@ app = typer.Typer(cls=Group, help="Show the configuration, its presets and its s
 @app.command(cls=Command)
 def show(
     config: Annotated[
-        str | None, typer.Argument(metavar="FILE", help="YAML file, or the name of a preset.", show_default=False)
+        str | None,
+        typer.Argument(
+            metavar="FILE",
+            help="YAML file, or the name of a preset.",
+            show_default=False,
+            autocompletion=completion.presets,
+        ),
     ] = None,
     sets: Sets = None,
     method: Annotated[
-        str | None, typer.Option(metavar="robust|paper", help="SLAM method (default robust).", show_default=False)
+        str | None,
+        typer.Option(
+            metavar="robust|paper",
+            help="SLAM method (default robust).",
+            show_default=False,
+            autocompletion=completion.METHODS,
+        ),
     ] = None,
 ) -> None:
     """Print the effective configuration as YAML, a comment for every value; it can be given to --config."""
     from mavnav.config.loading import load_config, to_yaml
 
-    emit(to_yaml(load_config(config, sets or [], {"method": method} if method else {})).rstrip())
+    emit(to_yaml(load_config(config, sets or [], {"method": method})).rstrip())
 
 
 @app.command(cls=Command)

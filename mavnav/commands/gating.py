@@ -18,7 +18,7 @@ Gates = Annotated[
     typer.Option(
         "--gate",
         metavar="'NAME<=X'",
-        help="Exit with code 1 unless this holds of run.json, e.g. 'wall_thickness.spread.p95_mm<=90'; repeatable.",
+        help="Exit with code 1 unless this holds of run.json, e.g. 'tracking.lost==false'; repeatable.",
         show_default=False,
         rich_help_panel=CHECKS,
     ),

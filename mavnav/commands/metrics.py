@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from mavnav.commands.options import Json, Quiet, RelationsFile, Truth, TruthMap, truth_values
+from mavnav.commands.options import Json, Quiet, RelationsFile, Truth, TruthMap
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows, wall_rows
 from mavnav.commands.terminal import emit, emit_json, print_table
@@ -29,9 +29,7 @@ mavnav metrics map.yaml --truth-map corridor.yaml
 def metrics(
     paths: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="RUN|MAP.yaml ...", help="Run directories, or map_server maps (YAML).", show_default=False
-        ),
+        typer.Argument(metavar="RUN|MAP.yaml", help="Run directories, or map_server maps (YAML).", show_default=False),
     ],
     *,
     truth: Truth = None,
@@ -57,7 +55,9 @@ def metrics(
 
 def _truth_file(truth: str | None) -> Path | None:
     """Return the file of a truth; raises UsageError for a topic, which only a log has."""
-    values = truth_values(truth)
+    from mavnav.ground_truth.topics import truth_fields
+
+    values = truth_fields(truth)
     if "truth_topic" in values:
         raise UsageError(f"--truth {truth}: the ground truth of a log is for replay and compare; name a TUM file")
     return values.get("truth")

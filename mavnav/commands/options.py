@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mavnav.commands import completion
 from mavnav.commands.terminal import note
 from mavnav.errors import UsageError
 
@@ -43,34 +44,51 @@ Again = Annotated[
     Path | None, input_option("--again", metavar="RUN", help="Repeat the run in this directory, with its options.")
 ]
 
-Topic = Annotated[str | None, input_option(metavar="NAME", help="Scan topic, if the log has several.")]
+Topic = Annotated[
+    list[str] | None,
+    input_option(
+        metavar="NAME",
+        help="Scan topic (default the only one); repeatable, to merge lasers by /tf_static.",
+        autocompletion=completion.scan_topics,
+    ),
+]
 Start = Annotated[
     float | None,
-    input_option(metavar="SECONDS", help="Start this many seconds after the first scan."),
+    input_option(metavar="SECONDS", help="Start this many seconds after the first scan (default 0)."),
 ]
-End = Annotated[float | None, input_option(metavar="SECONDS", help="Stop this many seconds after the first scan.")]
+End = Annotated[
+    float | None,
+    input_option(metavar="SECONDS", help="Stop this many seconds after the first scan (default at the end)."),
+]
 Extrinsic = Annotated[
     str | None,
-    input_option(metavar="X,Y,YAW", help="Pose of the laser on its base (m, m, rad); overrides tf."),
+    input_option(metavar="X,Y,YAW", help="Pose of the laser on its base, m, m, rad (default from tf)."),
 ]
 Odom = Annotated[
     str | None,
-    input_option(metavar="auto|TOPIC|off", help="Odometry used as motion prior (robust only; default auto)."),
+    input_option(
+        metavar="auto|TOPIC|off",
+        help="Odometry used as motion prior (robust only; default auto).",
+        autocompletion=completion.odometry_topics,
+    ),
 ]
 Strict = Annotated[bool, input_option("--strict", help="Drop scans whose checksum does not match.")]
 
-Method = Annotated[str | None, search_option(metavar="robust|paper", help="SLAM method (default robust).")]
-Methods = Annotated[
-    list[str] | None,
-    search_option("--method", metavar="robust|paper", help="SLAM method (default robust); repeatable."),
-]
+method_option = partial(search_option, "--method", metavar="robust|paper", autocompletion=completion.METHODS)
+Method = Annotated[str | None, method_option(help="SLAM method (default robust).")]
+Methods = Annotated[list[str] | None, method_option(help="SLAM method (default robust); repeatable.")]
 Grid = Annotated[str | None, search_option(metavar="NxM", help="Points of the search grid in x and y (default 10x10).")]
 Azimuth = Annotated[
     int | None, search_option(metavar="N", help="Yaw samples of the search (default 2N for NxN, at most 40).")
 ]
 Online = Annotated[bool, search_option("--online", help="Causal mode: no loop closure, no final pass.")]
 ConfigFile = Annotated[
-    str | None, search_option(metavar="FILE", help="Configuration: a YAML file, or the name of a preset.")
+    str | None,
+    search_option(
+        metavar="FILE",
+        help="Configuration: a YAML file, or the name of a preset (default that of the method).",
+        autocompletion=completion.presets,
+    ),
 ]
 Sets = Annotated[
     list[str] | None,
@@ -82,7 +100,11 @@ Outputs = Annotated[
     output_option(
         "--outputs",
         metavar="GROUP,...",
-        help="Write only these files: trajectory, map, metrics, pictures, mcap, report (default all but report).",
+        help="Write only these files: trajectory, map, metrics, pictures, mcap (default: these); report, svg, scale, "
+        "graph; all.",
+        autocompletion=completion.words(
+            "trajectory", "map", "metrics", "pictures", "mcap", "report", "svg", "scale", "graph", "all"
+        ),
     ),
 ]
 WriteReport = Annotated[bool, output_option("--report", help="Also write the run as one page, report.html.")]
@@ -101,6 +123,7 @@ Truth = Annotated[
         "--truth",
         metavar="FILE.tum|auto|topic:NAME",
         help="Ground-truth trajectory: ATE and RPE. A TUM file of the laser, or poses on a topic of the log.",
+        autocompletion=completion.words("auto"),
     ),
 ]
 TruthMap = Annotated[
@@ -115,22 +138,14 @@ RelationsFile = Annotated[
 ]
 
 
-def truth_values(truth: str | None) -> dict[str, Any]:
-    """Return ``truth_topic`` or ``truth``, a file, as ``--truth`` names one; nothing if it is not given."""
-    from mavnav.ground_truth.topics import recorded_topic
-
-    topic = None if truth is None else recorded_topic(truth)
-    return given_values(truth_topic=topic, truth=None if truth is None or topic else Path(truth))
-
-
 def output_values(outputs: str | None, *, report: bool, preview: bool) -> dict[str, Any]:
     """Return ``report``, and ``outputs`` as the names that ``--outputs`` lists; raises UsageError."""
     if outputs is None:
         return {"report": report}
     names = tuple(dict.fromkeys([*outputs.split(","), *(["report"] if report else [])]))
-    if preview and "map" not in names:
+    if preview and not {"map", "all"} & {*names}:
         raise UsageError("--preview is drawn from map; add it to --outputs")
-    return {"report": "report" in names, "outputs": names}
+    return {"report": bool({"report", "all"} & {*names}), "outputs": names}
 
 
 def again_directory(again: Path) -> Path:
@@ -171,6 +186,11 @@ def given_window(start_s: float | None, end_s: float | None) -> dict[str, float]
     if start_s is not None and end_s is not None and end_s <= start_s:
         raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
     return given_values(start_s=start_s, end_s=end_s)
+
+
+def joined_topics(topics: list[str] | None) -> str | None:
+    """Return the scan topics as one name, joined by commas as a merged log has it; None if none is given."""
+    return ",".join(topics) if topics else None
 
 
 def parse_pose(text: str | None, option: str = "--extrinsic") -> tuple[float, float, float] | None:

@@ -34,7 +34,7 @@ REPLAY: Final = {
     "reading": 0, "track": 50, "close loops": 10, "final pass": 14, "draw map": 14, "measuring": 6, "writing": 6,
 }  # fmt: skip
 MISSION: Final = {"fly": 75, "close loops": 5, "final pass": 8, "draw map": 7, "writing": 5}
-"""The stages of a job in their order, each with its usual share of the time, %; no time left is told in one of 0."""
+"""The stages of a job in their order, each with its usual share of the time, %; no time left is shown in one of 0."""
 
 
 @dataclass(slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from mavnav.units import MM
@@ -20,6 +21,15 @@ def doubt_rows(doubt: dict[str, Any]) -> Rows:
     if probability is None or probability <= HIGH:
         return []
     return [("doubtful", f"{probability:.0%}: {', '.join(dict.fromkeys(r['reason'] for r in doubt['reasons']))}")]
+
+
+def remedy_rows(remedies: list[dict[str, Any]]) -> Rows:
+    """Return the rows on ``tracking.remedies`` of a summary table: the doubt before and after each."""
+    rows = []
+    for remedy in remedies:
+        doubt = f"doubt {remedy['doubt_before']:.0%}, then {remedy['doubt_after']:.0%}"
+        rows.append(("tracked again", f"with {remedy['remedy']}: {doubt}, {'used' if remedy['used'] else 'not used'}"))
+    return rows
 
 
 def wall_rows(document: dict[str, Any]) -> Rows:
@@ -56,6 +66,15 @@ def picture_row(directory: Path, document: dict[str, Any], other: str) -> Rows:
     """Return the row that names the run's pictures, ``map.png`` and another, where they were written."""
     written = "map.png" in document["outputs"]
     return [("pictures", f"{directory / 'map.png'}, {directory / other}")] if written else []
+
+
+def closing_rows(directory: Path, document: dict[str, Any], other: str) -> Rows:
+    """Return the rows that end a summary: the pictures, ``map.png`` and another, the page, the run, the next step."""
+    here = quote(str(directory))
+    measurable = {"trajectory.tum", "hits.npz", "result.mcap"} <= set(document["outputs"])
+    step = f"mavnav metrics {here}" if measurable else f"mavnav check {here} --gate 'tracking.lost==false'"
+    rows = [*picture_row(directory, document, other), *page_row(directory)]
+    return [*rows, ("run directory", str(directory)), ("next", step)]
 
 
 def quality_rows(quality: dict[str, Any]) -> Rows:

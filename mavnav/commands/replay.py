@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands import signals
+from mavnav.commands import completion, signals
 from mavnav.commands.gating import Gates, check_gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
@@ -39,16 +39,23 @@ from mavnav.commands.options import (
     check_again,
     directory_option,
     given_values,
+    joined_topics,
     note_repetition,
     note_without_effect,
     output_option,
     output_values,
     parse_pose,
     search_option,
-    truth_values,
 )
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
-from mavnav.commands.quality_rows import doubt_rows, page_row, picture_row, quality_rows, reference_rows, wall_rows
+from mavnav.commands.quality_rows import (
+    closing_rows,
+    doubt_rows,
+    quality_rows,
+    reference_rows,
+    remedy_rows,
+    wall_rows,
+)
 from mavnav.commands.terminal import emit, emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
 
@@ -56,7 +63,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
 
 _FEW_BEAMS = 20
-"""A scan of fewer returns hardly tells one pose from another."""
+"""A scan of fewer returns hardly separates one pose from another."""
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -92,16 +99,26 @@ def replay(
     search: Annotated[
         str | None,
         search_option(
-            metavar="pruned|exhaustive", help="Exhaustive evaluates every pose of the grid: slower, same result."
+            metavar="pruned|exhaustive",
+            help="Exhaustive evaluates every pose of the grid: slower, same result (default pruned).",
+            autocompletion=completion.words("pruned", "exhaustive"),
         ),
     ] = None,
     deskew: Annotated[
         str | None,
-        search_option(metavar="auto|on|off", help="Correct scans for motion during the sweep (robust)."),
+        search_option(
+            metavar="auto|on|off",
+            help="Correct scans for motion during the sweep (robust only; default auto).",
+            autocompletion=completion.words("auto", "on", "off"),
+        ),
     ] = None,
     loop_closure: Annotated[
         str | None,
-        search_option(metavar="auto|off", help="Detect and close loops (ignored with --online)."),
+        search_option(
+            metavar="auto|off",
+            help="Detect and close loops (default auto; ignored with --online).",
+            autocompletion=completion.words("auto", "off"),
+        ),
     ] = None,
     online: Online = False,
     known: Annotated[
@@ -110,7 +127,7 @@ def replay(
     ] = None,
     start_pose: Annotated[
         str | None,
-        search_option(metavar="X,Y,YAW", help="Approximate first pose in the map (m, m, rad)."),
+        search_option(metavar="X,Y,YAW", help="Approximate first pose in the map, m, m, rad (default searched for)."),
     ] = None,
     config: ConfigFile = None,
     sets: Sets = None,
@@ -150,6 +167,7 @@ def replay(
     with reporting(quiet=quiet, stages=REPLAY) as progress:
         startup_s, started_s = process_time(), perf_counter()
         with loading_modules():
+            from mavnav.ground_truth.topics import truth_fields
             from mavnav.outputs.provenance import Typed
             from mavnav.pipelines.replay import ReplayRequest, replay_directory, replay_log
             from mavnav.pose import Pose
@@ -159,13 +177,13 @@ def replay(
             log=log,
             directory=target,
             config=chosen,
-            topic=topic,
+            topic=joined_topics(topic),
             start_s=start,
             end_s=end,
             extrinsic=mounting and Pose(*mounting),
             force=force,
             **written,
-            **truth_values(truth),
+            **truth_fields(truth),
             truth_map=truth_map,
             relations=relations,
             strict=strict,
@@ -286,12 +304,13 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         *([("left out", text)] if (text := left_out_text(tracking.get("parts", []))) else []),
         ("path", f"{tracking['path_length_m']:.2f} m"),
         *doubt_rows(tracking["doubt"]),
+        *remedy_rows(tracking.get("remedies", [])),
     ]
     if "localisation" in document:
         rows.append(("found in the map", _found(document["localisation"])))
     rows += [*wall_rows(document), *quality_rows(document["map_quality"]), *reference_rows(document.get("reference"))]
     rows.append(("speed", f"{timing['scans_per_s']:.0f} scans/s, {timing['realtime_factor']:.1f} times real time"))
-    return [*rows, *picture_row(directory, document, "wall_thickness.png"), *page_row(directory)]
+    return [*rows, *closing_rows(directory, document, "wall_thickness.png")]
 
 
 def left_out_text(parts: list[dict[str, Any]]) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mavnav.commands import completion
 from mavnav.commands.gating import Gates, check_gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
@@ -33,12 +34,14 @@ from mavnav.commands.options import (
     schema_option,
 )
 from mavnav.commands.progress import MISSION, loading_modules, reporting
-from mavnav.commands.quality_rows import doubt_rows, page_row, picture_row, wall_rows
+from mavnav.commands.quality_rows import closing_rows, doubt_rows, wall_rows
 from mavnav.commands.terminal import emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from mavnav.simulation.world import Scenario
 
 EPILOG = """
@@ -63,14 +66,26 @@ mavnav simulate --list
 def simulate(
     context: typer.Context,
     scenario: Annotated[
-        str | None, typer.Argument(metavar="SCENARIO", help="YAML file, or a shipped scenario.", show_default=False)
+        str | None,
+        typer.Argument(
+            metavar="SCENARIO",
+            help="YAML file, or a shipped scenario.",
+            show_default=False,
+            autocompletion=completion.scenarios,
+        ),
     ] = None,
     *,
     again: Again = None,
-    seed: Annotated[int | None, input_option(metavar="N", help="Seed of all random numbers.")] = None,
+    seed: Annotated[
+        int | None, input_option(metavar="N", help="Seed of all random numbers (default the scenario's).")
+    ] = None,
     planner: Annotated[
         str | None,
-        input_option(metavar="NAME", help="wavefront, field, wall_following or virtual_obstacles."),
+        input_option(
+            metavar="NAME",
+            help="wavefront, field, wall_following or virtual_obstacles (default the scenario's).",
+            autocompletion=completion.words("wavefront", "field", "wall_following", "virtual_obstacles"),
+        ),
     ] = None,
     list_: Annotated[bool, input_option("--list", help="List the shipped scenarios.")] = False,
     schema: Annotated[bool, schema_option(help="Print the JSON Schema of scenario files.")] = False,
@@ -106,9 +121,9 @@ def simulate(
     fields = {} if again is None else _repeated(context, again, directory)
     chosen = fields.get("scenario") or _load(
         str(scenario),
-        sets or [],
-        {"seed": seed, "slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth, "planner.technique": planner},
+        sets or (),
         config,
+        {"seed": seed, "slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth, "planner.technique": planner},
     )
     check_gates(bounds, "mission", "truth", "reference")
     with reporting(quiet=quiet, stages=MISSION) as progress:
@@ -153,11 +168,10 @@ def _show(*, schema: bool) -> None:
         print_table([(name, load_scenario(name).about) for name in scenarios()])
 
 
-def _load(scenario: str, sets: list[str], options: dict[str, object], config: str | None) -> Scenario:
-    """Load the scenario; options that were not given leave it alone."""
+def _load(scenario: str, sets: Sequence[str], config: str | None, options: dict[str, object]) -> Scenario:
     from mavnav.simulation.world import load_scenario
 
-    return load_scenario(scenario, sets, {key: value for key, value in options.items() if value is not None}, config)
+    return load_scenario(scenario, sets, options, config)
 
 
 def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> None:
@@ -185,8 +199,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         *_truth_rows(truth),
         *wall_rows(document),
         ("speed", f"{mission['steps'] / timing['wall_s']:.0f} steps/s"),
-        *picture_row(directory, document, "true_map.png"),
-        *page_row(directory),
+        *closing_rows(directory, document, "true_map.png"),
     ]
 
 

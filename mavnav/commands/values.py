@@ -1,7 +1,7 @@
-"""Reads words and paths of the command line without pydantic, which typer has read every value.
+"""Commands whose help names no types that say nothing, and which read words and paths without pydantic.
 
-Loading pydantic and preparing it for every option takes 0.1 s of processor time. This rests on names inside of typer;
-where one is missing, typer reads the value.
+typer lets pydantic read every value; loading it and preparing it for every option takes 0.1 s of processor time. This
+rests on names inside of typer; where one is missing, typer reads the value.
 """
 
 from __future__ import annotations
@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 class Command(TyperCommand):
     """A command whose options that are not given, words and paths need no pydantic."""
 
+    def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401  typer's Context
+        """Return options and arguments as help shows them: flags and arguments have no type."""
+        return _without_types(super().get_params(ctx))
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401  typer's Context
         """Parse as typer does, with a reader before that of each option and argument."""
         _put_readers(self.get_params(ctx))
@@ -28,10 +32,21 @@ class Command(TyperCommand):
 class Group(TyperGroup):
     """The same for a command with commands."""
 
+    def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401  typer's Context
+        """Return options as help shows them: flags have no type."""
+        return _without_types(super().get_params(ctx))
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401  typer's Context
         """Parse as typer does, with a reader before that of each option."""
         _put_readers(self.get_params(ctx))
         return super().parse_args(ctx, args)
+
+
+def _without_types(params: list[Any]) -> list[Any]:
+    for param in params:
+        if getattr(param, "is_flag", False) or param.param_type_name == "argument":
+            param.display_type_rich = lambda ctx: ""  # noqa: ARG005  the name is typer's
+    return params
 
 
 def _put_readers(params: Iterable[Any]) -> None:

@@ -56,7 +56,7 @@ def comparison_request(
     """
     files = [reading.get(name) for name in REFERENCES]
     if len(logs) > 1 and any(file and recorded_topic(str(file)) is None for file in files):
-        raise UsageError("--truth, --truth-map and --relations tell of one log; compare one log at a time with them")
+        raise UsageError("--truth, --truth-map and --relations are about one log; compare one log at a time with them")
     return BatchRequest(
         entries=tuple(Entry.model_construct(log=(str(log),), **reading) for log in logs),  # names need not be UTF-8
         settings=tuple(settings),

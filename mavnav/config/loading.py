@@ -116,7 +116,7 @@ def load_config(
     sets
         ``key=value`` with dotted keys, values read as YAML.
     overrides
-        Values of command line options by the name of the field.
+        Values of command line options by the name of the field; what is None was not given.
     values
         Values of a manifest for this run; above the file, below the rest.
 
@@ -158,10 +158,10 @@ def _set_layer(assignment: str) -> Layer:
 
 
 def _option_layer(overrides: Mapping[str, object]) -> Layer:
-    keys = {name: tuple(name.split(".")) for name in overrides}
+    given = {name: tuple(name.split(".")) for name, value in overrides.items() if value is not None}
     return Layer(
-        {keys[name]: value for name, value in overrides.items()},
-        {keys[name]: OPTIONS.get(name, f"--{keys[name][-1].replace('_', '-')}") for name in overrides},
+        {key: overrides[name] for name, key in given.items()},
+        {key: OPTIONS.get(name, f"--{key[-1].replace('_', '-')}") for name, key in given.items()},
     )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 AUTO: Final = "auto"
 PREFIX: Final = "topic:"
@@ -13,6 +14,14 @@ def recorded_topic(truth: str) -> str | None:
     if truth == AUTO:
         return AUTO
     return truth.removeprefix(PREFIX) if truth.startswith(PREFIX) else None
+
+
+def truth_fields(truth: str | Path | None) -> dict[str, Any]:
+    """Return the fields of a request that a ``--truth`` stands for: ``truth_topic``, ``truth`` (a file), or none."""
+    if truth is None:
+        return {}
+    topic = recorded_topic(str(truth))
+    return {"truth": Path(truth)} if topic is None else {"truth_topic": topic}
 
 
 def truth_text(topic: str) -> str:

@@ -1,6 +1,6 @@
 """The scan filter: where every odd convention of sensors and drivers ends.
 
-A range is told apart in the order of REP-117: within the limits it is valid, else -inf is too close, +inf is nothing
+A range is classified in the order of REP-117: within the limits it is valid, else -inf is too close, +inf is nothing
 in range, NaN is erroneous. Drivers older than the REP put 0, negative values and values beyond the limits. Whatever is
 not valid becomes NaN, and is counted by kind.
 """
@@ -134,8 +134,8 @@ class ScanFilter:
             most = max(_AT_MAX_SHARE * len(ranges_m), _AT_MAX_LEAST)
             self._max_is_none = bool(np.count_nonzero(ranges_m == spec.range_max_m) > most)
             if self._max_is_none:
-                told = f"many ranges are range_max itself ({spec.range_max_m:g} m)"
-                self._warn(f"{self._topic}: {told}; from there on they are taken for no return")
+                found = f"many ranges are range_max itself ({spec.range_max_m:g} m)"
+                self._warn(f"{self._topic}: {found}; from there on they are taken for no return")
         return nextafter(spec.range_max_m, 0.0) if self._max_is_none else spec.range_max_m
 
     def _thinned(self, message: LaserMessage) -> LaserMessage:
@@ -176,16 +176,16 @@ class ScanFilter:
     def _check(self, message: LaserMessage) -> None:
         """Warn about fields that contradict the rest and are not used."""
         if message.has_limits and _limits(message) == (0.0, np.inf):
-            told = f"{message.range_min_m:g} to {message.range_max_m:g} m"
-            self._warn(f"{self._topic}: the range limits ({told}) are unusable; every positive range is used")
+            found = f"{message.range_min_m:g} to {message.range_max_m:g} m"
+            self._warn(f"{self._topic}: the range limits ({found}) are unusable; every positive range is used")
         if message.has_pose:
             self._warn(f"{self._topic}: the scans carry a pose of their own, which is not used")
         last = message.angle_min_rad + message.angle_step_rad * (len(message.ranges_m) - 1)
         told_last = message.last_angle_rad
         # Many drivers are one beam out here; that is no news.
         if told_last is not None and not abs(told_last - last) <= 1.5 * abs(message.angle_step_rad):
-            told = f"angle_max is {told_last:.4f} rad, but {len(message.ranges_m)} beams end at {last:.4f}"
-            self._warn(f"{self._topic}: {told}; number of beams and increment are used")
+            found = f"angle_max is {told_last:.4f} rad, but {len(message.ranges_m)} beams end at {last:.4f}"
+            self._warn(f"{self._topic}: {found}; number of beams and increment are used")
 
 
 def _refusal(message: LaserMessage) -> str | None:

@@ -27,7 +27,7 @@ KEPT_BYTES: Final = 32 << 20
 
 _LATEST_NS: Final = 1 << 62
 _CALENDAR_NS: Final = 1_000_000_000_000_000_000
-"""September 2001: stamps of a clock that tells the date lie behind it, those that count from a start before."""
+"""September 2001: stamps of a clock with a date are later, those that count from a start before."""
 
 _GAP_PERIODS: Final = 3.0
 _SUSPECT_OFFSET_NS: Final = 10_000_000_000
@@ -232,9 +232,9 @@ def _frozen(stamps: array[int]) -> NDArray[np.int64]:
 
 
 def _impossible(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which stamps are no times; zero is one, unless the clock tells the date."""
-    told = stamps_ns[stamps_ns != 0]
-    least = 1 if len(told) and np.median(told) > _CALENDAR_NS else 0
+    """Return which stamps are no times; zero is one, unless the clock has a date."""
+    given = stamps_ns[stamps_ns != 0]
+    least = 1 if len(given) and np.median(given) > _CALENDAR_NS else 0
     return (stamps_ns < least) | (stamps_ns >= _LATEST_NS)
 
 

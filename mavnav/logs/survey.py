@@ -1,19 +1,22 @@
-"""The survey: one pass over a log that tells all there is to know about it before it is used."""
+"""The survey: one pass over a log that collects all there is to know about it before it is used."""
 
 from __future__ import annotations
 
 import hashlib
 import os
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import isfinite
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from mavnav.errors import NoScansError, UsageError
+from mavnav.errors import MavnavError, NoScansError, UsageError
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.rosbag2 import METADATA
 from mavnav.logs.formats.source import Source
-from mavnav.logs.messages.decode import decoder, holds_scans, is_laser
-from mavnav.logs.messages.definitions import ODOMETRY
+from mavnav.logs.imu import ImuTracks
+from mavnav.logs.messages.decode import decoder, is_laser, scan_topic
+from mavnav.logs.messages.definitions import IMU, ODOMETRY
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.odometry import OdometryTracks
@@ -53,6 +56,7 @@ class Survey:
     topics: tuple[Topic, ...]
     scans: dict[str, TopicScans]
     odometry: OdometryTracks
+    imus: ImuTracks
     truth: TruthTracks
     frames: FrameTree
     damage: tuple[Damage, ...]
@@ -84,6 +88,7 @@ class _Pass:
     doors: dict[str, ScanFilter] = field(default_factory=dict)
     scans: dict[str, TopicScans] = field(default_factory=dict)
     odometry: OdometryTracks = field(default_factory=OdometryTracks)
+    imus: ImuTracks = field(default_factory=ImuTracks)
     truth: TruthTracks = field(default_factory=TruthTracks)
     frames: FrameTree = field(default_factory=FrameTree)
 
@@ -109,16 +114,15 @@ class _Pass:
             self._take_motion(message, decoded)
 
     def _meet(self, channel: Channel) -> _Kind:
-        wanted = holds_scans(channel, self.topic)
-        topic = (self.topic or channel.topic) if wanted else None
-        self.kinds[channel] = _Kind(self._decoder(channel), topic)
+        topic = scan_topic(channel, self.topic)
+        self.kinds[channel] = _Kind(self._decoder(channel, topic), topic)
         return self.kinds[channel]
 
-    def _decoder(self, channel: Channel) -> Callable[[bytes], Any] | None:
-        if is_laser(channel) and not holds_scans(channel, self.topic):
+    def _decoder(self, channel: Channel, topic: str | None) -> Callable[[bytes], Any] | None:
+        if is_laser(channel) and topic is None:
             return None
         try:
-            return decoder(channel, poses=self.truth.takes(channel), topic=self.topic)
+            return decoder(channel, poses=self.truth.takes(channel) or self.odometry.takes(channel), topic=topic)
         except DecodeError as error:
             self.report.damage(str(error), channel.topic)
             return None
@@ -127,7 +131,9 @@ class _Pass:
         channel, log_ns = message.channel, message.log_ns
         if self.truth.takes(channel):
             self.truth.add(channel.topic, decoded[0], log_ns)
-        elif channel.type == ODOMETRY:
+        elif channel.type == IMU:
+            self.imus.add(channel.topic, decoded, log_ns)
+        elif channel.type == ODOMETRY or self.odometry.takes(channel):
             self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
         else:
             static = channel.topic.endswith("tf_static")
@@ -177,6 +183,7 @@ def survey(
     progress: Callable[[int, int], None] | None = None,
     strict: bool = False,
     truth: str | None = None,
+    odom: str = "auto",
 ) -> Survey:
     """Read a log once, from front to back.
 
@@ -185,7 +192,7 @@ def survey(
     path
         A file, or the folder of a ROS 2 bag.
     topic
-        Decode the scans of this topic alone.
+        Decode the scans of this topic alone, or of several, joined by commas.
     start_s, end_s
         Window of the scans to use, in seconds from the first usable scan.
     progress
@@ -194,6 +201,8 @@ def survey(
         Leave out scans from where a checksum does not match.
     truth
         Read the ground truth of this topic, or with ``auto`` of topics that are named like one. It is no odometry then.
+    odom
+        Read poses of this topic as odometry, too, whatever their type.
 
     Raises
     ------
@@ -202,11 +211,11 @@ def survey(
         never raises: it stands in the survey.
     """
     _check(path, start_s, end_s)
-    found = _survey(path, topic, (start_s, end_s), progress, strict=strict, truth=truth)
+    found = _survey(path, topic, (start_s, end_s), progress, strict=strict, truth=truth, odom=odom)
     others = [t.name for t in found.topics if t.type in OTHER_TYPES and t.count]
     if topic is not None or found.scans or len(others) != 1:
         return found
-    found = _survey(path, others[0], (start_s, end_s), progress, strict=strict, truth=truth)
+    found = _survey(path, others[0], (start_s, end_s), progress, strict=strict, truth=truth, odom=odom)
     text = f"the log has no LaserScan messages; the scans are taken from {others[0]}"
     return replace(found, warnings=(text, *found.warnings)) if found.scans else found
 
@@ -219,9 +228,10 @@ def _survey(
     *,
     strict: bool,
     truth: str | None,
+    odom: str,
 ) -> Survey:
     report = ReadReport()
-    state = _Pass(topic, strict, report, truth=TruthTracks(truth))
+    state = _Pass(topic, strict, report, odometry=OdometryTracks(odom), truth=TruthTracks(truth))
     try:
         name = detect.sniff(path)
         if name == detect.UNKNOWN:
@@ -240,6 +250,7 @@ def _survey(
         topics=_topics(report, state.kinds),
         scans=state.scans,
         odometry=state.odometry,
+        imus=state.imus,
         truth=state.truth,
         frames=state.frames,
         damage=report.damages(),
@@ -247,6 +258,22 @@ def _survey(
         window_s=window_s,
         strict=strict,
     )
+
+
+def motion_and_scan_topics(path: Path, most_s: float) -> tuple[set[str], set[str]]:
+    """Return the topics of odometry and of scans that a log declares in what can be read of it in about ``most_s``.
+
+    They are empty where the path is no log.
+    """
+    report, end_s = ReadReport(), monotonic() + most_s
+    with suppress(OSError, MavnavError):
+        check_file(path)
+        for _ in detect.read(path, report):
+            if monotonic() > end_s:
+                break
+    channels = report.channels.values()
+    scans = {channel.topic for channel in channels if is_laser(channel) or channel.type in OTHER_TYPES}
+    return {channel.topic for channel in channels if channel.type == ODOMETRY}, scans
 
 
 def content_sha256(path: Path) -> str:
@@ -310,15 +337,15 @@ def _holes(path: Path) -> int:
 
 
 def _run(path: Path, state: _Pass, progress: Callable[[int, int], None] | None) -> None:
-    told = -1
+    reported = -1
     for message in detect.read(path, state.report):
         state.take(message)
         if progress is None:
             continue
         total = state.report.total_bytes
         done = min(state.report.done_bytes, total)
-        if (step := done * _PROGRESS_STEPS // max(total, 1)) > told:
-            told = step
+        if (step := done * _PROGRESS_STEPS // max(total, 1)) > reported:
+            reported = step
             progress(done, total)
 
 

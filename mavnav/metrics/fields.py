@@ -37,3 +37,8 @@ def number(
     """
     extra = {key: value for key, value in (("unit", unit), ("better", better)) if value}
     return {"description": description, **({"title": title} if title else {}), "json_schema_extra": extra}
+
+
+def text(description: str) -> dict[str, Any]:
+    """Return the metadata of a field that is no number."""
+    return {"description": description}

@@ -136,7 +136,7 @@ def _stations(all_sections: Iterable[Sections]) -> NDArray[np.float64]:
 
 
 def _turned(stations: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Look along the walls the other way: what lay to the left lies to the right."""
+    """Return the walls seen in the other direction: what lay to the left lies to the right."""
     turned: NDArray[np.float64] = stations + np.array([0.0, 0.0, np.pi])
     return turned
 

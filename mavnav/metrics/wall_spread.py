@@ -1,7 +1,7 @@
 """Wall spread: how far the hits of a wall scatter across it, which does not depend on how long one looks.
 
-Single scans show where straight walls are and which way they run, even if the map is blurred. There the hits of the map
-are summed up along the wall, and the width that holds 95 % of them is measured. Definition: docs/metrics.md.
+Single scans show the place and direction of straight walls, even if the map is blurred. There the hits of the map are
+summed up along the wall, and the width that holds 95 % of them is measured. Definition: docs/metrics.md.
 """
 
 from __future__ import annotations

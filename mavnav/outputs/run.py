@@ -106,6 +106,7 @@ class Run:
     the run before the log ended.
     ``localisation`` says where the laser was found in a given map.
     ``address`` is where the log was fetched from, if it was; ``provenance`` says when and how the run was made.
+    ``position_errors_m`` (n,) are those of the poses of the trajectory, NaN without a truth at that time; None without.
     """
 
     log: Log
@@ -121,6 +122,7 @@ class Run:
     stopped: ExitCode | None = None
     localisation: Localisation | None = None
     address: str | None = None
+    position_errors_m: NDArray[np.float64] | None = None
 
     @property
     def name(self) -> str:
@@ -140,7 +142,7 @@ class Run:
 
     @property
     def cells(self) -> NDArray[np.int8]:
-        """What is free, occupied and unknown in it; of a large map told anew each time, for it takes much memory."""
+        """What is free, occupied and unknown in it; of a large map computed each time, to save memory."""
         return occupancy(self.known) if self.known.hits.size > KEPT_CELLS else self._cells
 
     @cached_property
@@ -172,5 +174,5 @@ class Run:
 
 
 def base_frame(run: Run) -> str:
-    """Name the base's frame; an ``--extrinsic`` alone does not tell it."""
+    """Name the base's frame; an ``--extrinsic`` alone does not name it."""
     return (run.log.base_frame or "base_link").lstrip("/")

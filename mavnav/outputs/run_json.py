@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from mavnav.config.models import Config, MethodName
 from mavnav.logs import Damage
-from mavnav.metrics.fields import Measured, absent, number
+from mavnav.metrics.fields import Measured, absent, number, text
 from mavnav.metrics.map_quality import MapQuality
 from mavnav.metrics.reference import Reference
 from mavnav.metrics.wall_report import WallThicknessReport
@@ -29,16 +29,24 @@ class LaserPose:
 class OdometrySource:
     """The odometry of the log: its topic, and whether it is of odometry messages or of transforms."""
 
+    topic: str = field(metadata=text("topic of the odometry"))
+    source: str = field(metadata=text("odom: odometry messages; tf: transforms"))
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSource:
+    """The inertial sensor of the log: its topic, and its messages."""
+
     topic: str
-    source: str
+    messages: int = field(metadata=number("messages of the sensor"))
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedTruthSource:
     """The recorded ground truth that the run is compared with; ``body_frame`` is what was tracked, null if unknown."""
 
-    topic: str
-    body_frame: str | None
+    topic: str = field(metadata=text("topic of the ground truth"))
+    body_frame: str | None = field(metadata=text("frame that was tracked, null if unknown"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,21 +64,22 @@ class Sensor:
 class Input:
     """The log, or the scenario of a simulated run, and what was read of it."""
 
-    path: str
-    sha256: str
+    path: str = field(metadata=text("the log as it was named, or the scenario"))
+    sha256: str = field(metadata=text("SHA-256 of the content"))
     size_bytes: int = field(metadata=number("size of the file, or of all files of a folder"))
-    format: str
-    topic: str
-    frame_id: str
-    stamp_source: str
+    format: str = field(metadata=text("format of the log, with the program that compressed it"))
+    topic: str = field(metadata=text("scan topic"))
+    frame_id: str = field(metadata=text("frame of the scans"))
+    stamp_source: str = field(metadata=text("header: stamps of the messages; log: of the recorder"))
     first_stamp_s: float = field(metadata=number("stamp of the first usable scan"))
     duration_s: float = field(metadata=number("time from the first usable scan to the last"))
-    base_frame: str | None
-    base_T_laser: LaserPose | None
-    mounting_source: str | None
-    odometry: OdometrySource | None
+    base_frame: str | None = field(metadata=text("frame of the base, null if unknown"))
+    base_T_laser: LaserPose | None = field(metadata=text("pose of the laser on the base, null if unknown"))
+    mounting_source: str | None = field(metadata=text("tf_static, or option for --extrinsic; null if unknown"))
+    odometry: OdometrySource | None = field(metadata=text("odometry in the log, null without"))
     sensor: Sensor
     truth: RecordedTruthSource = field(default_factory=absent)
+    imu: ImuSource = field(default_factory=absent)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +113,9 @@ class Closure:
 class LoopClosure:
     """The loops that were closed, and whether the trajectory was corrected by them."""
 
-    closures: list[Closure]
+    closures: list[Closure] = field(metadata=text("closed loops"))
     rejected: int = field(metadata=number("closures that were found and not used"))
-    corrected: bool
+    corrected: bool = field(metadata=text("whether the trajectory was corrected"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,9 +141,9 @@ class FoundPose:
 class Localisation:
     """The map that the laser was localized in, where it was said to begin, and where it was found."""
 
-    map: str
-    start_pose: StartPose | None
-    found: FoundPose | None
+    map: str = field(metadata=text("the given map"))
+    start_pose: StartPose | None = field(metadata=text("start pose as given, null without"))
+    found: FoundPose | None = field(metadata=text("first accepted pose, null if the laser was found nowhere"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,8 +190,8 @@ class Map:
 class MissionResult:
     """How a simulated mission ended; lengths of the true path."""
 
-    reached: bool
-    reason: str
+    reached: bool = field(metadata=text("whether the goal was reached"))
+    reason: str = field(metadata=text("how the mission ended: goal, or what stopped it"))
     steps: int = field(metadata=number("commands given"))
     path_length_m: float = field(metadata=number("length of the true path"))
     min_clearance_m: Measured = field(metadata=number("least distance from a wall"))
@@ -236,9 +245,9 @@ class TimingReport:
 class Host:
     """The machine: model of the processor, and operating system with its release and architecture."""
 
-    processor: str
+    processor: str = field(metadata=text("model of the processor"))
     cores: int = field(metadata=number("logical processors"))
-    system: str
+    system: str = field(metadata=text("operating system"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,19 +267,19 @@ class Options:
     or ``topic:NAME``. Relative paths count from ``folder`` of the provenance.
     """
 
-    topic: str | None
+    topic: str | None = field(metadata=text("--topic"))
     start_s: float | None = field(metadata=number("time after the first usable scan to begin at"))
     end_s: float | None = field(metadata=number("time after the first usable scan to end at"))
-    odom: str
-    extrinsic: GivenPose | None
-    strict: bool
-    map: str | None
-    start_pose: GivenPose | None
-    truth: str | None
-    truth_map: str | None
-    relations: str | None
-    config: str | None
-    sets: list[str]
+    odom: str = field(metadata=text("--odom"))
+    extrinsic: GivenPose | None = field(metadata=text("--extrinsic"))
+    strict: bool = field(metadata=text("--strict"))
+    map: str | None = field(metadata=text("--map"))
+    start_pose: GivenPose | None = field(metadata=text("--start-pose"))
+    truth: str | None = field(metadata=text("--truth"))
+    truth_map: str | None = field(metadata=text("--truth-map"))
+    relations: str | None = field(metadata=text("--relations"))
+    config: str | None = field(metadata=text("--config as typed"))
+    sets: list[str] = field(metadata=text("--set as typed"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,11 +290,11 @@ class Provenance:
     run, both quoted for a shell; ``folder`` is the working directory. ``options`` are those of a replay.
     """
 
-    started: str
-    command: str | None
-    again: str
-    folder: str | None
-    options: Options | None
+    started: str = field(metadata=text("start in UTC, ISO 8601"))
+    command: str | None = field(metadata=text("command line as typed, null from Python"))
+    again: str = field(metadata=text("command line that repeats the run from any folder"))
+    folder: str | None = field(metadata=text("working directory, null from Python"))
+    options: Options | None = field(metadata=text("options of a replay that are not in config, null for a mission"))
     host: Host
 
 
@@ -298,13 +307,13 @@ class RunDocument:
     """
 
     schema_version: int = field(metadata=number("version of this format"))
-    mavnav_version: str
-    python: str
-    libraries: dict[str, str]
+    mavnav_version: str = field(metadata=text("version of mavnav"))
+    python: str = field(metadata=text("version of Python"))
+    libraries: dict[str, str] = field(metadata=text("version of each library"))
     input: Input
     config: Config
-    method: MethodName
-    grid: str
+    method: MethodName = field(metadata=text("SLAM method"))
+    grid: str = field(metadata=text("points of the search grid in x and y"))
     azimuth: int = field(metadata=number("yaw samples of the search"))
     scenario: dict[str, Any] = field(
         default_factory=absent, metadata={"description": "the effective scenario; see mavnav simulate --schema"}
@@ -323,10 +332,10 @@ class RunDocument:
     truth: TruthErrors = field(default_factory=absent)
     timing: TimingReport
     provenance: Provenance
-    damage: list[Damage]
-    warnings: list[str]
-    outputs: dict[str, str]
-    partial: bool
+    damage: list[Damage] = field(metadata=text("what could not be read, or is suspect"))
+    warnings: list[str] = field(metadata=text("what is odd about the log or the run, a line each"))
+    outputs: dict[str, str] = field(metadata=text("SHA-256 of each file written, by its name"))
+    partial: bool = field(metadata=text("whether the run was stopped before the last scan"))
     exit_code: int = field(metadata=number("exit code of the run, before gates"))
 
 

@@ -19,6 +19,7 @@ from mavnav.logs import content_sha256
 from mavnav.outputs.addresses import is_address
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.provenance import Typed
+from mavnav.outputs.run_json import Provenance
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pose import Pose
 
@@ -90,22 +91,33 @@ def earlier_run(directory: Path, *, simulated: bool) -> EarlierRun:
     """Read a run directory; raises UsageError for what is none, or of the other command."""
     try:
         document = read_json(directory / RUN_FILE)
-        kind = document["input"]["format"]
-        _ = (
-            document["provenance"]["folder"],
-            document["provenance"]["options"],
-            document["config"],
-            _versions(document),
-        )
+        kind = _checked(document)
     except OSError as error:
         raise UsageError(f"{directory} holds no run ({RUN_FILE}: {error.strerror}); name a run directory") from error
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         reason = "an earlier version may have written it; repeat it by its configuration, with --config"
-        raise UsageError(f"{directory / RUN_FILE} does not tell how the run was made; {reason}") from error
+        raise UsageError(f"{directory / RUN_FILE} does not record how the run was made; {reason}") from error
     if (kind == "scenario") != simulated:
         other = "replay" if simulated else "simulate"
         raise UsageError(f"{directory} is of another command; write mavnav {other} --again {directory}")
     return EarlierRun(directory, document)
+
+
+def _checked(document: dict[str, Any]) -> str:
+    """Return the format of the log; raises ValueError, LookupError or TypeError where what is needed here is not there.
+
+    Configuration and scenario are checked where they are used.
+    """
+    from pydantic import TypeAdapter  # noqa: PLC0415  it takes 0.1 s to load
+
+    needed = (document["input"], document["config"], document["outputs"], _versions(document))
+    if not all(isinstance(section, dict) for section in needed):
+        raise TypeError
+    TypeAdapter(Provenance).validate_python(document["provenance"])
+    kind, *_ = TypeAdapter(tuple[str, str, str, int, bool]).validate_python(
+        (*(document["input"][name] for name in ("format", "path", "sha256", "size_bytes")), document["partial"])
+    )
+    return kind
 
 
 def replay_again(run: EarlierRun, log: Path | None) -> dict[str, Any]:

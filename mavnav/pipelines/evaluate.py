@@ -53,7 +53,7 @@ class Subject:
 
     @property
     def counted(self) -> bool:
-        """Whether hits and crossings are counts; a map file only tells occupied from free."""
+        """Whether hits and crossings are counts; a map file only separates occupied from free."""
         return self.kind == "run"
 
     @property

@@ -1,7 +1,7 @@
 """Beam order: in which order a laser fires its beams, as the log lists them or backwards (docs/method.md).
 
 Some drivers turn the list of beams round and leave the time between them positive; undoing the motion of a sweep
-the wrong way round then blurs every turn twice over.
+in the wrong order then blurs every turn twice over.
 """
 
 from __future__ import annotations

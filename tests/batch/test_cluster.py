@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from hashlib import sha256
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -18,6 +19,7 @@ from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started
 from mavnav.jobs.dask import LOCAL, Cluster, connected
 from mavnav.jobs.dask import client as cluster_client
 from mavnav.jobs.dask.client import _why_not
+from mavnav.jobs.dask.worker import in_cluster
 from support import strange_jobs
 from support.small_batch import ASKED
 
@@ -75,6 +77,21 @@ def test_outcomes_come_in_order_and_events_as_they_happen(cluster: Cluster, tmp_
     assert outcomes[3].value == str(tmp_path)
     for kind in (Started, Ended):
         assert sorted(event.index for event in events if isinstance(event, kind)) == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("scheduler", "elsewhere"),
+    [("tcp://10.0.0.1:8786", True), ("tls://head.example.org:8786", True), ("tcp://127.0.0.1:8786", False)],
+)
+def test_a_scheduler_on_another_machine_is_noticed(
+    cluster: Cluster, scheduler: str, elsewhere: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert not in_cluster()
+    assert outcomes_of(cluster, [Job("here", strange_jobs.is_elsewhere)])[0].value is False
+    monkeypatch.setattr(
+        distributed, "get_worker", lambda: SimpleNamespace(scheduler=SimpleNamespace(address=scheduler))
+    )
+    assert in_cluster() is elsewhere
 
 
 @pytest.mark.slow

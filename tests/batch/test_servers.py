@@ -57,6 +57,10 @@ def half(client: socket.socket, _: Event, __: str) -> None:
     client.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n" + bytes(500))
 
 
+def whole(client: socket.socket, end: Event, me: str) -> None:
+    client.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 5\r\nConnection: close\r\n\r\nwhole")
+
+
 @contextmanager
 def serving(answer: Answer) -> Iterator[str]:
     """Serve one address on the loopback; ``answer`` has the connection, after the request."""
@@ -121,7 +125,7 @@ def test_a_bad_server_is_one_line_in_bounded_time(
             pass
     text = str(caught.value)
     assert not any(word in text for word in ("\n", "alice", "hunter2", "SECRET"))
-    assert time.monotonic() - began_s < 5.0
+    assert time.monotonic() - began_s < 30.0  # the usual limit is 60 s
     assert not list(tmp_path.iterdir())
 
 
@@ -180,3 +184,15 @@ def test_only_hosts_of_the_list_are_asked(address: str, allowed: bool, monkeypat
     else:
         with pytest.raises(UsageError, match=r"MAVNAV_FETCH_HOSTS|regular file"):
             remote.check_allowed(address)
+
+
+def test_a_worker_of_a_cluster_enters_private_networks_only_where_its_list_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(remote, "in_cluster", lambda: True)
+    with serving(whole) as address:
+        with pytest.raises(UsageError, match=r"127\.0\.0\.1 is a private address\); list the host"), fetched(address):
+            pass
+        monkeypatch.setenv("MAVNAV_FETCH_HOSTS", "127.0.0.1")
+        with fetched(address) as folder:
+            assert next(file for file in folder.rglob("*") if file.is_file()).read_bytes() == b"whole"

@@ -38,7 +38,7 @@ def digest(directory: Path) -> dict[str, str]:
 
 def test_writes_what_it_promises(finished: Path) -> None:
     promised = {"trajectory.tum", "trajectory_base.tum", "trajectory.csv", "map.pgm", "map.yaml", "hits.npz"}
-    promised |= {"walls.csv", "map.png", "wall_thickness.png", "result.mcap", "metrics.json"}
+    promised |= {"walls.csv", "map.png", "wall_thickness.png", "result.mcap", "foxglove_layout.json", "metrics.json"}
     assert promised == set(digest(finished))
     assert {path.name for path in finished.iterdir()} == promised | {"run.json"}
 
@@ -135,6 +135,24 @@ def test_again_says_what_cannot_be_repeated(mavnav: Callable, with_options: Path
         assert code == ExitCode.USAGE
         assert said in err
     assert "write mavnav replay --again" in mavnav("simulate", "--again", with_options)[2]
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value"),
+    [
+        ("provenance", "options", ["topic"]), ("provenance", "options", {}), ("provenance", "folder", 5),
+        ("input", "path", ["a"]), ("input", "sha256", None), (None, "outputs", []), (None, "partial", "perhaps"),
+    ],
+)  # fmt: skip
+def test_again_refuses_a_record_that_was_altered(
+    section: str | None, key: str, value: object, mavnav: Callable, with_options: Path, tmp_path: Path
+) -> None:
+    document = json.loads((with_options / "run.json").read_text())
+    (document[section] if section else document)[key] = value
+    (tmp_path / "run.json").write_text(json.dumps(document))
+    code, _, err = mavnav("replay", "--again", tmp_path)
+    assert code == 2
+    assert "run.json does not record how the run was made" in err
 
 
 def test_again_warns_of_another_version(mavnav: Callable, with_options: Path, tmp_path: Path, sample: Path) -> None:

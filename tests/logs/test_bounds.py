@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import bz2
 import sqlite3
+import struct
 import time
+import zlib
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
+import zstandard
 from mcap.writer import Writer
 
 from mavnav.errors import NoScansError
 from mavnav.logs import choose, open_log, survey
+from mavnav.logs.formats import decompress
+from mavnav.logs.formats.mcap_records import HEAD, Op
 from mavnav.logs.read_report import MAX_DAMAGE, MAX_TEXT, MAX_WARNINGS, ReadReport
 from mavnav.logs.writing.convert import convert_log
 from support.log_files import (
@@ -25,6 +31,7 @@ from support.log_files import (
     foxglove_json,
     laser,
     serialized,
+    write_bag1,
     write_bag2,
     write_mcap,
 )
@@ -247,6 +254,52 @@ def test_a_million_tiny_records_are_passed_in_seconds(tmp_path: Path) -> None:
     began_s = time.process_time()
     assert survey(path).scans["/scan"].total == 5
     assert time.process_time() - began_s < 4.0
+
+
+def with_chunks(log: bytes, content: bytes, count: int) -> bytes:
+    """Return an MCAP file with some chunks of a content before its others."""
+    packed = zstandard.compress(content)
+    body = struct.pack("<QQQII", 0, 9, len(content), zlib.crc32(content), 4) + b"zstd"
+    chunk = HEAD.pack(Op.CHUNK, len(body) + 8 + len(packed)) + body + struct.pack("<Q", len(packed)) + packed
+    return log[:8] + chunk * count + log[8:]
+
+
+def test_blank_pictures_compress_ten_thousandfold_and_are_no_damage(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", [laser(k) for k in range(5)])
+    picture = HEAD.pack(Op.ATTACHMENT, 6 << 20) + bytes(6 << 20)
+    path.write_bytes(with_chunks(path.read_bytes(), picture, 9))
+    log = open_log(path)
+    assert log.counts.usable == 5
+    assert not log.damage
+
+
+@pytest.mark.parametrize("record", [b"", HEAD.pack(200, 0), HEAD.pack(Op.CHANNEL, 30) + bytes(30)])
+def test_chunks_of_too_many_records_cost_no_other_scan(
+    record: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(decompress, "_FREE_RECORDS", 30_000)
+    path = write_mcap(tmp_path / "a.mcap", [laser(k) for k in range(5)])
+    path.write_bytes(with_chunks(path.read_bytes(), record * 40_000 or bytes(1 << 20), 8))
+    log = open_log(path)
+    assert log.counts.usable == 5
+    assert "more records" in log.damage[0].what
+
+
+def test_chunks_of_too_many_headers_cost_no_other_scan_of_a_bag(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(decompress, "_FREE_RECORDS", 30_000)
+    path = write_bag1(tmp_path / "a.bag", [laser(k) for k in range(5)])
+    bag, field = path.read_bytes(), b"\x04\0\0\0op=\x09"
+    record = struct.pack("<I", len(field)) + field + bytes(4)
+    packed = bz2.compress(record * 9000)
+    fields = (b"op=\x05", b"compression=bz2", b"size=" + struct.pack("<I", 9000 * len(record)))
+    header = b"".join(struct.pack("<I", len(one)) + one for one in fields)
+    chunk = struct.pack("<I", len(header)) + header + struct.pack("<I", len(packed)) + packed
+    path.write_bytes(bag[:13] + chunk * 9 + bag[13:])
+    log = open_log(path)
+    assert log.counts.usable == 5
+    assert any("no record" in damage.what for damage in log.damage)
 
 
 def test_serialized_scans_are_those_that_are_read(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 from mavnav.errors import NoScansError
+from mavnav.jobs.dask.worker import in_cluster
 
 
 def square(x: int, report) -> int:
@@ -77,3 +78,7 @@ def report_for_ever(report) -> None:
 
 def where(report) -> str:
     return str(Path.cwd())
+
+
+def is_elsewhere(report) -> bool:
+    return in_cluster()

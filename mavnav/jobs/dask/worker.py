@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import pickle
+import sys
 from contextlib import chdir
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 from time import monotonic
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from mavnav import __version__
 from mavnav.errors import UsageError
@@ -49,6 +51,19 @@ def our_version() -> tuple[str, str]:
 def sees(path: str) -> bool:
     """Return whether a file exists here."""
     return Path(path).is_file()
+
+
+def in_cluster() -> bool:
+    """Return whether this thread runs a job for a scheduler on another machine."""
+    if "distributed" not in sys.modules:
+        return False
+    from distributed import get_worker  # noqa: PLC0415  an extra
+
+    try:
+        scheduler = urlsplit(get_worker().scheduler.address)
+    except ValueError:
+        return False
+    return scheduler.scheme != "inproc" and scheduler.hostname not in {"127.0.0.1", "::1", "localhost"}
 
 
 def run_there(index: int, packed: bytes, terms: dict[str, Any]) -> Outcome:

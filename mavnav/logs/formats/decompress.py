@@ -21,11 +21,17 @@ MAX_CHUNK_BYTES = 128 << 20
 """Largest chunk or message taken into memory; writers make chunks of 1 to 8 MiB."""
 
 _MAX_RATIO = 1000
+_FREE_LOG_BYTES = 2 << 30
+_FREE_RECORDS = 1_000_000
+_LEAST_RECORD_BYTES = 2
 _FREE_BYTES = 1 << 20
 _BLOCK_BYTES = 1 << 20
 _PIECE_BYTES = 1 << 8
 _MAX_WINDOW_BYTES = 1 << 27
 _MAX_FILE_RATIO = 200
+
+
+TOO_MANY = "the chunk has more records than a log of this size can hold; the rest is left out"
 
 
 class DecompressError(Exception):
@@ -40,7 +46,29 @@ class _Decompressor(Protocol):
     def decompress(self, data: bytes) -> bytes: ...
 
 
-def decompress(compression: str, data: bytes) -> tuple[bytes, str | None]:
+class Allowance:
+    """What the chunks of a log may yield in all: a megabyte can hold terabytes of zeros, or millions of records.
+
+    Blank pictures compress ten thousandfold, so no single chunk has a bound of that kind. A chunk may have half of the
+    records that are left, so that a hostile one does not cost the others.
+    """
+
+    def __init__(self, log_bytes: int = 0) -> None:
+        self.bytes_left = _FREE_LOG_BYTES + _MAX_RATIO * log_bytes
+        self._records_left = _FREE_RECORDS + log_bytes // _LEAST_RECORD_BYTES
+        self._keep_records = 0
+
+    def begin_chunk(self) -> None:
+        """Let the records from here on be those of another chunk."""
+        self._keep_records = self._records_left // 2
+
+    def takes_record(self, cost: int = 1) -> bool:
+        """Count a record of some cost; return whether it may be read."""
+        self._records_left -= cost
+        return self._records_left >= self._keep_records
+
+
+def decompress(compression: str, data: bytes, allowance: Allowance | None = None) -> tuple[bytes, str | None]:
     """Decompress as much as there is.
 
     Parameters
@@ -49,6 +77,8 @@ def decompress(compression: str, data: bytes) -> tuple[bytes, str | None]:
         A key of ``CODECS``.
     data
         The compressed bytes, a whole number of frames.
+    allowance
+        What the log may still yield; None for bytes by themselves.
 
     Returns
     -------
@@ -59,17 +89,22 @@ def decompress(compression: str, data: bytes) -> tuple[bytes, str | None]:
     Raises
     ------
     DecompressError
-        Unknown compression, or a bomb: more than a thousand times the data (and a MiB), or ``MAX_CHUNK_BYTES``.
+        Unknown compression, or a bomb: more than ``MAX_CHUNK_BYTES``, than the allowance, or, without one, than a MiB
+        and a thousand times the data.
     """
     if compression not in CODECS:
         raise DecompressError(f"unknown compression {compression!r}")
     if compression not in FRAMES:
         return data, None
-    limit = min(MAX_CHUNK_BYTES, _FREE_BYTES + _MAX_RATIO * len(data))
+    most_bytes = allowance.bytes_left if allowance else _FREE_BYTES + _MAX_RATIO * len(data)
+    limit = min(MAX_CHUNK_BYTES, most_bytes)
     try:
-        return _gather(compression, data, limit), None
+        unpacked, problem = _gather(compression, data, limit), None
     except (*_ERRORS, _zstd_error()):
-        return _carefully(compression, data, limit)
+        unpacked, problem = _carefully(compression, data, limit)
+    if allowance:
+        allowance.bytes_left -= len(unpacked)
+    return unpacked, problem
 
 
 def _gather(compression: str, data: bytes, limit: int) -> bytes:

@@ -1,4 +1,4 @@
-"""What the records of an MCAP file tell: schemas, channels and messages, each compared with what was told before."""
+"""The content of the records of an MCAP file: schemas, channels and messages, each compared with those before."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from mavnav.logs.formats.decompress import Allowance
 from mavnav.logs.formats.mcap_records import MESSAGE_HEAD, Fields, Op
 from mavnav.logs.formats.untyped import channel_of, is_vague, typed
 from mavnav.logs.records import Channel, RawMessage, Schema, ros_type
@@ -19,7 +20,7 @@ _NO_SCHEMA = Schema()
 
 @dataclass
 class State:
-    """What the records read so far have told.
+    """What the records read so far contain.
 
     The data section is ``unsound`` where its CRC does not match, and ``verified`` where it does. In a ``suspect`` chunk
     the channels known before and those of a sound summary are preferred to the chunk's own. In a ``chunked`` file
@@ -27,6 +28,7 @@ class State:
     """
 
     report: ReadReport
+    allowance: Allowance = field(default_factory=Allowance)
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     spare: dict[int, Channel] = field(default_factory=dict)
@@ -49,7 +51,7 @@ class State:
 
 
 def take(opcode: int, content: bytes, where: str, state: State) -> RawMessage | None:
-    """Return the message, or take in what the record tells about others."""
+    """Return the message, or take in what the record contains about others."""
     try:
         if opcode == Op.MESSAGE:
             return _message(content, where, state)

@@ -11,7 +11,7 @@ import zlib
 from io import BytesIO
 from typing import TYPE_CHECKING
 
-from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, DecompressError, decompress
+from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, TOO_MANY, Allowance, DecompressError, decompress
 from mavnav.logs.formats.mcap_content import State, take
 from mavnav.logs.formats.mcap_records import (
     HEAD,
@@ -41,6 +41,8 @@ _READ = frozenset({Op.HEADER, Op.FOOTER, Op.SCHEMA, Op.CHANNEL, Op.MESSAGE, Op.C
 _BLOCK_BYTES = 1 << 20
 _FREE_LOOK_BYTES = 1 << 28
 _SEARCH_BYTES = 1 << 16
+_COST_OF_CARE = 4
+"""Records that are walked with care cost so many of the others."""
 
 
 def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
@@ -49,9 +51,9 @@ def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     What cannot be read is left out and noted. What is read from a chunk whose CRC does not match, or that does not
     decompress to its end, is suspect, and noted as well.
     """
-    state = State(report)
     with path.open("rb") as file:
         source = Source(file, path.stat().st_size)
+        state = State(report, Allowance(source.size))
         summary = read_summary(source, report)
         state.spare, state.spare_is_sound, state.chunked = summary.channels, summary.sound, summary.chunked
         for record in _records(source, _begin(source, state), state):
@@ -136,7 +138,7 @@ def _clipped(source: Source, record: Record, state: State) -> Record:
     Hostile files have many chunks that claim the same bytes: only so many bytes are looked at for this.
     """
     state.looked_at_bytes += record.end - record.start
-    if state.looked_at_bytes > _FREE_LOOK_BYTES + 4 * source.size or _is_verified(source, record):
+    if state.looked_at_bytes > _FREE_LOOK_BYTES + 4 * source.size or _is_verified(source, record, state):
         return record
     found = find_record(source, record.start + 1, outer=True)
     if found >= record.end:
@@ -146,10 +148,10 @@ def _clipped(source: Source, record: Record, state: State) -> Record:
     return record._replace(end=found)
 
 
-def _is_verified(source: Source, record: Record) -> bool:
-    """Tell whether a chunk has a CRC, and it matches."""
+def _is_verified(source: Source, record: Record, state: State) -> bool:
+    """Return whether a chunk has a CRC, and it matches."""
     try:
-        head, (records, _) = _read_chunk(source, record)
+        head, (records, _) = _read_chunk(source, record, state.allowance)
     except (DecompressError, struct.error):
         return False
     return head.crc != 0 and zlib.crc32(records) == head.crc
@@ -165,7 +167,7 @@ def _runs_into_loss(source: Source, end: int) -> bool:
 
 
 def _lose(source: Source, offset: int, search_from: int, state: State) -> int:
-    """Return the offset of the next record, having told of the bytes before it."""
+    """Return the offset of the next record, after reporting the bytes before it."""
     found = find_record(source, search_from)
     if found == offset:
         return found
@@ -200,6 +202,7 @@ def _chunk_messages(source: Source, record: Record, state: State) -> Iterator[Ra
         state.report.damage(f"chunk left out: {error}", where)
         return
     inner = Source(BytesIO(records), len(records), f"{where}, ")
+    state.allowance.begin_chunk()
     if not suspect:
         yield from _sound_messages(records, inner, state)
         return
@@ -210,8 +213,8 @@ def _chunk_messages(source: Source, record: Record, state: State) -> Iterator[Ra
 
 
 def _chunk_records(source: Source, record: Record, where: str, state: State) -> tuple[bytes, bool]:
-    """Decompress a chunk as far as that goes; tell what is wrong, and return whether it is suspect."""
-    head, (records, problem) = _read_chunk(source, record)
+    """Decompress a chunk as far as that goes; report what is wrong, and return whether it is suspect."""
+    head, (records, problem) = _read_chunk(source, record, state.allowance)
     if problem is None and len(records) != head.declared_bytes:
         problem = f"the chunk declares {head.declared_bytes} bytes and holds {len(records)}"
     verified = head.crc != 0 and zlib.crc32(records) == head.crc
@@ -224,28 +227,31 @@ def _chunk_records(source: Source, record: Record, where: str, state: State) -> 
     return records, doubtful and not verified
 
 
-def _read_chunk(source: Source, record: Record) -> tuple[ChunkHead, tuple[bytes, str | None]]:
+def _read_chunk(source: Source, record: Record, allowance: Allowance) -> tuple[ChunkHead, tuple[bytes, str | None]]:
     """Return the head of a chunk, and its records as far as they decompress; raises DecompressError, struct.error."""
     size = record.end - record.start
     if size > MAX_CHUNK_BYTES:
         raise DecompressError(f"of {size} bytes; no more than {MAX_CHUNK_BYTES} are taken into memory")
     content = source.read(record.start, size)
     head = chunk_head(content)
-    return head, _unpacked(head, content[head.start :])
+    return head, _unpacked(head, content[head.start :], allowance)
 
 
-def _unpacked(head: ChunkHead, data: bytes) -> tuple[bytes, str | None]:
-    """Decompress the bytes that a chunk tells, and all that are there where their number lies."""
-    records, problem = decompress(head.compression, data[: head.stored_bytes])
+def _unpacked(head: ChunkHead, data: bytes, allowance: Allowance) -> tuple[bytes, str | None]:
+    """Decompress as many bytes as a chunk announces, or all that are there where that number is wrong."""
+    records, problem = decompress(head.compression, data[: head.stored_bytes], allowance)
     if problem is None or len(data) <= head.stored_bytes:
         return records, problem
-    return decompress(head.compression, data)
+    return decompress(head.compression, data, allowance)
 
 
 def _sound_messages(records: bytes, inner: Source, state: State) -> Iterator[RawMessage]:
     """Yield the messages of a chunk that is as it was written; walk on with care where its records still lie."""
     offset = 0
     for opcode, content in plain_records(records):
+        if not state.allowance.takes_record():
+            state.report.damage(TOO_MANY, inner.where(offset))
+            return
         if opcode in IN_CHUNKS and (message := take(opcode, content, inner.where(offset), state)):
             yield message
         elif opcode == Op.CHUNK:
@@ -256,6 +262,9 @@ def _sound_messages(records: bytes, inner: Source, state: State) -> Iterator[Raw
 
 def _walk(inner: Source, offset: int, state: State) -> Iterator[RawMessage]:
     for record in _records(inner, offset, state):
+        if not state.allowance.takes_record(_COST_OF_CARE):
+            state.report.damage(TOO_MANY, inner.where(record.start))
+            return
         if record.opcode in IN_CHUNKS:
             content = inner.read(record.start, record.end - record.start)
             if message := take(record.opcode, content, inner.where(record.start), state):

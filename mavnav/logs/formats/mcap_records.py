@@ -127,18 +127,18 @@ def record_at(source: Source, offset: int, *, mend: bool = True) -> Record | Non
     opcode, length = HEAD.unpack_from(prefix)
     start, rest, content = offset + HEAD.size, source.size - offset - HEAD.size, prefix[HEAD.size :]
     known = _CHECKS.get(opcode, _never if opcode == 0 else _any)
-    told = None if length > rest or not known(content, length) else Record(opcode, start, start + length)
-    if told is not None and not (mend and _may_be_chunk(opcode, length)):
-        return told
+    declared = None if length > rest or not known(content, length) else Record(opcode, start, start + length)
+    if declared is not None and not (mend and _may_be_chunk(opcode, length)):
+        return declared
     head = _head_of_chunk(content)
     if head is None:
-        return told
+        return declared
     stored = head.start + head.stored_bytes
-    if mend and (opcode, length) != (Op.CHUNK, stored) and _is_chunk_instead(source, told, opcode, start, head):
+    if mend and (opcode, length) != (Op.CHUNK, stored) and _is_chunk_instead(source, declared, opcode, start, head):
         return Record(Op.CHUNK, start, start + stored, f"the record says kind {opcode} and {length} bytes")
     if opcode == Op.CHUNK and stored == length > rest:
         return Record(Op.CHUNK, start, source.size, "the chunk is cut by the end of the file")
-    return told
+    return declared
 
 
 def _may_be_chunk(opcode: int, length: int) -> bool:
@@ -147,15 +147,15 @@ def _may_be_chunk(opcode: int, length: int) -> bool:
     return long_enough and (opcode > Op.DATA_END or (opcode ^ Op.CHUNK).bit_count() <= 1)
 
 
-def _is_chunk_instead(source: Source, told: Record | None, opcode: int, start: int, head: ChunkHead) -> bool:
+def _is_chunk_instead(source: Source, declared: Record | None, opcode: int, start: int, head: ChunkHead) -> bool:
     """Tell whether a chunk that ends by its own fields stands where a record's head says otherwise."""
     if not _may_be_chunk(opcode, _PREFIX_BYTES) and not head.compression:
         return False
     end = start + head.start + head.stored_bytes
     if end > source.size or not is_boundary(source, end):
         return False
-    known = opcode not in (0, Op.CHUNK) and opcode <= Op.DATA_END and told is not None
-    return not known or (told is not None and told.end == end and bool(head.compression))
+    known = opcode not in (0, Op.CHUNK) and opcode <= Op.DATA_END and declared is not None
+    return not known or (declared is not None and declared.end == end and bool(head.compression))
 
 
 def _head_of_chunk(content: bytes) -> ChunkHead | None:

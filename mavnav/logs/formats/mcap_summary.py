@@ -40,7 +40,7 @@ class Summary(NamedTuple):
 
 
 def read_summary(source: Source, report: ReadReport) -> Summary:
-    """Return what the summary tells: needed only where the chunk that declares the channels is damaged.
+    """Return the content of the summary: needed only where the chunk that declares the channels is damaged.
 
     Where the footer is lost, or its offset is wrong, the summary is what stands behind the end of the data.
     """
@@ -64,7 +64,7 @@ def read_summary(source: Source, report: ReadReport) -> Summary:
 
 
 def _searched(source: Source) -> Summary:
-    """Return what is told behind the last end of the data, or, where there is none, in the last MiB."""
+    """Return what is written behind the last end of the data, or, where there is none, in the last MiB."""
     end = _last_data_end(source, MAX_CHUNK_BYTES)
     start = max(source.size - _BLOCK_BYTES, 0) if end is None else end
     return _told(source.read(start, MAX_CHUNK_BYTES))._replace(sound=False)

@@ -1,6 +1,6 @@
 """ROS 1 bags, formats 2.0 and 1.2, read from front to back, so that no index is needed.
 
-Formats: http://wiki.ros.org/Bags/Format/2.0, and 1.2, which has no chunks and tells topic and type in every message. A
+Formats: http://wiki.ros.org/Bags/Format/2.0, and 1.2, which has no chunks and has topic and type in every message. A
 bag is a magic line and records of ``header length u32, header, data length u32, data``; a header is fields of ``length
 u32, name=value``. A chunk's data are records again. The records of an uncompressed chunk are read as if they stood in
 the file itself: so nothing depends on the chunk's length, and memory does not grow with it.
@@ -14,8 +14,17 @@ from functools import partial
 from io import BytesIO
 from typing import TYPE_CHECKING
 
-from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, DecompressError, decompress
-from mavnav.logs.formats.rosbag1_records import U32, Op, Record, is_flat, parse_fields, parse_header, sound_records
+from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, TOO_MANY, Allowance, DecompressError, decompress
+from mavnav.logs.formats.rosbag1_records import (
+    RECORD_COST,
+    U32,
+    Op,
+    Record,
+    is_flat,
+    parse_fields,
+    parse_header,
+    sound_records,
+)
 from mavnav.logs.formats.source import Source
 from mavnav.logs.formats.untyped import channel_of, is_vague, typed
 from mavnav.logs.read_report import ReadReport
@@ -35,6 +44,7 @@ _U32_PAIR = struct.Struct("<II")
 @dataclass
 class _State:
     report: ReadReport
+    allowance: Allowance = field(default_factory=Allowance)
     channels: dict[int, Channel] = field(default_factory=dict)
     spare: dict[int, Channel] = field(default_factory=dict)
     search: Callable[[], dict[int, Channel]] | None = None
@@ -50,9 +60,9 @@ def read_rosbag1(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     follows right behind it: in a bag that lost bytes, a message that spans the loss would decode to wrong values. What
     is read of a chunk that does not decompress to its end is suspect.
     """
-    state = _State(report)
     with path.open("rb") as file:
         source = Source(file, path.stat().st_size)
+        state = _State(report, Allowance(source.size))
         begin = _begin(source, report)
         if source.size == begin:
             report.damage("the bag ends behind its magic line", source.where(source.size))
@@ -110,7 +120,8 @@ def _chunk_messages(source: Source, record: Record, state: _State) -> Iterator[R
     name = record.fields.get(b"compression", b"").decode(errors="replace")
     where = f"chunk at byte {record.start}"
     try:
-        data, problem = decompress(name, source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES)))
+        packed = source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES))
+        data, problem = decompress(name, packed, state.allowance)
     except DecompressError as error:
         state.report.damage(f"chunk left out: {error}", where)
         return
@@ -119,14 +130,18 @@ def _chunk_messages(source: Source, record: Record, state: _State) -> Iterator[R
         problem = f"the chunk declares {declared} bytes and holds {len(data)}"
     if problem:
         state.report.damage(f"{problem}; what can be read of the chunk is suspect", where)
-    inner = Source(BytesIO(data), len(data), f"{where}, ")
+    inner = Source(BytesIO(data), len(data), f"{where}, ", state.allowance)
+    state.allowance.begin_chunk()
     for inner_record in sound_records(inner, 0, state.report):
+        if not state.allowance.takes_record(RECORD_COST):
+            state.report.damage(TOO_MANY, inner.where(inner_record.start))
+            return
         for message in _take(inner, inner_record, state):
             yield message._replace(suspect=message.suspect or problem is not None)
 
 
 def _take(source: Source, record: Record, state: _State) -> Iterator[RawMessage]:
-    """Yield the message, or take in the connection; other records tell nothing that is needed."""
+    """Yield the message, or take in the connection; other records contain nothing that is needed."""
     try:
         if record.opcode == Op.MESSAGE:
             yield from _message(source, record, state)

@@ -21,6 +21,8 @@ _MAX_HEADER_BYTES = 1 << 16
 _USUAL_HEADER_BYTES = 256
 _REACH_BYTES = 256
 _BLOCK_BYTES = 1 << 20
+RECORD_COST = 4
+"""Records of this format, or what may be their heads, count as so many."""
 U32: Final = struct.Struct("<I")
 
 
@@ -150,6 +152,8 @@ def _find_header(source: Source, offset: int) -> int | None:
     while offset < source.size:
         block = source.read(offset, _BLOCK_BYTES)
         for at in _candidates(block):
+            if not source.allowance.takes_record(RECORD_COST):
+                return None
             record = parse_header(source, offset + at)
             if record is not None and _is_followed(source, record):
                 return offset + at

@@ -21,7 +21,7 @@ _MAX_DEPTH = 20
 
 @dataclass(frozen=True, slots=True)
 class Metadata:
-    """What metadata.yaml claims: the storage files, and the number of messages, None where it does not tell."""
+    """What metadata.yaml claims: the storage files, and the number of messages, None where it is not given."""
 
     names: tuple[str, ...]
     messages: int | None
@@ -58,7 +58,7 @@ def storage_files(
 
 
 def _found(folder: Path, report: ReadReport, is_storage: Callable[[Path], bool]) -> list[Path]:
-    """Return the storage files of a folder by number; links that lead out of it are told."""
+    """Return the storage files of a folder by number; links that lead out of it are reported."""
     files = []
     for file in sorted(folder.iterdir(), key=_natural):
         if file.is_file() and not file.resolve().is_relative_to(folder.resolve()):
@@ -79,7 +79,7 @@ def _family(path: Path) -> str:
 
 
 def _inside(folder: Path, name: str, report: ReadReport) -> Path | None:
-    """Return the file of a listed name; None, and told, where it leads out of the folder or is missing."""
+    """Return the file of a listed name; None, and reported, where it leads out of the folder or is missing."""
     try:
         return _listed_file(folder, name, report)
     except (OSError, ValueError):  # too long, or with a zero in it
@@ -101,7 +101,7 @@ def _listed_file(folder: Path, name: str, report: ReadReport) -> Path | None:
 
 
 def read_metadata(folder: Path, report: ReadReport) -> Metadata | None:
-    """Read metadata.yaml; None, and told, where it is missing or broken.
+    """Read metadata.yaml; None, and reported, where it is missing or broken.
 
     Nothing is built from it but names and numbers: tags are never run, aliases never expanded.
     """

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import errno
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import IO
+
+from mavnav.logs.formats.decompress import Allowance
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A run of records. ``name`` goes before a place when a person is told of it."""
+    """A run of records.
+
+    ``name`` goes before a place when it is reported to a person; the ``allowance`` limits the search for records.
+    """
 
     file: IO[bytes]
     size: int
     name: str = ""
+    allowance: Allowance = field(default_factory=Allowance)
 
     def read(self, offset: int, count: int) -> bytes:
         """Read ``count`` bytes, fewer at the end."""

@@ -160,7 +160,7 @@ def _rescue_channels(source: Source, state: _State) -> None:
 def _whole(path: Path, report: ReadReport) -> Iterator[Path]:
     """Yield a path that sqlite agrees to open.
 
-    It refuses a cut file as a whole, because the header tells more pages than there are: a copy whose header tells
+    It refuses a cut file as a whole, because the header counts more pages than there are: a copy whose header counts
     the truth lets the whole pages be read, and a row that reaches into the lost ones is an error, not zeros.
     Rows still in a write-ahead log are read from a copy as well, and a transaction that was begun is rolled back.
     """
@@ -190,7 +190,7 @@ def _needs_no_copy(path: Path) -> bool:
 
 
 def _pages(head: bytes) -> int:
-    """Return the number of pages that the header tells (https://sqlite.org/fileformat.html, 1.3.8)."""
+    """Return the number of pages in the header (https://sqlite.org/fileformat.html, 1.3.8)."""
     return int.from_bytes(head[_COUNT_AT : _COUNT_AT + 4], "big")
 
 

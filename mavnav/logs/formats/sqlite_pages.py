@@ -1,6 +1,6 @@
 """Rows of a sqlite file read from its leaf pages, without the tree above them: for files that sqlite gives up on.
 
-Format: https://sqlite.org/fileformat.html, 1.6 (b-tree pages) and 2.1 (records). The tables of a ROS 2 bag are told by
+Format: https://sqlite.org/fileformat.html, 1.6 (b-tree pages) and 2.1 (records). The tables of a ROS 2 bag are known by
 the shape of their rows: a message is (NULL, integer, integer, blob), a topic (NULL, text, text, text, ...), because a
 column that is the row's number is stored as NULL.
 """
@@ -45,7 +45,7 @@ def rows(source: Source) -> Iterator[Row]:
 
 
 def page_size(head: bytes) -> int:
-    """Return the page size that a file's header tells (1.3.2)."""
+    """Return the page size in a file's header (1.3.2)."""
     size = int.from_bytes(head[16:18], "big")
     size = 65536 if size == 1 else size
     return size if size >= 512 and size.bit_count() == 1 else 4096

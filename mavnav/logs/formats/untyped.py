@@ -1,6 +1,6 @@
 """Recognising a scan by its bytes alone, where the record that names its type is lost.
 
-A LaserScan tells the lengths of its parts and has seven numbers within narrow bounds, so that hardly anything else
+A LaserScan contains the lengths of its parts and has seven numbers within narrow bounds, so that hardly anything else
 passes.
 """
 
@@ -35,7 +35,7 @@ def channel_of(data: bytes, name: str, report: ReadReport) -> Channel | None:
 
 
 def typed(channel: Channel, data: bytes, where: str, report: ReadReport) -> Channel:
-    """Return the channel with the type and encoding that a message of it turns out to have, told as damage.
+    """Return the channel with the type and encoding that a message of it turns out to have, reported as damage.
 
     Only of one that ``is_vague``.
     """

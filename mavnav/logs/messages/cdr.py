@@ -1,7 +1,7 @@
 """The messages that hold something of every scan, written as CDR by their layout: quicker than from an object a field.
 
 The bytes are those of ``ros.cdr``. Strings are UTF-8 with a final zero, numbers little-endian, each at a multiple of
-its own size behind the four bytes that tell the encoding.
+its own size behind the four bytes of the encoding.
 """
 
 from __future__ import annotations

@@ -125,7 +125,7 @@ def _points(message: Any) -> dict[str, Array]:  # noqa: ANN401
 
 
 def _picker(points: dict[str, Array], part: str) -> Pick:
-    """Return what tells the points of the wanted layer: a ring, heights, or by default the most level ring."""
+    """Return what selects the points of the wanted layer: a ring, heights, or by default the most level ring."""
     if part.startswith("z_"):
         _, low, high = part.split("_")
         return partial(_between, low_m=float(low), high_m=float(high))

@@ -1,4 +1,4 @@
-"""What the messages of interest tell, whatever encoding they came in."""
+"""The content of the messages of interest, whatever encoding they came in."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class DecodeError(Exception):
 class LaserMessage(NamedTuple):
     """A scan message, uncleaned: lengths in m, angles in rad, ``ranges_m`` of any float type, shape (beams,).
 
-    ``last_angle_rad`` is None where the message does not tell it. Limits are NaN where there are none.
+    ``last_angle_rad`` is None where the message does not have it. Limits are NaN where there are none.
     """
 
     stamp_ns: int
@@ -30,6 +30,19 @@ class LaserMessage(NamedTuple):
     ranges_m: NDArray[Any]
     has_limits: bool = True
     has_pose: bool = False
+
+
+class ImuMessage(NamedTuple):
+    """What an inertial sensor measured, in its own frame.
+
+    Angular velocity in rad/s, acceleration in m/s2 (up at rest), and the orientation ``xyzw`` in a frame with z up,
+    None where the message says that there is none.
+    """
+
+    stamp_ns: int
+    xyzw: tuple[float, float, float, float] | None
+    angular_velocity_rad_s: tuple[float, float, float]
+    acceleration_m_s2: tuple[float, float, float]
 
 
 class TransformMessage(NamedTuple):

@@ -80,7 +80,7 @@ def pose_stamped(stamp_ns: int, frame: str, pose: Pose) -> Any:  # noqa: ANN401
 
 
 def odometry(stamp_ns: int, parent: str, child: str, parent_T_child: Pose) -> Any:  # noqa: ANN401
-    """Return an Odometry; velocities and covariances are zero, which means that they are not told."""
+    """Return an Odometry; velocities and covariances are zero, which means unknown."""
     still = _new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
     twist = _new("geometry_msgs/msg/Twist", still, still)
     return _new(

@@ -3,8 +3,8 @@
 =================  ==========================  ====================================================================
 topic              type                        what
 =================  ==========================  ====================================================================
-``/scan``          sensor_msgs/LaserScan       frame ``laser``; 0.0 where there is no return, as a URG tells it
-``/odom``          nav_msgs/Odometry           ``odom`` -> ``base_link``; velocities and covariances are not told
+``/scan``          sensor_msgs/LaserScan       frame ``laser``; 0.0 where there is no return, as a URG reports it
+``/odom``          nav_msgs/Odometry           ``odom`` -> ``base_link``; velocities and covariances are unknown
 ``/ground_truth``  geometry_msgs/PoseStamped   the base in the frame ``world``
 ``/tf``            tf2_msgs/TFMessage          ``odom`` -> ``base_link``, with every ``/odom``
 ``/tf_static``     tf2_msgs/TFMessage          ``base_link`` -> ``laser``, once, before everything else
@@ -97,7 +97,7 @@ class Recorder:
 def recorder(path: Path, base_T_laser: Pose | None = None, *, force: bool = False) -> Iterator[Recorder]:
     """Give a Recorder; the log appears under its name, complete, when the block ends well.
 
-    The name tells the format: ``.mcap``, ``.bag`` (ROS 1), or the folder of a ROS 2 bag. Equal calls write equal bytes.
+    The name decides the format: ``.mcap``, ``.bag`` (ROS 1), or a folder (ROS 2 bag). Equal calls write equal bytes.
 
     Raises
     ------
@@ -146,8 +146,8 @@ def record(recording: Recording, path: Path, *, force: bool = False) -> None:
         odometry = ((stamp, log.odometry, (stamp, pose)) for stamp, pose in _poses(r.odom_T_base))
         scans = ((scan.stamp_ns, log.scan, (scan,)) for scan in r.scans)
         streams: list[Iterable[tuple[int, Callable[..., None], tuple[Any, ...]]]] = [truth, odometry, scans]
-        for _, tell, what in merge(*streams, key=itemgetter(0)):
-            tell(*what)
+        for _, write, what in merge(*streams, key=itemgetter(0)):
+            write(*what)
 
 
 def _poses(trajectory: Trajectory) -> Iterator[tuple[int, Pose]]:

@@ -39,7 +39,7 @@ def load_scenario(
     sets
         ``key=value`` with dotted keys, values read as YAML; for example ``slam.method=paper``.
     overrides
-        Values of command line options by dotted key.
+        Values of command line options by dotted key; what is None was not given.
     config
         Configuration file or preset, above the scenario's own ``slam`` section.
 

@@ -33,7 +33,7 @@ class Paths:
     def between(self, a_m: float, b_m: float) -> float:
         """Return the length of the shortest path, m.
 
-        Paths to all joined points are shortened until none is: across a joint, then along the track either way.
+        Paths to all joined points are shortened until none is: across a joint, then along the track ahead and back.
         """
         if not self._across:
             return abs(b_m - a_m)

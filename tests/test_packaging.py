@@ -1,0 +1,87 @@
+"""What ships beside the program: version, citation, GitHub action, pre-commit hook, container image."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from mavnav import __version__
+from mavnav.cli import run
+
+ROOT = Path(__file__).parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    released = re.findall(r"^## \[(\d.*?)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert released[0] == __version__
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert (citation["title"], citation["version"]) == (PROJECT["name"], __version__)
+    assert [author["name"] for author in citation["authors"]] == [author["name"] for author in PROJECT["authors"]]
+
+
+def test_the_text_of_the_package_index_needs_no_other_file() -> None:
+    code = re.search(r"^def index_text.*?\n\n\n", (ROOT / "hatch_build.py").read_text(), re.MULTILINE | re.DOTALL)
+    assert code
+    names: dict[str, Any] = {"re": re}
+    exec(code[0], names)  # without hatchling, which only a build has
+    text = names["index_text"]((ROOT / "README.md").read_text())
+    assert "Every command has `--help` with examples; docs/cli.md has the details." in text
+    assert re.findall(r"!\[|\]\((?!https://)", text) == []
+
+
+@pytest.fixture
+def stub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Put a command ``mavnav`` first that writes its words, one a line, and fails for bad.bag."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    (folder / "mavnav").write_text('#!/bin/sh\nprintf "%s\\n" "$@" >> words\ncase "$*" in *bad.bag*) exit 3;; esac\n')
+    (folder / "mavnav").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "words"
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+def test_the_github_action_hands_its_inputs_on_as_they_are(stub: Path) -> None:
+    action = yaml.safe_load((ROOT / "action.yml").read_text())
+    step = action["runs"]["steps"][-1]
+    given = {"sources": "logs/**/*.mcap\n$(touch x).bag\n", "gates": "map.accepted_share>=0.95", "options": "--online"}
+    inputs = {name: text.get("default", "") for name, text in action["inputs"].items()} | given
+    env = {name: inputs[re.fullmatch(r"\$\{\{ inputs\.(\S+) \}\}", text)[1]] for name, text in step["env"].items()}  # type: ignore[index]
+    subprocess.run(["bash", "-e", "-c", step["run"]], env=os.environ | env, check=True)
+    assert stub.read_text().split("\n")[:-1] == [
+        *["batch", "--gate", "map.accepted_share>=0.95", "--online"],
+        *["--output", "runs/batch", "--junit", "runs/batch.xml", "--", "logs/**/*.mcap", "$(touch x).bag"],
+    ]
+    assert not (stub.parent / "x").exists()
+
+
+def test_the_pre_commit_hook_examines_every_log(stub: Path) -> None:
+    (hook,) = yaml.safe_load((ROOT / ".pre-commit-hooks.yaml").read_text())
+    done = subprocess.run([*shlex.split(hook["entry"]), "a b.mcap", "bad.bag", "c.bag"], check=False)
+    assert done.returncode == 3
+    words = stub.read_text().splitlines()
+    assert words == [word for log in ("a b.mcap", "bad.bag", "c.bag") for word in ("info", "--strict", "--quiet", log)]
+    assert all(re.search(hook["files"], name) for name in ("a.mcap", "b.bag.gz", "c/d.db3"))
+
+
+def test_info_has_the_options_of_the_hook(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["info", "--strict", "--quiet", str(ROOT / "sample_logs/complex.bag")]) == 0
+
+
+def test_the_image_has_what_it_copies() -> None:
+    text = (ROOT / "Dockerfile").read_text()
+    ignored = (ROOT / ".dockerignore").read_text().split()
+    needed = ["pyproject.toml", "README.md", "mavnav", "configs", *PROJECT["license-files"]]
+    assert not {Path(name).parts[0] for name in needed} & set(ignored)
+    assert "RUN mavnav warmup" in text
