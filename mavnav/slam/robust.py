@@ -67,7 +67,7 @@ LOST_PERIODS = 8
 """Without an accepted pose for longer the laser is lost: wide regions are searched as their budget allows. Once it is
 found again, the scans between are matched from there."""
 
-WIDE_EACH, WIDE_FIRST, WIDE_MOST = 2.0, 50.0, 80.0
+WIDE_EACH, WIDE_FIRST, WIDE_MOST = 2.0, 80.0, 120.0
 WHOLE_EACH, WHOLE_FIRST = 1.0, 50.0
 """Budgets of wide regions and of the whole map, in local searches: what a scan earns, the first and the most credit."""
 
