@@ -15,6 +15,7 @@ from mavnav.slam.parts import with_lost_parts
 from mavnav.slam.redraw import redraw_map
 from mavnav.slam.registry import make_method
 from mavnav.slam.rematch import refine_against_final_map, rematch_rejected, remove_dynamic_cells
+from mavnav.slam.remedy import with_remedy
 from mavnav.slam.resampled_track import with_coarser_voxels
 from mavnav.slam.result import summarize
 from mavnav.slam.smoothing import smooth_jitter
@@ -45,15 +46,19 @@ RETRIES: Final[tuple[Pass, ...]] = (
 )
 """Each tracks the log again where something is in doubt, and keeps the better of two tracks."""
 
-LAST_PASSES: Final[tuple[Pass, ...]] = (
+CHECKING: Final[tuple[Pass, ...]] = (
     close_loops,  # step 11
     remove_dynamic_cells,  # step 12
     refine_against_final_map,  # step 13
     judge_track,  # "Doubt"
+)
+"""What the finished track is corrected and judged by; nothing of it on line, nor in the paper's method."""
+
+DRAWING: Final[tuple[Pass, ...]] = (
     smooth_jitter,  # step 14
     redraw_map,  # step 15
 )
-"""What the finished track is corrected by; nothing of it on line, nor in the paper's method."""
+"""What makes poses and map of the outputs, again not on line."""
 
 
 def run_slam(
@@ -82,16 +87,25 @@ def run_slam(
     odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
     method = make_method(config, prior_map)
     motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation)
-    track = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step)
-    track = with_good_beginning(track)  # steps 1 to 8
-    for retry in RETRIES:
-        track = retry(track)
+    start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step)
+    track = with_remedy(judged_track(start), start, judged_track)  # "Remedies"
+    return summarize(after(track, DRAWING))
+
+
+def judged_track(start: Track) -> Track:
+    """Track a log as a whole, correct and judge the track."""
+    track = after(with_good_beginning(start), RETRIES)  # steps 1 to 8, 10
     track = rematch_rejected(rematch_beginning(track))  # step 9
-    return finish(with_lost_parts(track))  # "Parts"
+    return after(with_lost_parts(track), CHECKING)  # "Parts"
 
 
 def finish(track: Track) -> SlamResult:
     """Make the last passes over a track, and sum up."""
-    for last_pass in LAST_PASSES:
-        track = last_pass(track)
-    return summarize(track)
+    return summarize(after(track, (*CHECKING, *DRAWING)))
+
+
+def after(track: Track, passes: tuple[Pass, ...]) -> Track:
+    """Make some passes over a track."""
+    for each in passes:
+        track = each(track)
+    return track

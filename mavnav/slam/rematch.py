@@ -99,7 +99,9 @@ def refine_against_final_map(track: Track) -> Track:
     columns = np.array(shown).reshape(-1, 8)
     observed = columns[:, 0]
     track = replace(track, observed=observed, conflicts=columns[:, 1], hessians=columns[:, 2:])
-    warning = degeneracy_warning(track.steps, observed) if len(observed) and not track.motion.odometry else ""
+    if not len(observed) or track.motion.odometry:
+        return track
+    warning = degeneracy_warning(track.steps, observed, contradicted=track.odometry_contradicts)
     return track.with_warning(warning) if warning else track
 
 

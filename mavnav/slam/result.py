@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.pose import Trajectory
-    from mavnav.slam.doubt.record import Doubt
+    from mavnav.slam.doubt.record import Doubt, Remedy
     from mavnav.slam.track import Track
 
 
@@ -30,7 +30,9 @@ class SlamResult:
     are not known; None where no pass looked back.
     ``warnings`` are lines for the user: what of the log was not taken as it stands there. ``tracks_compared``
     counts the tracks of which the sharpest was kept. ``parts`` are the stretches of a log that was not tracked as a
-    whole, each on a map of its own at first; none otherwise. ``doubt`` is None where it was not judged.
+    whole, each on a map of its own at first; none otherwise. ``doubt`` is None where it was not judged. ``begin_ns`` is
+    the stamp of the scan that begins the map, which is the map frame; None where nothing was tracked.
+    ``remedies`` are other tracks that were made because of the doubt.
     """
 
     steps: Steps
@@ -43,6 +45,8 @@ class SlamResult:
     parts: tuple[Part, ...] = ()
     doubt: Doubt | None = None
     covariances: NDArray[np.float64] | None = None
+    begin_ns: int | None = None
+    remedies: tuple[Remedy, ...] = ()
 
     @property
     def tracked_share(self) -> float:
@@ -78,4 +82,12 @@ def summarize(track: Track) -> SlamResult:
         parts,
         track.doubt,
         covariances_of(steps, track.hessians) if len(track.hessians) else None,
+        beginning_ns(steps, track.begin),
+        track.remedies,
     )
+
+
+def beginning_ns(steps: Steps, begin: int) -> int | None:
+    """Return the stamp of the first tracked scan from number ``begin`` on; None if there is none."""
+    later = steps.column("stamp_ns")[begin:][steps.column("tracked")[begin:]]
+    return int(later[0]) if len(later) else None

@@ -14,6 +14,7 @@ from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
+from mavnav.slam.degeneracy import LEAST_OBSERVABILITY
 from mavnav.slam.motion_model import LONGEST_S
 from mavnav.slam.relocalization import around, best_of, candidates, everywhere, judged, rival, within_reach
 from mavnav.slam.scan_matching import (
@@ -160,7 +161,7 @@ class Robust:
         if tried and not due and motion.odometry is None:
             return tried[0]
         tried += self._look_around(points, predicted)
-        best = min(tried, key=lambda match: match.cost_m2)
+        best = self._likeliest(tried, points, predicted, motion)
         if not due or self._believable(best, motion, elapsed_s):
             return with_effort(best, *tried)
         return self._match_wide(scan, predicted, motion, points, tried)
@@ -174,7 +175,15 @@ class Robust:
         if self._is_found_near(tried, predicted, motion, elapsed_s):
             return tried[0]
         tried += self._look_around(points, predicted)
-        return with_effort(min(tried, key=lambda match: match.cost_m2), *tried)
+        return with_effort(self._likeliest(tried, points, predicted, motion), *tried)
+
+    def _likeliest(self, tried: list[Match], points: NDArray[np.float64], predicted: Pose, motion: Motion) -> Match:
+        """Return the match of least cost; where that is not observable, distance from the odometry costs as well."""
+        best = min(tried, key=lambda match: match.cost_m2)
+        if motion.odometry is None or self.observability(points, best)[0] >= LEAST_OBSERVABILITY:
+            return best
+        prior = self.config.robust.prior
+        return min(tried, key=lambda match: match.cost_m2 + prior * predicted.gap(match.map_T_laser)[0] ** 2)
 
     def _is_wide_search_due(self, motion: Motion, elapsed_s: float) -> bool:
         """Tell whether a scan is searched wherever the laser can be."""

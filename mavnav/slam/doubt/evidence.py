@@ -69,7 +69,7 @@ def evidence_of(track: Track, refiner: Refiner) -> Evidence:
         observed=track.observed[tracked],
         conflicts=track.conflicts[tracked],
         rivals=rivals(track, refiner, xyyaw[:, 2]),
-        resampled=np.full(xyyaw.shape, np.nan),
+        resampled=track.resampled[tracked] if len(track.resampled) else np.full(xyyaw.shape, np.nan),
         tilt_rad=np.zeros(len(stamps_ns)) if rotation is None else rotation.tilts_rad(stamps_ns),
     )
 
@@ -97,11 +97,10 @@ def rivals(track: Track, refiner: Refiner, yaws_rad: Floats) -> Floats:
     return out
 
 
-def with_resampled_track(evidence: Evidence, track: Track) -> Evidence:
+def with_resampled_track(track: Track) -> Track:
     """Add the poses of a track with coarser voxels; none if the run is being stopped."""
     other = track.again(replace(track, config=coarser(track.config)))
     if other is None:
-        return evidence
-    tracked, again = track.steps.column("tracked"), other.steps.column("tracked")
-    poses = np.where(again[:, None], other.steps.column("map_T_laser"), np.nan)
-    return replace(evidence, resampled=poses[tracked])
+        return track
+    again, poses = other.steps.column("tracked"), other.steps.column("map_T_laser")
+    return replace(track, resampled=np.where(again[:, None], poses, np.nan))
