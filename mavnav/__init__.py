@@ -9,7 +9,7 @@ TYPE_CHECKING = False  # as in typing, whose import would take most of the time
 if TYPE_CHECKING:
     from typing import Any
 
-    from mavnav.api.functions import compare, open_log, replay, simulate, track
+    from mavnav.api.functions import compare, diff, open_log, replay, simulate, track
     from mavnav.api.results import Comparison, Run, load_run
     from mavnav.errors import MavnavError
     from mavnav.logs import Log
@@ -28,6 +28,7 @@ __all__ = [
     "Trajectory",
     "__version__",
     "compare",
+    "diff",
     "load_run",
     "open_log",
     "replay",
@@ -35,7 +36,7 @@ __all__ = [
     "track",
 ]
 _MODULES = {
-    **dict.fromkeys(("compare", "open_log", "replay", "simulate", "track"), "mavnav.api.functions"),
+    **dict.fromkeys(("compare", "diff", "open_log", "replay", "simulate", "track"), "mavnav.api.functions"),
     **dict.fromkeys(("Comparison", "Run", "load_run"), "mavnav.api.results"),
     **dict.fromkeys(("LaserSpec", "Scan"), "mavnav.scan"),
     **dict.fromkeys(("Pose", "Trajectory"), "mavnav.pose"),

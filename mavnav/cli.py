@@ -51,6 +51,7 @@ COMMANDS: Final = {
     "batch": "ci.md",
     "check": "cli.md#quality-gates",
     "metrics": "metrics.md",
+    "diff": "diff.md",
     "simulate": "scenarios.md",
     "info": "cli.md#examine-and-convert",
     "convert": "cli.md#examine-and-convert",

@@ -14,7 +14,7 @@ from dataclasses import replace as changed
 from itertools import chain, islice
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from mavnav import logs
 from mavnav.api.results import Comparison, Run
@@ -288,6 +288,34 @@ def compare(
         return Comparison(target, document)
 
     return _finished(work, directory)
+
+
+def diff(
+    a: File, b: File, *, picture: File | None = None, force: bool = False, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Find what changed between two maps of one place, as ``mavnav diff`` does (docs/diff.md).
+
+    Parameters
+    ----------
+    a, b
+        Run directories or map_server YAML files, before and after.
+    picture, force
+        PNG file to write, and whether to replace it.
+    progress
+        Called as work goes on.
+
+    Returns
+    -------
+    The document that ``mavnav diff --json`` prints. ``alignment`` is None where the maps cannot be aligned.
+
+    Raises
+    ------
+    MavnavError
+        UsageError or OutputError.
+    """
+    from mavnav.pipelines.diff import DiffRequest, diff_maps  # noqa: PLC0415  heavy
+
+    return diff_maps(DiffRequest(Path(a), Path(b), _path(picture), force=force), progress or _silent)
 
 
 def track(
