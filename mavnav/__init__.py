@@ -9,7 +9,7 @@ TYPE_CHECKING = False  # as in typing, whose import would take most of the time
 if TYPE_CHECKING:
     from typing import Any
 
-    from mavnav.api.functions import compare, diff, open_log, replay, simulate, track
+    from mavnav.api.functions import compare, diff, merge, open_log, replay, simulate, track
     from mavnav.api.results import Comparison, Run, load_run
     from mavnav.errors import MavnavError
     from mavnav.logs import Log
@@ -30,13 +30,14 @@ __all__ = [
     "compare",
     "diff",
     "load_run",
+    "merge",
     "open_log",
     "replay",
     "simulate",
     "track",
 ]
 _MODULES = {
-    **dict.fromkeys(("compare", "diff", "open_log", "replay", "simulate", "track"), "mavnav.api.functions"),
+    **dict.fromkeys(("compare", "diff", "merge", "open_log", "replay", "simulate", "track"), "mavnav.api.functions"),
     **dict.fromkeys(("Comparison", "Run", "load_run"), "mavnav.api.results"),
     **dict.fromkeys(("LaserSpec", "Scan"), "mavnav.scan"),
     **dict.fromkeys(("Pose", "Trajectory"), "mavnav.pose"),

@@ -52,6 +52,7 @@ COMMANDS: Final = {
     "check": "cli.md#quality-gates",
     "metrics": "metrics.md",
     "diff": "diff.md",
+    "merge": "merge.md",
     "simulate": "scenarios.md",
     "info": "cli.md#examine-and-convert",
     "convert": "cli.md#examine-and-convert",

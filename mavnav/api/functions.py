@@ -318,6 +318,45 @@ def diff(
     return diff_maps(DiffRequest(Path(a), Path(b), _path(picture), force=force), progress or _silent)
 
 
+def merge(
+    inputs: Sequence[File],
+    directory: File,
+    *,
+    config: File | None = None,
+    settings: Mapping[str, object] | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Join logs and runs of one building to one map, as ``mavnav merge`` does (docs/merge.md).
+
+    Parameters
+    ----------
+    inputs
+        Logs and run directories, in any order.
+    directory, force
+        Where to write the result, and whether to replace an earlier one.
+    config, settings
+        As for `replay`.
+    progress
+        Called as work goes on.
+
+    Returns
+    -------
+    The document merge.json: which session joined which, and why others did not.
+
+    Raises
+    ------
+    MavnavError
+        UsageError, ConfigError, NoScansError or OutputError.
+    """
+    from mavnav.pipelines.merge import MergeRequest  # noqa: PLC0415  heavy
+    from mavnav.pipelines.merge import merge as merged  # noqa: PLC0415
+
+    paths = tuple(Path(each) for each in inputs)
+    chosen = load_config(config, _sets(settings), {})
+    return merged(MergeRequest(paths, Path(directory), chosen, force=force), progress or _silent)
+
+
 def track(
     scans: Iterable[Scan],
     *,

@@ -12,8 +12,8 @@ from PIL import Image
 import mavnav as api
 from mavnav.outputs.canvas import rgb_of
 from mavnav.outputs.difference_picture import GONE, NEW
-from tests.support.changed_rooms import TURNED, mapped, rooms, saved
-from tests.support.synthetic import room
+from support.changed_rooms import TURNED, mapped, rooms, saved
+from support.synthetic import room
 
 
 @pytest.fixture(scope="module")

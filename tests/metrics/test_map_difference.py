@@ -13,8 +13,8 @@ from mavnav.metrics.map_difference import Change, View, difference, paired
 from mavnav.pose import Pose
 from mavnav.slam.map_alignment import align
 from mavnav.slam.prior_map import PriorMap
-from tests.support.changed_rooms import DOOR, MOVED, POSES, TURNED, WALL, mapped, rooms
-from tests.support.synthetic import room
+from support.changed_rooms import DOOR, MOVED, POSES, TURNED, WALL, mapped, rooms
+from support.synthetic import room
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import numpy as np
 
 from mavnav.mapping.occupancy_grid import Grid, GridBuilder
 from mavnav.pose import Pose, transform_points
-from tests.support.synthetic import LDS_01, Segments, box, cast, furnished_rooms, polyline
+from support.synthetic import LDS_01, Segments, box, cast, furnished_rooms, polyline
 
 POSES = ((0.8, 0.8), (3.0, 0.8), (5.2, 1.0), (5.0, 3.0), (4.6, 4.0), (4.6, 5.2), (5.8, 5.6), (3.0, 3.3), (0.9, 3.0))
 """Where the laser stands, x and y in the world, m; the map's frame has its origin at the first."""
