@@ -9,8 +9,9 @@ TYPE_CHECKING = False  # as in typing, whose import would take most of the time
 if TYPE_CHECKING:
     from typing import Any
 
-    from mavnav.api.functions import compare, diff, merge, open_log, replay, simulate, track
+    from mavnav.api.functions import compare, open_log, replay, simulate, track
     from mavnav.api.results import Comparison, Run, load_run
+    from mavnav.api.sessions import diff, merge
     from mavnav.errors import MavnavError
     from mavnav.logs import Log
     from mavnav.pose import Pose, Trajectory
@@ -37,8 +38,9 @@ __all__ = [
     "track",
 ]
 _MODULES = {
-    **dict.fromkeys(("compare", "diff", "merge", "open_log", "replay", "simulate", "track"), "mavnav.api.functions"),
+    **dict.fromkeys(("compare", "open_log", "replay", "simulate", "track"), "mavnav.api.functions"),
     **dict.fromkeys(("Comparison", "Run", "load_run"), "mavnav.api.results"),
+    **dict.fromkeys(("diff", "merge"), "mavnav.api.sessions"),
     **dict.fromkeys(("LaserSpec", "Scan"), "mavnav.scan"),
     **dict.fromkeys(("Pose", "Trajectory"), "mavnav.pose"),
     "Log": "mavnav.logs",

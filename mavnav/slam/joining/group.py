@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mavnav.slam.localization import MANY
-from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD
+from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD, Closure
 from mavnav.slam.loop_closure.detection import LOOP_M, PATH_SIGMA_M, PATH_SIGMA_RAD, consistent, track_confirmed
 from mavnav.slam.loop_closure.key_frames import Part, Visibility
 from mavnav.slam.loop_closure.matching import CLEAR_BY, find_closure, fits
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.pose import Pose
     from mavnav.slam.joining.session import Session
-    from mavnav.slam.loop_closure.closure import Closure
     from mavnav.slam.loop_closure.key_frames import KeyFrame
     from mavnav.slam.relocalization import Region
     from mavnav.slam.scan_matching import Match
@@ -41,6 +39,9 @@ WITNESSES = 24
 
 FEW, AROUND_M = 6, 1.5
 """Where no more of them fit, all key frames this near along the path are searched too: sessions may meet at an end."""
+
+MOST_PLACES = 12
+"""So many places of a whole map are compared closely for each."""
 
 LEAST_CLOSURES = 3
 """So many closures that agree make a join."""
@@ -154,35 +155,33 @@ def _left_out(name: str, group: list[str]) -> Join:
 def _grown(
     group: Group, waiting: list[Session], config: Config, report: Callable[[str], None]
 ) -> tuple[Group, list[Session], list[Join]]:
-    """Join sessions to a group until none joins any more; return what is left, and why."""
+    """Join sessions to a group until none joins any more, the best witnessed first; return what is left, and why."""
     while True:
-        tried = []
+        part, tried = Part(config), list[Join]()
+        part.grow(group.keys, len(group.keys))
+        places = []
         for session in waiting:
             report(session.name)
-            larger, join = joined(group, session, config)
+            places.append((session, *sought(session, part, config)))
+        for session, join, place in sorted(places, key=lambda found: -found[1].agreeing):
+            larger, result = joined(group, session, place, part, join, config) if place else (None, join)
             if larger:
                 group, waiting = larger, [other for other in waiting if other is not session]
                 break
-            tried.append(join)
+            tried.append(result)
         else:
             return group, waiting, tried
 
 
-def joined(group: Group, session: Session, config: Config) -> tuple[Group | None, Join]:
-    """Join a session to a group; None where it does not convince, and why."""
-    part = Part(config)
-    part.grow(group.keys, len(group.keys))
+def sought(session: Session, part: Part, config: Config) -> tuple[Join, Pose | None]:
+    """Search a session in the map of a group; return the evidence, and its pose there, None if too few agree."""
     pairs, searched = witnesses(session, part, config)
-    group_T_session = agreed(pairs)
-    join = Join(session.name, searched, len(pairs))
+    group_T_session, join = agreed(pairs), Join(session.name, searched, len(pairs))
     if group_T_session is None:
         few = "too few of its scans fit in one place of the others' map" if len(pairs) < 3 else "its scans disagree"
-        return None, join._replace(why=few)
+        return join._replace(why=few), None
     agreeing = [pair for pair in pairs if not apart(group_T_session @ pair[0], pair[1])]
-    join, moved = join._replace(agreeing=len(agreeing)), fitted(agreeing)
-    offset_m = len(group.sessions) * APART_M
-    new = [replace(k, map_T_laser=moved @ k.map_T_laser, path_m=k.path_m + offset_m) for k in session.keys]
-    return _closed(group, session, new, part, join, config)
+    return join._replace(agreeing=len(agreeing)), fitted(agreeing)
 
 
 def witnesses(session: Session, part: Part, config: Config) -> tuple[list[tuple[Pose, Pose]], int]:
@@ -210,7 +209,7 @@ def _only_place(key: KeyFrame, part: Part, region: Region, config: Config) -> Ma
     """Return where a key frame fits in a map; None where it fits nowhere, or elsewhere about as well."""
     if len(key.points) < config.robust.min_points:
         return None
-    best = unrivalled(candidates(key.points, part.lines, part.grid, region, config, MANY), CLEAR_BY, config)
+    best = unrivalled(candidates(key.points, part.lines, part.grid, region, config, MOST_PLACES), CLEAR_BY, config)
     return best if best and fits(best) else None
 
 
@@ -220,48 +219,62 @@ def evenly(count: int, most: int) -> list[int]:
     return numbers
 
 
-def _closed(
-    group: Group, session: Session, new: list[KeyFrame], part: Part, join: Join, config: Config
+def joined(
+    group: Group, session: Session, group_T_session: Pose, part: Part, join: Join, config: Config
 ) -> tuple[Group | None, Join]:
-    """Search closures between a group and the key frames of a session, and solve the pose graph of all."""
-    first = len(group.keys)
-    keys: list[KeyFrame] = [*group.keys, *new]
-    closures: list[Closure] = []
+    """Search closures between a group and a session, and solve the pose graph of all; None if they do not convince."""
+    first, offset_m = len(group.keys), len(group.sessions) * APART_M
+    placed = ((key, group_T_session @ key.map_T_laser) for key in session.keys)
+    new = [replace(key, map_T_laser=pose, path_m=key.path_m + offset_m) for key, pose in placed]
     edges = [*group.edges, *own_edges(session.keys, first)]
-    larger = keys
-    for _ in range(ROUNDS):
-        found = list(_closures(larger, first, config))
-        agreed_on = consistent([closure for closure in found if closure], larger, larger)
-        if len(agreed_on) < len(closures):
-            break
-        closures = agreed_on
-        if len(closures) < LEAST_CLOSURES:
-            return None, join._replace(tested=len(found), closures=len(closures), why="too few closures agree")
-        loops = [Edge(c.start, c.end, c.start_T_end, c.sqrt_information) for c in closures]
-        poses = optimized([key.map_T_laser for key in keys], [*edges, *loops])
-        moved = [closure.correction(larger) for closure in closures]
-        larger = [replace(key, map_T_laser=pose) for key, pose in zip(keys, poses, strict=True)]
-        if track_confirmed(moved):
-            break
-    against = contradicting(larger[first:], part)
-    off = [
-        larger[c.end].map_T_laser.between(larger[c.start].map_T_laser @ c.start_T_end)
-        for c in closures
-        if c.weak_rad is None
-    ]
-    to = [group.sessions[group.owner(c.start)].name for c in closures]
+    keys, closures, tested = closed([*group.keys, *new], first, edges, config)
+    join = join._replace(tested=tested, closures=len(closures))
+    if len(closures) < LEAST_CLOSURES:
+        return None, join._replace(why="too few closures agree")
+    join = join._replace(contradicting=contradicting(keys[first:], part))
+    if join.contradicting >= len(closures):
+        return None, join._replace(why="as many of its scans contradict the others' map as agree with it")
+    residual_m, residual_rad = residuals(closures, keys)
+    to = [group.sessions[group.owner(closure.start)].name for closure in closures]
     join = join._replace(
-        tested=len(found),
-        closures=len(closures),
-        contradicting=against,
-        residual_m=float(np.sqrt(np.mean([o.distance_m**2 for o in off]))) if off else 0.0,
-        residual_rad=float(np.sqrt(np.mean([o.yaw_rad**2 for o in off]))) if off else 0.0,
+        residual_m=residual_m,
+        residual_rad=residual_rad,
         joined_to=tuple((name, to.count(name)) for name in dict.fromkeys(to)),
     )
-    if against >= len(closures):
-        return None, join._replace(why="as many of its scans contradict the others' map as agree with it")
     members = (*group.sessions, session)
-    return Group(members, tuple(larger), (*edges, *loops), (*group.joins, join)), join
+    return Group(members, tuple(keys), (*edges, *map(_edge, closures)), (*group.joins, join)), join
+
+
+def closed(
+    keys: list[KeyFrame], first: int, edges: list[Edge], config: Config
+) -> tuple[list[KeyFrame], list[Closure], int]:
+    """Close key frames from number ``first`` on with those before; return all at the poses that follow.
+
+    The closures that agree are returned too, and the number of key frames that were searched.
+    """
+    moved, closures, tested = keys, list[Closure](), 0
+    for _ in range(ROUNDS):
+        found = list(_closures(moved, first, config))
+        agreed_on = consistent([closure for closure in found if closure], moved, moved)
+        if len(agreed_on) < max(len(closures), LEAST_CLOSURES):
+            return moved, closures or agreed_on, len(found)
+        closures, tested = agreed_on, len(found)
+        small = track_confirmed([closure.correction(moved) for closure in closures])
+        poses = optimized([key.map_T_laser for key in keys], [*edges, *map(_edge, closures)])
+        moved = [replace(key, map_T_laser=pose) for key, pose in zip(keys, poses, strict=True)]
+        if small:
+            break
+    return moved, closures, tested
+
+
+def _edge(closure: Closure) -> Edge:
+    return Edge(closure.start, closure.end, closure.start_T_end, closure.sqrt_information)
+
+
+def residuals(closures: Sequence[Closure], keys: Sequence[KeyFrame]) -> tuple[float, float]:
+    """Return the RMS of the corrections that closures still ask for, m and rad."""
+    left = np.array([closure.correction(keys) for closure in closures])
+    return float(np.sqrt((left[:, :2] ** 2).sum(axis=1).mean())), float(np.sqrt((left[:, 2] ** 2).mean()))
 
 
 def _closures(keys: Sequence[KeyFrame], first: int, config: Config) -> Iterator[Closure | None]:
