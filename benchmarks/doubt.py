@@ -8,7 +8,8 @@
 missions, compared with the truth. Each line holds the features of a run, always with a second track, and its errors. A
 run is wrong if the motion over a window of 2 or 10 s is off by more than 0.2 m or 5 deg somewhere. ``fit`` prints
 the coefficients that belong into mavnav/slam/doubt/coefficients.py, from the even seeds; ``report`` judges all runs
-with those that are there, the second track only where they ask for it, and prints both halves.
+with those that are there, the second track only where they ask for it, and prints both halves; then every simulated
+scene, all seeds.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from itertools import pairwise
@@ -34,7 +35,7 @@ from mavnav.slam.doubt.coefficients import Weights
 from mavnav.slam.doubt.evidence import evidence_of, with_resampled_track
 from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, WRONG_M, WRONG_RAD
 from mavnav.slam.doubt.judge import FEWEST, WORTH_A_TRACK, judge_track
-from mavnav.slam.doubt.model import doublings, probability
+from mavnav.slam.doubt.model import contributions, doublings, probability
 from mavnav.slam.doubt.record import HIGH
 from mavnav.slam.track import Track
 from mavnav.units import DEG
@@ -44,39 +45,43 @@ Run = dict[str, Any]
 RIDGE, LEAST_WEIGHT = 0.3, 0.1
 """The penalty on squared weights; what each doubling of a feature counts at least, however rare it is in the runs."""
 
-PASSES = pipeline.LAST_PASSES
+PASSES = pipeline.CHECKING
 
 BINS = (0.0, 0.02, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
 """Of the reliability diagram."""
 
 
 def features_of(track: Track) -> dict[str, float]:
-    """Return the features of a finished track, with a second one."""
+    """Return the features of a judged track, with a second one."""
     refiner = track.refiner
     if refiner is None or track.steps.column("tracked").sum() < FEWEST:
         return {}
-    evidence = with_resampled_track(evidence_of(track, refiner), track)
+    evidence = evidence_of(track if len(track.resampled) else with_resampled_track(track), refiner)
     return {name: feature.total(feature.of(evidence)) for name, feature in FEATURES.items()}
 
 
 def made(folder: Path, name: str) -> Run:
-    """Make a run, and return its features and errors."""
+    """Make a run; return its features and errors, and whether a remedy was used."""
     os.nice(5)
-    features: dict[str, float] = {}
+    features: list[dict[str, float]] = []
 
     def keep(track: Track) -> Track:
-        features.update(features_of(track))
-        return track
+        judged = judge_track(track)
+        features.append(features_of(judged))
+        return judged
 
-    pipeline.LAST_PASSES = tuple(keep if some is judge_track else some for some in PASSES)
-    if name.startswith("mission-"):
-        slam, truth = flown(name)
+    pipeline.CHECKING = PASSES
+    case = None if name.startswith("mission-") else case_of(folder, name)
+    pipeline.CHECKING = tuple(keep if some is judge_track else some for some in PASSES)
+    if case:
+        slam, truth = pipeline.run_slam(lambda: case.scans, Config(), case.period_s, case.odometry), case.reference
     else:
-        case = case_of(folder, name)
-        slam = pipeline.run_slam(lambda: case.scans, Config(), case.period_s, case.odometry)
-        truth = case.reference
+        slam, truth = flown(name)
     off_m, off_deg = largest_errors(slam.trajectory, truth) if truth is not None else (0.0, 0.0)
-    return {"name": name, "lost": slam.lost_for_good, "off_m": off_m, "off_deg": off_deg, "features": features}
+    remedy = slam.remedies[0]._asdict() if slam.remedies else {}
+    shown = features[-1 if remedy.get("used") else 0]
+    run = {"name": name, "lost": slam.lost_for_good, "off_m": off_m, "off_deg": off_deg, "features": shown}
+    return run | ({"remedy": remedy} if remedy else {})
 
 
 def collect(file: Path, folder: Path, jobs: int, only: str) -> None:
@@ -134,9 +139,9 @@ def fit(runs: list[Run]) -> None:
 
 
 def judged(run: Run) -> float:
-    """Return the doubt of a run: the second track counts where the first one's doubt asks for it."""
-    one = probability({**run["features"], DISAGREEMENT: np.nan})
-    return one if one < WORTH_A_TRACK else probability(run["features"])
+    """Return the doubt of a run: the second track counts where the first one's doubt asks for it, or for a remedy."""
+    one, used = probability({**run["features"], DISAGREEMENT: np.nan}), run.get("remedy", {}).get("used")
+    return one if one < WORTH_A_TRACK and not used else probability(run["features"])
 
 
 def outcomes(runs: list[Run]) -> str:
@@ -150,11 +155,27 @@ def outcomes(runs: list[Run]) -> str:
     )
 
 
-def families(runs: list[Run]) -> Iterator[tuple[str, list[Run]]]:
-    """Group runs by what they are of."""
-    of = {run["name"]: run["name"].partition("/")[0].partition("-")[0] for run in runs}
-    for family in sorted(set(of.values())):
-        yield family, [run for run in runs if of[run["name"]] == family]
+def grouped(runs: list[Run], group: Callable[[str], str]) -> Iterator[tuple[str, list[Run]]]:
+    """Group runs by what their names have in common."""
+    for common in sorted({group(run["name"]) for run in runs}):
+        yield common, [run for run in runs if group(run["name"]) == common]
+
+
+def family(name: str) -> str:
+    """Return what a run is of: a log, a simulated scene or a mission."""
+    return name.partition("/")[0].partition("-")[0]
+
+
+def scene(name: str) -> str:
+    """Return the scene or mission of a run, and whether the scans are thinned out or have odometry."""
+    return "/".join(name.split("/")[:2])
+
+
+def main_reason(runs: list[Run]) -> str:
+    """Return the strongest reason of most runs that are marked."""
+    marked = [run["features"] for run in runs if run["features"] and not run["lost"] and judged(run) > HIGH]
+    found = [max(odds := contributions(features), key=odds.__getitem__) for features in marked]
+    return FEATURES[max(found, key=found.count)].reason if found else ""
 
 
 def report(runs: list[Run], plot: Path | None) -> None:
@@ -162,8 +183,8 @@ def report(runs: list[Run], plot: Path | None) -> None:
     print("| runs | runs | right | right, marked | wrong, marked | exit 5 | silently wrong |\n|" + "---|" * 7)
     for odd, title in enumerate(("fitted", "reported")):
         print(f"| **{title} half** {outcomes(half(runs, odd))}")
-    for family, some in families(half(runs, 1)):
-        print(f"| {family} {outcomes(some)}")
+    for what, some in grouped(half(runs, 1), family):
+        print(f"| {what} {outcomes(some)}")
     live = [run for run in half(runs, 1) if not run["lost"] and run["features"]]
     tried = np.mean([probability({**r["features"], DISAGREEMENT: np.nan}) >= WORTH_A_TRACK for r in live])
     print(f"\nsecond track: {tried:.0%} of the reported half\n")
@@ -177,6 +198,12 @@ def report(runs: list[Run], plot: Path | None) -> None:
         print(f"| {low:g} to {high:g} | {count} | {mean:.2f} | {share:.2f} |")
     if plot:
         draw(rows, plot)
+    print(
+        "\n| simulated | runs | right | right, marked | wrong, marked | exit 5 | silently wrong | main reason |\n|"
+        + "---|" * 8
+    )
+    for what, some in grouped([run for run in runs if run["name"].startswith(("sim-", "mission-"))], scene):
+        print(f"| {what} {outcomes(some)} {main_reason(some)} |")
 
 
 def reliability(runs: list[Run]) -> list[tuple[float, float, int, float, float]]:

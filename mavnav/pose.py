@@ -154,6 +154,43 @@ class Trajectory:
         return float(np.hypot(*np.diff(self.xyyaw[:, :2], axis=0).T).sum())
 
 
+@dataclass(frozen=True, slots=True)
+class Rotation:
+    """How a body turned, as an inertial sensor measured it: at stamps (n,), ns, strictly ascending.
+
+    ``yaw_rad`` (n,) is the yaw rate, integrated, not wrapped; ``tilt_rad`` (n,) the angle between the vertical of the
+    body and its usual one, 0 or more. All are read-only.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    yaw_rad: NDArray[np.float64]
+    tilt_rad: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        for array in (self.stamps_ns, self.yaw_rad, self.tilt_rad):
+            array.flags.writeable = False
+
+    def turned_rad(self, start_ns: int, end_ns: int, max_gap_ns: int) -> float | None:
+        """Return the turn about the vertical between two times; None outside, or next to a longer gap than that."""
+        ends = np.array((start_ns, end_ns))
+        after = np.searchsorted(self.stamps_ns, ends)
+        if not (after.min() > 0 and after.max() < len(self.stamps_ns)):
+            return None
+        gaps_ns = self.stamps_ns[after] - self.stamps_ns[after - 1]
+        if gaps_ns.max() > max_gap_ns:
+            return None
+        share = (ends - self.stamps_ns[after - 1]) / gaps_ns
+        first, last = self.yaw_rad[after - 1] + share * (self.yaw_rad[after] - self.yaw_rad[after - 1])
+        return float(last - first)
+
+    def tilts_rad(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the tilt at other stamps (m,): 0 where it is not known."""
+        since = (stamps_ns - self.stamps_ns[0], self.stamps_ns - self.stamps_ns[0])
+        tilts_rad: NDArray[np.float64] = np.interp(*since, self.tilt_rad, left=0.0, right=0.0)
+        return tilts_rad
+
+
 def yaw_of_quaternion(x: float, y: float, z: float, w: float) -> float:
     """Return the yaw (rad) of a quaternion, the rotation about z in Z-Y-X order (REP-103)."""
     return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -68,15 +68,37 @@ class Scan:
 
     ``ranges_m`` is (beams,) float64, read-only; NaN means no valid return, and nothing else is ever odd:
     every convention of a sensor or driver ends where logs are read. ``stamp_ns`` is the time of the first beam.
+    ``times_s`` (beams,) are the times of the beams since then if several lasers were merged, else None: a steady sweep.
     """
 
     stamp_ns: int
     ranges_m: NDArray[np.float64]
     spec: LaserSpec
+    times_s: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         """Freeze the ranges."""
         self.ranges_m.flags.writeable = False
+
+    @property
+    def sweep_s(self) -> float:
+        """Time from the first beam to the last."""
+        if self.times_s is not None:
+            return float(np.ptp(self.times_s))
+        return abs(self.spec.time_increment_s) * self.spec.beams
+
+    def seen_at_mid_sweep(self, twist: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return ranges (beams,) and directions (beams, 2) as from the pose at mid-sweep, of merged lasers.
+
+        ``twist`` (3,) is the motion of the laser in its own frame, m/s, m/s, rad/s.
+        """
+        times_s = np.zeros(self.spec.beams) if self.times_s is None else self.times_s
+        late_s = times_s - 0.5 * (times_s.min() + times_s.max())
+        c, s = np.cos(twist[2] * late_s), np.sin(twist[2] * late_s)
+        x, y = self.ranges_m * self.spec.directions.T
+        xy = np.column_stack((c * x - s * y + twist[0] * late_s, s * x + c * y + twist[1] * late_s))
+        ranges_m = np.hypot(*xy.T)
+        return ranges_m, xy / np.maximum(ranges_m, 1e-9)[:, None]
 
     def points(self) -> NDArray[np.float64]:
         """Return the end points of the valid beams in the laser's frame, (n, 2) in metres."""

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -26,6 +27,16 @@ def test_the_version_is_the_same_everywhere() -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert (citation["title"], citation["version"]) == (PROJECT["name"], __version__)
     assert [author["name"] for author in citation["authors"]] == [author["name"] for author in PROJECT["authors"]]
+
+
+def test_the_text_of_the_package_index_needs_no_other_file() -> None:
+    code = re.search(r"^def index_text.*?\n\n\n", (ROOT / "hatch_build.py").read_text(), re.MULTILINE | re.DOTALL)
+    assert code
+    names: dict[str, Any] = {"re": re}
+    exec(code[0], names)  # without hatchling, which only a build has
+    text = names["index_text"]((ROOT / "README.md").read_text())
+    assert "Every command has `--help` with examples; docs/cli.md has the details." in text
+    assert re.findall(r"!\[|\]\((?!https://)", text) == []
 
 
 @pytest.fixture

@@ -62,7 +62,7 @@ def open_log(
     path
         A file, or the folder of a ROS 2 bag.
     topic
-        The scan topic, if there are several.
+        The scan topic, if there are several; several, joined by commas, are merged by their mountings.
     odom
         ``auto``, ``off`` or a topic.
     start_s, end_s

@@ -32,6 +32,7 @@ from mavnav.commands.options import (
     given_values,
     given_window,
     grids_option,
+    joined_topics,
     output_option,
     parse_pose,
     resource_option,
@@ -172,7 +173,7 @@ def batch(
             config=config,
             sets=sets or (),
             options=given_values(odom=odom, final_pass=False if online else None),
-            reading=given_values(topic=topic, extrinsic=parse_pose(extrinsic), strict=strict or None)
+            reading=given_values(topic=joined_topics(topic), extrinsic=parse_pose(extrinsic), strict=strict or None)
             | given_window(start, end),
             gates=gates or (),
             accept=accept or (),

@@ -32,6 +32,7 @@ from mavnav.commands.options import (
     given_values,
     given_window,
     grids_option,
+    joined_topics,
     parse_pose,
 )
 from mavnav.commands.progress import loading_modules, reporting
@@ -99,7 +100,7 @@ def compare(
     Finished replays are reused; a replay that fails does not stop the others.
     """
     overrides = given_values(odom=odom, final_pass=False if online else None)
-    reading = given_values(topic=topic, extrinsic=parse_pose(extrinsic)) | given_window(start, end)
+    reading = given_values(topic=joined_topics(topic), extrinsic=parse_pose(extrinsic)) | given_window(start, end)
     reading |= given_values(truth=truth, truth_map=truth_map, relations=relations)  # of truth the text: file or topic
     for log in logs or []:
         if not log.exists():

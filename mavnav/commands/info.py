@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from mavnav.commands.options import Json, LogFile, Quiet, Strict, Topic
+from mavnav.commands.options import Json, LogFile, Quiet, Strict, Topic, joined_topics
 from mavnav.commands.progress import reporting
 from mavnav.commands.terminal import LISTED, emit_json, note_oddities, print_table
 from mavnav.errors import ExitCode, MavnavError
@@ -41,9 +41,10 @@ def info(
     """Examine a log: topics, sensor, scans, rate, validity of ranges, odometry, and everything that is damaged."""
     from mavnav.logs import survey
 
+    name = joined_topics(topic)
     with reporting(quiet=quiet) as report:
-        found = survey(log, topic=topic, strict=strict, progress=lambda done, total: report("reading", done, total))
-    logs, error = _choices(found, topic)
+        found = survey(log, topic=name, strict=strict, progress=lambda done, total: report("reading", done, total))
+    logs, error = _choices(found, name)
     if error is not None:
         _print_result(document(found, logs, error.exit_code), json=json)
         raise error
@@ -101,6 +102,7 @@ def _topic(log: Log | None) -> dict[str, Any]:
         "health": _health(log) if log else None,
         "cleaning": log.cleaning if log else {},
         "odometry": _odometry(log) if log else None,
+        "imu": _imu(log) if log else None,
         "mounting": _mounting(log) if log else None,
     }
 
@@ -150,6 +152,14 @@ def _health(log: Log) -> dict[str, Any]:
     from mavnav.logs.health import sensor_health
 
     return asdict(sensor_health(log))
+
+
+def _imu(log: Log) -> dict[str, Any] | None:
+    if log.imu is None:
+        return None
+    found = log.imu.rotation
+    span_s = float(found.stamps_ns[-1] - found.stamps_ns[0]) * NS
+    return {"topic": log.imu.topic, "messages": len(found.stamps_ns), "rate_hz": (len(found.stamps_ns) - 1) / span_s}
 
 
 def _odometry(log: Log) -> dict[str, Any] | None:
@@ -202,6 +212,7 @@ def _rows(document: dict[str, Any]) -> list[tuple[str, str]]:
             ("ranges", _shares(topic["cleaning"])),
             *_health_rows(topic["health"]),
             ("odometry", _odometry_text(topic["odometry"])),
+            *_imu_row(topic["imu"]),
             ("mounting", _mounting_text(topic["mounting"])),
         ]
     return [*rows, ("verdict", _verdict(document))]
@@ -254,6 +265,10 @@ def _odometry_text(odometry: dict[str, Any] | None) -> str:
     if odometry is None:
         return "none"
     return f"{odometry['topic']}, {odometry['poses']} poses, {odometry['length_m']:.2f} m"
+
+
+def _imu_row(imu: dict[str, Any] | None) -> list[tuple[str, str]]:
+    return [] if imu is None else [("imu", f"{imu['topic']}, {imu['messages']} messages, {imu['rate_hz']:.0f} Hz")]
 
 
 def _mounting_text(mounting: dict[str, Any] | None) -> str:

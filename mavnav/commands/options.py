@@ -45,8 +45,12 @@ Again = Annotated[
 ]
 
 Topic = Annotated[
-    str | None,
-    input_option(metavar="NAME", help="Scan topic (default the only one).", autocompletion=completion.scan_topics),
+    list[str] | None,
+    input_option(
+        metavar="NAME",
+        help="Scan topic (default the only one); repeatable, to merge lasers by /tf_static.",
+        autocompletion=completion.scan_topics,
+    ),
 ]
 Start = Annotated[
     float | None,
@@ -96,8 +100,11 @@ Outputs = Annotated[
     output_option(
         "--outputs",
         metavar="GROUP,...",
-        help="Write only these files: trajectory, map, metrics, pictures, mcap, report (default all but report).",
-        autocompletion=completion.words("trajectory", "map", "metrics", "pictures", "mcap", "report"),
+        help="Write only these files: trajectory, map, metrics, pictures, mcap (default: these); report, svg, scale, "
+        "graph; all.",
+        autocompletion=completion.words(
+            "trajectory", "map", "metrics", "pictures", "mcap", "report", "svg", "scale", "graph", "all"
+        ),
     ),
 ]
 WriteReport = Annotated[bool, output_option("--report", help="Also write the run as one page, report.html.")]
@@ -136,9 +143,9 @@ def output_values(outputs: str | None, *, report: bool, preview: bool) -> dict[s
     if outputs is None:
         return {"report": report}
     names = tuple(dict.fromkeys([*outputs.split(","), *(["report"] if report else [])]))
-    if preview and "map" not in names:
+    if preview and not {"map", "all"} & {*names}:
         raise UsageError("--preview is drawn from map; add it to --outputs")
-    return {"report": "report" in names, "outputs": names}
+    return {"report": bool({"report", "all"} & {*names}), "outputs": names}
 
 
 def again_directory(again: Path) -> Path:
@@ -179,6 +186,11 @@ def given_window(start_s: float | None, end_s: float | None) -> dict[str, float]
     if start_s is not None and end_s is not None and end_s <= start_s:
         raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
     return given_values(start_s=start_s, end_s=end_s)
+
+
+def joined_topics(topics: list[str] | None) -> str | None:
+    """Return the scan topics as one name, joined by commas as a merged log has it; None if none is given."""
+    return ",".join(topics) if topics else None
 
 
 def parse_pose(text: str | None, option: str = "--extrinsic") -> tuple[float, float, float] | None:

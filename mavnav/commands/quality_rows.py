@@ -23,6 +23,15 @@ def doubt_rows(doubt: dict[str, Any]) -> Rows:
     return [("doubtful", f"{probability:.0%}: {', '.join(dict.fromkeys(r['reason'] for r in doubt['reasons']))}")]
 
 
+def remedy_rows(remedies: list[dict[str, Any]]) -> Rows:
+    """Return the rows on ``tracking.remedies`` of a summary table: the doubt before and after each."""
+    rows = []
+    for remedy in remedies:
+        doubt = f"doubt {remedy['doubt_before']:.0%}, then {remedy['doubt_after']:.0%}"
+        rows.append(("tracked again", f"with {remedy['remedy']}: {doubt}, {'used' if remedy['used'] else 'not used'}"))
+    return rows
+
+
 def wall_rows(document: dict[str, Any]) -> Rows:
     """Return the rows on wall thickness of a summary table."""
     walls = document["wall_thickness"]

@@ -39,6 +39,7 @@ from mavnav.commands.options import (
     check_again,
     directory_option,
     given_values,
+    joined_topics,
     note_repetition,
     note_without_effect,
     output_option,
@@ -47,7 +48,14 @@ from mavnav.commands.options import (
     search_option,
 )
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
-from mavnav.commands.quality_rows import closing_rows, doubt_rows, quality_rows, reference_rows, wall_rows
+from mavnav.commands.quality_rows import (
+    closing_rows,
+    doubt_rows,
+    quality_rows,
+    reference_rows,
+    remedy_rows,
+    wall_rows,
+)
 from mavnav.commands.terminal import emit, emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
 
@@ -169,7 +177,7 @@ def replay(
             log=log,
             directory=target,
             config=chosen,
-            topic=topic,
+            topic=joined_topics(topic),
             start_s=start,
             end_s=end,
             extrinsic=mounting and Pose(*mounting),
@@ -296,6 +304,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         *([("left out", text)] if (text := left_out_text(tracking.get("parts", []))) else []),
         ("path", f"{tracking['path_length_m']:.2f} m"),
         *doubt_rows(tracking["doubt"]),
+        *remedy_rows(tracking.get("remedies", [])),
     ]
     if "localisation" in document:
         rows.append(("found in the map", _found(document["localisation"])))

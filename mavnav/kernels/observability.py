@@ -28,19 +28,21 @@ def _least_eigenvalue(xx: float, yy: float, zz: float, xy: float, xz: float, yz:
     return least
 
 
-@kernel(float64(F64_2D, F64_1D, U32_2D, F64_2D, F64_1D))
+@kernel(float64(F64_2D, F64_1D, U32_2D, F64_2D, F64_1D, float64[::1]))
 def observability(
     points: NDArray[np.float64],
     pose: NDArray[np.float64],
     nearest: NDArray[np.uint32],
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
+    information: NDArray[np.float64],
 ) -> float:
     """Return the least eigenvalue of a scan's information about its pose: 0 where a direction is not observable.
 
     ``points`` (n, 2) lie in the laser's frame, m; ``pose`` (3,) is x, y (m) and yaw (rad) in the map frame. A point on
     a wall informs about motion along the wall's normal. A point weighs 1 / n, and a turn counts as the path of a point
-    at the mean distance. The map's arrays are described in ``linemap``.
+    at the mean distance. The map's arrays are described in ``linemap``. Writes the sums of this information in the map
+    frame (6,): xx, xy, yy (points), x yaw, y yaw (m), yaw yaw (m2).
     """
     (rows, cols), (to_x, to_y, yaw), (origin_x, origin_y, cell_m, _, _, _) = nearest.shape, pose, geometry
     c, s, cells_per_m = np.cos(yaw), np.sin(yaw), 1.0 / cell_m
@@ -57,5 +59,6 @@ def observability(
             tx, ty = axy * x - axx * y, ayy * x - axy * y
             xx, xy, yy = xx + axx, xy + axy, yy + ayy
             xr, yr, rr = xr + tx, yr + ty, rr + ty * x - tx * y
+    information[:] = xx, xy, yy, xr, yr, rr
     n, arm = float64(max(len(points), 1)), max(away / max(len(points), 1), 1e-9)
     return _least_eigenvalue(xx / n, yy / n, rr / (n * arm * arm), xy / n, xr / (n * arm), yr / (n * arm))

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
 from mavnav.errors import NoScansError, TopicError
 from mavnav.logs.formats import detect
-from mavnav.logs.messages.decode import LASER_TYPES, decoder, holds_scans
-from mavnav.logs.messages.other_scans import OTHER_TYPES
+from mavnav.logs.merging import FRAME, Mounted, merged_scans, partners, virtual_laser
+from mavnav.logs.messages.decode import decoder, scan_topic, scan_topics
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.odometry import jump
 from mavnav.logs.preprocessing import KINDS, ScanFilter
 from mavnav.logs.read_report import ReadReport
-from mavnav.logs.records import Damage, Gap, Odometry, RecordedTruth, ScanCounts, Topic
-from mavnav.logs.stamps import KEPT_BYTES, StampSource, Timeline, period_and_gaps
+from mavnav.logs.records import Damage, Gap, Imu, Odometry, RecordedTruth, ScanCounts, Topic
+from mavnav.logs.stamps import KEPT_BYTES, StampSource, period_and_gaps
 from mavnav.logs.survey import Survey, survey
+from mavnav.logs.topic_choice import chosen_topic, no_usable
 from mavnav.logs.transforms import BASE_FRAMES, mounting
 from mavnav.logs.truth import laser_truth
 from mavnav.memory import trim
@@ -27,15 +29,13 @@ from mavnav.scan import LaserSpec, Scan
 from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from mavnav.logs.messages.records import LaserMessage
-    from mavnav.logs.stamps import TopicScans
 
-_MOST_NAMED: Final = 8
 _MOST_WAITING: Final = 64
 _WAITING_BYTES: Final = 64 << 20
 
@@ -71,6 +71,7 @@ class Log:
     base_frame: str | None
     upside_down: bool
     odometry: Odometry | None
+    imu: Imu | None
     truth: RecordedTruth | None
     damage: tuple[Damage, ...]
     warnings: tuple[str, ...]
@@ -78,12 +79,19 @@ class Log:
     _order: NDArray[np.int64] = field(repr=False, compare=False)
     _stamps_ns: NDArray[np.int64] = field(repr=False, compare=False)
     _ranges: list[tuple[LaserSpec, NDArray[np.float64]]] | None = field(default=None, repr=False, compare=False)
+    _merged: tuple[Log, ...] = field(default=(), repr=False, compare=False)
     _kept: list[Scan] = field(default_factory=list, repr=False, compare=False)
 
     @property
     def duration_s(self) -> float:
         """Time from the first usable scan to the last."""
         return (self.last_ns - self.first_ns) * NS
+
+    @property
+    def mounted(self) -> Mounted:
+        """The laser as it is merged with others."""
+        spec = self.sensor.turned_over() if self.upside_down else self.sensor
+        return Mounted(spec, self.base_T_laser or Pose(), self._stamps_ns)
 
     @property
     def is_short(self) -> bool:
@@ -113,6 +121,9 @@ class Log:
         Scans that come early in the file wait for their turn. Only so many may wait; where more would have to, the file
         is read again.
         """
+        if self._merged:
+            yield from merged_scans([log.mounted for log in self._merged], [*map(iter, self._merged)], self.sensor)
+            return
         ranks = np.full(int(self._order.max()) + 1, -1)
         ranks[self._order] = np.arange(len(self._order))
         most = max(_MOST_WAITING, _WAITING_BYTES // (8 * self.sensor.beams))
@@ -146,7 +157,7 @@ class Log:
 def _laser_messages(path: Path, topic: str, report: ReadReport, *, strict: bool) -> Iterator[LaserMessage]:
     decoders: dict[object, Callable[[bytes], LaserMessage] | None] = {}
     for channel, _, data, suspect in detect.read(path, report):
-        if not holds_scans(channel, topic) or (strict and suspect):
+        if scan_topic(channel, topic) is None or (strict and suspect):
             continue
         try:
             if channel not in decoders:
@@ -178,7 +189,7 @@ def open_log(
     path
         A file, or the folder of a ROS 2 bag; the content decides the format, not the name.
     topic
-        The scan topic; by itself where there is only one.
+        The scan topic, by default the only one; several, joined by commas, are merged by their mountings.
     odom
         ``auto``, ``off``, or a topic.
     start_s, end_s
@@ -201,7 +212,8 @@ def open_log(
     NoScansError
         No log, or no usable scan in it.
     """
-    found = survey(path, topic=topic, start_s=start_s, end_s=end_s, progress=progress, strict=strict, truth=truth)
+    window = partial(survey, path, start_s=start_s, end_s=end_s)
+    found = window(topic=topic, progress=progress, strict=strict, truth=truth, odom=odom)
     log = choose(found, topic=topic, odom=odom, extrinsic=extrinsic)
     del found
     if not log.is_short:
@@ -210,14 +222,19 @@ def open_log(
 
 
 def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extrinsic: Pose | None = None) -> Log:
-    """Choose topic, odometry and mounting of a surveyed log; raises TopicError and NoScansError."""
-    name = _choose_topic(found, topic)
+    """Choose topic, odometry and mounting of a surveyed log; raises TopicError and NoScansError.
+
+    Several topics, joined by commas, are merged by their mountings.
+    """
+    if topic is not None and topic not in found.scans and len(names := scan_topics(topic)) > 1:
+        return _merged_log(found, names, odom, extrinsic)
+    name = chosen_topic(found, topic)
     scans = found.scans[name]
     if scans.doubt:
         raise NoScansError(f"{found.path}: {name}: {scans.doubt}")
     timeline = scans.timeline(found.window_s)
     if timeline.first is None:
-        raise NoScansError(_no_usable(found, name, scans, timeline))
+        raise NoScansError(no_usable(found, name, scans, timeline))
     sensor, frame_id = timeline.first
     period_s, gaps = period_and_gaps(timeline.stamps_ns)
     skipped = dict(sorted((scans.refused + timeline.skipped).items()))
@@ -243,6 +260,7 @@ def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extri
         base_frame=None,
         upside_down=False,
         odometry=None,
+        imu=None,
         truth=None,
         damage=found.damage,
         warnings=found.warnings,
@@ -254,53 +272,45 @@ def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extri
     return _with_motion(log, found, odom, extrinsic)
 
 
-def _choose_topic(found: Survey, topic: str | None) -> str:
-    """Return the scan topic to use; several to choose from are listed."""
-    if topic is not None and topic not in found.scans:
-        laser = [t for t in found.topics if t.name == topic]
-        if not laser or found.scans:
-            raise TopicError(f"{found.path}: no scans on topic {topic!r}; {_listed(found)}")
-    if topic is None and len(found.scans) > 1:
-        raise TopicError(f"{found.path}: several scan topics; choose one with --topic NAME: {_counted(found)}")
-    if not found.scans:
-        raise NoScansError(_no_scans(found))
-    return topic if topic is not None else next(iter(found.scans))
-
-
-def _counted(found: Survey) -> str:
-    return _some([f"{name} ({scans.total} scans)" for name, scans in sorted(found.scans.items())])
-
-
-def _some(names: list[str]) -> str:
-    """List names in a line that a person still reads."""
-    return ", ".join(names[:_MOST_NAMED]) + (f" and {len(names) - _MOST_NAMED} more" if names[_MOST_NAMED:] else "")
-
-
-def _listed(found: Survey) -> str:
-    lasers = [f"{t.name} ({t.count} scans)" for t in found.topics if t.type.endswith("LaserScan")]
-    return f"scan topics here: {_some(lasers) or 'none'}"
-
-
-def _no_scans(found: Survey) -> str:
-    lasers = {topic.name for topic in found.topics if topic.type in LASER_TYPES and topic.count}
-    reason = next((d for d in found.damage if d.where in lasers or not any(t.count for t in found.topics)), None)
-    if reason is not None:
-        return f"{found.path}: no usable scans; {reason.what} ({reason.where})"
-    others = [t.name for t in found.topics if t.type in OTHER_TYPES and t.count]
-    if others:
-        return (
-            f"{found.path}: no LaserScan messages; choose the messages to take scans from with --topic: {_some(others)}"
-        )
-    kinds = [f"{t.name} ({t.type or 'no type'} in {t.encoding or 'no encoding'}, {t.count})" for t in found.topics]
-    return f"{found.path}: no LaserScan messages; topics here: {_some(kinds) or 'none'}"
-
-
-def _no_usable(found: Survey, name: str, scans: TopicScans, timeline: Timeline) -> str:
-    reasons = ", ".join(
-        f"{count} {reason.replace('_', ' ')}" for reason, count in (scans.refused + timeline.skipped).items()
+def _merged_log(found: Survey, topics: list[str], odom: str, extrinsic: Pose | None) -> Log:
+    """Merge the scans of several lasers; raises TopicError where a mounting is not known."""
+    if extrinsic is not None:
+        raise TopicError("--extrinsic is the pose of one laser; several --topic are merged by /tf_static")
+    logs = tuple(choose(found, topic=topic, odom=odom) for topic in topics)
+    first, bases = logs[0], {log.base_frame for log in logs}
+    unmounted = [log.topic for log in logs if log.base_T_laser is None]
+    if unmounted or len(bases) > 1:
+        of = unmounted[0] if unmounted else first.topic
+        text = f"{found.path}: topics are merged by their mountings on one base, and that of {of} is not known"
+        raise TopicError(f"{text}; record /tf_static, or choose one --topic")
+    log = replace(
+        first,
+        topic=",".join(topics),
+        frame_id=FRAME,
+        sensor=virtual_laser([log.mounted for log in logs]),
+        cleaning={kind: sum(log.cleaning[kind] for log in logs) for kind in first.cleaning},
+        upside_down=False,
+        warnings=(),
+        _ranges=None,
+        _merged=logs,
+        _kept=[],
     )
-    hint = "; check --start and --end" if any(end is not None for end in found.window_s) else ""
-    return f"{found.path}: none of the {scans.total} scans on {name} is usable ({reasons}){hint}"
+    warnings = [*(text for log in logs for text in log.warnings), *_unpaired(logs)]
+    log = _with_motion(log, found, odom, Pose())
+    return replace(
+        log, base_frame=first.base_frame, mounting_source="tf_static", warnings=tuple(dict.fromkeys(warnings))
+    )
+
+
+def _unpaired(lasers: Sequence[Log]) -> list[str]:
+    """Return a line for every merged laser of which scans are left out, for none of the first is as near."""
+    mounted = [log.mounted for log in lasers]
+    used = [int((partners(mounted[0].stamps_ns, m.stamps_ns) >= 0).sum()) for m in mounted[1:]]
+    return [
+        f"{log.topic}: {len(log) - n} of {len(log)} scans are not merged: no scan of {lasers[0].topic} is near in time"
+        for log, n in zip(lasers[1:], used, strict=True)
+        if n < len(log)
+    ]
 
 
 def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> Log:
@@ -347,8 +357,19 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
         base_frame=base_frame,
         upside_down=upside_down and extrinsic is None,
         odometry=odometry,
+        imu=_imu(log, found, odom, warnings.append),
         warnings=tuple(warnings),
     )
+
+
+def _imu(log: Log, found: Survey, odom: str, warn: Callable[[str], None]) -> Imu | None:
+    """Return the inertial sensor of a log, seen at mid-sweep; None without one."""
+    half_sweep_ns = round(0.5 * abs(log.sensor.time_increment_s) * log.sensor.beams / NS)
+    imu = found.imus.choose(odom, log.stamp_source, half_sweep_ns, warn)
+    if imu and not _meet(imu.rotation.stamps_ns, log):
+        warn(f"{imu.topic}: inertial sensor and scans share no time; it is not used, check its clock")
+        return None
+    return imu
 
 
 def _meet(stamps_ns: NDArray[np.int64], log: Log) -> bool:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from mavnav.errors import TopicError
+from mavnav.logs.messages.definitions import POSE, TRANSFORM
 from mavnav.logs.transforms import frame_name, planar_pose
 from mavnav.pose import Trajectory
 from mavnav.units import NS
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mavnav.logs.messages.records import TransformMessage
+    from mavnav.logs.records import Channel
 
 TF_TOPIC = "/tf"
 _ODOM_FRAME = "odom"
@@ -69,14 +71,23 @@ def jump(odom_T_base: Trajectory) -> str:
 
 
 class OdometryTracks:
-    """All odometry of a log: nav_msgs/Odometry by topic, and the edges of /tf that start at an ``odom`` frame."""
+    """All odometry of a log: nav_msgs/Odometry by topic, and the edges of /tf that start at an ``odom`` frame.
 
-    def __init__(self) -> None:
+    Single poses and transforms, as of motion capture, are odometry on the ``wanted`` topic alone.
+    """
+
+    def __init__(self, wanted: str = "auto") -> None:
+        self.wanted = wanted
         self.topics: dict[str, OdometryTrack] = {}
         self.transforms: dict[str, OdometryTrack] = {}
 
+    def takes(self, channel: Channel) -> bool:
+        """Return whether the poses of a channel are wanted as odometry."""
+        named = self.wanted not in ("auto", "off") and frame_name(channel.topic) == frame_name(self.wanted)
+        return named and channel.type in (POSE, TRANSFORM)
+
     def add_odometry(self, topic: str, message: TransformMessage, log_ns: int) -> None:
-        """Take in a nav_msgs/Odometry message."""
+        """Take in a nav_msgs/Odometry message, or a pose of the wanted topic."""
         track = self.topics.get(topic)
         if track is None:
             track = self.topics[topic] = OdometryTrack(topic, frame_name(message.child))

@@ -7,7 +7,7 @@ from dataclasses import replace
 from operator import ne
 from typing import TYPE_CHECKING
 
-from mavnav.logs.messages.definitions import CLOUD, FOXGLOVE_SCAN, MULTI_ECHO, ODOMETRY, SCAN, TF, TF_ROS1
+from mavnav.logs.messages.definitions import CLOUD, FOXGLOVE_SCAN, IMU, MULTI_ECHO, ODOMETRY, SCAN, TF, TF_ROS1
 from mavnav.logs.records import Damage
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ MAX_TEXT = 300
 
 _MAX_KINDS = 20
 
-KNOWN_TYPES = (SCAN, FOXGLOVE_SCAN, MULTI_ECHO, CLOUD, ODOMETRY, TF, TF_ROS1)
-"""Types that a scan, a pose or a mounting can come from."""
+KNOWN_TYPES = (SCAN, FOXGLOVE_SCAN, MULTI_ECHO, CLOUD, IMU, ODOMETRY, TF, TF_ROS1)
+"""Types that a scan, a pose, a turn or a mounting can come from."""
 
 KNOWN_ENCODINGS = ("cdr", "ros1", "ros2", "json", "protobuf", "carmen")
 """Encodings of messages; ``ros2`` is none, and no misspelt ``ros1`` either."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 if TYPE_CHECKING:
-    from mavnav.pose import Trajectory
+    from mavnav.pose import Rotation, Trajectory
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +94,14 @@ class Odometry:
     source: Literal["odom", "tf"]
     odom_T_base: Trajectory
     odom_T_laser: Trajectory
+
+
+@dataclass(frozen=True, slots=True)
+class Imu:
+    """What an inertial sensor of a log measured of the laser's rotation."""
+
+    topic: str
+    rotation: Rotation
 
 
 @dataclass(frozen=True, slots=True)

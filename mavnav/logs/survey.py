@@ -14,8 +14,9 @@ from mavnav.errors import MavnavError, NoScansError, UsageError
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.rosbag2 import METADATA
 from mavnav.logs.formats.source import Source
-from mavnav.logs.messages.decode import decoder, holds_scans, is_laser
-from mavnav.logs.messages.definitions import ODOMETRY
+from mavnav.logs.imu import ImuTracks
+from mavnav.logs.messages.decode import decoder, is_laser, scan_topic
+from mavnav.logs.messages.definitions import IMU, ODOMETRY
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.odometry import OdometryTracks
@@ -55,6 +56,7 @@ class Survey:
     topics: tuple[Topic, ...]
     scans: dict[str, TopicScans]
     odometry: OdometryTracks
+    imus: ImuTracks
     truth: TruthTracks
     frames: FrameTree
     damage: tuple[Damage, ...]
@@ -86,6 +88,7 @@ class _Pass:
     doors: dict[str, ScanFilter] = field(default_factory=dict)
     scans: dict[str, TopicScans] = field(default_factory=dict)
     odometry: OdometryTracks = field(default_factory=OdometryTracks)
+    imus: ImuTracks = field(default_factory=ImuTracks)
     truth: TruthTracks = field(default_factory=TruthTracks)
     frames: FrameTree = field(default_factory=FrameTree)
 
@@ -111,16 +114,15 @@ class _Pass:
             self._take_motion(message, decoded)
 
     def _meet(self, channel: Channel) -> _Kind:
-        wanted = holds_scans(channel, self.topic)
-        topic = (self.topic or channel.topic) if wanted else None
-        self.kinds[channel] = _Kind(self._decoder(channel), topic)
+        topic = scan_topic(channel, self.topic)
+        self.kinds[channel] = _Kind(self._decoder(channel, topic), topic)
         return self.kinds[channel]
 
-    def _decoder(self, channel: Channel) -> Callable[[bytes], Any] | None:
-        if is_laser(channel) and not holds_scans(channel, self.topic):
+    def _decoder(self, channel: Channel, topic: str | None) -> Callable[[bytes], Any] | None:
+        if is_laser(channel) and topic is None:
             return None
         try:
-            return decoder(channel, poses=self.truth.takes(channel), topic=self.topic)
+            return decoder(channel, poses=self.truth.takes(channel) or self.odometry.takes(channel), topic=topic)
         except DecodeError as error:
             self.report.damage(str(error), channel.topic)
             return None
@@ -129,7 +131,9 @@ class _Pass:
         channel, log_ns = message.channel, message.log_ns
         if self.truth.takes(channel):
             self.truth.add(channel.topic, decoded[0], log_ns)
-        elif channel.type == ODOMETRY:
+        elif channel.type == IMU:
+            self.imus.add(channel.topic, decoded, log_ns)
+        elif channel.type == ODOMETRY or self.odometry.takes(channel):
             self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
         else:
             static = channel.topic.endswith("tf_static")
@@ -179,6 +183,7 @@ def survey(
     progress: Callable[[int, int], None] | None = None,
     strict: bool = False,
     truth: str | None = None,
+    odom: str = "auto",
 ) -> Survey:
     """Read a log once, from front to back.
 
@@ -187,7 +192,7 @@ def survey(
     path
         A file, or the folder of a ROS 2 bag.
     topic
-        Decode the scans of this topic alone.
+        Decode the scans of this topic alone, or of several, joined by commas.
     start_s, end_s
         Window of the scans to use, in seconds from the first usable scan.
     progress
@@ -196,6 +201,8 @@ def survey(
         Leave out scans from where a checksum does not match.
     truth
         Read the ground truth of this topic, or with ``auto`` of topics that are named like one. It is no odometry then.
+    odom
+        Read poses of this topic as odometry, too, whatever their type.
 
     Raises
     ------
@@ -204,11 +211,11 @@ def survey(
         never raises: it stands in the survey.
     """
     _check(path, start_s, end_s)
-    found = _survey(path, topic, (start_s, end_s), progress, strict=strict, truth=truth)
+    found = _survey(path, topic, (start_s, end_s), progress, strict=strict, truth=truth, odom=odom)
     others = [t.name for t in found.topics if t.type in OTHER_TYPES and t.count]
     if topic is not None or found.scans or len(others) != 1:
         return found
-    found = _survey(path, others[0], (start_s, end_s), progress, strict=strict, truth=truth)
+    found = _survey(path, others[0], (start_s, end_s), progress, strict=strict, truth=truth, odom=odom)
     text = f"the log has no LaserScan messages; the scans are taken from {others[0]}"
     return replace(found, warnings=(text, *found.warnings)) if found.scans else found
 
@@ -221,9 +228,10 @@ def _survey(
     *,
     strict: bool,
     truth: str | None,
+    odom: str,
 ) -> Survey:
     report = ReadReport()
-    state = _Pass(topic, strict, report, truth=TruthTracks(truth))
+    state = _Pass(topic, strict, report, odometry=OdometryTracks(odom), truth=TruthTracks(truth))
     try:
         name = detect.sniff(path)
         if name == detect.UNKNOWN:
@@ -242,6 +250,7 @@ def _survey(
         topics=_topics(report, state.kinds),
         scans=state.scans,
         odometry=state.odometry,
+        imus=state.imus,
         truth=state.truth,
         frames=state.frames,
         damage=report.damages(),

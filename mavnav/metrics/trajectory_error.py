@@ -100,6 +100,20 @@ def matched(estimate: Trajectory, truth: Trajectory) -> tuple[NDArray[np.float64
     return estimate.xyyaw[rows], true.reshape(-1, 3)
 
 
+def position_errors(estimate: Trajectory, truth: Trajectory, *, aligned: bool) -> NDArray[np.float64]:
+    """Return the position error of every pose, (n,), m; NaN where no truth is known.
+
+    ``aligned`` takes the best rigid motion out first.
+    """
+    found = [truth.at(int(stamp_ns), MAX_GAP_NS) for stamp_ns in estimate.stamps_ns]
+    true_xy_m = np.array([(np.nan, np.nan) if pose is None else pose[:2] for pose in found]).reshape(-1, 2)
+    known, xy_m = np.isfinite(true_xy_m[:, 0]), estimate.xyyaw[:, :2]
+    if aligned and known.any():
+        xy_m = transform_points(align(xy_m[known], true_xy_m[known]), xy_m)
+    errors_m: NDArray[np.float64] = np.hypot(*(xy_m - true_xy_m).T)
+    return errors_m
+
+
 def between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return poses b seen from poses a, (n, 3) each: ``inverse(a) @ b`` row by row, yaw in [-pi, pi)."""
     c, s = np.cos(a[:, 2]), np.sin(a[:, 2])

@@ -120,6 +120,7 @@ def _input(run: Run) -> model.Input:
         odometry=None if odometry is None else model.OdometrySource(odometry.topic, odometry.source),
         sensor=_sensor(log),
         truth=ABSENT if log.truth is None else model.RecordedTruthSource(log.truth.topic, log.truth.body_frame),
+        imu=ABSENT if log.imu is None else model.ImuSource(log.imu.topic, len(log.imu.rotation.stamps_ns)),
     )
 
 
@@ -171,6 +172,7 @@ def _tracking(run: Run) -> tracking.Tracking:
             for p in slam.parts
         ]
         or ABSENT,
+        remedies=[tracking.Remedy(*remedy) for remedy in slam.remedies] or ABSENT,
     )
 
 

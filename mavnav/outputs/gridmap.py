@@ -12,6 +12,7 @@ from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid
 from mavnav.mapping.tiled_arrays import bands
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -48,21 +49,31 @@ class DrawnMap(Protocol):
 
 def write_pgm(run: DrawnMap, path: Path) -> None:
     """Write the known part of the map as a binary PGM: 0 occupied, 254 free, 205 unknown, largest y on top."""
+    with path.open("wb") as file:
+        file.writelines(pgm_rows(run))
+
+
+def pgm_rows(run: Run) -> Iterator[bytes]:
+    """Yield the picture of `write_pgm`: its header, and each row."""
     cells, of_cell = run.cells[::-1], np.zeros(256, np.uint8)
     for cell, pixel in _PIXELS.items():
         of_cell[cell] = pixel
     rows, cols = cells.shape
-    with path.open("wb") as file:
-        file.write(f"P5\n{cols} {rows}\n255\n".encode())
-        for row in cells:
-            file.write(of_cell[row.view(np.uint8)].tobytes())
+    yield f"P5\n{cols} {rows}\n255\n".encode()
+    for row in cells:
+        yield of_cell[row.view(np.uint8)].tobytes()
 
 
 def write_yaml(run: DrawnMap, path: Path) -> None:
     """Write map_server's description of ``map.pgm``; origin is the lower left corner, with all its digits."""
+    path.write_text(yaml_text(run), encoding="ascii")
+
+
+def yaml_text(run: Run) -> str:
+    """Return the description of `write_yaml`."""
     grid = run.known
     x_m, y_m = (float(v) for v in grid.origin_xy_m)
-    path.write_text(_YAML.format(cell_m=float(grid.cell_m), x_m=x_m, y_m=y_m), encoding="ascii")
+    return _YAML.format(cell_m=float(grid.cell_m), x_m=x_m, y_m=y_m)
 
 
 def read_npz(path: Path) -> Grid:

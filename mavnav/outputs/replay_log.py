@@ -1,8 +1,9 @@
 """result.mcap: the run as a ROS 2 log that viewers open by itself, in the order in which it happened.
 
 ``/tf_static`` comes first, ``/tf`` before the ``/scan`` of the same stamp, then ``/pose``; ``/map`` shows the walls as
-they were first seen, about once a second of the log, and at the end the whole map with its free space, with ``/path``.
-Scans without an accepted pose are left out: they have no place in the map.
+they were first seen, about once a second of the log, and at the end the whole map with its free space, with ``/path``
+and ``/markers``. With odometry, ``/tf`` leads from the map over ``odom`` (REP-105). Scans without an accepted pose are
+left out: they have no place in the map. Configuration, run.json and the map's files are attached.
 """
 
 from __future__ import annotations
@@ -14,9 +15,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mavnav.logs.messages import cdr, definitions
+from mavnav.logs.messages.markers import marker_array
 from mavnav.logs.writing.mcap_writer import Channel, write_serialized
 from mavnav.mapping.occupancy_grid import UNKNOWN, show_ends
 from mavnav.mapping.tiled_arrays import pooled
+from mavnav.outputs.extras import extras
+from mavnav.outputs.result_markers import markers_of
 from mavnav.outputs.run import base_frame
 from mavnav.pose import Pose
 
@@ -28,9 +32,10 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.outputs.run import Run
+    from mavnav.pose import Trajectory
     from mavnav.scan import Scan
 
-MAP_FRAME: Final = "map"
+MAP_FRAME, ODOM_FRAME = "map", "odom"
 MAX_MAPS: Final = 60
 MAX_MAP_BYTES: Final = 64_000_000
 LARGEST_MAP_BYTES: Final = 25_000_000
@@ -44,30 +49,58 @@ CHANNELS: Final = {
     "/scan": Channel(definitions.SCAN),
     "/pose": Channel(definitions.POSE),
     "/path": Channel(definitions.PATH, latched=True),
+    "/markers": Channel(definitions.MARKERS, latched=True),
     "/map": Channel(definitions.MAP, latched=True),
 }
 
 
 def write(run: Run, path: Path) -> None:
     """Write the run as a ROS 2 log. The scans are read from the log once more."""
-    with write_serialized(path, CHANNELS, CHUNK_BYTES) as put:
+    with write_serialized(path, CHANNELS, CHUNK_BYTES, extras(run)) as put:
         laser, last_ns = laser_frame(run), run.log.last_ns
         mounting = run.log.base_T_laser
         if mounting is not None:
             put("/tf_static", run.log.first_ns, cdr.transforms(base_frame(run), laser)(run.log.first_ns, mounting))
         walls, write_scan, write_pose = _GrowingMap(run), cdr.scans(laser), cdr.poses(MAP_FRAME)
-        write_placement = cdr.transforms(MAP_FRAME, laser if mounting is None else base_frame(run))
+        place = _Placement(run, laser if mounting is None else base_frame(run))
         from_laser = Pose() if mounting is None else mounting.inverse()
         for scan, map_T_laser in placed_scans(run):
             placed = map_T_laser if mounting is None else map_T_laser @ from_laser
-            put("/tf", scan.stamp_ns, write_placement(scan.stamp_ns, placed))
+            for message in place(scan.stamp_ns, placed):
+                put("/tf", scan.stamp_ns, message)
             put("/scan", scan.stamp_ns, write_scan(scan))
             put("/pose", scan.stamp_ns, write_pose(scan.stamp_ns, map_T_laser))
             if walls.add(scan, map_T_laser):
                 put("/map", scan.stamp_ns, _map(walls.grid, walls.cells, scan.stamp_ns))
         trajectory = run.slam.trajectory
+        put("/markers", last_ns, marker_array(last_ns, MAP_FRAME, markers_of(run)))
         put("/path", last_ns, cdr.path(last_ns, MAP_FRAME, trajectory.stamps_ns, trajectory.xyyaw))
         put("/map", last_ns, _map(walls.grid, walls.finished, last_ns))
+
+
+class _Placement:
+    """The transforms that place the base, or without a mounting the laser, on the map: over ``odom`` where it is."""
+
+    def __init__(self, run: Run, body: str) -> None:
+        odometry = run.log.odometry
+        self.odom_T_body = None if odometry is None or body in (ODOM_FRAME, MAP_FRAME) else odometry.odom_T_base
+        self._direct = cdr.transforms(MAP_FRAME, body)
+        self._to_odom, self._to_body = cdr.transforms(MAP_FRAME, ODOM_FRAME), cdr.transforms(ODOM_FRAME, body)
+
+    def __call__(self, stamp_ns: int, map_T_body: Pose) -> Iterator[bytes]:
+        """Yield a TFMessage for each transform from the map to the body."""
+        if self.odom_T_body is None:
+            yield self._direct(stamp_ns, map_T_body)
+            return
+        odom_T_body = nearest_pose(self.odom_T_body, stamp_ns)
+        yield self._to_odom(stamp_ns, map_T_body @ odom_T_body.inverse())
+        yield self._to_body(stamp_ns, odom_T_body)
+
+
+def nearest_pose(poses: Trajectory, stamp_ns: int) -> Pose:
+    """Return the pose at a time, interpolated; of the nearest stamp outside of all."""
+    inside = min(max(stamp_ns, int(poses.stamps_ns[0])), int(poses.stamps_ns[-1]))
+    return poses.at(inside, max_gap_ns=int(np.iinfo(np.int64).max)) or poses[0]
 
 
 def laser_frame(run: Run) -> str:

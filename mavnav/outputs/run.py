@@ -106,6 +106,7 @@ class Run:
     the run before the log ended.
     ``localisation`` says where the laser was found in a given map.
     ``address`` is where the log was fetched from, if it was; ``provenance`` says when and how the run was made.
+    ``position_errors_m`` (n,) are those of the poses of the trajectory, NaN without a truth at that time; None without.
     """
 
     log: Log
@@ -121,6 +122,7 @@ class Run:
     stopped: ExitCode | None = None
     localisation: Localisation | None = None
     address: str | None = None
+    position_errors_m: NDArray[np.float64] | None = None
 
     @property
     def name(self) -> str:

@@ -34,6 +34,14 @@ class OdometrySource:
 
 
 @dataclass(frozen=True, slots=True)
+class ImuSource:
+    """The inertial sensor of the log: its topic, and its messages."""
+
+    topic: str
+    messages: int = field(metadata=number("messages of the sensor"))
+
+
+@dataclass(frozen=True, slots=True)
 class RecordedTruthSource:
     """The recorded ground truth that the run is compared with; ``body_frame`` is what was tracked, null if unknown."""
 
@@ -71,6 +79,7 @@ class Input:
     odometry: OdometrySource | None = field(metadata=text("odometry in the log, null without"))
     sensor: Sensor
     truth: RecordedTruthSource = field(default_factory=absent)
+    imu: ImuSource = field(default_factory=absent)
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,6 +41,19 @@ class Doubt:
 
 
 @dataclass(frozen=True, slots=True)
+class Remedy:
+    """Another track of the whole log, made because the first one was lost or doubtful.
+
+    ``used``: it is the track of the run; ``tracking.doubt`` is then its own.
+    """
+
+    remedy: str = field(metadata=text("how the other track was made"))
+    doubt_before: float = field(metadata=number("doubt of the first track", better="lower"))
+    doubt_after: float = field(metadata=number("doubt of the other track", better="lower"))
+    used: bool = field(metadata=text("whether it is the track of the run"))
+
+
+@dataclass(frozen=True, slots=True)
 class TrackedPart:
     """A stretch of scans with a map of its own at first; times from the first scan.
 
@@ -57,7 +70,8 @@ class TrackedPart:
 class Tracking:
     """Where the track was lost; ``lost`` means for good. ``frames`` are parent and child of each trajectory file.
 
-    ``parts`` is absent where one map holds all tracked scans from the first usable one on.
+    ``parts`` is absent where one map holds all tracked scans from the first usable one on, ``remedies`` where none was
+    tried.
     """
 
     lost: bool = field(metadata=text("whether tracking was lost for good"))
@@ -70,3 +84,4 @@ class Tracking:
     parts: list[TrackedPart] = field(
         default_factory=absent, metadata=text("stretches with maps of their own, joined or not")
     )
+    remedies: list[Remedy] = field(default_factory=absent, metadata=text("other tracks made because of the doubt"))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
-from math import cos, isfinite, sin
+from math import cos, isfinite, nan, sin
 from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,8 +19,11 @@ if TYPE_CHECKING:
 COLUMNS = (
     "index", "stamp", "x_m", "y_m", "yaw_rad", "cost_m2", "beams_used", "inliers", "evaluations", "iterations",
     "converged", "tracked", "accepted", "threshold_m2", "doubtful",
+    "cov_xx_m2", "cov_xy_m2", "cov_yy_m2", "cov_xyaw_m_rad", "cov_yyaw_m_rad", "cov_yawyaw_rad2",
+    "position_error_m",
 )  # fmt: skip
 
+UNKNOWN: Final = (nan,) * 6
 TRUE_WALLS_FILE: Final = "true_walls.json"
 
 
@@ -78,22 +83,29 @@ def seconds(stamp_ns: int) -> str:
 def write_csv(run: Run, path: Path) -> None:
     """Write a row for every scan that was matched; one that was not tracked has no pose.
 
-    ``doubtful`` is 1 for scans of a reason to doubt the track, if the doubt is high.
+    ``doubtful`` is 1 for scans of a reason to doubt the track, if the doubt is high. The covariance of the pose is in
+    the map frame; empty where it is not known. So is the position error without a truth.
     """
-    poses = dict(zip(run.slam.trajectory.stamps_ns.tolist(), run.slam.trajectory.xyyaw.tolist(), strict=True))
+    trajectory, errors_m = run.slam.trajectory, run.position_errors_m
+    values = trajectory.xyyaw if errors_m is None else np.column_stack((trajectory.xyyaw, errors_m))
+    poses = dict(zip(trajectory.stamps_ns.tolist(), values.tolist(), strict=True))
     columns = [
         run.slam.steps.column(name).tolist() for name in ("index", "stamp_ns", *COLUMNS[5:12], "tracked", COLUMNS[13])
     ]
     columns.append(run.slam.doubtful(run.slam.steps.column("stamp_ns")).astype(int).tolist())
+    covariances = run.slam.covariances
+    columns.append([()] * len(run.slam.steps) if covariances is None else covariances.tolist())
     with path.open("w", encoding="ascii", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(COLUMNS)
         rows.writerows(_csv_row(row, poses.get(row[1])) for row in zip(*columns, strict=True))
 
 
-def _csv_row(row: tuple[Any, ...], xyyaw: list[float] | None) -> tuple[object, ...]:
-    index, stamp_ns, cost_m2, beams, inliers, evaluations, iterations, *flags, threshold_m2, doubtful = row
-    pose = ("", "", "") if xyyaw is None else (f"{v:.9f}" for v in xyyaw)
+def _csv_row(row: tuple[Any, ...], placed: list[float] | None) -> tuple[object, ...]:
+    """Return a row of the table; ``placed`` is x, y, yaw, and the position error if there is a truth."""
+    index, stamp_ns, cost_m2, beams, inliers, evaluations, iterations, *flags, threshold_m2, doubtful, covariance = row
+    pose = ("", "", "") if placed is None else (f"{v:.9f}" for v in placed[:3])
+    error_m = placed[3] if placed and len(placed) > 3 else nan
     cost, threshold = (f"{value:.9g}" if isfinite(value) else "" for value in (cost_m2, threshold_m2))
     effort = (evaluations, iterations)
     return (
@@ -107,4 +119,6 @@ def _csv_row(row: tuple[Any, ...], xyyaw: list[float] | None) -> tuple[object, .
         *map(int, flags),
         threshold,
         doubtful,
+        *(f"{value:.4g}" if isfinite(value) else "" for value in covariance or UNKNOWN),
+        f"{error_m:.6f}" if isfinite(error_m) else "",
     )

@@ -26,9 +26,8 @@ if TYPE_CHECKING:
 
 BAR_COLOUR: Final = "#5b8db8"
 P95_COLOUR: Final = "#c0392b"
-TURBO: Final = (
-    "#30123b", "#4662d7", "#36aaf9", "#1ae4b6", "#72fe5e", "#c8ef34", "#faba39", "#f66b19", "#cb2a04", "#7a0403",
-)  # fmt: skip
+THICKNESS: Final = ramp(("#fdca26", "#fb9f3a", "#ed7953", "#d8576b", "#bd3786", "#9c179e", "#7201a8", "#46039f"))
+"""From thin to thick, ever darker: distinguishable with any color vision (plasma, without its ends)."""
 LEFT, TOP, RIGHT, BOTTOM = 100, 90, 130, 80
 """Margins of the map in the picture, in pixels."""
 WIDTH_BIN_MM: Final = 10.0
@@ -75,7 +74,7 @@ def _draw_cuts(axes: Axes, cuts: WallCuts) -> None:
     width_mm = cuts.width_m[measured] / MM
     top_mm = max(60.0, float(np.quantile(width_mm, 0.99)) if len(width_mm) else 0.0)
     top_mm = 10.0 * ceil(top_mm / 10.0)
-    colours = ramp(TURBO)
+    colours = THICKNESS
     level = np.minimum(width_mm / top_mm, 1.0) * (len(colours) - 1)
     # at least a few pixels long wherever the map is large
     _draw_lines(axes, cuts, ~measured, np.zeros((int((~measured).sum()), 3), np.uint8))

@@ -51,11 +51,16 @@ WRITERS: Final[dict[str, Callable[[Run, Path], None]]] = {
     "map.pgm": write_pgm,
     "map.yaml": write_yaml,
     "hits.npz": write_npz,
+    "map.svg": partial(_late, "vector_map"),
+    "map_scale.png": partial(_late, "scale_map"),
+    "map_scale.yaml": partial(_late, "scale_map"),
+    "pose_graph.g2o": partial(_late, "graph_file"),
     "walls.csv": partial(_late, "wall_table"),
     "map.png": partial(_late, "map_picture"),
     "true_map.png": partial(_late, "mission_picture"),
     "wall_thickness.png": partial(_late, "wall_picture"),
     "result.mcap": partial(_late, "replay_log"),
+    "foxglove_layout.json": partial(_late, "foxglove_layout"),
     "metrics.json": write_metrics,
 }
 
@@ -64,10 +69,19 @@ GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "map": ("map.pgm", "map.yaml", "hits.npz"),
     "metrics": ("walls.csv", "metrics.json"),
     "pictures": ("map.png", "true_map.png", "wall_thickness.png"),
-    "mcap": ("result.mcap",),
+    "mcap": ("result.mcap", "foxglove_layout.json"),
     "report": (REPORT_FILE,),
+    "svg": ("map.svg",),
+    "scale": ("map_scale.png", "map_scale.yaml"),
+    "graph": ("pose_graph.g2o",),
 }
 """The files of a run by the names of ``--outputs``; run.json is always written."""
+
+ALL: Final = "all"
+"""The name of all groups."""
+
+_IF_NAMED: Final = {"report", "svg", "scale", "graph"}
+"""The groups that are not written by default."""
 
 _OF_PAGE: Final = {"trajectory", "map"}
 """The groups that a page is drawn from."""
@@ -76,9 +90,9 @@ _OF_PAGE: Final = {"trajectory", "map"}
 def check_groups(names: Collection[str]) -> None:
     """Raise UsageError for a name that is no group of files, and for a page without the files that it is drawn from."""
     for name in names:
-        if name not in GROUPS:
-            raise UsageError(f"--outputs: unknown {name!r}; known are {', '.join(GROUPS)}")
-    if "report" in names and not set(names) >= _OF_PAGE:
+        if name not in {*GROUPS, ALL}:
+            raise UsageError(f"--outputs: unknown {name!r}; known are {', '.join(GROUPS)}, {ALL}")
+    if "report" in names and ALL not in names and not set(names) >= _OF_PAGE:
         raise UsageError("--outputs: report is drawn from trajectory and map; add them")
 
 
@@ -87,9 +101,9 @@ def write_run(
 ) -> dict[str, Any]:
     """Write the files of a run and return its document, which is run.json; with ``report`` its page as well.
 
-    ``groups`` are the `GROUPS` of files to write, by default all but the page. The directory appears complete or not at
-    all. Raises OutputError where it exists (and ``force`` does not say to replace it), holds something else than a run,
-    or cannot be written.
+    ``groups`` are the `GROUPS` of files to write, by default all but the page and those that must be named. The
+    directory appears complete or not at all. Raises OutputError where it exists (and ``force`` does not say to replace
+    it), holds something else than a run, or cannot be written.
     """
     with staged(directory, force=force) as folder:
         digests = {name: _write(run, folder / name) for name in _names(run, groups)}
@@ -109,8 +123,10 @@ def write_page(comparison: dict[str, Any], folder: Path) -> None:
 
 def _names(run: Run, groups: Collection[str] | None) -> list[str]:
     """Return the wanted files that can be written: some need more than every log contains."""
-    wanted = WRITERS if groups is None else {name for group in groups for name in GROUPS[group]}
+    chosen = GROUPS.keys() - _IF_NAMED if groups is None else GROUPS if ALL in groups else groups
+    wanted = {name for group in chosen for name in GROUPS[group]}
     known = {"trajectory_base.tum": run.log.base_T_laser is not None}
+    known["pose_graph.g2o"] = run.slam.loops.graph is not None
     known |= dict.fromkeys(("truth.tum", "true_map.png"), run.truth is not None)
     known[TRUE_WALLS_FILE] = run.true_walls is not None
     return [name for name in WRITERS if name in wanted and known.get(name, True)]

@@ -21,7 +21,7 @@ from mavnav.mapping.occupancy_grid import measured_part
 from mavnav.memory import give_back
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
-from mavnav.metrics.trajectory_error import MAX_GAP_NS
+from mavnav.metrics.trajectory_error import MAX_GAP_NS, position_errors
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.provenance import Typed, provenance, utc_now
 from mavnav.outputs.run import Run, Timing
@@ -174,8 +174,7 @@ def replay_log(
     log = _open(request, progress)
     if request.log_sha256 not in {None, log.sha256}:
         raise UsageError(f"{request.log}: changed since it was first read; run again once it is complete")
-    given = changed(given, references=with_recorded_truth(given.references, log, known_map=request.map is not None))
-    check_times(given.references, log.first_ns, log.last_ns)
+    check_times(with_recorded_truth(given.references, log, None), log.first_ns, log.last_ns)
     compiled_s, compiled_cpu_s = _compiled(request.config, progress)
     began = Timing(wall_s + compiled_s, cpu_s + compiled_cpu_s, compile_s + compiled_s, stages)
     with stoppable() as stop:
@@ -220,15 +219,15 @@ def _text(path: Path | None) -> str | None:
     return None if path is None else str(path)
 
 
-def with_recorded_truth(references: References, log: Log, *, known_map: bool) -> References:
-    """Add the truth that the log holds, if it was asked for, in the map frame: that of the first laser pose.
+def with_recorded_truth(references: References, log: Log, begin_ns: int | None) -> References:
+    """Add the truth that the log holds, if it was asked for, in the map frame: that of the scan which begins the map.
 
-    Localized in a known map, or where there is no truth at the first scan, it stays in its own frame.
+    Where that scan is unknown, or has no truth, it stays in its own frame.
     """
     if log.truth is None:
         return references
     truth = log.truth.world_T_laser
-    first = None if known_map else truth.at(log.first_ns, MAX_GAP_NS)
+    first = None if begin_ns is None else truth.at(begin_ns, MAX_GAP_NS)
     return changed(references, truth=truth.seen_from(first.inverse()) if first else truth)
 
 
@@ -247,16 +246,19 @@ def _mapped(
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
     progress("measuring", 0, None)
+    references = with_recorded_truth(given.references, log, outcome.begin_ns if given.known is None else None)
     measured = measured_map(outcome, log)
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
+    truth = references.truth
     run = Run(
         log=log,
         config=request.config,
         slam=outcome,
         measured=measured,
         timing=timing,
-        reference=compared(given.references, outcome.trajectory, occupied_xy_m(outcome.grid)),
-        true_map=given.references.true_map,
+        reference=compared(references, outcome.trajectory, occupied_xy_m(outcome.grid)),
+        true_map=references.true_map,
+        position_errors_m=position_errors(outcome.trajectory, truth, aligned=True) if truth else None,
         stopped=stopped,
         localisation=None if given.known is None else localisation(request, outcome),
         address=request.address,
@@ -302,6 +304,7 @@ def _track(log: Log, config: Config, known: PriorMap | None, progress: Progress,
         config,
         log.period_s,
         log.odometry.odom_T_laser if log.odometry else None,
+        rotation=log.imu.rotation if log.imu else None,
         on_step=lambda phase, done: progress(phase, done, total),
         prior_map=known,
     )

@@ -18,7 +18,7 @@ from mavnav.ground_truth.true_map import of_scenario
 from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import Recording, check_recording, record
 from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.metrics.trajectory_error import absolute_error, align
+from mavnav.metrics.trajectory_error import absolute_error, align, position_errors
 from mavnav.outputs.animation import animate, check_animation
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.provenance import Typed, provenance, utc_now
@@ -102,7 +102,8 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
             slam=flight.slam,
             measured=measured_map(flight.slam, log),
             timing=timing,
-            truth=_truth(flight),
+            truth=(truth := _truth(flight)),
+            position_errors_m=position_errors(flight.slam.trajectory, truth.map_T_laser, aligned=False),
             mission=_mission(request, flight),
             reference=_reference(flight),
             provenance=origin,

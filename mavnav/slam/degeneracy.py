@@ -27,10 +27,10 @@ UNMEASURED = 1.0
 """The observability of a scan without a pose."""
 
 
-def degeneracy_warning(steps: Steps, observed: NDArray[np.float64]) -> str:
+def degeneracy_warning(steps: Steps, observed: NDArray[np.float64], *, contradicted: bool = False) -> str:
     """Return a warning where so many scans in a row could slide; ``observed`` (n,) are those of the steps, in order.
 
-    Empty where none do.
+    Empty where none do. ``contradicted``: the log has odometry that is not used.
     """
     padded = np.concatenate(([False], observed < LEAST_OBSERVABILITY, [False])).astype(np.int8)
     starts, ends = (np.flatnonzero(np.diff(padded) == turn) for turn in (1, -1))
@@ -41,7 +41,8 @@ def degeneracy_warning(steps: Steps, observed: NDArray[np.float64]) -> str:
     from_s, to_s = (float(stamps_ns[k] - stamps_ns[0]) * NS for k in (starts[0], ends[0] - 1))
     share = 100.0 * float((ends - starts).sum()) / len(steps)
     when = f"from {from_s:.1f} to {to_s:.1f} s" + (f", and {len(starts) - 1} more" if len(starts) > 1 else "")
+    advice = "correct the odometry" if contradicted else "record odometry"
     return (
         f"the walls that {share:.0f} % of the scans see leave a direction open ({when}): the path "
-        "may be too short, too long or turned there; record odometry, or see whether map.png is true"
+        f"may be too short, too long or turned there; {advice}, or see whether map.png is true"
     )

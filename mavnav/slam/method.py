@@ -40,8 +40,11 @@ class Refiner(Protocol):
     def placed_points(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> tuple[NDArray[np.float64], Extent]:
         """Return all points (n, 2) of the de-skewed scan as they enter the map, m, map frame, and their extent."""
 
-    def observability(self, points: NDArray[np.float64], match: Match) -> float:
-        """Return how well the map constrains a refined scan in its least constrained direction, 0 to 1."""
+    def observability(self, points: NDArray[np.float64], match: Match) -> tuple[float, NDArray[np.float64]]:
+        """Return how well the map constrains a refined scan in its least constrained direction, 0 to 1.
+
+        And the Hessian of half its squared distances in the map frame, (6,): xx, xy, yy, x yaw, y yaw, yaw yaw; m, rad.
+        """
 
     def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
         """Return the share of a refined scan's points that conflict with what the finished map shows as free."""

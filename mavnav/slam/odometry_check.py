@@ -25,7 +25,9 @@ LEAST_STEPS, MISLEADING = 20, 0.3
 EARLY_STEPS, PLAINLY = 60, 1.5
 """After so many steps odometry that is so many times worse than allowed is given up at once."""
 
-WARNING = "odometry contradicts the scans and is not used; check its scale, axes and clock"
+WARNING = (
+    "odometry contradicts the scans and is not used; check its scale, axes and clock; if they are right, see map.png"
+)
 
 
 def while_odometry_fits(track: Track, phase: str = "track", until: Until | None = None) -> Track:

@@ -15,6 +15,7 @@ from mavnav.slam.parts import with_lost_parts
 from mavnav.slam.redraw import redraw_map
 from mavnav.slam.registry import make_method
 from mavnav.slam.rematch import refine_against_final_map, rematch_rejected, remove_dynamic_cells
+from mavnav.slam.remedy import with_remedy
 from mavnav.slam.resampled_track import with_coarser_voxels
 from mavnav.slam.result import summarize
 from mavnav.slam.smoothing import smooth_jitter
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mavnav.config.models import Config
-    from mavnav.pose import Trajectory
+    from mavnav.pose import Rotation, Trajectory
     from mavnav.slam.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
     from mavnav.slam.track import LogScans, OnStep
@@ -45,15 +46,19 @@ RETRIES: Final[tuple[Pass, ...]] = (
 )
 """Each tracks the log again where something is in doubt, and keeps the better of two tracks."""
 
-LAST_PASSES: Final[tuple[Pass, ...]] = (
+CHECKING: Final[tuple[Pass, ...]] = (
     close_loops,  # step 11
     remove_dynamic_cells,  # step 12
     refine_against_final_map,  # step 13
     judge_track,  # "Doubt"
+)
+"""What the finished track is corrected and judged by; nothing of it on line, nor in the paper's method."""
+
+DRAWING: Final[tuple[Pass, ...]] = (
     smooth_jitter,  # step 14
     redraw_map,  # step 15
 )
-"""What the finished track is corrected by; nothing of it on line, nor in the paper's method."""
+"""What makes poses and map of the outputs, again not on line."""
 
 
 def run_slam(
@@ -63,6 +68,7 @@ def run_slam(
     odom_T_laser: Trajectory | None = None,
     on_step: OnStep | None = None,
     prior_map: PriorMap | None = None,
+    rotation: Rotation | None = None,
 ) -> SlamResult:
     """Run the configured method over a recorded log.
 
@@ -75,20 +81,31 @@ def run_slam(
     on_step : called with the name of the pass ("track", "track again", "close loops", "final pass") and the number of
         scans done
     prior_map : localize in this map, and leave it as it is, instead of making one
+    rotation : what an inertial sensor measured: its yaw rate predicts turns where odometry does not, its tilt is
+        evidence of motion that is not planar
     """
     odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
     method = make_method(config, prior_map)
-    motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest)
-    track = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step)
-    track = with_good_beginning(track)  # steps 1 to 8
-    for retry in RETRIES:
-        track = retry(track)
+    motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation)
+    start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step)
+    track = with_remedy(judged_track(start), start, judged_track)  # "Remedies"
+    return summarize(after(track, DRAWING))
+
+
+def judged_track(start: Track) -> Track:
+    """Track a log as a whole, correct and judge the track."""
+    track = after(with_good_beginning(start), RETRIES)  # steps 1 to 8, 10
     track = rematch_rejected(rematch_beginning(track))  # step 9
-    return finish(with_lost_parts(track))  # "Parts"
+    return after(with_lost_parts(track), CHECKING)  # "Parts"
 
 
 def finish(track: Track) -> SlamResult:
     """Make the last passes over a track, and sum up."""
-    for last_pass in LAST_PASSES:
-        track = last_pass(track)
-    return summarize(track)
+    return summarize(after(track, (*CHECKING, *DRAWING)))
+
+
+def after(track: Track, passes: tuple[Pass, ...]) -> Track:
+    """Make some passes over a track."""
+    for each in passes:
+        track = each(track)
+    return track

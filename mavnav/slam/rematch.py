@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 SHORT_SCANS = 8
 """Scans between accepted ones so near to each other are searched in wide regions, too."""
 
+NOTHING_SHOWN = (UNMEASURED, *(0.0,) * 7)
+"""Observability, visibility conflicts and Hessian of a scan without a pose."""
+
 REFINED_AT_ONCE = 16
 """The same is done for so many scans in a row: it is found in the processor's caches."""
 
@@ -93,25 +96,30 @@ def refine_against_final_map(track: Track) -> Track:
     shown = array("d")
     for step in track.reported(refined(track.log_scans(), track.steps, track.refiner, shown), "final pass"):
         track.steps[step.index] = step
-    observed, conflicts = np.array(shown).reshape(-1, 2).T
-    track = replace(track, observed=observed, conflicts=conflicts)
-    warning = degeneracy_warning(track.steps, observed) if len(observed) and not track.motion.odometry else ""
+    columns = np.array(shown).reshape(-1, 8)
+    observed = columns[:, 0]
+    track = replace(track, observed=observed, conflicts=columns[:, 1], hessians=columns[:, 2:])
+    if not len(observed) or track.motion.odometry:
+        return track
+    warning = degeneracy_warning(track.steps, observed, contradicted=track.odometry_contradicts)
     return track.with_warning(warning) if warning else track
 
 
 def refined(scans: Iterable[Scan], steps: Iterable[Step], refiner: Refiner, shown: array[float]) -> Iterator[Step]:
     """Match every tracked scan once more, against the finished map, close to where it was.
 
-    Steps whose scans do not come, because the run is being stopped, stay as they are. Observability and visibility
-    conflicts of each of the others are added to ``shown``.
+    Steps whose scans do not come, because the run is being stopped, stay as they are. Observability, visibility
+    conflicts and Hessian of each of the others are added to ``shown``.
     """
     waiting, coming = iter(steps), iter(scans)
     while some := list(islice(waiting, REFINED_AT_ONCE)):
         points = [refiner.match_points(scan) for scan in islice(coming, len(some))]
         matches = [refiner.refine(p, s.match) if s.tracked else s.match for p, s in zip(points, some, strict=False)]
         for p, step, match in zip(points, some, matches, strict=False):
-            tracked = step.tracked
-            shown.append(refiner.observability(p, match) if tracked else UNMEASURED)
-            shown.append(refiner.conflicts(p, match) if tracked else 0.0)
+            if not step.tracked:
+                shown.extend(NOTHING_SHOWN)
+                continue
+            observed, hessian = refiner.observability(p, match)
+            shown.extend((observed, refiner.conflicts(p, match), *hessian.tolist()))
         yield from (Step(*step[:2], match, *step[3:]) for step, match in zip(some, matches, strict=False))
         yield from some[len(matches) :]

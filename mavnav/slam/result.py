@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.slam.covariance import covariances_of
 from mavnav.slam.doubt.record import NOT_PLANAR
 from mavnav.slam.loop_closure.detection import Loops
 from mavnav.slam.parts import Part, lost_for_good, part_warnings, parts_of
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.pose import Trajectory
-    from mavnav.slam.doubt.record import Doubt
+    from mavnav.slam.doubt.record import Doubt, Remedy
     from mavnav.slam.track import Track
 
 
@@ -25,9 +26,13 @@ if TYPE_CHECKING:
 class SlamResult:
     """The outcome: a step for every scan, the poses of the tracked ones (map_T_laser), map, lost stretches, loops.
 
+    ``covariances`` (n, 6) of the poses of all steps in the map frame, in the order of `covariances_of`, NaN where they
+    are not known; None where no pass looked back.
     ``warnings`` are lines for the user: what of the log was not taken as it stands there. ``tracks_compared``
     counts the tracks of which the sharpest was kept. ``parts`` are the stretches of a log that was not tracked as a
-    whole, each on a map of its own at first; none otherwise. ``doubt`` is None where it was not judged.
+    whole, each on a map of its own at first; none otherwise. ``doubt`` is None where it was not judged. ``begin_ns`` is
+    the stamp of the scan that begins the map, which is the map frame; None where nothing was tracked.
+    ``remedies`` are other tracks that were made because of the doubt.
     """
 
     steps: Steps
@@ -39,6 +44,9 @@ class SlamResult:
     tracks_compared: int = 1
     parts: tuple[Part, ...] = ()
     doubt: Doubt | None = None
+    covariances: NDArray[np.float64] | None = None
+    begin_ns: int | None = None
+    remedies: tuple[Remedy, ...] = ()
 
     @property
     def tracked_share(self) -> float:
@@ -73,4 +81,13 @@ def summarize(track: Track) -> SlamResult:
         track.tracks_compared,
         parts,
         track.doubt,
+        covariances_of(steps, track.hessians) if len(track.hessians) else None,
+        beginning_ns(steps, track.begin),
+        track.remedies,
     )
+
+
+def beginning_ns(steps: Steps, begin: int) -> int | None:
+    """Return the stamp of the first tracked scan from number ``begin`` on; None if there is none."""
+    later = steps.column("stamp_ns")[begin:][steps.column("tracked")[begin:]]
+    return int(later[0]) if len(later) else None

@@ -14,6 +14,7 @@ from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
+from mavnav.slam.degeneracy import LEAST_OBSERVABILITY
 from mavnav.slam.motion_model import LONGEST_S
 from mavnav.slam.relocalization import around, best_of, candidates, everywhere, judged, rival, within_reach
 from mavnav.slam.scan_matching import (
@@ -160,7 +161,7 @@ class Robust:
         if tried and not due and motion.odometry is None:
             return tried[0]
         tried += self._look_around(points, predicted)
-        best = min(tried, key=lambda match: match.cost_m2)
+        best = self._likeliest(tried, points, predicted, motion)
         if not due or self._believable(best, motion, elapsed_s):
             return with_effort(best, *tried)
         return self._match_wide(scan, predicted, motion, points, tried)
@@ -174,7 +175,15 @@ class Robust:
         if self._is_found_near(tried, predicted, motion, elapsed_s):
             return tried[0]
         tried += self._look_around(points, predicted)
-        return with_effort(min(tried, key=lambda match: match.cost_m2), *tried)
+        return with_effort(self._likeliest(tried, points, predicted, motion), *tried)
+
+    def _likeliest(self, tried: list[Match], points: NDArray[np.float64], predicted: Pose, motion: Motion) -> Match:
+        """Return the match of least cost; where that is not observable, distance from the odometry costs as well."""
+        best = min(tried, key=lambda match: match.cost_m2)
+        if motion.odometry is None or self.observability(points, best)[0] >= LEAST_OBSERVABILITY:
+            return best
+        prior = self.config.robust.prior
+        return min(tried, key=lambda match: match.cost_m2 + prior * predicted.gap(match.map_T_laser)[0] ** 2)
 
     def _is_wide_search_due(self, motion: Motion, elapsed_s: float) -> bool:
         """Tell whether a scan is searched wherever the laser can be."""
@@ -282,10 +291,11 @@ class Robust:
         """Place points of a scan: of a scan as it was recorded, so that pose and raw ranges fit together."""
         return search_lines(points, self.lines, match.map_T_laser, self._final, match)
 
-    def observability(self, points: NDArray[np.float64], match: Match) -> float:
+    def observability(self, points: NDArray[np.float64], match: Match) -> tuple[float, NDArray[np.float64]]:
         """Ask the lines through the walls that the points lie on."""
-        lines = self.lines
-        return observability(points, match.map_T_laser.as_array(), lines.nearest, lines.lines, lines.geometry)
+        lines, information = self.lines, np.empty(6)
+        pose = match.map_T_laser.as_array()
+        return observability(points, pose, lines.nearest, lines.lines, lines.geometry, information), information
 
     def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
         """Count the visibility conflicts of a sample of the points."""
@@ -315,11 +325,12 @@ class Robust:
         if last and last[0] is scan and last[1] is motion:
             return last[2]
         spec, twist, increment_s = scan.spec, AT_REST, 0.0
-        sweep_s = abs(spec.time_increment_s) * spec.beams
-        if self.config.robust.deskew != "off" and motion and sweep_s <= 1.2 * motion.period_s:
+        longest = 1.2 if scan.times_s is None else 2.2  # of merged lasers one may begin half a period later
+        if self.config.robust.deskew != "off" and motion and scan.sweep_s <= longest * motion.period_s:
             twist, increment_s = np.array(motion.twist_at(scan.stamp_ns)), spec.time_increment_s
+        seen = (scan.ranges_m, spec.directions) if scan.times_s is None else scan.seen_at_mid_sweep(twist)
         ends, means = np.empty((spec.beams, 2)), np.empty((spec.beams, 2))
-        n, m = scan_points(scan.ranges_m, spec.directions, twist, increment_s, self._limits_m, ends, means)
+        n, m = scan_points(*seen, twist, increment_s, self._limits_m, ends, means)
         points = ends[:n], means[:m]
         if motion:
             self._deskewed = scan, motion, points

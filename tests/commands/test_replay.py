@@ -38,7 +38,7 @@ def digest(directory: Path) -> dict[str, str]:
 
 def test_writes_what_it_promises(finished: Path) -> None:
     promised = {"trajectory.tum", "trajectory_base.tum", "trajectory.csv", "map.pgm", "map.yaml", "hits.npz"}
-    promised |= {"walls.csv", "map.png", "wall_thickness.png", "result.mcap", "metrics.json"}
+    promised |= {"walls.csv", "map.png", "wall_thickness.png", "result.mcap", "foxglove_layout.json", "metrics.json"}
     assert promised == set(digest(finished))
     assert {path.name for path in finished.iterdir()} == promised | {"run.json"}
 

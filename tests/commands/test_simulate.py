@@ -70,12 +70,13 @@ def test_leaves_what_it_promises(corner: tuple[Path, subprocess.CompletedProcess
         "walls.csv",
         "wall_thickness.png",
         "result.mcap",
+        "foxglove_layout.json",
         "metrics.json",
         "truth.tum",
         "true_map.png",
         "true_walls.json",
     }
-    page = {"report.html", "maps.png", "thickness.png", "cost.png"}
+    page = {"report.html", "maps.png", "thickness.png", "cost.png", "motion.png"}
     left = {path.name for path in (folder / "out").iterdir()}
     assert left - {"closeups.png"} == promised | page | {"run.json"}  # a closer look only where there is a place for it
     assert set(json.loads(done.stdout)["outputs"]) == promised

@@ -114,3 +114,15 @@ def test_poses_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
     lost = Message("/gt", POSE, START_NS, {"x": np.nan, "y": 0.0, "yaw": 0.0})
     with pytest.raises(TopicError, match="no topic is named"):
         open_log(write_mcap(tmp_path / "a", [*drive(SCANS), lost]), truth="auto")
+
+
+@pytest.mark.parametrize(("kind", "child"), [(POSE, ""), (TRANSFORM, "base_link")])
+def test_poses_are_odometry_if_they_are_asked_for(tmp_path: Path, kind: str, child: str) -> None:
+    path = write_mcap(tmp_path / "a.mcap", [*drive(SCANS), *poses("/mocap/robot", kind, child)])
+    log = open_log(path, odom="/mocap/robot")
+    assert log.odometry is not None
+    assert log.odometry.topic == "/mocap/robot"
+    np.testing.assert_allclose(log.odometry.odom_T_laser.xyyaw, expected(BASE_T_LASER), atol=1e-12)
+    usual = open_log(path)
+    assert usual.odometry is not None
+    assert usual.odometry.topic == "/odom"

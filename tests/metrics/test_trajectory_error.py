@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mavnav.ground_truth.references import References, compared
 from mavnav.ground_truth.tables import read_tum
-from mavnav.metrics.trajectory_error import absolute_error, align
+from mavnav.metrics.trajectory_error import absolute_error, align, position_errors
 from mavnav.pose import Pose, Trajectory, transform_points
 from support.synthetic import TOUR, along, drifting_odometry
 
@@ -119,3 +119,15 @@ def test_a_real_run_as_evo_measures_it(real_logs) -> None:
     assert ours.ate.rmse_m == pytest.approx(theirs["rmse_m"], abs=1e-6)
     assert ours.rpe.distance_rmse_m == pytest.approx(theirs["distance_rmse_m"], abs=1e-6)
     assert np.isnan(ours.rpe.translation_rmse_m)
+
+
+def test_the_error_of_every_pose_is_nan_where_the_truth_is_not_known() -> None:
+    xyyaw = np.column_stack((path(2), np.zeros(40)))
+    stamps_ns = np.arange(40, dtype=np.int64) * 10**8
+    estimate, truth = Trajectory(stamps_ns, xyyaw + np.array([3.0, 4.0, 0.0])), Trajectory(stamps_ns[:30], xyyaw[:30])
+    found = position_errors(estimate, truth, aligned=False)
+    np.testing.assert_allclose(found[:30], 5.0)
+    assert np.isnan(found[30:]).all()
+    np.testing.assert_allclose(position_errors(estimate, truth, aligned=True)[:30], 0.0, atol=1e-9)
+    nothing = position_errors(estimate, Trajectory(stamps_ns[:0], xyyaw[:0]), aligned=True)
+    assert np.isnan(nothing).all()

@@ -46,6 +46,7 @@ class FabricatedLog:
     mounting_source: str | None = "tf_static"
     base_frame: str | None = "base_footprint"
     odometry: Odometry | None = None
+    imu: None = None
     truth: None = None
     damage: tuple[Damage, ...] = ()
     warnings: tuple[str, ...] = ("a warning",)

@@ -15,7 +15,7 @@ from mavnav.outputs.writers import write_run
 
 ALWAYS = {
     "trajectory.tum", "trajectory.csv", "map.pgm", "map.yaml", "hits.npz", "map.png", "wall_thickness.png",
-    "result.mcap", "metrics.json", "run.json", "walls.csv",
+    "result.mcap", "foxglove_layout.json", "metrics.json", "run.json", "walls.csv",
 }  # fmt: skip
 
 

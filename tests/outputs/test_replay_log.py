@@ -16,6 +16,7 @@ from mavnav.pose import Pose, yaw_of_quaternion
 TYPES = {
     "/tf_static": "tf2_msgs/msg/TFMessage", "/tf": "tf2_msgs/msg/TFMessage", "/scan": "sensor_msgs/msg/LaserScan",
     "/pose": "geometry_msgs/msg/PoseStamped", "/path": "nav_msgs/msg/Path", "/map": "nav_msgs/msg/OccupancyGrid",
+    "/markers": "visualization_msgs/msg/MarkerArray",
 }  # fmt: skip
 
 
@@ -60,13 +61,13 @@ def test_the_container_is_what_viewers_expect(path):
     assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}
     assert {i.compression for i in summary.chunk_indexes} == {"zstd"}
     assert order[:5] == ["/tf_static", "/tf", "/scan", "/pose", "/map"]
-    assert order[-2:] == ["/path", "/map"]
+    assert order[-3:] == ["/markers", "/path", "/map"]
 
 
 def test_late_subscribers_get_map_and_static_transforms(path):
     with AnyReader([path]) as reader:
         durability = {c.topic: c.ext.offered_qos_profiles[0].durability.name for c in reader.connections}
-    assert {t for t, d in durability.items() if d == "TRANSIENT_LOCAL"} == {"/tf_static", "/map", "/path"}
+    assert {t for t, d in durability.items() if d == "TRANSIENT_LOCAL"} == {"/tf_static", "/map", "/path", "/markers"}
     assert durability["/tf"] == "VOLATILE"
 
 

@@ -16,7 +16,7 @@ from mavnav.outputs import wall_table
 from mavnav.outputs.canvas import rgb_of
 from mavnav.outputs.document import run_document, to_json
 from mavnav.outputs.gridmap import write_npz
-from mavnav.outputs.report import columns, cost_panel, details, panels, single, write_report
+from mavnav.outputs.report import columns, cost_panel, details, motion_panel, panels, single, write_report
 from mavnav.outputs.report.closeups import differing_places
 from mavnav.outputs.report.entry import Entry, load
 from mavnav.outputs.report.headline import headline
@@ -337,3 +337,26 @@ def test_a_place_that_cannot_be_written_is_told(comparison, base, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="cannot be written"):
         write_report(comparison, base, tmp_path / "file" / "report.html")
+
+
+def test_speed_is_that_between_the_poses_before_and_after():
+    time_s = np.array([0.0, 0.1, 0.2, 0.3, 3.0, 3.1])
+    xy_m = np.column_stack((0.5 * time_s, np.zeros(6)))
+    xy_m[2] = np.nan
+    found = motion_panel.speeds(time_s, xy_m)
+    np.testing.assert_allclose(found[1], 0.5)
+    assert np.isnan(found[[0, 2, 3, 4, 5]]).all()  # no pose, next to a gap, and the ends
+    assert np.isnan(motion_panel.speeds(time_s[:2], xy_m[:2])).all()
+
+
+def test_the_motion_has_a_curve_of_the_error_where_the_truth_is_known(entries):
+    scans = entries[0].scans
+    yaw = replace(scans, yaw_rad=np.linspace(3.0, 4.0, len(scans.time_s)) % (2 * np.pi) - np.pi)
+    names = [curve.name for curve in motion_panel.curves(replace(entries[0], scans=yaw))]
+    assert names == ["x [m]", "y [m]", "yaw [deg]", "speed [m/s]"]
+    known = replace(yaw, error_m=np.full(len(scans.time_s), 0.02))
+    curves = motion_panel.curves(replace(entries[0], scans=known))
+    assert (curves[-1].name, curves[-1].values[0]) == ("error [mm]", pytest.approx(20.0))
+    assert np.abs(np.diff(curves[2].values)).max() < 90.0  # unwrapped
+    with_error, without = (motion_panel.motion_panel(replace(entries[0], scans=s)) for s in (known, yaw))
+    assert with_error.height > without.height

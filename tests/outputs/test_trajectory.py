@@ -78,3 +78,13 @@ def test_csv_marks_the_doubtful_scans(run, tmp_path):
 )
 def test_seconds(stamp_ns, text):
     assert seconds(stamp_ns) == text
+
+
+def test_csv_has_the_covariance_where_it_is_known(run, tmp_path):
+    covariances = np.full((len(run.slam.steps), 6), np.nan)
+    covariances[0] = np.arange(6) * 1e-6
+    write_csv(replace(run, slam=replace(run.slam, covariances=covariances)), tmp_path / "t.csv")
+    with (tmp_path / "t.csv").open() as file:
+        first, second, *_ = csv.DictReader(file)
+    assert (float(first["cov_xy_m2"]), float(first["cov_yawyaw_rad2"])) == (1e-6, 5e-6)
+    assert second["cov_xx_m2"] == ""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mavnav.config.models import Config
-from mavnav.pose import Pose
+from mavnav.ground_truth.references import References
+from mavnav.pipelines.replay import with_recorded_truth
+from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
 from mavnav.slam.parts import LEAST_WITNESSES, agreed, witnesses
 from mavnav.slam.pipeline import run_slam
@@ -64,6 +67,26 @@ def test_scans_of_another_room_at_the_beginning_are_left_out_and_reported() -> N
     assert found.steps.column("tracked").tolist() == [False] * 12 + [True] * len(tour())
     assert [(part.scans, part.joined) for part in found.parts] == [(12, False), (len(tour()), True)]
     assert "12 scan(s) from 0.0 to 1.1 s" in found.warnings[0]
+    assert found.begin_ns == scans[12].stamp_ns
+
+
+@pytest.mark.parametrize("first_is_largest", [True, False])
+def test_the_parts_before_and_after_a_lost_middle_are_joined(first_is_largest: bool) -> None:
+    way = TOUR[:3] if first_is_largest else [(4.65, 5.0), (4.65, 3.4), (4.6, 2.9), (2.4, 2.9), (1.0, 2.9)]
+    longer = record(furnished_rooms(), along(way), SMALL)
+    shorter = record(furnished_rooms(), along([(0.9, 0.9), (2.4, 0.8)]), SMALL, seed=1)
+    first, second = (longer, shorter) if first_is_largest else (shorter, longer)
+    middle = [blank(first.scans[-1], np.random.default_rng(0))] * 30
+    scans = [replace(s, stamp_ns=k * 100_000_000) for k, s in enumerate([*first.scans, *middle, *second.scans])]
+    found = tracked(scans)
+    assert [(part.scans, part.joined) for part in found.parts] == [(len(d.scans), True) for d in (first, second)]
+    assert len(found.trajectory) == len(scans) - len(middle)
+    assert not found.lost_for_good
+    truth = Trajectory(found.trajectory.stamps_ns, np.vstack((first.world_T_laser.xyyaw, second.world_T_laser.xyyaw)))
+    in_map = with_recorded_truth(
+        References(), SimpleNamespace(truth=SimpleNamespace(world_T_laser=truth)), found.begin_ns
+    ).truth
+    assert np.abs(in_map.xyyaw - found.trajectory.xyyaw).max() < 0.05
 
 
 def test_the_larger_of_two_rooms_is_the_map_and_the_log_is_lost() -> None:

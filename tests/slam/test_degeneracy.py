@@ -63,6 +63,14 @@ def test_odometry_holds_it_too() -> None:
     assert run_slam(lambda: drive.scans, Config(), 0.1, odometry).warnings == ()
 
 
+def test_no_place_along_a_wall_is_preferred_to_that_of_the_odometry() -> None:
+    drive = record(CORRIDOR[1], along([(0.0, -1.0), (3.0, -1.0)]), SHORT_SIGHTED, seed=5)
+    found = run_slam(lambda: drive.scans, Config(), 0.1, drifting_odometry(drive.world_T_laser, seed=5))
+    assert np.abs(found.trajectory.xyyaw - drive.map_T_laser.xyyaw)[:, 0].max() < 0.2
+    assert found.doubt is not None
+    assert not found.doubt.high
+
+
 @pytest.mark.parametrize(("loose", "told"), [(4, ""), (5, "from 0.3 to 0.7 s): ")])
 def test_a_few_scans_are_no_slide(loose: int, told: str) -> None:
     steps = Steps(Step(k, k * 100_000_000, first_match(100), tracked=True) for k in range(20))
@@ -70,6 +78,12 @@ def test_a_few_scans_are_no_slide(loose: int, told: str) -> None:
     holds[3 : 3 + loose] = 0.5 * LEAST_OBSERVABILITY
     assert told in degeneracy_warning(steps, holds)
     assert bool(degeneracy_warning(steps, holds)) == bool(told)
+
+
+def test_odometry_that_is_not_used_is_to_be_corrected() -> None:
+    steps = Steps(Step(k, k * 100_000_000, first_match(100), tracked=True) for k in range(20))
+    assert "; record odometry, or" in degeneracy_warning(steps, np.zeros(20))
+    assert "; correct the odometry, or" in degeneracy_warning(steps, np.zeros(20), contradicted=True)
 
 
 def test_a_run_that_was_stopped_tells_of_the_scans_that_came() -> None:
@@ -86,12 +100,15 @@ def test_the_kernel_is_its_twin(seed: int) -> None:
     line_map.insert(walls)
     laser = Pose(0.3, -0.2, 0.7)
     points = transform_points(laser.inverse(), np.vstack((walls[::3], rng.uniform(-5, 5, (20, 2)))))
-    fast = observability(points, laser.as_array(), line_map.nearest, line_map.lines, line_map.geometry)
-    slow = naive.observability(points, laser, line_map)
+    sums = np.empty(6)
+    fast = observability(points, laser.as_array(), line_map.nearest, line_map.lines, line_map.geometry, sums)
+    slow, information = naive.observability(points, laser, line_map)
     assert slow > 0.01
     assert fast == pytest.approx(slow, abs=1e-9)
+    np.testing.assert_allclose(sums, information[(0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)], atol=1e-6)
 
 
 def test_no_point_holds_nothing() -> None:
     line_map = LineMap(0.02, 0.06, 0.01)
-    assert observability(np.zeros((0, 2)), np.zeros(3), line_map.nearest, line_map.lines, line_map.geometry) == 0.0
+    arrays = line_map.nearest, line_map.lines, line_map.geometry
+    assert observability(np.zeros((0, 2)), np.zeros(3), *arrays, np.empty(6)) == 0.0

@@ -10,6 +10,7 @@ import pytest
 
 from mavnav.config.models import Config
 from mavnav.logs import open_log
+from mavnav.pose import Rotation
 from mavnav.slam.doubt import judge
 from mavnav.slam.doubt.evidence import Evidence
 from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES
@@ -40,6 +41,7 @@ def clean(*, compared: bool = False, **changes: object) -> Evidence:
         conflicts=np.zeros(N),
         rivals=np.full(N, np.inf),
         resampled=xyyaw.copy() if compared else np.full((N, 3), np.nan),
+        tilt_rad=np.zeros(N),
     )
     return replace(good, **changes)
 
@@ -71,7 +73,7 @@ PLANTED = {
     "weakly constrained pose": clean(observed=np.full(N, 0.001)),
     "sampling too sparse for the motion": clean(xyyaw=clean().xyyaw * (8.0, 1.0, 1.0)),
     "symmetric place": clean(xyyaw=jumped(yaw_deg=90.0), rivals=some(0.05, np.inf)),
-    NOT_PLANAR: clean(conflicts=np.full(N, 0.08)),
+    NOT_PLANAR: clean(conflicts=np.full(N, 0.08), tilt_rad=np.full(N, 0.2)),
     "too few beams": clean(points=np.full(N, 50)),
     "gap": clean(stamps_ns=late()),
     "unclosed loop": clean(refused=30),
@@ -152,6 +154,18 @@ def test_what_does_not_look_back_is_not_judged() -> None:
     drive = record(furnished_rooms(), along([(0.8, 0.7), (1.0, 0.7)]))
     assert run_slam(lambda: drive.scans, Config(final_pass=False), 0.1).doubt is None
     assert run_slam(lambda: drive.scans, Config(method="paper"), 0.1).doubt is None
+
+
+def test_the_tilt_of_an_inertial_sensor_is_a_reason() -> None:
+    drive = record(furnished_rooms(), along([(0.8, 0.7), (1.0, 0.7)]))
+    stamps_ns = np.array([scan.stamp_ns for scan in drive.scans])
+    level = Rotation(stamps_ns.copy(), np.zeros(len(stamps_ns)), np.zeros(len(stamps_ns)))
+    tilted = replace(level, tilt_rad=np.full(len(stamps_ns), 30 * DEG))
+    plain, same, other = (run_slam(lambda: drive.scans, Config(), 0.1, rotation=r).doubt for r in (None, level, tilted))
+    assert plain == same
+    assert plain is not None and other is not None
+    assert [r.name for r in other.reasons if r.name not in {r.name for r in plain.reasons}] == [NOT_PLANAR]
+    assert other.probability > plain.probability
 
 
 @pytest.mark.real_logs

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from mavnav.pose import Pose, Trajectory
+from mavnav.pose import Pose, Rotation, Trajectory
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.odometry_check import EARLY_STEPS, misleads, until_misled
 from mavnav.slam.scan_matching import first_match
@@ -130,3 +130,30 @@ def test_a_track_ends_early_once_its_odometry_plainly_misleads_it(side: float, *
     passed = list(until_misled(steps_of(way), odometry))
     assert len(passed) == (EARLY_STEPS + 2 if ends else len(way))
     assert misleads(odometry, tracked_trajectory(Steps(passed))) is ends
+
+
+def swaying(sign: float, steps: int = 30) -> tuple[Motion, Pose]:
+    """Return the motion after steps of changing turns, with a sensor that measured them, and the next pose."""
+    stamps_ns = np.arange(-1, 400, dtype=np.int64) * 10 * MS
+    yaws_rad = np.sin(stamps_ns * 4e-9)
+    motion = Motion(0.1, rotation=Rotation(stamps_ns, sign * yaws_rad, np.zeros(len(stamps_ns))))
+    motion = motion.started_at(Pose(), 0)
+    poses = [Pose(0.0, 0.0, float(np.sin(0.4 * k))) for k in range(steps + 1)]
+    for k in range(1, steps):
+        motion = motion.moved_to(poses[k], k * 100 * MS)
+    return motion, poses[steps]
+
+
+def test_a_measured_yaw_rate_that_fits_predicts_the_turn() -> None:
+    motion, there = swaying(1.0)
+    assert motion.proof.fits
+    assert close(motion.predict(3000 * MS), there, 1e-3)
+    turn_rad = motion.map_T_laser.between(there).yaw_rad
+    assert motion.twist_at(3000 * MS)[2] == pytest.approx(turn_rad / 0.1, abs=0.02)
+    assert not swaying(1.0, 8)[0].proof.fits
+
+
+def test_a_measured_yaw_rate_of_the_wrong_sign_is_not_used() -> None:
+    motion, _ = swaying(-1.0)
+    assert not motion.proof.fits
+    assert motion.predict(3000 * MS) == motion._replace(rotation=None).predict(3000 * MS)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 LASER = "sensor_msgs/msg/LaserScan"
+IMU = "sensor_msgs/msg/Imu"
 ODOM = "nav_msgs/msg/Odometry"
 TF = "tf2_msgs/msg/TFMessage"
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -68,6 +69,12 @@ def build(message: Message, ros: int) -> Any:
         values["ranges"] = np.asarray(values["ranges"], dtype=np.float32)
         header = _header(types, message.stamp_ns, f.get("frame_id", "laser"), ros)
         return types[LASER](header=header, intensities=np.array([], dtype=np.float32), **values)
+    if message.type == IMU:
+        none, vector = np.zeros(9), types["geometry_msgs/msg/Vector3"]
+        turn = types["geometry_msgs/msg/Quaternion"](*f.get("xyzw", (0.0, 0.0, 0.0, 1.0)))
+        told = none if "xyzw" in f else np.r_[-1.0, none[1:]]
+        header, gravity = _header(types, message.stamp_ns, "imu", ros), f.get("up", (0.0, 0.0, 9.81))
+        return types[IMU](header, turn, told, vector(*f["rates"]), none, vector(*gravity), none)
     if message.type == POSE:
         return types[POSE](header=_header(types, message.stamp_ns, "world", ros), pose=_pose(types, f))
     if message.type == ODOM:

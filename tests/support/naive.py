@@ -328,7 +328,7 @@ def cost_floors(lines, box, step, truncate_m, levels):
 
 
 def observability(points, map_T_laser, line_map):
-    """Least eigenvalue of the information of the points (n, 2), by way of every line's normal."""
+    """Least eigenvalue of the information of the points (n, 2), by way of every line's normal; and their sum (3, 3)."""
     arm = np.linalg.norm(points, axis=1).mean()
     information = np.zeros((3, 3))
     for x, y in transform_points(map_T_laser, points):
@@ -340,7 +340,8 @@ def observability(points, map_T_laser, line_map):
             nx, ny = ways[:, 1]
             tells = np.array([nx, ny, (ny * (x - map_T_laser.x_m) - nx * (y - map_T_laser.y_m)) / arm])
             information += (1.0 - along_it) * np.outer(tells, tells) / len(points)
-    return np.linalg.eigvalsh(information)[0]
+    units = np.array([1.0, 1.0, arm])
+    return np.linalg.eigvalsh(information)[0], len(points) * information * np.outer(units, units)
 
 
 def coarse_to_fine(terms, start, grid, limits, dense, few=None, settled=None):

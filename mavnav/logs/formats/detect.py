@@ -191,10 +191,14 @@ READERS: dict[str, Callable[[Path, ReadReport], Iterator[RawMessage]]] = {
 }
 
 _DRIVER = "replay it into the driver of the laser, and record its scans with `ros2 bag record`"
+_RECORD = "record the LaserScan topic with `ros2 bag record`"
 OTHERS: dict[bytes, str] = {
     rb"\A(?:\xd4\xc3\xb2\xa1|\xa1\xb2\xc3\xd4|\x4d\x3c\xb2\xa1)": f"a capture of network packets (pcap); {_DRIVER}",
     rb"\A\x0a\x0d\x0d\x0a": f"a capture of network packets (pcapng); {_DRIVER}",
     rb"\ARRF[0-9]": "a Rerun recording (.rrd), which is not read; replay the log that it was made of",
+    rb"\AULog\x01\x12\x35": f"a flight log of PX4 (ULog), which has no laser scans; {_RECORD}",
+    rb"\A(?:# )?\.PCD |\Aply\r?\n|\ALASF": f"a single cloud of points (PCD, PLY or LAS), not a log of scans; {_RECORD}",
+    rb"\A\x89HDF\r\n\x1a\n": f"an HDF5 file, which is not read; {_RECORD}",
     rb"CObservation2DRangeScan|CSensoryFrame|CActionCollection": (
         "a rawlog of MRPT, which is not read; export it as CARMEN log with `rawlog-edit --export-2d-scans-txt`"
     ),

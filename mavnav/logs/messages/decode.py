@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages import carmen
-from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, ODOMETRY, POSE, SCAN, TF, TF_ROS1, TRANSFORM
-from mavnav.logs.messages.fast_cdr import laser_of, odometry_of, transforms_of
+from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, IMU, ODOMETRY, POSE, SCAN, TF, TF_ROS1, TRANSFORM
+from mavnav.logs.messages.fast_cdr import imu_message, imu_of, laser_of, odometry_of, transforms_of
 from mavnav.logs.messages.other_scans import other_scan, part_of
-from mavnav.logs.messages.records import DecodeError, LaserMessage, TransformMessage
+from mavnav.logs.messages.records import DecodeError, ImuMessage, LaserMessage, TransformMessage
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,9 +27,9 @@ ROS_ENCODINGS = ("cdr", "ros1")
 def decoder(channel: Channel, *, poses: bool = False, topic: str | None = None) -> Callable[[bytes], Any] | None:
     """Return the function that decodes a channel's messages; None for kinds that mavnav has no use for.
 
-    It returns a LaserMessage, or a list of TransformMessage for odometry and transforms, and raises DecodeError. With
-    ``poses`` there is a use for single poses and transforms, too; with the ``topic`` that is asked for, for scans in
-    other messages.
+    It returns a LaserMessage, an ImuMessage, or a list of TransformMessage for odometry and transforms, and raises
+    DecodeError. With ``poses`` there is a use for single poses and transforms, too; with the ``topic`` that is asked
+    for, for scans in other messages.
     """
     kind, part = (channel.encoding, channel.type), part_of(channel, topic)
     if part is not None and channel.encoding in ROS_ENCODINGS:
@@ -57,10 +57,22 @@ def _other_scans(channel: Channel, part: str) -> Callable[[bytes], LaserMessage]
     return decode
 
 
-def holds_scans(channel: Channel, topic: str | None) -> bool:
-    """Tell whether a channel holds the scans that are asked for: of its topic, or of any where that is None."""
-    plain = is_laser(channel) and topic in (None, channel.topic)
-    return plain or (part_of(channel, topic) is not None and channel.encoding in ROS_ENCODINGS)
+def scan_topics(topic: str) -> list[str]:
+    """Split the topics whose scans are merged: names joined by commas, which no ROS name holds."""
+    return [name for name in topic.split(",") if name]
+
+
+def scan_topic(channel: Channel, topic: str | None) -> str | None:
+    """Return which of the topics asked for has its scans in a channel, None if none; None asks for any LaserScan."""
+    if topic is None:
+        return channel.topic if is_laser(channel) else None
+    other = channel.encoding in ROS_ENCODINGS
+    found = (
+        name
+        for name in scan_topics(topic)
+        if (is_laser(channel) and name == channel.topic) or (other and part_of(channel, name) is not None)
+    )
+    return next(found, None)
 
 
 def is_laser(channel: Channel) -> bool:
@@ -121,6 +133,13 @@ def _odometry(message: Any) -> list[TransformMessage]:  # noqa: ANN401
     return [TransformMessage(stamp_ns, header.frame_id, message.child_frame_id, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))]
 
 
+def _imu(message: Any) -> ImuMessage:  # noqa: ANN401
+    q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
+    covariance = [0.0] * 9
+    told = (q.x, q.y, q.z, q.w, *message.orientation_covariance, w.x, w.y, w.z, *covariance, a.x, a.y, a.z)
+    return imu_message(_stamp_ns(message.header.stamp), told)
+
+
 def _transforms(message: Any) -> list[TransformMessage]:  # noqa: ANN401
     return [_transform(stamped) for stamped in message.transforms]
 
@@ -165,6 +184,7 @@ def _foxglove_protobuf(channel: Channel) -> Callable[[bytes], LaserMessage]:
 _ROS_KINDS: dict[str, Callable[[Channel], Callable[[bytes], Any]]] = {
     SCAN: _ros(laser_of, _laser, SCAN),
     ODOMETRY: _ros(odometry_of, _odometry, ODOMETRY),
+    IMU: _ros(imu_of, _imu, IMU),
     **dict.fromkeys((TF, TF_ROS1), _ros(transforms_of, _transforms, TF)),
 }
 DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {

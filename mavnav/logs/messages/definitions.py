@@ -12,14 +12,22 @@ CLOUD: Final = "sensor_msgs/msg/PointCloud2"
 POSE: Final = "geometry_msgs/msg/PoseStamped"
 TRANSFORM: Final = "geometry_msgs/msg/TransformStamped"
 PATH: Final = "nav_msgs/msg/Path"
+MARKERS: Final = "visualization_msgs/msg/MarkerArray"
 MAP: Final = "nav_msgs/msg/OccupancyGrid"
+IMU: Final = "sensor_msgs/msg/Imu"
 ODOMETRY: Final = "nav_msgs/msg/Odometry"
 FOXGLOVE_SCAN: Final = "foxglove.LaserScan"
 
 _XYZ: Final = ("float64 x", "float64 y", "float64 z")
 _LASER: Final = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
+_MARKERS: Final = (
+    "ARROW", "CUBE", "SPHERE", "CYLINDER", "LINE_STRIP", "LINE_LIST", "CUBE_LIST", "SPHERE_LIST", "POINTS",
+    "TEXT_VIEW_FACING", "MESH_RESOURCE", "TRIANGLE_LIST", "ARROW_STRIP",
+)  # fmt: skip
 FIELDS: Final[dict[str, tuple[str, ...]]] = {
     "builtin_interfaces/Time": ("int32 sec", "uint32 nanosec"),
+    "builtin_interfaces/Duration": ("int32 sec", "uint32 nanosec"),
+    "std_msgs/ColorRGBA": ("float32 r", "float32 g", "float32 b", "float32 a"),
     "std_msgs/Header": ("builtin_interfaces/Time stamp", "string frame_id"),
     "geometry_msgs/Point": _XYZ,
     "geometry_msgs/Vector3": _XYZ,
@@ -43,10 +51,23 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
         "geometry_msgs/TwistWithCovariance twist",
     ),
     "nav_msgs/Path": ("std_msgs/Header header", "geometry_msgs/PoseStamped[] poses"),
+    "sensor_msgs/CompressedImage": ("std_msgs/Header header", "string format", "uint8[] data"),
     "sensor_msgs/LaserScan": (
         "std_msgs/Header header", *(f"float32 {name}" for name in _LASER), "float32[] ranges", "float32[] intensities",
     ),
     "tf2_msgs/TFMessage": ("geometry_msgs/TransformStamped[] transforms",),
+    "visualization_msgs/UVCoordinate": ("float32 u", "float32 v"),
+    "visualization_msgs/MeshFile": ("string filename", "uint8[] data"),
+    "visualization_msgs/Marker": (
+        *(f"int32 {name}={number}" for number, name in enumerate(_MARKERS)),
+        "int32 ADD=0", "int32 MODIFY=0", "int32 DELETE=2", "int32 DELETEALL=3",
+        "std_msgs/Header header", "string ns", "int32 id", "int32 type", "int32 action", "geometry_msgs/Pose pose",
+        "geometry_msgs/Vector3 scale", "std_msgs/ColorRGBA color", "builtin_interfaces/Duration lifetime",
+        "bool frame_locked", "geometry_msgs/Point[] points", "std_msgs/ColorRGBA[] colors", "string texture_resource",
+        "sensor_msgs/CompressedImage texture", "visualization_msgs/UVCoordinate[] uv_coordinates", "string text",
+        "string mesh_resource", "visualization_msgs/MeshFile mesh_file", "bool mesh_use_embedded_materials",
+    ),
+    "visualization_msgs/MarkerArray": ("visualization_msgs/Marker[] markers",),
 }  # fmt: skip
 """Type, without its ``msg``, -> fields."""
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavnav.logs.messages.records import LaserMessage, TransformMessage
+from mavnav.logs.messages.records import ImuMessage, LaserMessage, TransformMessage
 
 _ENCAPSULATIONS = {0: (">", 0), 1: ("<", 0), 6: (">", 0), 7: ("<", 0), 8: (">", 4), 9: ("<", 4)}
 """Kind of a CDR message -> byte order, and bytes of a header before the fields."""
@@ -73,6 +73,27 @@ def odometry_of(data: bytes, encoding: str) -> list[TransformMessage] | None:
     return [found] if fields.ended else None
 
 
+def imu_of(data: bytes, encoding: str) -> ImuMessage | None:
+    """Read a sensor_msgs/Imu of ``cdr`` or ``ros1``; None where the bytes are not plainly one."""
+    try:
+        fields = _Fields.of(data, encoding)
+        stamp_ns = fields.stamp_ns()
+        fields.text()
+        told = fields.doubles(37)
+    except (struct.error, ValueError):
+        return None
+    return imu_message(stamp_ns, told) if fields.ended else None
+
+
+def imu_message(stamp_ns: int, told: tuple[float, ...]) -> ImuMessage:
+    """Return what the numbers of an Imu say: a quaternion and three vectors, of 4, 3 and 3, each before 9 covariances.
+
+    A covariance that begins with -1 stands for no orientation.
+    """
+    x, y, z, w = told[:4]
+    return ImuMessage(stamp_ns, None if told[4] == -1.0 else (x, y, z, w), told[13:16], told[25:28])  # type: ignore[arg-type]
+
+
 @dataclass(slots=True)
 class _Fields:
     """The fields of a message, one after the other; raises struct.error or ValueError where one is not there."""
@@ -112,16 +133,22 @@ class _Fields:
 
     def transform(self) -> TransformMessage:
         """Read a header, the frame of the child, and its pose."""
+        stamp_ns = self.stamp_ns()
+        parent, child = self.text(), self.text()
+        x, y, z, *turn = self.doubles(7)
+        qx, qy, qz, qw = turn
+        return TransformMessage(stamp_ns, parent, child, (x, y, z), (qx, qy, qz, qw))
+
+    def stamp_ns(self) -> int:
+        """Read the beginning of a header."""
         self.offset += 0 if self.aligned else 4  # ROS 1 counts messages
         kinds = "iI" if self.aligned else "II"
         seconds, nanoseconds = struct.unpack_from(f"{self.order}{kinds}", self.body, self.offset)
         self.offset += 8
-        parent, child = self._text(), self._text()
-        x, y, z, *turn = self.doubles(7)
-        qx, qy, qz, qw = turn
-        return TransformMessage(seconds * _SECOND_NS + nanoseconds, parent, child, (x, y, z), (qx, qy, qz, qw))
+        return int(seconds * _SECOND_NS + nanoseconds)
 
-    def _text(self) -> str:
+    def text(self) -> str:
+        """Read a string."""
         length = self.count()
         raw = self.body[self.offset : self.offset + length]
         self.offset += length

@@ -32,6 +32,19 @@ class LaserMessage(NamedTuple):
     has_pose: bool = False
 
 
+class ImuMessage(NamedTuple):
+    """What an inertial sensor measured, in its own frame.
+
+    Angular velocity in rad/s, acceleration in m/s2 (up at rest), and the orientation ``xyzw`` in a frame with z up,
+    None where the message says that there is none.
+    """
+
+    stamp_ns: int
+    xyzw: tuple[float, float, float, float] | None
+    angular_velocity_rad_s: tuple[float, float, float]
+    acceleration_m_s2: tuple[float, float, float]
+
+
 class TransformMessage(NamedTuple):
     """The pose of frame ``child`` in frame ``parent``: ``xyz`` in m, quaternion ``xyzw``."""
 

@@ -6,7 +6,7 @@ Nothing depends on the clock: equal messages give equal bytes.
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from mavnav import __version__
@@ -47,14 +47,35 @@ def qos_text(channel: Channel) -> str:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """A file inside of an MCAP file, with its media type."""
+
+    name: str
+    media_type: str
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Extras:
+    """What an MCAP file holds besides messages: metadata records by name, and attachments of one time, ns."""
+
+    stamp_ns: int = 0
+    metadata: Mapping[str, dict[str, str]] = field(default_factory=dict)
+    attachments: tuple[Attachment, ...] = ()
+
+
+NO_EXTRAS: Final = Extras()
+
+
 @contextmanager
 def write_serialized(
-    path: Path, channels: Mapping[str, Channel], chunk_bytes: int = CHUNK_BYTES
+    path: Path, channels: Mapping[str, Channel], chunk_bytes: int = CHUNK_BYTES, extras: Extras = NO_EXTRAS
 ) -> Iterator[Callable[[str, int, bytes], None]]:
     """Write an MCAP file of ROS 2 messages with their definitions; gives ``put(topic, stamp_ns, message)``.
 
     Messages are serialised as CDR already; their time of recording is the stamp that comes with them, in ns. A chunk is
-    closed when it holds ``chunk_bytes`` or more.
+    closed when it holds ``chunk_bytes`` or more. The extras come first.
     """
     from mcap.writer import Writer  # noqa: PLC0415  few who read this file's other names write
 
@@ -67,6 +88,11 @@ def write_serialized(
             topic: writer.register_channel(topic, "cdr", schemas[c.type], {"offered_qos_profiles": qos_text(c)})
             for topic, c in channels.items()
         }
+
+        for name, values in extras.metadata.items():
+            writer.add_metadata(name, values)
+        for a in extras.attachments:
+            writer.add_attachment(extras.stamp_ns, extras.stamp_ns, a.name, a.media_type, a.data)
 
         def put(topic: str, stamp_ns: int, message: bytes) -> None:
             writer.add_message(numbers[topic], stamp_ns, message, stamp_ns)

@@ -34,7 +34,8 @@ class Scans:
     """The scans of a run in their order, one an entry.
 
     ``time_s`` from the first scan on, ``cost_mm2`` of the match and ``threshold_mm2`` up to which it is accepted (NaN
-    without one), ``xy_m`` (n, 2) in the map frame (NaN where the scan has no pose), ``tracked``.
+    without one), ``xy_m`` (n, 2) and ``yaw_rad`` in the map frame (NaN where the scan has no pose), ``tracked``, and
+    ``error_m`` of the position (NaN without a truth).
     """
 
     time_s: NDArray[np.float64]
@@ -42,6 +43,8 @@ class Scans:
     threshold_mm2: NDArray[np.float64]
     xy_m: NDArray[np.float64]
     tracked: NDArray[np.bool_]
+    yaw_rad: NDArray[np.float64]
+    error_m: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +105,8 @@ def _scans(path: Path) -> Scans:
         threshold_mm2=_column(rows, "threshold_m2") * 1e6,
         xy_m=np.column_stack((_column(rows, "x_m"), _column(rows, "y_m"))),
         tracked=_column(rows, "tracked") > 0,
+        yaw_rad=_column(rows, "yaw_rad"),
+        error_m=_column(rows, "position_error_m"),
     )
 
 

@@ -63,11 +63,13 @@ def shape(window: Window) -> str:
     return "wide" if width > WIDE * height else "tall" if height > TALL * width else ""
 
 
-def map_panel(entry: Entry, window: Window, top_hits: float, boxes: Sequence[tuple[str, Window]]) -> Image:
-    """Draw the map of a run; ``boxes`` are the close-ups, by letter."""
+def map_panel(
+    entry: Entry, window: Window, top_hits: float, boxes: Sequence[tuple[str, Window]], *, ends: bool
+) -> Image:
+    """Draw the map of a run; ``boxes`` are the close-ups, by letter; ``ends`` marks start and end of the path."""
     longest_in, most = (WIDE_IN, 16) if shape(window) == "wide" else (LONGEST_IN, 11)
     axes = _panel(entry.name, window.widened(LEAST_SHARE), longest_in)
-    draw_map(axes, entry, top_hits, most, boxes)
+    draw_map(axes, entry, top_hits, most, boxes, ends=ends)
     return axes.canvas.image
 
 
@@ -84,13 +86,23 @@ def _panel(title: str, window: Window, longest_in: float) -> Axes:
 
 
 def draw_map(
-    axes: Axes, entry: Entry, top_hits: float, most_ticks: int, boxes: Sequence[tuple[str, Window]] = ()
+    axes: Axes,
+    entry: Entry,
+    top_hits: float,
+    most_ticks: int,
+    boxes: Sequence[tuple[str, Window]] = (),
+    *,
+    ends: bool = False,
 ) -> None:
-    """Draw what is known onto axes, with at most so many ticks along the longer side."""
+    """Draw what is known onto axes, with at most so many ticks along the longer side, and the ends of the path."""
     map_axes.draw_free(axes, entry.grid, occupancy(entry.grid))
     map_axes.draw_hits(axes, entry.grid, top_hits)
     axes.lines(map_axes.TRUE_WALL, entry.true_walls)
     axes.lines(PATH, [entry.scans.xy_m])
+    if ends:
+        xy_m = entry.scans.xy_m[np.isfinite(entry.scans.xy_m[:, 0])]
+        axes.mark(map_axes.START, xy_m[:1])
+        axes.mark(map_axes.END, xy_m[-1:])
     for letter, box in boxes:
         _draw_box(axes, letter, box)
     longest_m = max(axes.size)
@@ -125,7 +137,7 @@ def _draw_box(axes: Axes, letter: str, box: Window) -> None:
     axes.canvas.text((x + LETTER / 2, top + LETTER / 2), letter, FONT_PT, "#ffffff", bold=True)
 
 
-def legend_panel(top_hits: float, *, truth: bool, ghost: bool) -> Image:
+def legend_panel(top_hits: float, *, truth: bool, ghost: bool, ends: bool) -> Image:
     """Draw the scale of hits that all maps share, and what the lines on them are."""
     canvas, box = panel((390, 21), "", (15, 40, 375, 36))
     axes = Axes.chart(canvas, box, (0.0, 1.0, 0.0, 1.0))
@@ -136,4 +148,6 @@ def legend_panel(top_hits: float, *, truth: bool, ghost: bool) -> Image:
     first = (canvas.image.height - (len(marks) - 1) * LINE) // 2
     for k, mark in enumerate(marks):
         legend(canvas, [mark], first + k * LINE, box[2] + 24, FONT_PT)
+    for k, mark in enumerate((map_axes.START, map_axes.END) if ends else ()):
+        legend(canvas, [mark], (canvas.image.height - LINE) // 2 + k * LINE, box[2] + 250, FONT_PT)
     return canvas.image

@@ -18,6 +18,7 @@ from mavnav.outputs.report.map_panel import (
     map_panel,
     shape,
 )
+from mavnav.outputs.report.motion_panel import motion_panel
 from mavnav.outputs.report.panels import sheet, stacked
 from mavnav.outputs.report.thickness_panel import thickness_panels
 from mavnav.outputs.viewport import Window
@@ -43,7 +44,10 @@ class Closeup:
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """One panel a run of each kind, in the order of the runs; ``shape`` is that of the maps."""
+    """One panel a run of each kind, in the order of the runs; ``shape`` is that of the maps.
+
+    ``motion`` over time is drawn of a single run alone.
+    """
 
     shape: str
     maps: list[Image]
@@ -51,11 +55,12 @@ class Pictures:
     closeups: list[Closeup]
     thickness: list[Image]
     cost: list[Image]
+    motion: Image | None
 
     @property
     def count(self) -> int:
         """How many pictures the page holds."""
-        return 3 * len(self.maps) + 1 + sum(len(c.images) for c in self.closeups)
+        return 3 * len(self.maps) + 1 + (self.motion is not None) + sum(len(c.images) for c in self.closeups)
 
     def sheets(self) -> dict[str, Image]:
         """Return the pictures that stand as files beside the page, by name."""
@@ -64,6 +69,8 @@ class Pictures:
             "thickness": sheet(self.thickness),
             "cost": sheet(self.cost),
         }
+        if self.motion:
+            found["motion"] = self.motion
         if self.closeups:
             found["closeups"] = stacked([sheet(list(c.images.values())) for c in self.closeups])
         return found
@@ -77,14 +84,18 @@ def draw(entries: Sequence[Entry]) -> Pictures:
     sound = [e for e in entries if not why_not_meaningful(e.document)] or entries
     window, top_hits = common_window(sound), top_of_scale(e.grid for e in sound)
     places = differing_places([e.grid for e in sound], window) or _ghost_places(sound)
+    alone = len(entries) == 1
     boxes = list(zip(ascii_uppercase, places, strict=False))
     return Pictures(
         shape=shape(window),
-        maps=[map_panel(e, window, top_hits, boxes) for e in entries],
-        legend=legend_panel(top_hits, truth=any(e.true_walls for e in entries), ghost=any(map(ghosts, entries))),
+        maps=[map_panel(e, window, top_hits, boxes, ends=alone) for e in entries],
+        legend=legend_panel(
+            top_hits, truth=any(e.true_walls for e in entries), ghost=any(map(ghosts, entries)), ends=alone
+        ),
         closeups=[_closeup(letter, box, sound, top_hits) for letter, box in boxes],
         thickness=thickness_panels(entries),
         cost=cost_panels(entries),
+        motion=motion_panel(entries[0]) if alone else None,
     )
 
 

@@ -31,7 +31,8 @@ class Evidence:
     ``stamps_ns`` (n,); ``xyyaw`` (n, 3) the poses in the map frame, m and rad; ``points`` (n,) that were matched;
     ``observed`` and ``conflicts`` (n,) observability and visibility conflicts in the finished map; ``rivals`` (n,) by
     how much the best other heading costs more, as a share of the worst cost, inf where there is no sharp turn;
-    ``resampled`` (n, 3) the poses of a track with coarser voxels, NaN where there is none.
+    ``resampled`` (n, 3) the poses of a track with coarser voxels, NaN where there is none; ``tilt_rad`` (n,) the tilt
+    by an inertial sensor, 0 without one.
     ``period_s`` is the sensor's; ``odometry`` says whether it predicts the poses, ``contradicted`` whether it was left
     out; ``refused`` counts the loops that were found and not used, ``closed`` those that were.
     """
@@ -48,25 +49,28 @@ class Evidence:
     conflicts: Floats
     rivals: Floats
     resampled: Floats
+    tilt_rad: Floats
 
 
 def evidence_of(track: Track, refiner: Refiner) -> Evidence:
     """Gather what the finished track shows without another one."""
     tracked = track.steps.column("tracked")
     xyyaw = track.steps.column("map_T_laser")[tracked]
+    stamps_ns, rotation = track.steps.column("stamp_ns")[tracked], track.motion.rotation
     return Evidence(
         period_s=track.motion.period_s,
         odometry=track.motion.odometry is not None,
         contradicted=track.odometry_contradicts,
         refused=track.loops.refused,
         closed=len(track.loops.closed),
-        stamps_ns=track.steps.column("stamp_ns")[tracked],
+        stamps_ns=stamps_ns,
         xyyaw=xyyaw,
         points=track.steps.column("beams_used")[tracked],
         observed=track.observed[tracked],
         conflicts=track.conflicts[tracked],
         rivals=rivals(track, refiner, xyyaw[:, 2]),
-        resampled=np.full(xyyaw.shape, np.nan),
+        resampled=track.resampled[tracked] if len(track.resampled) else np.full(xyyaw.shape, np.nan),
+        tilt_rad=np.zeros(len(stamps_ns)) if rotation is None else rotation.tilts_rad(stamps_ns),
     )
 
 
@@ -93,11 +97,10 @@ def rivals(track: Track, refiner: Refiner, yaws_rad: Floats) -> Floats:
     return out
 
 
-def with_resampled_track(evidence: Evidence, track: Track) -> Evidence:
+def with_resampled_track(track: Track) -> Track:
     """Add the poses of a track with coarser voxels; none if the run is being stopped."""
     other = track.again(replace(track, config=coarser(track.config)))
     if other is None:
-        return evidence
-    tracked, again = track.steps.column("tracked"), other.steps.column("tracked")
-    poses = np.where(again[:, None], other.steps.column("map_T_laser"), np.nan)
-    return replace(evidence, resampled=poses[tracked])
+        return track
+    again, poses = other.steps.column("tracked"), other.steps.column("map_T_laser")
+    return replace(track, resampled=np.where(again[:, None], poses, np.nan))

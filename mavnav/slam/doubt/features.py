@@ -34,6 +34,9 @@ SPARSE_M, SPARSE_RAD = 0.3, 20 * DEG
 WEAK, FEW_POINTS, CONFLICTS, RIVALS = 0.01, 80, 0.05, 0.15
 """Observability that is weak, points that are few, conflicts that are many, rivals that are near."""
 
+TILT_RAD = 10 * DEG
+"""Tilt that is much: a wall 3 m away is then met 0.5 m higher or lower."""
+
 GAP_S, REFUSED_LOOPS = 2.0, 10
 """Time without a pose that is long, and loops that are many."""
 
@@ -102,8 +105,9 @@ def sparse(evidence: Evidence) -> Floats:
 
 
 def not_planar(evidence: Evidence) -> Floats:
-    """Return the visibility conflicts with the finished map as a share of what is much."""
-    return evidence.conflicts / CONFLICTS
+    """Return the visibility conflicts with the finished map, or the tilt, as a share of what is much."""
+    shown: Floats = np.maximum(evidence.conflicts / CONFLICTS, evidence.tilt_rad / TILT_RAD)
+    return shown
 
 
 def few_points(evidence: Evidence) -> Floats:

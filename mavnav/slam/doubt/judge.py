@@ -10,7 +10,6 @@ from mavnav.slam.doubt.evidence import evidence_of, with_resampled_track
 from mavnav.slam.doubt.model import doubt_of
 
 if TYPE_CHECKING:
-    from mavnav.slam.doubt.record import Doubt
     from mavnav.slam.method import Refiner
     from mavnav.slam.track import Track
 
@@ -30,15 +29,17 @@ def judge_track(track: Track) -> Track:
         return track
     if track.steps.column("tracked").sum() < FEWEST:
         return track
-    return replace(track, doubt=judged(track, refiner))
+    return judged(track, refiner)
 
 
 @timed("doubt")
-def judged(track: Track, refiner: Refiner) -> Doubt:
+def judged(track: Track, refiner: Refiner) -> Track:
     """Judge by the features of the track, and compare it with another one where that is worth it."""
     evidence = evidence_of(track, refiner)
     doubt = doubt_of(evidence)
-    if doubt.probability < WORTH_A_TRACK:
-        return doubt
-    compared = with_resampled_track(evidence, track)
-    return doubt if compared is evidence else doubt_of(compared, (RESAMPLED,))
+    if not len(track.resampled) and doubt.probability >= WORTH_A_TRACK:
+        track = with_resampled_track(track)
+    if len(track.resampled):
+        resampled = track.resampled[track.steps.column("tracked")]
+        doubt = doubt_of(replace(evidence, resampled=resampled), (RESAMPLED,))
+    return replace(track, doubt=doubt)

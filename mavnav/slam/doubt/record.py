@@ -26,6 +26,15 @@ class Reason(NamedTuple):
     value: float
 
 
+class Remedy(NamedTuple):
+    """Another whole track, made because the first one was lost or doubtful, the doubt of both, and which was kept."""
+
+    name: str
+    doubt_before: float
+    doubt_after: float
+    used: bool
+
+
 @dataclass(frozen=True, slots=True)
 class Doubt:
     """The probability that an accepted track is wrong somewhere, the reasons, the strongest first.

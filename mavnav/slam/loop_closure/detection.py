@@ -8,7 +8,7 @@ then distributes the corrections over the path.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -73,19 +73,28 @@ class Loop:
 
 
 @dataclass(frozen=True, slots=True)
+class Graph:
+    """The pose graph of a track: the rows of the key frames in the trajectory, and the edges between key frames."""
+
+    rows: tuple[int, ...]
+    edges: tuple[Edge, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Loops:
     """The loops, the number of candidates that were refused, and the poses that follow.
 
-    ``map_T_laser`` is None where the track stays as it is.
+    ``map_T_laser`` is None where the track stays as it is, ``graph`` where no loop was looked for.
     """
 
     closed: tuple[Loop, ...] = ()
     refused: int = 0
     map_T_laser: Trajectory | None = None
+    graph: Graph | None = field(default=None, compare=False)
 
     def dropped(self) -> Loops:
         """Return the same with every loop refused."""
-        return Loops(refused=self.refused + len(self.closed))
+        return Loops(refused=self.refused + len(self.closed), graph=self.graph)
 
 
 @timed("loops")
@@ -109,7 +118,8 @@ def find_loops(map_T_laser: Trajectory, points_of: Callable[[list[int]], Iterabl
         Loop(tracked[c.start].row, tracked[c.end].row, c.start_T_end, c.correction(tracked), c.match.inliers)
         for c in closures
     )
-    return Loops(closed, refused, None if keys is tracked else follow(map_T_laser, tracked, keys))
+    graph = Graph(tuple(rows), tuple(edges_of(tracked, closures)))
+    return Loops(closed, refused, None if keys is tracked else follow(map_T_laser, tracked, keys), graph)
 
 
 def find_closures(tracked: list[KeyFrame], config: Config) -> tuple[list[KeyFrame], list[Closure], int]:
@@ -190,11 +200,15 @@ def track_confirmed(corrections: Sequence[Pose]) -> bool:
 
 def optimized_keys(keys: Sequence[KeyFrame], closures: Sequence[Closure]) -> list[KeyFrame]:
     """Return the key frames at the poses that fit path and closures best."""
-    poses = [key.map_T_laser for key in keys]
+    poses = optimized([key.map_T_laser for key in keys], edges_of(keys, closures))
+    return [replace(key, map_T_laser=pose) for key, pose in zip(keys, poses, strict=True)]
+
+
+def edges_of(keys: Sequence[KeyFrame], closures: Sequence[Closure]) -> list[Edge]:
+    """Return the edges of the pose graph: the path from key frame to key frame as tracked, and the closures."""
     firm = np.diag(1.0 / np.array((PATH_SIGMA_M, PATH_SIGMA_M, PATH_SIGMA_RAD)))
-    path = [Edge(k, k + 1, a.between(b), firm) for k, (a, b) in enumerate(pairwise(poses))]
-    loops = [Edge(c.start, c.end, c.start_T_end, c.sqrt_information) for c in closures]
-    return [replace(key, map_T_laser=pose) for key, pose in zip(keys, optimized(poses, path + loops), strict=True)]
+    path = [Edge(k, k + 1, a.map_T_laser.between(b.map_T_laser), firm) for k, (a, b) in enumerate(pairwise(keys))]
+    return path + [Edge(c.start, c.end, c.start_T_end, c.sqrt_information) for c in closures]
 
 
 def follow(map_T_laser: Trajectory, tracked: Sequence[KeyFrame], keys: Sequence[KeyFrame]) -> Trajectory:

@@ -1,0 +1,123 @@
+"""Inertial sensors in a log: the yaw rate about the vertical, integrated, and the tilt."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from mavnav.logs.records import Imu
+from mavnav.pose import Rotation
+from mavnav.units import NS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from mavnav.logs.messages.records import ImuMessage
+
+    Floats = NDArray[np.float64]
+
+USUAL_NAMES: Final = ("/imu/data", "/imu", "/imu/data_raw")
+"""Of several topics the first of these is used."""
+
+STANDARD_GRAVITY_M_S2: Final = 9.81
+GRAVITY_SHARE: Final = 0.2
+"""A mean acceleration that differs from gravity by more of it does not give the vertical; some sensors count in g."""
+
+SMOOTHED_S: Final = 1.0
+"""Accelerations are averaged over this time: what is left is gravity."""
+
+LEAST_MESSAGES: Final = 10
+MOST_RAD_S, MOST_M_S2 = 100.0, 1e4
+
+
+@dataclass
+class ImuTrack:
+    """The messages of a topic as they came: 56 bytes each."""
+
+    topic: str
+    header_ns: array[int] = field(default_factory=lambda: array("q"))
+    log_ns: array[int] = field(default_factory=lambda: array("q"))
+    numbers: array[float] = field(default_factory=lambda: array("f"))
+
+    def add(self, message: ImuMessage, log_ns: int) -> None:
+        """Take in one message; one with rates or accelerations that are not finite, or impossible, is dropped."""
+        rates, accelerations = message.angular_velocity_rad_s, message.acceleration_m_s2
+        possible = all(abs(a) <= MOST_M_S2 for a in accelerations)  # False for NaN, too
+        if possible and all(abs(rate) <= MOST_RAD_S for rate in rates):
+            self.header_ns.append(message.stamp_ns)
+            self.log_ns.append(min(log_ns, (1 << 63) - 1))
+            self.numbers.extend((*rates, *accelerations, *(message.xyzw or (np.nan,) * 4)))
+
+    def rotation(self, stamp_source: str, half_sweep_ns: int) -> Rotation | None:
+        """Return the rotation at mid-sweep by the stamps of scans; None of too few messages."""
+        stamps = np.array(self.header_ns if stamp_source == "header" else self.log_ns, np.int64)
+        keep = np.ones(len(stamps), np.bool_)
+        keep[1:] = stamps[1:] > np.maximum.accumulate(stamps)[:-1]
+        if keep.sum() < LEAST_MESSAGES:
+            return None
+        numbers = np.array(self.numbers, np.float64).reshape(-1, 10)[keep]
+        stamps, rates, ups = stamps[keep], numbers[:, :3], _ups(stamps[keep], numbers[:, 3:6], numbers[:, 6:])
+        usual = _unit(np.median(ups, axis=0))
+        about = np.einsum("ij,ij->i", rates, ups)
+        turns: Floats = 0.5 * (about[1:] + about[:-1]) * np.diff(stamps) * NS
+        tilt_rad = np.arccos(np.clip(ups @ usual, -1.0, 1.0))
+        return Rotation(stamps - half_sweep_ns, np.concatenate(([0.0], np.cumsum(turns))), tilt_rad)
+
+
+def _ups(stamps_ns: NDArray[np.int64], accelerations: Floats, xyzw: Floats) -> Floats:
+    """Return the upward direction in the sensor's frame, (n, 3): by its orientation, else by gravity, else z."""
+    if np.isfinite(xyzw).all() and (np.linalg.norm(xyzw, axis=1) > 0.5).all() and np.ptp(xyzw, axis=0).any():
+        x, y, z, w = _unit(xyzw).T
+        return np.column_stack((2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)))
+    gravity = np.linalg.norm(np.median(accelerations, axis=0))
+    in_m_s2, in_g = abs(gravity / STANDARD_GRAVITY_M_S2 - 1.0), abs(gravity - 1.0)
+    if min(in_m_s2, in_g) > GRAVITY_SHARE:
+        return np.tile((0.0, 0.0, 1.0), (len(accelerations), 1))
+    return _unit(_smoothed(stamps_ns, accelerations))
+
+
+def _smoothed(stamps_ns: NDArray[np.int64], values: Floats) -> Floats:
+    """Return the means of values (n, 3) over windows of `SMOOTHED_S` about each."""
+    half_ns = round(0.5 * SMOOTHED_S / NS)
+    start, end = (np.searchsorted(stamps_ns, stamps_ns + off) for off in (-half_ns, half_ns + 1))
+    sums = np.vstack((np.zeros(3), np.cumsum(values, axis=0)))
+    means: Floats = (sums[end] - sums[start]) / (end - start)[:, None]
+    return means
+
+
+def _unit(vectors: Floats) -> Floats:
+    lengths: Floats = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.maximum(lengths, 1e-9)
+
+
+class ImuTracks:
+    """All inertial sensors of a log, by topic."""
+
+    def __init__(self) -> None:
+        self.topics: dict[str, ImuTrack] = {}
+
+    def add(self, topic: str, message: ImuMessage, log_ns: int) -> None:
+        """Take in a message."""
+        if topic not in self.topics:
+            self.topics[topic] = ImuTrack(topic)
+        self.topics[topic].add(message, log_ns)
+
+    def choose(self, odom: str, stamp_source: str, half_sweep_ns: int, warn: Callable[[str], None]) -> Imu | None:
+        """Return the sensor to use, with its stamps half a sweep earlier; None without one, or with ``odom`` off.
+
+        Of several without a usual name none is used, with a warning.
+        """
+        names = [name for name, track in self.topics.items() if len(track.header_ns)]
+        if odom == "off" or not names:
+            return None
+        usual = next((name for name in USUAL_NAMES if name in names), names[0] if len(names) == 1 else None)
+        if usual is None:
+            warn(f"several Imu topics, none is used: {', '.join(names)}")
+            return None
+        rotation = self.topics[usual].rotation(stamp_source, half_sweep_ns)
+        return None if rotation is None else Imu(usual, rotation)

@@ -1,0 +1,65 @@
+"""Which scan topic of a surveyed log to use, and what to say where there is none."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from mavnav.errors import NoScansError, TopicError
+from mavnav.logs.messages.decode import LASER_TYPES
+from mavnav.logs.messages.other_scans import OTHER_TYPES
+
+if TYPE_CHECKING:
+    from mavnav.logs.stamps import Timeline, TopicScans
+    from mavnav.logs.survey import Survey
+
+_MOST_NAMED: Final = 8
+
+
+def chosen_topic(found: Survey, topic: str | None) -> str:
+    """Return the scan topic to use; several to choose from are listed."""
+    if topic is not None and topic not in found.scans:
+        laser = [t for t in found.topics if t.name == topic]
+        if not laser or found.scans:
+            raise TopicError(f"{found.path}: no scans on topic {topic!r}; {_listed(found)}")
+    if topic is None and len(found.scans) > 1:
+        raise TopicError(f"{found.path}: several scan topics; choose one with --topic NAME: {_counted(found)}")
+    if not found.scans:
+        raise NoScansError(_no_scans(found))
+    return topic if topic is not None else next(iter(found.scans))
+
+
+def _counted(found: Survey) -> str:
+    return _some([f"{name} ({scans.total} scans)" for name, scans in sorted(found.scans.items())])
+
+
+def _some(names: list[str]) -> str:
+    """List names in a line that a person still reads."""
+    return ", ".join(names[:_MOST_NAMED]) + (f" and {len(names) - _MOST_NAMED} more" if names[_MOST_NAMED:] else "")
+
+
+def _listed(found: Survey) -> str:
+    lasers = [f"{t.name} ({t.count} scans)" for t in found.topics if t.type.endswith("LaserScan")]
+    return f"scan topics here: {_some(lasers) or 'none'}"
+
+
+def _no_scans(found: Survey) -> str:
+    lasers = {topic.name for topic in found.topics if topic.type in LASER_TYPES and topic.count}
+    reason = next((d for d in found.damage if d.where in lasers or not any(t.count for t in found.topics)), None)
+    if reason is not None:
+        return f"{found.path}: no usable scans; {reason.what} ({reason.where})"
+    others = [t.name for t in found.topics if t.type in OTHER_TYPES and t.count]
+    if others:
+        return (
+            f"{found.path}: no LaserScan messages; choose the messages to take scans from with --topic: {_some(others)}"
+        )
+    kinds = [f"{t.name} ({t.type or 'no type'} in {t.encoding or 'no encoding'}, {t.count})" for t in found.topics]
+    return f"{found.path}: no LaserScan messages; topics here: {_some(kinds) or 'none'}"
+
+
+def no_usable(found: Survey, name: str, scans: TopicScans, timeline: Timeline) -> str:
+    """Say why none of a topic's scans is usable."""
+    reasons = ", ".join(
+        f"{count} {reason.replace('_', ' ')}" for reason, count in (scans.refused + timeline.skipped).items()
+    )
+    hint = "; check --start and --end" if any(end is not None for end in found.window_s) else ""
+    return f"{found.path}: none of the {scans.total} scans on {name} is usable ({reasons}){hint}"

@@ -1,0 +1,39 @@
+"""The covariance of a matched pose, from the Hessian of the matching at its solution."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.units import MM
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.slam.steps import Steps
+
+LEAST_SIGMA_M = 1 * MM
+"""Points lie no closer to their walls than this."""
+
+SINGULAR = 1e-9
+"""A Hessian whose least eigenvalue is a smaller share of the largest leaves a direction open."""
+
+_ROWS, _COLS = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
+
+
+def covariances_of(steps: Steps, hessians: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the covariances of the poses of steps in the map frame, (n, 6): xx, xy, yy, x yaw, y yaw, yaw yaw; m, rad.
+
+    As of least squares: the mean squared distance of the points from their lines, times the inverse Hessian (m, 6) of
+    the first m steps. NaN where there is none, or where it leaves a direction open. Points count as independent, and
+    the map as true: it is a lower bound.
+    """
+    out, n = np.full((len(steps), 6), np.nan), len(hessians)
+    full = np.empty((n, 3, 3))
+    full[:, _ROWS, _COLS] = full[:, _COLS, _ROWS] = hessians
+    eigenvalues = np.linalg.eigvalsh(full)
+    known = eigenvalues[:, 0] > SINGULAR * np.maximum(eigenvalues[:, 2], 1e-300)
+    variance_m2 = np.maximum(steps.column("cost_m2")[:n][known], LEAST_SIGMA_M**2)
+    out[:n][known] = variance_m2[:, None] * np.linalg.inv(full[known])[:, _ROWS, _COLS]
+    return out

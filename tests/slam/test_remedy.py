@@ -1,0 +1,109 @@
+"""The remedy for lost and doubtful tracks: when it is tried, when it is used, and what is reported."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavnav.config.models import Config
+from mavnav.logs import open_log
+from mavnav.pose import Pose, Trajectory
+from mavnav.slam import beam_order
+from mavnav.slam.doubt.record import NOT_PLANAR, Doubt, Reason
+from mavnav.slam.motion_model import Motion
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.registry import make_method
+from mavnav.slam.remedy import FINER, HOPELESS, with_remedy
+from mavnav.slam.scan_matching import first_match, no_match
+from mavnav.slam.steps import Step, Steps
+from mavnav.slam.track import Track
+
+THIN = slice(5, None, 8)
+
+START = Track(list, Config(), Motion(0.1), make_method(Config()))
+
+
+def track(probability: float, tracked: int = 20, reason: str = "slip", scans: int = 20) -> Track:
+    """Return a judged track; scans without a pose come last."""
+    matches = [first_match(100) if k < tracked else no_match(Pose()) for k in range(scans)]
+    steps = Steps(Step(k, k * 100_000_000, match, tracked=k < tracked) for k, match in enumerate(matches))
+    reasons = (Reason(reason, 0, 1, 2.0),) if probability > 0.1 else ()
+    return replace(START, steps=steps, doubt=Doubt(probability, reasons))
+
+
+def remedied(first: Track, other: Track) -> tuple[Track, list[Track]]:
+    """Return what becomes of a track, and the starts from which another one was tracked."""
+    starts: list[Track] = []
+
+    def whole(start: Track) -> Track:
+        starts.append(start)
+        return other
+
+    return with_remedy(first, START, whole), starts
+
+
+@pytest.mark.parametrize(
+    ("first", "other"),
+    [(track(0.9), track(0.1)), (track(0.05, tracked=12), track(0.05)), (track(0.6, tracked=18), track(0.2))],
+    ids=["doubtful", "lost", "doubtful and lost"],
+)
+def test_a_track_of_little_doubt_replaces_a_lost_or_doubtful_one(first: Track, other: Track) -> None:
+    found, (start,) = remedied(first, other)
+    assert found.steps is other.steps
+    assert found.doubt is other.doubt
+    assert found.remedies == (("finer voxels", first.doubt.probability, other.doubt.probability, True),)
+    assert start.config.robust.voxel_mm == FINER * START.config.robust.voxel_mm
+
+
+@pytest.mark.parametrize(
+    "other",
+    [track(0.3), track(0.1, tracked=12), track(0.1, tracked=19)],
+    ids=["doubtful", "lost", "with a pose for fewer scans"],
+)
+def test_another_track_that_is_no_better_is_reported_and_not_used(other: Track) -> None:
+    first = track(0.9)
+    found, _ = remedied(first, other)
+    assert found.steps is first.steps
+    assert found.remedies == (("finer voxels", 0.9, other.doubt.probability, False),)
+
+
+@pytest.mark.parametrize(
+    "first",
+    [track(0.5), *(track(0.9, reason=reason) for reason in (*HOPELESS, NOT_PLANAR)), replace(track(0.9), doubt=None)],
+)
+def test_no_remedy_is_tried_where_none_is_needed_or_helps(first: Track) -> None:
+    assert remedied(first, track(0.1)) == (first, [])
+
+
+def test_a_run_that_is_being_stopped_keeps_its_track() -> None:
+    first = track(0.9)
+    found, _ = remedied(first, track(0.1, tracked=10, scans=10))
+    assert found is first
+
+
+def test_what_was_found_about_the_input_is_kept() -> None:
+    poses = np.zeros((20, 3))
+    first = replace(track(0.9), odometry_contradicts=True, resampled=poses, motion=Motion(0.3), on_step=print)
+    first = first.with_warning(beam_order.WARNING)
+    _, (start,) = remedied(first.with_warning("something about the track"), track(0.1))
+    assert (start.odometry_contradicts, start.motion, start.warnings) == (True, Motion(0.3), first.warnings)
+    assert start.resampled is poses
+
+
+@pytest.mark.real_logs
+def test_a_wrong_track_of_a_thinned_log_is_replaced(real_logs: Path) -> None:
+    """One scan in eight of lego_robot4: the first track turns by 90 deg where the arena looks alike."""
+    opened = open_log(real_logs / "lego_robot4" / "lego_robot4.mcap", odom="off")
+    every = list(opened.scans())
+    truth = run_slam(lambda: every, Config(), opened.period_s).trajectory
+    found = run_slam(lambda: every[THIN], Config(), 8 * opened.period_s)
+    (remedy,) = found.remedies
+    assert remedy.used
+    assert remedy.doubt_before > 0.9
+    assert found.doubt is not None
+    assert found.doubt.probability == remedy.doubt_after < 0.25
+    in_map = Trajectory(truth.stamps_ns[THIN], truth.xyyaw[THIN]).seen_from(truth[THIN.start].inverse())
+    assert np.abs(found.trajectory.xyyaw - in_map.xyyaw)[:, :2].max() < 0.05
