@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from errno import ENOENT
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
-
-    from mavnav.outputs.run import Run
 
 _PIXELS: Final = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
 
@@ -37,7 +35,19 @@ free_thresh: 0.196
 """
 
 
-def write_pgm(run: Run, path: Path) -> None:
+class DrawnMap(Protocol):
+    """What map files are written from: the known part of a map, and what is free, occupied and unknown in it."""
+
+    @property
+    def known(self) -> Grid:
+        """The counts."""
+
+    @property
+    def cells(self) -> NDArray[np.int8]:
+        """The occupancy, (rows, cols)."""
+
+
+def write_pgm(run: DrawnMap, path: Path) -> None:
     """Write the known part of the map as a binary PGM: 0 occupied, 254 free, 205 unknown, largest y on top."""
     with path.open("wb") as file:
         file.writelines(pgm_rows(run))
@@ -54,7 +64,7 @@ def pgm_rows(run: Run) -> Iterator[bytes]:
         yield of_cell[row.view(np.uint8)].tobytes()
 
 
-def write_yaml(run: Run, path: Path) -> None:
+def write_yaml(run: DrawnMap, path: Path) -> None:
     """Write map_server's description of ``map.pgm``; origin is the lower left corner, with all its digits."""
     path.write_text(yaml_text(run), encoding="ascii")
 
@@ -91,7 +101,7 @@ def _check_size(path: Path) -> None:
             raise ValueError(f"{path.name} is larger than {MAX_NPZ_BYTES} bytes")
 
 
-def write_npz(run: Run, path: Path) -> None:
+def write_npz(run: DrawnMap, path: Path) -> None:
     """Write the counts of the known part: ``counts`` and ``passes`` (rows, cols), ``cell_m``, ``origin_xy_m`` (2,).
 
     Row and column grow with y and x; cell [0, 0] is the lower left pixel of ``map.pgm``.
