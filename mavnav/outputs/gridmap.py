@@ -53,7 +53,7 @@ def write_pgm(run: DrawnMap, path: Path) -> None:
         file.writelines(pgm_rows(run))
 
 
-def pgm_rows(run: Run) -> Iterator[bytes]:
+def pgm_rows(run: DrawnMap) -> Iterator[bytes]:
     """Yield the picture of `write_pgm`: its header, and each row."""
     cells, of_cell = run.cells[::-1], np.zeros(256, np.uint8)
     for cell, pixel in _PIXELS.items():
@@ -69,7 +69,7 @@ def write_yaml(run: DrawnMap, path: Path) -> None:
     path.write_text(yaml_text(run), encoding="ascii")
 
 
-def yaml_text(run: Run) -> str:
+def yaml_text(run: DrawnMap) -> str:
     """Return the description of `write_yaml`."""
     grid = run.known
     x_m, y_m = (float(v) for v in grid.origin_xy_m)
