@@ -85,6 +85,11 @@ class Join(NamedTuple):
     joined_to: tuple[tuple[str, int], ...] = ()
     why: str = ""
 
+    @property
+    def agreeing_share(self) -> float:
+        """Part of the witnesses that agree."""
+        return self.agreeing / max(self.searched, 1)
+
 
 @dataclass(frozen=True, slots=True)
 class Group:
@@ -163,7 +168,7 @@ def _grown(
         for session in waiting:
             report(session.name)
             places.append((session, *sought(session, part, config)))
-        for session, join, place in sorted(places, key=lambda found: -found[1].agreeing):
+        for session, join, place in sorted(places, key=lambda found: -found[1].agreeing_share):
             larger, result = joined(group, session, place, part, join, config) if place else (None, join)
             if larger:
                 group, waiting = larger, [other for other in waiting if other is not session]
