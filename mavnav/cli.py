@@ -51,6 +51,8 @@ COMMANDS: Final = {
     "batch": "ci.md",
     "check": "cli.md#quality-gates",
     "metrics": "metrics.md",
+    "diff": "diff.md",
+    "merge": "merge.md",
     "simulate": "scenarios.md",
     "info": "cli.md#examine-and-convert",
     "convert": "cli.md#examine-and-convert",

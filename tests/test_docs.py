@@ -23,6 +23,7 @@ from mavnav.comparison.figures import RELATIVE_COSTS
 from mavnav.config.loading import fields, load_config
 from mavnav.metrics.gates import check_names, parse_gate
 from mavnav.outputs.schema import number_names, run_keys
+from mavnav.pipelines.diff import NUMBERS as DIFF_NUMBERS
 from mavnav.simulation.world import load_scenario
 
 ROOT = Path(__file__).parent.parent
@@ -97,7 +98,9 @@ def check_values(given: dict[str, Any]) -> None:
     sections = {"mission", "truth", "localisation"}
     more = [key for key in run_keys() if key.partition(".")[0] in sections]
     costs = [f"price.{name}" for name in RELATIVE_COSTS]
-    check_names((parse_gate(gate).name for gate in gates), [*number_names(reference=True), *more, *costs])
+    check_names(
+        (parse_gate(gate).name for gate in gates), [*number_names(reference=True), *more, *costs, *DIFF_NUMBERS]
+    )
     if given["command"] == "simulate":
         load_scenario("corner", given["sets"] or (), {"planner.technique": given["planner"], "seed": given["seed"]})
     else:

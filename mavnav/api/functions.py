@@ -40,7 +40,7 @@ Result = TypeVar("Result", Run, Comparison)
 _USUAL_PERIOD_S: Final = 0.1
 
 
-def _silent(_phase: str, _done: int, _total: int | None) -> None:
+def silent(_phase: str, _done: int, _total: int | None) -> None:
     """Report nothing."""
 
 
@@ -168,7 +168,7 @@ def replay(
     )
 
     def work(target: Path) -> Run:
-        replay_log(changed(request, directory=target), progress or _silent, 0.0)
+        replay_log(changed(request, directory=target), progress or silent, 0.0)
         return Run(target)
 
     return _finished(work, directory)
@@ -218,12 +218,12 @@ def simulate(
 
     options = {"slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth}
     options |= {"seed": seed, "planner.technique": planner}
-    chosen = load_scenario(scenario, _sets(settings), options, config)
+    chosen = load_scenario(scenario, sets_of(settings), options, config)
     path = scenario_path(scenario)
 
     def work(target: Path) -> Run:
         request = SimulationRequest(chosen, path, target, _path(record), force=force, report=report)
-        simulate_mission(request, progress or _silent, 0.0)
+        simulate_mission(request, progress or silent, 0.0)
         return Run(target)
 
     return _finished(work, directory)
@@ -276,13 +276,13 @@ def compare(
         raise UsageError("no log to compare; name one")
     shared: dict[str, object] = {"final_pass": False} if online else {}
     file = None if config is None else str(config)
-    chosen = comparison_settings(file, _sets(settings), methods, grids, azimuths, shared)
+    chosen = comparison_settings(file, sets_of(settings), methods, grids, azimuths, shared)
 
     def work(target: Path) -> Comparison:
         cores = workers or usable_cores()
         request = pipeline.comparison_request(names, chosen, target, {}, workers=cores, force=force)
-        plan = pipeline.plan_comparison(request, progress or _silent)
-        load_kernels(plan, progress or _silent)
+        plan = pipeline.plan_comparison(request, progress or silent)
+        load_kernels(plan, progress or silent)
         document = pipeline.run_comparison(plan, lambda _event: None)
         write_page(document, target)
         return Comparison(target, document)
@@ -326,7 +326,7 @@ def track(
     from mavnav.slam.tracker import track as tracked  # noqa: PLC0415
 
     chosen = _config(config, settings, method=method, grid=grid, azimuth=azimuth, online=True)
-    load_kernels(chosen, _silent)
+    load_kernels(chosen, silent)
     coming = iter(scans)
     first = list(islice(coming, 0 if period_s else 2))
     if period_s is None:
@@ -336,10 +336,10 @@ def track(
 
 
 def _config(file: File | None, settings: Mapping[str, object] | None, *, online: bool, **options: object) -> Config:
-    return load_config(file, _sets(settings), options | {"final_pass": False if online else None})
+    return load_config(file, sets_of(settings), options | {"final_pass": False if online else None})
 
 
-def _sets(settings: Mapping[str, object] | None) -> list[str]:
+def sets_of(settings: Mapping[str, object] | None) -> list[str]:
     """Return settings as ``--set`` has them: JSON is YAML."""
     return [f"{key}={json.dumps(value)}" for key, value in (settings or {}).items()]
 

@@ -24,6 +24,7 @@ from mavnav.outputs.addresses import public_address, public_text
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+_TIMEOUT: Final = "MAVNAV_FETCH_TIMEOUT_S"
 PIECE_BYTES: Final = 2**20
 IDLE_S: Final = 60.0
 """A server that sends nothing for so long is given up; so is one that by then sends less than `LEAST_RATE`."""
@@ -45,7 +46,7 @@ class Limits:
 
 def limits() -> Limits:
     """Return the limits of the ``MAVNAV_FETCH_*`` variables; raises UsageError for no numbers."""
-    total_s = _number("MAVNAV_FETCH_TIMEOUT_S", 3600.0)
+    total_s = _number(_TIMEOUT, 3600.0)
     most_bytes = 1e6 * _number("MAVNAV_FETCH_MAX_MB", 65_536.0)
     return Limits(total_s, min(IDLE_S, total_s), most_bytes, private=any(_allowed_hosts()) or not in_cluster())
 
@@ -164,16 +165,19 @@ class _Copy:
         except OSError as error:
             raise _full(self.address, error) from error
 
+    def _late(self) -> UsageError:
+        if monotonic() - self.began_s > self.limits.total_s:
+            return self._refused(f"not complete after {self.limits.total_s:g} s", _TIMEOUT)
+        return self._refused(f"no data for {self.limits.idle_s:g} s", _TIMEOUT)
+
     def _check(self) -> None:
         """Raise UsageError where a limit of time is reached."""
-        now_s, variable = monotonic(), "MAVNAV_FETCH_TIMEOUT_S"
+        now_s = monotonic()
         elapsed_s = now_s - self.began_s
-        if elapsed_s > self.limits.total_s:
-            raise self._refused(f"not complete after {self.limits.total_s:g} s", variable)
-        if now_s - self.latest_s > self.limits.idle_s:
-            raise self._refused(f"no data for {self.limits.idle_s:g} s", variable)
+        if elapsed_s > self.limits.total_s or now_s - self.latest_s > self.limits.idle_s:
+            raise self._late()
         if elapsed_s > self.limits.idle_s and self.done_bytes < LEAST_RATE * elapsed_s:
-            raise self._refused(f"less than {LEAST_RATE:g} bytes/s for {self.limits.idle_s:g} s", variable)
+            raise self._refused(f"less than {LEAST_RATE:g} bytes/s for {self.limits.idle_s:g} s", _TIMEOUT)
 
     def _refused(self, reason: str, variable: str) -> UsageError:
         advice = f"download it by other means, or set {variable}"
@@ -189,6 +193,8 @@ class _Copy:
             return UsageError(f"{shown}: there is no such file; check the address")
         if type(error).__name__ == "TooManyRedirects":
             return UsageError(f"{shown}: cannot be read (it redirects without end); check the address")
+        if isinstance(error, TimeoutError) and error.errno is None:  # the client has reached a limit of time first
+            return self._late()
         reason = " ".join(public_text(str(error), self.address).split()) or type(error).__name__
         return UsageError(f"{shown}: cannot be read ({reason}); check the address and the permissions")
 

@@ -45,24 +45,41 @@ SHIFT_COST, TURN_COST = 0.03, 0.1
 
 
 @helper
-def _side(xy: NDArray[np.float64], i: int, step: int, sums: NDArray[np.float64]) -> int:
-    """Add the moments of the points (2, beams) that follow point ``i`` on one side; returns how many there are."""
-    n, k, x, y = 0, i + step, xy[0, i], xy[1, i]
-    while 0 <= k < xy.shape[1]:
-        if np.isfinite(xy[0, k]):
-            dx, dy = xy[0, k] - xy[0, i], xy[1, k] - xy[1, i]
-            far = dx * dx + dy * dy > HALF_LENGTH_M * HALF_LENGTH_M
-            if (far and n >= LEAST_BESIDE) or np.hypot(xy[0, k] - x, xy[1, k] - y) > GAP_M:
-                break
-            x, y, n = xy[0, k], xy[1, k], n + 1
-            sums[0] += 1.0
-            sums[1] += dx
-            sums[2] += dy
-            sums[3] += dx * dx
-            sums[4] += dx * dy
-            sums[5] += dy * dy
-        k += step
+def _used_ends(
+    ranges_m: NDArray[np.float64],
+    directions: NDArray[np.float64],
+    limits_m: NDArray[np.float64],
+    beam: NDArray[np.int64],
+    xy: NDArray[np.float64],
+    apart: NDArray[np.bool_],
+) -> int:
+    """List the end points (2, n) of a scan, their beams, and which are too far from the one before; returns n."""
+    n = 0
+    for i in range(len(ranges_m)):
+        r = ranges_m[i]
+        if limits_m[0] <= r <= limits_m[1]:
+            beam[n], xy[0, n], xy[1, n] = i, r * directions[i, 0], r * directions[i, 1]
+            apart[n] = n == 0 or np.hypot(xy[0, n] - xy[0, n - 1], xy[1, n] - xy[1, n - 1]) > GAP_M
+            n += 1
     return n
+
+
+@helper
+def _beside(
+    xy: NDArray[np.float64], apart: NDArray[np.bool_], n: int, i: int
+) -> tuple[int, float, float, float, float, float, float]:
+    """Return how many of n points there are on the side of point ``i`` that has fewer, and the moments of all."""
+    fewest, count, x, y, xx, xy_, yy = n, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for step in (-1, 1):
+        found, k = 0, i + step
+        while 0 <= k < n and not apart[max(k, k - step)]:
+            dx, dy = xy[0, k] - xy[0, i], xy[1, k] - xy[1, i]
+            if found >= LEAST_BESIDE and dx * dx + dy * dy > HALF_LENGTH_M * HALF_LENGTH_M:
+                break
+            count, x, y, xx, xy_, yy = count + 1.0, x + dx, y + dy, xx + dx * dx, xy_ + dx * dy, yy + dy * dy
+            found, k = found + 1, k + step
+        fewest = min(fewest, found)
+    return fewest, count, x, y, xx, xy_, yy
 
 
 @kernel(float64[:, ::1](F64_2D, F64_2D, F64_1D))
@@ -75,18 +92,15 @@ def wall_normals(
     without a return, ``directions`` (beams, 2) cosines and sines; ranges from the first limit to the second are used.
     """
     scans, beams = ranges_m.shape
-    out, xy, sums = np.full((scans, beams), np.nan), np.empty((2, beams)), np.empty(6)
+    out, xy = np.full((scans, beams), np.nan), np.empty((2, beams))
+    beam, apart = np.empty(beams, np.int64), np.empty(beams, np.bool_)
     for s in range(scans):
-        for i in range(beams):
-            r = ranges_m[s, i]
-            r = r if limits_m[0] <= r <= limits_m[1] else np.nan
-            xy[0, i], xy[1, i] = r * directions[i, 0], r * directions[i, 1]
-        for i in range(beams):
-            sums[:] = 0.0
-            sums[0] = 1.0
-            if not np.isfinite(xy[0, i]) or min(_side(xy, i, -1, sums), _side(xy, i, 1, sums)) < LEAST_BESIDE:
+        used = _used_ends(ranges_m[s], directions, limits_m, beam, xy, apart)
+        for k in range(used):
+            i = beam[k]
+            fewest, n, x, y, xx, xy_, yy = _beside(xy, apart, used, k)
+            if fewest < LEAST_BESIDE:
                 continue
-            n, x, y, xx, xy_, yy = sums
             xx, xy_, yy = xx / n - x * x / n / n, xy_ / n - x * y / n / n, yy / n - y * y / n / n
             mean, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy_)
             spread_m = SPREAD_M + SPREAD_SHARE * ranges_m[s, i]
@@ -147,16 +161,21 @@ def wall_gaps(
             )
             x, y = c * ax - s * ay + x0, s * ax + c * ay + y0
             r = np.hypot(x, y)
-            cosine = abs(np.cos(normal) * x + np.sin(normal) * y) / max(r, 1e-9)
-            if not least_m <= r <= far_m or cosine < LEAST_COSINE:
+            if not least_m <= r <= far_m:
                 continue
             off = np.arctan2(y, x) - first - half * step
             beam = int(np.floor((off - turn * np.floor(off / turn + 0.5)) / step + half + 0.5))
-            if 0 <= beam < count and least_m <= ranges_m[b, beam] <= far_m:
-                gap = (ranges_m[b, beam] - r) * cosine
-                parallel = abs(np.cos(normals_rad[b, beam] - normal)) > PARALLEL  # not where b has no normal
-                same = abs(gap) <= SAME_M + SAME_SHARE * r
-                out[p, m] = 0.0 if same else gap if gap < 0.0 or parallel else np.inf
+            if not 0 <= beam < count or not least_m <= ranges_m[b, beam] <= far_m:
+                continue
+            cosine = abs(np.cos(normal) * x + np.sin(normal) * y) / max(r, 1e-9)
+            if cosine < LEAST_COSINE:
+                continue
+            gap = (ranges_m[b, beam] - r) * cosine
+            if abs(gap) <= SAME_M + SAME_SHARE * r:
+                out[p, m] = 0.0
+            else:  # it is not parallel where b has no normal
+                parallel = gap >= 0.0 and abs(np.cos(normals_rad[b, beam] - normal)) > PARALLEL
+                out[p, m] = gap if gap < 0.0 or parallel else np.inf
     return out
 
 

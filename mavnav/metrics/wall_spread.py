@@ -239,13 +239,13 @@ def _extents(smooth: list[Array], peak: NDArray[np.intp], bin_m: float) -> tuple
     least = PEAK_SHARE * total[rows, peak][:, None]
     above = (total > least) & (np.minimum(behind, ahead) > 0.25 * least)
     above[rows, peak] = True
-    at = np.arange(bins)
-    before = np.maximum.accumulate(np.where(above, at, -bins), axis=1)
-    after = np.minimum.accumulate(np.where(above, at, 2 * bins)[:, ::-1], axis=1)[:, ::-1]
+    at = np.arange(bins, dtype=np.int16)  # a fourth of the memory that is gone through
+    before = np.maximum.accumulate(np.where(above, at, np.int16(-bins)), axis=1)
+    after = np.minimum.accumulate(np.where(above, at, np.int16(2 * bins))[:, ::-1], axis=1)[:, ::-1]
     outside = after - before - 1 > gap
-    first = np.maximum.accumulate(np.where(outside, at, -1), axis=1)[rows, peak] + 1
-    last = np.minimum.accumulate(np.where(outside, at, bins)[:, ::-1], axis=1)[:, ::-1][rows, peak] - 1
-    return first, last
+    first = np.maximum.accumulate(np.where(outside, at, np.int16(-1)), axis=1)[rows, peak] + 1
+    last = np.minimum.accumulate(np.where(outside, at, np.int16(bins))[:, ::-1], axis=1)[:, ::-1][rows, peak] - 1
+    return first.astype(np.intp), last.astype(np.intp)
 
 
 def _quantile(hits: Array, share: float) -> Array:

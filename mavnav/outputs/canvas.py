@@ -60,19 +60,19 @@ def font(size_pt: float, *, bold: bool = False) -> Any:  # noqa: ANN401
 
 @dataclass(frozen=True, slots=True)
 class Canvas:
-    """A white picture to draw on."""
+    """A white picture to draw on.
+
+    ``draw`` is Pillow's drawing on it, without smoothing: for horizontal and vertical lines, and areas.
+    """
 
     image: Image.Image
+    draw: Any
 
     @classmethod
     def of(cls, width: int, height: int) -> Canvas:
         """Begin a picture."""
-        return cls(Image.new("RGB", (width, height), "white"))
-
-    @property
-    def draw(self) -> Any:  # noqa: ANN401
-        """Pillow's drawing on this picture, without smoothing: for horizontal and vertical lines, and areas."""
-        return ImageDraw.Draw(self.image)
+        image = Image.new("RGB", (width, height), "white")
+        return cls(image, ImageDraw.Draw(image))
 
     def text(
         self, xy: tuple[float, float], text: str, size_pt: float = 8.0, colour: str = INK, anchor: str = "mm",
@@ -120,8 +120,9 @@ def png(pixels: NDArray[np.uint8]) -> bytes:
     Pillow tries five encodings of every row, which takes four times as long for files of the same size.
     """
     height, width, _ = pixels.shape
-    rows = np.full((height, 1 + 3 * width), _FROM_ABOVE, np.uint8)
-    rows[:, 1:] = np.diff(pixels.reshape(height, -1), axis=0, prepend=np.zeros((1, 3 * width), np.uint8))
+    flat, rows = pixels.reshape(height, -1), np.empty((height, 1 + 3 * width), np.uint8)
+    rows[:, 0], rows[0, 1:] = _FROM_ABOVE, flat[0]
+    np.subtract(flat[1:], flat[:-1], out=rows[1:, 1:])
     header = pack(">IIBBBBB", width, height, 8, _RGB, 0, 0, 0)
     chunks = ((b"IHDR", header), (b"IDAT", compress(rows.data, level=2)), (b"IEND", b""))
     return _SIGNATURE + b"".join(pack(">I", len(d)) + name + d + pack(">I", crc32(name + d)) for name, d in chunks)

@@ -17,17 +17,17 @@ RUN_FILE: Final = "run.json"
 """The file that makes a directory a run of ours."""
 
 
-def check_directory(directory: Path, *, force: bool) -> None:
+def check_directory(directory: Path, *, force: bool, marker: str = RUN_FILE) -> None:
     """Raise OutputError where a run cannot be put; cheap enough to ask before the work begins.
 
-    What exists stays, unless ``force`` is set and it is an earlier run or empty.
+    What exists stays, unless ``force`` is set and it is an earlier run, which has the file ``marker``, or empty.
     """
     if not os.path.lexists(directory):
         _check_parent(directory)
     elif not directory.is_dir():
         raise OutputError(f"{directory} is a file; choose another directory with -o")
-    elif any(directory.iterdir()) and not (directory / RUN_FILE).is_file():
-        raise OutputError(f"{directory} holds other files (no {RUN_FILE}); choose another directory with -o")
+    elif any(directory.iterdir()) and not (directory / marker).is_file():
+        raise OutputError(f"{directory} holds other files (no {marker}); choose another directory with -o")
     elif not force:
         raise OutputError(f"{directory} exists; choose another directory with -o, or --force to replace it")
 
@@ -43,13 +43,13 @@ def _check_parent(directory: Path) -> None:
 
 
 @contextmanager
-def staged(directory: Path, *, force: bool) -> Iterator[Path]:
+def staged(directory: Path, *, force: bool, marker: str = RUN_FILE) -> Iterator[Path]:
     """Give a temporary directory beside ``directory`` that takes its name when the block ends well.
 
     On any failure it is removed, and what was there before stays. Raises OutputError where the disk says no.
     """
     try:
-        check_directory(directory, force=force)
+        check_directory(directory, force=force, marker=marker)
         with beside(directory, exclusive=not force) as partial:
             partial.mkdir()
             yield partial

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from errno import ENOENT
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
-
-    from mavnav.outputs.run import Run
 
 _PIXELS: Final = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
 
@@ -37,13 +35,25 @@ free_thresh: 0.196
 """
 
 
-def write_pgm(run: Run, path: Path) -> None:
+class DrawnMap(Protocol):
+    """What map files are written from: the known part of a map, and what is free, occupied and unknown in it."""
+
+    @property
+    def known(self) -> Grid:
+        """The counts."""
+
+    @property
+    def cells(self) -> NDArray[np.int8]:
+        """The occupancy, (rows, cols)."""
+
+
+def write_pgm(run: DrawnMap, path: Path) -> None:
     """Write the known part of the map as a binary PGM: 0 occupied, 254 free, 205 unknown, largest y on top."""
     with path.open("wb") as file:
         file.writelines(pgm_rows(run))
 
 
-def pgm_rows(run: Run) -> Iterator[bytes]:
+def pgm_rows(run: DrawnMap) -> Iterator[bytes]:
     """Yield the picture of `write_pgm`: its header, and each row."""
     cells, of_cell = run.cells[::-1], np.zeros(256, np.uint8)
     for cell, pixel in _PIXELS.items():
@@ -54,12 +64,12 @@ def pgm_rows(run: Run) -> Iterator[bytes]:
         yield of_cell[row.view(np.uint8)].tobytes()
 
 
-def write_yaml(run: Run, path: Path) -> None:
+def write_yaml(run: DrawnMap, path: Path) -> None:
     """Write map_server's description of ``map.pgm``; origin is the lower left corner, with all its digits."""
     path.write_text(yaml_text(run), encoding="ascii")
 
 
-def yaml_text(run: Run) -> str:
+def yaml_text(run: DrawnMap) -> str:
     """Return the description of `write_yaml`."""
     grid = run.known
     x_m, y_m = (float(v) for v in grid.origin_xy_m)
@@ -91,7 +101,7 @@ def _check_size(path: Path) -> None:
             raise ValueError(f"{path.name} is larger than {MAX_NPZ_BYTES} bytes")
 
 
-def write_npz(run: Run, path: Path) -> None:
+def write_npz(run: DrawnMap, path: Path) -> None:
     """Write the counts of the known part: ``counts`` and ``passes`` (rows, cols), ``cell_m``, ``origin_xy_m`` (2,).
 
     Row and column grow with y and x; cell [0, 0] is the lower left pixel of ``map.pgm``.

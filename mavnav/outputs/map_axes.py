@@ -73,7 +73,7 @@ def draw_cells(
     colour_of: Callable[[NDArray[Any]], NDArray[np.uint8]],
     value_of: CellFunction = unchanged,
 ) -> None:
-    """Show an array of the grid's shape; zeros are transparent, ``colour_of`` gives (n, 3) for the others.
+    """Show an array of the grid's shape; zeros are transparent, ``colour_of`` gives (n, 3) or (3,) for the others.
 
     Where cells are smaller than pixels, the largest ``value_of`` several cells is shown.
     """
@@ -81,25 +81,37 @@ def draw_cells(
     first_col, end_col, first_row, end_row = window.cells_of(grid)
     factor = max(1, ceil(max(window.size_m) / grid.cell_m / MAX_CELLS))
     shown = pooled(cells[first_row:end_row, first_col:end_col], factor, value_of=value_of)[::-1]
-    pixels = np.zeros((*shown.shape, 4), np.uint8)
     some = shown > 0
-    pixels[some, :3], pixels[some, 3] = colour_of(shown[some]), 255
+    colours = colour_of(shown[some])
     x0_m = grid.origin_xy_m[0] + first_col * grid.cell_m
     y0_m = grid.origin_xy_m[1] + first_row * grid.cell_m
     rows, cols = shown.shape
     corners = np.array([[x0_m, y0_m + rows * factor * grid.cell_m], [x0_m + cols * factor * grid.cell_m, y0_m]])
     (x0, y0), (x1, y1) = np.round(axes.to_canvas(corners)).astype(int).tolist()
-    picture = Image.fromarray(pixels).resize((max(x1 - x0, 1), max(y1 - y0, 1)), Image.Resampling.NEAREST)
-    _paste_inside(axes, picture, x0, y0)
+    size = max(x1 - x0, 1), max(y1 - y0, 1)
+    _paste_inside(axes, _enlarged(some, size), x0, y0, _ink(some, colours, size))
 
 
-def _paste_inside(axes: Axes, picture: Image.Image, x0: int, y0: int) -> None:
-    """Paste a picture with its corner at a pixel of the canvas; what is outside the axes is cut off."""
+def _ink(some: NDArray[np.bool_], colours: NDArray[np.uint8], size: tuple[int, int]) -> Image.Image | tuple[int, ...]:
+    """Return one colour (3,) as it is, the colours (n, 3) of some pixels (rows, cols) as a picture of a size."""
+    if colours.ndim == 1:
+        return tuple(colours.tolist())
+    pixels = np.zeros((*some.shape, 3), np.uint8)
+    pixels[some] = colours
+    return _enlarged(pixels, size)
+
+
+def _enlarged(pixels: NDArray[Any], size: tuple[int, int]) -> Image.Image:
+    return Image.fromarray(pixels).resize(size, Image.Resampling.NEAREST)
+
+
+def _paste_inside(axes: Axes, mask: Image.Image, x0: int, y0: int, ink: Image.Image | tuple[int, ...]) -> None:
+    """Paste a picture or a colour through a mask with its corner at a pixel of the canvas; outside the axes is cut."""
     left, top, right, bottom = axes.box
-    part = (max(left - x0, 0), max(top - y0, 0), min(picture.width, right - x0), min(picture.height, bottom - y0))
+    part = (max(left - x0, 0), max(top - y0, 0), min(mask.width, right - x0), min(mask.height, bottom - y0))
     if part[2] > part[0] and part[3] > part[1]:
-        shown = picture.crop(part)
-        axes.canvas.image.paste(shown, (x0 + part[0], y0 + part[1]), shown)
+        shown = ink if isinstance(ink, tuple) else ink.crop(part)
+        axes.canvas.image.paste(shown, (x0 + part[0], y0 + part[1]), mask.crop(part))
 
 
 def draw_free(axes: Axes, grid: Grid, occupancy: NDArray[np.int8]) -> None:

@@ -72,7 +72,7 @@ def _draw_heading(axes: Axes, truth: Truth) -> None:
     arrow = np.array([[0.0, 0.0], [0.75, 0.0], [1.0, 0.0], [0.75, 0.12], [0.75, -0.12]])
     xy_m = transform_points(truth.map_T_laser[0], arrow * ARROW_SHARE * max(axes.size))
     axes.lines(HEADING, [xy_m[:2]])
-    axes.canvas.smooth(axes.box, HEADING.colour, lambda on: on.polygon(axes.to_mask(xy_m[2:]), fill=255))
+    axes.canvas.smooth(axes.box, HEADING.colour, lambda on: on.polygon(axes.to_mask(xy_m[2:], axes.box), fill=255))
 
 
 def _subtitle(truth: Truth) -> str:

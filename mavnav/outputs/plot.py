@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     Ticks = Iterable[tuple[float, str]]
     """Where a tick is, and its label."""
 
-LEGEND_HALF: Final = 20
-"""A mark in a legend is drawn in a square of twice this side."""
+MARK_HALF: Final = 20
+"""A mark lies in a square of twice this side; lines are narrower."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,15 +59,27 @@ class Axes:
         y = self.box[3] - (xy[:, 1] - self.limits[2]) * self.per_unit[1]
         return np.column_stack((x, y))
 
-    def to_mask(self, xy: XY) -> Points:
-        """Bring points (n, 2) to pixels of the mask over the box."""
-        on_mask_xy = (self.to_canvas(xy) - self.box[:2]) * SMOOTH
+    def to_mask(self, xy: XY, box: Box) -> Points:
+        """Bring points (n, 2) to pixels of the mask over a box."""
+        on_mask_xy = (self.to_canvas(xy) - box[:2]) * SMOOTH
         return [(x, y) for x, y in on_mask_xy.tolist()]
+
+    def _inked(self, parts: list[XY]) -> Box | None:
+        """Return the part of the box that lines or marks at points (n, 2) may reach; None where there is nothing."""
+        xy = self.to_canvas(np.concatenate([np.zeros((0, 2)), *parts]))
+        if not len(xy):
+            return None
+        (left, top), (right, bottom) = xy.min(axis=0) - MARK_HALF, xy.max(axis=0) + MARK_HALF
+        x0, y0 = max(self.box[0], floor(left)), max(self.box[1], floor(top))
+        x1, y1 = min(self.box[2], ceil(right)), min(self.box[3], ceil(bottom))
+        return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
 
     def lines(self, line: Line, lines: Iterable[XY]) -> None:
         """Draw lines (n, 2); they are broken where a value is NaN."""
-        parts = [self.to_mask(part) for xy in lines for part in _finite(xy) if len(part) > 1]
-        self.canvas.smooth(self.box, line.colour, lambda on: [line.pen(on, part) for part in parts])
+        parts = [part for xy in lines for part in _finite(xy) if len(part) > 1]
+        if box := self._inked(parts):
+            masked = [self.to_mask(part, box) for part in parts]
+            self.canvas.smooth(box, line.colour, lambda on: [line.pen(on, part) for part in masked])
 
     def bars(self, ends: XY, heights: NDArray[np.float64], colour: str) -> None:
         """Draw bars between two values of x, (n, 2), from y = 0 upwards; none where the height is 0."""
@@ -78,8 +90,9 @@ class Axes:
 
     def mark(self, mark: Mark | Line, xy: XY) -> None:
         """Draw a mark at points (n, 2)."""
-        places = self.to_mask(xy)
-        self.canvas.smooth(self.box, mark.colour, lambda on: [mark.draw(on, x, y) for x, y in places])
+        if box := self._inked([xy]):
+            places = self.to_mask(xy, box)
+            self.canvas.smooth(box, mark.colour, lambda on: [mark.draw(on, x, y) for x, y in places])
 
     def borders(self) -> None:
         """Draw the borders on the left and below."""
@@ -171,9 +184,9 @@ def crossed_circle(on: Any, x: float, y: float, size_pt: float, width_pt: float)
 def legend(canvas: Canvas, marks: Sequence[Mark | Line], y: int, left: float, size_pt: float = 8.5) -> None:
     """Name the marks in a row."""
     for mark in marks:
-        middle = round(left) + LEGEND_HALF
-        box = (middle - LEGEND_HALF, y - LEGEND_HALF, middle + LEGEND_HALF, y + LEGEND_HALF)
-        Axes(canvas, box, (-1.0, 1.0, -1.0, 1.0), (LEGEND_HALF, LEGEND_HALF)).mark(mark, np.zeros((1, 2)))
+        middle = round(left) + MARK_HALF
+        box = (middle - MARK_HALF, y - MARK_HALF, middle + MARK_HALF, y + MARK_HALF)
+        Axes(canvas, box, (-1.0, 1.0, -1.0, 1.0), (MARK_HALF, MARK_HALF)).mark(mark, np.zeros((1, 2)))
         canvas.text((box[2] + 2, y), mark.name, size_pt, anchor="lm")
         left += legend_width([mark], size_pt)
 

@@ -29,7 +29,7 @@ TRUE_WALLS_FILE: Final = "true_walls.json"
 
 def write_tum(run: Run, path: Path) -> None:
     """Write map_T_laser of every tracked scan as ``t x y z qx qy qz qw`` (seconds, metres, unit quaternion)."""
-    path.write_text("".join(_tum_lines(run.slam.trajectory)), encoding="ascii")
+    path.write_text("".join(tum_lines(run.slam.trajectory)), encoding="ascii")
 
 
 def write_base_tum(run: Run, path: Path) -> None:
@@ -38,7 +38,7 @@ def write_base_tum(run: Run, path: Path) -> None:
     if trajectory is None:
         msg = "the laser's mounting is not known"
         raise ValueError(msg)
-    path.write_text("".join(_tum_lines(trajectory)), encoding="ascii")
+    path.write_text("".join(tum_lines(trajectory)), encoding="ascii")
 
 
 def write_truth_tum(run: Run, path: Path) -> None:
@@ -46,7 +46,7 @@ def write_truth_tum(run: Run, path: Path) -> None:
     if run.truth is None:
         msg = "the truth is not known"
         raise ValueError(msg)
-    path.write_text("".join(_tum_lines(run.truth.map_T_laser)), encoding="ascii")
+    path.write_text("".join(tum_lines(run.truth.map_T_laser)), encoding="ascii")
 
 
 def write_true_walls(run: Run, path: Path) -> None:
@@ -66,7 +66,8 @@ def _shapes(walls: Walls) -> dict[str, Any]:
     return {"segments": walls.segments_map.tolist(), "arcs": walls.arcs_map.tolist()}
 
 
-def _tum_lines(trajectory: Trajectory) -> Iterator[str]:
+def tum_lines(trajectory: Trajectory) -> Iterator[str]:
+    """Write poses as lines ``t x y z qx qy qz qw`` (seconds, metres, unit quaternion)."""
     for stamp_ns, (x, y, yaw) in zip(trajectory.stamps_ns.tolist(), trajectory.xyyaw.tolist(), strict=True):
         z, w = sin(yaw / 2.0), cos(yaw / 2.0)
         yield f"{seconds(stamp_ns)} {x:.9f} {y:.9f} 0 0 0 {z:.12f} {w:.12f}\n"

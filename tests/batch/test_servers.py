@@ -196,3 +196,10 @@ def test_a_worker_of_a_cluster_enters_private_networks_only_where_its_list_says_
         monkeypatch.setenv("MAVNAV_FETCH_HOSTS", "127.0.0.1")
         with fetched(address) as folder:
             assert next(file for file in folder.rglob("*") if file.is_file()).read_bytes() == b"whole"
+
+
+@pytest.mark.parametrize(("early_s", "said"), [(0.0, "no data for 60 s"), (4000.0, "not complete after 3600 s")])
+def test_a_limit_that_the_client_reaches_first_is_explained(early_s: float, said: str, tmp_path: Path) -> None:
+    copy = remote._Copy("http://h/a.mcap", tmp_path / "a", remote.limits())
+    copy.began_s -= early_s
+    assert str(copy._explained(TimeoutError())).startswith(f"http://h/a.mcap: cannot be read ({said}); ")

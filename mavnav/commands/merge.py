@@ -1,0 +1,63 @@
+"""``mavnav merge RUN|LOG ... -o DIR``: one map of many sessions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from mavnav.commands.options import ConfigFile, Force, Json, Quiet, Sets, directory_option
+from mavnav.commands.progress import loading_modules, reporting
+from mavnav.commands.terminal import emit_json, note, print_table
+
+EPILOG = """
+[bold]Examples[/bold]
+
+mavnav merge monday.bag tuesday.bag runs/wednesday -o runs/building
+
+mavnav merge logs/*.mcap -o runs/building --json | jq '.sessions[] | select(.joined | not)'
+"""
+
+
+def merge(
+    inputs: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN|LOG", help="Run directories and logs, in any order.", show_default=False),
+    ],
+    *,
+    directory: Annotated[Path, directory_option(help="Directory of the result (default runs/merged).")] = Path(
+        "runs/merged"
+    ),
+    config: ConfigFile = None,
+    sets: Sets = None,
+    force: Force = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Join sessions of one building to one map: each is found in the map of the others."""
+    with reporting(quiet=quiet) as report:
+        with loading_modules():
+            from mavnav.config.loading import load_config
+            from mavnav.pipelines.merge import MergeRequest
+            from mavnav.pipelines.merge import merge as merged
+        chosen = load_config(config, sets or [], {})
+        document = merged(MergeRequest(tuple(inputs), directory, chosen, force=force), report)
+    for session in document["sessions"]:
+        if not session["joined"]:
+            note(f"mavnav: error: {session['name']} did not join: {session['why']}")
+    if json:
+        emit_json(document)
+    else:
+        print_table([*(_row(session) for session in document["sessions"]), ("written", str(directory))])
+    raise typer.Exit(document["exit_code"])
+
+
+def _row(session: dict[str, Any]) -> tuple[str, str]:
+    if not session["joined"]:
+        return session["name"], f"not joined: {session['why']}"
+    scans, to = f"{session['scans']} scans", ", ".join(other["name"] for other in session["joined_to"])
+    if not to:
+        return session["name"], f"{scans}, the first of the group"
+    evidence = f"{session['closures']} of {session['tested']} key frames agree, {session['residual_mm']:.0f} mm"
+    return session["name"], f"{scans}, joined to {to}: {evidence}"

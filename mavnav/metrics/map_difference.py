@@ -1,0 +1,170 @@
+"""What changed between two maps: walls that are gone and walls that are new, where the other map saw free space.
+
+A cell of a wall counts where the other map saw its surroundings free, and no wall near: so what is unknown to one of
+the maps is no change, nor is a wall that lies a little beside itself because a pose was.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, known_part, occupancy
+from mavnav.pose import Pose, transform_points
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from mavnav.mapping.occupancy_grid import Grid
+
+TOLERANCE_M = 0.15
+"""A wall that has one of the other map within this is no change."""
+
+CLEAR_M = 0.06
+"""All cells within this of a change are free in the other map."""
+
+LEAST_PASSES = 2
+"""Beams that must have crossed a free cell: one may be a false reading."""
+
+JOIN_M = 0.1
+"""Cells of changes no farther apart belong to one change."""
+
+LEAST_M2, LEAST_LENGTH_M = 0.004, 0.12
+"""Smaller changes are noise of the laser, or too small to tell from it."""
+
+MOVED_M, ALIKE = 1.5, 2.0
+"""An object has moved: a wall is gone and one within this is new, and neither is so many times as long as the other."""
+
+Kind = Literal["gone", "new"]
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A connected part of walls that is gone or new: its middle in the frame of the first map, m.
+
+    ``m2`` is the area of its cells, ``length_m`` the diagonal of its bounding box. ``moved_with`` is the number of the
+    other change, where an object seems to have moved.
+    """
+
+    kind: Kind
+    x_m: float
+    y_m: float
+    m2: float
+    length_m: float
+    moved_with: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The changes, the largest first, the middles of their cells (n, 2) in the first map's frame, m, and totals.
+
+    ``compared_m2`` is the area that both maps know, ``same_share`` the part of the second map's walls, as far as the
+    first one knows their surroundings, that the first one has too.
+    """
+
+    changes: tuple[Change, ...]
+    gone_xy_m: NDArray[np.float64]
+    new_xy_m: NDArray[np.float64]
+    compared_m2: float
+    same_share: float
+
+    def m2(self, kind: Kind) -> float:
+        """Return the area of all changes of a kind."""
+        return sum(change.m2 for change in self.changes if change.kind == kind)
+
+
+class View:
+    """What a map knows of its cells, each (rows, cols): walls, what is near one, what is surely free, what is known."""
+
+    def __init__(self, grid: Grid) -> None:
+        """Read the counts of a grid."""
+        from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  takes 0.1 s to load
+
+        self.grid = known_part(grid)
+        cells = occupancy(self.grid)
+        self.walls = cells == OCCUPIED
+        self.known = cells >= FREE
+        free = (cells == FREE) & (self.grid.passes >= LEAST_PASSES)
+        far = np.full(cells.shape, np.inf) if not self.walls.any() else distance_transform_edt(~self.walls)
+        self.near = far * grid.cell_m <= TOLERANCE_M
+        self.clear = distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * grid.cell_m > CLEAR_M
+
+    def middles(self, cells: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Return the middles of the cells of a mask (rows, cols), in the order of rows, (n, 2) in m."""
+        row, col = np.nonzero(cells)
+        corner = np.array(self.grid.origin_xy_m)
+        xy_m: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * self.grid.cell_m + corner
+        return xy_m
+
+    def at(self, cells: NDArray[np.bool_], xy_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Look up a mask (rows, cols) at points (n, 2), m; False outside."""
+        col, row = np.floor((xy_m - self.grid.origin_xy_m) / self.grid.cell_m).astype(np.int64).T
+        rows, cols = cells.shape
+        inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+        found: NDArray[np.bool_] = cells[np.where(inside, row, 0), np.where(inside, col, 0)] & inside
+        return found
+
+
+def difference(a: View, b: View, a_T_b: Pose) -> Difference:
+    """Compare two maps; ``a_T_b`` is the pose of the second one's frame in the first one's."""
+    gone, gone_xy_m = _changes("gone", a, b, a_T_b.inverse(), Pose())
+    new, new_xy_m = _changes("new", b, a, a_T_b, a_T_b)
+    changes = sorted([*gone, *new], key=lambda change: -change.m2)
+    walls_xy_m = transform_points(a_T_b, b.middles(b.walls))
+    same, unlike = (int(np.count_nonzero(a.at(mask, walls_xy_m))) for mask in (a.near & a.known, a.clear & ~a.near))
+    common = int(np.count_nonzero(b.at(b.known, transform_points(a_T_b.inverse(), a.middles(a.known)))))
+    return Difference(
+        changes=tuple(paired(changes)),
+        gone_xy_m=gone_xy_m,
+        new_xy_m=new_xy_m,
+        compared_m2=common * a.grid.cell_m**2,
+        same_share=same / max(same + unlike, 1),
+    )
+
+
+def _changes(
+    kind: Kind, having: View, other: View, other_T_having: Pose, a_T_having: Pose
+) -> tuple[list[Change], NDArray[np.float64]]:
+    """Return the walls of a map that the other one does not have, and the middles of their cells (n, 2)."""
+    from scipy.ndimage import binary_dilation, find_objects, label  # noqa: PLC0415  takes 0.1 s to load
+
+    cells = having.walls.copy()
+    there_m = transform_points(other_T_having, having.middles(cells))
+    cells[cells] = other.at(other.clear & ~other.near, there_m)
+    reach = max(1, round(JOIN_M / having.grid.cell_m / 2))
+    labels, _ = label(binary_dilation(cells, np.ones((3, 3), bool), iterations=reach), np.ones((3, 3), int))
+    changes: list[Change] = []
+    places = [np.zeros((0, 2))]
+    corner = np.array(having.grid.origin_xy_m)
+    for number, box in enumerate(find_objects(labels), start=1):
+        row, col = np.nonzero(cells[box] & (labels[box] == number))
+        xy_m = (np.column_stack((col + box[1].start, row + box[0].start)) + 0.5) * having.grid.cell_m + corner
+        change = _change(kind, transform_points(a_T_having, xy_m), having.grid.cell_m)
+        if change.m2 >= LEAST_M2 and change.length_m >= LEAST_LENGTH_M:
+            changes.append(change)
+            places.append(transform_points(a_T_having, xy_m))
+    return changes, np.concatenate(places)
+
+
+def _change(kind: Kind, xy_m: NDArray[np.float64], cell_m: float) -> Change:
+    (x_m, y_m), spans_m = xy_m.mean(axis=0).tolist(), np.ptp(xy_m, axis=0) + cell_m
+    return Change(kind, x_m, y_m, len(xy_m) * cell_m**2, float(np.hypot(*spans_m)))
+
+
+def paired(changes: Sequence[Change]) -> list[Change]:
+    """Join what is gone and what is new to objects that moved: the nearest first, each change once."""
+    pairs = [
+        (float(np.hypot(a.x_m - b.x_m, a.y_m - b.y_m)), i, j)
+        for i, a in enumerate(changes)
+        for j, b in enumerate(changes)
+        if a.kind == "gone" and b.kind == "new" and 1 / ALIKE <= a.length_m / b.length_m <= ALIKE
+    ]
+    found: dict[int, int] = {}
+    for off_m, i, j in sorted(pairs):
+        if off_m <= MOVED_M and not found.keys() & {i, j}:
+            found |= {i: j, j: i}
+    return [Change(c.kind, c.x_m, c.y_m, c.m2, c.length_m, found.get(number)) for number, c in enumerate(changes)]

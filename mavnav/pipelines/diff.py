@@ -1,0 +1,153 @@
+"""The pipeline of ``mavnav diff``: two maps -> alignment -> what changed between them -> document and picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav import __version__
+from mavnav.atomic_files import beside
+from mavnav.config.models import Config
+from mavnav.errors import ExitCode, OutputError, UsageError
+from mavnav.ground_truth.map_file import occupied_xy_m, read_map
+from mavnav.kernels import raycast  # noqa: F401  it is compiled with the others
+from mavnav.kernels.building import prepare
+from mavnav.mapping.occupancy_grid import known_part
+from mavnav.metrics.map_difference import View, difference
+from mavnav.outputs import difference_picture
+from mavnav.outputs.gridmap import read_npz
+from mavnav.slam.map_alignment import align
+from mavnav.slam.prior_map import PriorMap, prior_map_of
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from mavnav.metrics.map_difference import Difference
+    from mavnav.slam.map_alignment import Alignment
+
+    Progress = Callable[[str, int, int | None], None]
+
+SCHEMA_VERSION: Final = 1
+
+NUMBERS: Final = ("compared_m2", "same_share", "gone_m2", "new_m2", "changed_m2", "gone", "new", "moved")
+"""Numbers of the document that gates may name; null where the maps cannot be aligned."""
+
+
+LEAST_SAME: Final = 0.5
+"""Maps of which less is the same are not of one place."""
+
+
+@dataclass(frozen=True, slots=True)
+class DiffRequest:
+    """The two maps, run directories or map_server YAML files, and the picture to write, if any."""
+
+    a: Path
+    b: Path
+    picture: Path | None = None
+    force: bool = False
+
+
+def diff_maps(request: DiffRequest, progress: Progress) -> dict[str, Any]:
+    """Compare two maps and return the document; raises UsageError for what is no map, and OutputError.
+
+    The exit code in it is 1 where the maps cannot be aligned; then all numbers are null, and there is no picture.
+    """
+    _check_picture(request)
+    a, b = read_walls(request.a), read_walls(request.b)
+    prepare(progress)
+    progress("aligning", 0, None)
+    alignment = align(a, b, Config())
+    view_a, view_b = View(a.grid), View(b.grid)
+    found = alignment and difference(view_a, view_b, alignment.a_T_b)
+    if alignment is None or found is None or found.same_share < LEAST_SAME:
+        return _document(request, None, None)
+    if request.picture:
+        progress("writing", 0, None)
+        title = f"{request.a} -> {request.b}"
+        try:
+            with beside(request.picture, exclusive=not request.force) as partial:
+                difference_picture.write(view_a, view_b, alignment.a_T_b, found, title, partial)
+        except OSError as error:
+            raise OutputError(f"{request.picture} cannot be written: {error.strerror or error}") from error
+    return _document(request, alignment, found)
+
+
+def _check_picture(request: DiffRequest) -> None:
+    picture = request.picture
+    if picture and picture.is_dir():
+        raise OutputError(f"{picture} is a folder; name a file with -o, for example {picture / 'diff.png'}")
+    if picture and picture.exists() and not request.force:
+        raise OutputError(f"{picture} exists; choose another file with -o, or --force to replace it")
+
+
+def read_walls(path: Path) -> PriorMap:
+    """Read the map of a run directory, or the one that a map_server YAML file describes; raises UsageError."""
+    if not path.exists():
+        raise UsageError(f"{path}: no such file; name a run directory, or the YAML file of a map")
+    if path.is_dir():
+        try:
+            grid = known_part(read_npz(path / "hits.npz"))
+        except (OSError, ValueError) as error:
+            raise UsageError(f"{path} holds no map of a run: {error}; name a run directory, or a map.yaml") from error
+        known = PriorMap(grid, occupied_xy_m(grid))
+    else:
+        file = read_map(path)
+        known = prior_map_of(file.grid, file.map_T_grid)
+    if not len(known.walls_xy_m):
+        raise UsageError(f"{path}: the map has no occupied cell; name a map with walls")
+    return known
+
+
+def _document(request: DiffRequest, alignment: Alignment | None, found: Difference | None) -> dict[str, Any]:
+    changes = [] if found is None else found.changes
+    code = ExitCode.GATE_FAILED if found is None else ExitCode.DONE
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "mavnav_version": __version__,
+        "a": str(request.a),
+        "b": str(request.b),
+        "alignment": alignment and _alignment(alignment),
+        **(dict.fromkeys(NUMBERS) if found is None else _numbers(found)),
+        "changes": [
+            {
+                "number": number,
+                "kind": change.kind,
+                "x_m": round(change.x_m, 3),
+                "y_m": round(change.y_m, 3),
+                "m2": round(change.m2, 4),
+                "length_m": round(change.length_m, 3),
+                "moved_with": None if change.moved_with is None else change.moved_with + 1,
+            }
+            for number, change in enumerate(changes, start=1)
+        ],
+        "exit_code": int(code),
+    }
+
+
+def _numbers(found: Difference) -> dict[str, float]:
+    gone_m2, new_m2 = found.m2("gone"), found.m2("new")
+    kinds = [change.kind for change in found.changes]
+    moved = sum(change.moved_with is not None for change in found.changes) // 2
+    values = (
+        round(found.compared_m2, 3),
+        round(found.same_share, 4),
+        *(round(m2, 4) for m2 in (gone_m2, new_m2, gone_m2 + new_m2)),
+        kinds.count("gone"),
+        kinds.count("new"),
+        moved,
+    )
+    return dict(zip(NUMBERS, values, strict=True))
+
+
+def _alignment(found: Alignment) -> dict[str, float]:
+    x_m, y_m, yaw_rad = found.a_T_b
+    return {
+        "x_m": round(x_m, 4),
+        "y_m": round(y_m, 4),
+        "yaw_deg": round(yaw_rad / DEG, 3),
+        "places": found.taken,
+        "agreeing": found.agreeing,
+        "rms_mm": round(found.cost_m2**0.5 / MM, 1),
+    }

@@ -1,0 +1,70 @@
+"""One map of several sessions: every scan where the pose graph puts it, then where it fits what all of them saw."""
+
+from __future__ import annotations
+
+from array import array
+from typing import TYPE_CHECKING
+
+from mavnav.mapping.occupancy_grid import GridBuilder
+from mavnav.slam.loop_closure.detection import follow
+from mavnav.slam.redraw import motions_along
+from mavnav.slam.rematch import refined
+from mavnav.slam.robust import Robust
+from mavnav.slam.scan_matching import no_match
+from mavnav.slam.steps import Step, Steps, tracked_trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from mavnav.config.models import Config
+    from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.pose import Pose, Trajectory
+    from mavnav.scan import Scan
+    from mavnav.slam.joining.group import Group
+    from mavnav.slam.joining.session import Session
+    from mavnav.slam.motion_model import Motion
+
+    OnStep = Callable[[str, int], None]
+    """Called with what is being done, and the number of scans done."""
+
+
+def trajectories(group: Group, map_T_group: Pose) -> list[Trajectory]:
+    """Return map_T_laser of all scans of each session: they move with their key frames."""
+    return [
+        follow(session.map_T_laser, session.keys, group.keys_of(number)).seen_from(map_T_group)
+        for number, session in enumerate(group.sessions)
+    ]
+
+
+def merged_map(
+    sessions: Sequence[Session], placed: Sequence[Trajectory], config: Config, on_step: OnStep
+) -> tuple[Grid, list[Trajectory]]:
+    """Draw the map of all sessions, and return it with the trajectories as matched against it.
+
+    ``placed`` are the poses of each session, map_T_laser. What did not stay where it was seen is no part of the map.
+    """
+    method = Robust(config)
+    for done, (scan, motion) in enumerate(_all_scans(sessions, placed), start=1):
+        method.insert(scan, motion.map_T_laser, motion)
+        on_step("draw map", done)
+    method.remove_dynamic_cells()
+    refined_poses = [_refined(session, poses, method) for session, poses in zip(sessions, placed, strict=True)]
+    grid = GridBuilder(method.grid.cell_m)
+    for done, (scan, motion) in enumerate(_all_scans(sessions, refined_poses), start=1):
+        grid.insert(motion.map_T_laser, *method.placed_points(scan, motion.map_T_laser, motion))
+        on_step("draw map again", done)
+    grid.remove_dynamic_cells()
+    return grid.by_rows(), refined_poses
+
+
+def _all_scans(sessions: Sequence[Session], placed: Sequence[Trajectory]) -> Iterator[tuple[Scan, Motion]]:
+    """Give every scan with its pose and velocity."""
+    for session, poses in zip(sessions, placed, strict=True):
+        yield from zip(session.scans(), motions_along(poses, session.at_rest), strict=True)
+
+
+def _refined(session: Session, poses: Trajectory, method: Robust) -> Trajectory:
+    """Match every scan of a session against the map of all."""
+    stamps_ns = poses.stamps_ns.tolist()
+    steps = (Step(k, stamp_ns, no_match(poses[k]), tracked=True) for k, stamp_ns in enumerate(stamps_ns))
+    return tracked_trajectory(Steps(refined(session.scans(), steps, method, array("d"))))

@@ -1,0 +1,72 @@
+"""``mavnav diff``: the table, the document, the picture, gates and what cannot be compared."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import mavnav as api
+from mavnav.outputs.canvas import rgb_of
+from mavnav.outputs.difference_picture import GONE, NEW
+from support.changed_rooms import TURNED, mapped, rooms, saved
+from support.synthetic import room
+
+
+@pytest.fixture(scope="module")
+def maps(tmp_path_factory) -> tuple[Path, Path]:
+    """Return the maps of some rooms before and after a box was moved."""
+    folder = tmp_path_factory.mktemp("maps")
+    return saved(mapped(rooms()), folder / "a"), saved(mapped(rooms(moved_m=0.3), seed=1), folder / "b")
+
+
+def test_what_changed_is_listed_and_drawn(mavnav, maps, tmp_path) -> None:
+    picture = tmp_path / "diff.png"
+    code, out, err = mavnav("diff", *maps, "-q", "--json", "-o", picture, "--gate", "changed_m2<=0.01")
+    document = json.loads(out)
+    assert (code, document["exit_code"]) == (1, 1)
+    assert "gate changed_m2<=0.01 failed: it is 0.0" in err
+    assert (document["gone"], document["new"], document["moved"]) == (1, 1, 1)
+    assert [change["moved_with"] for change in document["changes"]] == [2, 1]
+    assert document["changed_m2"] == pytest.approx(document["gone_m2"] + document["new_m2"])
+    assert document["alignment"]["agreeing"] >= 6
+    pixels = np.asarray(Image.open(picture))
+    assert all((pixels == rgb_of(colour)).all(axis=2).sum() > 50 for colour in (GONE, NEW))
+    code, out, err = mavnav("diff", *maps, "-q", "-o", picture)
+    assert (code, out) == (6, "")
+    assert "--force" in err
+
+
+def test_the_same_map_passes(mavnav, maps) -> None:
+    code, out, err = mavnav("diff", maps[0], maps[0], "-q", "--gate", "changed_m2==0", "--gate", "same_share>0.99")
+    assert (code, err) == (0, "")
+    assert "100.0% of the walls are the same" in out
+
+
+def test_maps_of_different_places(mavnav, maps, tmp_path) -> None:
+    """A gate on a number that is not known fails."""
+    other = saved(mapped(room(9.0, 2.2), TURNED, poses=[(1.0, 1.1), (4.0, 1.1), (8.0, 1.0)]), tmp_path / "other")
+    code, out, err = mavnav("diff", maps[0], other, "-q", "--gate", "gone<=9", "-o", tmp_path / "diff.png")
+    assert (code, out) == (1, "")
+    assert "cannot be aligned" in err
+    assert "gate gone<=9 failed: it is not known" in err
+    assert not (tmp_path / "diff.png").exists()
+    document = api.diff(maps[0], other)
+    assert (document["alignment"], document["changed_m2"], document["changes"]) == (None, None, [])
+
+
+def test_what_cannot_be_compared(mavnav, maps, tmp_path) -> None:
+    empty = saved(mapped(room(), poses=np.zeros((0, 2))), tmp_path / "empty")
+    for args, word in (
+        ([maps[0], tmp_path / "gone"], "no such file"),
+        ([maps[0], tmp_path], "holds no map"),
+        ([maps[0], empty], "no occupied cell"),
+        ([*maps, "--gate", "changed<=2"], "it has compared_m2"),
+        ([maps[0]], "Missing argument"),
+    ):
+        code, out, err = mavnav("diff", *args, "-q")
+        assert (code, out, err.count("\n")) == (2, "", 1), args
+        assert word in err, args

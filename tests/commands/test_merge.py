@@ -1,0 +1,71 @@
+"""``mavnav merge``: logs and runs to one map, what did not join, and what cannot be merged."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import mavnav as api
+from mavnav.ground_truth.tables import read_tum
+from support.log_files import drive, write_mcap
+from support.sessions import CELLAR, errors_m, tour, written
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory) -> dict[str, Path]:
+    """Write two logs of one building, a longer one of another, and one without a usable scan."""
+    folder = tmp_path_factory.mktemp("logs")
+    tours = {"hall": tour("hall"), "back": tour("back", 1), "cellar": tour("hall", 2, CELLAR)}
+    found = {name: written(recording, folder / f"{name}.mcap") for name, recording in tours.items()}
+    return found | {"blind": write_mcap(folder / "blind.mcap", drive(0))}
+
+
+def test_logs_and_runs_are_joined(mavnav, logs, tmp_path) -> None:
+    api.replay(logs["back"], directory=tmp_path / "back")
+    code, out, err = mavnav("merge", logs["hall"], tmp_path / "back", "-o", tmp_path / "m", "-q", "--json")
+    assert (code, err) == (0, "")
+    document = json.loads(out)
+    assert document == json.loads((tmp_path / "m" / "merge.json").read_text())
+    assert (document["joined"], document["refused"], document["exit_code"]) == (2, 0, 0)
+    files = {"map.pgm", "map.yaml", "map.png", "hits.npz", "merge.json", "session_hall.tum", "session_back.tum"}
+    assert {file.name for file in (tmp_path / "m").iterdir()} == files
+    hall = tour("hall")
+    for name, recording in (("hall", hall), ("back", tour("back", 1))):
+        poses = read_tum(tmp_path / "m" / f"session_{name}.tum")
+        assert len(poses) == len(recording.scans)
+        assert errors_m(poses, recording, hall.world_T_laser[0]) < 0.05
+    first, second = document["sessions"]
+    assert [first["map_T_session"][key] for key in ("x_m", "yaw_deg")] == pytest.approx([0, 0], abs=0.05)
+    assert {row["name"]: row["closures"] for row in [*first["joined_to"], *second["joined_to"]]}
+    diff = api.diff(tmp_path / "m", tmp_path / "back")
+    assert (diff["changed_m2"], diff["changes"]) == (0, [])
+
+
+def test_what_does_not_join_is_said(mavnav, logs, tmp_path) -> None:
+    names = ("cellar", "hall", "blind")
+    code, out, err = mavnav("merge", *(logs[name] for name in names), "-o", tmp_path / "m", "-q")
+    assert code == 1
+    assert "hall did not join: too few of its scans fit" in err
+    assert "cellar did not join" not in err
+    assert "blind did not join" in err
+    assert [line.split()[0] for line in out.splitlines()] == [*names, "written"]
+    assert not (tmp_path / "m" / "session_hall.tum").exists()
+    code, out, err = mavnav("merge", logs["hall"], logs["back"], "-o", tmp_path / "m", "-q")
+    assert (code, out) == (6, "")
+    assert "--force" in err
+
+
+def test_what_cannot_be_merged(mavnav, logs, tmp_path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.json").write_text("{}")
+    for args, word in (
+        ([logs["hall"]], "nothing to merge"),
+        ([logs["hall"], tmp_path / "gone.bag"], "no such file"),
+        ([tmp_path / "run", logs["hall"]], "is no whole run"),
+        ([logs["hall"], logs["back"], "--set", "method=paper"], "use the robust method"),
+    ):
+        code, out, err = mavnav("merge", *args, "-o", tmp_path / "m", "-q")
+        assert (code, out, err.count("\n")) == (2, "", 1), args
+        assert word in err, args

@@ -1,0 +1,52 @@
+"""Two furnished rooms as they were mapped before and after something changed, from known poses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from mavnav.mapping.occupancy_grid import Grid, GridBuilder
+from mavnav.pose import Pose, transform_points
+from support.synthetic import LDS_01, Segments, box, cast, furnished_rooms, polyline
+
+POSES = ((0.8, 0.8), (3.0, 0.8), (5.2, 1.0), (5.0, 3.0), (4.6, 4.0), (4.6, 5.2), (5.8, 5.6), (3.0, 3.3), (0.9, 3.0))
+"""Where the laser stands, x and y in the world, m; the map's frame has its origin at the first."""
+
+MOVED, WALL, DOOR, TURNED = (2.2, 2.0), (0.5, 1.3), (4.65, 4.0), Pose(5.0, 3.0, 2.0)
+"""Where the changes are, in the world, m; and where the frame of another session is."""
+
+WORLD = Pose()
+"""The frame of a map that is that of the world."""
+
+
+def rooms(*, moved_m: float = 0.0, wall: bool = False, door: bool = False) -> Segments:
+    """Return the rooms with a box that was moved along x, a wall that was built, or the door shut."""
+    same = furnished_rooms()
+    walls = [same[:10], box(1.9 + moved_m, 2.0, 0.7, 0.5, 0.3), same[14:]]
+    walls += [polyline((0.0, 1.3), (1.0, 1.3))] if wall else []
+    walls += [polyline((4.2, 4.0), (5.1, 4.0))] if door else []
+    return np.vstack(walls)
+
+
+def mapped(walls: Segments, world_T_map: Pose = WORLD, seed: int = 0, poses: object = POSES) -> Grid:
+    """Map walls from known poses, with 10 mm of noise."""
+    rng, grid = np.random.default_rng(seed), GridBuilder(0.02)
+    angles_rad = LDS_01.angles_rad[:, None] + np.arange(3) * (LDS_01.angle_step_rad / 3)
+    bearings_rad = np.sort(angles_rad.ravel())
+    for x_m, y_m in np.array(poses).tolist():
+        for _ in range(3):
+            ranges_m = cast(walls, (x_m, y_m), bearings_rad) + 0.01 * rng.standard_normal(len(bearings_rad))
+            xy_m = np.array((x_m, y_m)) + ranges_m[:, None] * np.column_stack(
+                (np.cos(bearings_rad), np.sin(bearings_rad))
+            )
+            grid.insert(world_T_map.between(Pose(x_m, y_m)), transform_points(world_T_map.inverse(), xy_m))
+    return grid.by_rows()
+
+
+def saved(grid: Grid, folder: Path) -> Path:
+    """Write a map as a run directory holds it."""
+    folder.mkdir()
+    arrays = {"counts": grid.hits, "passes": grid.passes, "cell_m": grid.cell_m, "origin_xy_m": grid.origin_xy_m}
+    np.savez_compressed(folder / "hits.npz", **arrays)
+    return folder

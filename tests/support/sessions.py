@@ -1,0 +1,48 @@
+"""Sessions in furnished rooms whose true poses are known, each in a frame of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from mavnav.config.models import Config
+from mavnav.pose import Pose, Trajectory
+from mavnav.slam.joining.session import Session, make_session
+from support.log_files import LASER, Message, write_mcap
+from support.synthetic import LDS_01, Recording, Segments, along, furnished_rooms, polyline, record
+
+TOURS = {
+    "hall": [(0.8, 0.8), (3.0, 0.8), (5.2, 1.0), (5.2, 3.0)],
+    "both": [(5.2, 1.0), (5.0, 2.8), (4.65, 3.5), (4.65, 5.2)],
+    "back": [(5.8, 5.6), (4.65, 5.2), (4.65, 3.4), (3.0, 3.2)],
+}
+"""Paths through two rooms that overlap, in the world, m."""
+
+CELLAR = np.vstack([polyline((0, 0), (7, 0), (8, 4), (3, 5.5), (0, 3), closed=True), polyline((2, 2), (3.3, 2.9))])
+"""Another building."""
+
+
+def tour(path: str, seed: int = 0, walls: Segments | None = None) -> Recording:
+    """Scan along a path, every 0.5 s."""
+    track = along(TOURS[path], speed_m_s=0.3, period_s=0.5, turn_rad_s=0.6)
+    return record(furnished_rooms() if walls is None else walls, track, LDS_01, seed=seed)
+
+
+def session(name: str, recording: Recording) -> Session:
+    """Make a session that was tracked without any error, in the frame of its first scan."""
+    return make_session(name, lambda: recording.scans, recording.map_T_laser, Config())
+
+
+def written(recording: Recording, path: Path) -> Path:
+    """Write the scans of a recording as a log."""
+    spec = LDS_01
+    about = {"angle_min": spec.angle_min_rad, "angle_increment": spec.angle_step_rad}
+    scans = (Message("/scan", LASER, s.stamp_ns, about | {"ranges": s.ranges_m}) for s in recording.scans)
+    return write_mcap(path, list(scans))
+
+
+def errors_m(poses: Trajectory, recording: Recording, world_T_map: Pose) -> float:
+    """Return the greatest error of the positions of a trajectory."""
+    off_m = poses.seen_from(world_T_map).xyyaw[:, :2] - recording.world_T_laser.xyyaw[:, :2]
+    return float(np.hypot(*off_m.T).max())
