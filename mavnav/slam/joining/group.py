@@ -43,7 +43,7 @@ FEW, AROUND_M = 6, 1.5
 MOST_PLACES = 12
 """So many places of a whole map are compared closely for each."""
 
-LEAST_CLOSURES = 3
+LEAST_CLOSURES = 4
 """So many closures that agree make a join."""
 
 BOUND = (0.6, 6 * DEG)
