@@ -1,4 +1,4 @@
-"""Commands whose help names no types that say nothing, and which read words and paths without pydantic.
+"""Commands whose help names no types that say nothing, and which read words, plain numbers and paths without pydantic.
 
 typer lets pydantic read every value; loading it and preparing it for every option takes 0.1 s of processor time. This
 rests on names inside of typer; where one is missing, typer reads the value.
@@ -6,18 +6,25 @@ rests on names inside of typer; where one is missing, typer reads the value.
 
 from __future__ import annotations
 
+import re
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from typer.core import TyperCommand, TyperGroup
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+_PLAIN: Final[dict[Any, re.Pattern[str]]] = {
+    int: re.compile("[0-9]{1,15}"),
+    float: re.compile("-?[0-9]{1,15}([.][0-9]{1,15})?"),
+}
+"""How most numbers are written; typer reads others, and those with bounds."""
+
 
 class Command(TyperCommand):
-    """A command whose options that are not given, words and paths need no pydantic."""
+    """A command whose options that are not given, words, plain numbers and paths need no pydantic."""
 
     def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401  typer's Context
         """Return options and arguments as help shows them: flags and arguments have no type."""
@@ -64,13 +71,17 @@ class _Reader:
 
     def coerce(self, value: Any, param: Any, ctx: Any) -> Any:  # noqa: ANN401
         """Return a value as what the command takes; raises typer's BadParameter where it is none."""
-        kind = getattr(getattr(param, "type_descriptor", None), "annotation", None)
+        described = getattr(param, "type_descriptor", None)
+        kind = getattr(described, "annotation", None)
         if value is None:
             return () if param.multiple or param.nargs == -1 else None
         if kind is str and isinstance(value, str):
             return value
         if kind == list[str] and isinstance(value, list | tuple) and all(isinstance(item, str) for item in value):
             return list(value)
+        plain = None if getattr(described, "is_ranged", True) else _PLAIN.get(kind)
+        if plain and isinstance(value, str) and plain.fullmatch(value):
+            return float(value) if kind is float else int(value)
         if kind is Path and isinstance(value, str):
             with suppress(ImportError):
                 from typer._param_types import coerce_cli_path
