@@ -8,9 +8,10 @@ import numpy as np
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
+from mavnav.scan import LaserSpec
 from mavnav.slam.joining.session import Session, make_session
 from support.log_files import LASER, Message, write_mcap
-from support.synthetic import LDS_01, Recording, Segments, along, furnished_rooms, polyline, record
+from support.synthetic import DEG, LDS_01, Recording, Segments, along, box, furnished_rooms, polyline, record
 
 TOURS = {
     "hall": [(0.8, 0.8), (3.0, 0.8), (5.2, 1.0), (5.2, 3.0)],
@@ -18,6 +19,9 @@ TOURS = {
     "back": [(5.8, 5.6), (4.65, 5.2), (4.65, 3.4), (3.0, 3.2)],
 }
 """Paths through two rooms that overlap, in the world, m."""
+
+WIDE = LaserSpec(-135 * DEG, 0.5 * DEG, 541, 0.05, 12.0, 0.0, 0.1)
+"""270 degrees in 541 beams, 12 m."""
 
 CELLAR = np.vstack([polyline((0, 0), (7, 0), (8, 4), (3, 5.5), (0, 3), closed=True), polyline((2, 2), (3.3, 2.9))])
 """Another building."""
@@ -27,6 +31,17 @@ def tour(path: str, seed: int = 0, walls: Segments | None = None) -> Recording:
     """Scan along a path, every 0.5 s."""
     track = along(TOURS[path], speed_m_s=0.3, period_s=0.5, turn_rad_s=0.6)
     return record(furnished_rooms() if walls is None else walls, track, LDS_01, seed=seed)
+
+
+def twin_room(x_m: float) -> Recording:
+    """Scan one of two rooms that look alike, and the corridor before it, which ends beside each on another side."""
+    walls = [polyline((0, 2), (0, 0), (10, 0), (10, 2))]
+    for a in (0.0, 5.0):
+        walls += [polyline((a, 2), (a + 2, 2)), polyline((a + 3, 2), (a + 5, 2)), box(a + 3.8, 5, 0.8, 0.6)]
+        walls += [polyline((a, 2), (a, 6), (a + 5, 6), (a + 5, 2))]
+    path = [(2.5, 1.0), (2.5, 3.5), (1.2, 4.6), (2.6, 4.8), (2.5, 1.2), (3.5, 1.0), (1.2, 0.9)]
+    track = along([(x + x_m, y) for x, y in path], speed_m_s=0.8, period_s=0.5)
+    return record(np.vstack(walls), track, WIDE, seed=int(x_m))
 
 
 def session(name: str, recording: Recording) -> Session:

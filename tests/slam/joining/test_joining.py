@@ -13,7 +13,7 @@ from mavnav.slam.joining.group import contradicting, group_of, grown, own_edges
 from mavnav.slam.joining.merged_map import merged_map, trajectories
 from mavnav.slam.joining.session import Session, make_session
 from mavnav.slam.loop_closure.key_frames import Part
-from support.sessions import CELLAR, TOURS, errors_m, session, tour
+from support.sessions import CELLAR, TOURS, errors_m, session, tour, twin_room
 from support.synthetic import Recording
 
 CONFIG = Config()
@@ -54,6 +54,15 @@ def test_another_building_does_not_join(sessions) -> None:
     assert {s.name for s in group.sessions} == {"hall", "back"}
     assert (refused.name, refused.closures) == ("cellar", 0)
     assert refused.why == "too few scans of the others fit in its map"
+
+
+def test_rooms_that_look_alike_are_not_joined() -> None:
+    """The walls of the corridor beside them contradict it."""
+    one, other = (session(name, twin_room(x_m)) for name, x_m in (("one", 0.0), ("other", 5.0)))
+    group, (refused,) = grown([one, other], CONFIG, silent)
+    assert len(group.sessions) == 1
+    assert refused.agreeing >= 3
+    assert refused.why == "too many of its scans contradict the others' map"
 
 
 def test_key_frames_in_the_wrong_place_contradict_the_map(sessions) -> None:
