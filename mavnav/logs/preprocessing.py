@@ -196,7 +196,7 @@ def _refusal(message: LaserMessage) -> str | None:
         return "non_finite_angle"
     if message.angle_step_rad == 0.0:
         return "zero_angle_increment"
-    too_wide = abs(message.angle_step_rad) * (beams - 1) > _MOST_TURNS * tau
+    too_wide = abs(message.angle_step_rad) * max(beams - 1, 1) > _MOST_TURNS * tau
     return "impossible_geometry" if too_wide or abs(message.angle_min_rad) > 2 * tau else None
 
 

@@ -108,3 +108,10 @@ def test_the_table_names_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixtur
     out = capsys.readouterr().out
     assert "a replay begins its map after them" in out
     assert "sound; 1 thing(s) of the sensor to check" in out
+
+
+@pytest.mark.parametrize("step_rad", [3e38, -1e5])
+def test_a_single_beam_of_an_impossible_step_is_left_out(step_rad: float, tmp_path: Path) -> None:
+    log = open_log(write_mcap(tmp_path / "a.mcap", [*scans(5), laser(5, ranges=[2.0], angle_increment=step_rad)]))
+    assert log.counts.skipped == {"impossible_geometry": 1}
+    assert sensor_health(log).examined == 5
