@@ -90,8 +90,11 @@ def read_walls(path: Path) -> PriorMap:
         try:
             grid = known_part(read_npz(path / "hits.npz"))
         except (OSError, ValueError) as error:
-            raise UsageError(f"{path} holds no map of a run: {error}; name a run directory, or a map.yaml") from error
+            reason = f"hits.npz: {error.strerror}" if isinstance(error, OSError) else error
+            raise UsageError(f"{path} holds no map of a run ({reason}); name a run directory, or a map.yaml") from error
         known = PriorMap(grid, occupied_xy_m(grid))
+    elif path.suffix.lower() not in {".yaml", ".yml"}:
+        raise UsageError(f"{path} is no map; name a run directory (mavnav replay makes one from a log), or a map.yaml")
     else:
         file = read_map(path)
         known = prior_map_of(file.grid, file.map_T_grid)

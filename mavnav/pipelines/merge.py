@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -100,7 +101,8 @@ def _check(request: MergeRequest) -> None:
     check_directory(request.directory, force=request.force, marker=MERGE_FILE)
     for path in request.inputs:
         if not _is_run(path):
-            check_log(path, None, None)
+            with suppress(NoScansError):
+                check_log(path, None, None)
 
 
 def _is_run(path: Path) -> bool:

@@ -60,9 +60,12 @@ def test_maps_of_different_places(mavnav, maps, tmp_path) -> None:
 
 def test_what_cannot_be_compared(mavnav, maps, tmp_path) -> None:
     empty = saved(mapped(room(), poses=np.zeros((0, 2))), tmp_path / "empty")
+    log = tmp_path / "drive.mcap"
+    log.touch()
     for args, word in (
         ([maps[0], tmp_path / "gone"], "no such file"),
-        ([maps[0], tmp_path], "holds no map"),
+        ([maps[0], tmp_path], "holds no map of a run (hits.npz: no such file)"),
+        ([maps[0], log], "is no map; name a run directory"),
         ([maps[0], empty], "no occupied cell"),
         ([*maps, "--gate", "changed<=2"], "it has compared_m2"),
         ([maps[0]], "Missing argument"),

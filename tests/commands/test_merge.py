@@ -44,9 +44,13 @@ def test_logs_and_runs_are_joined(mavnav, logs, tmp_path) -> None:
 
 
 def test_what_does_not_join_is_said(mavnav, logs, tmp_path) -> None:
-    names = ("cellar", "hall", "blind")
-    code, out, err = mavnav("merge", *(logs[name] for name in names), "-o", tmp_path / "m", "-q")
+    names = ("cellar", "hall", "blind", "empty")
+    (tmp_path / "empty.mcap").touch()
+    code, out, err = mavnav(
+        "merge", *(logs[name] for name in names[:3]), tmp_path / "empty.mcap", "-o", tmp_path / "m", "-q"
+    )
     assert code == 1
+    assert "empty.mcap: no usable scans; the file is empty" in err
     assert "hall did not join: too few of its scans fit" in err
     assert "cellar did not join" not in err
     assert "blind did not join" in err
