@@ -27,20 +27,26 @@ class Budget:
         """Begin with the first credit."""
         self.each_scan, self.most = each_scan, most
         self.credit, self.work = first, 0.0
+        self._lent = 0.0
 
     @property
     def is_ready(self) -> bool:
         """Whether the credit covers a search like the last one; of one that takes more than ``most``, that much."""
         return self.credit >= min(self.work, self.most)
 
-    def earn(self) -> None:
-        """Add what a scan earns."""
-        self.credit = min(self.credit + self.each_scan, self.most)
+    def earn(self, *, found: bool = False) -> None:
+        """Add what a scan earns, and what was lent to the scan before if it was ``found``."""
+        self.credit = min(self.credit + self.each_scan + (self._lent if found else 0.0), self.most)
+        self._lent = 0.0
 
-    def pays(self, work: float) -> bool:
-        """Spend the work of a search if the credit covers it; what is missing beyond ``most`` is paid off later."""
+    def pays(self, work: float, *, lent: bool = False) -> bool:
+        """Spend the work of a search if the credit covers it; what is missing beyond ``most`` is paid off later.
+
+        What is ``lent`` comes back if the scan is found.
+        """
         self.work = work
         if not self.is_ready:
             return False
         self.credit -= work
+        self._lent += work if lent else 0.0
         return True

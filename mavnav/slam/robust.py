@@ -67,6 +67,10 @@ LOST_PERIODS = 8
 """Without an accepted pose for longer the laser is lost: wide regions are searched as their budget allows. Once it is
 found again, the scans between are matched from there."""
 
+FOUND_PERIODS = 1.5
+"""So few periods after the last accepted pose, that of the scan before was accepted: what was lent to it comes back.
+Each scan of a sparse log may need a wide search."""
+
 WIDE_EACH, WIDE_FIRST, WIDE_MOST = 2.0, 80.0, 120.0
 WHOLE_EACH, WHOLE_FIRST = 1.0, 50.0
 """Budgets of wide regions and of the whole map, in local searches: what a scan earns, the first and the most credit."""
@@ -170,7 +174,7 @@ class Robust:
         points, elapsed_s = self.match_points(scan, motion), motion.elapsed_s(scan.stamp_ns)
         if len(points) < self.config.robust.min_points:
             return no_match(predicted, len(points))
-        self._wide_budget.earn()
+        self._wide_budget.earn(found=elapsed_s < FOUND_PERIODS * motion.period_s)
         self._whole_budget.earn()
         tried = self._look_near(points, predicted, motion)
         if self._is_found_near(tried, predicted, motion, elapsed_s):
@@ -185,7 +189,7 @@ class Robust:
         if given_up or self._believable(best, motion, elapsed_s):
             return with_effort(best, *tried)
         for region in regions or [within_reach(pose, elapsed_s) for pose in expected]:
-            if lost or self._wide_budget.pays(self._work(points, region)):
+            if lost or self._wide_budget.pays(self._work(points, region), lent=True):
                 tried += self._look_wide(points, region, FOUND_COST if lost else np.inf)
         return best_of(tried, expected, elapsed_s, self.config)
 

@@ -46,6 +46,20 @@ def test_a_search_of_more_than_the_most_credit_is_paid_off_later() -> None:
     assert not budget.pays(1.0)
 
 
+def test_what_is_lent_comes_back_if_the_scan_is_found() -> None:
+    budget = Budget(each_scan=2.0, first=50.0, most=60.0)
+    for _ in range(9):
+        assert budget.pays(20.0, lent=True)
+        budget.earn(found=True)
+    assert budget.credit == 60.0
+    assert budget.pays(20.0)
+    budget.earn(found=True)
+    assert budget.pays(20.0, lent=True)
+    budget.earn()
+    budget.earn(found=True)
+    assert budget.credit == 26.0
+
+
 def test_work_is_counted_in_local_searches() -> None:
     assert search_work(0, 0, 6) == 6
     assert search_work(3 * POSES, 2 * CELLS, 1) == 6
