@@ -14,7 +14,7 @@ from dataclasses import replace as changed
 from itertools import chain, islice
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from mavnav import logs
 from mavnav.api.results import Comparison, Run
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     """Called with what is being done, how much of it is done, and how much there is, None if unknown."""
 
 Result = TypeVar("Result", Run, Comparison)
-
-_USUAL_PERIOD_S: Final = 0.1
 
 
 def silent(_phase: str, _done: int, _total: int | None) -> None:
@@ -321,7 +319,7 @@ def track(
     MavnavError
         ConfigError.
     """
-    from mavnav.slam.motion_model import Motion  # noqa: PLC0415  heavy
+    from mavnav.slam.motion_model import USUAL_PERIOD_S, Motion  # noqa: PLC0415  heavy
     from mavnav.slam.registry import load_kernels, make_method  # noqa: PLC0415
     from mavnav.slam.tracker import track as tracked  # noqa: PLC0415
 
@@ -330,7 +328,7 @@ def track(
     coming = iter(scans)
     first = list(islice(coming, 0 if period_s else 2))
     if period_s is None:
-        period_s = (first[1].stamp_ns - first[0].stamp_ns) * NS if len(first) > 1 else _USUAL_PERIOD_S
+        period_s = (first[1].stamp_ns - first[0].stamp_ns) * NS if len(first) > 1 else USUAL_PERIOD_S
     slam = make_method(chosen)
     return tracked(chain(first, coming), slam, Motion(period_s, None, slam.expects_rest))
 

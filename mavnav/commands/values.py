@@ -23,30 +23,25 @@ _PLAIN: Final[dict[Any, re.Pattern[str]]] = {
 """How most numbers are written; typer reads others, and those with bounds."""
 
 
-class Command(TyperCommand):
-    """A command whose options that are not given, words, plain numbers and paths need no pydantic."""
+class _Parameters:
+    """What commands and groups of commands do with their options and arguments."""
 
     def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401  typer's Context
         """Return options and arguments as help shows them: flags and arguments have no type."""
-        return _without_types(super().get_params(ctx))
+        return _without_types(super().get_params(ctx))  # type: ignore[misc]
 
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401  typer's Context
+    def parse_args(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401  typer's Context
         """Parse as typer does, with a reader before that of each option and argument."""
         _put_readers(self.get_params(ctx))
-        return super().parse_args(ctx, args)
+        return super().parse_args(ctx, args)  # type: ignore[misc]
 
 
-class Group(TyperGroup):
+class Command(_Parameters, TyperCommand):
+    """A command whose options that are not given, words, plain numbers and paths need no pydantic."""
+
+
+class Group(_Parameters, TyperGroup):
     """The same for a command with commands."""
-
-    def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401  typer's Context
-        """Return options as help shows them: flags have no type."""
-        return _without_types(super().get_params(ctx))
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401  typer's Context
-        """Parse as typer does, with a reader before that of each option."""
-        _put_readers(self.get_params(ctx))
-        return super().parse_args(ctx, args)
 
 
 def _without_types(params: list[Any]) -> list[Any]:

@@ -60,9 +60,8 @@ class Kernel:
         try:
             for k, ndim, dtype, mask in self.arrays:
                 array = args[k]
-                if array.flags.num & mask != mask or array.ndim != ndim:
-                    raise TypeError(self._mismatch(args))
-                if array.dtype is not dtype and array.dtype != dtype:  # almost always the same object
+                same = array.dtype is dtype or array.dtype == dtype  # almost always the same object
+                if not same or array.ndim != ndim or array.flags.num & mask != mask:
                     raise TypeError(self._mismatch(args))
         except (AttributeError, IndexError):
             raise TypeError(self._mismatch(args)) from None

@@ -98,11 +98,6 @@ def sections_by_hits(
     return {min_hits: wall_sections(hits, cell_m, min_hits) for min_hits in thresholds}
 
 
-def wall_thicknesses(sections: dict[int, Sections], cell_m: float) -> dict[int, WallThickness]:
-    """Sum up the sections at each threshold."""
-    return {min_hits: summary(cuts, cell_m) for min_hits, cuts in sections.items()}
-
-
 def quantiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[float, float, float]:
     """Return maximum, 95 % quantile and median; NaN without values."""
     if not len(values):

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     Twist = tuple[float, float, float]
     """A velocity in the laser's own frame, m/s, m/s, rad/s."""
 
+USUAL_PERIOD_S = 0.1  # from scan to scan, where stamps do not say it
 LONGEST_S = 1.2  # a velocity is trusted no further
 NEW_SHARE = 0.7  # of a new velocity in the running one
 

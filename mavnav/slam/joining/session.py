@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.slam.loop_closure.key_frames import KeyFrame, key_rows
-from mavnav.slam.motion_model import Motion
+from mavnav.slam.motion_model import USUAL_PERIOD_S, Motion
 from mavnav.slam.robust import Robust
 from mavnav.units import NS
 
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.pose import Trajectory
     from mavnav.scan import Scan
-
-_USUAL_PERIOD_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +33,7 @@ class Session:
     def at_rest(self) -> Motion:
         """The motion before the first scan: the time between two scans alone is known."""
         steps_ns = np.diff(self.map_T_laser.stamps_ns)
-        return Motion(float(np.median(steps_ns)) * NS if len(steps_ns) else _USUAL_PERIOD_S)
+        return Motion(float(np.median(steps_ns)) * NS if len(steps_ns) else USUAL_PERIOD_S)
 
 
 def make_session(name: str, scans: Callable[[], Iterable[Scan]], map_T_laser: Trajectory, config: Config) -> Session:
