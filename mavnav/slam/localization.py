@@ -60,7 +60,7 @@ class Localizer(Robust):
         """Return where in a region the scan fits; None where it fits nowhere, or elsewhere about as well."""
         found = candidates(points, self.lines, self.known, region, self.config, MANY)
         best = unrivalled(found, CLEAR_BY, self.config)
-        return best if best and self._convinces(best) else None
+        return best if best and self._is_good(best) else None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Count what the scan saw; the map that is matched against stays."""

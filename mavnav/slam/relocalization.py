@@ -1,4 +1,4 @@
-"""Where in a wide region, or in the whole map, could this scan have been taken? All candidates, ranked."""
+"""Search a wide region, or the whole map, for the poses at which a scan can have been taken, and rank them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     """Cost, m2, and pose of a minimum of the wide search."""
 
 STEP_M, STEP_RAD = 0.1, 4 * DEG
-"""Spacing of the wide search: the cost is felt 0.15 m from a wall."""
+"""Spacing of the wide search: the cost of a point depends on walls up to 0.15 m away."""
 
 SEPARATE_M, SEPARATE_RAD = 0.25, 12 * DEG
 SEPARATE = np.array((SEPARATE_M, SEPARATE_RAD))
@@ -44,26 +44,26 @@ _ROW = 1 << 20
 CANDIDATES = 6
 
 WORTH_PRUNING = 1 << 19
-"""Costs of points, in a search that is not pruned: with fewer it takes less than the bounds of its costs do."""
+"""With fewer evaluations of a point's cost, computing the bounds takes longer than the exhaustive search."""
 
 AT_ONCE = 1 << 16
 """Positions whose costs are found at once where the search is not pruned: they take 47 MB."""
 
 FARTHEST_M = 2.5
-"""A laser that was not seen for long can be anywhere: then the whole map is searched."""
+"""Largest radius of a wide search; a laser that is lost for longer is searched in the whole map."""
 
 PRIOR = 0.05
-"""What a place loses, in ``disagreement``, that only the strongest acceleration reaches."""
+"""Weight of the motion cost beside the misfit."""
 
 ACCELERATION_M_S2, ACCELERATION_RAD_S2 = 4.0, 600 * DEG
 SLACK_M, SLACK_RAD = 0.1, 5 * DEG
-"""Strong accelerations of vehicles and hands, and what velocity estimates and stamps leave open."""
+"""Strong accelerations of vehicles and hands, and the error of velocity estimates and stamps."""
 
 RIVAL_M, RIVAL_RAD = 0.3, 30 * DEG
 """Headings that differ by more are compared within such a disc (``rival``)."""
 
-FARTHEST_SURPRISE = 4.0
-"""Where no motion leads to, all places of the map are equally likely: someone carried the laser there."""
+MOST_MOTION_COST = 4.0
+"""Upper limit of the motion cost: beyond, someone carried the laser, and all places are equally likely."""
 
 CLEAR_BY = 0.05
 """A place is ambiguous if another one ranks nearer than this."""
@@ -74,20 +74,20 @@ AROUND_RAD = np.arange(8, dtype=np.float64) * (pi / 4)
 ACROSS = 0.2
 """Least growth of the cost ``SEPARATE_M`` across a direction that is not observable, as a share of the worst cost."""
 
-TELLING = 150
+CONFLICT_POINTS = 150
 """Points, a sample of the scan, that the visibility conflicts are counted on."""
 
 
 @timed("gate")
-def judged(match: Match, points: NDArray[np.float64], line_map: LineMap, grid: GridBuilder) -> Match:
+def with_conflicts(match: Match, points: NDArray[np.float64], line_map: LineMap, grid: GridBuilder) -> Match:
     """Return the match with the visibility conflicts of its points (n, 2), laser frame."""
-    pose, counts, some = match.map_T_laser.as_array(), (grid.lattice, grid.hits, grid.passes), points[:TELLING]
+    pose, counts, some = match.map_T_laser.as_array(), (grid.lattice, grid.hits, grid.passes), points[:CONFLICT_POINTS]
     count = conflicts(some, pose, *counts, line_map.nearest, line_map.geometry)
     return Match(*match[:7], count / max(len(some), 1), *match[8:])  # a third of what ``_replace`` takes
 
 
-def disagreement(match: Match, config: Config) -> float:
-    """Rank a judged match: its truncated cost as a share of the worst, and its visibility conflicts; 0 is perfect."""
+def misfit(match: Match, config: Config) -> float:
+    """Return the cost of a match as a share of the worst, plus its share of visibility conflicts; 0 is best."""
     return match.cost_m2 / (config.robust.truncate_mm * MM) ** 2 + match.conflicts
 
 
@@ -151,7 +151,7 @@ def candidates(
     most: int = CANDIDATES,
     limit: float = np.inf,
 ) -> list[Match]:
-    """Search a region of poses; return its separate minima, ``most`` of them, refined and judged.
+    """Search a region of poses; return its separate minima, ``most`` of them, refined, with their conflicts.
 
     Minima are left out that cost more than ``limit``, a share of the worst cost.
 
@@ -161,7 +161,9 @@ def candidates(
     limit_m2, exhaustive = limit * truncate_m**2, config.search == "exhaustive"
     starts = lowest(few, line_map, region, truncate_m, most, limit_m2, exhaustive=exhaustive)
     schedule = Schedule.of(config, line_map, (1.5 * STEP_M, 1.5 * STEP_RAD))
-    return [judged(search_lines(points, line_map, pose, schedule), points, line_map, grid) for _, pose in starts]
+    return [
+        with_conflicts(search_lines(points, line_map, pose, schedule), points, line_map, grid) for _, pose in starts
+    ]
 
 
 def lowest(
@@ -230,8 +232,10 @@ def _pose(xy_m: NDArray[np.float64], yaw_rad: float) -> Pose:
 
 def best_of(found: list[Match], expected: tuple[Pose, ...], elapsed_s: float, config: Config) -> Match:
     """Return the match that agrees best with map and motion; it is ambiguous if another place agrees as well."""
-    weighed = [m._replace(surprise=min(surprise(pose, m.map_T_laser, elapsed_s) for pose in expected)) for m in found]
-    ranks = [disagreement(m, config) + PRIOR * min(m.surprise, FARTHEST_SURPRISE) for m in weighed]
+    weighed = [
+        m._replace(motion_cost=min(motion_cost(pose, m.map_T_laser, elapsed_s) for pose in expected)) for m in found
+    ]
+    ranks = [misfit(m, config) + PRIOR * min(m.motion_cost, MOST_MOTION_COST) for m in weighed]
     lowest = min(ranks)
     best = weighed[ranks.index(lowest)]
     rivals = [rank for m, rank in zip(weighed, ranks, strict=True) if apart(best.map_T_laser, m.map_T_laser)]
@@ -239,15 +243,15 @@ def best_of(found: list[Match], expected: tuple[Pose, ...], elapsed_s: float, co
 
 
 def unrivalled(found: list[Match], clear_by: float, config: Config) -> Match | None:
-    """Return the best of judged matches; None if there is none, or another place ranks within ``clear_by`` of it."""
-    ranked = sorted(found, key=lambda match: disagreement(match, config))
+    """Return the match of least misfit; None if there is none, or another place ranks within ``clear_by`` of it."""
+    ranked = sorted(found, key=lambda match: misfit(match, config))
     best = next(iter(ranked), None)
     rival = next((m for m in ranked if best and apart(best.map_T_laser, m.map_T_laser)), None)
-    clear = best and (rival is None or disagreement(rival, config) >= disagreement(best, config) + clear_by)
+    clear = best and (rival is None or misfit(rival, config) >= misfit(best, config) + clear_by)
     return best if clear else None
 
 
-def firmness(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, config: Config) -> float:
+def least_growth(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, config: Config) -> float:
     """Return by how much the cost of a place grows, as a share of the worst, ``SEPARATE_M`` away in the best direction.
 
     It is nearly 0 where walls on both sides leave open how far along them the laser is.
@@ -280,7 +284,7 @@ def least_observable(
     It is None if there is no such direction, or if moving across it costs less than ``ACROSS``. The cost of small steps
     is a quadratic form, whose axis is the second harmonic of its values around the place.
     """
-    if firmness(points, map_T_laser, line_map, config) >= least:
+    if least_growth(points, map_T_laser, line_map, config) >= least:
         return None
     small = growth(points, map_T_laser, line_map, AROUND_RAD, STEP_M, config)
     along_rad = 0.5 * atan2(-float(small @ np.sin(2 * AROUND_RAD)), -float(small @ np.cos(2 * AROUND_RAD)))
@@ -289,7 +293,7 @@ def least_observable(
 
 
 def rival(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, config: Config) -> float:
-    """Tell by how much more the best other heading costs near a place, as a share of the worst cost.
+    """Return by how much more the best other heading costs near a place, as a share of the worst cost.
 
     It is nearly 0, or less, where the walls look alike from several sides.
     """
@@ -300,15 +304,15 @@ def rival(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, con
     return float(costs[other].min() - costs[~other].min()) / truncate_m**2
 
 
-def surprise(expected: Pose, pose: Pose, elapsed_s: float) -> float:
-    """Square how far a pose is from the expected one, in what accelerations of vehicles and hands reach meanwhile."""
+def motion_cost(expected: Pose, pose: Pose, elapsed_s: float) -> float:
+    """Return the squared distance from the expected pose, relative to what strong accelerations reach meanwhile."""
     off, half_t2 = expected.between(pose), 0.5 * elapsed_s**2
     reach_m, reach_rad = SLACK_M + ACCELERATION_M_S2 * half_t2, SLACK_RAD + ACCELERATION_RAD_S2 * half_t2
     return (off.distance_m / reach_m) ** 2 + (off.yaw_rad / reach_rad) ** 2
 
 
 def apart(a: Pose, b: Pose) -> bool:
-    """Tell whether two poses are different places."""
+    """Return whether two poses are different places."""
     off = a.between(b)
     return off.distance_m > SEPARATE_M or abs(off.yaw_rad) > SEPARATE_RAD
 

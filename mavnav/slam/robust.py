@@ -1,4 +1,4 @@
-"""The robust method: point to local line over the whole map, with a search of wide regions where that fails."""
+"""The robust method: point to local line over the whole map, and a search of wide regions where that fails."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from mavnav.slam.relocalization import (
     best_of,
     candidates,
     everywhere,
-    judged,
     reached_by,
     rival,
+    with_conflicts,
     within_reach,
     within_reach_of,
 )
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     Points = tuple[NDArray[np.float64], NDArray[np.float64]]
     """The good end points (n, 2) of a scan and their means (m, 2), m, laser frame."""
 
-REGAIN_S = 0.5  # without an accepted pose for longer, chance agreements are likely: more of the scan must agree
+REGAIN_S = 0.5  # without an accepted pose for longer, chance matches are likely, and more inliers are required
 
 
 INSIDE = 0.5
@@ -68,7 +68,7 @@ LOST_PERIODS = 8
 found again, the scans between are matched from there."""
 
 FOUND_PERIODS = 1.5
-"""So few periods after the last accepted pose, that of the scan before was accepted: what was lent to it comes back.
+"""An accepted pose at most so many periods ago is that of the scan before: the work lent to that scan is paid back.
 Each scan of a sparse log may need a wide search."""
 
 WIDE_EACH, WIDE_FIRST, WIDE_MOST = 2.0, 80.0, 120.0
@@ -85,17 +85,16 @@ AT_REST = np.zeros(3)
 
 
 REACHABLE = 1.0
-"""Farther from the expected place, in ``surprise``, no vehicle accelerates."""
+"""Largest ``motion_cost`` that the acceleration of a vehicle explains."""
 
 
 EXPECTED = 0.01
-"""So near to the expected place, in ``surprise``, less of a scan must agree after a gap."""
+"""Up to this ``motion_cost`` fewer inliers are required after a gap."""
 
 
 FOUND_CONFLICTS, LONG_GAP_S = 0.05, 2.5
-"""Share of a scan that may speak against a place that is found after so long, when it may be any place: 0.11 to 0.25
-where a laser was carried into another room, up to 0.01 where it was in the same one; after shorter gaps of urg_exp1 it
-is up to 0.1 in the right place."""
+"""Largest share of visibility conflicts of a pose found after so long a gap. Measured: 0.11 to 0.25 where the laser was
+carried into another room, up to 0.01 where it stayed; after shorter gaps of urg_exp1 up to 0.1 at the right pose."""
 
 
 def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
@@ -128,7 +127,7 @@ class Robust:
         self._limits_m = np.array([robust.near_mm * MM, robust.far_mm * MM, robust.voxel_mm * MM])
         self._deskewed: tuple[Scan, Motion, Points] | None = None
         self._free: Region | None = None  # the whole map, as long as it does not grow
-        self._bounded = False  # the costs in the map, since it grew
+        self._bounded = False  # whether the costs have bounds since the map grew
         self._wide_budget = Budget(WIDE_EACH, WIDE_FIRST, WIDE_MOST)
         self._whole_budget = Budget(WHOLE_EACH, WHOLE_FIRST)
 
@@ -170,13 +169,13 @@ class Robust:
         return first_match(n) if n >= self.config.robust.min_points else no_match(Pose(), n)
 
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
-        """Match the de-skewed scan close to the prediction; as long as that does not convince, look farther."""
+        """Match the de-skewed scan close to the prediction; search farther unless that match is good."""
         points, elapsed_s = self.match_points(scan, motion), motion.elapsed_s(scan.stamp_ns)
         if len(points) < self.config.robust.min_points:
             return no_match(predicted, len(points))
         self._wide_budget.earn(found=elapsed_s < FOUND_PERIODS * motion.period_s)
         self._whole_budget.earn()
-        tried = self._look_near(points, predicted, motion)
+        tried = self._search_near(points, predicted, motion)
         if self._is_found_near(tried, predicted, motion, elapsed_s):
             return tried[0]
         expected, lost = _expected(scan, predicted, motion), _is_lost(motion, elapsed_s)
@@ -184,13 +183,13 @@ class Robust:
         given_up = lost and not regions
         if given_up and tried and motion.odometry is None:
             return tried[0]
-        tried += self._look_around(points, predicted)
+        tried += self._search_around(points, predicted)
         best = self._likeliest(tried, points, predicted, motion)
-        if given_up or self._believable(best, motion, elapsed_s):
+        if given_up or self._is_acceptable(best, motion, elapsed_s):
             return with_effort(best, *tried)
         for region in regions or [within_reach(pose, elapsed_s) for pose in expected]:
             if lost or self._wide_budget.pays(self._work(points, region), lent=True):
-                tried += self._look_wide(points, region, FOUND_COST if lost else np.inf)
+                tried += self._search_wide(points, region, FOUND_COST if lost else np.inf)
         return best_of(tried, expected, elapsed_s, self.config)
 
     def _paid_region(self, points: NDArray[np.float64], expected: tuple[Pose, ...], elapsed_s: float) -> list[Region]:
@@ -205,10 +204,10 @@ class Robust:
         points, elapsed_s = self.match_points(scan, motion), motion.elapsed_s(scan.stamp_ns)
         if len(points) < self.config.robust.min_points:
             return no_match(predicted, len(points))
-        tried = self._look_near(points, predicted, motion)
+        tried = self._search_near(points, predicted, motion)
         if self._is_found_near(tried, predicted, motion, elapsed_s):
             return tried[0]
-        tried += self._look_around(points, predicted)
+        tried += self._search_around(points, predicted)
         return with_effort(self._likeliest(tried, points, predicted, motion), *tried)
 
     def _likeliest(self, tried: list[Match], points: NDArray[np.float64], predicted: Pose, motion: Motion) -> Match:
@@ -219,44 +218,44 @@ class Robust:
         prior = self.config.robust.prior
         return min(tried, key=lambda match: match.cost_m2 + prior * predicted.gap(match.map_T_laser)[0] ** 2)
 
-    def _look_around(self, points: NDArray[np.float64], predicted: Pose) -> list[Match]:
+    def _search_around(self, points: NDArray[np.float64], predicted: Pose) -> list[Match]:
         """Search the second window around the prediction."""
         region = around(predicted, self.config.robust.window_mm * MM, self.config.robust.window_deg * DEG)
         return candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
 
-    def _look_near(self, points: NDArray[np.float64], predicted: Pose, motion: Motion) -> list[Match]:
+    def _search_near(self, points: NDArray[np.float64], predicted: Pose, motion: Motion) -> list[Match]:
         """Search close to the prediction, unless the configuration leaves that out."""
         if not self.config.robust.near_window_mm:
             return []
         found = search_lines(points, self.lines, predicted, self._near[motion.odometry is not None])
-        return [judged(found, points, self.lines, self.known)]
+        return [with_conflicts(found, points, self.lines, self.known)]
 
     def _is_found_near(self, tried: list[Match], predicted: Pose, motion: Motion, elapsed_s: float) -> bool:
         """Return whether the search close to the prediction, if it was made, is enough."""
-        return bool(tried) and self._inside(tried[0], predicted) and self._believable(tried[0], motion, elapsed_s)
+        return bool(tried) and self._inside(tried[0], predicted) and self._is_acceptable(tried[0], motion, elapsed_s)
 
     def _inside(self, near: Match, predicted: Pose) -> bool:
-        """Return whether a match lies so far within the near window that the laser cannot be beyond it."""
+        """Return whether a match lies so far inside the near window that the laser cannot be outside of it."""
         robust, (off_m, off_rad) = self.config.robust, predicted.gap(near.map_T_laser)
         half_m, half_rad = robust.near_window_mm * MM, robust.near_window_deg * DEG
         return off_m <= INSIDE * half_m and off_rad <= INSIDE * half_rad
 
     def _work(self, points: NDArray[np.float64], region: Region) -> float:
-        """Return the work of a search of a region; the map's costs are bounded once, until it grows."""
+        """Return the work of a search of a region; cost bounds are computed once, until the map grows."""
         (xy_m, yaws_rad), some = region, points[: self.config.robust.first_level_points]
         cells = 0.0 if self._bounded or not len(xy_m) else self.lines.cells_within(reached_by(some, xy_m))
         return search_work(len(xy_m) * len(yaws_rad), cells, CANDIDATES)
 
-    def _look_wide(self, points: NDArray[np.float64], region: Region, limit: float) -> list[Match]:
+    def _search_wide(self, points: NDArray[np.float64], region: Region, limit: float) -> list[Match]:
         """Search a region where the laser can be by now."""
         self._bounded = True
         return candidates(points, self.lines, self.known, region, self.config, limit=limit)
 
-    def _convinces(self, match: Match) -> bool:
+    def _is_good(self, match: Match) -> bool:
         return match.inliers >= self.config.robust.retry_below and match.conflicts <= self.config.robust.conflicts_below
 
-    def _believable(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
-        return self._convinces(match) and self._possible(match, motion, elapsed_s)
+    def _is_acceptable(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
+        return self._is_good(match) and self._possible(match, motion, elapsed_s)
 
     def _possible(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
         """Return whether a vehicle can have moved so far."""
@@ -272,18 +271,18 @@ class Robust:
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
         """Accept a match with many inliers and few visibility conflicts, at a possible speed.
 
-        After a gap, and where only a jump leads, more of the scan must agree, and the next scans too.
+        After a gap, and after a jump, more inliers are required, and the next scans must match too.
         """
-        robust, convinces, elapsed_s = self.config.robust, self._convinces(match), motion.elapsed_s(scan.stamp_ns)
+        robust, convinces, elapsed_s = self.config.robust, self._is_good(match), motion.elapsed_s(scan.stamp_ns)
         if match.ambiguous or match.inliers < robust.track_above or not self._possible(match, motion, elapsed_s):
             return Verdict.REFUSED
         if match.conflicts > robust.conflicts_below and match.inliers < robust.retry_below:
             return Verdict.REFUSED
-        if (match.surprise > REACHABLE and not convinces) or self._contradicted(match, motion, elapsed_s):
+        if (match.motion_cost > REACHABLE and not convinces) or self._contradicted(match, motion, elapsed_s):
             return Verdict.REFUSED
-        if elapsed_s <= max(LONGEST_S if convinces else REGAIN_S, motion.period_s) and match.surprise <= REACHABLE:
+        if elapsed_s <= max(LONGEST_S if convinces else REGAIN_S, motion.period_s) and match.motion_cost <= REACHABLE:
             return Verdict.SURE
-        expected = match.surprise <= EXPECTED
+        expected = match.motion_cost <= EXPECTED
         return Verdict.PROBABLE if expected or match.inliers >= robust.regain_above else Verdict.REFUSED
 
     def pays_for_whole_map(self, scan: Scan) -> bool:
@@ -305,7 +304,7 @@ class Robust:
         found = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
         expected = _expected(scan, motion.predict(scan.stamp_ns), motion)
         best = best_of(found, expected, elapsed_s, self.config)
-        sure = self._convinces(best) and not best.ambiguous and not self._contradicted(best, motion, elapsed_s)
+        sure = self._is_good(best) and not best.ambiguous and not self._contradicted(best, motion, elapsed_s)
         return best if sure else None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
@@ -330,21 +329,21 @@ class Robust:
         return search_lines(points, self.lines, match.map_T_laser, self._final, match)
 
     def observability(self, points: NDArray[np.float64], match: Match) -> tuple[float, NDArray[np.float64]]:
-        """Ask the lines through the walls that the points lie on."""
+        """Measure it on the lines through the walls that the points lie on."""
         lines, information = self.lines, np.empty(6)
         pose = match.map_T_laser.as_array()
         return observability(points, pose, lines.nearest, lines.lines, lines.geometry, information), information
 
     def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
         """Count the visibility conflicts of a sample of the points."""
-        return judged(match, points, self.lines, self.known).conflicts
+        return with_conflicts(match, points, self.lines, self.known).conflicts
 
     def rival(self, points: NDArray[np.float64], match: Match) -> float:
         """Compare the cost of the pose with that of other headings near it."""
         return rival(points, match.map_T_laser, self.lines, self.config)
 
     def finished(self) -> Grid:
-        """Return the map, and forget it and its lines: of a large one there is no room for all."""
+        """Return the map, and free it and its lines: a large map does not fit into memory twice."""
         counts = self.grid
         self._begin()
         return counts.by_rows()

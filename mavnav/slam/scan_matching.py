@@ -25,7 +25,7 @@ class Match(NamedTuple):
     ``cost_m2`` is the mean squared distance over ``beams_used`` contributing beams; it is inf where too few contribute,
     and ``beams_used`` is then the number of usable ones. ``inliers`` is the share of the scan that agrees with the map,
     ``evaluations`` the number of candidate poses whose cost was evaluated, ``iterations`` the number of grids searched.
-    ``conflicts`` is the share of visibility conflicts, ``surprise`` the distance from the motion prior (1: as far as
+    ``conflicts`` is the share of visibility conflicts, ``motion_cost`` the distance from the motion prior (1: as far as
     strong acceleration reaches), and ``ambiguous`` is true if another pose explains the scan about as well
     (``relocalize``). ``threshold_m2`` is the cost up to which the match is accepted, inf if that is not by cost.
     """
@@ -38,7 +38,7 @@ class Match(NamedTuple):
     iterations: int
     converged: bool
     conflicts: float = 0.0
-    surprise: float = 0.0
+    motion_cost: float = 0.0
     ambiguous: bool = False
     threshold_m2: float = np.inf
 

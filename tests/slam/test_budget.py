@@ -85,8 +85,8 @@ def lost_steps() -> tuple[list[Step], Counter[str], Robust]:
     counts, method = Counter[str](), Robust(Config())
     stamps_ns = scans[-1].stamp_ns + 100_000_000 * np.arange(1, LOST + 1)
     other = [scan_at(ELSEWHERE, Pose(0.8, 0.8, 0.1e-9 * t), stamp_ns=t) for t in stamps_ns.tolist()]
-    wide, whole = method._look_wide, method.relocalize
-    method._look_wide = lambda *args: counts.update(wide=1) or wide(*args)  # type: ignore[method-assign]
+    wide, whole = method._search_wide, method.relocalize
+    method._search_wide = lambda *args: counts.update(wide=1) or wide(*args)  # type: ignore[method-assign]
     method.relocalize = lambda *args: counts.update(whole=1) or whole(*args)  # type: ignore[method-assign]
     return list(tracker.track([*scans, *other], method, Motion(0.1))), counts, method
 

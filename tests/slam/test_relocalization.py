@@ -19,20 +19,20 @@ from mavnav.slam.pipeline import run_slam
 from mavnav.slam.prior_map import prior_map_of
 from mavnav.slam.relocalization import (
     CANDIDATES,
+    CONFLICT_POINTS,
     STEP_M,
-    TELLING,
     WORTH_PRUNING,
     apart,
     around,
     candidates,
     everywhere,
-    firmness,
-    judged,
+    least_growth,
     lowest,
     merged,
     minima,
-    surprise,
+    motion_cost,
     unrivalled,
+    with_conflicts,
     within_reach,
 )
 from mavnav.slam.robust import Robust
@@ -133,13 +133,13 @@ def test_a_sample_tells_what_speaks_against_a_place() -> None:
     there = Pose(3.9, 1.1, -2.6)
     method = mapped(furnished_rooms(), [Pose(1.0, 1.0, 0.5), Pose(4.6, 0.8, 2.0), there])
     points = method.match_points(scan_at(furnished_rooms(), there, noise=0.01))
-    assert len(points) > TELLING
+    assert len(points) > CONFLICT_POINTS
     known, lines = method.known, method.lines
     for pose, against in ((there, (0.0, 0.05)), (Pose(3.9, 1.1, 0.5), (0.2, 1.0))):
         counts = known.lattice, known.hits, known.passes, lines.nearest, lines.geometry
         share = conflicts(points, pose.as_array(), *counts) / len(points)
         assert against[0] <= share <= against[1]
-        assert judged(no_match(pose), points, lines, known).conflicts == pytest.approx(share, abs=0.08)
+        assert with_conflicts(no_match(pose), points, lines, known).conflicts == pytest.approx(share, abs=0.08)
 
 
 def test_a_room_that_looks_the_same_when_turned_is_ambiguous() -> None:
@@ -185,9 +185,9 @@ def test_reach_grows_with_time_and_ends(elapsed_s: float) -> None:
 
 
 def test_surprise_is_measured_in_accelerations() -> None:
-    assert surprise(Pose(), Pose(), 0.1) == 0.0
-    assert surprise(Pose(), Pose(0.6, 0.0, 0.0), 0.1) > 10
-    assert surprise(Pose(), Pose(0.6, 0.0, 0.0), 0.5) == pytest.approx(1.0)
+    assert motion_cost(Pose(), Pose(), 0.1) == 0.0
+    assert motion_cost(Pose(), Pose(0.6, 0.0, 0.0), 0.1) > 10
+    assert motion_cost(Pose(), Pose(0.6, 0.0, 0.0), 0.5) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(("walls", "firm"), [(room(4.0, 3.0), True), (polyline((-20, 0), (20, 0)), False)])
@@ -195,7 +195,7 @@ def test_a_place_is_firm_where_walls_hold_it_from_all_sides(walls: np.ndarray, f
     here = Pose(1.5, 1.2, 0.3)
     method = mapped(walls, [here])
     points = method.match_points(scan_at(walls, here))
-    least = firmness(points, here, method.lines, Config())
+    least = least_growth(points, here, method.lines, Config())
     assert least > 0.2 if firm else least < 0.03
 
 
@@ -231,9 +231,9 @@ def test_far_from_where_it_was_expected_a_match_must_convince() -> None:
     method, here = Robust(Config()), Motion(0.1).started_at(Pose(), 0)
     scan = scan_at(furnished_rooms(), Pose(3.0, 2.2, 1.0), stamp_ns=200_000_000)
     match = first_match(300)._replace(map_T_laser=Pose(0.3, 0.0, 0.3), inliers=0.76)
-    assert method.gate(match._replace(surprise=0.5), scan, here) is Verdict.SURE
-    assert method.gate(match._replace(surprise=3.4), scan, here) is Verdict.REFUSED
-    assert method.gate(match._replace(surprise=3.4, inliers=0.9), scan, here) is Verdict.PROBABLE
+    assert method.gate(match._replace(motion_cost=0.5), scan, here) is Verdict.SURE
+    assert method.gate(match._replace(motion_cost=3.4), scan, here) is Verdict.REFUSED
+    assert method.gate(match._replace(motion_cost=3.4, inliers=0.9), scan, here) is Verdict.PROBABLE
 
 
 def two_rooms(seed: int) -> np.ndarray:

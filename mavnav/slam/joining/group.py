@@ -20,7 +20,7 @@ from mavnav.slam.loop_closure.matching import CLEAR_BY, find_closure, fits
 from mavnav.slam.loop_closure.pose_graph import Edge, optimized
 from mavnav.slam.map_alignment import fitted
 from mavnav.slam.parts import agreed
-from mavnav.slam.relocalization import apart, candidates, everywhere, judged, unrivalled
+from mavnav.slam.relocalization import apart, candidates, everywhere, unrivalled, with_conflicts
 from mavnav.slam.scan_matching import no_match
 from mavnav.units import DEG
 
@@ -296,5 +296,5 @@ def _closures(keys: Sequence[KeyFrame], first: int, config: Config) -> Iterator[
 def contradicting(keys: Sequence[KeyFrame], part: Part) -> int:
     """Count the key frames that see through walls of a map, or walls where it is free, of those that are searched."""
     some = (keys[k] for k in evenly(len(keys), MOST_SEARCHED))
-    matches = (judged(no_match(key.map_T_laser), key.points, part.lines, part.grid) for key in some)
+    matches = (with_conflicts(no_match(key.map_T_laser), key.points, part.lines, part.grid) for key in some)
     return sum(match.conflicts > CONTRADICTED for match in matches)

@@ -14,11 +14,11 @@ from mavnav.slam.relocalization import (
     apart,
     around,
     candidates,
-    disagreement,
-    firmness,
-    judged,
+    least_growth,
     least_observable,
+    misfit,
     unrivalled,
+    with_conflicts,
 )
 from mavnav.slam.scan_matching import Schedule, search_lines
 from mavnav.units import DEG, MM
@@ -37,13 +37,13 @@ MOST_CONFLICTS = 0.05
 """Largest share of visibility conflicts of a closure's points with the old part."""
 
 CLEAR_BY = 0.15
-"""A closure is ambiguous if another place within the drift ranks nearer than this (``disagreement``)."""
+"""A closure is ambiguous if another place within the drift ranks nearer than this (``misfit``)."""
 
 PART_M = 1.0
 """A closure is measured against what was seen within this path length of its reference key frame, which is rigid."""
 
-LEAST_FIRMNESS = 0.03
-"""A direction is not observable if moving in it costs less (``relocalization.firmness``), as along a corridor."""
+LEAST_GROWTH = 0.03
+"""A direction is not observable if moving in it costs less (``relocalization.least_growth``), as along a corridor."""
 
 STRIP_M = 0.15
 """Half the width of the strip across a corridor that is searched for a weak closure."""
@@ -65,7 +65,7 @@ def find_closure(
     closure = measured(keys, j, best, seen, config) if best and fits(best) else None
     if closure and closure.weak_rad is None:
         return closure
-    best = min(found, key=lambda match: disagreement(match, config), default=None)
+    best = min(found, key=lambda match: misfit(match, config), default=None)
     return weak_closure(keys, j, best, old, seen, bound, config) if best and fits(best, LEAST_WEAK_INLIERS) else None
 
 
@@ -80,7 +80,7 @@ def weak_closure(
 ) -> Closure | None:
     """Search across the corridor in which a key frame matches; along it the tracked position is kept."""
     key = keys[j]
-    along_rad = least_observable(key.points, match.map_T_laser, old.lines, LEAST_FIRMNESS, config)
+    along_rad = least_observable(key.points, match.map_T_laser, old.lines, LEAST_GROWTH, config)
     if along_rad is None:
         return None
     xy_m, yaws_rad = around(key.map_T_laser, *bound)
@@ -113,13 +113,13 @@ def measured(keys: Sequence[KeyFrame], j: int, match: Match, seen: Visibility, c
     fine = search_lines(points, part.lines, match.map_T_laser, first)
     last = Schedule.of(config, part.lines, (robust.final_window_mm * MM, robust.final_window_deg * DEG), final=True)
     placed = search_lines(points, part.lines, fine.map_T_laser, last)
-    fine = judged(fine._replace(map_T_laser=placed.map_T_laser), points, part.lines, part.grid)
+    fine = with_conflicts(fine._replace(map_T_laser=placed.map_T_laser), points, part.lines, part.grid)
     if apart(match.map_T_laser, fine.map_T_laser) or not fits(fine):
         return None
     start, place = keys[i].map_T_laser, fine.map_T_laser
-    if firmness(points, place, part.lines, config) >= LEAST_FIRMNESS:
+    if least_growth(points, place, part.lines, config) >= LEAST_GROWTH:
         return Closure(i, j, start.between(place), fine)
-    along_rad = least_observable(points, place, part.lines, LEAST_FIRMNESS, config)
+    along_rad = least_observable(points, place, part.lines, LEAST_GROWTH, config)
     if along_rad is None:
         return None
     return Closure(i, j, start.between(place), fine, wrap_angle(along_rad - start.yaw_rad))

@@ -11,7 +11,7 @@ from mavnav.config.models import Config
 from mavnav.pose import Pose
 from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD, Closure, agree, agreeing
 from mavnav.slam.loop_closure.key_frames import KeyFrame, Part
-from mavnav.slam.loop_closure.matching import LEAST_FIRMNESS
+from mavnav.slam.loop_closure.matching import LEAST_GROWTH
 from mavnav.slam.relocalization import least_observable
 from mavnav.slam.scan_matching import first_match
 from support.synthetic import DEG, LDS_01, Segments, polyline, scan_at
@@ -69,4 +69,4 @@ def direction(walls: Segments, yaw_rad: float) -> float | None:
     poses = [Pose(0.2 * k, 0.0, yaw_rad) for k in range(-5, 6)]
     points = [scan_at(walls, pose, LDS_01, noise=0.005, rng=rng).points() for pose in poses]
     part.grow([KeyFrame(k, 0.0, *seen) for k, seen in enumerate(zip(points, poses, strict=True))], len(poses))
-    return least_observable(points[5], poses[5], part.lines, LEAST_FIRMNESS, config)
+    return least_observable(points[5], poses[5], part.lines, LEAST_GROWTH, config)
