@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD, Closure
-from mavnav.slam.loop_closure.detection import LOOP_M, PATH_SIGMA_M, PATH_SIGMA_RAD, consistent, track_confirmed
+from mavnav.slam.loop_closure.detection import LOOP_M, consistent, track_confirmed
 from mavnav.slam.loop_closure.key_frames import Part, Visibility
 from mavnav.slam.loop_closure.matching import CLEAR_BY, find_closure, fits
+from mavnav.slam.loop_closure.path_edges import PATH_SIGMA_M, PATH_SIGMA_RAD
 from mavnav.slam.loop_closure.pose_graph import Edge, optimized
 from mavnav.slam.map_alignment import fitted
 from mavnav.slam.parts import agreed

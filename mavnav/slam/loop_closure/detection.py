@@ -9,7 +9,6 @@ then distributes the corrections over the path.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -20,8 +19,8 @@ from mavnav.slam.loop_closure.closure import Closure, agreeing, is_small
 from mavnav.slam.loop_closure.drift import Paths, drift_bound
 from mavnav.slam.loop_closure.key_frames import KeyFrame, Part, Visibility, key_rows
 from mavnav.slam.loop_closure.matching import find_closure
+from mavnav.slam.loop_closure.path_edges import path_edges
 from mavnav.slam.loop_closure.pose_graph import Edge, optimized
-from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
+    from mavnav.slam.loop_closure.path_edges import InformationOf
 
     Points = NDArray[np.float64]
 
@@ -46,9 +46,6 @@ IN_VAIN = 40
 
 SIGHT_M = 4.0
 """Old key frames within this, and the drift, may have seen the same walls."""
-
-PATH_SIGMA_M, PATH_SIGMA_RAD = 0.01, 0.5 * DEG
-"""Standard deviations of the motion from key frame to key frame."""
 
 SMALL_SHARE, FAR_OFF = 0.95, 3.0
 """The track stays if this share of its closures is small, and none exceeds the bounds by this factor."""
@@ -98,12 +95,17 @@ class Loops:
 
 
 @timed("loops")
-def find_loops(map_T_laser: Trajectory, points_of: Callable[[list[int]], Iterable[Points]], config: Config) -> Loops:
+def find_loops(
+    map_T_laser: Trajectory,
+    points_of: Callable[[list[int]], Iterable[Points]],
+    information_of: InformationOf,
+    config: Config,
+) -> Loops:
     """Find the places that the laser came back to, and correct the path between.
 
     ``map_T_laser`` holds the tracked poses; ``points_of`` gives the points (n, 2) of the scans of some rows, thinned
     for matching, m, laser frame. Where the path never comes back it is not called, and where it gives fewer, because
-    the run is being stopped, no loop is searched.
+    the run is being stopped, no loop is searched. ``information_of`` gives what the map of the track shows of a pose.
     """
     rows, paths_m = key_rows(map_T_laser.xyyaw)
     xy_m = map_T_laser.xyyaw[rows, :2]
@@ -113,27 +115,34 @@ def find_loops(map_T_laser: Trajectory, points_of: Callable[[list[int]], Iterabl
     tracked = [KeyFrame(row, path_m, points, map_T_laser[row]) for row, path_m, points in parts]
     if len(tracked) < len(rows):
         return Loops()
-    keys, closures, refused = find_closures(tracked, config)
+    path = path_edges(map_T_laser, tracked, information_of)
+    keys, closures, refused = find_closures(tracked, path, config)
     closed = tuple(
         Loop(tracked[c.start].row, tracked[c.end].row, c.start_T_end, c.correction(tracked), c.match.inliers)
         for c in closures
     )
-    graph = Graph(tuple(rows), tuple(edges_of(tracked, closures)))
+    graph = Graph(tuple(rows), (*path, *edges_of(closures)))
     return Loops(closed, refused, None if keys is tracked else follow(map_T_laser, tracked, keys), graph)
 
 
-def find_closures(tracked: list[KeyFrame], config: Config) -> tuple[list[KeyFrame], list[Closure], int]:
-    """Return the corrected key frames, the closures that agree, and the number of searches without one."""
+def find_closures(
+    tracked: list[KeyFrame], path: list[Edge], config: Config
+) -> tuple[list[KeyFrame], list[Closure], int]:
+    """Return the corrected key frames, the closures that agree, and the number of searches without one.
+
+    A key frame keeps the closure of an earlier round where the later one, which is sparser, does not search it.
+    """
     keys, closures, refused = tracked, list[Closure](), 0
     for _ in range(ROUNDS):
         found = list(detect_closures(keys, config))
-        agreed = consistent([c for c in found if c], keys, tracked)
+        latest = {c.end: c for c in (*closures, *found) if c}
+        agreed = consistent(list(latest.values()), keys, tracked)
         if len(agreed) < len(closures):
             break
-        closures, refused = agreed, len(found) - len(agreed)
+        closures, refused = agreed, max(len(found) - len(agreed), 0)
         if track_confirmed([closure.correction(keys) for closure in closures]):
             break
-        keys = optimized_keys(tracked, closures)
+        keys = optimized_keys(tracked, [*path, *edges_of(closures)])
     return keys, closures, refused
 
 
@@ -198,17 +207,15 @@ def track_confirmed(corrections: Sequence[Pose]) -> bool:
     return few and all(is_small(correction, FAR_OFF) for correction in corrections)
 
 
-def optimized_keys(keys: Sequence[KeyFrame], closures: Sequence[Closure]) -> list[KeyFrame]:
-    """Return the key frames at the poses that fit path and closures best."""
-    poses = optimized([key.map_T_laser for key in keys], edges_of(keys, closures))
+def optimized_keys(keys: Sequence[KeyFrame], edges: Sequence[Edge]) -> list[KeyFrame]:
+    """Return the key frames at the poses that fit the edges best."""
+    poses = optimized([key.map_T_laser for key in keys], edges)
     return [replace(key, map_T_laser=pose) for key, pose in zip(keys, poses, strict=True)]
 
 
-def edges_of(keys: Sequence[KeyFrame], closures: Sequence[Closure]) -> list[Edge]:
-    """Return the edges of the pose graph: the path from key frame to key frame as tracked, and the closures."""
-    firm = np.diag(1.0 / np.array((PATH_SIGMA_M, PATH_SIGMA_M, PATH_SIGMA_RAD)))
-    path = [Edge(k, k + 1, a.map_T_laser.between(b.map_T_laser), firm) for k, (a, b) in enumerate(pairwise(keys))]
-    return path + [Edge(c.start, c.end, c.start_T_end, c.sqrt_information) for c in closures]
+def edges_of(closures: Sequence[Closure]) -> list[Edge]:
+    """Return closures as edges of the pose graph."""
+    return [Edge(c.start, c.end, c.start_T_end, c.sqrt_information) for c in closures]
 
 
 def follow(map_T_laser: Trajectory, tracked: Sequence[KeyFrame], keys: Sequence[KeyFrame]) -> Trajectory:

@@ -10,6 +10,7 @@ import numpy as np
 
 from mavnav.slam.loop_closure.detection import find_loops
 from mavnav.slam.registry import make_method
+from mavnav.slam.scan_matching import no_match
 from mavnav.slam.steps import Steps, tracked_trajectory
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.pose import Trajectory
+    from mavnav.pose import Pose, Trajectory
     from mavnav.scan import Scan
     from mavnav.slam.method import Method, Refiner
     from mavnav.slam.motion_model import Motion
@@ -35,7 +36,8 @@ def close_loops(track: Track) -> Track:
         return track
     if track.on_step:
         track.on_step("close loops", 0)
-    loops = find_loops(tracked_trajectory(steps), partial(points_of, track.log_scans, steps, refiner), config)
+    points = partial(points_of, track.log_scans, steps, refiner)
+    loops = find_loops(tracked_trajectory(steps), points, partial(information_of, refiner), config)
     if loops.map_T_laser is None:
         return replace(track, loops=loops)
     fresh = make_method(config)
@@ -51,6 +53,11 @@ def points_of(log_scans: LogScans, steps: Steps, refiner: Refiner, rows: list[in
     tracked = steps.column("index")[steps.column("tracked")].tolist()
     wanted = {tracked[row] for row in rows}
     return (refiner.match_points(scan).copy() for index, scan in enumerate(log_scans()) if index in wanted)
+
+
+def information_of(refiner: Refiner, points: NDArray[np.float64], map_T_laser: Pose) -> NDArray[np.float64]:
+    """Return what the map shows of a pose by points (n, 2), (6,): `Refiner.observability`."""
+    return refiner.observability(points, no_match(map_T_laser))[1]
 
 
 def rebuild(
