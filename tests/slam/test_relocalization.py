@@ -31,7 +31,7 @@ from mavnav.slam.relocalization import (
     merged,
     minima,
     motion_cost,
-    unrivalled,
+    unambiguous,
     with_conflicts,
     within_reach,
 )
@@ -102,7 +102,7 @@ def test_a_large_region_is_searched_in_parts(monkeypatch: pytest.MonkeyPatch) ->
         monkeypatch.setattr(relocalization, "AT_ONCE", -(-len(region[0]) // parts))
         found.append(candidates(points, method.lines, method.known, region, exhaustive))
     assert len(found[0]) == len(found[1]) == CANDIDATES
-    best = [unrivalled(some, 0.0, method.config) for some in found]
+    best = [unambiguous(some, 0.0, method.config) for some in found]
     assert best[0] == best[1] is not None
 
 
