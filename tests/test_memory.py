@@ -29,7 +29,7 @@ def test_a_full_lattice_moves_without_room_for_two(*, strips: bool) -> None:
     assert not array.any()
 
 
-def test_only_the_rows_that_are_forgotten_are_lost() -> None:
+def test_only_released_rows_are_lost() -> None:
     array = blank((100, 50_000), np.uint16)
     array[...] = 7
     release_rows(array, 0, 40)
@@ -39,12 +39,12 @@ def test_only_the_rows_that_are_forgotten_are_lost() -> None:
 
 
 @pytest.mark.parametrize("array", [np.ones(SMALL_BYTES, np.uint8), np.frombuffer(b"1234", np.uint8)])
-def test_what_is_no_large_blank_cannot_be_forgotten(array: np.ndarray) -> None:
+def test_rows_of_other_arrays_are_not_released(array: np.ndarray) -> None:
     release_rows(array, 0, len(array))
     assert array.all()
 
 
-def test_what_is_free_between_blocks_in_use_is_given_back_where_it_is_much(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_free_memory_is_released_after_a_large_peak(monkeypatch: pytest.MonkeyPatch) -> None:
     before_mb = in_use_mb()
     blocks = [bytearray(5_000) for _ in range(20_000)]
     kept = blocks[::500]
@@ -59,7 +59,7 @@ def test_what_is_free_between_blocks_in_use_is_given_back_where_it_is_much(monke
 
 
 @pytest.mark.skipif(not Path("/proc/self/smaps").exists(), reason="only Linux tells which pages lie in memory")
-def test_code_of_the_compiler_is_given_back_and_still_runs() -> None:
+def test_released_compiler_code_still_runs() -> None:
     twice = njit(lambda x: 2 * x)
     assert twice(3) == 6
     before_kb = code_kb("libllvmlite.so")

@@ -45,6 +45,6 @@ def degeneracy_warning(steps: Steps, observed: NDArray[np.float64], *, contradic
     when = f"from {from_s:.1f} to {to_s:.1f} s" + (f", and {len(starts) - 1} more" if len(starts) > 1 else "")
     advice = "correct the odometry" if contradicted else "record odometry"
     return (
-        f"the walls that {share:.0f} % of the scans see leave a direction open ({when}): the path "
-        f"may be too short, too long or turned there; {advice}, or see whether map.png is true"
+        f"degenerate geometry in {share:.0f} % of the scans ({when}): motion in one direction is not observable, "
+        f"and the path may be too short, too long or turned there; {advice}, or check map.png"
     )

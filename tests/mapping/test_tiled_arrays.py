@@ -32,7 +32,7 @@ def test_a_lattice_covers_what_is_asked_and_what_it_covered(
 
 
 @given(origin=cells, beyond=st.integers(0, 9), share=st.tuples(st.floats(-0.2, 1.2), st.floats(-0.2, 1.2)))
-def test_where_there_is_room_nothing_grows(origin: tuple[int, int], beyond: int, share: tuple[float, float]) -> None:
+def test_the_covered_extent_needs_no_growth(origin: tuple[int, int], beyond: int, share: tuple[float, float]) -> None:
     cell_m, present = 0.05, (70, 130)
     covered_m = covered_extent((origin[0] * cell_m, origin[1] * cell_m), present, cell_m, beyond)
     x = covered_m[0] + share[0] * (covered_m[2] - covered_m[0])

@@ -101,12 +101,12 @@ def step(pose: Pose) -> Step:
     return Step(0, 0, no_match(pose), tracked=True)
 
 
-def test_a_laser_at_rest_is_one_witness() -> None:
+def test_scans_of_a_laser_at_rest_count_once() -> None:
     assert len(spread_out([step(Pose(0.01 * k)) for k in range(20)])) == 1
     assert len(spread_out([step(Pose(0.3 * k)) for k in range(4)])) == 4
 
 
-def test_witnesses_must_agree() -> None:
+def test_scans_of_a_part_must_agree() -> None:
     places, moved = [Pose(0.3 * k) for k in range(5)], Pose(1.0, 2.0, 0.5)
     pairs = [(place, moved @ place) for place in places]
     assert consensus(pairs[: LEAST_AGREEING - 1]) is None

@@ -24,7 +24,7 @@ ELSEWHERE = polyline((0, 0), (2.2, 0), (3.1, 1.4), (1.2, 2.6), (-0.4, 1.6), clos
 LOST = 150
 
 
-def test_a_search_is_paid_for_by_what_scans_earned() -> None:
+def test_a_search_spends_the_credit_of_scans() -> None:
     budget = Budget(each_scan=2.0, first=5.0, most=20.0)
     assert not budget.spend(8.0)
     assert not budget.is_ready
@@ -35,7 +35,7 @@ def test_a_search_is_paid_for_by_what_scans_earned() -> None:
     assert budget.credit == 1.0
 
 
-def test_a_search_of_more_than_the_most_credit_is_paid_off_later() -> None:
+def test_a_search_above_the_maximum_credit_leaves_a_negative_one() -> None:
     budget = Budget(each_scan=30.0, first=0.0, most=20.0)
     assert not budget.spend(50.0)
     budget.earn()
