@@ -57,12 +57,12 @@ class MapFile:
     map_T_grid: Pose
 
     def occupied_xy_m(self) -> NDArray[np.float64]:
-        """Return the centers of the occupied cells in the map frame, (n, 2) in m."""
+        """Return the centres of the occupied cells in the map frame, (n, 2) in m."""
         return transform_points(self.map_T_grid, occupied_xy_m(self.grid))
 
 
 def occupied_xy_m(grid: Grid) -> NDArray[np.float64]:
-    """Return the centers of the occupied cells of a grid, (n, 2) in m, in its frame."""
+    """Return the centres of the occupied cells of a grid, (n, 2) in m, in its frame."""
     row, col = occupied_cells(grid).T
     xy_m: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
     return xy_m
@@ -219,7 +219,7 @@ def _read_by_pillow(path: Path, data: bytes) -> tuple[_Shades, NDArray[np.bool_]
 
 
 def _coloured(image: Image.Image) -> tuple[_Shades, NDArray[np.bool_]]:
-    """Return the same as `_read_picture` for a picture with colors or transparency, read in bands of rows."""
+    """Return the same as `_read_picture` for a picture with colours or transparency, read in bands of rows."""
     total, solid = np.empty((image.height, image.width), np.uint16), np.empty((image.height, image.width), np.bool_)
     for row in range(0, image.height, BAND_ROWS):
         band = (0, row, image.width, min(row + BAND_ROWS, image.height))

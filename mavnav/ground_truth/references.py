@@ -81,7 +81,7 @@ def compared(
 ) -> Reference | None:
     """Return the comparison of a run with its references; None without references.
 
-    ``occupied_xy_map_m`` (n, 2) are the centers of the occupied cells. Without a trajectory (a single map file) only
+    ``occupied_xy_map_m`` (n, 2) are the centres of the occupied cells. Without a trajectory (a single map file) only
     maps are compared. ATE and RPE are None if fewer than `LEAST_POSES` poses have a truth.
     """
     ate = rpe = distance = relations = ABSENT

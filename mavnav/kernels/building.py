@@ -33,7 +33,7 @@ LONG: Final = (
 """The modules that take longest to compile, which are compiled first: otherwise the last of them delays the end."""
 
 _FASTER: Final = {"NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"}
-"""No colored error messages: numba makes one for each of many overloads that do not fit."""
+"""No coloured error messages: numba makes one for each of many overloads that do not fit."""
 
 _SERVE = "from mavnav.kernels.building import serve; serve()"
 

@@ -1,7 +1,7 @@
 """Lower bounds of a point's cost in the cells of a map, and in squares of them (docs/method.md).
 
 The eigenvalues of a line's metric are at most 1, so the distance of a point to its line changes by at most the motion
-of the point. The distance at the center of a cell, less half its diagonal, is a lower bound for every point in it.
+of the point. The distance at the centre of a cell, less half its diagonal, is a lower bound for every point in it.
 """
 
 from __future__ import annotations

@@ -128,7 +128,7 @@ def scan_distances(
 
     Returns
     -------
-    (n, 5): number and summed distance (m) of the points with a neighbor within the cap; number and summed distance,
+    (n, 5): number and summed distance (m) of the points with a neighbour within the cap; number and summed distance,
     each at most the cap, of the points that the second scan could have seen; and the number of all points. A point can
     be seen if the beam that points at it has a return, not nearer than the point less the cap.
     """

@@ -26,7 +26,7 @@ def wall_profiles(
     Parameters
     ----------
     hits, passes : (rows, cols); counts outside are 0
-    stations : (n, 3) column and row, in cells (whole numbers are centers), and direction of the wall in rad
+    stations : (n, 3) column and row, in cells (whole numbers are centres), and direction of the wall in rad
     half_length : length of the wall on either side of a station, in cells
     reach : distance to either side of the wall, in cells
 

@@ -31,7 +31,7 @@ def virtual_scan(
 
     A ray passes through the cells to the first occupied one, and on through the cluster of occupied cells behind it,
     with gaps of up to ``gap_cells``. The cell of the cluster with most hits is the wall; the range is that to its
-    center. Of cells with equally many hits, the wall is the one nearest to the laser, or, with ``middle``, the one
+    centre. Of cells with equally many hits, the wall is the one nearest to the laser, or, with ``middle``, the one
     nearest to the middle of the cluster (of two, the nearer to the laser).
 
     ``lattice`` is (3,): x and y of the corner of cell [0, 0] and the cell edge in m; ``pose`` (3,) x, y, yaw of the

@@ -69,7 +69,7 @@ def _push_stretch(free: NDArray[np.uint8], row: int, col: int, stack: NDArray[np
 
 @helper
 def _discs(reach: int, border: int, limit: float) -> NDArray[np.uint8]:
-    """Return the discs around the center of a cell and around the edge to the next row; ``limit`` in half cells."""
+    """Return the discs around the centre of a cell and around the edge to the next row; ``limit`` in half cells."""
     discs = np.zeros((2, 2 * border + 1, 2 * border + 1), np.uint8)
     for half in range(2):
         for r in range(-reach, reach + 1):

@@ -72,9 +72,9 @@ class Grid:
 class GridBuilder:
     """The counts of a `Grid` while it grows, in two bytes each: they saturate at 65535, ``shielded`` at 32767.
 
-    ``passes`` are (rows, cols). ``shielded`` counts the crossings by beams of which the scan has an end point near the
-    cell; the other crossings went clear through. ``hits`` and ``shielded`` are zero except near walls, and stored in
-    strips (``tiled_arrays``).
+    ``passes`` are (rows, cols). ``shielded`` counts the crossings of a cell in scans with an end point near it; the
+    other crossings went clear through. ``hits`` and ``shielded`` are zero except near walls, and stored in strips
+    (``tiled_arrays``).
     """
 
     cell_m: float
@@ -120,7 +120,7 @@ class GridBuilder:
         hits_kernel.add_scan(xy_map_m, np.array([x, y]), self.lattice, self.hits, self.passes, self.shielded)
 
     def remove_dynamic_cells(self) -> NDArray[np.float64]:
-        """Remove the hits of dynamic cells; return the centers of these cells (n, 2), m."""
+        """Remove the hits of dynamic cells; return the centres of these cells (n, 2), m."""
         row, col = dynamic_cells(self.hits, self.passes, self.shielded).T
         self.hits[col // WIDE, row, col % WIDE] = 0
         middles: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * self.cell_m + np.array(self.origin_xy_m)
@@ -133,7 +133,7 @@ class GridBuilder:
         """Cast the laser's beams over the map (paper, "Virtual Scan").
 
         ``directions`` (beams, 2) are the beams' cosines and sines in the laser's frame. Returns ranges (beams,) in m
-        to the centers of the cells seen, NaN where none lies within ``far_m``. A wall of several cells, of which up to
+        to the centres of the cells seen, NaN where none lies within ``far_m``. A wall of several cells, of which up to
         ``gap_cells`` may be empty, is represented by its cell with most hits; of several such cells by the nearest one,
         or, with ``middle``, by the one nearest to the middle of the wall.
         """

@@ -40,7 +40,7 @@ def linked(
     if len(xy_m) == 0:
         return np.zeros(0, np.int32)
     col, row = np.floor((xy_m - xy_m.min(axis=0)) / reach_m).astype(np.int64).T
-    width = col.max() + 3  # so that no neighbor lies in the row before
+    width = col.max() + 3  # so that no neighbour lies in the row before
     squares = row * width + col
     order = np.argsort(squares, kind="stable")
     below = squares[:, None] + width * np.arange(2)  # a pair in two rows is found from the lower one

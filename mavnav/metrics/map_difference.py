@@ -44,7 +44,7 @@ Kind = Literal["gone", "new"]
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A connected part of walls that is gone or new: its center in the frame of the first map, m.
+    """A connected part of walls that is gone or new: its centre in the frame of the first map, m.
 
     ``m2`` is the area of its cells, ``length_m`` the diagonal of its bounding box. ``moved_with`` is the number of the
     other change if an object seems to have moved.
@@ -60,7 +60,7 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The changes, the largest first, the centers of their cells (n, 2) in the first map's frame, m, and totals.
+    """The changes, the largest first, the centres of their cells (n, 2) in the first map's frame, m, and totals.
 
     ``compared_m2`` is the area that both maps know. ``same_share`` is the share of the second map's walls that the
     first map has too, among those around which the first map is known.
@@ -94,7 +94,7 @@ class View:
         self.clear = distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * grid.cell_m > CLEAR_M
 
     def middles(self, cells: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return the centers of the cells of a mask (rows, cols), in row-major order, (n, 2) in m."""
+        """Return the centres of the cells of a mask (rows, cols), in row-major order, (n, 2) in m."""
         row, col = np.nonzero(cells)
         corner = np.array(self.grid.origin_xy_m)
         xy_m: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * self.grid.cell_m + corner
@@ -129,7 +129,7 @@ def difference(a: View, b: View, a_T_b: Pose) -> Difference:
 def _changes(
     kind: Kind, having: View, other: View, other_T_having: Pose, a_T_having: Pose
 ) -> tuple[list[Change], NDArray[np.float64]]:
-    """Return the walls that only one map has, and the centers of their cells (n, 2)."""
+    """Return the walls that only one map has, and the centres of their cells (n, 2)."""
     from scipy.ndimage import binary_dilation, find_objects, label  # noqa: PLC0415  takes 0.1 s to load
 
     cells = having.walls.copy()

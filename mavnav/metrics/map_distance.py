@@ -50,7 +50,7 @@ class MapDistance:
 
 
 def map_distance(occupied_xy_m: NDArray[np.float64], truth: TrueMap) -> MapDistance:
-    """Return the distances of occupied cells with centers (n, 2), map frame, m, to the true walls."""
+    """Return the distances of occupied cells with centres (n, 2), map frame, m, to the true walls."""
     from scipy.spatial import cKDTree  # noqa: PLC0415  takes 0.3 s to load
 
     n = len(occupied_xy_m)

@@ -1,6 +1,6 @@
 """Self-consistency: distances between scans of the same place at their given poses.
 
-No truth is needed. Neighbors in time show how well scans are matched, returns to a place how far the map has drifted.
+No truth is needed. Neighbours in time show how well scans are matched, returns to a place how far the map has drifted.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _GOLDEN: Final = 0.6180339887498949
 class Revisits:
     """Mean distances of scans that see the same walls; null without a pair.
 
-    Neighbors are scans 0.3 to 3 s apart: distance of a point to the nearest one of the other scan, if that is within
+    Neighbours are scans 0.3 to 3 s apart: distance of a point to the nearest one of the other scan, if that is within
     150 mm. Revisits are scans more than 10 s apart in time, within 1 m and 60 degrees of each other: distance over the
     points that the other scan could see, 150 mm at most.
     """

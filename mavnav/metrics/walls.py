@@ -49,7 +49,7 @@ def straight_walls(sections: Sections, cell_m: float, origin_xy_m: tuple[float, 
 
 
 def section_places(sections: Sections, cell_m: float, origin_xy_m: tuple[float, float]) -> NDArray[np.float64]:
-    """Return the centers of sections in the map frame, (n, 2) in m."""
+    """Return the centres of sections in the map frame, (n, 2) in m."""
     xy_m: NDArray[np.float64] = (np.column_stack((sections.col, sections.row)) + 0.5) * cell_m + np.array(origin_xy_m)
     return xy_m
 

@@ -31,7 +31,10 @@ if TYPE_CHECKING:
     from mavnav.slam.track import LogScans, Track
 
 STRETCH_SCANS, LEAST_SCANS, TRIAL_SHARE = 80, 40, 0.25
-"""Number of scans, those with most rotation, that are compared; minimum number and share of the log to be tracked."""
+"""Number of scans, those with most rotation, that are compared.
+
+At least the second number of them is tracked in both orders, and no more than the third as a share of the log.
+"""
 
 LEAST_COMPARED = 10
 """Minimum number of scans tracked in both orders for a comparison."""

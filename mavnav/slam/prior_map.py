@@ -18,12 +18,12 @@ SURELY = 10
 
 
 TIE = 1e-9
-"""Tolerance for rounding, in cells: a center on the edge of two old cells belongs to the upper one."""
+"""Tolerance for rounding, in cells: a centre on the edge of two old cells belongs to the upper one."""
 
 
 @dataclass(frozen=True, slots=True)
 class PriorMap:
-    """A map in its own frame: the grid, and the centers of its occupied cells (n, 2), m.
+    """A map in its own frame: the grid, and the centres of its occupied cells (n, 2), m.
 
     ``start`` is the approximate start pose of the laser, None if unknown.
     """
@@ -36,7 +36,7 @@ class PriorMap:
 def prior_map_of(grid: Grid, map_T_grid: Pose, start: Pose | None = None) -> PriorMap:
     """Resample a grid with any pose in its map frame to cells along the axes of that frame.
 
-    Each new cell is a copy of the old one at its center.
+    Each new cell is a copy of the old one at its centre.
     """
     rows, cols = occupied_cells(grid).T
     walls_xy_m = (np.column_stack((cols, rows)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)

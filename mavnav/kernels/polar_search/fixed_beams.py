@@ -26,7 +26,7 @@ CLOSE = 1e-8
 
 
 class Window(NamedTuple):
-    """Half-window in m and rad, one of them 0, and the center of rotation (m)."""
+    """Half-window in m and rad, one of them 0, and the centre of rotation (m)."""
 
     half_m: float
     half_rad: float

@@ -177,7 +177,7 @@ def search(
                 ji = ny // 2 * nx + nx // 2
             if 0 < ji % nx < nx - 1 and 0 < ji // nx < ny - 1:
                 break
-        # Step v; the spacing of the grid bounds the remaining change, even if the center stays the best.
+        # Step v; the spacing of the grid bounds the remaining change, even if the centre stays the best.
         spacing = 2.0 * half_m / (min(nx, ny) - 1)
         fine_xy, fine_yaw = spacing < stop_m, step_rad < stop_rad
         if (fine_xy and fine_yaw) or (either > 0.0 and (fine_xy or fine_yaw)):

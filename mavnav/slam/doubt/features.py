@@ -26,7 +26,10 @@ WRONG_M, WRONG_RAD = 0.2, 5 * DEG
 """Largest error of the motion over a window of a track that is not wrong."""
 
 STEADY_M, STEADY_RAD, SPIKE = 0.01, 0.02, 5.0
-"""Change of velocity per period that is always normal, and the factor from the 0.9 quantile of changes to a spike."""
+"""Changes of velocity per period, m and rad, that are added to the 0.9 quantile of all changes, and the factor.
+
+A spike is the sum times the factor.
+"""
 
 SPARSE_M, SPARSE_RAD = 0.3, 20 * DEG
 """Motion between two scans above which sampling is sparse."""

@@ -26,7 +26,7 @@ KEY_M, KEY_RAD = 0.3, 15 * DEG
 """Path length or rotation from one key frame to the next."""
 
 SQUARE_M = 0.1
-"""Edge of the squares by which key frames are compared: points in the same square are the same wall."""
+"""Edge of the squares by which key frames are compared: points in the same square are taken as the same wall."""
 
 _ROW = 1 << 32
 """Length of a row in the numbering of squares of the plane."""
