@@ -1,7 +1,7 @@
-"""Files and folders that appear complete or not at all: written beside their place, renamed at the end.
+"""Files and folders that appear complete or not at all: written next to their target, and renamed at the end.
 
-Hosts and containers may share the folder: what a process leaves unfinished is named by its machine and its number, and
-only processes of the same machine judge by the number whether it is still alive.
+Hosts and containers may share the folder. Unfinished files of a process are named by its machine and its process
+number. Only processes of the same machine decide by the number whether that process is alive.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
 
 FOREIGN_S = 7 * 86400.0
-"""What another machine has left unfinished is removed when nothing in it has changed for so long."""
+"""Age of the last change after which unfinished files of another machine are removed."""
 
 
 @contextmanager
 def beside(target: Path, *, exclusive: bool = False) -> Iterator[Path]:
-    """Give a path for a file or folder that takes the place of ``target`` when the block ends well.
+    """Yield a path for a file or folder that replaces ``target`` when the block ends without an error.
 
-    The path has the target's own name, in a temporary folder next to it that is removed in any case; one that a killed
-    process left is removed by the next. What was at ``target`` before is replaced in one step, or stays if the block
-    fails; a file never takes the place of a folder. Parents are made. Raises OSError where the disk refuses, and
-    FileExistsError with ``exclusive`` where another process has put something there in the meantime.
+    The path has the target's own name, in a temporary folder next to it that is removed in any case. The folder that a
+    killed process left is removed by the next call. The old content of ``target`` is replaced in one step, or kept if
+    the block fails; a file never replaces a folder. Parent folders are created. Raises OSError for errors of the disk,
+    and FileExistsError with ``exclusive`` if another process has written the target in the meantime.
     """
     final = target.resolve()
     final.parent.mkdir(parents=True, exist_ok=True)
@@ -48,7 +48,7 @@ def beside(target: Path, *, exclusive: bool = False) -> Iterator[Path]:
         yield partial
         sync_all(partial)
         if exclusive:
-            _take(partial, final)
+            _rename_unless_taken(partial, final)
         elif final.is_dir() and partial.is_dir():
             _exchange(partial, final)
         else:
@@ -59,7 +59,7 @@ def beside(target: Path, *, exclusive: bool = False) -> Iterator[Path]:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder, even if a signal interrupts that once or twice; its exception is raised at the end."""
+    """Remove a folder, even if signals interrupt that; the last exception of these is raised at the end."""
     stopped: BaseException | None = None
     for _ in range(5):
         try:
@@ -71,8 +71,8 @@ def _remove(folder: Path) -> None:
         raise stopped
 
 
-def _take(partial: Path, final: Path) -> None:
-    """Give a file or folder its name, unless that is taken."""
+def _rename_unless_taken(partial: Path, final: Path) -> None:
+    """Rename a file or folder to its final name, unless that exists."""
     if partial.is_dir():
         try:
             partial.rename(final)  # an empty folder may be there
@@ -92,7 +92,7 @@ def _take(partial: Path, final: Path) -> None:
 
 
 def discard(target: Path, pid: int) -> None:
-    """Remove what a process that was killed has left unfinished beside ``target``."""
+    """Remove the unfinished files of a killed process next to ``target``."""
     shutil.rmtree(_folder(target.resolve(), pid), ignore_errors=True)
 
 
@@ -102,7 +102,7 @@ def _folder(final: Path, pid: int) -> Path:
 
 @cache
 def machine() -> str:
-    """Return what identifies this machine among others that see the same folder: host, its start, and container."""
+    """Return a name of this machine among others that share the folder: hash of host, boot and container."""
     places = ("/proc/sys/kernel/random/boot_id", "/proc/self/ns/pid")
     parts = [platform.node()]
     with suppress(OSError):
@@ -113,7 +113,7 @@ def machine() -> str:
 
 
 def _clear_leftovers(final: Path) -> None:
-    """Remove what dead processes have left, as after kill -9; bring back a target that one had set aside."""
+    """Remove the unfinished files of dead processes; restore a target that one of them had moved aside."""
     for folder in final.parent.glob(f".{glob.escape(final.name)}.*-*-*"):
         kind, owner, number = folder.name.rsplit("-", 2)
         if not number.isdecimal() or not _is_left(folder, owner, int(number)):
@@ -126,7 +126,7 @@ def _clear_leftovers(final: Path) -> None:
 
 
 def _is_left(folder: Path, owner: str, process: int) -> bool:
-    """Return whether nobody works on a folder any more; the number of this process is that of a dead one."""
+    """Return whether the process of a folder is dead; one with this process's number is left by a dead process."""
     if owner == machine():
         return process == os.getpid() or not _is_alive(process)
     with suppress(OSError):
@@ -145,7 +145,7 @@ def _is_alive(process: int) -> bool:
 
 
 def _exchange(partial: Path, final: Path) -> None:
-    """Let two folders swap their names, at once where the system can, so that the name is never without a folder."""
+    """Replace a folder by another one, atomically where the system can, so that the name always exists."""
     if _swapped(partial, final):
         return
     old = final.with_name(f".{final.name}.replaced-{machine()}-{os.getpid()}")
@@ -160,7 +160,7 @@ def _exchange(partial: Path, final: Path) -> None:
 
 
 def _swapped(one: Path, other: Path) -> bool:
-    """Swap two names by Linux's renameat2; return whether that was possible."""
+    """Swap two names by Linux's renameat2; return whether that is possible."""
     try:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (AttributeError, OSError, TypeError):
@@ -169,14 +169,14 @@ def _swapped(one: Path, other: Path) -> bool:
 
 
 def sync_all(path: Path) -> None:
-    """Bring a file, or a folder with all that is in it, to the disk."""
+    """Write a file, or a folder with all its content, through to the disk."""
     for inner in sorted(path.iterdir()) if path.is_dir() else ():
         sync_all(inner)
     sync(path)
 
 
 def sync(path: Path) -> None:
-    """Bring a file, or the names in a directory, to the disk."""
+    """Write a file, or the entries of a directory, through to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -3,15 +3,15 @@
 ::
 
     MavnavError                       70  a bug, if it is this class itself
-    ├── UsageError                     2  what was typed cannot be done
+    ├── UsageError                     2  the command line is not valid
     │   ├── MapTooLargeError           2  the map would not fit into the memory
     │   ├── ConfigError                2  a configuration file or value is wrong
     │   └── TopicError                 2  no such topic, or several to choose from
-    ├── NoScansError                   4  the input holds no usable scan, or is no log
-    ├── StoppedError                 130  a signal came before there was anything to keep (143: SIGTERM)
+    ├── NoScansError                   4  the input has no usable scan, or is no log
+    ├── StoppedError                 130  a signal stopped the work before any result (143: SIGTERM)
     └── OutputError                    6  the output cannot be written, or exists
 
-Each is one line: what is wrong, where, and what to do next. Only ``cli.main`` prints it.
+Each message is one line: what is wrong, where, and what to do next. Only ``cli.main`` prints it.
 """
 
 from __future__ import annotations
@@ -50,22 +50,22 @@ SEVERITY = (
     ExitCode.INTERRUPTED,
     ExitCode.TERMINATED,
 )
-"""Exit codes from good to bad: several runs, or a run and its gates, end with the worst."""
+"""Exit codes from good to bad: of several runs, or a run and its quality gates, the worst is returned."""
 
 
 def worst(codes: Iterable[int]) -> ExitCode:
-    """Return the worst of some exit codes, DONE where there are none."""
+    """Return the worst of some exit codes, DONE without any."""
     return max(map(ExitCode, codes), key=SEVERITY.index, default=ExitCode.DONE)
 
 
 class MavnavError(Exception):
-    """Base of everything that mavnav raises on purpose."""
+    """Base class of all errors that mavnav raises on purpose."""
 
     exit_code = ExitCode.BUG
 
 
 class UsageError(MavnavError):
-    """The command line asks for something that cannot be done."""
+    """The command line requests something that cannot be done."""
 
     exit_code = ExitCode.USAGE
 
@@ -75,11 +75,11 @@ class ConfigError(UsageError):
 
 
 class TopicError(UsageError):
-    """The topic asked for is missing, or several scan topics wait for a choice."""
+    """The requested topic is missing, or there are several scan topics and none is requested."""
 
 
 class NoScansError(MavnavError):
-    """The input is no log, or holds no usable scan."""
+    """The input is no log, or has no usable scan."""
 
     exit_code = ExitCode.NO_SCANS
 
@@ -89,7 +89,7 @@ class MapTooLargeError(UsageError):
 
 
 class StoppedError(MavnavError):
-    """A signal stopped the work before there was anything to keep."""
+    """A signal stopped the work before there was any result."""
 
     def __init__(self, text: str, exit_code: ExitCode) -> None:
         super().__init__(text)

@@ -1,4 +1,4 @@
-"""Memory that is taken when it is written to, and given back when it is done with."""
+"""Memory that is allocated when it is written to, and released early."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SMALL_BYTES = 1 << 22
-"""Smaller arrays are not worth the care; from this size numpy allocates pages of 2 MB, each counted as a whole."""
+"""Minimum size of an array with lazy pages: from this size on numpy allocates pages of 2 MB, each counted wholly."""
 
-MUCH_KB = 256 << 10
-"""A process that took less keeps what is free: to take it once more would cost a replay of some 400 scans 5 ms."""
+LARGE_PEAK_KB = 256 << 10
+"""Peak memory from which free memory is released: allocating it again costs a replay of some 400 scans 5 ms."""
 
 _MAPPED = Path("/proc/self/maps")
 
 
 def blank(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:  # noqa: ANN401
-    """Return zeros whose pages take memory once they are written to."""
+    """Return zeros whose pages are allocated when they are written to."""
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     if size < SMALL_BYTES or not hasattr(mmap, "MAP_PRIVATE"):
         return np.zeros(shape, dtype)
@@ -33,8 +33,8 @@ def blank(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:  # noqa: ANN401
     return np.frombuffer(memory, dtype).reshape(shape)
 
 
-def forget(array: NDArray[Any], first: int, end: int) -> None:
-    """Give back what some rows of a large `blank` take: they, and the rest of the pages that they lie on, are zero."""
+def release_rows(array: NDArray[Any], first: int, end: int) -> None:
+    """Release the pages of some rows of a large `blank`; all values on these pages become zero."""
     held: Any = array
     while isinstance(held, np.ndarray):
         held = held.base
@@ -44,30 +44,30 @@ def forget(array: NDArray[Any], first: int, end: int) -> None:
         memory.madvise(mmap.MADV_DONTNEED, start, stop - start)
 
 
-def give_back() -> None:
-    """Give back what is free between blocks in use, and what was only read, if the process ever took much."""
+def release_free_memory() -> None:
+    """Release free memory and the compiler's code, if the process ever used much memory."""
     if sys.platform != "linux":
         return
     from resource import RUSAGE_SELF, getrusage  # noqa: PLC0415  not everywhere
 
-    if getrusage(RUSAGE_SELF).ru_maxrss > MUCH_KB:
+    if getrusage(RUSAGE_SELF).ru_maxrss > LARGE_PEAK_KB:
         trim()
-        drop_compiler()
+        release_compiler_code()
 
 
 def trim() -> None:
-    """Have the C library give back what is free between blocks in use."""
+    """Make the C library release free memory between blocks in use."""
     give = getattr(CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
     if give:
         give(0)
 
 
-def drop_compiler() -> None:
-    """Give back the code of the library that compiles: loading kernels reads much of it, running them reads none."""
+def release_compiler_code() -> None:
+    """Release the code pages of the compiler library: loading kernels reads many of them, running kernels none."""
     if not (hasattr(mmap, "MADV_DONTNEED") and _MAPPED.exists()):
         return
     for line in _MAPPED.read_text().splitlines():
         place, access, *_, name = line.split(maxsplit=5)
-        if access == "r-xp" and name.endswith("libllvmlite.so"):  # nobody writes to code, so nothing is lost
+        if access == "r-xp" and name.endswith("libllvmlite.so"):  # code is never written, so nothing is lost
             first, end = (int(address, 16) for address in place.split("-"))
             CDLL(None).madvise(c_void_p(first), c_size_t(end - first), mmap.MADV_DONTNEED)

@@ -1,7 +1,7 @@
-"""Where a run's time goes: seconds by stage, each without the stages inside it.
+"""Profile of a run: seconds by stage, each without the stages inside it.
 
-The clock is the wall's: the processor's takes 5 us to read, and a scan has twenty stages. There is one profile a
-process, as there is one clock; ``new_profile`` begins a new one. Time outside of all stages is ``other``.
+Times are wall-clock times: reading processor time takes 5 us, and a scan has twenty stages. There is one profile per
+process; ``new_profile`` starts a new one. Time outside of all stages is ``other``.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _since_s = 0.0
 
 
 def new_profile(**before_s: float) -> dict[str, float]:
-    """Begin a new profile and return it: stage -> seconds, kept up to date whenever a stage begins or ends.
+    """Start a new profile and return it: stage -> seconds, updated whenever a stage begins or ends.
 
-    ``before_s`` is what stages took that are over.
+    ``before_s`` are the seconds of stages that are over.
     """
     global _spent_s, _since_s
     _spent_s, _since_s = before_s, perf_counter()
@@ -35,7 +35,7 @@ def new_profile(**before_s: float) -> dict[str, float]:
 
 
 def _switch(name: str) -> str:
-    """Charge the time since the last change to the stage that was on, and begin another; returns the one before."""
+    """Add the time since the last switch to the current stage, and begin another; return the previous one."""
     global _on, _since_s
     before, now_s = _on, perf_counter()
     _spent_s[before] = _spent_s.get(before, 0.0) + now_s - _since_s
@@ -44,7 +44,7 @@ def _switch(name: str) -> str:
 
 
 class Stage:
-    """A named stretch of work: ``with Stage("search"):``."""
+    """A named stage of the work: ``with Stage("search"):``."""
 
     __slots__ = ("before", "name")
 
@@ -53,18 +53,18 @@ class Stage:
         self.name, self.before = name, OTHER
 
     def __enter__(self) -> None:
-        """Stop the stage around this one, begin this one."""
+        """Pause the enclosing stage and begin this one."""
         self.before = _switch(self.name)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End this stage, go on with the one around it."""
+        """End this stage and continue the enclosing one."""
         _switch(self.before)
 
 
 def timed(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorate a function whose every call is a stage."""
+    """Return a decorator that makes every call of a function a stage."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         @wraps(function)
@@ -81,7 +81,7 @@ def timed(name: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def each(name: str, items: Iterable[R]) -> Iterator[R]:
-    """Yield the items; what it takes to make each of them is a stage."""
+    """Yield the items; making each of them is a stage."""
     iterator, stage = iter(items), Stage(name)
     while True:
         with stage:

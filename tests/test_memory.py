@@ -12,7 +12,7 @@ from numba import njit
 from mavnav import memory
 from mavnav.kernels.layout import WIDE
 from mavnav.mapping.tiled_arrays import blank_strips, moved
-from mavnav.memory import SMALL_BYTES, blank, drop_compiler, forget, give_back
+from mavnav.memory import SMALL_BYTES, blank, release_compiler_code, release_free_memory, release_rows
 from support.memory_use import in_use_mb, taking_less_than
 
 MB = 1 << 20
@@ -29,41 +29,41 @@ def test_a_full_lattice_moves_without_room_for_two(*, strips: bool) -> None:
     assert not array.any()
 
 
-def test_only_the_rows_that_are_forgotten_are_lost() -> None:
+def test_only_released_rows_are_lost() -> None:
     array = blank((100, 50_000), np.uint16)
     array[...] = 7
-    forget(array, 0, 40)
-    forget(array, 40, 60)
+    release_rows(array, 0, 40)
+    release_rows(array, 40, 60)
     assert not array[:58].any()
     assert (array[60:] == 7).all()
 
 
 @pytest.mark.parametrize("array", [np.ones(SMALL_BYTES, np.uint8), np.frombuffer(b"1234", np.uint8)])
-def test_what_is_no_large_blank_cannot_be_forgotten(array: np.ndarray) -> None:
-    forget(array, 0, len(array))
+def test_rows_of_other_arrays_are_not_released(array: np.ndarray) -> None:
+    release_rows(array, 0, len(array))
     assert array.all()
 
 
-def test_what_is_free_between_blocks_in_use_is_given_back_where_it_is_much(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_free_memory_is_released_after_a_large_peak(monkeypatch: pytest.MonkeyPatch) -> None:
     before_mb = in_use_mb()
     blocks = [bytearray(5_000) for _ in range(20_000)]
     kept = blocks[::500]
     del blocks
-    monkeypatch.setattr(memory, "MUCH_KB", 1 << 40)
-    give_back()
+    monkeypatch.setattr(memory, "LARGE_PEAK_KB", 1 << 40)
+    release_free_memory()
     assert in_use_mb() - before_mb > 60
-    monkeypatch.setattr(memory, "MUCH_KB", 0)
-    give_back()
+    monkeypatch.setattr(memory, "LARGE_PEAK_KB", 0)
+    release_free_memory()
     assert in_use_mb() - before_mb < 20
     assert len(kept) == 40
 
 
 @pytest.mark.skipif(not Path("/proc/self/smaps").exists(), reason="only Linux tells which pages lie in memory")
-def test_code_of_the_compiler_is_given_back_and_still_runs() -> None:
+def test_released_compiler_code_still_runs() -> None:
     twice = njit(lambda x: 2 * x)
     assert twice(3) == 6
     before_kb = code_kb("libllvmlite.so")
-    drop_compiler()
+    release_compiler_code()
     assert code_kb("libllvmlite.so") < 0.1 * before_kb
     assert twice(1.5) == 3.0
 

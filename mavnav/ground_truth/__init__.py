@@ -1,1 +1,1 @@
-"""References: what is known besides the log, to compare a run with: a truth, a true map, relations."""
+"""References for the comparison of a run, besides its log: a true trajectory, a true map, relations."""

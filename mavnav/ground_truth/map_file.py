@@ -1,4 +1,4 @@
-"""Map files of map_server: a YAML description beside a picture, ours or another tool's.
+"""Map files of map_server: a YAML description and a picture, of mavnav or another tool.
 
 Format: the ROS wiki's map_server page and nav2_map_server's README. PGM pictures (P2, P5, any depth up to 16 bits) are
 read here, PNG by Pillow.
@@ -30,17 +30,17 @@ MAX_CELLS: Final = 400_000_000
 MAX_PICTURE_BYTES: Final = 1 << 30
 BAND_ROWS: Final = 256
 MAX_OCCUPIED: Final = 5_000_000
-"""More occupied cells than the walls of a town have; measuring them would take gigabytes."""
+"""Maximum number of occupied cells, more than the walls of a town have; measuring them takes gigabytes."""
 
 CELLS_M: Final = (1e-4, 100.0)
-"""Least and greatest resolution of a map."""
+"""Least and greatest size of a cell of a map, m."""
 
 FARTHEST_ORIGIN_M: Final = 1e8
-"""Origins may be map coordinates of the whole earth, in m; no kernel counts cells beyond."""
+"""Largest coordinate of an origin: map coordinates of the whole earth, m; kernels cannot count cells beyond."""
 
 SAVED_UNKNOWN: Final = 205
 SAVED_SHADES: Final = (0, SAVED_UNKNOWN, 254)
-"""What map savers write. Some write a ``free_thresh`` of 0.25 beside it, by which unknown cells would be free."""
+"""Shades that map savers write; some also write a ``free_thresh`` of 0.25, by which unknown cells would be free."""
 
 _GAP: Final = rb"(?:\s|#[^\n\r]*[\n\r])+"
 _HEADER: Final = re.compile(rb"P([25])" + 3 * (_GAP + rb"(\d{1,9})") + rb"\s")
@@ -48,7 +48,7 @@ _HEADER: Final = re.compile(rb"P([25])" + 3 * (_GAP + rb"(\d{1,9})") + rb"\s")
 
 @dataclass(frozen=True, slots=True)
 class MapFile:
-    """A map read from a file: ``grid`` has a hit where a cell is occupied and a crossing where it is free.
+    """A map from a file: ``grid`` has a hit in every occupied cell and a crossing in every free one.
 
     ``map_T_grid`` is the pose of the picture's lower left corner, the grid's own origin.
     """
@@ -57,22 +57,22 @@ class MapFile:
     map_T_grid: Pose
 
     def occupied_xy_m(self) -> NDArray[np.float64]:
-        """Return the middles of the occupied cells in the map frame, (n, 2) in m."""
+        """Return the centres of the occupied cells in the map frame, (n, 2) in m."""
         return transform_points(self.map_T_grid, occupied_xy_m(self.grid))
 
 
 def occupied_xy_m(grid: Grid) -> NDArray[np.float64]:
-    """Return the middles of the occupied cells of a grid, (n, 2) in m, in its frame."""
+    """Return the centres of the occupied cells of a grid, (n, 2) in m, in its frame."""
     row, col = occupied_cells(grid).T
     xy_m: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
     return xy_m
 
 
 def read_map(path: Path) -> MapFile:
-    """Read a map: the YAML file names the picture, its scale and its thresholds.
+    """Read a map: the YAML file gives the name of the picture, its scale and its thresholds.
 
-    Cells above ``occupied_thresh`` are occupied, below ``free_thresh`` free, others unknown; in mode ``raw`` the value
-    of a pixel is the occupancy in per cent, and above 100 unknown. What is transparent is unknown.
+    Cells above ``occupied_thresh`` are occupied, below ``free_thresh`` free, others unknown. In mode ``raw`` the value
+    of a pixel is the occupancy in per cent, and unknown above 100. Transparent pixels are unknown.
 
     Raises
     ------
@@ -120,14 +120,14 @@ def _short(value: object) -> str:
 class _Shades(NamedTuple):
     """The pixels of a picture: ``levels`` (rows, cols) are indices into ``values`` (n,), 0 black to 255 white.
 
-    So a pixel takes one or two bytes, not eight.
+    A pixel therefore takes one or two bytes, not eight.
     """
 
     levels: NDArray[np.integer]
     values: NDArray[np.float64]
 
     def upwards(self, kind: NDArray[np.bool_], solid: NDArray[np.bool_]) -> NDArray[np.uint16]:
-        """Return 1 where a pixel's value is of a kind (n,) and the pixel solid, 0 elsewhere; the lowest row first."""
+        """Return 1 where a pixel is of a kind (n,) and solid, 0 elsewhere, (rows, cols) with the lowest row first."""
         cells = np.empty(self.levels.shape, np.uint16)
         for row, (levels, seen) in enumerate(zip(self.levels[::-1], solid[::-1], strict=True)):
             cells[row] = kind[levels] & seen
@@ -135,7 +135,7 @@ class _Shades(NamedTuple):
 
 
 def _kinds(path: Path, about: dict[str, Any], shades: _Shades) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which of a picture's values are occupied and which free, (n,) each."""
+    """Return which values of a picture are occupied and which are free, (n,) each."""
     shade = shades.values
     mode = about.get("mode", "trinary")
     if mode not in MODES:
@@ -159,7 +159,7 @@ def _kinds(path: Path, about: dict[str, Any], shades: _Shades) -> tuple[NDArray[
 
 
 def _read_picture(path: Path, described_by: Path) -> tuple[_Shades, NDArray[np.bool_]]:
-    """Return the shades of the pixels, and which of them are not transparent, (rows, cols)."""
+    """Return the shades of the pixels, and which pixels are not transparent, (rows, cols)."""
     try:
         data = read_named(path, MAX_PICTURE_BYTES)
     except OSError as error:
@@ -219,7 +219,7 @@ def _read_by_pillow(path: Path, data: bytes) -> tuple[_Shades, NDArray[np.bool_]
 
 
 def _coloured(image: Image.Image) -> tuple[_Shades, NDArray[np.bool_]]:
-    """Return what `_read_picture` does for a picture with colours or transparency; a band of rows at a time."""
+    """Return the same as `_read_picture` for a picture with colours or transparency, read in bands of rows."""
     total, solid = np.empty((image.height, image.width), np.uint16), np.empty((image.height, image.width), np.bool_)
     for row in range(0, image.height, BAND_ROWS):
         band = (0, row, image.width, min(row + BAND_ROWS, image.height))

@@ -1,4 +1,4 @@
-"""References: what is known besides the log, to compare a run with: a truth, a true map, relations."""
+"""References for the comparison of a run, besides its log: a true trajectory, a true map, relations."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ __all__ = [
 ]
 
 LEAST_POSES = 3
-"""Fewer poses lie on any truth after the best rigid motion, or nearly so: they measure nothing."""
+"""Minimum number of poses with a truth: fewer fit any truth, or nearly so, after the best rigid motion."""
 
 
 @dataclass(frozen=True, slots=True)
 class References:
-    """What a run is compared with, each None where it is not given.
+    """The references of a run, each None if it is not given.
 
     ``truth`` is the true trajectory of the laser in any frame; ``true_map`` the true walls in the map frame.
     """
@@ -56,7 +56,7 @@ class References:
 def load_references(
     truth: Path | None = None, truth_map: Path | None = None, relations: Path | None = None
 ) -> References:
-    """Read the files that are given; raises UsageError, before any work is done."""
+    """Read the given files; raises UsageError."""
     return References(
         truth=None if truth is None else read_tum(truth),
         true_map=None if truth_map is None else read_true_map(truth_map),
@@ -65,7 +65,7 @@ def load_references(
 
 
 def check_times(references: References, first_ns: int, last_ns: int) -> None:
-    """Raise UsageError where a truth or relations lie outside of the time of a log: before the work."""
+    """Raise UsageError if a truth or relations lie outside the time of a log."""
     known = {"the truth": references.truth, "the relations": references.relations}
     for what, given in known.items():
         if given is None:
@@ -79,10 +79,10 @@ def check_times(references: References, first_ns: int, last_ns: int) -> None:
 def compared(
     references: References, trajectory: Trajectory | None, occupied_xy_map_m: NDArray[np.float64]
 ) -> Reference | None:
-    """Compare a run with its references; None where there are none.
+    """Return the comparison of a run with its references; None without references.
 
-    ``occupied_xy_map_m`` (n, 2) are the middles of the occupied cells. Without a trajectory (a lone map file) only maps
-    are compared. ATE and RPE are None where fewer than `LEAST_POSES` poses have a truth.
+    ``occupied_xy_map_m`` (n, 2) are the centres of the occupied cells. Without a trajectory (a single map file) only
+    maps are compared. ATE and RPE are None if fewer than `LEAST_POSES` poses have a truth.
     """
     ate = rpe = distance = relations = ABSENT
     if references.truth is not None and trajectory is not None:

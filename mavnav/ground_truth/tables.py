@@ -1,4 +1,4 @@
-"""Text files of truth: trajectories in TUM's format, relations in that of Kuemmerle et al. (2009)."""
+"""Text files of true poses: trajectories in TUM format, relations in that of Kuemmerle et al. (2009)."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 COLUMNS: Final = 8
 UNIT_TOLERANCE: Final = 0.01
 MAX_BYTES: Final = 100_000_000
-"""A million rows; what is built of them takes several times as much memory."""
+"""Maximum size of a file, about a million rows; the arrays take several times as much memory."""
 
 LATEST_S: Final = 9_000_000_000
-"""Times beyond this are no seconds (they would not fit in 64 bits of nanoseconds)."""
+"""Latest time in seconds: later ones do not fit in 64 bits of nanoseconds."""
 
 Row = tuple[str, list[str]]
-"""Where a row stands (``file:line``), and its columns."""
+"""Location of a row (``file:line``), and its columns."""
 
 
 def read_tum(path: Path) -> Trajectory:
     """Read a trajectory: rows of ``t x y z qx qy qz qw`` (s, m, unit quaternion), ``#`` begins a comment.
 
-    Rows may stand in any order of time. Raises UsageError with file and line.
+    Rows may have any order of time. Raises UsageError with file and line.
     """
     poses = {}
     for where, columns in _rows(path, "a TUM trajectory, t x y z qx qy qz qw"):
@@ -45,7 +45,7 @@ def read_tum(path: Path) -> Trajectory:
 
 
 def read_relations(path: Path) -> Relations:
-    """Read relations: rows of ``t1 t2 x y z roll pitch yaw`` (s, s, m, rad), the pose at t2 seen from that at t1.
+    """Read relations: rows of ``t1 t2 x y z roll pitch yaw`` (s, s, m, rad), the pose at t2 in the frame of that at t1.
 
     Raises UsageError with file and line.
     """
@@ -84,7 +84,7 @@ def _number(where: str, text: str) -> float:
 
 
 def _stamp_ns(where: str, text: str) -> int:
-    """Read seconds with all their digits: a float would lose the last of the nanoseconds."""
+    """Return a time in ns from text in seconds, with all digits: a float would round the nanoseconds."""
     try:
         seconds = Decimal(text)
     except InvalidOperation:

@@ -1,4 +1,4 @@
-"""Ground truth that is named by a topic of the log, in place of a file."""
+"""Ground truth from a topic of the log instead of a file."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ PREFIX: Final = "topic:"
 
 
 def recorded_topic(truth: str) -> str | None:
-    """Return the topic that a ``--truth`` names, ``auto`` or what follows ``topic:``; None for a file."""
+    """Return the topic in a ``--truth`` value: ``auto``, or the text after ``topic:``; None for a file."""
     if truth == AUTO:
         return AUTO
     return truth.removeprefix(PREFIX) if truth.startswith(PREFIX) else None
 
 
 def truth_fields(truth: str | Path | None) -> dict[str, Any]:
-    """Return the fields of a request that a ``--truth`` stands for: ``truth_topic``, ``truth`` (a file), or none."""
+    """Return the fields of a request for a ``--truth`` value: ``truth_topic``, ``truth`` (a file), or none."""
     if truth is None:
         return {}
     topic = recorded_topic(str(truth))
@@ -25,5 +25,5 @@ def truth_fields(truth: str | Path | None) -> dict[str, Any]:
 
 
 def truth_text(topic: str) -> str:
-    """Return the ``--truth`` that names a topic."""
+    """Return the ``--truth`` value of a topic."""
     return topic if topic == AUTO else PREFIX + topic

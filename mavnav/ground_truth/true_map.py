@@ -1,4 +1,4 @@
-"""True maps: a scenario's walls, or a map file that is taken for true."""
+"""True maps: the walls of a scenario, or a map file that is taken as true."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ SPACING_M: Final = 0.02
 
 
 def read_true_map(path: Path) -> TrueMap:
-    """Read a scenario (it has ``walls``) or a map_server map (it has an ``image``).
+    """Read a scenario (with ``walls``) or a map_server map (with an ``image``).
 
-    A scenario's walls are seen from the laser's first pose, which is the origin of a map; a map file is taken to have
-    the frame of the map that it is compared with. A shipped scenario may be named where no such file lies there. Raises
-    UsageError.
+    A scenario's walls are given relative to the laser's first pose, which is the origin of a map. A map file must have
+    the frame of the map that it is compared with. The name of a shipped scenario is used if there is no such file.
+    Raises UsageError.
     """
     from mavnav.simulation.world.scenario_file import load_scenario, scenario_path  # noqa: PLC0415  models take time to build
 
@@ -44,7 +44,7 @@ def read_true_map(path: Path) -> TrueMap:
 
 
 def of_scenario(scenario: Scenario, world_T_map: Pose) -> TrueMap:
-    """Take the exact walls for the truth; ``world_T_map`` is the laser's first pose."""
+    """Return the exact walls of a scenario; ``world_T_map`` is the laser's first pose."""
     walls = scenario.world.seen_from(world_T_map)
     xy_m = np.concatenate((_on_segments(walls), _on_arcs(walls)))
     return TrueMap(walls.clearance_m, xy_m, "start pose", walls.segments, walls.arcs)
@@ -61,7 +61,7 @@ def _of_map(path: Path) -> TrueMap:
 
 
 def _on_segments(world: World) -> NDArray[np.float64]:
-    """Return points all along the straight walls, (n, 2) in the world frame."""
+    """Return points along all straight walls, (n, 2) in the world frame."""
     parts = [np.zeros((0, 2))]
     for x1, y1, x2, y2 in world.segments:
         count = int(np.ceil(np.hypot(x2 - x1, y2 - y1) / SPACING_M)) + 1
@@ -70,7 +70,7 @@ def _on_segments(world: World) -> NDArray[np.float64]:
 
 
 def _on_arcs(world: World) -> NDArray[np.float64]:
-    """Return points all along the curved walls, (n, 2) in the world frame."""
+    """Return points along all curved walls, (n, 2) in the world frame."""
     parts = [np.zeros((0, 2))]
     for x, y, radius, start, sweep in world.arcs:
         angle = start + np.linspace(0.0, sweep, int(np.ceil(abs(sweep) * radius / SPACING_M)) + 1)

@@ -1,8 +1,8 @@
-"""The disk cache of machine code: one file a kernel, named by what the code was made of, with a checksum.
+"""The disk cache of machine code: one file per kernel, named by the hash of its sources, with a checksum.
 
-It lies in ``MAVNAV_CACHE_DIR``, else ``NUMBA_CACHE_DIR``, else the user's cache directory. What cannot be written there
-goes to a private temporary directory, which later processes of this one share and which ends with it; what can only be
-read there is used.
+It is in ``MAVNAV_CACHE_DIR``, else ``NUMBA_CACHE_DIR``, else the user's cache directory. If that cannot be written, new
+entries go to a private temporary directory, which child processes share and which is removed at the end; a cache that
+can only be read is still used.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from typing import Final, cast
 _IMPORT = re.compile(rb"^from ([\w.]+) import ", re.MULTILINE)
 
 PRIVATE: Final = "MAVNAV_PRIVATE_CACHE_DIR"
-"""The environment variable by which a process passes its private directory on to those that it starts."""
+"""Environment variable with the private directory, for child processes."""
 
 VERSIONS_KEPT = 4
-"""Of a kernel whose source changed, so many versions of its code stay on disk."""
+"""Number of versions of a kernel's code that stay on disk when its source changes."""
 
 _DIGEST_BYTES = 32
 
 
 def user_directory() -> Path:
-    """Return the directory of all of mavnav's machine code, which need not exist; relative only without a home."""
+    """Return the directory of the machine code, which may not exist; relative only without a home directory."""
     for variable in ("MAVNAV_CACHE_DIR", "NUMBA_CACHE_DIR"):
         if named := os.environ.get(variable):
             return Path(named).absolute()
@@ -43,7 +43,7 @@ def user_directory() -> Path:
 
 
 def share_private_directory(key: str) -> None:
-    """Make the private directory where the user's cannot be written, for this process and those that it will start."""
+    """Create the private directory if the user's cannot be written, for this process and its children."""
     folder = user_directory() / key
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
@@ -53,7 +53,7 @@ def share_private_directory(key: str) -> None:
 
 
 def _private_directory() -> Path:
-    """Return the private directory, made and to be removed at the end by the first process that needs it."""
+    """Return the private directory; the first process that needs it creates it and removes it at exit."""
     if not os.environ.get(PRIVATE):
         os.environ[PRIVATE] = made = mkdtemp(prefix="mavnav-")
         atexit.register(_remove, made, os.getpid())
@@ -66,7 +66,7 @@ def _remove(folder: str, owner: int) -> None:
 
 
 def read_code(key: str, name: str) -> bytes | None:
-    """Return the whole and unchanged content of an entry; None where there is none."""
+    """Return the content of an entry; None if there is none with a valid checksum."""
     private = os.environ.get(PRIVATE)
     for folder in (user_directory(), *([Path(private)] if private else [])):
         with suppress(OSError):
@@ -77,7 +77,7 @@ def read_code(key: str, name: str) -> bytes | None:
 
 
 def write_code(key: str, name: str, code: bytes) -> None:
-    """Keep an entry; nothing happens where no disk takes it. Files appear whole: two processes may write one."""
+    """Store an entry, if any disk allows it. Files appear complete, because two processes may write one."""
     content = sha256(code).digest() + code
     with suppress(OSError):
         _write(user_directory() / key, name, content)
@@ -88,7 +88,7 @@ def write_code(key: str, name: str, code: bytes) -> None:
 
 def _write(folder: Path, name: str, content: bytes) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    file = NamedTemporaryFile(dir=folder, prefix=".", delete=False)  # noqa: SIM115  it takes its name below
+    file = NamedTemporaryFile(dir=folder, prefix=".", delete=False)  # noqa: SIM115  it is renamed below
     try:
         with file:
             file.write(content)
@@ -103,7 +103,7 @@ def _write(folder: Path, name: str, content: bytes) -> None:
 
 
 def _forget_old(folder: Path, kernel: str) -> None:
-    """Remove the code of a kernel's oldest versions."""
+    """Remove the oldest versions of a kernel's code."""
     with suppress(OSError):
         by_age = sorted(folder.glob(f"{kernel}-*"), key=lambda path: path.stat().st_mtime)
         for path in by_age[:-VERSIONS_KEPT]:
@@ -111,9 +111,9 @@ def _forget_old(folder: Path, kernel: str) -> None:
 
 
 def source_stamp(module: str) -> bytes:
-    """Hash a module's source, and those of the modules of its package and of this one that it imports, at any depth.
+    """Return the hash of a module's source and of the modules it imports, at any depth, of its package and of this one.
 
-    Imports count in the form ``from package.module import name`` at the start of a line; the modules are loaded.
+    Imports must have the form ``from package.module import name`` at the start of a line; the modules must be loaded.
     """
     packages = {name.partition(".")[0].encode() for name in (module, __name__)}
     digests: dict[str, bytes] = {}

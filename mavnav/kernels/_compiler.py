@@ -1,10 +1,10 @@
-"""numba's compiler, but for its habit of optimizing and translating every helper before the kernel that it is part of.
+"""numba's compiler, without separate optimization and code generation of each helper of a kernel.
 
-Only what compiles kernels imports this module, and numba with it.
+Only modules that compile kernels import this one, and numba with it.
 
-numba makes machine code of each helper, and of each function of its own that a kernel needs, although only the kernel's
-is ever run; and at every depth of calls all that is called is optimized again. Here such parts are linked as they are,
-and the kernel is optimized once, with all that it calls.
+numba makes machine code of each helper, and of each of its own functions that a kernel needs, although only the
+kernel's is ever run; and at every depth of calls it optimizes all called code again. Here such parts are linked
+unoptimized, and the kernel is optimized once with all code that it calls.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ if TYPE_CHECKING:
 _OPTIONS: Final = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
 
 
-def learn() -> None:
-    """Fill numba's tables of what it knows of Python and NumPy."""
+def load_typing_tables() -> None:
+    """Load numba's tables of Python and NumPy functions."""
     from numba.core.registry import cpu_target  # noqa: PLC0415
 
     cpu_target.target_context.refresh()
     cpu_target.typing_context.refresh()
 
 
-def helping(function: Callable[..., Any]) -> Any:  # noqa: ANN401
+def as_helper(function: Callable[..., Any]) -> Any:  # noqa: ANN401
     """Return numba's form of a function that only kernels call."""
     return numba.njit(no_cpython_wrapper=True, **_OPTIONS)(function)
 
 
 def compiled(function: Callable[..., Any], signature: Signature) -> tuple[Callable[..., Any], MachineCode | None]:
-    """Compile a kernel; returns what to call, and its code, None where this numba does not give it away."""
+    """Compile a kernel; return the callable, and its code, None if this numba does not provide it."""
     made = numba.njit(**_OPTIONS)(function)
     with whole_kernels(made.targetctx):
         made.compile(signature.numba)
@@ -50,15 +50,15 @@ def compiled(function: Callable[..., Any], signature: Signature) -> tuple[Callab
     try:
         return made, _packed(result)
     except (AttributeError, ImportError, TypeError, ValueError):
-        return made, None  # a numba that has moved these parts: kernels compile at every start
+        return made, None  # a numba with other internals: kernels compile at every start
 
 
 def loaded_by_numba(
     entry: MachineCode, function: Callable[..., Any], signature: Signature
 ) -> Callable[..., Any] | None:
-    """Load the code of a kernel as numba's own cache would, but without its compiler; None where that is not possible.
+    """Load the code of a kernel as numba's own cache does, but without the compiler; None if that is not possible.
 
-    A numba that has moved these parts cannot, and compiles. Nor can one that finds other content than it wrote.
+    It is not with other internals of numba, or if the content is not valid: then the kernel is compiled.
     """
     made = numba.njit(**_OPTIONS)(function)
     context = made.targetctx
@@ -70,14 +70,14 @@ def loaded_by_numba(
         context.insert_user_function(found.entry_point, found.fndesc, [found.library])
         made.add_overload(found)
         made._cache_hits[signature.numba] += 1  # noqa: SLF001
-    except Exception:  # whatever is wrong with the entry, it is made anew
+    except Exception:  # whatever is wrong with the entry, it is compiled again
         return None
     made.disable_compile()
     return made  # type: ignore[no-any-return]
 
 
 def _initialize(context: Any) -> None:  # noqa: ANN401
-    """Load numba's runtime, but not its knowledge of all of Python and NumPy, which takes 0.3 s."""
+    """Load numba's runtime, but not its tables of Python and NumPy functions, which take 0.3 s."""
     try:
         from numba.core.runtime import rtsys  # noqa: PLC0415
 
@@ -87,7 +87,7 @@ def _initialize(context: Any) -> None:  # noqa: ANN401
 
 
 def _packed(result: Any) -> MachineCode:  # noqa: ANN401
-    """Return the machine code of a compiled function, without what only other functions that call it would need."""
+    """Return the machine code of a compiled function, without the parts for calls by other compiled functions."""
     from llvmlite.binding import parse_assembly  # noqa: PLC0415
     from numba.core.serialize import dumps  # noqa: PLC0415
 
@@ -102,9 +102,9 @@ def _packed(result: Any) -> MachineCode:  # noqa: ANN401
 
 
 def _needs(result: Any) -> tuple[str, tuple[str, ...], tuple[str, ...]]:  # noqa: ANN401
-    """Return the variable of a function's environment, the types in it, and the names that its code leaves open.
+    """Return the variable of a function's environment, the types in it, and the unresolved symbols of its code.
 
-    Raises LookupError where the environment holds anything else, which only numba can restore.
+    Raises LookupError if the environment holds anything else, which only numba can restore.
     """
     module, kept = result.library._final_module, result.environment.consts  # noqa: SLF001
     if not all(isinstance(one, np.dtype) and one.isbuiltin for one in kept):
@@ -116,7 +116,7 @@ def _needs(result: Any) -> tuple[str, tuple[str, ...], tuple[str, ...]]:  # noqa
 
 @contextmanager
 def whole_kernels(context: Any) -> Iterator[None]:  # noqa: ANN401
-    """Compile within it with parts linked as they are; a numba that has moved these parts compiles as it always did.
+    """Link parts unoptimized within the block; a numba with other internals compiles as usual.
 
     ``context`` is the target context of a numba function.
     """
@@ -135,7 +135,7 @@ def whole_kernels(context: Any) -> Iterator[None]:  # noqa: ANN401
 
 
 def _set_env_of_loaded(codegen: Any) -> Any:  # noqa: ANN401
-    """Return the function that sets a function's environment: parts, which are not run, have none."""
+    """Return a function that sets a function's environment, except for parts, which have none."""
     set_env, engine = codegen.set_env, codegen._engine  # noqa: SLF001
 
     def set_env_of_loaded(name: str, env: object) -> None:
@@ -147,9 +147,9 @@ def _set_env_of_loaded(codegen: Any) -> Any:  # noqa: ANN401
 
 @cache
 def _part_library() -> Any:  # noqa: ANN401
-    """Return the class of code that is optimized and loaded if it is to be run, and else only linked.
+    """Return the class of a code library that is optimized and loaded if it is run, and otherwise only linked.
 
-    Raises AttributeError where numba lacks what this rests on.
+    Raises AttributeError if numba lacks the methods that this needs.
     """
     from numba.core.codegen import JITCodeLibrary  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""The decorators of all kernels, whose machine code is loaded from the disk, or compiled, at their first call."""
+"""The decorators of all kernels: machine code is loaded from the disk, or compiled, at the first call."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 DISABLED = os.environ.get("NUMBA_DISABLE_JIT", "") not in {"", "0"}
-"""Whether kernels stay functions of Python, as numba's own variable says."""
+"""Whether kernels stay Python functions, by numba's own environment variable."""
 
 _ALIGNED, _C_ORDERED, _WRITABLE = 0x100, 0x1, 0x400
-"""Of ``ndarray.flags.num``."""
+"""Bits of ``ndarray.flags.num``."""
 
 
 class Helper:
-    """A function that only kernels call; it is part of their machine code."""
+    """A function that only kernels call; its code is part of theirs."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         """Wrap a function; numba is imported when a kernel that calls it is compiled."""
@@ -33,19 +33,19 @@ class Helper:
 
     @cached_property
     def _numba(self) -> Any:  # noqa: ANN401
-        """The function as numba knows it."""
-        from mavnav.kernels._compiler import helping  # noqa: PLC0415
+        """Numba's form of the function."""
+        from mavnav.kernels._compiler import as_helper  # noqa: PLC0415
 
-        return helping(self.function)
+        return as_helper(self.function)
 
     @property
     def _numba_type_(self) -> Any:  # noqa: ANN401
-        """What numba takes this for where a kernel calls it."""
+        """Numba's type of the function in the code of a kernel."""
         return self._numba._numba_type_
 
 
 class Kernel:
-    """A function of machine code for one signature, and where that code is kept."""
+    """A function compiled to machine code for one signature, with its cache entry."""
 
     def __init__(self, function: Callable[..., Any], signature: Signature) -> None:
         """Wrap a function; its code is loaded by the first call."""
@@ -68,7 +68,7 @@ class Kernel:
         return self.run(*args)
 
     def run(self, *args: Any) -> Any:  # noqa: ANN401
-        """Load the machine code, which takes the place of this function, and call it."""
+        """Load the machine code, which replaces this method, and call it."""
         self.load()
         return self.run(*args)
 
@@ -78,21 +78,21 @@ class Kernel:
 
     @cached_property
     def _entry(self) -> tuple[str, str]:
-        """Key and name of its entry in the cache."""
+        """Key and name of the cache entry."""
         return cache_key(), f"{self.module}.{self.name}-{source_stamp(self.module).hex()[:24]}"
 
     @cached_property
     def code(self) -> bytes | None:
-        """What the disk has of it, None where that is nothing whole."""
+        """Content of the cache entry; None if there is no valid one."""
         return read_code(*self._entry)
 
-    def look_again(self) -> None:
-        """Forget that the disk had nothing: another process may have compiled it since."""
+    def recheck_disk(self) -> None:
+        """Read the disk again at the next use if it had no entry: another process may have compiled it since."""
         if self.code is None:
             del self.code
 
     def load(self) -> None:
-        """Make it callable: from the disk, or else by compiling it, which keeps it there for the next time."""
+        """Load the machine code from the disk, or compile it and write it to the disk."""
         if self.loaded:
             return
         run = None if self.code is None else self._from_disk(self.code)
@@ -106,25 +106,25 @@ class Kernel:
         self.run, self.loaded, self.code = run, True, None  # type: ignore[method-assign]
 
     def _from_disk(self, content: bytes) -> Callable[..., Any] | None:
-        """Load the code without numba, or with it where that fails; None where it is not what numba wrote."""
+        """Load the code without numba, else with numba; None if the content is not valid."""
         try:
             entry = MachineCode.unpacked(content)
         except (ValueError, EOFError, TypeError):
             return None
         try:
             return loaded(entry, self.module, self.name)
-        except Exception:  # numba has moved something: it knows where
+        except Exception:  # other internals of numba, which numba itself can load
             from mavnav.kernels._compiler import loaded_by_numba  # noqa: PLC0415
 
             return loaded_by_numba(entry, self.function, self.signature)
 
 
 KERNELS: list[Kernel] = []
-"""All kernels of the modules that are loaded."""
+"""All kernels of the loaded modules."""
 
 
 def kernel(signature: Signature) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Make a kernel of a function that Python calls: compiled for one explicit signature, once a machine.
+    """Return a decorator that compiles a function called from Python for one explicit signature, once per machine.
 
     Its machine code is loaded by the first call. Division is C-like, and the GIL is released.
     """
@@ -140,15 +140,15 @@ def kernel(signature: Signature) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def helper(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile what only kernels call, when the first of them is compiled.
+    """Compile a function that only kernels call, together with the first of them.
 
-    Its machine code is part of theirs; alone it is neither kept on disk nor callable from Python.
+    Its machine code is part of theirs. By itself it is neither stored on disk nor callable from Python.
     """
     return function if DISABLED else cast("Callable[P, R]", Helper(function))
 
 
 def _demands(array: Type) -> tuple[Any, int]:
-    """Return the dtype of an array, and the flags that it must have."""
+    """Return the dtype of an array type, and the flags that an array must have."""
     import numpy as np  # noqa: PLC0415
 
     ordered = _C_ORDERED if array.layout == "C" else 0

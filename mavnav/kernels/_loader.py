@@ -1,6 +1,6 @@
-"""Loads the machine code of kernels with LLVM and numba's runtime in C, without the rest of numba.
+"""Load the machine code of kernels with LLVM and numba's C runtime, without the rest of numba.
 
-Importing numba takes 0.2 s of processor time, this 0.04. It rests on names inside of numba; where one is missing,
+Importing numba takes 0.2 s of processor time, this module 0.04. It uses internal names of numba; if one is missing,
 `loaded` raises, and numba loads or compiles the kernel.
 """
 
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 class MachineCode:
     """An entry of the cache.
 
-    ``code`` is an object file, ``wrapper`` its function for Python, ``environment`` its variable for what numba keeps
-    beside it, ``dtypes`` the types of the arrays that it makes, ``symbols`` what it takes from elsewhere, and ``rest``
-    what numba needs to load it by itself. Without ``wrapper`` only numba can load it.
+    ``code`` is an object file, ``wrapper`` its function for Python, ``environment`` its variable for numba's constants,
+    ``dtypes`` the types of the arrays that it makes, ``symbols`` its unresolved symbols, and ``rest`` the additional
+    data for loading it with numba. Without ``wrapper`` only numba can load it.
     """
 
     code: bytes
@@ -45,18 +45,18 @@ class MachineCode:
     rest: bytes
 
     def packed(self) -> bytes:
-        """Return the content of its file."""
+        """Return the content of the entry's file."""
         return dumps(astuple(self))
 
     @classmethod
     def unpacked(cls, content: bytes) -> MachineCode:
-        """Read the content of a file; raises ValueError, EOFError or TypeError where it is none."""
+        """Parse the content of a file; raises ValueError, EOFError or TypeError if it is not valid."""
         return cls(*loads(content))  # noqa: S302  the checksum has been compared
 
 
 @cache
 def cache_key() -> str:
-    """Return what machine code depends on besides its source: numba, Python, the system and the processor."""
+    """Return a key of what machine code depends on besides its source: numba, Python, the system and the processor."""
     llvm = _llvm()
     names = ("CPU_NAME", "CPU_FEATURES", "OPT", "ENABLE_AVX", "BOUNDSCHECK")
     chosen = [os.environ.get(f"NUMBA_{name}", "") for name in names]
@@ -66,9 +66,9 @@ def cache_key() -> str:
 
 
 def loaded(entry: MachineCode, module: str, name: str) -> Callable[..., Any]:
-    """Return the function for Python; the caller sees to it that its arguments have the types of the kernel.
+    """Return the function for Python; the caller must check that its arguments have the types of the kernel.
 
-    Raises AttributeError, ImportError, LookupError, OSError or RuntimeError where numba has moved what this needs.
+    Raises AttributeError, ImportError, LookupError, OSError or RuntimeError if internals of numba are missing.
     """
     llvm, engine, runtime = _llvm(), _engine(), _runtime()
     _resolve(entry.symbols)
@@ -107,7 +107,7 @@ def _engine() -> Any:  # noqa: ANN401
 
 @cache
 def _runtime() -> Any:  # noqa: ANN401
-    """Make numba's functions in C known to LLVM, under the names that numba gives them; return ``_dynfunc``."""
+    """Register numba's C functions in LLVM under the names that numba gives them; return ``_dynfunc``."""
     add_symbol, dynamic = _llvm().add_symbol, _extension("_dynfunc")
     helpers, memory = _helpers(), _extension("core.runtime._nrt_python").c_helpers
     known = {f"numba_{name}": address for name, address in {**helpers, **dynamic.c_helpers}.items()}
@@ -115,12 +115,12 @@ def _runtime() -> Any:  # noqa: ANN401
     for name, address in known.items():
         add_symbol(name, address)
     add_symbol("_Py_NoneStruct", id(None))
-    _teach_unpickling(helpers["unpickle"])
+    _set_unpickling(helpers["unpickle"])
     return dynamic
 
 
-def _teach_unpickling(address: int) -> None:
-    """Have numba's function in C, which keeps the Python function that it first calls, not import numba for it."""
+def _set_unpickling(address: int) -> None:
+    """Make numba's C function call `_unpickled`, instead of a function for which it would import numba."""
     if "numba" in sys.modules:
         return
     name = "numba.core.serialize"
@@ -142,14 +142,14 @@ def _unpickled(content: bytes) -> Any:  # noqa: ANN401
 
 
 def _helpers() -> dict[str, int]:
-    """Return the addresses of numba's functions in C, mathematical ones under their own names."""
+    """Return the addresses of numba's C functions, mathematical ones under their own names."""
     helpers: dict[str, int] = _extension("_helperlib").c_helpers
     return helpers
 
 
 @cache
 def _extension(name: str) -> Any:  # noqa: ANN401
-    """Import an extension module of numba's, but not numba."""
+    """Import an extension module of numba, but not numba."""
     full = f"numba.{name}"
     if full in sys.modules:
         return sys.modules[full]
@@ -164,7 +164,7 @@ def _extension(name: str) -> Any:  # noqa: ANN401
 
 
 def _resolve(symbols: tuple[str, ...]) -> None:
-    """See to it that LLVM knows the addresses of names, without which it would end the process; raises LookupError."""
+    """Register the addresses of symbols in LLVM, which would end the process without them; raises LookupError."""
     llvm, helpers = _llvm(), _helpers()
     for symbol in symbols:
         if symbol in helpers:

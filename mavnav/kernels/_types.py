@@ -1,7 +1,7 @@
-"""The types of what kernels take and return, by the names that numba has for them; numba is not imported.
+"""The types of the arguments and results of kernels, by their numba names; numba is not imported.
 
-Arrays that kernels only read are C-ordered unless they are called strided. Inside a kernel a type of numbers converts,
-as numba's does.
+Read-only arrays are C-ordered unless the name ends in STRIDED. Inside a kernel a scalar type converts a number, as
+numba's types do.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Type:
-    """Numbers of one kind, or with ``ndim`` an array of them; ``layout`` is C (C-ordered) or A (any)."""
+    """A scalar type, or with ``ndim`` an array of it; ``layout`` is C (C-ordered) or A (any)."""
 
     name: str
     ndim: int = 0
@@ -20,11 +20,11 @@ class Type:
     readonly: bool = False
 
     def __getitem__(self, axes: slice | tuple[slice, ...]) -> Type:
-        """Return the C-ordered array that a kernel may write: ``float64[:, ::1]``."""
+        """Return the type of a writable C-ordered array: ``float64[:, ::1]``."""
         return replace(self, ndim=len(axes) if isinstance(axes, tuple) else 1)
 
     def __call__(self, *types: Any) -> Any:  # noqa: ANN401
-        """Return the signature of a kernel that returns this, given those of its arguments; or convert a number."""
+        """Return the signature of a kernel with this result and these argument types; or convert a number."""
         if all(isinstance(each, Type) for each in types):
             return Signature(self, types)
         import numpy as np  # noqa: PLC0415
@@ -41,7 +41,7 @@ class Type:
 
     @property
     def _numba_type_(self) -> Any:  # noqa: ANN401
-        """What numba takes this for where a kernel converts a number."""
+        """Numba's type of a number conversion in the code of a kernel."""
         from numba import types  # noqa: PLC0415
 
         return types.NumberClass(getattr(types, self.name))
@@ -49,12 +49,12 @@ class Type:
 
 @dataclass(frozen=True, slots=True)
 class Several:
-    """A tuple of values that a kernel returns."""
+    """The type of a tuple of results."""
 
     items: tuple[Type, ...]
 
     def __call__(self, *types: Type) -> Signature:
-        """Return the signature of a kernel that returns this, given those of its arguments."""
+        """Return the signature of a kernel with this result and these argument types."""
         return Signature(self, types)
 
     @property
@@ -67,7 +67,7 @@ class Several:
 
 @dataclass(frozen=True, slots=True)
 class Signature:
-    """What a kernel returns, and what it takes."""
+    """The types of the result and of the arguments of a kernel."""
 
     result: Type | Several
     arguments: tuple[Type, ...]

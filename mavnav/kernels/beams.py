@@ -1,4 +1,4 @@
-"""What the paper takes from a scan: its valid beams without mixed pixels (cost function, step vii)."""
+"""The beams of a scan that the paper's method uses: valid ones without mixed pixels (cost function, step vii)."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def good_beams(
 ) -> NDArray[np.float64]:
     """Return the valid beams as rows x, y, beam number, range, bearing (n, 5), in m and rad.
 
-    ``ranges_m`` (beams,) are NaN without a return, ``directions`` (beams, 2) the beams' cosines and sines. Left out are
-    beams that differ from both their neighbours by more than ``mixed_pixel_m``.
+    ``ranges_m`` (beams,) are NaN without a return, ``directions`` (beams, 2) the beams' cosines and sines. Beams that
+    differ from both their neighbours by more than ``mixed_pixel_m`` are left out.
     """
     last, count, out = len(ranges_m) - 1, 0, np.empty((len(ranges_m), 5))
     for i in range(last + 1):

@@ -1,4 +1,4 @@
-"""Compiling what the disk does not have, in processes of its own over all cores."""
+"""Compile kernels that are not on disk, in separate processes on all cores."""
 
 from __future__ import annotations
 
@@ -30,19 +30,20 @@ LONG: Final = (
     "linemap",
     "wavefront",
 )
-"""The modules that take longest to compile, which are begun first: the last one begun decides when all are done."""
+"""The modules that take longest to compile, which are compiled first: otherwise the last of them delays the end."""
 
 _FASTER: Final = {"NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"}
-"""numba tries many overloads, and colours the message of each that does not fit."""
+"""No coloured error messages: numba makes one for each of many overloads that do not fit."""
 
 _SERVE = "from mavnav.kernels.building import serve; serve()"
 
 
 def prepare(progress: Progress, unused: Collection[str] = ()) -> None:
-    """See to it that the disk has the machine code of all kernels whose modules are loaded.
+    """Compile the kernels of the loaded modules whose machine code is not on disk.
 
-    ``progress`` hears of what is compiled, and of nothing otherwise. Kernels of the modules in ``unused`` (names within
-    ``mavnav.kernels``) are left out. What could not be compiled here is compiled when it is first called.
+    ``progress`` is called while kernels are compiled, and not at all otherwise. Kernels of the modules in ``unused``
+    (names within ``mavnav.kernels``) are left out. A kernel that could not be compiled here is compiled at its first
+    call.
     """
     if DISABLED:
         return
@@ -54,7 +55,7 @@ def prepare(progress: Progress, unused: Collection[str] = ()) -> None:
     for done, _ in enumerate(_compiled(sorted(missing, key=_rank))):
         progress(f"compiling kernels (first run only): {done} of {len(missing)}", 0, None)
     for made in missing:
-        made.look_again()
+        made.recheck_disk()
 
 
 def _full(name: str) -> str:
@@ -62,12 +63,12 @@ def _full(name: str) -> str:
 
 
 def _rank(made: Kernel) -> int:
-    """Return the place of a kernel in the order of compiling."""
+    """Return the position of a kernel in the order of compilation."""
     return LONG.index(made.module[len(_full("")) :]) if made.module in map(_full, LONG) else len(LONG)
 
 
 def _compiled(kernels: Sequence[Kernel]) -> Iterator[None]:
-    """Compile kernels into the cache; yields at the start, and whenever one is done."""
+    """Compile kernels into the cache; yield at the start, and after each kernel."""
     paths = os.pathsep.join(map(os.path.abspath, sys.path))
     environment = os.environ | {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"} | _FASTER
     names = [f"{made.module}:{made.name}" for made in kernels]
@@ -88,7 +89,7 @@ def _compiled(kernels: Sequence[Kernel]) -> Iterator[None]:
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:
-    """End a process and those that it forked, where they have not ended by themselves."""
+    """Kill a process and those that it forked, unless they have ended already."""
     with suppress(OSError):
         if hasattr(os, "killpg"):
             os.killpg(child.pid, signal.SIGKILL)
@@ -97,18 +98,18 @@ def _end(child: subprocess.Popen[bytes]) -> None:
 
 
 def serve() -> None:
-    """Compile the kernels ``module:function`` of the command line, one after another, and print a line after each.
+    """Compile the kernels ``module:function`` of the command line, and print a line after each.
 
-    The process forks to as many as there are cores; they take the next kernel from a pipe, which holds its number.
+    The process forks to one per core; each takes the number of the next kernel from a pipe.
     """
-    from mavnav.kernels._compiler import learn  # noqa: PLC0415  it imports numba
+    from mavnav.kernels._compiler import load_typing_tables  # noqa: PLC0415  it imports numba
 
     gc.disable()
     names = sys.argv[1:256]
     for name in names:
         import_module(name.partition(":")[0])
     by_name = {f"{made.module}:{made.name}": made for made in KERNELS}
-    learn()
+    load_typing_tables()
     numbers, entrance = os.pipe()
     os.write(entrance, bytes(range(len(names))))
     os.close(entrance)
@@ -124,7 +125,7 @@ def serve() -> None:
 
 
 def _fork(processes: int) -> None:
-    """Make this process so many, each of which ends with the first one."""
+    """Fork this process until there are ``processes``; each child ends with the first process."""
     for _ in range(processes - 1 if hasattr(os, "fork") else 0):
         if os.fork() == 0:
             return

@@ -13,7 +13,7 @@ from mavnav.kernels.lookup import line_distance2, slot_of
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-BLOCK = 1024  # positions at once: what is kept of them stays in the cache
+BLOCK = 1024  # positions at a time: their data stay in the processor's cache
 
 
 @helper
@@ -55,8 +55,8 @@ def pose_costs(
 ) -> NDArray[np.float64]:
     """Return the mean truncated squared distance to the map's lines, m2, for all yaws (q) and positions (p): (q, p).
 
-    ``points`` (n, 2) lie in the laser's frame; the map's arrays are described in ``linemap``. Most cells have nothing
-    near: so for a block of positions the cells of one point are found at once, in the compiler's lanes, then read.
+    ``points`` (n, 2) are in the laser frame, m; the map's arrays are described in ``linemap``. Most cells have no wall
+    near. So the cells of one point are first computed for a block of positions, in SIMD lanes, and then read.
     """
     (rows, cols), n, m = nearest.shape, len(points), len(xy_map_m)
     ox, oy, cell_m, _, _, _ = geometry

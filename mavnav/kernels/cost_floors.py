@@ -1,7 +1,7 @@
 """Lower bounds of a point's cost in the cells of a map, and in squares of them (docs/method.md).
 
-A metric's eigenvalues are 1 at most, so the distance of a point to its line changes by no more than the point moves:
-the distance at the middle of a cell, less half its diagonal, bounds that of every point in it.
+The eigenvalues of a line's metric are at most 1, so the distance of a point to its line changes by at most the motion
+of the point. The distance at the centre of a cell, less half its diagonal, is a lower bound for every point in it.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ def cost_floors(
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Bound the cost of a point in the cells of a box, from below, in `WORST` parts of the truncated cost.
+    """Return lower bounds of the cost of a point in the cells of a box, in units of the truncated cost / `WORST`.
 
-    ``box`` holds first row, first col, rows and cols; it may reach beyond the map, where the cost is the truncated one.
-    Returns (`LEVELS`, rows, cols). Level 0 is of single cells. On level l a cell holds the least bound of the cells
-    that a point in it reaches by up to 2 ** l - 1 shifts of ``step`` cells upwards and to the right: the box must begin
-    so far before the map that the cells before it are worst on all levels. The last level is returned once more, with
-    cells that lie ``apart`` = ``step << LEVELS - 1`` from each other beside each other in memory: cell (row, col) is
-    ``[row % apart * apart + col % apart, row // apart, col // apart]``.
+    ``box`` is first row, first col, rows and cols; it may extend beyond the map, where the cost is the truncated one.
+    The bounds are (`LEVELS`, rows, cols). Level 0 bounds single cells. On level l a cell has the least bound of the
+    cells that a point in it reaches by up to 2 ** l - 1 shifts of ``step`` cells upwards and to the right. The box must
+    begin so far before the map that the cells before it have the bound `WORST` on all levels. The last level is
+    returned once more, with cells at the distance ``apart`` = ``step << LEVELS - 1`` adjacent in memory: cell
+    (row, col) is ``[row % apart * apart + col % apart, row // apart, col // apart]``.
     """
     first_row, first_col, rows, cols = box
     ox, oy, cell_m, _, _, _ = geometry

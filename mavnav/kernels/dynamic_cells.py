@@ -1,4 +1,4 @@
-"""Cells that were occupied for a while only, such as by people who walked by (docs/method.md)."""
+"""Dynamic cells: occupied for a limited time only, such as by people who walked by (docs/method.md)."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from mavnav.kernels.lookup import count_at
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-CLEAR_BEAMS = 8  # went clear through an open cell
-STAYS_SHARE = 0.15  # of the beams to a cell that holds something end in it
+CLEAR_BEAMS = 8  # minimum number of beams that passed clear through a dynamic cell
+STAYS_SHARE = 0.15  # minimum share of hits among the beams to a static cell
 
 
 @helper
 def _clear(passes: int, shielded: int) -> int:
-    """Return how many beams went clear through a cell; where their count has ended, none that is known of."""
+    """Return the number of beams that passed clear through a cell; 0 if the count of shielded ones is saturated."""
     return passes - shielded if shielded < MOST_SHIELDED else 0
 
 
@@ -28,7 +28,7 @@ def _clear(passes: int, shielded: int) -> int:
 def _is_open(
     row: int, col: int, hits: NDArray[np.uint16], passes: NDArray[np.uint16], shielded: NDArray[np.int16]
 ) -> bool:
-    """Return whether beams went clear through a cell that hardly any ended in, with no wall within reach."""
+    """Return whether beams passed clear through a cell in which few ended, with no wall within `EXPLAINED_CELLS`."""
     rows, cols = passes.shape
     ended, clear = int64(count_at(hits, row, col)), _clear(passes[row, col], count_at(shielded, row, col))
     if clear < CLEAR_BEAMS or ended >= STAYS_SHARE * (ended + clear):
@@ -47,7 +47,7 @@ def _is_open(
 def dynamic_cells(
     hits: NDArray[np.uint16], passes: NDArray[np.uint16], shielded: NDArray[np.int16]
 ) -> NDArray[np.int64]:
-    """List row and column (n, 2) of the cells that were hit and are open all the same; the counts are ``Tally``'s."""
+    """Return row and column (n, 2) of the dynamic cells with hits; the counts are those of a ``GridBuilder``."""
     hit, n = 0, 0
     for count in hits.ravel():
         hit += 1 if count > 0 else 0

@@ -1,4 +1,4 @@
-"""Where a map was seen free, on a coarser lattice of positions."""
+"""Free positions of a map, on a coarser lattice."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 def free_positions(
     hits: NDArray[np.uint16], passes: NDArray[np.uint16], rows: NDArray[np.int64], cols: NDArray[np.int64]
 ) -> NDArray[np.uint8]:
-    """Return which positions of a lattice hold a free cell: one that more beams crossed than ended in.
+    """Return which positions of a lattice have a free cell: one that more beams crossed than ended in.
 
-    ``rows`` and ``cols``, ascending, are those of the lattice for each row and column of cells, from 0 on.
+    ``rows`` and ``cols``, ascending from 0, are the lattice row of each row of cells, and the same for columns.
     """
     free = np.zeros((rows[-1] + 1, cols[-1] + 1), np.uint8)
     for row in range(len(rows)):

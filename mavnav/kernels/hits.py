@@ -1,4 +1,4 @@
-"""Counting laser hits in cells, and the beams that passed through them."""
+"""Counts of laser hits in cells, and of beams that crossed them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NEAR_CELLS = 3
-"""A beam does not go clear through a cell if one of the same scan ends so near to it."""
+"""Distance to an end point of the same scan within which a crossing is shielded, not clear."""
 
-BLOCK = 8  # cells of a beam that are found at once
+BLOCK = 8  # cells of a beam that are computed at a time
 
 
 @kernel(int64(F64_1D, F64_2D, F64_1D, F64_1D, I8_2D, int8[:, ::1]))
@@ -28,11 +28,11 @@ def show_ends(
     walls: NDArray[np.int8],
     cells: NDArray[np.int8],
 ) -> int:
-    """Copy ``walls`` to ``cells``, both (rows, cols), where a beam of one scan ended in an occupied cell, 100.
+    """Copy the occupied cells, 100, of ``walls`` in which beams of one scan ended to ``cells``, both (rows, cols).
 
-    Returns how many did; both may be the same array, in which nothing changes then.
+    Returns the number of such beams. Both arrays may be the same, which then does not change.
     ``ranges_m`` (beams,) are NaN without a return, ``directions`` (beams, 2) cosines and sines in the laser's frame,
-    ``pose`` (3,) x, y, yaw of the laser in the map, ``lattice`` as of ``add_scan``. Ends outside are passed over.
+    ``pose`` (3,) x, y, yaw of the laser in the map, ``lattice`` as of ``add_scan``. End points outside are ignored.
     """
     (rows, cols), (x, y, yaw), (ox, oy, cell) = cells.shape, pose, lattice
     c, s, count = np.cos(yaw), np.sin(yaw), 0
@@ -49,16 +49,16 @@ def show_ends(
 
 
 @helper
-def _shield(
+def _mark_near(
     ends: NDArray[np.float64],
     passes: NDArray[np.uint16],
     shielded: NDArray[np.int16],
     cells: NDArray[np.int64],
 ) -> int:
-    """List the cells near points (n, 2), in cells, once each; returns how many.
+    """List each cell near points (n, 2), in cells, once; return their number.
 
-    ``cells`` are their indices in ``shielded`` and in ``passes``, and how often they were crossed before. Their counts
-    are made negative, to mark them.
+    ``cells`` are their indices in ``shielded`` and in ``passes``, and their crossings so far. Their counts are made
+    negative as a mark.
     """
     rows, cols = passes.shape
     flat, crossed, across = shielded.ravel(), passes.ravel(), (rows - 1) * WIDE
@@ -66,17 +66,17 @@ def _shield(
     for k in range(len(ends)):
         row, col = int(np.floor(ends[k, 1])), int(np.floor(ends[k, 0]))
         if abs(row - at_row) <= 1 and abs(col - at_col) <= 1:
-            continue  # the neighbour's square is enough
+            continue  # the square of the last point covers it nearly
         first, end = max(col - NEAR_CELLS, 0), min(col + NEAR_CELLS + 1, cols)
         for r in range(max(row - NEAR_CELLS, 0), min(row + NEAR_CELLS + 1, rows)):
-            # In its rows the square before has listed all columns but those on one side.
+            # In common rows the square before has listed all columns except those on one side.
             beside = abs(r - at_row) <= NEAR_CELLS
             start = max(first, at_col + NEAR_CELLS + 1) if beside and col >= at_col else first
             stop = min(end, at_col - NEAR_CELLS) if beside and col < at_col else end
             for c in range(start, stop):
                 at, place = uint64(c + (c >> SHIFT) * across + WIDE * r), uint64(r * cols + c)
                 count = flat[at]
-                # Written over unless it is new.
+                # The next entry overwrites this one unless it is new.
                 cells[0, uint64(n)], cells[1, uint64(n)], cells[2, uint64(n)] = at, place, crossed[place]
                 flat[at] = -1 - count if count >= 0 else count
                 n += count >= 0
@@ -88,10 +88,11 @@ def _shield(
 def _path(
     u0: float, v0: float, u1: float, v1: float, wide: float, steps: NDArray[np.float64], cells: NDArray[np.int32]
 ) -> int:
-    """List the cells that a beam from (u0, v0) to (u1, v1), in cells, enters, its last one too; returns how many.
+    """List the cells that a beam from (u0, v0) to (u1, v1), in cells, enters, the last one included; return the number.
 
-    It crosses the edges of columns and those of rows at even shares of its length (Amanatides and Woo 1987); how many
-    of the others it has crossed before gives the cell. ``steps`` count 0, 1, 2 ...; ``cells`` has a block more.
+    It crosses the edges of columns and those of rows at even distances (Amanatides and Woo 1987). At an edge of one
+    kind, the number of edges of the other kind crossed before gives the cell. ``steps`` are 0, 1, 2 ...; ``cells`` has
+    room for one more block.
     """
     col, row, du, dv = np.floor(u0), np.floor(v0), u1 - u0, v1 - v0
     cols, rows = abs(np.floor(u1) - col), abs(np.floor(v1) - row)
@@ -121,10 +122,9 @@ def add_scan(
 ) -> None:
     """Count every end point (n, 2) in ``hits`` and the cells between the laser and it in ``passes``, up to `MOST`.
 
-    ``shielded`` counts those of the crossings that were of cells with an end point of the same scan near by. It and
-    ``hits`` are in strips, see ``mavnav.mapping.tiled_arrays``.
-    ``lattice`` is (3,): x and y of the corner of cell [0, 0], and the cell edge, in m. The caller sees to it that all
-    lies inside.
+    ``shielded`` counts the crossings of cells with an end point of the same scan near. ``shielded`` and ``hits`` are in
+    strips, see ``mavnav.mapping.tiled_arrays``. ``lattice`` is (3,): x and y of the corner of cell [0, 0], and the cell
+    edge, in m. All points and the laser must be inside.
     """
     (ox, oy, cell), (laser_x, laser_y) = lattice, laser_xy_m
     u0, v0 = (laser_x - ox) / cell, (laser_y - oy) / cell
@@ -133,7 +133,7 @@ def add_scan(
     ends = np.empty((len(xy_map_m), 2))
     for k in range(len(xy_map_m)):
         ends[k, 0], ends[k, 1] = (xy_map_m[k, 0] - ox) / cell, (xy_map_m[k, 1] - oy) / cell
-    n_near = _shield(ends, passes, shielded, near)
+    n_near = _mark_near(ends, passes, shielded, near)
     steps, path = np.arange(float(max(rows, cols) + BLOCK)), np.empty(rows + cols + BLOCK, np.int32)
     begin = uint64(int(np.floor(v0)) * cols + int(np.floor(u0)))
     for k in range(len(xy_map_m)):
@@ -143,7 +143,7 @@ def add_scan(
             at = uint64(path[uint64(i)])
             if flat[at] < MOST:
                 flat[at] += 1
-        passes[row, col] -= passes[row, col] < MOST  # it ends there
+        passes[row, col] -= passes[row, col] < MOST  # the beam ends there
         ended = hits[col >> SHIFT, row]
         ended[col & (WIDE - 1)] += ended[col & (WIDE - 1)] < MOST
     flat_shielded = shielded.ravel()

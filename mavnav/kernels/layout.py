@@ -1,29 +1,29 @@
-"""Layout of the arrays that kernels share, in plain numbers.
+"""Layout of the arrays that kernels share, as constants.
 
-Counts of a grid are kept in strips, see ``mavnav.mapping.tiled_arrays``; an entry of ``nearest`` is described in
-``linemap``. This file does without numba, so that it is imported at no cost.
+Counts of a grid are stored in strips, see ``mavnav.mapping.tiled_arrays``; an entry of ``nearest`` is described in
+``linemap``. This module does not import numba.
 """
 
 from __future__ import annotations
 
 WIDE, SHIFT = 64, 6
-"""Cells across a strip, and its logarithm."""
+"""Width of a strip in cells, and its binary logarithm."""
 
 MOST, MOST_SHIELDED = 65535, 32767
-"""Counts of hits and crossings end at the first, those of shielded crossings at the second."""
+"""Values at which counts saturate: of hits and crossings, and of shielded crossings."""
 
 REACH_CELLS = 8
-"""Nearest occupied cells are known this far."""
+"""Largest distance at which the nearest occupied cell is known."""
 FAR = REACH_CELLS * REACH_CELLS
 NEAR = 128
-"""An entry of ``nearest`` is an index times this, plus how near the cell is: a power of 2 above `FAR` + 1."""
+"""Factor of the index in an entry of ``nearest``, to which the closeness is added: a power of 2 above `FAR` + 1."""
 
 WALL_HITS = 4
-"""A cell with fewer hits may hold strays."""
+"""Minimum number of hits of a wall: fewer may be stray readings."""
 EXPLAINED_CELLS = 7
-"""A hit so near explains an end point."""
+"""Largest distance of a hit that explains an end point."""
 
 WORST = 255
-"""A bound of a point's cost in ``cost_floors``: the truncated cost."""
+"""Value of the truncated cost in the bounds of ``cost_floors``."""
 LEVELS = 3
-"""Levels of ``cost_floors``: squares of 1, 2 and 4 positions a side are bounded."""
+"""Number of levels of ``cost_floors``: bounds of squares of 1, 2 and 4 positions a side."""

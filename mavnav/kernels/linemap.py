@@ -2,19 +2,19 @@
 
 Arrays of a map, which the other kernels read:
 
-``nearest``  (rows, cols) uint32  of the nearest occupied cell within reach its index, times `NEAR`, and how near it is:
-                                  1 more than `FAR` less the squared distance to it in cells; 0 where none is
-``cells``    (capacity, 2) int32  row, col of the occupied cells, in the order they were first hit; row 0 of this and
-                                  the following is no cell, and its line lies beyond everything
+``nearest``  (rows, cols) uint32  index of the nearest occupied cell within reach, times `NEAR`, plus its closeness:
+                                  `FAR` + 1 less the squared distance to it in cells; 0 without one
+``cells``    (capacity, 2) int32  row, col of the occupied cells, in the order of their first hits; row 0 of this and
+                                  the following arrays is no cell, and its line is beyond any distance
 ``moments``  (capacity, 12) float64  n, sum x, sum y, sum xx, sum xy, sum yy of a cell's points, m in the map
                                   frame; then the same, summed over a window of neighbours with Gaussian weights
-``lines``    (capacity, 8) float64   foot x, y and the metric a_xx, a_xy, a_yy of the local line, and the points that it
-                                  rests on; then the row of ``waiting`` in which the cell's new points are, 0 if none
-                                  are, and scratch
+``lines``    (capacity, 8) float64   foot x, y and the metric a_xx, a_xy, a_yy of the local line, and the number of
+                                  points that it is fitted to; then the row of ``waiting`` with the cell's new points,
+                                  0 without any, and scratch
 ``geometry`` (6,) float64        origin x, origin y, cell, line sigma, line noise, in m, and the share that may wait
-``waiting``  (rows, 8) float64   row 0: how many cells have new points that they and their neighbours do not know of
-                                  yet; the others n, sum x, sum y, sum xx, sum xy, sum yy of these points, the cell and
-                                  the points that it knew of when they began to wait
+``waiting``  (rows, 8) float64   row 0: number of cells with new points that no moments include yet; the other rows: n,
+                                  sum x, sum y, sum xx, sum xy, sum yy of these points, the cell, and the number of
+                                  points that it had when the first of them came
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 WINDOW_CELLS = 4  # half-width of the line fit's window: 9x9 cells
-BLOCK = 64  # lines that are fitted at once
+BLOCK = 64  # lines that are fitted at a time
 
 
 @helper
 def _stamp(slot: int, row: int, col: int, nearest: NDArray[np.uint32]) -> None:
-    """Make ``slot`` the nearest occupied cell wherever it is nearer than the present one (ties keep the older)."""
+    """Make ``slot`` the nearest occupied cell wherever it is nearer than the present one; ties do not change it."""
     for r in range(row - REACH_CELLS, row + REACH_CELLS + 1):
         for c in range(col - REACH_CELLS, col + REACH_CELLS + 1):
             d2 = (r - row) * (r - row) + (c - col) * (c - col)
@@ -49,7 +49,7 @@ def _stamp(slot: int, row: int, col: int, nearest: NDArray[np.uint32]) -> None:
 def _fit(slots: NDArray[np.int64], noise_m: float, moments: NDArray[np.float64], lines: NDArray[np.float64]) -> None:
     """Refit some lines: A = ((tr C + s0^2) I - C) / (l1 + s0^2), 1 along the normal and small along the wall.
 
-    A block of them is laid side by side, so that the compiler does several at once.
+    They are processed in blocks, in SIMD lanes.
     """
     s2, m = noise_m * noise_m, np.empty((8, BLOCK))
     for first in range(0, len(slots), BLOCK):
@@ -70,7 +70,7 @@ def _fit(slots: NDArray[np.int64], noise_m: float, moments: NDArray[np.float64],
             scale = 1.0 / (half + np.sqrt(diff * diff + cxy * cxy) + s2)
             axx, axy, ayy = (cyy + s2) * scale, -cxy * scale, (cxx + s2) * scale
             m[2, k], m[3, k], m[4, k] = axx, axy, ayy
-            # Along a wall the window's centroid lies where most points are; there the cell's own stands for it.
+            # Along the wall, the window's centroid is biased towards most points: the cell's own centroid replaces it.
             dx, dy = mx - m[6, k], my - m[7, k]
             m[0, k], m[1, k] = m[6, k] + axx * dx + axy * dy, m[7, k] + axy * dx + ayy * dy
         for k in range(block):
@@ -95,7 +95,7 @@ def _gather(
     cells: NDArray[np.int32],
     moments: NDArray[np.float64],
 ) -> None:
-    """Add to the windowed moments of a cell the moments of the points of it and its neighbours."""
+    """Add the moments of a cell and its neighbours to the windowed moments of the cell."""
     wide, flat = int64(nearest.shape[1]), nearest.ravel()
     row, col = cells[slot, 0] - WINDOW_CELLS, cells[slot, 1] - WINDOW_CELLS
     for i in range(2 * WINDOW_CELLS + 1):
@@ -115,7 +115,7 @@ def rebuild(
     moments: NDArray[np.float64],
     lines: NDArray[np.float64],
 ) -> None:
-    """Draw the map anew, on blank ``nearest``, from its cells and their own moments."""
+    """Rebuild the map, with ``nearest`` all 0, from its cells and their own moments."""
     _, _, cell_m, sigma_m, noise_m, _ = geometry
     weight = _weights(cell_m, sigma_m)
     for slot in range(1, len(cells)):
@@ -127,7 +127,7 @@ def rebuild(
 
 
 @helper
-def _enter(
+def _assign_cells(
     xy_map_m: NDArray[np.float64],
     geometry: NDArray[np.float64],
     count: int,
@@ -137,14 +137,17 @@ def _enter(
     lines: NDArray[np.float64],
     slots: NDArray[np.int64],
 ) -> int:
-    """Find the cell of every point, if need be a new one that starts from what its neighbours know of."""
+    """Write the index of every point's cell to ``slots``, also of new cells; return the new number of cells.
+
+    A new cell starts with the moments of its neighbours.
+    """
     (ox, oy, cell, sigma_m, _, _), wide, flat = geometry, int64(nearest.shape[1]), nearest.ravel()
     weight = _weights(cell, sigma_m)
     for k in range(len(xy_map_m)):
         slots[k] = int(np.floor((xy_map_m[k, 1] - oy) / cell)) * wide + int(np.floor((xy_map_m[k, 0] - ox) / cell))
     for k in range(len(xy_map_m)):
         at = uint64(slots[k])
-        if closeness_of(flat[at]) <= FAR:  # nothing but the occupied cell itself is at no distance
+        if closeness_of(flat[at]) <= FAR:  # only an occupied cell has a closeness of FAR + 1
             cells[count, 0], cells[count, 1] = slots[k] // wide, slots[k] % wide
             moments[count, :] = 0.0
             lines[count, 6:] = 0.0
@@ -156,14 +159,14 @@ def _enter(
 
 
 @helper
-def _wait(
+def _add_waiting(
     xy_map_m: NDArray[np.float64],
     slots: NDArray[np.int64],
     moments: NDArray[np.float64],
     lines: NDArray[np.float64],
     waiting: NDArray[np.float64],
 ) -> None:
-    """Add points to what waits in their cells."""
+    """Add points to the waiting points of their cells."""
     n = int(waiting[0, 0])
     for k in range(len(slots)):
         slot = uint64(slots[k])
@@ -192,7 +195,7 @@ def _distribute(
     lines: NDArray[np.float64],
     waiting: NDArray[np.float64],
 ) -> None:
-    """Add what waits in some cells, which may be listed twice, to them and their neighbours; refit their lines."""
+    """Add the waiting points of some cells to them and their neighbours; refit the lines. Cells may be listed twice."""
     _, _, cell_m, sigma_m, noise_m, _ = geometry
     weight, n_waiting = _weights(cell_m, sigma_m), int(waiting[0, 0])
     wide, flat = int64(nearest.shape[1]), nearest.ravel()
@@ -207,7 +210,7 @@ def _distribute(
         for m in range(6):
             moments[slot, m] += waiting[new, m]
         for m in range(8):
-            waiting[new, m] = waiting[n_waiting, m]  # the last one takes its row
+            waiting[new, m] = waiting[n_waiting, m]  # the last row replaces the freed one
         lines[uint64(waiting[new, 6]), 6] = new
         lines[slot, 6] = 0.0
         n_waiting -= 1
@@ -223,7 +226,7 @@ def _distribute(
                     moments[other, 9] += w * xx
                     moments[other, 10] += w * xy
                     moments[other, 11] += w * yy
-                    touched[uint64(n_touched)] = other  # written over unless it is new
+                    touched[uint64(n_touched)] = other  # overwritten unless it is new
                     n_touched += lines[other, 7] == 0.0
                     lines[other, 7] = 1.0
     for t in range(n_touched):
@@ -243,24 +246,24 @@ def insert_points(
     lines: NDArray[np.float64],
     waiting: NDArray[np.float64],
 ) -> int:
-    """Add points (n, 2) to the map and refit the lines that they touch; returns the new number of cells.
+    """Insert points (n, 2) into the map and refit the lines that they change; return the new number of cells.
 
-    A cell's points wait until they are more than a share of those that its neighbours' lines include: a line that
-    rests on many changes little, and the update of all neighbours is what takes time.
+    The points of a cell wait until they are more than a share of its included points: a line that is fitted to many
+    points changes little, and the update of all neighbours takes most of the time.
 
-    The caller makes room: every point lies ``REACH_CELLS`` + 1 or more inside ``nearest``, the arrays over cells
-    have space for one new cell a point, and ``waiting`` has a row more than there are points.
+    Every point must be ``REACH_CELLS`` + 1 or more inside ``nearest``, the arrays over cells must have space for one
+    new cell per point, and ``waiting`` must have more rows than there are points.
     """
     _, _, _, _, _, waiting_share = geometry
     n_waiting, slots = int(waiting[0, 0]), np.empty(len(xy_map_m), np.int64)
     if n_waiting + len(xy_map_m) >= len(waiting):
         _distribute(waiting[1 : n_waiting + 1, 6].astype(np.int64), geometry, nearest, cells, moments, lines, waiting)
-    count = _enter(xy_map_m, geometry, count, nearest, cells, moments, lines, slots)
-    _wait(xy_map_m, slots, moments, lines, waiting)
+    count = _assign_cells(xy_map_m, geometry, count, nearest, cells, moments, lines, slots)
+    _add_waiting(xy_map_m, slots, moments, lines, waiting)
     n = 0
     for k in range(len(slots)):
         row = uint64(lines[uint64(slots[k]), 6])
-        slots[n] = slots[k]  # written over unless it has waited long enough
+        slots[n] = slots[k]  # overwritten unless enough points wait
         n += waiting[row, 0] > waiting_share * waiting[row, 7]
     _distribute(slots[:n], geometry, nearest, cells, moments, lines, waiting)
     return count

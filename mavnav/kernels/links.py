@@ -1,4 +1,4 @@
-"""Points that follow one another along their direction."""
+"""Groups of points that are linked along their direction."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @helper
 def _root(parent: NDArray[np.int32], k: int) -> int:
-    """Return the first of the points that are linked to one, and shorten the path to it."""
+    """Return the first point of the group of a point, and shorten the path to it."""
     while parent[k] != k:
         parent[k] = parent[parent[k]]
         k = parent[k]
@@ -32,12 +32,12 @@ def link_groups(
     across_m: float,
     sin_turn: float,
 ) -> NDArray[np.int32]:
-    """Return the group of each point (n, 2), (n,); linked ones share one, numbered in the order of first points.
+    """Return the group number (n,) of each point (n, 2); groups are numbered in the order of their first points.
 
-    ``directions`` (n, 2) are cosines and sines. Links are looked for among ``order[first:last]``, the stretches
-    ``spans`` (n, stretches, 2) of each point, in which each pair must occur from one side at least. Two points are
-    linked within ``reach_m``, where the sine between their directions is no more than ``sin_turn`` and neither lies
-    more than ``across_m`` beside the line through the other.
+    ``directions`` (n, 2) are cosines and sines. Links of a point are searched among ``order[first:last]``, its
+    stretches ``spans`` (n, stretches, 2); each pair must occur in those of one of both points at least. Two points are
+    linked within ``reach_m`` if the sine between their directions is at most ``sin_turn`` and neither lies more than
+    ``across_m`` off the line through the other.
     """
     n, reach_m2 = len(xy_m), reach_m * reach_m
     parent = np.arange(n).astype(np.int32)

@@ -1,8 +1,8 @@
 """The lowest separate minima of a scan's cost on a lattice of poses, by branch and bound (Hess 2016; docs/method.md).
 
-The positions of the lattice form squares of 4 x 4. The bounds of ``cost_floors`` bound a scan's cost on a whole square.
+The positions of the lattice form squares of 4 x 4. The sum of ``cost_floors`` bounds a scan's cost on a whole square.
 The square with the least bound is divided next, into squares of 2 x 2, then into positions; a position with the least
-bound is evaluated. So the poses come out in the order of their costs, and few are evaluated.
+bound is evaluated. So the poses are found in the order of their costs, and few are evaluated.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ TOP = LEVELS - 1
 SIDE = 1 << TOP  # positions along a square of the top level
 
 MOST_POINTS = 257
-"""The bounds of so many points fit into two bytes; further points are bounded by 0."""
+"""Maximum number of points whose bounds are summed, in two bytes; other points are bounded by 0."""
 
 UNSURE = 1e-6
-"""Of a cell: a point so near to an edge may fall on either side of it, and is bounded by 0."""
+"""Distance from an edge, in cells, within which rounding may put a point on either side: it is bounded by 0."""
 
 ROUNDING = 1.0 - 1e-9
-"""What bounds are lowered by: a mean of costs is off by some 1e-14."""
+"""Factor on bounds against rounding: a mean of costs is off by some 1e-14."""
 
 SLICE = 256
-"""The squares are ordered in slices; so many are in the first one at least, and each is four times the one before."""
+"""Minimum number of squares in the first slice of the order by bounds; each slice has four times as many."""
 
 AT_ONCE = 20
-"""Points after whose bounds a sum is compared with the limit."""
+"""Number of points after which a sum of bounds is compared with the limit."""
 
 
 class Heap(NamedTuple):
-    """Entries in a heap, the least first: bound or cost, m2, and what it is of (``_code``)."""
+    """Entries in a heap, the least first: bound or cost, m2, and the code of a square or position (`lowest_poses`)."""
 
     cost_m2: NDArray[np.float64]
     code: NDArray[np.int64]
@@ -47,7 +47,7 @@ class Heap(NamedTuple):
 
 @helper
 def _grown(heap: Heap, count: int) -> Heap:
-    """Return a heap with room for one more entry than ``count``."""
+    """Return a heap with space for more than ``count`` entries."""
     if count < len(heap.code):
         return heap
     cost_m2, code = np.empty(2 * count), np.empty(2 * count, np.int64)
@@ -94,7 +94,10 @@ def _cells(
     corner: NDArray[np.int64],
     geometry: NDArray[np.float64],
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Return the cell of every point for every yaw at the first position, (yaws, 2, n), and how many are sure."""
+    """Return the cell of every point for every yaw at the first position, (yaws, 2, n), and their numbers (yaws,).
+
+    Points within `UNSURE` of an edge are left out.
+    """
     ox, oy, cell_m, _, _, _ = geometry
     cells, counts = np.empty((len(yaws_rad), 2, len(points)), np.int32), np.zeros(len(yaws_rad), np.int64)
     for q in range(len(yaws_rad)):
@@ -111,9 +114,9 @@ def _cells(
 
 @helper
 def _lattice(xy_m: NDArray[np.float64], step_m: float) -> tuple[NDArray[np.int32], float, float]:
-    """Return the index of each position of a lattice by row and column, -1 where none is, and the first x and y.
+    """Return the index of each position of a lattice by row and column, -1 without one, and the first x and y.
 
-    Rows and columns are whole squares.
+    Rows and columns are padded to whole squares.
     """
     x0, x1 = xy_m[0, 0], xy_m[0, 0]
     for p in range(len(xy_m)):
@@ -138,7 +141,7 @@ def _holds_any(index: NDArray[np.int32], row: int, col: int, side: int) -> bool:
 
 @helper
 def _squares(index: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Return which squares hold positions, (rows, cols) of squares."""
+    """Return which squares have positions, (rows, cols) of squares."""
     rows, cols = index.shape[0] // SIDE, index.shape[1] // SIDE
     held = np.zeros((rows, cols), np.bool_)
     for row in range(rows):
@@ -149,7 +152,7 @@ def _squares(index: NDArray[np.int32]) -> NDArray[np.bool_]:
 
 @helper
 def _widened(planes: NDArray[np.uint8], cols: int) -> NDArray[np.uint8]:
-    """Return planes of so many columns at least; those added are worst."""
+    """Return planes padded to ``cols`` columns at least, with `WORST`."""
     n, rows, had = planes.shape
     if had >= cols:
         return planes
@@ -165,10 +168,10 @@ def _widened(planes: NDArray[np.uint8], cols: int) -> NDArray[np.uint8]:
 def _bound_squares(
     cells: NDArray[np.int32], count: int, step: int, planes: NDArray[np.uint8], sums: NDArray[np.uint16]
 ) -> None:
-    """Bound the summed cost of the points, at one yaw, on squares row by row; a row is as long as that of a plane.
+    """Write bounds of the summed cost of the points, at one yaw, on squares row by row; rows are as long as in a plane.
 
-    All rows are added at once. A point beyond the first or last column is thus bounded by the cell that lies there in
-    memory: too low a bound is one, too.
+    All rows are added at once. A point beyond the first or last column is therefore bounded by the cell at that place
+    in memory. That bound is valid, because it is not above the true one, `WORST`.
     """
     _, rows, cols = planes.shape
     apart, n = SIDE * step, len(sums)
@@ -191,9 +194,10 @@ def _bound_squares(
 def _bound_quarters(
     cells: NDArray[np.int32], count: int, row: int, col: int, side: int, floors: NDArray[np.uint8], most: int
 ) -> tuple[int, int, int, int]:
-    """Bound the summed cost of the points on the quarters of a square, whose first cell and quarters' side are given.
+    """Return bounds of the summed cost of the points on the quarters of a square with this first cell.
 
-    ``floors`` (rows, cols) are of the level of the quarters. Once all sums are over ``most`` the rest is left out.
+    ``side`` is that of a quarter in cells, ``floors`` (rows, cols) the level of the quarters. The sums stop once all
+    exceed ``most``.
     """
     rows, cols = floors.shape
     a = b = c = d = 0
@@ -220,7 +224,7 @@ def _bound_quarters(
 
 @helper
 def _upper_sum(histogram: NDArray[np.int64], after: int, least: int) -> int:
-    """Return the sum up to which ``least`` squares or more have a bound over ``after``."""
+    """Return the least bound such that at least ``least`` squares have a bound above ``after`` and up to it."""
     found = 0
     for upper in range(after + 1, len(histogram)):
         found += histogram[upper]
@@ -250,12 +254,12 @@ def lowest_poses(
     lines: NDArray[np.float64],
     geometry: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Find the ``most`` lowest costs of ``pose_costs`` that lie apart; returns cost (m2), yaw and position: (m, 3).
+    """Return the ``most`` lowest separate minima of ``pose_costs``: cost (m2), index of yaw and of position, (m, 3).
 
-    None costs more than ``limit_m2``.
-    Each is the lowest that is not within ``separate`` (m, rad) of one before it; of equal costs it is the first.
-    ``xy_map_m`` (p, 2) are positions of a lattice of ``step`` cells, row by row. ``floors`` are ``cost_floors`` of the
-    same step from the cell ``corner`` (row, col) on, with all cells that points at these poses may be in.
+    No cost is above ``limit_m2``. Each is the lowest that is not within ``separate`` (m, rad) of one before it; of
+    equal costs, the first pose is taken. ``xy_map_m`` (p, 2) are positions of a lattice of ``step`` cells, row by row.
+    ``floors`` are ``cost_floors`` of the same step from the cell ``corner`` (row, col) on, and include all cells in
+    which points at these poses may be.
     """
     index, x0, y0 = _lattice(xy_map_m, step * geometry[2])
     cells, counts = _cells(points, (x0, y0), yaws_rad, corner, geometry)
@@ -271,7 +275,7 @@ def lowest_poses(
                 histogram[sums[q, row, col]] += held[row, col]
     scale = ROUNDING * truncate_m * truncate_m / (WORST * len(points))
     limit = int(min(limit_m2 / scale, float(len(histogram)))) + 1
-    kind = n_yaws * positions  # a code is the level, downwards, LEVELS if exact, times this, plus yaw and position
+    kind = n_yaws * positions  # code: (TOP - level, or LEVELS if exact) times this, plus yaw and position
     heap, count, upper, slice_size = Heap(np.empty(4 * SLICE), np.empty(4 * SLICE, np.int64)), 0, -1, SLICE
     found, n = np.empty((most, 3)), 0
     while n < most:

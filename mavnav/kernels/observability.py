@@ -1,4 +1,4 @@
-"""How well a scan's pose is observable from the map's lines, in the worst direction (docs/method.md)."""
+"""Observability of a scan's pose by the map's lines, in the worst direction (docs/method.md)."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def observability(
     geometry: NDArray[np.float64],
     information: NDArray[np.float64],
 ) -> float:
-    """Return the least eigenvalue of a scan's information about its pose: 0 where a direction is not observable.
+    """Return the least eigenvalue of a scan's information about its pose: 0 if a direction is not observable.
 
-    ``points`` (n, 2) lie in the laser's frame, m; ``pose`` (3,) is x, y (m) and yaw (rad) in the map frame. A point on
-    a wall informs about motion along the wall's normal. A point weighs 1 / n, and a turn counts as the path of a point
-    at the mean distance. The map's arrays are described in ``linemap``. Writes the sums of this information in the map
-    frame (6,): xx, xy, yy (points), x yaw, y yaw (m), yaw yaw (m2).
+    ``points`` (n, 2) are in the laser frame, m; ``pose`` (3,) is x, y (m) and yaw (rad) in the map frame. A point on a
+    wall constrains motion along the wall's normal, with weight 1 / n; a turn counts as the path of a point at the mean
+    distance. The map's arrays are described in ``linemap``. Writes the information in the map frame, summed over the
+    points, (6,): xx, xy, yy (points), x yaw, y yaw (m), yaw yaw (m2).
     """
     (rows, cols), (to_x, to_y, yaw), (origin_x, origin_y, cell_m, _, _, _) = nearest.shape, pose, geometry
     c, s, cells_per_m = np.cos(yaw), np.sin(yaw), 1.0 / cell_m
@@ -53,7 +53,7 @@ def observability(
         u, v = (x + to_x - origin_x) * cells_per_m, (y + to_y - origin_y) * cells_per_m
         slot = int64(slot_of(nearest[int64(v), int64(u)])) if 0.0 <= u < cols and 0.0 <= v < rows else 0
         if slot > 0:
-            # Of a line's metric, 1 across and beta along it, what is left without beta: nothing of a round spot.
+            # The metric, 1 across the line and beta along it, less beta: it is 0 for a round spot.
             beta = lines[slot, 2] + lines[slot, 4] - 1.0
             axx, axy, ayy = lines[slot, 2] - beta, lines[slot, 3], lines[slot, 4] - beta
             tx, ty = axy * x - axx * y, ayy * x - axy * y

@@ -1,4 +1,4 @@
-"""How far two scans that see the same walls lie apart, by the poses that they were given."""
+"""Distances between two scans that see the same walls, at their given poses."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 
 
 AT_ONCE = 4
-"""Beams on either side that are compared before the test whether the next can be nearer."""
+"""Number of beams on either side that are compared before the next test whether farther ones can be nearer."""
 
 
 @helper
-def _chosen(
+def _sampled(
     ranges_m: NDArray[np.float64],
     directions: NDArray[np.float64],
     near_m: float,
@@ -26,7 +26,7 @@ def _chosen(
     every: int,
     points: NDArray[np.float64],
 ) -> int:
-    """Write x and y of every so many-th end point of a scan; returns how many."""
+    """Write x and y of each ``every``-th end point of a scan; return the number."""
     skip, n = 0, 0
     for i in range(len(ranges_m)):
         if near_m <= ranges_m[i] <= far_m:
@@ -38,22 +38,22 @@ def _chosen(
 
 
 @helper
-def _bring(
-    chosen: NDArray[np.float64],
+def _to_polar(
+    sampled: NDArray[np.float64],
     n: int,
     motion: NDArray[np.float64],
     step: float,
     centre: float,
     points: NDArray[np.float64],
 ) -> None:
-    """Move points (2, n) by cosine, sine and shift to (4, n): x and y, then range and beams from ``centre`` (rad).
+    """Transform points (2, n) by cosine, sine and shift to (4, n): x, y, range, and bearing from ``centre`` in beams.
 
-    Without branches the loop works on four points at a time. The octant's arc tangent, halved twice, suits a short
-    series.
+    The loop has no branches, so that it uses SIMD lanes. Halving the angle twice makes a short series of the arc
+    tangent accurate.
     """
     c, s, x, y = motion
     for k in range(n):
-        qx, qy = c * chosen[0, k] - s * chosen[1, k] + x, s * chosen[0, k] + c * chosen[1, k] + y
+        qx, qy = c * sampled[0, k] - s * sampled[1, k] + x, s * sampled[0, k] + c * sampled[1, k] + y
         points[0, k], points[1, k], points[2, k] = qx, qy, np.sqrt(qx * qx + qy * qy)
         ahead, aside = abs(qx), max(abs(qy), 1e-300)
         t = min(ahead, aside) / max(ahead, aside)
@@ -79,9 +79,9 @@ def _nearest2(
     aside2: NDArray[np.float64],
     cap2: float,
 ) -> float:
-    """Return the least squared distance from a point to the ends of beams (2, n), at most ``cap2``.
+    """Return the least squared distance from a point to the end points of beams (2, n), at most ``cap2``.
 
-    From the beam that points to it outwards, as long as an end point so far aside could be nearer.
+    Beams are tested from the one that points at it outwards, as long as their end points could be nearer.
     """
     count, nearest2, k = ends.shape[1], cap2, 0
     while min(middle, count - 2 - middle) >= k + AT_ONCE - 1:
@@ -114,7 +114,7 @@ def scan_distances(
     cap_m: float,
     every: int,
 ) -> NDArray[np.float64]:
-    """Measure from the points of one scan of a pair to the nearest points of the other.
+    """Return the distances from the points of one scan of a pair to the nearest points of the other, summed.
 
     Parameters
     ----------
@@ -123,22 +123,22 @@ def scan_distances(
     pairs : (n, 2) which scans
     directions : (beams, 2) cosines and sines in the laser's frame
     beams : (4,) bearing of the first beam and step in rad, least and greatest range used in m
-    cap_m : nothing farther is looked for
-    every : only every so many-th point of the first scan is used
+    cap_m : largest distance
+    every : step between the used points of the first scan
 
     Returns
     -------
-    (n, 5): of the points with a neighbour within the cap their number and summed distance (m); of the points that the
-    second scan could have seen their number and summed distance, each at most the cap; and the number of all points. A
-    point can be seen where the beam that points to it has a return, not nearer than the point less the cap.
+    (n, 5): number and summed distance (m) of the points with a neighbour within the cap; number and summed distance,
+    each at most the cap, of the points that the second scan could have seen; and the number of all points. A point can
+    be seen if the beam that points at it has a return, not nearer than the point less the cap.
     """
     count = ranges_m.shape[1]
     first, step, near_m, far_m = beams
     turn, half = round(2.0 * np.pi / abs(step)), 0.5 * (count - 1)
-    aside2 = np.empty(count + 2)  # the squared sine of what lies between the point and beams so many farther on
+    aside2 = np.empty(count + 2)  # squared sine of the least angle to the k-th beam aside
     for k in range(count + 2):
         aside2[k] = np.sin(min(max(k - 1, 0) * abs(step), 0.5 * np.pi)) ** 2
-    out, chosen, points, ends = (
+    out, sampled, points, ends = (
         np.zeros((len(pairs), 5)),
         np.empty((2, count)),
         np.empty((4, count)),
@@ -148,12 +148,12 @@ def scan_distances(
     last, n = -1, 0
     for pair in range(len(pairs)):
         a, b = pairs[pair]
-        if a != last:  # a scan has several partners, one after the other
-            last, n = a, _chosen(ranges_m[a], directions, near_m, far_m, every, chosen)
+        if a != last:  # the pairs of a scan follow each other
+            last, n = a, _sampled(ranges_m[a], directions, near_m, far_m, every, sampled)
         dx, dy, dyaw = poses[a, 0] - poses[b, 0], poses[a, 1] - poses[b, 1], poses[a, 2] - poses[b, 2]
         c, s = np.cos(poses[b, 2]), np.sin(poses[b, 2])
         motion = np.array([np.cos(dyaw), np.sin(dyaw), c * dx + s * dy, c * dy - s * dx])
-        _bring(chosen, n, motion, step, first + half * step, points)
+        _to_polar(sampled, n, motion, step, first + half * step, points)
         for j in range(count):
             r = ranges_m[b, j]
             r = r if (near_m <= r) & (r <= far_m) else np.inf

@@ -1,4 +1,4 @@
-"""From ranges to the points that are matched and mapped: cleaning, de-skewing, voxel averages (docs/method.md)."""
+"""Points of a scan for matching and mapping: cleaning, de-skewing, voxel means (docs/method.md)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _end_points(
     far_m: float,
     out: NDArray[np.float64],
 ) -> int:
-    """Write the end points (n, 2), m, of the good beams in the laser's frame at mid-sweep; returns how many."""
+    """Write the end points (n, 2), m, of the valid beams in the laser frame at mid-sweep; return their number."""
     (v_x, v_y, rate), n, used = twist, len(ranges_m), 0
     turn = rate * time_increment_s
     first, step_c, step_s = -0.5 * (n - 1) * turn, np.cos(turn), np.sin(turn)
@@ -46,10 +46,10 @@ def _end_points(
 
 @helper
 def voxel_means(points: NDArray[np.float64], voxel_m: float, out: NDArray[np.float64]) -> int:
-    """Write the means (m, 2) of points (n, 2) in square voxels, in a scrambled order, the same for the same points.
+    """Write the means (m, 2) of points (n, 2) in square voxels in shuffled order, which depends only on the points.
 
-    Returns how many there are. Voxels are filed in the order of their keys, with gaps: ``places`` hold their numbers,
-    those of a key from its first bits on.
+    Returns the number of means. ``places`` is a sorted hash table of voxel numbers: a voxel is at the first bits of its
+    key, or after it.
     """
     n, m, bits = len(points), 0, 1
     while 1 << bits < 2 * n:
@@ -77,7 +77,7 @@ def voxel_means(points: NDArray[np.float64], voxel_m: float, out: NDArray[np.flo
         sums[voxel, 2] += 1.0
     k, order = 0, np.empty(len(places), np.int32)
     for voxel in places:
-        order[uint64(k)] = voxel  # written over where there is none: nearly all places are empty
+        order[uint64(k)] = voxel  # overwritten unless there is a voxel: most places are empty
         k += voxel != 0
     for k in range(m):
         voxel = order[k]
@@ -95,17 +95,17 @@ def scan_points(
     ends: NDArray[np.float64],
     means: NDArray[np.float64],
 ) -> tuple[int, int]:
-    """Write the end points of the good beams in the laser's frame at mid-sweep, and their means in square voxels.
+    """Write the end points of the valid beams in the laser frame at mid-sweep, and their means in square voxels.
 
     Parameters
     ----------
     ranges_m, directions : (beams,) m, NaN without a return, and (beams, 2) cosines and sines
     twist, time_increment_s : (3,) the laser's motion in its own frame, m/s, m/s, rad/s, and the time between two beams
-    limits_m : (3,) beams from the first to the second are used; then the edge of a voxel
-    ends, means : (beams, 2) are written, m; returns how many of each
+    limits_m : (3,) least and greatest range of used beams, and the edge of a voxel
+    ends, means : (beams, 2) output, m; the numbers of both are returned
 
-    Left out are mixed pixels as well: beams that differ from both neighbours by more than 0.1 m and 5 % of their range.
-    The means are in a scrambled order: any prefix is a fair sample of the whole, so that a search may judge on few.
+    Mixed pixels are left out: beams that differ from both neighbours by more than 0.1 m and 5 % of their range. The
+    means are shuffled, so that any prefix is a fair sample.
     """
     near_m, far_m, voxel_m = limits_m
     n = _end_points(ranges_m, directions, twist, time_increment_s, near_m, far_m, ends)
@@ -131,9 +131,9 @@ def extent(points: NDArray[np.float64]) -> tuple[float, float, float, float]:
 def placed(
     points: NDArray[np.float64], pose: NDArray[np.float64], out: NDArray[np.float64]
 ) -> tuple[float, float, float, float]:
-    """Bring points (n, 2), m, from a frame to that in which its ``pose`` (3,) is given: x, y (m), yaw (rad).
+    """Transform points (n, 2), m, by a ``pose`` (3,): x, y (m), yaw (rad).
 
-    They are written to ``out`` (n, 2); returns their ``extent``.
+    They are written to ``out`` (n, 2), in the frame in which the pose is given; returns their ``extent``.
     """
     to_x, to_y, yaw = pose
     c, s = np.cos(yaw), np.sin(yaw)

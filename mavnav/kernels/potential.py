@@ -20,13 +20,13 @@ def occupied(
 ) -> NDArray[np.float64]:
     """Return the centres (n, 2) in m of the cells that are walls, in row-major order.
 
-    A cell counts if it was hit, by at least ``min_share`` of the beams that came to it, and if it and the cells around
-    it (5 x 5) that pass the same test have ``min_hits`` hits together: a stray reading is no wall.
+    A wall cell was hit, by at least ``min_share`` of the beams that reached it. It and the cells around it (5 x 5) that
+    pass the same test must have ``min_hits`` hits together: a stray reading is no wall.
     ``lattice`` (3,) is the corner of cell [0, 0] and the cell edge in m.
     """
     rows, cols = passes.shape
     ox, oy, cell = lattice
-    out = np.empty((hits.size, 2))  # most of it is never touched
+    out = np.empty((hits.size, 2))  # memory is allocated for the used part only
     kept = 0
     for row in range(rows):
         for col in range(cols):
@@ -35,7 +35,7 @@ def occupied(
                 continue
             together = n
             for r in range(max(0, row - 2), min(rows, row + 3)):
-                if together >= min_hits:  # most walls are known by one cell
+                if together >= min_hits:  # most walls have enough hits in one cell
                     break
                 for c in range(max(0, col - 2), min(cols, col + 3)):
                     m = int64(count_at(hits, r, c))
@@ -55,9 +55,9 @@ def repulsion(
 ) -> NDArray[np.float64]:
     """Return the sum (2,) of the forces of all walls (n, 2) within ``range_m`` on a vehicle at ``xy_map_m`` (2,).
 
-    A cell at distance r pushes away with ``cell / range (range / r - 1) (range / r)^2``: the gradient of the potential
-    ``(range / r - 1)^2 / 2`` but for a factor, by length of wall, so that the size of the cells does not matter. Nearer
-    than one cell a wall pushes no stronger.
+    A cell at distance r repels with ``cell / range (range / r - 1) (range / r)^2``: except for a factor, the gradient
+    of the potential ``(range / r - 1)^2 / 2``, per length of wall, so that it does not depend on the size of cells. The
+    force does not increase within one cell.
     """
     out = np.zeros(2)
     for k in range(len(walls_xy_map_m)):

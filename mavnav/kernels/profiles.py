@@ -1,4 +1,4 @@
-"""Profiles across walls: how counts lie along the normal."""
+"""Profiles across walls: counts along the normal."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def wall_profiles(
     half_length: int,
     reach: int,
 ) -> NDArray[np.float64]:
-    """Average hits and crossings along a wall, on either half of a stretch of it.
+    """Return the mean hits and crossings at each distance from a wall, for both halves of a stretch of it.
 
     Parameters
     ----------
-    hits, passes : (rows, cols); nothing lies outside
+    hits, passes : (rows, cols); counts outside are 0
     stations : (n, 3) column and row, in cells (whole numbers are centres), and direction of the wall in rad
-    half_length : so many cells of the wall on either side of a station
-    reach : so many cells to either side of the wall
+    half_length : length of the wall on either side of a station, in cells
+    reach : distance to either side of the wall, in cells
 
     Returns
     -------
@@ -45,7 +45,7 @@ def wall_profiles(
             sign = 2.0 * half - 1.0
             for b in range(bins):
                 v = 0.5 * b - reach
-                for i in range(samples):  # apart from the sums, so that several are found at once
+                for i in range(samples):  # in a loop without the sums, which uses SIMD lanes
                     u = sign * along[i]
                     at[0, i] = int32(np.floor(stations[k, 0] + u * c - v * s + 0.5))
                     at[1, i] = int32(np.floor(stations[k, 1] + u * s + v * c + 0.5))

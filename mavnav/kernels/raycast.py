@@ -1,4 +1,4 @@
-"""The virtual scan: what the laser would see of the map from a given pose (paper, "Virtual Scan")."""
+"""The virtual scan: the ranges that a laser would measure in the map from a given pose (paper, "Virtual Scan")."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 ROUNDING_M = 1e-9
-"""Two cells whose distances from the middle of a cluster differ by less are equally far from it."""
+"""Tolerance for equal distances from the middle of a cluster."""
 
 
 @kernel(float64[::1](U16_3D, F64_1D, F64_1D, F64_2D, float64, int64, boolean))
@@ -27,12 +27,12 @@ def virtual_scan(
     gap_cells: int,
     middle: bool,
 ) -> NDArray[np.float64]:
-    """Return the range (beams,) in m at each direction, NaN where no occupied cell lies within ``far_m``.
+    """Return the range (beams,) in m in each direction, NaN without an occupied cell within ``far_m``.
 
-    A ray walks the cells until the first occupied one, follows the cluster of occupied cells behind it, over empty
-    stretches of up to ``gap_cells``, and takes the cell of the cluster with most hits as the wall; the range is that to
-    the cell's centre. Of cells with equally many hits it takes the one nearest to the laser, or, with ``middle``, the
-    one nearest to the middle of the cluster (of two, the nearer to the laser).
+    A ray passes through the cells to the first occupied one, and on through the cluster of occupied cells behind it,
+    with gaps of up to ``gap_cells``. The cell of the cluster with most hits is the wall; the range is that to its
+    centre. Of cells with equally many hits, the wall is the one nearest to the laser, or, with ``middle``, the one
+    nearest to the middle of the cluster (of two, the nearer to the laser).
 
     ``lattice`` is (3,): x and y of the corner of cell [0, 0] and the cell edge in m; ``pose`` (3,) x, y, yaw of the
     laser in the map; ``directions`` (beams, 2) cosines and sines in the laser's frame.
@@ -74,7 +74,7 @@ def virtual_scan(
                 empty += 1
                 if empty > gap_cells:
                     break
-            along = next_u < next_v  # without a branch, which would often be guessed wrong
+            along = next_u < next_v  # no branch, because its prediction would often fail
             at = next_u if along else next_v
             col, next_u = col + (step_col if along else 0), next_u + (each_u if along else 0.0)
             row, next_v = row + (0 if along else step_row), next_v + (0.0 if along else each_v)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @helper
 def _root(parent: NDArray[np.int32], label: int) -> int:
-    """Return the first label of those that were found to be one, and shorten the path to it."""
+    """Return the first label of the region of a label, and shorten the path to it."""
     while parent[label] != label:
         parent[label] = parent[parent[label]]
         label = parent[label]
@@ -24,7 +24,7 @@ def _root(parent: NDArray[np.int32], label: int) -> int:
 
 @helper
 def _joined(parent: NDArray[np.int32], a: int, b: int) -> int:
-    """Make two labels one and return it; -1 is none."""
+    """Merge the regions of two labels and return its first label; -1 is no label."""
     if a < 0 or b < 0:
         return max(a, b)
     a, b = _root(parent, a), _root(parent, b)
@@ -35,10 +35,10 @@ def _joined(parent: NDArray[np.int32], a: int, b: int) -> int:
 
 @kernel(int64[::1](BOOL_2D, boolean))
 def region_sizes(mask: NDArray[np.bool_], diagonal: bool) -> NDArray[np.int64]:
-    """Count the cells of each region of a mask (rows, cols), (regions,); the order is that of their first cells.
+    """Return the number of cells of each region of a mask (rows, cols), (regions,), in the order of their first cells.
 
-    Cells of a region touch at an edge, where ``diagonal`` is set at a corner too. Only the labels of two rows are kept,
-    and memory is touched for the regions that are, not for those that may be.
+    Cells of a region touch at an edge, or with ``diagonal`` at a corner. Only the labels of two rows are kept, and
+    memory is allocated only for regions that exist.
     """
     rows, cols = mask.shape
     parent = np.empty(rows * ((cols + 1) // 2), np.int32)

@@ -1,4 +1,4 @@
-"""Smoothing of a path: measured positions against a velocity that changes little (docs/method.md)."""
+"""Smoothing of a path: noisy positions of a motion whose velocity changes little (docs/method.md)."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ if TYPE_CHECKING:
 
 @kernel(float64(F64_2D, F64_1D, float64, float64[:, ::1]))
 def smooth(xy: NDArray[np.float64], elapsed: NDArray[np.float64], stiffness: float, out: NDArray[np.float64]) -> float:
-    """Write the positions p that minimise sum |p - xy|^2 + stiffness * sum |acceleration|^2; returns how likely.
+    """Write the positions p that minimise sum |p - xy|^2 + stiffness * sum |acceleration|^2; return the log-likelihood.
 
     Parameters
     ----------
     xy : (n, 2) positions, n >= 3
     elapsed : (n - 1,) time from each to the next
-    stiffness : variance of a position over that of an acceleration, to the unit of time to the fourth
-    out : (n, 2) the smooth positions
+    stiffness : ratio of the variances of a position and an acceleration, unit of time to the fourth
+    out : (n, 2) the smoothed positions
 
-    The logarithm of the likelihood (but for a constant, and with the best variance of a position) compares values of
-    the stiffness: white noise on positions of a path whose velocity is a random walk (Rauch, Tung and Striebel's
-    smoother as one banded system, solved by its LDL' factors).
+    The log-likelihood, up to a constant and with the best variance of a position, compares values of the stiffness. The
+    model is white noise on positions of a path whose velocity is a random walk (the smoother of Rauch, Tung and
+    Striebel as one banded system, solved by its LDL' factors).
     """
     n = len(xy)
-    d, l1, l2 = np.ones(n), np.zeros(n), np.zeros(n)  # the diagonal of I + stiffness B'WB, and the two beside it
+    d, l1, l2 = np.ones(n), np.zeros(n), np.zeros(n)  # the diagonals 0, 1 and 2 of I + stiffness B'WB
     for k in range(n - 2):
         before, after = elapsed[k], elapsed[k + 1]
         r0, r1, r2 = 1.0 / before, -1.0 / before - 1.0 / after, 1.0 / after
@@ -40,7 +40,7 @@ def smooth(xy: NDArray[np.float64], elapsed: NDArray[np.float64], stiffness: flo
         l1[k] += weight * r0 * r1
         l1[k + 1] += weight * r1 * r2
         l2[k] += weight * r0 * r2
-    log_determinant, d_1, d_2, l1_1, l2_1, l2_2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # factors of the row before, and so on
+    log_determinant, d_1, d_2, l1_1, l2_1, l2_2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # factors of the rows before, _1 and _2
     x_1 = x_2 = y_1 = y_2 = 0.0
     for k in range(n):
         pivot = d[k] - l1_1 * l1_1 * d_1 - l2_2 * l2_2 * d_2

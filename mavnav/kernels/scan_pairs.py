@@ -1,4 +1,4 @@
-"""Pairs of scans whose poses may disagree: the walls of a scan, gaps between two scans' walls, the best alignment."""
+"""Pairs of scans whose poses may disagree: wall normals of a scan, gaps between walls, the best alignment."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ if TYPE_CHECKING:
 HALF_LENGTH_M = 0.15
 GAP_M = 0.25
 LEAST_BESIDE = 2
-"""A line is fitted to the points within the first distance, at least so many to either side, with no larger gap."""
+"""Half-length of the part of a wall to which a line is fitted, largest gap in it, least number of points to a side."""
 
 MOST_RATIO = 0.1
 SPREAD_M, SPREAD_SHARE = 0.03, 0.01
-"""A wall's points scatter across it by no more than this plus a share of the range; the variances have this ratio."""
+"""Bounds on the spread of a wall's points across it: ratio of the variances, and m plus a share of the range."""
 
 LEAST_COSINE = 0.25
-"""Beams that graze a wall are not used."""
+"""Least cosine between a beam and the wall's normal: beams that graze a wall are not used."""
 
 PARALLEL = 0.94
-"""Two walls are parallel from this cosine on (20 degrees)."""
+"""Least cosine between two parallel walls (20 degrees)."""
 
 SAME_M, SAME_SHARE = 0.05, 0.01
-"""Two scans see the same wall where they differ by no more than this plus a share of the range."""
+"""Largest difference of two scans that see the same wall: m plus a share of the range."""
 
 CELL_M = 0.05
 CLOSE_M, CLOSE_CELLS = 0.12, 2
-"""Points of two scans fit together up to this distance, which spans so many cells."""
+"""Distance up to which points of two scans count as close, in m and in cells."""
 
 STEP_M, STEP_RAD = 0.1, np.pi / 90.0
 TURNS = 3
 LEVELS = 4
-"""The search begins with these steps and so many turns to either side; every level halves them."""
+"""First steps of the search, number of turns to either side, and number of levels; every level halves the steps."""
 
 COARSE_POINTS, FINE_POINTS = 40, 160
 SHIFT_COST, TURN_COST = 0.03, 0.1
-"""What a metre and a radian of correction cost, against a score of 1: where all fits equally well, the least wins."""
+"""Cost of a metre and of a radian of correction, relative to a score of 1: of equal fits, the smallest one wins."""
 
 
 @helper
@@ -53,7 +53,7 @@ def _used_ends(
     xy: NDArray[np.float64],
     apart: NDArray[np.bool_],
 ) -> int:
-    """List the end points (2, n) of a scan, their beams, and which are too far from the one before; returns n."""
+    """Write the end points (2, n) of a scan, their beams, and which are too far from the one before; return n."""
     n = 0
     for i in range(len(ranges_m)):
         r = ranges_m[i]
@@ -68,7 +68,7 @@ def _used_ends(
 def _beside(
     xy: NDArray[np.float64], apart: NDArray[np.bool_], n: int, i: int
 ) -> tuple[int, float, float, float, float, float, float]:
-    """Return how many of n points there are on the side of point ``i`` that has fewer, and the moments of all."""
+    """Return the lesser of the numbers of points near point ``i`` on its two sides, and the moments of all of them."""
     fewest, count, x, y, xx, xy_, yy = n, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for step in (-1, 1):
         found, k = 0, i + step
@@ -86,10 +86,10 @@ def _beside(
 def wall_normals(
     ranges_m: NDArray[np.float64], directions: NDArray[np.float64], limits_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the bearing of the wall's normal at each end point, towards the laser, rad in its frame, (scans, beams).
+    """Return the bearing of the wall's normal towards the laser at each end point, rad, laser frame, (scans, beams).
 
-    NaN where a point does not lie on a straight wall, or the beam grazes it. ``ranges_m`` (scans, beams) are NaN
-    without a return, ``directions`` (beams, 2) cosines and sines; ranges from the first limit to the second are used.
+    NaN if a point does not lie on a straight wall, or the beam grazes it. ``ranges_m`` (scans, beams) are NaN without a
+    return, ``directions`` (beams, 2) cosines and sines. ``limits_m`` are the least and greatest range of used points.
     """
     scans, beams = ranges_m.shape
     out, xy = np.full((scans, beams), np.nan), np.empty((2, beams))
@@ -134,13 +134,11 @@ def wall_gaps(
     b_T_a : (n, 3) pose of a in the frame of b, m, m, rad
     directions : (beams, 2) cosines and sines in the laser's frame
     beams : (4,) bearing of the first beam and step in rad, least and greatest range used in m
-    every : only every so many-th beam of a is used
+    every : step between the used beams of a
 
-    Returns
-    -------
-    (n, beams / every): gap across the wall in m, 0 where b sees the wall too, negative where b sees something before
-    it; inf where b sees something behind it that is no wall parallel to it; NaN where a has no wall point, or b does
-    not look at it. From which side b looks at a wall does not matter.
+    Returns ------- (n, beams / every): gap across the wall in m, 0 if b sees the wall too, negative if b sees something
+    before it, inf if b sees something behind it that is no parallel wall. NaN if a has no wall point, or b has no used
+    beam there. The side of the wall from which b sees it does not matter.
     """
     first, step, least_m, far_m = beams
     count = ranges_m.shape[1]
@@ -173,7 +171,7 @@ def wall_gaps(
             gap = (ranges_m[b, beam] - r) * cosine
             if abs(gap) <= SAME_M + SAME_SHARE * r:
                 out[p, m] = 0.0
-            else:  # it is not parallel where b has no normal
+            else:  # not parallel if b has no normal, NaN
                 parallel = gap >= 0.0 and abs(np.cos(normals_rad[b, beam] - normal)) > PARALLEL
                 out[p, m] = gap if gap < 0.0 or parallel else np.inf
     return out
@@ -181,7 +179,7 @@ def wall_gaps(
 
 @helper
 def _draw(ends: NDArray[np.float64], image: NDArray[np.uint8]) -> None:
-    """Draw how close points (n, 2) are to the middle of each cell (rows, cols), up to 255; (0, 0) is in the middle."""
+    """Draw the closeness of each cell (rows, cols) to points (n, 2), up to 255; (0, 0) is in the middle."""
     image[:] = 0
     size, middle = len(image), len(image) // 2
     for k in range(len(ends)):
@@ -197,7 +195,7 @@ def _draw(ends: NDArray[np.float64], image: NDArray[np.uint8]) -> None:
 def _closeness(
     points: NDArray[np.float64], every: int, x: float, y: float, yaw: float, image: NDArray[np.uint8]
 ) -> float:
-    """Return how close every so many-th point (n, 2) comes to those of the image from a pose: 0 to 1, the mean."""
+    """Return the mean closeness, 0 to 1, of each ``every``-th point (n, 2) at a pose to the points of the image."""
     c, s, size, total, n = np.cos(yaw), np.sin(yaw), len(image), 0, 0
     u0, v0 = x / CELL_M + size // 2, y / CELL_M + size // 2
     c, s = c / CELL_M, s / CELL_M
@@ -231,10 +229,10 @@ def best_alignments(
     limits_m: NDArray[np.float64],
     reach: int,
 ) -> NDArray[np.float64]:
-    """Search for the poses of scans a in the frames of scans b at which their end points lie closest to one another.
+    """Search for the poses of scans a in the frames of scans b at which their end points are closest to each other.
 
-    All poses up to ``reach`` steps of 0.1 m and three turns of 2 degrees away from ``b_T_a`` (n, 3) are tried, then
-    those around the best one in halved steps, three times. Arguments as of `wall_gaps` and `wall_normals`; returns the
+    All poses up to ``reach`` steps of 0.1 m and three turns of 2 degrees from ``b_T_a`` (n, 3) are tried, then those
+    around the best one with halved steps, three times. Arguments as of `wall_gaps` and `wall_normals`; returns the
     poses, (n, 3).
     """
     size = 2 * int(limits_m[1] / CELL_M) + 2

@@ -1,4 +1,4 @@
-"""An image smoothed, or its slope: two passes of one-dimensional weights."""
+"""Smoothing of an image, or its slope, by two passes of one-dimensional weights."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def _add(
     total: NDArray[np.float64], after: NDArray[np.float64], weight: float, sign: float, before: NDArray[np.float64]
 ) -> None:
-    """Add two neighbours of each cell (n,), weighed."""
+    """Add two neighbours of each cell (n,), weighted."""
     for c in range(len(total)):
         total[c] += (after[c] + sign * before[c]) * weight
 
@@ -30,11 +30,11 @@ def smoothed(
     down_sign: float,
     across_sign: float,
 ) -> NDArray[np.float32]:
-    """Weigh each cell of an image (rows, cols) and its neighbours, along the columns and then along the rows.
+    """Return the weighted sums of each cell of an image (rows, cols) and its neighbours, along columns, then rows.
 
-    ``down`` and ``across`` hold the weights of the middle and of the neighbours after it; those before it weigh as
-    much times the sign, 1 or -1. Beyond its edges the image is its own reflection. Sums are float64, rounded to float32
-    after each pass.
+    ``down`` and ``across`` are the weights of the middle and of the neighbours after it; those before it have the same
+    weights times the sign, 1 or -1. The image is reflected at its edges. Sums are float64, rounded to float32 after
+    each pass.
     """
     rows, cols = image.shape
     far_down, far_across = len(down) - 1, len(across) - 1

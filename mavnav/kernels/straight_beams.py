@@ -1,4 +1,4 @@
-"""Where single scans see straight walls."""
+"""Straight walls in single scans."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @helper
 def _thinned(xy_m: NDArray[np.float64], spacing_m: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the numbers of the points that are not too near to the one before, and the points."""
+    """Return the numbers of the points at least ``spacing_m`` from the one before, and these points."""
     beam, n = np.empty(len(xy_m), np.int64), 0
     for i in range(len(xy_m)):
         if np.isnan(xy_m[i, 0]):
@@ -41,11 +41,11 @@ def straight_beams(
     Parameters
     ----------
     xy_m : (n, 2) end points in the order of the beams, laser frame; NaN without a return
-    spacing_m : points nearer than this to the one before are left out
-    radii_m : (m,) sizes of neighbourhood, tried in this order; the first in which a point lies on a wall counts
-    least_reach : the neighbourhood reaches so far on both sides, as a share of the radius
-    max_ratio : the points' standard deviation across the wall is at most this share of that along it
-    min_points : a neighbourhood has so many points at least
+    spacing_m : least distance of a used point to the one before
+    radii_m : (m,) radii of the neighbourhood, tried in this order until a point lies on a wall
+    least_reach : least extent of the neighbourhood on both sides, as a share of the radius
+    max_ratio : largest ratio of the points' standard deviations across and along the wall
+    min_points : least number of points in the neighbourhood
 
     The neighbourhood of a point are those before and after it up to the first that lies farther away than the radius.
 

@@ -15,13 +15,14 @@ if TYPE_CHECKING:
 
 @kernel(int64[:, ::1](U16_2D_STRIDED, int64, int64))
 def column_runs(hits: NDArray[np.uint16], min_hits: int, max_gap: int) -> NDArray[np.int64]:
-    """Find the runs of occupied cells along the columns.
+    """Return the runs of occupied cells along the columns.
 
-    A cell of ``hits`` (rows, cols) is occupied from ``min_hits`` on; a run bridges up to ``max_gap`` empty cells.
+    A cell of ``hits`` (rows, cols) is occupied from ``min_hits`` on; a run includes gaps of up to ``max_gap`` empty
+    cells.
 
     Returns
     -------
-    (runs, 4): column, first row, last row, occupied cells; ordered by first row, then column.
+    (runs, 4): column, first row, last row, number of occupied cells; ordered by first row, then column.
     """
     rows, cols = hits.shape
     open_run = np.full(cols, -1, np.int64)
@@ -47,14 +48,14 @@ def column_runs(hits: NDArray[np.uint16], min_hits: int, max_gap: int) -> NDArra
 
 @helper
 def _keep_both(out: NDArray[np.uint8], a: NDArray[np.uint8], b: NDArray[np.uint8]) -> None:
-    """Set where both are set (n,)."""
+    """Write where both are set (n,)."""
     for c in range(len(out)):
         out[c] = a[c] & b[c]
 
 
 @helper
 def _push_stretch(free: NDArray[np.uint8], row: int, col: int, stack: NDArray[np.int64], depth: int) -> int:
-    """Put the stretch of free cells of a row about one of them on the stack, and take it; returns the new depth."""
+    """Push the stretch of free cells of a row around a cell onto the stack, and mark it; return the new depth."""
     low, high = col, col
     while free[row, low - 1]:
         low -= 1
@@ -68,7 +69,7 @@ def _push_stretch(free: NDArray[np.uint8], row: int, col: int, stack: NDArray[np
 
 @helper
 def _discs(reach: int, border: int, limit: float) -> NDArray[np.uint8]:
-    """Make the discs about a middle that lies on a cell, and about one on the edge to the next row; in half cells."""
+    """Return the discs around the centre of a cell and around the edge to the next row; ``limit`` in half cells."""
     discs = np.zeros((2, 2 * border + 1, 2 * border + 1), np.uint8)
     for half in range(2):
         for r in range(-reach, reach + 1):
@@ -89,9 +90,9 @@ def _sum_up(
     step: int,
     sums: NDArray[np.int64],
 ) -> None:
-    """Sum over the cells of the stretches on the stack, and of all that are connected to them.
+    """Sum over the cells of the stretches on the stack and all connected ones.
 
-    ``sums`` (7,): cells; hits, and by hits x, y, xx, xy, yy from the middle of the window, in half cells.
+    ``sums`` (7,): cells; hits, and weighted by hits x, y, xx, xy, yy from the middle of the window, in half cells.
     """
     middle = len(free) // 2
     sums[:] = 0
@@ -123,9 +124,9 @@ def run_moments(
     """Return the moments of the wall around each run: count and covariance of its cells near the run's middle.
 
     The cells are those occupied ones within ``radius`` (in cells) that are connected to the run, with up to
-    ``max_gap`` empty cells between two of them in row and column: a parallel wall does not count. The covariance is
-    weighted by hits. Everything is summed in whole half cells, so that neither the order of summation nor a mirrored
-    map changes a bit of the result.
+    ``max_gap`` empty cells between two of them in row and column; parallel walls are not included. The covariance is
+    weighted by hits. Sums are integers in half cells, so that the result does not depend on the order of summation or
+    on mirroring the map.
 
     Returns
     -------
@@ -139,7 +140,7 @@ def run_moments(
         for c in range(cols):
             occupied[border + r, border + c] = hits[r, c] >= min_hits
     discs = _discs(reach, border, 4.0 * radius * radius)
-    free = np.empty(discs.shape[1:], np.uint8)  # cells about the run that no stretch holds yet
+    free = np.empty(discs.shape[1:], np.uint8)  # cells near the run that are in no stretch yet
     stack, sums = np.empty((free.size, 3), np.int64), np.empty(7, np.int64)
     out = np.zeros((len(runs), 4))
     for k in range(len(runs)):

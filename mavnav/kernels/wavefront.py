@@ -1,4 +1,4 @@
-"""Distances over a coarse grid: to the nearest wall, and to the goal round all walls."""
+"""Distances on a coarse grid: to the nearest wall, and to the goal around all walls."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 STRAIGHT, DIAGONAL = 10, 14
-"""Costs of one cell straight and aslant, times the cell's weight."""
+"""Costs of a straight and of a diagonal step, per weight of the cell."""
 
 UNREACHED = np.int32(2**30)
-"""Cost of a cell that the wave did not reach."""
+"""Cost of a cell that was not reached."""
 
 
 @kernel(int32[:, ::1](BOOL_2D, int64))
@@ -53,15 +53,15 @@ def squared_clearance(walls: NDArray[np.bool_], reach_cells: int) -> NDArray[np.
 
 @kernel(int32[:, ::1](I32_2D, I32_2D, int64, int64))
 def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: int) -> NDArray[np.int32]:
-    """Return the cost (rows, cols) of the cheapest path from each cell to a goal, UNREACHED where there is none.
+    """Return the cost (rows, cols) of the cheapest path from each cell to a goal, UNREACHED without one.
 
-    A step costs STRAIGHT or DIAGONAL times the weight of the cell that it leaves; weight 0 is blocked, and an
-    aslant step needs both cells beside it. ``goals`` (n, 2) are rows and columns of open cells. Dijkstra's algorithm
-    with one bucket a cost; it ends once cell [row, col] and all cheaper ones are final, which leaves others too high or
-    UNREACHED.
+    A step costs STRAIGHT or DIAGONAL times the weight of the cell that it leaves. Weight 0 is blocked, and a diagonal
+    step needs both adjacent cells to be free. ``goals`` (n, 2) are rows and columns of free cells. This is Dijkstra's
+    algorithm with one bucket per cost. It ends once cell [row, col] and all cheaper ones are final; other costs may
+    then be too high or UNREACHED.
     """
     rows, cols = weights.shape
-    framed = np.zeros((rows + 2, cols + 2), np.int32)  # a blocked frame: no step leads out
+    framed = np.zeros((rows + 2, cols + 2), np.int32)  # with a frame of blocked cells, so that no step leaves the grid
     for r in range(rows):
         for c in range(cols):
             framed[r + 1, c + 1] = weights[r, c]
@@ -69,7 +69,7 @@ def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: in
     cost = np.full(len(w), UNREACHED, np.int32)
     straight = np.array([-wide, -1, 1, wide])
     buckets = DIAGONAL * int64(weights.max()) + 1
-    head = np.full(buckets, -1, np.int32)  # of each bucket's list of entries
+    head = np.full(buckets, -1, np.int32)  # first entry of each bucket's list
     cell = np.empty(8 * len(w) + len(goals), np.int32)
     behind = np.empty(8 * len(w) + len(goals), np.int32)
     entries = 0
@@ -111,7 +111,7 @@ def wave(weights: NDArray[np.int32], goals: NDArray[np.int32], row: int, col: in
 def downhill(cost: NDArray[np.int32], weights: NDArray[np.int32], row: int, col: int, steps: int) -> NDArray[np.int64]:
     """Return the cells (n, 2), row and col, of the cheapest path from [row, col] towards the goal, ``steps`` at most.
 
-    The first is [row, col] itself. Of equally cheap ways the one of lowest row, then column, is taken.
+    The first is [row, col] itself. Of equally cheap steps, that to the lowest row, then column, is taken.
     """
     rows, cols = cost.shape
     out = np.empty((steps + 1, 2), np.int64)

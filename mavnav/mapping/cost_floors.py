@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from mavnav.mapping.tiled_arrays import Extent
 
 MARGIN_M = 2.0
-"""Bounds reach so much farther than asked for: the next search may be somewhat wider."""
+"""Distance by which bounds reach beyond the requested extent, so that the next search may be somewhat wider."""
 
 
 @dataclass(frozen=True, slots=True)
 class CostFloors:
     """Bounds in the cells from ``corner`` (row, col) on, by level and as planes; see ``mavnav.kernels.cost_floors``.
 
-    They cover ``extent_m``, for the truncated distance ``truncate_m`` and positions ``step`` cells apart.
+    They hold within ``extent_m``, for the truncated distance ``truncate_m`` and positions ``step`` cells apart.
     """
 
     corner: NDArray[np.int64]
@@ -43,7 +43,7 @@ class CostFloors:
         step: int,
         extent_m: Extent,
     ) -> CostFloors:
-        """Bound the costs in an extent, and somewhat beyond, of the line map that these arrays are."""
+        """Return bounds of the costs in an extent, and ``MARGIN_M`` beyond, of the line map with these arrays."""
         x0, y0, x1, y1 = extent_m
         wider = (x0 - MARGIN_M, y0 - MARGIN_M, x1 + MARGIN_M, y1 + MARGIN_M)
         origin, cell_m, shape = geometry[:2], geometry[2], np.array(nearest.shape[::-1])
@@ -56,8 +56,8 @@ class CostFloors:
             corner, *kernels.cost_floors(box, step, truncate_m, nearest, lines, geometry), truncate_m, step, wider
         )
 
-    def serve(self, truncate_m: float, step: int, extent_m: Extent) -> bool:
-        """Tell whether a search with these settings, of poses whose points lie in an extent, can use the bounds."""
+    def covers(self, truncate_m: float, step: int, extent_m: Extent) -> bool:
+        """Return whether the bounds are valid for a search with these settings, whose points lie in an extent."""
         (x0, y0, x1, y1), (low_x, low_y, high_x, high_y) = extent_m, self.extent_m
         covered = low_x <= x0 and low_y <= y0 and x1 <= high_x and y1 <= high_y
         return covered and (truncate_m, step) == (self.truncate_m, self.step)

@@ -12,7 +12,7 @@ from mavnav.kernels.layout import FAR, NEAR, REACH_CELLS
 from mavnav.kernels.linemap import insert_points, rebuild
 from mavnav.kernels.points import extent
 from mavnav.mapping.cost_floors import CostFloors
-from mavnav.mapping.tiled_arrays import NO_ROOM, covering, moved, room, within
+from mavnav.mapping.tiled_arrays import NO_EXTENT, covered_extent, covering, moved, within
 from mavnav.memory import blank
 from mavnav.profiling import timed
 
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
     from mavnav.mapping.tiled_arrays import Extent
 
 _BLOCK_CELLS = 256
-BEYOND = REACH_CELLS + 2
-"""So many cells around a point are in the lattice."""
+MARGIN_CELLS = REACH_CELLS + 2
+"""Number of cells around a point that the lattice must include."""
 MOST_WAITING = 1 << 12
-"""So many cells may have points that their neighbours do not know of yet."""
+"""Maximum number of cells with waiting points, which their neighbours do not include yet."""
 _AT_ONCE = 1 << 14
-"""Lines that are moved at once."""
+"""Number of lines that are moved at a time."""
 
 NOWHERE = (1e9, 1e9, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-"""The line of index 0: so far away that the cost of every point is truncated."""
+"""The line of index 0, so far away that the cost of every point is truncated."""
 
 
 @dataclass(slots=True)
 class LineMap:
     """A growing map of local lines; see ``mavnav.kernels.linemap`` for the arrays.
 
-    ``origin_cells`` is the lattice index (col, row) of cell [0, 0], so that the map frame's origin is a corner of
-    cells however the map grows. Ground is known where a line rests on ``known_points`` points (``line_search``).
+    ``origin_cells`` is the lattice index (col, row) of cell [0, 0]; the map frame's origin is always a corner of cells.
+    An area is mapped where its line is fitted to ``known_points`` points or more (``line_search``).
     """
 
     cell_m: float
@@ -55,12 +55,12 @@ class LineMap:
     waiting: NDArray[np.float64] = field(default_factory=lambda: np.zeros((MOST_WAITING + 1, 8)))
 
     geometry: NDArray[np.float64] = field(init=False)
-    """Origin x, origin y, cell, line sigma, line noise in m, the share that may wait, shape (6,)."""
+    """Origin x, origin y, cell, line sigma, line noise in m, the share of waiting points, shape (6,)."""
     _floors: CostFloors | None = field(init=False, default=None)
-    _room_m: Extent = field(init=False, default=NO_ROOM)
+    _covered_m: Extent = field(init=False, default=NO_EXTENT)
 
     def __post_init__(self) -> None:
-        """Keep the lattice as the kernels take it."""
+        """Make the array of the geometry for the kernels."""
         self.geometry = np.array(
             [*self.origin_xy_m, self.cell_m, self.line_sigma_m, self.line_noise_m, self.waiting_share]
         )
@@ -76,28 +76,28 @@ class LineMap:
         return FAR + 1 - 1e-9 - (distance_m / self.cell_m) ** 2
 
     def cells_within(self, extent_m: Extent) -> float:
-        """Return about how many cells of the lattice lie within an extent."""
+        """Return the approximate number of cells of the lattice within an extent."""
         (x, y), (rows, cols), (x0, y0, x1, y1) = self.origin_xy_m, self.nearest.shape, extent_m
         wide_m: float = min(x1, x + cols * self.cell_m) - max(x0, x)
         high_m: float = min(y1, y + rows * self.cell_m) - max(y0, y)
         return float(max(wide_m, 0.0) * max(high_m, 0.0) / self.cell_m**2)
 
     def cost_floors(self, truncate_m: float, step: int, extent_m: Extent) -> CostFloors:
-        """Return bounds of the costs in an extent, for positions ``step`` cells apart; kept until the map changes."""
-        if self._floors is None or not self._floors.serve(truncate_m, step, extent_m):
+        """Return bounds of the costs in an extent, for positions ``step`` cells apart; cached until the map changes."""
+        if self._floors is None or not self._floors.covers(truncate_m, step, extent_m):
             self._floors = CostFloors.of(self.nearest, self.lines, self.geometry, truncate_m, step, extent_m)
         return self._floors
 
     @timed("field update")
     def insert(self, xy_map_m: NDArray[np.float64], extent_m: Extent | None = None) -> None:
-        """Add points (n, 2), in m, and refit the lines around them; their ``extent`` may be known."""
+        """Insert points (n, 2), in m, and refit the lines around them; their ``extent`` may be given."""
         if len(xy_map_m) == 0:
             return
         self._floors = None
         extent_m = extent_m or extent(np.ascontiguousarray(xy_map_m))
-        if not within(extent_m, self._room_m):
+        if not within(extent_m, self._covered_m):
             self._cover(extent_m)
-            self._room_m = room(self.origin_xy_m, self.nearest.shape, self.cell_m, BEYOND)
+            self._covered_m = covered_extent(self.origin_xy_m, self.nearest.shape, self.cell_m, MARGIN_CELLS)
         self._reserve(self.count + len(xy_map_m))
         for first in range(0, len(xy_map_m), MOST_WAITING):
             self.count = insert_points(
@@ -113,38 +113,38 @@ class LineMap:
 
     @timed("field update")
     def remove(self, xy_map_m: NDArray[np.float64]) -> None:
-        """Forget what the cells of some points (n, 2), in m, hold; cells that hold nothing may be among them.
+        """Remove the cells at some points (n, 2), in m, with all their points; some of these cells may be empty.
 
-        No points wait any longer.
+        Waiting points of all other cells are included.
         """
         self._floors = None
         at = np.floor(xy_map_m / self.cell_m).astype(np.int64) - np.array(self.origin_cells)
         inside = ((at >= 0) & (at < np.array(self.nearest.shape[::-1]))).all(axis=1)
         col, row = at[inside].T
         there = self.nearest[row, col]
-        gone = there[there % NEAR > FAR] // NEAR
-        self._settle()
-        kept = np.delete(np.arange(self.count), gone)
+        removed = there[there % NEAR > FAR] // NEAR
+        self._add_waiting()
+        kept = np.delete(np.arange(self.count), removed)
         self.count = n = len(kept)
-        for first in range(0, n, _AT_ONCE):  # in place: a copy of a large map would not fit beside it
+        for first in range(0, n, _AT_ONCE):  # in place: two copies of a large map may not fit into memory
             band = slice(first, min(first + _AT_ONCE, n))
             for held in (self.cells, self.moments, self.lines):
                 held[band] = held[kept[band]]
         self.nearest = blank(self.nearest.shape, np.uint32)
         rebuild(self.geometry, self.nearest, self.cells[:n], self.moments[:n], self.lines[:n])
 
-    def _settle(self) -> None:
-        """Count the points that wait among their cells'; the map must be drawn anew."""
+    def _add_waiting(self) -> None:
+        """Add the waiting points to the moments of their own cells; the map must be rebuilt afterwards."""
         new = self.waiting[1 : int(self.waiting[0, 0]) + 1]
         at = new[:, 6].astype(np.int64)
         self.moments[at, :6] += new[:, :6]
         self.lines[at, 6] = self.waiting[0, 0] = 0.0
 
     def _cover(self, extent_m: Extent) -> None:
-        """Grow the lattice until points of this extent and the reach around them lie inside."""
+        """Enlarge the lattice until it includes points of this extent and ``MARGIN_CELLS`` around them."""
         x0, y0, x1, y1 = extent_m
-        low = (floor(x0 / self.cell_m) - BEYOND, floor(y0 / self.cell_m) - BEYOND)
-        high = (floor(x1 / self.cell_m) + BEYOND, floor(y1 / self.cell_m) + BEYOND)
+        low = (floor(x0 / self.cell_m) - MARGIN_CELLS, floor(y0 / self.cell_m) - MARGIN_CELLS)
+        high = (floor(x1 / self.cell_m) + MARGIN_CELLS, floor(y1 / self.cell_m) + MARGIN_CELLS)
         origin = self.origin_cells
         grown = covering(low, high, self.nearest.shape, origin, _BLOCK_CELLS)
         if grown is None:
@@ -157,7 +157,7 @@ class LineMap:
         self.geometry[:2] = self.origin_xy_m
 
     def _reserve(self, needed: int) -> None:
-        """Make room for ``needed`` cells, four times as many as now at least: room takes memory once it is used."""
+        """Enlarge the arrays to ``needed`` cells, or four times as many as now: unused memory costs nothing."""
         capacity = len(self.cells)
         if needed <= capacity:
             return

@@ -1,4 +1,4 @@
-"""The occupancy grid: an integer count of laser hits a cell (paper, "Occupancy Grid Representation")."""
+"""The occupancy grid: an integer count of laser hits for every cell (paper, "Occupancy Grid Representation")."""
 
 from __future__ import annotations
 
@@ -13,7 +13,17 @@ from mavnav.kernels import hits as hits_kernel
 from mavnav.kernels.dynamic_cells import dynamic_cells
 from mavnav.kernels.layout import MOST, MOST_SHIELDED, WIDE
 from mavnav.kernels.points import extent
-from mavnav.mapping.tiled_arrays import NO_ROOM, bands, blank_strips, covering, in_strips, moved, plain, room, within
+from mavnav.mapping.tiled_arrays import (
+    NO_EXTENT,
+    bands,
+    blank_strips,
+    covered_extent,
+    covering,
+    in_strips,
+    moved,
+    plain,
+    within,
+)
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:
@@ -25,10 +35,10 @@ if TYPE_CHECKING:
 BLOCK_CELLS = 64
 _MARGIN_CELLS: Final = 2
 MAX_CELLS = 1 << 28
-"""819 m x 819 m in cells of 50 mm."""
+"""Maximum number of cells of a map: 819 m x 819 m with cells of 50 mm."""
 
 OCCUPIED_SHARE: Final = 0.2
-"""A cell is occupied where at least this share of the beams that reached it ended in it."""
+"""Minimum share of hits among the beams that reached an occupied cell."""
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 
@@ -37,9 +47,9 @@ FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 class Grid:
     """Hit counts on a square lattice.
 
-    ``hits[row, col]`` counts laser end points, ``passes[row, col]`` beams that crossed the cell on their way. Both are
-    (rows, cols), of any integers when given; they are kept in two bytes each, as in a `GridBuilder`, and saturate so.
-    Row grows with +y. ``origin_xy_m`` is the corner of cell [0, 0] in the map frame, always a whole number of cells.
+    ``hits[row, col]`` counts laser end points, ``passes[row, col]`` beams that crossed the cell. Both are (rows, cols),
+    of any integer type when given; they are stored as uint16, as in a `GridBuilder`, and saturate. Row grows with +y.
+    ``origin_xy_m`` is the corner of cell [0, 0] in the map frame, always a whole number of cells.
     """
 
     cell_m: float
@@ -48,7 +58,7 @@ class Grid:
     passes: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
 
     def __post_init__(self) -> None:
-        """Take the counts in as `counts` does."""
+        """Convert the counts as `counts` does."""
         object.__setattr__(self, "hits", counts(self.hits))
         object.__setattr__(self, "passes", counts(self.passes))
 
@@ -60,10 +70,11 @@ class Grid:
 
 @dataclass(slots=True)
 class GridBuilder:
-    """The counts of a `Grid` while it grows, in two bytes each: they end at 65535, ``shielded`` at 32767.
+    """The counts of a `Grid` while it grows, in two bytes each: they saturate at 65535, ``shielded`` at 32767.
 
-    ``passes`` are (rows, cols). ``hits``, and ``shielded``, which counts those of the crossings during which something
-    near the cell was hit (the others went clear through), are blank but near walls, and in strips (``tiled_arrays``).
+    ``passes`` are (rows, cols). ``shielded`` counts the crossings of a cell in scans with an end point near it; the
+    other crossings went clear through. ``hits`` and ``shielded`` are zero except near walls, and stored in strips
+    (``tiled_arrays``).
     """
 
     cell_m: float
@@ -75,41 +86,41 @@ class GridBuilder:
     lattice: NDArray[np.float64] = field(init=False)
     """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
 
-    _room_m: Extent = field(init=False, default=NO_ROOM)
+    _covered_m: Extent = field(init=False, default=NO_EXTENT)
 
     def __post_init__(self) -> None:
-        """Keep the lattice as the kernels take it."""
+        """Make the array of the lattice for the kernels."""
         self.lattice = np.array([*self.origin_xy_m, self.cell_m])
 
     @classmethod
     def of(cls, grid: Grid) -> GridBuilder:
-        """Lay a grid in strips, to be looked up; of its crossings none was clear."""
+        """Copy a grid into strips for look-ups; all its crossings count as shielded."""
         shielded = in_strips(np.minimum(grid.passes, MOST_SHIELDED).astype(np.int16))
         return cls(grid.cell_m, grid.origin_xy_m, in_strips(grid.hits), grid.passes.copy(), shielded)
 
     def by_rows(self) -> Grid:
-        """Return the counts by rows and columns; the crossings are these, not a copy."""
+        """Return the counts by rows and columns; the crossings are shared, not copied."""
         return Grid(self.cell_m, self.origin_xy_m, plain(self.hits), self.passes)
 
     @timed("insert")
     def insert(self, laser: Pose, xy_map_m: NDArray[np.float64], extent_m: Extent | None = None) -> None:
         """Count the end points (n, 2) of one scan, in m, and the cells that its beams crossed.
 
-        The points' ``extent`` may be known.
+        The ``extent`` of the points is computed unless it is given.
         """
         if len(xy_map_m) == 0:
             return
         extent_m, (x, y, _) = extent_m or extent(np.ascontiguousarray(xy_map_m)), laser
-        if not (within(extent_m, self._room_m) and within((x, y, x, y), self._room_m)):
+        if not (within(extent_m, self._covered_m) and within((x, y, x, y), self._covered_m)):
             x0, y0, x1, y1 = extent_m
             low = (floor(min(x0, x) / self.cell_m) - 1, floor(min(y0, y) / self.cell_m) - 1)
             high = (floor(max(x1, x) / self.cell_m) + 1, floor(max(y1, y) / self.cell_m) + 1)
             self._cover(low, high)
-            self._room_m = room(self.origin_xy_m, self.passes.shape, self.cell_m, 1)
+            self._covered_m = covered_extent(self.origin_xy_m, self.passes.shape, self.cell_m, 1)
         hits_kernel.add_scan(xy_map_m, np.array([x, y]), self.lattice, self.hits, self.passes, self.shielded)
 
     def remove_dynamic_cells(self) -> NDArray[np.float64]:
-        """Take back the hits of cells where nothing stayed; return their middles (n, 2), m."""
+        """Remove the hits of dynamic cells; return the centres of these cells (n, 2), m."""
         row, col = dynamic_cells(self.hits, self.passes, self.shielded).T
         self.hits[col // WIDE, row, col % WIDE] = 0
         middles: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * self.cell_m + np.array(self.origin_xy_m)
@@ -122,9 +133,9 @@ class GridBuilder:
         """Cast the laser's beams over the map (paper, "Virtual Scan").
 
         ``directions`` (beams, 2) are the beams' cosines and sines in the laser's frame. Returns ranges (beams,) in m
-        to the centres of the cells seen, NaN where none lies within ``far_m``; a wall of several cells counts as its
-        cell of most hits, and may contain ``gap_cells`` empty ones. Of cells with equally many hits the nearest counts,
-        or, with ``middle``, the one nearest to the middle of the wall.
+        to the centres of the cells seen, NaN where none lies within ``far_m``. A wall of several cells, of which up to
+        ``gap_cells`` may be empty, is represented by its cell with most hits; of several such cells by the nearest one,
+        or, with ``middle``, by the one nearest to the middle of the wall.
         """
         from mavnav.kernels import raycast  # noqa: PLC0415  the paper's alone
 
@@ -140,7 +151,7 @@ class GridBuilder:
             )
 
     def _cover(self, low: tuple[int, int], high: tuple[int, int]) -> None:
-        """Grow until cells ``low`` to ``high`` (col, row) lie inside."""
+        """Enlarge the arrays until they include cells ``low`` to ``high`` (col, row)."""
         origin = (round(self.origin_xy_m[0] / self.cell_m), round(self.origin_xy_m[1] / self.cell_m))
         grown = covering(low, high, self.passes.shape, origin, BLOCK_CELLS)
         if grown is None:
@@ -148,7 +159,7 @@ class GridBuilder:
         new_origin, shape = grown
         self._check_size(shape)
         dc, dr = origin[0] - new_origin[0], origin[1] - new_origin[1]
-        self.hits = moved(self.hits, shape, dr, dc)  # one by one: the old array goes before the next is made
+        self.hits = moved(self.hits, shape, dr, dc)  # one by one: each old array is freed before the next is copied
         self.passes = moved(self.passes, shape, dr, dc)
         self.shielded = moved(self.shielded, shape, dr, dc)
         self.origin_xy_m = (float(new_origin[0] * self.cell_m), float(new_origin[1] * self.cell_m))
@@ -156,7 +167,7 @@ class GridBuilder:
 
 
 def counts(values: NDArray[Any]) -> NDArray[np.uint16]:
-    """Return integers, 0 or more, in two bytes each, those that are too large as the largest; others are not copied."""
+    """Return non-negative integers as uint16, larger ones as the maximum; uint16 arrays are not copied."""
     return values if values.dtype == np.uint16 else np.minimum(values, MOST).astype(np.uint16)
 
 
@@ -168,7 +179,7 @@ def show_ends(
     walls: NDArray[np.int8],
     cells: NDArray[np.int8],
 ) -> None:
-    """Copy the occupied cells of ``walls`` (rows, cols) to ``cells`` in which beams of one scan ended.
+    """Copy the occupied cells of ``walls`` (rows, cols) in which beams of one scan ended to ``cells``.
 
     ``ranges_m`` (beams,) are NaN without a return, ``directions`` (beams, 2) cosines and sines in the laser's frame.
     """
@@ -199,7 +210,7 @@ def occupied_cells(grid: Grid) -> NDArray[np.int64]:
 
 
 def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:
-    """Cut the grid to the cells that a beam reached (or ended in) and a small margin; one cell if there is none.
+    """Return the part of the grid with cells that a beam reached (or ended in) and a small margin; else one cell.
 
     The arrays are views of the grid's.
     """
@@ -211,9 +222,9 @@ def known_part(grid: Grid, *, hits_only: bool = False) -> Grid:
 
 
 def measured_part(grid: Grid) -> Grid:
-    """Cut the grid to whole blocks of cells around the known ones, counted from the map's origin.
+    """Return the known part of the grid, enlarged to whole blocks of cells counted from the map's origin.
 
-    What is measured on it does not depend on how far the grid reaches beyond. The arrays are views of the grid's.
+    Metrics of this part do not depend on how far the grid extends beyond. The arrays are views of the grid's.
     """
     known = known_part(grid)
     spans = [
@@ -224,7 +235,7 @@ def measured_part(grid: Grid) -> Grid:
 
 
 def _in_blocks(first: int, count: int, size: int, at: int) -> slice:
-    """Widen a span of cells, less the outer one of its margin on either side, to whole blocks within the grid."""
+    """Return a span of cells without its margins, enlarged to whole blocks within the grid."""
     start = (first + at + 1) // BLOCK_CELLS * BLOCK_CELLS - at
     stop = ((first + at + count - 2) // BLOCK_CELLS + 1) * BLOCK_CELLS - at
     return slice(max(start, 0), min(max(stop, start + 1), size))

@@ -1,9 +1,9 @@
-"""Arrays over a lattice of cells that grows: memory goes with the cells that were touched, not with the extent.
+"""Arrays over a growing lattice of cells: memory is proportional to the cells that were written, not to the extent.
 
-Counts that are blank but near walls are kept in strips, (cols / `WIDE`, rows, `WIDE`): cell (row, col) is
-``[col // WIDE, row, col % WIDE]``. A page of memory then holds a block of some 64 x 32 cells; of a plain array it holds
-a stretch of one row, and a wall across the rows touches a page for each of its cells. The place in memory is a sum of
-the column's and the row's part, ``col + col // WIDE * WIDE * (rows - 1) + WIDE * row``.
+Counts that are zero except near walls are stored in strips, (cols / `WIDE`, rows, `WIDE`): cell (row, col) is
+``[col // WIDE, row, col % WIDE]``. A memory page then holds a block of about 64 x 32 cells. In a row-major array it
+holds a part of one row, and a wall across the rows touches a page for each of its cells. The offset in memory is a sum
+of a column's and a row's part, ``col + col // WIDE * WIDE * (rows - 1) + WIDE * row``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mavnav.kernels.layout import WIDE
-from mavnav.memory import SMALL_BYTES, blank, forget, give_back
+from mavnav.memory import SMALL_BYTES, blank, release_free_memory, release_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -25,18 +25,18 @@ if TYPE_CHECKING:
     Extent = tuple[float, float, float, float]
     """Least x, least y, largest x and largest y of points, m."""
     CellFunction = Callable[[NDArray[Any]], NDArray[Any]]
-    """From the values of cells to one value for each."""
+    """Function from the values of cells to one value for each."""
 
-NO_ROOM = (inf, inf, -inf, -inf)
-"""Of a lattice that covers nothing."""
+NO_EXTENT = (inf, inf, -inf, -inf)
+"""Extent of a lattice without cells."""
 
 BAND_CELLS, LEAST_ROWS = 1 << 18, 64
-"""What takes much memory a cell is done for so many cells at a time, and for so many rows at least."""
+"""Number of cells, and minimum number of rows, of a band: operations with much memory a cell go band by band."""
 AT_ONCE = 1 << 17
-"""So many cells are moved at once, in whole rows or strips."""
+"""Number of cells that are copied at a time, in whole rows or strips."""
 
 MARGIN = 8
-"""A lattice grows by an eighth of its extent at least: so it is copied rarely, and blank margins cost nothing."""
+"""Divisor of the extent by which a lattice grows at least: it is copied rarely, and unwritten margins cost nothing."""
 
 
 def blank_strips(cells: Cell, dtype: Any) -> NDArray[Any]:  # noqa: ANN401
@@ -45,10 +45,10 @@ def blank_strips(cells: Cell, dtype: Any) -> NDArray[Any]:  # noqa: ANN401
 
 
 def moved(cells: NDArray[Any], extent: Cell, row: int, col: int) -> NDArray[Any]:
-    """Return an array of more (rows, cols), plain or in strips as this one, that holds it from cell (row, col) on.
+    """Return a larger array (rows, cols), row-major or in strips as this one, with this one at cell (row, col).
 
-    All columns are whole strips. What is blank stays untouched. The array itself is lost: of a large one the pages are
-    given back as they are copied, for there is no room for both.
+    All columns are whole strips. Memory of zeros is not touched. The contents of ``cells`` are lost: its pages are
+    released as they are copied, because two copies of a large array may not fit into memory.
     """
     in_strips = cells.ndim == 3
     grown = blank_strips(extent, cells.dtype) if in_strips else blank(extent, cells.dtype)
@@ -58,9 +58,9 @@ def moved(cells: NDArray[Any], extent: Cell, row: int, col: int) -> NDArray[Any]
     for at in range(0, len(old), step):
         i, j = np.nonzero(old[at : at + step].any(axis=2))
         new[i + at, j + along] = old[i + at, j]
-        forget(cells, at, min(at + step, len(old)))
+        release_rows(cells, at, min(at + step, len(old)))
     if grown.nbytes > SMALL_BYTES:
-        give_back()
+        release_free_memory()
     return grown
 
 
@@ -70,7 +70,7 @@ def _runs(cells: NDArray[Any]) -> NDArray[Any]:
 
 
 def plain(strips: NDArray[Any], dtype: Any = None) -> NDArray[Any]:  # noqa: ANN401
-    """Return a copy by rows and columns, (rows, cols); what is blank stays untouched here, too."""
+    """Return a row-major copy of strips, (rows, cols); memory of zeros is not touched."""
     rows, cols = strips.shape[1], strips.shape[0] * WIDE
     out = blank((rows, cols), dtype or strips.dtype)
     by_rows = strips.transpose(1, 0, 2)
@@ -82,7 +82,7 @@ def plain(strips: NDArray[Any], dtype: Any = None) -> NDArray[Any]:  # noqa: ANN
 
 
 def in_strips(cells: NDArray[Any]) -> NDArray[Any]:
-    """Lay cells (rows, cols) in strips, with blank columns up to a whole one."""
+    """Return cells (rows, cols) in strips, padded with zeros to whole strips."""
     rows, cols = cells.shape
     out = blank_strips((rows, -(-cols // WIDE) * WIDE), cells.dtype)
     for strip, first in zip(out, range(0, cols, WIDE), strict=False):
@@ -92,7 +92,7 @@ def in_strips(cells: NDArray[Any]) -> NDArray[Any]:
 
 
 def bands(shape: tuple[int, ...], margin: int = 0) -> Iterator[tuple[slice, slice, slice]]:
-    """Divide the rows of an array: those of a band with a margin on both sides, the band in these, and in all."""
+    """Divide the rows of an array into bands; yield the rows of a band with margins, the band in these, and in all."""
     rows, step = shape[0], max(LEAST_ROWS, BAND_CELLS // max(shape[1], 1))
     for first in range(0, rows, step):
         end, start = min(first + step, rows), max(first - margin, 0)
@@ -100,21 +100,21 @@ def bands(shape: tuple[int, ...], margin: int = 0) -> Iterator[tuple[slice, slic
 
 
 def where(cells: NDArray[Any], test: CellFunction) -> NDArray[np.intp]:
-    """Return row and column, (n, 2), of the cells that pass a test, in their order, without a mask of them all."""
+    """Return row and column, (n, 2), of the cells that pass a test, in row-major order, without a mask of all cells."""
     found = [np.argwhere(test(cells[band])) + np.array([band.start, 0]) for _, _, band in bands(cells.shape)]
     return np.concatenate([np.zeros((0, 2), np.intp), *found])
 
 
 def count(cells: NDArray[Any], test: CellFunction) -> int:
-    """Count the cells that pass a test, without a mask of them all."""
+    """Return the number of cells that pass a test, without a mask of all cells."""
     return sum(int(np.count_nonzero(test(cells[band]))) for _, _, band in bands(cells.shape))
 
 
 def covering(low: Cell, high: Cell, shape: Cell, origin: Cell, block: int) -> tuple[Cell, Cell] | None:
-    """Find the lattice of whole blocks that covers cells ``low`` to ``high`` (col, row) and the present one.
+    """Return the lattice of whole blocks that covers cells ``low`` to ``high`` (col, row) and the present lattice.
 
-    It reaches farther than needed on the sides on which it grows. Returns the new origin (col, row) and shape
-    (rows, cols), or None where the present lattice covers all.
+    On the sides on which it grows it extends farther than needed. Returns the new origin (col, row) and shape
+    (rows, cols), or None if the present lattice covers all.
     """
     end = (origin[0] + shape[1], origin[1] + shape[0])
     if shape[0] and low[0] >= origin[0] and low[1] >= origin[1] and high[0] < end[0] and high[1] < end[1]:
@@ -123,15 +123,15 @@ def covering(low: Cell, high: Cell, shape: Cell, origin: Cell, block: int) -> tu
     return (first_col, first_row), (rows, cols)
 
 
-def room(origin_xy_m: tuple[float, float], shape: tuple[int, ...], cell_m: float, beyond: int) -> Extent:
-    """Return where points may be that a lattice of (rows, cols) surely covers with so many cells around them."""
-    (x, y), (rows, cols), rim_m = origin_xy_m, shape, (beyond + 1) * cell_m  # one more for what rounding does
+def covered_extent(origin_xy_m: tuple[float, float], shape: tuple[int, ...], cell_m: float, beyond: int) -> Extent:
+    """Return the extent of points that a lattice of (rows, cols) covers with ``beyond`` cells around each."""
+    (x, y), (rows, cols), rim_m = origin_xy_m, shape, (beyond + 1) * cell_m  # one more for rounding errors
     return x + rim_m, y + rim_m, x + cols * cell_m - rim_m, y + rows * cell_m - rim_m
 
 
-def within(extent_m: Extent, room_m: Extent) -> bool:
-    """Return whether points of an extent have room: a third of what it takes to ask for their cells."""
-    (x0, y0, x1, y1), (low_x, low_y, high_x, high_y) = extent_m, room_m
+def within(extent_m: Extent, covered_m: Extent) -> bool:
+    """Return whether an extent lies within another one: in a third of the time of computing the points' cells."""
+    (x0, y0, x1, y1), (low_x, low_y, high_x, high_y) = extent_m, covered_m
     return low_x <= x0 and low_y <= y0 and x1 <= high_x and y1 <= high_y
 
 
@@ -152,9 +152,9 @@ def unchanged(cells: NDArray[Any]) -> NDArray[Any]:
 
 
 def pooled(cells: NDArray[Any], factor: int, fill: int = 0, value_of: CellFunction = unchanged) -> NDArray[Any]:
-    """Shrink by taking the largest of each ``factor`` x ``factor`` block, so that a wall of one cell stays visible.
+    """Return the maximum of ``value_of(cells)`` over each ``factor`` x ``factor`` block, which keeps walls of one cell.
 
-    Blocks that reach beyond the cells are filled up with ``fill``. What ``value_of`` returns of the cells is shrunk.
+    Blocks that reach beyond the cells are padded with ``fill``.
     """
     rows, cols = (-(-n // factor) for n in cells.shape)
     out = np.full((rows, cols), fill, value_of(cells[:0]).dtype)

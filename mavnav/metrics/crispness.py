@@ -1,4 +1,4 @@
-"""Crispness: how many cells a metre of wall takes, and how undecided they are."""
+"""Crispness: the number of occupied cells per metre of wall, and the entropy of these cells."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Crispness:
-    """How many cells the walls take, and how undecided these are; null where not known."""
+    """Occupied cells per metre of wall and entropy of the cells; null where unknown."""
 
     occupied_cells_per_m: Measured = field(
         metadata=number("occupied cells per metre of wall", title="cells per m", better="lower")
@@ -28,7 +28,7 @@ class Crispness:
 
 
 def crispness(grid: Grid, cells: NDArray[np.int8], wall_m: float, *, counted: bool) -> Crispness:
-    """Measure a map; ``cells`` is its occupancy, ``counted`` is whether hits and crossings are true counts."""
+    """Return the crispness of a map with occupancy ``cells``; ``counted``: hits and crossings are real counts."""
     occupied = count(cells, lambda some: some == OCCUPIED)
     return Crispness(
         occupied_cells_per_m=float(occupied / wall_m) if wall_m else np.nan,
@@ -37,10 +37,10 @@ def crispness(grid: Grid, cells: NDArray[np.int8], wall_m: float, *, counted: bo
 
 
 def entropy_bits(grid: Grid) -> float:
-    """Return the mean entropy of the cells that were hit, taking the share of beams that ended there as probability.
+    """Return the mean entropy of the cells that were hit, with the share of beams that ended there as probability.
 
-    0 where every cell stops every beam that reaches it; 1 at worst. Free space, where nothing was ever hit, is left
-    out: a large room would hide blurred walls. NaN without any hit.
+    It is 0 if every cell stops every beam that reaches it, and 1 at worst. Free space that was never hit is left out,
+    because a large free area would hide blurred walls. NaN without any hit.
     """
     row, col = where(grid.hits, lambda some: some > 0).T
     hits = grid.hits[row, col].astype(np.float64)

@@ -1,8 +1,9 @@
-"""Doubled walls: a wall drawn twice because the poses of two visits disagree, judged by the scans of a run.
+"""Doubled walls: a wall drawn twice because the poses of two visits disagree, found by the scans of a run.
 
-Two scans are compared in three steps. One looks through a wall that the other saw: a visibility conflict. Near the pose
-that it was given, a pose exists at which their walls coincide. And there the conflicts are gone. Things that moved,
-glass and clutter conflict as well, but no other pose explains the whole scan. Definition: docs/metrics.md.
+Two scans are compared in three steps. The beams of one pass through a wall that the other saw: a visibility conflict.
+Near its given pose there is a pose at which their walls coincide. At that pose the conflicts are gone. Moving things,
+glass and clutter cause conflicts as well, but there is no other pose that explains the whole scan. Definition:
+docs/metrics.md.
 """
 
 from __future__ import annotations
@@ -27,32 +28,38 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 LEAST_OFFSET_M, MAX_OFFSET_M = 0.08, 1.15
-"""Doubled walls are this far apart, with a margin to the 0.1 to 1 m that are promised."""
+"""Least and greatest distance of two copies of a wall, with a margin to the documented 0.1 to 1 m."""
 
 KEY_STEP_M, KEY_TURN_RAD, MOST_KEYS = 0.1, 10.0 * DEG, 1500
-"""Key scans are this far apart, by distance and turn together; of more, so many, evenly."""
+"""Distance and turn, added as shares, between key scans, and the maximum number of these, evenly spread."""
 
 PARTNERS, PARTNER_SHARE = 8, 0.75
-"""A key scan is compared with so many earlier ones, evenly, at most this share of the range away."""
+"""Maximum number of earlier scans, evenly spread, per key scan, and their largest distance as a share of the range."""
 
 POINTS: Final = 100
 LEAST_POINTS, LEAST_DOUBLED, LEAST_DOUBLED_SHARE = 30, 6, 0.06
-"""Two scans conflict where they share so many wall points, of which so many are doubled, and such a share."""
+"""Minimum number of wall points that two conflicting scans share, and minimum number and share of doubled ones."""
 
 ALIGNED_SHARE, LEAST_ALIGNED = 0.25, 100
-"""Of the pairs that conflict, so many a key scan are aligned, evenly, or so many if that is more."""
+"""Number of conflicting pairs that are aligned, evenly spread: as a share of the key scans, and its minimum."""
 
 REACH_STEPS: Final = 12
-"""The alignment is searched up to 1.2 m and 6 degrees away."""
+"""Reach of the search for an alignment in steps of 0.1 m: 1.2 m; in rotation it is 6 degrees."""
 
 LEAST_AGREEING, LEAST_GAIN, MOST_THROUGH, MOST_THROUGH_LEFT = 0.6, 0.1, 0.06, 0.35
-"""An alignment explains a conflict where so much of what both scans see agrees, this much more than before, and both of
-the conflicts that remain hold: this share of what both see, this share of the conflicts before."""
+"""Bounds for an alignment that explains a conflict.
+
+The first is the minimum share of agreeing points among those that both scans see, the second its minimum increase. The
+others are the maximum of the remaining conflicts, as a share of those points and of the conflicts before.
+"""
 
 LEAST_PAIRS, LEAST_SCANS, LEAST_LENGTH_M = 8, 4, 0.3
 LEAST_EXPLAINED, MOST_SHARED = 0.5, 0.2
-"""A place needs so many explained pairs, scans of either copy and length. At least the first share of its conflicting
-pairs is explained; at most the second share of the scans of one copy has drawn the other as well."""
+"""Minimum numbers of explained pairs and of scans of either copy, and minimum length, of a doubled wall.
+
+Then the minimum share of explained pairs among its conflicting ones, and the maximum share of the scans of one copy
+that saw the other copy as well.
+"""
 
 REACH_M, ACROSS_M, TURN_RAD, ALONG_M = 0.15, 0.08, 12.0 * DEG, 0.06
 
@@ -70,16 +77,16 @@ class _Keys:
 
     @property
     def every(self) -> int:
-        """Every so many-th beam gives a point."""
+        """Step between the beams that give points."""
         return max(1, len(self.directions) // POINTS)
 
 
 @dataclass(frozen=True, slots=True)
 class _Doubled:
-    """Points of the front copy, (n,) each: xy_m (n, 2), direction of the wall, offset of the rear copy.
+    """Points of the front copy, (n,) each: ``xy_m`` (n, 2), direction of the wall, offset of the rear copy.
 
-    ``pair`` numbers the pair of scans, ``explained`` is whether an alignment explains its conflict; ``front`` and
-    ``rear`` are the key scans that saw the one copy and the other.
+    ``pair`` is the number of the pair of scans, ``explained`` whether an alignment explains its conflict; ``front`` and
+    ``rear`` are the key scans that saw the front and the rear copy.
     """
 
     xy_m: Array
@@ -92,7 +99,7 @@ class _Doubled:
 
 
 def key_rows(trajectory: Trajectory) -> NDArray[np.intp]:
-    """Choose the rows of a trajectory whose scans `doubled_walls` compares."""
+    """Return the rows of a trajectory whose scans `doubled_walls` compares."""
     steps = np.diff(trajectory.xyyaw, axis=0, prepend=trajectory.xyyaw[:1])
     turn_rad = np.abs(np.angle(np.exp(1j * steps[:, 2])))
     moved = np.cumsum(np.hypot(steps[:, 0], steps[:, 1]) / KEY_STEP_M + turn_rad / KEY_TURN_RAD)
@@ -101,7 +108,7 @@ def key_rows(trajectory: Trajectory) -> NDArray[np.intp]:
 
 
 def doubled_walls(trajectory: Trajectory, scans: PlacedScans, cell_m: float) -> GhostWalls:
-    """Find the doubled walls of a run; ``scans`` are those of `key_rows`, and maybe others; ``cell_m`` is the map's."""
+    """Return the doubled walls of a run; ``scans`` include those of `key_rows`, ``cell_m`` is the map's cell size."""
     keys = _keys(trajectory, scans)
     pairs = _pairs(keys)
     b_T_a = _between(keys.poses, pairs)
@@ -129,7 +136,7 @@ def _keys(trajectory: Trajectory, scans: PlacedScans) -> _Keys:
 
 
 def _pairs(keys: _Keys) -> NDArray[np.int64]:
-    """Pair every key scan with earlier ones near it, evenly over the run, (n, 2)."""
+    """Return pairs (n, 2) of every key scan with earlier ones near it, evenly spread over the run."""
     pairs, xy_m, far_m = [np.zeros((0, 2), np.int64)], keys.poses[:, :2], PARTNER_SHARE * keys.beams[3]
     for k in range(len(xy_m)):
         near = np.flatnonzero(np.hypot(*(xy_m[:k] - xy_m[k]).T) < far_m)
@@ -157,13 +164,13 @@ def _gaps(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> Array:
 
 
 def _is_doubled(gaps_m: Array) -> NDArray[np.bool_]:
-    """Return where a wall is seen through that has a parallel one behind it."""
+    """Return where beams pass through a wall that has a parallel one behind it."""
     found: NDArray[np.bool_] = (gaps_m >= LEAST_OFFSET_M) & (gaps_m <= MAX_OFFSET_M)
     return found
 
 
 def _seen(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> NDArray[np.int64]:
-    """Count the wall points of pairs (n, 4): all that both see, those that agree, are seen through, are doubled."""
+    """Return the wall points of pairs (n, 4): number seen by both, agreeing, passed through, and doubled."""
     counts = np.zeros((len(pairs), 4), np.int64)
     for ab, motion in ((pairs, b_T_a), (pairs[:, ::-1], _inverse(b_T_a))):
         gaps_m = _gaps(keys, ab, motion)
@@ -173,9 +180,9 @@ def _seen(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> NDArray[np.int
 
 
 def _doubled(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> _Doubled:
-    """List the doubled points of pairs that conflict.
+    """Return the doubled points of conflicting pairs.
 
-    Of a pair that an alignment explains these are all that it moves, of others the points that are seen through.
+    Of a pair that an alignment explains these are all points that it moves, of another pair the points passed through.
     """
     better = best_alignments(keys.ranges_m, pairs, b_T_a, keys.directions, keys.beams[2:].copy(), REACH_STEPS)
     explained = _explained(_seen(keys, pairs, b_T_a), _seen(keys, pairs, better))
@@ -191,7 +198,7 @@ def _doubled(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> _Doubled:
 
 
 def _shifts(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array, better: Array) -> Array:
-    """Return how far towards the laser scan b drew the wall points of scan a from where that did, (n, points) in m."""
+    """Return by how much scan b saw the wall points of scan a nearer to the laser than a did, (n, points), m."""
     a, beams = pairs[:, :1], np.arange(0, keys.ranges_m.shape[1], keys.every)
     xy_m, normal_rad = _ends(keys, a, beams), keys.normals_rad[a, beams] + b_T_a[:, 2:]
     moved_m = _moved(better[:, None], xy_m) - _moved(b_T_a[:, None], xy_m)
@@ -200,7 +207,7 @@ def _shifts(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array, better: Array) 
 
 
 def _points(keys: _Keys, pairs: NDArray[np.int64], shift_m: Array, explained: NDArray[np.bool_]) -> _Doubled:
-    """List the wall points of the first scans that the second ones drew elsewhere: ``shift_m`` towards the laser."""
+    """Return the wall points of the first scans that the second ones saw elsewhere: ``shift_m`` towards the laser."""
     pair, number = np.nonzero(_is_doubled(np.abs(shift_m)))
     (a, b), beam, shift = pairs[pair].T, number * keys.every, shift_m[pair, number]
     normal_rad = keys.normals_rad[a, beam] + keys.poses[a, 2]
@@ -223,13 +230,13 @@ def _ends(keys: _Keys, scan: NDArray[np.int64], beam: NDArray[np.int64]) -> Arra
 
 
 def _moved(poses: Array, xy_m: Array) -> Array:
-    """Bring points (..., 2) to the frames in which poses (..., 3) are given."""
+    """Transform points (..., 2) from the frames of poses (..., 3) to the frames in which these are given."""
     c, s, (x, y) = np.cos(poses[..., 2]), np.sin(poses[..., 2]), np.moveaxis(xy_m, -1, 0)
     return np.stack((c * x - s * y + poses[..., 0], s * x + c * y + poses[..., 1]), axis=-1)
 
 
 def _explained(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which alignments (n,) explain the conflicts of their pairs; counts of `_seen` before and after."""
+    """Return which alignments (n,) explain the conflicts of their pairs, by the counts of `_seen` before and after."""
     (_, agreed, through, _), (_, agrees, left, _) = (seen.T / np.maximum(seen[:, 0], 1) for seen in (before, after))
     fits = (after[:, 0] >= LEAST_POINTS) & (agrees >= np.maximum(LEAST_AGREEING, agreed + LEAST_GAIN))
     explained: NDArray[np.bool_] = fits & (left <= np.minimum(MOST_THROUGH, MOST_THROUGH_LEFT * through))
@@ -237,7 +244,7 @@ def _explained(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[n
 
 
 def _places(found: _Doubled, keys: _Keys) -> list[GhostWall]:
-    """Join doubled points that follow one another, and keep the places with evidence enough."""
+    """Link doubled points along their direction, and return the groups with enough evidence."""
     groups = linked(found.xy_m, found.direction_rad, reach_m=REACH_M, across_m=ACROSS_M, turn_rad=TURN_RAD)
     order = np.argsort(groups, kind="stable")
     members = np.split(order, np.flatnonzero(np.diff(groups[order])) + 1) if len(order) else []
@@ -246,7 +253,7 @@ def _places(found: _Doubled, keys: _Keys) -> list[GhostWall]:
 
 
 def _place(found: _Doubled, group: NDArray[np.intp], keys: _Keys) -> GhostWall | None:
-    """Return the ghost wall that a group of doubled points is; None without evidence."""
+    """Return the ghost wall of a group of doubled points; None without enough evidence."""
     pairs = len(np.unique(found.pair[group]))
     group = group[found.explained[group]]
     explained = len(np.unique(found.pair[group]))

@@ -1,6 +1,6 @@
-"""Descriptions of the numbers of run.json: text, unit and direction, kept with the field of the record.
+"""Descriptions of the numbers of run.json: text, unit and direction of improvement, as metadata of the fields.
 
-The metadata are keyword arguments of ``pydantic.Field``: pydantic makes the JSON Schema of run.json from them.
+The metadata are keyword arguments of ``pydantic.Field``, from which pydantic makes the JSON Schema of run.json.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final, Literal
 
 
 class _Nullable:
-    """The mark of numbers that may be NaN: JSON has no such number, and null is written."""
+    """Mark of numbers that may be NaN, which JSON does not have: null is written."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:  # noqa: ANN401  pydantic's types
         return {"type": "nullable", "schema": handler(source)}
@@ -32,8 +32,8 @@ def number(
 ) -> dict[str, Any]:
     """Return the metadata of a field that is a number, or a record of numbers of one kind.
 
-    ``title`` and ``unit`` are needed only where they do not follow from the field's name (``p95_mm``: p95, mm).
-    ``better`` is the direction in which a run improves, where there is one.
+    ``title`` and ``unit`` are given only if they do not follow from the name of the field (``p95_mm``: p95, mm).
+    ``better`` is the direction of improvement, if there is one.
     """
     extra = {key: value for key, value in (("unit", unit), ("better", better)) if value}
     return {"description": description, **({"title": title} if title else {}), "json_schema_extra": extra}

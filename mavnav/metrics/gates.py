@@ -1,8 +1,8 @@
-"""Gates: bounds on the numbers of a run, such as ``wall_thickness.p95_cells<=7``.
+"""Quality gates: bounds on the numbers of a run, such as ``wall_thickness.p95_cells<=7``.
 
-A gate names a number or a truth value of a document (run.json) by its keys, joined by dots. What the document does not
-name is a UsageError with the nearest name that it does. A value that is null fails every gate, and so does a metric of
-the map where the map is not meaningful: a map of nothing has thin walls.
+A gate names a number or a truth value of a document (run.json) by its keys, joined by dots. An unknown name raises a
+UsageError with the nearest known name. A null value fails every gate. So does a metric of a map that is not meaningful:
+an empty map has thin walls.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ OPERATORS: Final[dict[str, Callable[[Any, Any], bool]]] = {
 }
 
 DEFAULT_HITS: Final = "2"
-"""``wall_thickness.p95_cells`` without a threshold is that of cells of at least so many hits."""
+"""Hit threshold of ``wall_thickness.p95_cells`` if the name does not include one."""
 
 MAP_SECTIONS: Final = ("wall_thickness", "map_quality", "map")
-"""Sections without meaning where the map is not meaningful."""
+"""Sections that are not meaningful if the map is not."""
 
 _GATE: Final = re.compile(r"\s*([\w./-]+?)\s*(<=|>=|==|!=|<|>)\s*(\S+)\s*")
 _EXAMPLE: Final = "write for example --gate 'wall_thickness.p95_cells<=7'"
@@ -41,7 +41,7 @@ Number = bool | int | float
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """A bound: ``name`` compared with ``bound`` must hold; ``text`` is how it was typed."""
+    """A bound: the value of ``name`` compared with ``bound`` must hold; ``text`` is the gate as given."""
 
     text: str
     name: str
@@ -51,7 +51,7 @@ class Gate:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What became of a gate: the value found (None: null) and why it failed, empty where it passed."""
+    """Result of a gate: the value (None: null) and why it failed, empty if it passed."""
 
     gate: Gate
     value: Number | None
@@ -64,7 +64,7 @@ class Verdict:
 
 
 def parse_gate(text: str) -> Gate:
-    """Read ``name OP bound``; raises UsageError."""
+    """Parse ``name OP bound``; raises UsageError."""
     match = _GATE.fullmatch(text)
     bound = None if match is None else _bound(match[3])
     if match is None or bound is None:
@@ -83,12 +83,12 @@ def _bound(text: str) -> Number | None:
 
 
 def judge(gates: Iterable[Gate], document: Mapping[str, Any]) -> list[Verdict]:
-    """Hold gates against a document; raises UsageError for a name that it does not have."""
+    """Return the verdicts of gates on a document; raises UsageError for a name that it does not have."""
     return [_judge(gate, document) for gate in gates]
 
 
 def judge_some(gates: Iterable[Gate], document: Mapping[str, Any]) -> list[Verdict]:
-    """Hold gates against one of several documents: a number that it does not have fails its gate."""
+    """Return the verdicts of gates on one of several documents; a missing number fails its gate."""
     return [
         _judge(gate, document) if _has(document, gate.name) else Verdict(gate, None, "this run has no such number")
         for gate in gates
@@ -133,9 +133,9 @@ def _shown(value: Number) -> str:
 
 
 def check_names(names: Iterable[str], known: Iterable[str]) -> None:
-    """Raise UsageError for a name that no document has, before there is one.
+    """Raise UsageError for a name that no document can have, before there is one.
 
-    ``known`` are the names that one may have, ``*`` in them for any key or place of a list.
+    ``known`` are the possible names, with ``*`` for any key or index of a list.
     """
     patterns = [name.split(".") for name in known]
     for name in names:
@@ -148,7 +148,7 @@ def _fits(parts: Sequence[str], pattern: Sequence[str]) -> bool:
 
 
 def find(document: Mapping[str, Any], name: str) -> Number | None:
-    """Return the number of that name, None where it or what is around it is null, or where it is NaN.
+    """Return the number of that name; None if it or a parent is null, or if it is NaN.
 
     Raises UsageError for a name that the document does not have, or that is no number.
     """
@@ -163,23 +163,23 @@ def find(document: Mapping[str, Any], name: str) -> Number | None:
 
 
 _NOTHING: Final = object()
-"""What is under a name that there is not."""
+"""Mark of a missing key."""
 
 
 def _child(value: object, part: str) -> object:
-    """Return what lies one key or one place further down."""
+    """Return the value of a key of a dictionary, or of an index of a list; `_NOTHING` if there is none."""
     if isinstance(value, list) and part.isdecimal() and int(part) < len(value):
         return value[int(part)]
     return value.get(part, _NOTHING) if isinstance(value, dict) else _NOTHING
 
 
 def full_name(name: str) -> str:
-    """Return a name with the threshold of wall thickness, where that was left out."""
+    """Return a name with the hit threshold of wall thickness, which may have been left out."""
     return ".".join(_parts(name))
 
 
 def _parts(name: str) -> list[str]:
-    """Split a name, and put in the threshold of wall thickness where it is left out."""
+    """Return the parts of a name, with the hit threshold of wall thickness if it was left out."""
     first, *rest = name.split(".")
     if first == "wall_thickness" and len(rest) == 1 and not rest[0].isdecimal():
         rest.insert(0, DEFAULT_HITS)
@@ -187,7 +187,7 @@ def _parts(name: str) -> list[str]:
 
 
 def names(document: Mapping[str, Any]) -> list[str]:
-    """Return the names of all numbers of a document, nulls included, as a gate would write them."""
+    """Return the names of all numbers of a document, nulls included, as they are written in a gate."""
     return [".".join(parts) for parts in _leaves(document)]
 
 
@@ -205,13 +205,13 @@ def _leaves(value: object) -> Iterator[tuple[str, ...]]:
 
 
 def _short(known: Iterable[str]) -> list[str]:
-    """Return the names of wall thickness without the usual threshold."""
+    """Return the names of wall thickness at the default threshold, without that threshold."""
     usual = f"wall_thickness.{DEFAULT_HITS}."
     return [name.replace(usual, "wall_thickness.") for name in known if name.startswith(usual)]
 
 
 def _unknown(name: str, known: Sequence[str]) -> str:
-    """Return the message for an unknown name, with the nearest known one: below it, as a whole, or by its last part."""
+    """Return the message for an unknown name with the nearest known one: a child, or a similar name or last part."""
     if name.startswith("reference") and not any(k.startswith("reference.") for k in known):
         return f"no number {name} in run.json; it needs --truth, --truth-map or --relations"
     full = full_name(name)

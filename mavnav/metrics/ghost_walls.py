@@ -1,8 +1,8 @@
 """Ghost walls: one wall mapped twice (paper, "Corridor Mapping", Figure 8).
 
-Two parallel ridges, free space between them, and the free space that each was seen from on the same side: a beam that
-ended on the rear one went through the front one. The two faces of a real wall are seen from opposite sides, with
-nothing known between them; the walls of a corridor face one another. Definition and validation: docs/metrics.md.
+They are two parallel ridges with free space between them, both seen from the same side: a beam that ended at the rear
+ridge passed through the front one. The two faces of a real wall are seen from opposite sides, with unknown cells
+between them; the walls of a corridor face each other. Definition and validation: docs/metrics.md.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ if TYPE_CHECKING:
 LEAST_OFFSET_CELLS: Final = 1.5
 MAX_OFFSET_CELLS: Final = 13
 MAX_OFFSET_M: Final = 0.3
-"""The rear ridge is looked for up to the larger of the two."""
+"""Largest distance of the rear ridge that is searched: the larger of the two."""
 
 STRETCH_M: Final = 0.15
-"""A ridge must stand out on this much of the wall to either side of a station."""
+"""Length of wall to either side of a station on which a ridge must be visible."""
 
 SPACING_CELLS: Final = 3
 LEAST_LENGTH_M: Final = 0.3
 DIP: Final = 0.5
-"""Between the ridges there are at most so many of the hits of the lower one."""
+"""Largest number of hits between the ridges, as a share of the lower ridge."""
 
 LEAST_HITS: Final = 0.25
 LEAST_SHARE: Final = 0.08
-"""A ridge has so many hits a cell at least, and such a part of the other's."""
+"""Minimum number of hits a cell of a ridge, absolute and as a share of the other ridge."""
 
 FREE_SHARE: Final = 0.5
-"""Beams that crossed a cell of free space, compared with the hits a cell of the ridge that they ended on."""
+"""Minimum number of beams that crossed a cell of free space, as a share of the hits a cell of the ridge behind it."""
 
 AT_A_TIME: Final = 2_000
-"""Stations whose profiles are in memory."""
+"""Number of stations whose profiles are in memory at a time."""
 
 OUTSIDE_CELLS: Final = (2.0, 5.0)
 REACH_M, ACROSS_CELLS, TURN_RAD = 0.15, 3.0, 12.0 * DEG
@@ -54,7 +54,7 @@ REACH_M, ACROSS_CELLS, TURN_RAD = 0.15, 3.0, 12.0 * DEG
 
 @dataclass(frozen=True, slots=True)
 class GhostWall:
-    """A stretch of wall that is there twice, in the map frame."""
+    """A wall that is mapped twice, in the map frame."""
 
     x_m: float = field(metadata=number("middle of the front ridge"))
     y_m: float = field(metadata=number("middle of the front ridge"))
@@ -85,7 +85,7 @@ class GhostWalls:
 
 @dataclass(frozen=True, slots=True)
 class _Twins:
-    """Stations at which a ridge has a twin: the front ridge's (col, row) (n, 2), direction, and offset in cells."""
+    """Stations with two ridges: (col, row) of the front ridge (n, 2), direction, and offset of the rear one, cells."""
 
     xy_cells: NDArray[np.float64]
     direction_rad: NDArray[np.float64]
@@ -95,8 +95,8 @@ class _Twins:
 def ghost_walls(grid: Grid, all_sections: Iterable[Sections]) -> GhostWalls:
     """Find the ghost walls of a map.
 
-    ``all_sections`` are the cuts through its straight walls, at one hit threshold or several: where the direction of
-    a wall is known, a twin is looked for on either side.
+    ``all_sections`` are the cuts through its straight walls, at one hit threshold or several; a second ridge is
+    searched on both sides of each.
     """
     stations = _stations(all_sections)
     reach = int(np.ceil(max(MAX_OFFSET_CELLS, MAX_OFFSET_M / grid.cell_m) + OUTSIDE_CELLS[1]))
@@ -111,7 +111,7 @@ def ghost_walls(grid: Grid, all_sections: Iterable[Sections]) -> GhostWalls:
 
 
 def as_ghost_walls(found: Iterable[GhostWall], cell_m: float) -> GhostWalls:
-    """Sum up ghost walls of a map of cells of ``cell_m``."""
+    """Return the summary of ghost walls of a map with cells of ``cell_m``."""
     places = tuple(sorted(found, key=lambda p: (-p.length_m, p.x_m, p.y_m)))
     worst_mm = max((p.offset_mm for p in places), default=np.nan)
     return GhostWalls(
@@ -124,9 +124,9 @@ def as_ghost_walls(found: Iterable[GhostWall], cell_m: float) -> GhostWalls:
 
 
 def _stations(all_sections: Iterable[Sections]) -> NDArray[np.float64]:
-    """Return column, row and direction of sections, (n, 3), thinned to one in a few cells.
+    """Return column, row and direction of sections, (n, 3), thinned to one in `SPACING_CELLS` cells.
 
-    These are counted from the outermost sections, so that nothing depends on how the map was cut out.
+    Cells are counted from the outermost sections, so that the result does not depend on the extent of the map.
     """
     found = [np.column_stack((s.col, s.row, s.direction_rad)) for s in all_sections]
     every = np.concatenate(found) if found else np.zeros((0, 3))
@@ -136,13 +136,13 @@ def _stations(all_sections: Iterable[Sections]) -> NDArray[np.float64]:
 
 
 def _turned(stations: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the walls seen in the other direction: what lay to the left lies to the right."""
+    """Return stations with the opposite direction, which exchanges left and right."""
     turned: NDArray[np.float64] = stations + np.array([0.0, 0.0, np.pi])
     return turned
 
 
 def _twins(stations: NDArray[np.float64], hits: NDArray[np.float64], passes: NDArray[np.float64]) -> _Twins:
-    """Find the stations whose ridge has a twin to the left; profiles (n, 2, bins) as of `wall_profiles`."""
+    """Return the stations with a second ridge to the left; profiles (n, 2, bins) as of `wall_profiles`."""
     ridge, twin, valley = _ridges(hits)
     row, centre = np.arange(len(stations)), hits.shape[2] // 2
     lower = hits.min(axis=1)
@@ -160,9 +160,10 @@ def _twins(stations: NDArray[np.float64], hits: NDArray[np.float64], passes: NDA
 
 
 def _ridges(hits: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Find the ridge at each station, the next one to its left, and the valley between; bins, (n,) each.
+    """Return the ridge at each station, the next one to its left, and the valley between them; bins, (n,) each.
 
-    Both halves of the stretch must show both ridges: a step in a wall is no twin. Without a twin, its bin is 0.
+    Both halves of the stretch must show both ridges, because a step in a wall is not a second ridge. Without a second
+    ridge its bin is 0.
     """
     both, lower = hits.sum(axis=1) / 2.0, hits.min(axis=1)
     n, bins = both.shape
@@ -186,7 +187,7 @@ def _ridges(hits: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.int
 
 
 def _outside(passes: NDArray[np.float64], ridge: NDArray[np.intp], side: int) -> NDArray[np.float64]:
-    """Return the crossings a cell (n,) in the free space next to a ridge, the mean over a few cells."""
+    """Return the mean crossings a cell (n,) in the free space next to a ridge."""
     near, far = (round(2 * d) for d in OUTSIDE_CELLS)
     both = passes.mean(axis=1)
     bins = np.clip(ridge[:, None] + side * np.arange(near, far + 1), 0, both.shape[1] - 1)
@@ -200,7 +201,7 @@ def _joined(twins: list[_Twins]) -> _Twins:
 
 
 def _places(twins: _Twins, grid: Grid) -> list[GhostWall]:
-    """Join twins that follow one another; what is shorter than the least length is chance."""
+    """Link stations along their direction; groups shorter than `LEAST_LENGTH_M` are chance."""
     xy_m = (twins.xy_cells + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
     groups = linked(xy_m, twins.direction_rad, reach_m=REACH_M, across_m=ACROSS_CELLS * grid.cell_m, turn_rad=TURN_RAD)
     places = []

@@ -1,4 +1,4 @@
-"""The scans of a run with their poses, as the metrics need them."""
+"""The scans of a run with their poses, as input of the metrics."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
 NEAR_M: Final = 0.1
 FAR_SHORT_M, FAR_LONG_M, SHORT_SENSOR_M = 4.0, 8.0, 6.0
-"""Points up to the first distance are used of sensors that reach no farther than the third, else up to the second."""
+"""Maximum range of points: the first for sensors that reach no farther than the third, else the second."""
 
 
 @dataclass(frozen=True, slots=True)
 class Journey:
-    """How a map came about.
+    """The run from which a map was made.
 
-    ``map_T_laser`` are the poses of the tracked scans, ``scans`` reads all of them again, ``mapped_share`` is the part
-    of the usable scans that went into the map, ``lost_for_good`` and ``planar`` as `mavnav.slam.SlamResult` has them.
+    ``map_T_laser`` are the poses of the tracked scans, ``scans`` reads all scans again, ``mapped_share`` is the share
+    of usable scans in the map, ``lost_for_good`` and ``planar`` are those of `mavnav.slam.SlamResult`.
     """
 
     map_T_laser: Trajectory
@@ -46,19 +46,19 @@ class PlacedScans:
 
 
 def used_ranges_m(spec: LaserSpec) -> tuple[float, float]:
-    """Return the least and the greatest range of the points that scans are compared by, m."""
+    """Return the least and greatest range, m, of points in comparisons of scans."""
     return NEAR_M, min(FAR_SHORT_M if spec.range_max_m <= SHORT_SENSOR_M else FAR_LONG_M, spec.range_max_m)
 
 
 def spread(n: int, most: int) -> NDArray[np.intp]:
-    """Choose ``most`` of n rows, evenly; all of them where there are no more."""
+    """Return up to ``most`` of n rows, evenly spread."""
     return np.arange(n) if n <= most else np.linspace(0, n - 1, most).round().astype(np.intp)
 
 
 def placed_scans(journey: Journey, wanted: NDArray[np.intp]) -> PlacedScans | None:
     """Read the scans of some rows of the trajectory; None without any.
 
-    Scans of another geometry than the first one's are left out: beams are compared by number.
+    Scans with another geometry than the first are left out, because beams are compared by number.
     """
     trajectory = journey.map_T_laser
     row_of = {int(trajectory.stamps_ns[row]): row for row in wanted.tolist()}

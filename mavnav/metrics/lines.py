@@ -1,4 +1,4 @@
-"""Pieces of wall that belong together: points with a direction, linked along it."""
+"""Groups of points of one wall: points with a direction, linked along it."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ def linked(
     across_m: float,
     turn_rad: float,
 ) -> NDArray[np.int32]:
-    """Group points (n, 2) that follow one another along their direction; returns each one's group number, (n,).
+    """Return the group number of each point (n,); points (n, 2) are linked along their direction.
 
-    Two points are linked within ``reach_m`` where their directions differ by no more than ``turn_rad`` (modulo pi) and
-    neither lies more than ``across_m`` beside the line through the other.
+    Two points are linked within ``reach_m`` if their directions differ by at most ``turn_rad`` (modulo pi) and neither
+    lies more than ``across_m`` off the line through the other.
     """
     if len(xy_m) == 0:
         return np.zeros(0, np.int32)
     col, row = np.floor((xy_m - xy_m.min(axis=0)) / reach_m).astype(np.int64).T
-    width = col.max() + 3  # so that nobody's neighbour is in the row before
+    width = col.max() + 3  # so that no neighbour lies in the row before
     squares = row * width + col
     order = np.argsort(squares, kind="stable")
-    below = squares[:, None] + width * np.arange(2)  # a pair in two rows is found from the one below
+    below = squares[:, None] + width * np.arange(2)  # a pair in two rows is found from the lower one
     first = np.searchsorted(squares[order], below - 1)
     last = np.searchsorted(squares[order], below + 1, side="right")
     return link_groups(
@@ -58,7 +58,7 @@ def linked(
 
 
 def half_turn(angle_rad: float) -> float:
-    """Bring a line's direction to [0, pi); a hair below 0 is 0, not the pi that rounding would make of it."""
+    """Return a line's direction in [0, pi); a rounding error below 0 becomes 0, not pi."""
     angle_rad %= np.pi
     return angle_rad if angle_rad < np.pi - 1e-9 else 0.0
 

@@ -1,7 +1,7 @@
-"""What changed between two maps: walls that are gone and walls that are new, where the other map saw free space.
+"""Changes between two maps: walls that are gone and walls that are new, where the other map saw free space.
 
-A cell of a wall counts where the other map saw its surroundings free, and no wall near: so what is unknown to one of
-the maps is no change, nor is a wall that lies a little beside itself because a pose was.
+A wall cell is a change only if the other map saw the area around it free, with no wall near. So areas unknown to one of
+the maps are no change, nor are walls that are displaced a little by an error of the poses.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ if TYPE_CHECKING:
     from mavnav.mapping.occupancy_grid import Grid
 
 TOLERANCE_M = 0.15
-"""A wall that has one of the other map within this is no change."""
+"""Largest distance to a wall of the other map at which a wall is no change."""
 
 CLEAR_M = 0.06
-"""All cells within this of a change are free in the other map."""
+"""Radius around a change within which all cells are free in the other map."""
 
 LEAST_PASSES = 2
-"""Beams that must have crossed a free cell: one may be a false reading."""
+"""Minimum number of beams that crossed a free cell: one may be a false reading."""
 
 JOIN_M = 0.1
-"""Cells of changes no farther apart belong to one change."""
+"""Largest distance between cells of one change."""
 
 LEAST_M2, LEAST_LENGTH_M = 0.004, 0.12
-"""Smaller changes are noise of the laser, or too small to tell from it."""
+"""Minimum area and length of a change: smaller ones may be noise of the laser."""
 
 MOVED_M, ALIKE = 1.5, 2.0
-"""An object has moved: a wall is gone and one within this is new, and neither is so many times as long as the other."""
+"""Largest distance, and largest ratio of lengths, between a wall that is gone and the new one of a moved object."""
 
 Kind = Literal["gone", "new"]
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A connected part of walls that is gone or new: its middle in the frame of the first map, m.
+    """A connected part of walls that is gone or new: its centre in the frame of the first map, m.
 
     ``m2`` is the area of its cells, ``length_m`` the diagonal of its bounding box. ``moved_with`` is the number of the
-    other change, where an object seems to have moved.
+    other change if an object seems to have moved.
     """
 
     kind: Kind
@@ -60,10 +60,10 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The changes, the largest first, the middles of their cells (n, 2) in the first map's frame, m, and totals.
+    """The changes, the largest first, the centres of their cells (n, 2) in the first map's frame, m, and totals.
 
-    ``compared_m2`` is the area that both maps know, ``same_share`` the part of the second map's walls, as far as the
-    first one knows their surroundings, that the first one has too.
+    ``compared_m2`` is the area that both maps know. ``same_share`` is the share of the second map's walls that the
+    first map has too, among those around which the first map is known.
     """
 
     changes: tuple[Change, ...]
@@ -78,10 +78,10 @@ class Difference:
 
 
 class View:
-    """What a map knows of its cells, each (rows, cols): walls, what is near one, what is surely free, what is known."""
+    """Masks of a map, each (rows, cols): walls, cells near a wall, cells with free surroundings, and known cells."""
 
     def __init__(self, grid: Grid) -> None:
-        """Read the counts of a grid."""
+        """Compute the masks from the counts of a grid."""
         from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  takes 0.1 s to load
 
         self.grid = known_part(grid)
@@ -94,14 +94,14 @@ class View:
         self.clear = distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * grid.cell_m > CLEAR_M
 
     def middles(self, cells: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Return the middles of the cells of a mask (rows, cols), in the order of rows, (n, 2) in m."""
+        """Return the centres of the cells of a mask (rows, cols), in row-major order, (n, 2) in m."""
         row, col = np.nonzero(cells)
         corner = np.array(self.grid.origin_xy_m)
         xy_m: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * self.grid.cell_m + corner
         return xy_m
 
     def at(self, cells: NDArray[np.bool_], xy_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Look up a mask (rows, cols) at points (n, 2), m; False outside."""
+        """Return the values of a mask (rows, cols) at points (n, 2), m; False outside."""
         col, row = np.floor((xy_m - self.grid.origin_xy_m) / self.grid.cell_m).astype(np.int64).T
         rows, cols = cells.shape
         inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
@@ -110,7 +110,7 @@ class View:
 
 
 def difference(a: View, b: View, a_T_b: Pose) -> Difference:
-    """Compare two maps; ``a_T_b`` is the pose of the second one's frame in the first one's."""
+    """Return the difference of two maps; ``a_T_b`` is the pose of the second one's frame in the first one's."""
     gone, gone_xy_m = _changes("gone", a, b, a_T_b.inverse(), Pose())
     new, new_xy_m = _changes("new", b, a, a_T_b, a_T_b)
     changes = sorted([*gone, *new], key=lambda change: -change.m2)
@@ -129,7 +129,7 @@ def difference(a: View, b: View, a_T_b: Pose) -> Difference:
 def _changes(
     kind: Kind, having: View, other: View, other_T_having: Pose, a_T_having: Pose
 ) -> tuple[list[Change], NDArray[np.float64]]:
-    """Return the walls of a map that the other one does not have, and the middles of their cells (n, 2)."""
+    """Return the walls that only one map has, and the centres of their cells (n, 2)."""
     from scipy.ndimage import binary_dilation, find_objects, label  # noqa: PLC0415  takes 0.1 s to load
 
     cells = having.walls.copy()
@@ -156,7 +156,7 @@ def _change(kind: Kind, xy_m: NDArray[np.float64], cell_m: float) -> Change:
 
 
 def paired(changes: Sequence[Change]) -> list[Change]:
-    """Join what is gone and what is new to objects that moved: the nearest first, each change once."""
+    """Pair walls that are gone with new ones, as objects that moved: the nearest first, each change once."""
     pairs = [
         (float(np.hypot(a.x_m - b.x_m, a.y_m - b.y_m)), i, j)
         for i, a in enumerate(changes)

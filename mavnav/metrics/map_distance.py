@@ -1,4 +1,4 @@
-"""How far a map is from the true one: occupied cells from true walls, and how much of the walls it has."""
+"""Distance of a map from the true one: of occupied cells from true walls, and the share of true walls mapped."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ COVERED_M: Final = 0.1
 class TrueMap:
     """The true walls in the map frame.
 
-    ``distance_m`` returns the distance of points (n, 2) to the nearest wall, (n,) in m; ``xy_m`` (m, 2) are points all
-    along the walls; ``alignment`` is how they were brought to the map frame. ``segments_map`` (k, 4) and ``arcs_map``
-    (l, 5) are the walls to be drawn, as in `Truth`; a map file has none.
+    ``distance_m`` returns the distance of points (n, 2) to the nearest wall, (n,) in m. ``xy_m`` (m, 2) are points
+    along all walls. ``alignment`` names how they were transformed to the map frame. ``segments_map`` (k, 4) and
+    ``arcs_map`` (l, 5) are the walls for drawing, as in `Truth`; a map file has none.
     """
 
     distance_m: Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -36,7 +36,7 @@ class TrueMap:
 
 @dataclass(frozen=True, slots=True)
 class MapDistance:
-    """Distances of the occupied cells to the nearest true wall; null without one."""
+    """Distances of the occupied cells to the nearest true wall; null without any."""
 
     alignment: str
     cells: int = field(metadata=number("occupied cells"))
@@ -50,7 +50,7 @@ class MapDistance:
 
 
 def map_distance(occupied_xy_m: NDArray[np.float64], truth: TrueMap) -> MapDistance:
-    """Compare the middles of the occupied cells (n, 2), in the map frame, with the true walls."""
+    """Return the distances of occupied cells with centres (n, 2), map frame, m, to the true walls."""
     from scipy.spatial import cKDTree  # noqa: PLC0415  takes 0.3 s to load
 
     n = len(occupied_xy_m)

@@ -1,4 +1,4 @@
-"""The profile of map quality: one frozen set of numbers, and whether they mean anything.
+"""The profile of map quality: a fixed set of numbers, and whether they are meaningful.
 
 A profile never changes: another definition or threshold is another profile. Definitions: docs/metrics.md.
 """
@@ -37,12 +37,13 @@ if TYPE_CHECKING:
 PROFILE: Final = "map-quality/2"
 
 LARGEST_CELLS: Final = 16_000_000
-"""Of maps with more, corners and enclosed areas are counted in cells of twice the size, or thrice, ..."""
+"""Maximum number of cells for corners and enclosed areas; larger maps are reduced to cells of 2, 3, ... times the size.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class MapQuality:
-    """How good a map is; null where a number cannot be known.
+    """Quality of a map; a number that cannot be known is null.
 
     Numbers of a map that is not ``meaningful`` must not be compared; ``why`` lists what is missing.
     """
@@ -62,10 +63,10 @@ class MapQuality:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredMap:
-    """All that was measured on a map.
+    """The measurements of a map.
 
     ``sections`` are the cuts through its walls at each hit threshold, ``published`` those through the walls of the
-    published map, ``cuts`` those where its scans saw walls, None where they are not known.
+    published map, ``cuts`` those where its scans saw walls, None if unknown.
     """
 
     quality: MapQuality
@@ -80,24 +81,24 @@ def measure_map(grid: Grid, journey: Journey | None = None, *, counted: bool = T
     Parameters
     ----------
     grid
-        The map. What a map file shows as well (walls, corners, areas) is measured on its `occupancy`, so that a run and
-        its map file agree; hits and crossings give the entropy, and without scans the ghost walls.
+        The map. Walls, corners and areas are measured on its `occupancy`, so that a run and its map file agree. Hits
+        and crossings give the entropy and, without scans, the ghost walls.
     journey
-        The scans behind it with their poses, where they are known.
+        The scans of the map with their poses, if known.
     counted
         Whether hits and crossings are counts; otherwise they are 0 and 1, as in a map file.
     """
     occupied = only_occupied(grid)
     published = wall_sections(occupied, grid.cell_m, 1)
-    found, scans = (None, None) if journey is None else _seen_again(journey)
+    found, scans = (None, None) if journey is None else _compare_scans(journey)
     support = map_support(grid, occupied, published, journey, scans)
     ghosts = None if journey is None or scans is None else doubled_walls(journey.map_T_laser, scans, grid.cell_m)
     cuts = None if journey is None else cut_walls(grid, scans, len(journey.map_T_laser))
     measured_share = np.nan if cuts is None else wall_spread(cuts, grid.cell_m).measured_share
-    del occupied, scans  # of a large map there is no room for all beside each other
+    del occupied, scans  # the arrays of a large map may not fit into memory together
     sections = sections_by_hits(grid.hits, grid.cell_m, THRESHOLDS if counted else (1,))
     if ghosts is None:
-        ghosts = ghost_walls(grid, sections.values())  # noise may hide one at some of the thresholds
+        ghosts = ghost_walls(grid, sections.values())  # noise may hide a ghost wall at some of the thresholds
     cells = occupancy(grid)
     why = reasons(support, measured_share, journey)
     crisp, share, shape = (
@@ -105,7 +106,7 @@ def measure_map(grid: Grid, journey: Journey | None = None, *, counted: bool = T
         occupied_share(cells),
         _at_most(cells, grid.cell_m),
     )
-    del cells  # what follows takes larger cells of a large map
+    del cells  # the rest uses the reduced cells of a large map
     quality = MapQuality(
         profile=PROFILE,
         meaningful=not why,
@@ -123,12 +124,12 @@ def measure_map(grid: Grid, journey: Journey | None = None, *, counted: bool = T
 
 
 def map_quality(grid: Grid, journey: Journey | None = None, *, counted: bool = True) -> MapQuality:
-    """Measure the quality of a map; arguments as of `measure_map`."""
+    """Return the quality of a map; arguments as of `measure_map`."""
     return measure_map(grid, journey, counted=counted).quality
 
 
-def _seen_again(journey: Journey) -> tuple[Revisits, PlacedScans | None]:
-    """Compare the scans with one another, and keep them for other uses: they are read once."""
+def _compare_scans(journey: Journey) -> tuple[Revisits, PlacedScans | None]:
+    """Return the revisits of a run, and the scans that any metric needs: they are read once."""
     trajectory = journey.map_T_laser
     pairs = pairs_of(trajectory)
     rows = (pairs.rows, spread(len(trajectory), max(SAMPLE_SCANS, WALL_SCANS)), key_rows(trajectory))
@@ -137,13 +138,13 @@ def _seen_again(journey: Journey) -> tuple[Revisits, PlacedScans | None]:
 
 
 def _at_most(cells: NDArray[np.int8], cell_m: float) -> tuple[NDArray[np.int8], float]:
-    """Return occupancy and cell for what takes much memory a cell: larger cells where there are too many."""
+    """Return occupancy and cell size, reduced if there are more than `LARGEST_CELLS` cells."""
     factor = ceil(sqrt(cells.size / LARGEST_CELLS))
     return (cells, cell_m) if factor <= 1 else (pooled(cells, factor, fill=UNKNOWN), cell_m * factor)
 
 
 def only_occupied(grid: Grid) -> NDArray[np.uint16]:
-    """Return a map of one hit where a cell is occupied; the rest of it takes no memory."""
+    """Return an array with 1 in the occupied cells; the rest of it takes no memory."""
     out = blank(grid.hits.shape, np.uint16)
     row, col = occupied_cells(grid).T
     out[row, col] = 1

@@ -29,9 +29,9 @@ class AlignedError:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Errors against what is known besides the log; a key for each reference that was given.
+    """Errors against references besides the log; a key for each reference that was given.
 
-    ``ate`` and ``rpe`` are null where too few poses have a truth.
+    ``ate`` and ``rpe`` are null if too few poses have a truth.
     """
 
     ate: AlignedError | None = field(default_factory=absent)

@@ -1,7 +1,7 @@
 """Relations: true motions between two times.
 
 The benchmark of Kuemmerle et al. 2009 ("On measuring the accuracy of SLAM algorithms", Autonomous Robots 27). It needs
-no common frame, and a drift counts only where a relation spans it.
+no common frame, and drift only affects relations that span it.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from mavnav.pose import Trajectory
 
 TOLERANCE_NS: Final = 100_000_000
-"""A time takes the nearest pose within this; else the relation is missing."""
+"""Largest time between a relation and the nearest pose; farther away, the relation is missing."""
 
 LOOP_NS: Final = 20_000_000_000
-"""Relations over a longer time than this are loops, the others sequential."""
+"""Time above which a relation is a loop; the others are sequential."""
 
 
 @dataclass(frozen=True, slots=True)
 class Relations:
-    """``stamps_ns`` (n, 2): two times; ``xyyaw`` (n, 3): the pose at the second seen from the first, m, m, rad."""
+    """``stamps_ns`` (n, 2): two times; ``xyyaw`` (n, 3): the second pose in the frame of the first, m, m, rad."""
 
     stamps_ns: NDArray[np.int64]
     xyyaw: NDArray[np.float64]
@@ -49,7 +49,7 @@ class RelationErrors:
 
 
 def relation_errors(relations: Relations, trajectory: Trajectory) -> dict[str, RelationErrors]:
-    """Score a trajectory of the laser: ``all`` relations, and the ``sequential`` ones and ``loops`` apart."""
+    """Return the errors of a trajectory of the laser: over ``all`` relations, ``sequential`` ones and ``loops``."""
     rows, gaps_ns = _nearest(trajectory.stamps_ns, relations.stamps_ns)
     poses = trajectory.xyyaw
     error = between(relations.xyyaw, between(poses[rows[:, 0]], poses[rows[:, 1]]))
@@ -60,7 +60,7 @@ def relation_errors(relations: Relations, trajectory: Trajectory) -> dict[str, R
 
 
 def _nearest(stamps_ns: NDArray[np.int64], wanted_ns: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Return for each wanted time the nearest row, and how far off that is."""
+    """Return the nearest row to each wanted time, and the time between both, ns."""
     after = np.clip(np.searchsorted(stamps_ns, wanted_ns), 0, len(stamps_ns) - 1)
     before = np.maximum(after - 1, 0)
     nearer = np.abs(wanted_ns - stamps_ns[before]) <= np.abs(wanted_ns - stamps_ns[after])

@@ -1,4 +1,4 @@
-"""Self-consistency: how well scans of the same place lie on one another, by the poses that they were given.
+"""Self-consistency: distances between scans of the same place at their given poses.
 
 No truth is needed. Neighbours in time show how well scans are matched, returns to a place how far the map has drifted.
 """
@@ -28,22 +28,22 @@ LONG_DISTANCE_M: Final = 1.0
 LONG_TURN_RAD: Final = 60.0 * DEG
 PAIRS: Final = 1000
 PARTNERS: Final = 4
-"""A scan is paired with so many of its revisits at most."""
+"""Maximum number of revisits that a scan is paired with."""
 
 EVERY: Final = 5
 LEAST_POINTS, LEAST_TARGETS = 5, 20
 _BLOCK: Final = 50_000
-"""So many pairs are looked at at a time."""
+"""Number of pairs that are tested at a time."""
 
 _GOLDEN: Final = 0.6180339887498949
 
 
 @dataclass(frozen=True, slots=True)
 class Revisits:
-    """How far scans lie apart that see the same walls; null without a pair.
+    """Mean distances of scans that see the same walls; null without a pair.
 
-    Neighbours are scans 0.3 to 3 s apart: mean distance of a point to the nearest one of the other scan, where one lies
-    within 150 mm. Revisits are scans more than 10 s apart, within 1 m and 60 degrees of one another: mean over the
+    Neighbours are scans 0.3 to 3 s apart: distance of a point to the nearest one of the other scan, if that is within
+    150 mm. Revisits are scans more than 10 s apart in time, within 1 m and 60 degrees of each other: distance over the
     points that the other scan could see, 150 mm at most.
     """
 
@@ -68,17 +68,17 @@ class Pairs:
 
     @property
     def rows(self) -> NDArray[np.intp]:
-        """All rows, each once."""
+        """All rows without repetition."""
         return np.unique(np.concatenate((self.short, self.long)))
 
 
 def pairs_of(trajectory: Trajectory) -> Pairs:
-    """Choose the scans to compare: the same for the same trajectory."""
+    """Return the pairs of scans to compare; they depend on the trajectory alone."""
     return Pairs(short_pairs(trajectory.stamps_ns), long_pairs(trajectory))
 
 
 def revisits(trajectory: Trajectory, pairs: Pairs, scans: PlacedScans | None) -> Revisits:
-    """Measure the self-consistency of a run; ``scans`` are those of the pairs' rows, and maybe others."""
+    """Return the self-consistency of a run; ``scans`` include those of the pairs' rows."""
     if scans is None:
         return Revisits(np.nan, np.nan, 0, np.nan)
     near = _distances(scans, trajectory, pairs.short)
@@ -92,7 +92,7 @@ def revisits(trajectory: Trajectory, pairs: Pairs, scans: PlacedScans | None) ->
 
 
 def short_pairs(stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Pair scans with one that is 0.3 to 3 s older or younger, evenly over the run, (n, 2)."""
+    """Return pairs (n, 2) of scans with one 0.3 to 3 s before or after, evenly spread over the run."""
     rows = spread(len(stamps_ns), PAIRS)
     near, far = SHORT_GAP_NS
     older, younger = (stamps_ns[rows] + gap for gap in (-far, near))
@@ -106,7 +106,7 @@ def short_pairs(stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
 
 
 def long_pairs(trajectory: Trajectory) -> NDArray[np.intp]:
-    """Pair scans with others of the same place and heading, 10 s or more apart, evenly over the run, (n, 2)."""
+    """Return pairs (n, 2) of scans of the same place and heading, 10 s or more apart, evenly spread over the run."""
     rows, pairs = spread(len(trajectory), PAIRS), [np.zeros((0, 2), np.intp)]
     band = max(1, _BLOCK // max(len(trajectory), 1))
     for first in range(0, len(rows), band):
@@ -117,7 +117,7 @@ def long_pairs(trajectory: Trajectory) -> NDArray[np.intp]:
 
 
 def _partners(trajectory: Trajectory, rows: NDArray[np.intp], fractions: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Pair rows with up to ``PARTNERS`` of their revisits, (n, 2); chosen by the fractions (rows,)."""
+    """Return pairs (n, 2) of rows with up to ``PARTNERS`` of their revisits, chosen by the fractions (rows,)."""
     t, (x, y, yaw) = trajectory.stamps_ns, trajectory.xyyaw.T
     c, s = np.cos(yaw), np.sin(yaw)
     dx, dy = x - x[rows, None], y - y[rows, None]
@@ -134,12 +134,12 @@ def _partners(trajectory: Trajectory, rows: NDArray[np.intp], fractions: NDArray
 
 
 def _fractions(n: int) -> NDArray[np.float64]:
-    """Return a sequence that fills 0 to 1 evenly, (n,): choices without a random number."""
+    """Return a sequence that fills 0 to 1 evenly, (n,), for choices without random numbers."""
     return np.arange(n) * _GOLDEN % np.float64(1.0)
 
 
 def _distances(scans: PlacedScans, trajectory: Trajectory, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return the sums of `scan_distances` for the pairs of rows that have points enough."""
+    """Return the sums of `scan_distances` for the pairs of rows with enough points."""
     spec = scans.spec
     near_m, far_m = used_ranges_m(spec)
     points = np.count_nonzero((scans.ranges_m >= near_m) & (scans.ranges_m <= far_m), axis=1)

@@ -1,7 +1,7 @@
-"""What a map looks like without a truth: occupied share, corners, enclosed areas.
+"""Shape of a map, without a truth: occupied share, corners, enclosed areas.
 
 After Filatov et al., "2D SLAM Quality Evaluation Methods", FRUCT 2017: of two maps of one place, the one with fewer
-occupied cells, corners and enclosed areas is the better one; a wall that is drawn twice has more of each.
+occupied cells, corners and enclosed areas is better, because a wall that is drawn twice has more of each.
 """
 
 from __future__ import annotations
@@ -22,44 +22,44 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 CORNER_RADIUS_M: Final = 0.15
-"""Edges are collected within about this distance, and two corners are not nearer to one another."""
+"""Approximate radius of the window of the structure tensor, and minimum distance of two corners."""
 
 CORNER_SHARE: Final = 0.35
-"""A corner has edges across its strongest direction, this strong compared to the walls of the map."""
+"""Minimum strength of the edge across the strongest direction of a corner, as a share of that of walls."""
 
 SLOPE_CELLS: Final = 1.5
-"""Slopes are those of the image smoothed by so much."""
+"""Standard deviation of the Gaussian whose derivatives are the slopes."""
 
 LEAST_AREA_M2: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class EnclosedAreas:
-    """Areas that are not occupied, but closed in by occupied cells (8-connected)."""
+    """Areas that are not occupied, but enclosed by occupied cells (8-connected)."""
 
     count: int = field(metadata=number("enclosed areas"))
     area_m2: float = field(metadata=number("sum of the enclosed areas"))
 
 
 def occupied_share(cells: NDArray[np.int8]) -> float:
-    """Return the part of the known cells that is occupied; NaN where nothing is known."""
+    """Return the share of the known cells that is occupied; NaN without known cells."""
     known = count(cells, lambda some: some != UNKNOWN)
     return count(cells, lambda some: some == OCCUPIED) / known if known else np.nan
 
 
 def enclosed_areas(cells: NDArray[np.int8], cell_m: float) -> EnclosedAreas:
-    """Count the areas of `LEAST_AREA_M2` or more from which no path leads out but across occupied cells."""
+    """Return the areas of `LEAST_AREA_M2` or more that are enclosed by occupied cells."""
     sizes = region_sizes(np.pad(cells != OCCUPIED, 1, constant_values=True), False)
-    areas_m2 = sizes[1:] * cell_m**2  # the first one is what lies around the map
+    areas_m2 = sizes[1:] * cell_m**2  # the first one is the area around the map
     enclosed = areas_m2[areas_m2 >= LEAST_AREA_M2 - 1e-12]
     return EnclosedAreas(len(enclosed), float(enclosed.sum()))
 
 
 def corners(cells: NDArray[np.int8], cell_m: float) -> int:
-    """Count the corners: places where the image of the occupied cells changes in two directions.
+    """Return the number of corners: points where the image of the occupied cells changes in two directions.
 
-    The smaller eigenvalue of the structure tensor (Shi and Tomasi 1994) has a local maximum there, compared with the
-    larger one along the walls of the same map.
+    There the smaller eigenvalue of the structure tensor (Shi and Tomasi 1994) has a local maximum; its threshold is
+    relative to the larger eigenvalue along the walls of the same map.
     """
     radius = max(CORNER_RADIUS_M / cell_m, 2.0)
     occupied = np.pad(cells == OCCUPIED, int(2 * radius))
@@ -90,7 +90,7 @@ def edges(image: NDArray[np.float32], radius: float) -> tuple[NDArray[np.float32
 
 
 def gaussian(sigma_cells: float) -> NDArray[np.float64]:
-    """Return the weights of a normal distribution, from the middle on to four sigma; both sides together weigh 1."""
+    """Return the weights of a normal distribution from the middle to four sigma; those of both sides sum to 1."""
     far = int(4.0 * sigma_cells + 0.5)
     weights = np.exp(-0.5 / sigma_cells**2 * np.arange(-far, far + 1) ** 2)
     half: NDArray[np.float64] = (weights / weights.sum())[far:]

@@ -1,4 +1,4 @@
-"""Support: how much of a map there is, and of the log in it. A map of nothing has no thick walls."""
+"""Support: the amount of map and the share of the log in it, without which other metrics are not meaningful."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ LEAST_WALL_M: Final = 2.0
 LEAST_MAPPED_SHARE: Final = 0.6
 LEAST_EXPLAINED_SHARE: Final = 0.5
 LEAST_MEASURED_SHARE: Final = 0.65
-"""What falls below one of these is no map to compare."""
+"""Minimum values of a meaningful map."""
 
 SAMPLE_SCANS: Final = 200
-"""So many scans, evenly over the run, are laid over the map to see what of them it explains."""
+"""Number of scans, evenly spread over the run, whose end points are compared with the map."""
 
 
 @dataclass(frozen=True, slots=True)
 class Support:
-    """How much of a map there is, and of the log in it; null where the scans behind it are not known."""
+    """Amount of map, and share of the log in it; null if the scans of the map are unknown."""
 
     wall_m: float = field(metadata=number("length of straight wall"))
     sections: int = field(metadata=number("cuts through straight walls"))
@@ -46,7 +46,7 @@ class Support:
 def map_support(
     grid: Grid, occupied: NDArray[np.uint16], walls: Sections, journey: Journey | None, scans: PlacedScans | None
 ) -> Support:
-    """Measure the support of a map.
+    """Return the support of a map.
 
     ``occupied`` is 1 in its occupied cells, ``walls`` are the sections of its straight walls; ``scans`` are tracked
     scans of the journey, evenly spread.
@@ -62,7 +62,7 @@ def map_support(
 def reasons(support: Support, measured_share: float, journey: Journey | None = None) -> tuple[str, ...]:
     """Return why a map is not meaningful; empty if it is.
 
-    ``measured_share`` is the part of the walls seen that could be measured; NaN where it is not known.
+    ``measured_share`` is the measured share of the walls that the scans saw; NaN if unknown.
     """
     found = []
     if journey and journey.lost_for_good:
@@ -83,9 +83,9 @@ def reasons(support: Support, measured_share: float, journey: Journey | None = N
 
 
 def explained_share(grid: Grid, occupied: NDArray[np.uint16], scans: PlacedScans) -> float:
-    """Lay tracked scans over the map: the part of their end points within a cell of an occupied cell; NaN without any.
+    """Return the share of end points of tracked scans within a cell of an occupied cell; NaN without any.
 
-    A part of the map that was cut away, or scans that were tracked but are not in the map, lower it.
+    It is low if a part of the map was cut off, or if scans were tracked but are not in the map.
     """
     near, lattice, directions = near_walls(occupied), grid.lattice, scans.spec.directions
     sample = spread(len(scans.poses), SAMPLE_SCANS)
@@ -97,7 +97,7 @@ def explained_share(grid: Grid, occupied: NDArray[np.uint16], scans: PlacedScans
 def near_walls(occupied: NDArray[np.uint16]) -> NDArray[np.int8]:
     """Return `OCCUPIED` in the cells (rows, cols) that are occupied or have an occupied neighbour, else 0.
 
-    Where there are none, the answer takes no memory.
+    Zeros take no memory.
     """
     near = blank(occupied.shape, np.int8)
     for around, inside, band in bands(occupied.shape, margin=1):
@@ -106,7 +106,7 @@ def near_walls(occupied: NDArray[np.uint16]) -> NDArray[np.int8]:
 
 
 def widened(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask (rows, cols) with the eight neighbours of its cells."""
+    """Return a mask (rows, cols) dilated by the eight neighbours of its cells."""
     around = np.pad(mask, 1)
     rows = around[:-2] | around[1:-1] | around[2:]
     wide: NDArray[np.bool_] = rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]

@@ -1,4 +1,4 @@
-"""Trajectory errors against a truth: absolute, with and without the best rigid motion taken out, and relative."""
+"""Trajectory errors against a truth: absolute, with and without alignment by a rigid motion, and relative."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from mavnav.pose import Trajectory
 
 MAX_GAP_NS: Final = 1_000_000_000
-"""The truth is interpolated over gaps up to this."""
+"""Longest gap in the truth over which it is interpolated."""
 
 DELTA_M: Final = 1.0
-"""Relative errors are taken over so much of the estimated path."""
+"""Length of the stretches of the estimated path for relative errors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class AbsoluteError:
 class RelativeError:
     """Relative pose error (Sturm et al. 2012) over stretches of the estimated path; null without a stretch.
 
-    Translation and rotation are null also where the truth has no headings.
+    Translation and rotation are null as well if the truth has no headings.
     """
 
     pairs: int = field(metadata=number("stretches of the path that were compared"))
@@ -50,7 +50,7 @@ class RelativeError:
 
 
 def align(from_xy_m: NDArray[np.float64], to_xy_m: NDArray[np.float64]) -> Pose:
-    """Return the rigid motion that brings points (n, 2) closest to their partners, least squares (Umeyama 1991)."""
+    """Return the rigid motion that aligns points (n, 2) with their partners by least squares (Umeyama 1991)."""
     a, b = from_xy_m.mean(axis=0), to_xy_m.mean(axis=0)
     p, q = from_xy_m - a, to_xy_m - b
     yaw = float(np.arctan2((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum(), (p * q).sum()))
@@ -61,7 +61,7 @@ def align(from_xy_m: NDArray[np.float64], to_xy_m: NDArray[np.float64]) -> Pose:
 def absolute_error(
     estimate_xy_m: NDArray[np.float64], truth_xy_m: NDArray[np.float64], *, aligned: bool = True
 ) -> AbsoluteError:
-    """Compare positions (n, 2) one by one, in metres; ``aligned`` takes the best rigid motion out first."""
+    """Return the errors of positions (n, 2), m; ``aligned``: after the best rigid motion."""
     n = len(estimate_xy_m)
     if n == 0:
         return AbsoluteError(0, np.nan, np.nan, np.nan)
@@ -72,7 +72,7 @@ def absolute_error(
 
 
 def relative_error(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> RelativeError:
-    """Compare motions over stretches of the path; poses (n, 3) in m, m, rad, one by one, each in its own frame."""
+    """Return the errors of motions over stretches of the path; poses (n, 3), m, m, rad, each in its own frame."""
     first, last = _stretches(estimate[:, :2])
     if not len(first):
         return RelativeError(0, DELTA_M, np.nan, np.nan, np.nan)
@@ -90,7 +90,7 @@ def relative_error(estimate: NDArray[np.float64], truth: NDArray[np.float64]) ->
 
 
 def matched(estimate: Trajectory, truth: Trajectory) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Pair the estimated poses with the true ones of the same time, (n, 3) each.
+    """Return the estimated poses and the true ones at the same times, (n, 3) each.
 
     The truth is interpolated; estimates before it, after it and in its longer gaps are left out.
     """
@@ -101,10 +101,7 @@ def matched(estimate: Trajectory, truth: Trajectory) -> tuple[NDArray[np.float64
 
 
 def position_errors(estimate: Trajectory, truth: Trajectory, *, aligned: bool) -> NDArray[np.float64]:
-    """Return the position error of every pose, (n,), m; NaN where no truth is known.
-
-    ``aligned`` takes the best rigid motion out first.
-    """
+    """Return the position error of every pose, (n,), m, after alignment if ``aligned``; NaN without a truth."""
     found = [truth.at(int(stamp_ns), MAX_GAP_NS) for stamp_ns in estimate.stamps_ns]
     true_xy_m = np.array([(np.nan, np.nan) if pose is None else pose[:2] for pose in found]).reshape(-1, 2)
     known, xy_m = np.isfinite(true_xy_m[:, 0]), estimate.xyyaw[:, :2]
@@ -115,14 +112,14 @@ def position_errors(estimate: Trajectory, truth: Trajectory, *, aligned: bool) -
 
 
 def between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return poses b seen from poses a, (n, 3) each: ``inverse(a) @ b`` row by row, yaw in [-pi, pi)."""
+    """Return poses b in the frames of poses a, (n, 3) each: ``inverse(a) @ b`` row by row, yaw in [-pi, pi)."""
     c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
     dx, dy, turn = (b - a).T
     return np.column_stack((c * dx + s * dy, c * dy - s * dx, (turn + np.pi) % (2.0 * np.pi) - np.pi))
 
 
 def _stretches(xy_m: NDArray[np.float64]) -> tuple[list[int], list[int]]:
-    """Cut a path (n, 2) into stretches that end at the first pose `DELTA_M` or more after their beginning."""
+    """Return the first and last rows of stretches of a path (n, 2), each of `DELTA_M` or just above."""
     ends, walked_m = [0], 0.0
     for k, step_m in enumerate(np.hypot(*np.diff(xy_m, axis=0).T), start=1):
         walked_m += float(step_m)

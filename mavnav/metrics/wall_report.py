@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 PAPER_MIN_HITS: Final = 2
-"""The paper counts occupied cells and names no threshold; single stray hits are left out."""
+"""Hit threshold of the paper's count: the paper names none, and this one leaves out single stray hits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class PaperCells:
 class WallThicknessReport:
     """Wall thickness: the spread of hits across the walls, the paper's count of cells, and the published map's walls.
 
-    The thicknesses under a number count a cell from so many hits on.
+    The sections under a number use that hit threshold.
     """
 
     spread: WallSpread = field(default_factory=absent)
@@ -54,7 +54,7 @@ class WallThicknessReport:
 def wall_report(
     sections: Mapping[int, Sections], published: Sections | None, cuts: WallCuts | None, cell_m: float
 ) -> WallThicknessReport:
-    """Sum up the sections at each hit threshold, those of the published map, and the cuts; what is None is left out."""
+    """Return the summary of the sections at each hit threshold, of the published map, and of the cuts, unless None."""
     found = {hits: summary(cut, cell_m) for hits, cut in sections.items()}
     paper = found.get(PAPER_MIN_HITS)
     return WallThicknessReport(

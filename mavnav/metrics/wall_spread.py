@@ -1,7 +1,7 @@
-"""Wall spread: how far the hits of a wall scatter across it, which does not depend on how long one looks.
+"""Wall spread: the width of the hits across a wall, which does not depend on the number of scans.
 
-Single scans show the place and direction of straight walls, even if the map is blurred. There the hits of the map are
-summed up along the wall, and the width that holds 95 % of them is measured. Definition: docs/metrics.md.
+Single scans show the position and direction of straight walls even if the map is blurred. There the hits of the map are
+summed along the wall, and the width that holds 95 % of them is measured. Definition: docs/metrics.md.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ LEAST_REACH, MAX_RATIO, MIN_POINTS = 0.7, 0.1, 6
 TILE_M: Final = 0.05
 DIRECTIONS: Final = 8
 MIN_SEEN: Final = 2.0
-"""A tile counts as wall if the scans saw a straight wall there with at least so many beams."""
+"""Minimum number of beams that saw a straight wall in a tile that counts as wall."""
 
 LINK_M, ACROSS_M, TURN_RAD = 0.2, 0.06, 15.0 * DEG
-"""Cuts so near to one another along and across, and of directions so alike, are of one wall."""
+"""Largest distances along and across, and largest difference of direction, of linked cuts of one wall."""
 
 HALF_LENGTH_M, REACH_M = 0.15, 0.75
 NEAR_M: Final = 0.1
@@ -53,9 +53,9 @@ AT_A_TIME: Final = 2000
 
 @dataclass(frozen=True, slots=True)
 class WallSpread:
-    """Summary of all measured walls, weighted by length of wall; NaN where none was measured.
+    """Summary of all measured walls, weighted by length of wall; NaN if none was measured.
 
-    ``measured_share`` is the part, by length, of the walls that the scans saw which could be measured in the map.
+    ``measured_share`` is the share, by length, of the walls that the scans saw which could be measured in the map.
     """
 
     median_mm: Measured = field(
@@ -84,9 +84,9 @@ class WallSpread:
 class WallCuts:
     """Cuts across the walls that the scans saw, (n,) each.
 
-    ``xy_m`` (n, 2) is the middle of the wall in the map frame, ``direction_rad`` its direction, ``width_m`` the width
-    that holds 95 % of its hits, NaN where the map has no wall that could be measured; ``length_m`` is the length of
-    wall that a cut stands for.
+    ``xy_m`` (n, 2) is the middle of the wall in the map frame, ``direction_rad`` its direction. ``width_m`` is the
+    width that holds 95 % of its hits, NaN if the map has no measurable wall there. ``length_m`` is the length of wall
+    that the cut represents.
     """
 
     xy_m: Array
@@ -96,7 +96,7 @@ class WallCuts:
 
 
 def wall_spread(cuts: WallCuts, cell_m: float) -> WallSpread:
-    """Sum up cuts through a map with cells of that edge."""
+    """Return the summary of cuts through a map with cells of that size."""
     measured = np.isfinite(cuts.width_m)
     _, p95_m, median_m = quantiles(cuts.width_m[measured], cuts.length_m[measured])
     length_m, wanted_m = float(cuts.length_m[measured].sum()), float(cuts.length_m.sum())
@@ -139,7 +139,7 @@ def wall_points(scans: PlacedScans) -> tuple[Array, Array]:
 
 
 def _stations(xy_m: Array, direction: Array) -> tuple[Array, Array]:
-    """Average the points of each tile and direction: (n, 3) x, y and direction, and how many points there were."""
+    """Return the means of the points of each tile and direction, (n, 3) x, y and direction, and their numbers (n,)."""
     sector = np.round(direction / (np.pi / DIRECTIONS)) % DIRECTIONS
     col, row = np.floor(xy_m / TILE_M).T
     key = (row * (np.ptp(col) + 1.0 if len(col) else 1.0) + col) * DIRECTIONS + sector  # whole numbers
@@ -154,9 +154,9 @@ def _stations(xy_m: Array, direction: Array) -> tuple[Array, Array]:
 
 
 def _lengths(xy_m: Array, direction: Array) -> Array:
-    """Return the length of wall that each cut (n,) stands for, m: it reaches halfway to the next cuts along the wall.
+    """Return the length of wall that each cut (n,) represents, m: halfway to the next cuts along the wall.
 
-    Cuts beside one another, as a blurred wall has them, share the length.
+    Cuts next to each other across a blurred wall share the length.
     """
     wall = linked(xy_m, direction, reach_m=LINK_M, across_m=ACROSS_M, turn_rad=TURN_RAD)
     c, s = (np.bincount(wall, turn(2.0 * direction)) for turn in (np.cos, np.sin))
@@ -176,9 +176,9 @@ def _normals(direction: Array) -> Array:
 
 
 def _widths(grid: Grid, stations: Array) -> tuple[Array, Array]:
-    """Return where the middle of the wall lies to the left of each station, m, and its width, NaN where there is none.
+    """Return the offset of the middle of the wall to the left of each station, m, and its width, m.
 
-    The middle is 0 where there is no wall.
+    Without a wall the offset is 0 and the width NaN.
     """
     half_length, reach = (max(round(size_m / grid.cell_m), 1) for size_m in (HALF_LENGTH_M, REACH_M))
     cells = np.column_stack(((stations[:, :2] - grid.origin_xy_m) / grid.cell_m - 0.5, stations[:, 2]))
@@ -197,15 +197,15 @@ def _ridges(halves: Array, bin_m: float) -> tuple[Array, Array, Array]:
     """Measure the ridge of hits at the middle of each profile.
 
     ``halves`` (n, 2, bins) are the mean hits a cell on either half of a stretch of wall, every half cell across it.
-    Returns (n,) each: the middle of the hits to the left of the profile's, the width that holds 95 % of them, both in
-    m, and the hits of the ridge a cell along the wall. The width is infinite where a ridge has no end.
+    Returns (n,) each: the offset of the mean of the hits to the left of the profile's middle, m, the width that holds
+    95 % of them, m, and the hits of the ridge per cell along the wall. The width is inf if a ridge has no end.
     """
     total = halves.sum(axis=1)
     smooth = [_smoothed(part) for part in (total, halves[:, 0], halves[:, 1])]
     bins, rows = total.shape[1], np.arange(len(total))
     near = int(NEAR_M / bin_m)
     peak = bins // 2 - near + np.argmax(smooth[0][:, bins // 2 - near : bins // 2 + near + 1], axis=1)
-    for _ in range(3):  # the ridge's own peak may lie beyond what is near
+    for _ in range(3):  # the peak of the ridge may lie farther away than `NEAR_M`
         first, last = _extents(smooth, peak, bin_m)
         inside = (np.arange(bins) >= first[:, None]) & (np.arange(bins) <= last[:, None])
         peak = np.argmax(np.where(inside, smooth[0], -1.0), axis=1)
@@ -222,24 +222,24 @@ def _ridges(halves: Array, bin_m: float) -> tuple[Array, Array, Array]:
 
 
 def _smoothed(profile: Array) -> Array:
-    """Average each bin with its neighbours."""
+    """Return the mean of each bin and its two neighbours."""
     padded = np.pad(profile, ((0, 0), (1, 1)))
     mean: Array = (padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]) / 3.0
     return mean
 
 
 def _extents(smooth: list[Array], peak: NDArray[np.intp], bin_m: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first and last bin of the ridge about each peak.
+    """Return the first and last bin of the ridge around each peak.
 
-    It goes on where the profile is over a share of the peak, on both halves of the wall: a wall that ends on this one
-    lies on one half only. A short gap is bridged.
+    The ridge is where the profile exceeds a share of the peak, on both halves of the stretch: a wall that ends at this
+    one lies on one half only. Short gaps are bridged.
     """
     total, behind, ahead = smooth
     rows, bins, gap = np.arange(len(total)), total.shape[1], int(GAP_M / bin_m + 0.5)
     least = PEAK_SHARE * total[rows, peak][:, None]
     above = (total > least) & (np.minimum(behind, ahead) > 0.25 * least)
     above[rows, peak] = True
-    at = np.arange(bins, dtype=np.int16)  # a fourth of the memory that is gone through
+    at = np.arange(bins, dtype=np.int16)  # a quarter of the memory of int64
     before = np.maximum.accumulate(np.where(above, at, np.int16(-bins)), axis=1)
     after = np.minimum.accumulate(np.where(above, at, np.int16(2 * bins))[:, ::-1], axis=1)[:, ::-1]
     outside = after - before - 1 > gap
@@ -249,7 +249,7 @@ def _extents(smooth: list[Array], peak: NDArray[np.intp], bin_m: float) -> tuple
 
 
 def _quantile(hits: Array, share: float) -> Array:
-    """Return where a share of the hits of each profile lies below, in bins from the first one's edge."""
+    """Return the position below which a share of the hits of each profile lies, in bins from the edge of the first."""
     below = np.cumsum(hits, axis=1)
     wanted = share * below[:, -1]
     at = np.argmax((below >= wanted[:, None]) & (hits > 0.0), axis=1)

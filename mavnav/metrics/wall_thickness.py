@@ -1,7 +1,7 @@
-"""Wall thickness: how many cells deep is a wall in the hit-count map? (paper, "Complex Mapping").
+"""Wall thickness: the depth of the walls in the hit-count map in cells (paper, "Complex Mapping").
 
-In the ideal case a wall is one cell thick; laser noise and bad matches thicken it. The paper gives neither a hit
-threshold nor a way to measure; the definition here, with the numbers that validate it, is docs/metrics.md's.
+Ideally a wall is one cell thick; laser noise and bad matches make it thicker. The paper gives neither a hit threshold
+nor a way to measure. The definition here, and its validation, are in docs/metrics.md.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ MAX_RATIO: Final = 0.1
 MAX_GAP_CELLS: Final = 1
 
 THRESHOLDS: Final = (1, 2, 5)
-"""Wall thickness is reported for cells of at least so many hits: the threshold decides the answer."""
+"""Hit thresholds at which wall thickness is reported, because it depends much on them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sections:
-    """Cuts through straight walls, one an entry, each along the grid axis nearest to the wall's normal.
+    """Cuts through straight walls, (n,) each, along the grid axis nearest to the wall's normal.
 
-    ``row`` and ``col`` (n,) are the middle of the cut in cells (halves occur), ``thickness_cells`` (n,) its depth along
-    the normal, ``length_m`` (n,) the length of wall that it stands for; ``vertical`` (n,) cuts run along a column.
-    ``direction_rad`` (n,) is the wall's direction from the row's, modulo pi.
-    ``share`` is the part of the map's occupied cells that lies in a section.
+    ``row`` and ``col`` are the middle of the cut in cells (halves occur), ``thickness_cells`` its depth along the
+    normal, ``length_m`` the length of wall that it represents. ``vertical`` cuts run along a column. ``direction_rad``
+    is the wall's direction from the row's, modulo pi. ``share`` is the share of the map's occupied cells that lies in a
+    section.
     """
 
     row: NDArray[np.float64]
@@ -67,15 +67,15 @@ class WallThickness:
 
 
 def wall_thickness(hits: NDArray[Any], cell_m: float, min_hits: int) -> WallThickness:
-    """Measure the walls of a map at one threshold.
+    """Return the wall thickness of a map at one threshold.
 
-    ``hits`` is (rows, cols); a cell is occupied from ``min_hits`` (1 or more) on; ``cell_m`` is the cell's edge.
+    ``hits`` is (rows, cols); a cell is occupied from ``min_hits`` (1 or more) on; ``cell_m`` is the size of a cell.
     """
     return summary(wall_sections(hits, cell_m, min_hits), cell_m)
 
 
 def summary(sections: Sections, cell_m: float) -> WallThickness:
-    """Sum up the sections of one threshold; ``cell_m`` is the cell's edge."""
+    """Return the summary of the sections at one threshold; ``cell_m`` is the size of a cell."""
     thickness, weight = sections.thickness_cells, sections.length_m
     maximum, p95, median = quantiles(thickness, weight)
     return WallThickness(
@@ -94,7 +94,7 @@ def summary(sections: Sections, cell_m: float) -> WallThickness:
 def sections_by_hits(
     hits: NDArray[Any], cell_m: float, thresholds: tuple[int, ...] = THRESHOLDS
 ) -> dict[int, Sections]:
-    """Cut the walls of a map across at each of the thresholds; arguments as of `wall_thickness`."""
+    """Return the sections of the walls of a map at each threshold; arguments as of `wall_thickness`."""
     return {min_hits: wall_sections(hits, cell_m, min_hits) for min_hits in thresholds}
 
 
@@ -107,7 +107,7 @@ def quantiles(values: NDArray[np.float64], weights: NDArray[np.float64]) -> tupl
 
 
 def wall_sections(hits: NDArray[Any], cell_m: float, min_hits: int) -> Sections:
-    """Cut the straight walls of a map across; arguments as of `wall_thickness`, the rule is docs/metrics.md's."""
+    """Return the sections of the straight walls of a map (docs/metrics.md); arguments as of `wall_thickness`."""
     if min_hits < 1:
         msg = f"a cell is occupied from 1 hit on, not {min_hits}"
         raise ValueError(msg)
@@ -127,10 +127,10 @@ def wall_sections(hits: NDArray[Any], cell_m: float, min_hits: int) -> Sections:
 
 
 def _axis_cuts(hits: NDArray[Any], cell_m: float, min_hits: int, *, diagonal: bool) -> tuple[NDArray[np.float64], ...]:
-    """Cut along the columns where the wall runs nearer to the rows; ``with ``diagonal`` also walls at 45 degrees.
+    """Return the cuts along the columns, for walls nearer to the rows; with ``diagonal`` also for walls at 45 degrees.
 
-    Returns column, middle row, thickness in cells, length in metres, wall's angle to the row in rad and occupied cells
-    of each cut, (n,) each.
+    Returns column, middle row, thickness in cells, length in metres, the wall's angle to the row in rad and the number
+    of occupied cells of each cut, (n,) each.
     """
     runs = column_runs(hits, min_hits, MAX_GAP_CELLS)
     cells, var_x, cov, var_y = _moments(hits, runs, min_hits, RADIUS_M / cell_m).T
@@ -139,13 +139,13 @@ def _axis_cuts(hits: NDArray[Any], cell_m: float, min_hits: int, *, diagonal: bo
     straight = (cells >= MIN_CELLS) & (np.sqrt(12.0 * wide) * cell_m >= MIN_LENGTH_M) & (thin <= MAX_RATIO * wide)
     kept = straight & ((var_x >= var_y) if diagonal else (var_x > var_y))
     angle = 0.5 * np.arctan2(2.0 * cov[kept], (var_x - var_y)[kept])
-    cos = np.cos(angle)  # the normal's share of the column's direction
+    cos = np.cos(angle)  # component of the normal along the column
     col, first, last, occupied = runs[kept].T.astype(np.float64)
     return col, (first + last) / 2.0, (last - first) * cos + 1.0, cell_m / cos, angle, occupied
 
 
 def _moments(hits: NDArray[np.uint16], runs: NDArray[np.int64], min_hits: int, radius: float) -> NDArray[np.float64]:
-    """Return the moments of the wall around each run as `run_moments` does, one band of the map after the other."""
+    """Return the moments of the wall around each run as `run_moments` does, for one band of the map at a time."""
     out, middle = np.empty((len(runs), 4)), (runs[:, 1] + runs[:, 2]) // 2
     for around, _, band in bands(hits.shape, margin=int(radius) + 2 + MAX_GAP_CELLS):
         here = (middle >= band.start) & (middle < band.stop)

@@ -1,4 +1,4 @@
-"""Straight walls: groups of sections that follow one another, each with its thickness."""
+"""Straight walls: groups of linked sections, each with its thickness."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ACROSS_CELLS: Final = 3.0
 TURN_RAD: Final = 10.0 * DEG
 LEAST_LENGTH_M: Final = 0.3
 STRAIGHT_CELLS: Final = 2.0
-"""Sections of a straight wall scatter by no more than this about its line; what scatters more is halved."""
+"""Largest spread of the sections of a straight wall about its line; a group with more is halved."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ def straight_walls(sections: Sections, cell_m: float, origin_xy_m: tuple[float, 
 
 
 def section_places(sections: Sections, cell_m: float, origin_xy_m: tuple[float, float]) -> NDArray[np.float64]:
-    """Return the middles of sections in the map frame, (n, 2) in m."""
+    """Return the centres of sections in the map frame, (n, 2) in m."""
     xy_m: NDArray[np.float64] = (np.column_stack((sections.col, sections.row)) + 0.5) * cell_m + np.array(origin_xy_m)
     return xy_m
 
@@ -57,7 +57,7 @@ def section_places(sections: Sections, cell_m: float, origin_xy_m: tuple[float, 
 def _straight_pieces(
     xy_m: NDArray[np.float64], weight: NDArray[np.float64], group: NDArray[np.intp], cell_m: float
 ) -> Iterator[tuple[Line, NDArray[np.intp]]]:
-    """Halve a group until what is left of it is straight; pieces too short are dropped."""
+    """Halve a group until its parts are straight; drop parts that are too short."""
     if len(group) < 2:
         return
     line = fit_line(xy_m[group], weight[group], cell_m)

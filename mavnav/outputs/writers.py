@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.atomic_files import sync
 from mavnav.errors import UsageError
-from mavnav.memory import give_back
+from mavnav.memory import release_free_memory
 from mavnav.outputs.directory import RUN_FILE, check_directory, staged
 from mavnav.outputs.document import plain, run_document, to_json, write_metrics
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
@@ -135,7 +135,7 @@ def _names(run: Run, groups: Collection[str] | None) -> list[str]:
 def _write(run: Run, path: Path) -> str:
     """Write one file to the disk and return its SHA-256."""
     with Stage("pictures" if path.suffix == ".png" else "outputs"):
-        give_back()
+        release_free_memory()
         WRITERS[path.name](run, path)
         sync(path)
         with path.open("rb") as file:

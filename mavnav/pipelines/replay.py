@@ -18,7 +18,7 @@ from mavnav.ground_truth.topics import truth_text
 from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import SUFFIXES
 from mavnav.mapping.occupancy_grid import measured_part
-from mavnav.memory import give_back
+from mavnav.memory import release_free_memory
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.trajectory_error import MAX_GAP_NS, position_errors
@@ -241,7 +241,7 @@ def _mapped(
 ) -> tuple[Run, dict[str, Any]]:
     """Track, measure and write; ``began`` holds the clocks as they stood at the start."""
     outcome = _track(log, request.config, given.known, progress, stop)
-    give_back()
+    release_free_memory()
     stopped = stop()
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)

@@ -1,7 +1,7 @@
-"""Beam order: in which order a laser fires its beams, as the log lists them or backwards (docs/method.md).
+"""Beam order: whether a laser fires its beams in the listed order or in reverse (docs/method.md).
 
-Some drivers turn the list of beams round and leave the time between them positive; undoing the motion of a sweep
-in the wrong order then blurs every turn twice over.
+Some drivers reverse the list of beams but keep the time between them positive. De-skewing in the wrong order doubles
+the blur of every turn.
 """
 
 from __future__ import annotations
@@ -31,41 +31,50 @@ if TYPE_CHECKING:
     from mavnav.slam.track import LogScans, Track
 
 STRETCH_SCANS, LEAST_SCANS, TRIAL_SHARE = 80, 40, 0.25
-"""Both orders are compared on so many scans, where the laser turns most; they are tracked on no more than this share
-of a log, but on the second number of scans at least."""
+"""Number of scans, those with most rotation, that are compared.
+
+At least the second number of them is tracked in both orders, and no more than the third as a share of the log.
+"""
 
 LEAST_COMPARED = 10
-"""Scans that both orders must have tracked to be compared."""
+"""Minimum number of scans tracked in both orders for a comparison."""
 
 LEAST_TURN_RAD = 90 * DEG
-"""A stretch that turns less decides nothing."""
+"""Minimum rotation within the stretch for a comparison."""
 
-CLEARLY = 0.9
-"""The listed order is kept unless the other one costs less than this share of it."""
+REVERSED_RATIO = 0.9
+"""Ratio of the mean costs, reverse to listed order, below which the reverse order is used."""
 
-GLANCE_EVERY, PLAINLY = 8, 1.33
-"""Every so manieth scan of the stretch is matched with both orders in the map of the track; if the other order costs
-so many times as much there, it is not tried. On four logs and their reverse the factor is 1.37 to 2.5 where the listed
-order is right, 0.5 to 1.02 where it is wrong; 1.28 on a simulated log whose map was made with the wrong order."""
+SAMPLE_EVERY, LISTED_RATIO = 8, 1.33
+"""Step between scans that are matched in both orders in the map of the track, and the cost ratio that decides.
+
+If the mean cost of the reverse order is above this multiple of the listed one's, the reverse order is not tracked. On
+four logs and their reverse the ratio is 1.37 to 2.5 where the listed order is right and 0.5 to 1.02 where it is wrong.
+It is 1.28 on a simulated log whose map was made with the wrong order.
+"""
 
 
 WARNING = "beams were fired in the reverse of the listed order, judged by the turns, and are de-skewed so"
 
 
 def with_reversed_beams(track: Track) -> Track:
-    """Track again with the beams in reverse where that is their order."""
-    if not fires_backwards(track):
+    """Track again with the beams in reverse order if that is the order of the laser."""
+    if not has_reversed_order(track):
         return track
-    turned = track.again(replace(track, log_scans=partial(_all_backwards, track.log_scans)))
+    turned = track.again(replace(track, log_scans=partial(_reversed_scans, track.log_scans)))
     return turned.with_warning(WARNING) if turned else track
 
 
-def _all_backwards(log_scans: LogScans) -> Iterator[Scan]:
-    return map(backwards, log_scans())
+def _reversed_scans(log_scans: LogScans) -> Iterator[Scan]:
+    return map(reversed_scan, log_scans())
 
 
-def fires_backwards(track: Track) -> bool:
-    """Try both beam orders where the laser turned most, each on a map of its own, unless a few matches decide it."""
+def has_reversed_order(track: Track) -> bool:
+    """Return whether the reverse order fits better where the laser turned most.
+
+    Both orders are tracked, each on a separate map, unless matches in the map of the track already favor the listed
+    order.
+    """
     refiner = track.method.refiner
     if refiner is None or track.config.robust.deskew != "auto":
         return False
@@ -73,43 +82,52 @@ def fires_backwards(track: Track) -> bool:
     scans = list(islice(track.log_scans(), stretch.start, stretch.stop))
     if not any(scan.spec.time_increment_s for scan in scans):
         return False
-    if is_plainly_listed(*glance(scans, track.steps[stretch.start : stretch.stop], track.motion, refiner)):
+    if listed_fits_better(*match_both(scans, track.steps[stretch.start : stretch.stop], track.motion, refiner)):
         return False
-    return is_backwards(*trial(scans, stretch, track))
+    return reverse_fits_better(*track_both(scans, stretch, track))
 
 
-def trial(scans: list[Scan], stretch: range, track: Track) -> tuple[list[Match], list[Match]]:
-    """Track the scans of a stretch that turn most on a map of their own, in both orders, as long as both go well."""
+def track_both(scans: list[Scan], stretch: range, track: Track) -> tuple[list[Match], list[Match]]:
+    """Track the scans of a stretch that turn most in both orders, on separate maps; return the matches of both.
+
+    The tracks end where ``LOST_SCANS`` in a row do not match. Both lists are empty with fewer than ``LEAST_COMPARED``
+    scans.
+    """
     yaws_rad = track.steps.column("map_T_laser")[stretch.start : stretch.stop + 1, 2]
     part = turning_stretch(yaws_rad, max(LEAST_SCANS, int(TRIAL_SHARE * len(track.steps))), 0.0)
     some, alone = scans[part.start : part.stop], replace(track, prior_map=None, begin=0)
     until = partial(until_missing, least_points=0, most_missed=LOST_SCANS, most_held=np.inf)
-    listed, other = (alone.over(s, until=until).steps for s in (some, map(backwards, some)))
+    listed, other = (alone.over(s, until=until).steps for s in (some, map(reversed_scan, some)))
     both = [(a.match, b.match) for a, b in zip(listed, other, strict=False) if a.tracked and b.tracked]
     return ([a for a, _ in both], [b for _, b in both]) if len(both) >= LEAST_COMPARED else ([], [])
 
 
-def glance(scans: list[Scan], steps: list[Step], motion: Motion, refiner: Refiner) -> tuple[list[Match], list[Match]]:
-    """Match every 8th tracked scan once more in both beam orders, in the map that the listed one made."""
+def match_both(
+    scans: list[Scan], steps: list[Step], motion: Motion, refiner: Refiner
+) -> tuple[list[Match], list[Match]]:
+    """Match every 8th tracked scan in both beam orders in the map of the track; return the matches of both."""
     listed, other = [], []
-    for before, step, scan in islice(zip(steps, steps[1:], scans[1:], strict=False), 0, None, GLANCE_EVERY):
+    for before, step, scan in islice(zip(steps, steps[1:], scans[1:], strict=False), 0, None, SAMPLE_EVERY):
         if before.tracked and step.tracked:
             here = motion.started_at(step.match.map_T_laser, step.stamp_ns)
             here = here.coming_from(before.match.map_T_laser, before.stamp_ns)
             listed.append(refiner.refine(refiner.match_points(scan, here), step.match))
-            other.append(refiner.refine(refiner.match_points(backwards(scan), here), step.match))
+            other.append(refiner.refine(refiner.match_points(reversed_scan(scan), here), step.match))
     return listed, other
 
 
-def backwards(scan: Scan) -> Scan:
-    """Return the scan with its last beam fired first."""
+def reversed_scan(scan: Scan) -> Scan:
+    """Return the scan with the beams fired in reverse order."""
     return replace(scan, spec=replace(scan.spec, time_increment_s=-scan.spec.time_increment_s))
 
 
 def turning_stretch(
     yaws_rad: NDArray[np.float64], scans: int = STRETCH_SCANS, least_rad: float = LEAST_TURN_RAD
 ) -> range:
-    """Find so many scans over which the headings (n,) turn most; empty where they turn less than ``least_rad``."""
+    """Return the range of up to ``scans`` scans over which the headings (n,) turn most.
+
+    It is empty where they turn by less than ``least_rad``.
+    """
     turns = np.abs((np.diff(yaws_rad) + pi) % (2.0 * pi) - pi)
     length = min(scans, STRETCH_SCANS, len(turns))
     if length == 0:
@@ -119,19 +137,19 @@ def turning_stretch(
     return range(first, first + length) if sums[first] >= least_rad else range(0)
 
 
-def is_plainly_listed(listed: Sequence[Match], other: Sequence[Match]) -> bool:
-    """Judge by a few scans of the stretch, matched in either order with the map that the listed one made."""
+def listed_fits_better(listed: Sequence[Match], other: Sequence[Match]) -> bool:
+    """Return whether the listed order fits clearly better, by matches of the same scans in the map of the track."""
     costs = _costs(listed, other)
-    return len(costs) > 0 and bool(costs[:, 1].mean() > PLAINLY * costs[:, 0].mean())
+    return len(costs) > 0 and bool(costs[:, 1].mean() > LISTED_RATIO * costs[:, 0].mean())
 
 
-def is_backwards(listed: Sequence[Match], other: Sequence[Match]) -> bool:
-    """Judge by the matches of the same scans, tracked with either order: the right one makes the sharper map."""
+def reverse_fits_better(listed: Sequence[Match], other: Sequence[Match]) -> bool:
+    """Return whether the reverse order fits clearly better, by matches of the same scans tracked in either order."""
     costs = _costs(listed, other)
-    return len(costs) > 0 and bool(costs[:, 1].mean() < CLEARLY * costs[:, 0].mean())
+    return len(costs) > 0 and bool(costs[:, 1].mean() < REVERSED_RATIO * costs[:, 0].mean())
 
 
 def _costs(listed: Sequence[Match], other: Sequence[Match]) -> NDArray[np.float64]:
-    """Return the costs (n, 2) of the scans that either order could be matched in."""
+    """Return the costs (n, 2) of the scans that were matched in both orders, m2."""
     both = [(a.cost_m2, b.cost_m2) for a, b in zip(listed, other, strict=True)]
     return np.array([pair for pair in both if np.isfinite(pair).all()]).reshape(-1, 2)

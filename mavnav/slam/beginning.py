@@ -1,6 +1,6 @@
-"""The beginning of the map: a later one where the first scans do not fit those that follow.
+"""The beginning of the map: a later one if the first scans do not fit those that follow.
 
-A partial sweep while the laser spins up, a hand before it or a fast turn can make a map that no later scan matches.
+A partial sweep while the laser spins up, a blocked laser or a fast turn can make a map that no later scan matches.
 """
 
 from __future__ import annotations
@@ -26,19 +26,22 @@ if TYPE_CHECKING:
     from mavnav.slam.track import Track
 
 EARLY_SCANS, MISSED_SCANS = 30, 16
-"""A map of at most so many scans is in doubt once so many usable scans in a row do not match it."""
+"""Largest number of scans of a map that is given up, and number of successive usable scans that do not match it."""
 
 MOST_TRIES, EACH_TRIES = 12, 4
-"""So many beginnings are tried: the first ones scan by scan, then twice as far apart each time, 260 scans in all."""
+"""Maximum number of beginnings that are tried, and number after which their distance doubles each time.
+
+They span 260 scans in all.
+"""
 
 MOST_SHARE = 0.5
-"""With so many of the scans after it a beginning is taken at once."""
+"""Share of the scans after a beginning that must have a pose for it to be taken at once."""
 
 
 def with_good_beginning(track: Track) -> Track:
-    """Track the log, from a later scan on where the map of the first ones fits none of the next.
+    """Track the log, from a later scan on if the next scans do not match the map of the first ones.
 
-    The beginning with which most of the scans after it have a pose is taken at once; otherwise the longest track is.
+    A beginning with poses for most of the scans after it is taken at once; otherwise the longest track is taken.
     """
     refiner, least_points = track.method.refiner, track.config.robust.min_points
     if refiner is None or not refiner.builds_map:
@@ -65,26 +68,26 @@ def with_good_beginning(track: Track) -> Track:
 
 
 def continued(track: Track, least_points: int) -> Track:
-    """Return a track through the whole log that was ended because of its beginning."""
+    """Return the track through the whole log if it ended because of its beginning, else the same track."""
     ended = early_loss(track.steps, least_points) is not None
     return while_odometry_fits(track, "track again") if ended else track
 
 
 def after_another(track: Track, first: Track) -> Track:
-    """Return a track with what a first one had tracked before its beginning: a part of its own."""
+    """Return a track with the scans that a first track has before its beginning as a separate part."""
     before = tuple(step for step in first.steps[: track.begin] if step.tracked)
     return replace(track, parts=(before,) if before else ())
 
 
 def accepted(track: Track) -> int:
-    """Count the scans with a pose."""
+    """Return the number of scans with a pose."""
     return int(np.count_nonzero(track.steps.column("tracked")))
 
 
 def early_loss(steps: Iterable[Step], least_points: int) -> int | None:
-    """Return the first scan of those that a map of few scans lost; None where it did not lose any.
+    """Return the first of the scans that do not match a map of few scans; None if the map is kept.
 
-    Scans of fewer than ``least_points`` points do not count. At the end of a log ``LOST_SCANS`` are enough.
+    Scans of fewer than ``least_points`` points do not count. At the end of a log ``LOST_SCANS`` in a row are enough.
     """
     held, first, missed = 0, 0, 0
     for step in steps:
@@ -102,7 +105,10 @@ def early_loss(steps: Iterable[Step], least_points: int) -> int | None:
 def until_missing(
     steps: Iterable[Step], least_points: int, most_missed: int = MISSED_SCANS, most_held: float = EARLY_SCANS
 ) -> Iterator[Step]:
-    """Yield the steps of a track until its map, of ``most_held`` scans at most, fits none of so many usable scans."""
+    """Yield the steps of a track until ``most_missed`` usable scans in a row do not match its map.
+
+    Only a map of at most ``most_held`` scans ends the track.
+    """
     held, missed = 0, 0
     for step in steps:
         yield step
@@ -115,7 +121,7 @@ def until_missing(
 
 
 def rematch_beginning(track: Track) -> Track:
-    """Match the scans before the beginning of the map against it, from the first accepted pose backwards."""
+    """Match the scans before the beginning of the map against it, backwards from the first accepted pose."""
     tracked = np.flatnonzero(track.steps.column("tracked"))
     if track.refiner is None or not track.begin or len(tracked) < 2:
         return track
@@ -126,21 +132,21 @@ def rematch_beginning(track: Track) -> Track:
         if (after.stamp_ns - step.stamp_ns) * NS > LONGEST_S:
             break
         found = before_the_map(scan, step, moving_back(track.motion, after, later), track)
-        if not found.tracked:  # farther back the search is wide enough to fit a blocked scan somewhere
+        if not found.tracked:  # farther back the search would be so wide that a blocked scan fits somewhere
             break
         steps[step.index], after, later = found, found, after
     return replace(track, steps=steps)
 
 
 def moving_back(motion: Motion, after: Step, later: Step) -> Motion:
-    """Return the motion at an accepted step with the velocity that leads from it to the next one."""
+    """Return the motion at an accepted step, with the velocity from it to the next one."""
     here = motion.started_at(later.match.map_T_laser, later.stamp_ns)
     here = here.coming_from(after.match.map_T_laser, after.stamp_ns)
     return here._replace(map_T_laser=after.match.map_T_laser, stamp_ns=after.stamp_ns)
 
 
 def before_the_map(scan: Scan, step: Step, here: Motion, track: Track) -> Step:
-    """Match a scan that is earlier than the map; return its step, tracked and in the map if it fits."""
+    """Match a scan that is earlier than the map; return its step, tracked and inserted if the match is accepted."""
     match = track.method.match(scan, here.predict(scan.stamp_ns), here)
     if track.method.gate(match, scan, here) is not Verdict.SURE:
         return step

@@ -1,7 +1,7 @@
-"""How much work the searches for a lost laser may take: every scan earns some, and a search spends what it costs.
+"""Budget of work for the searches of a lost laser: every scan adds credit, and a search spends its work.
 
-The unit is a local search, of which a tracked scan takes one or two; all that it costs is five to seven of them. Work
-is computed from the sizes of searches, not measured: the same log gives the same track on every machine.
+The unit is a local search. A tracked scan needs one or two of them; with insertion and final pass it takes as long as
+five to seven. Work is computed from the sizes of searches, not measured: a log gives the same track on every machine.
 """
 
 from __future__ import annotations
@@ -9,44 +9,45 @@ from __future__ import annotations
 from math import inf
 
 POSES, CELLS = 20_000, 80_000
-"""Poses that a wide search bounds, and cells whose costs are bounded for it, in the time of a local search."""
+"""Numbers of poses of a wide search, and of cells whose costs are bounded for it, that take as long as a local one."""
 
 
 def search_work(poses: int, cells: float, minima: int) -> float:
-    """Return the work of a search of so many poses, with bounds of so many cells, that refines its lowest minima."""
+    """Return the work of a search: ``minima`` to refine, ``poses`` to search, ``cells`` to bound."""
     return minima + poses / POSES + cells / CELLS
 
 
 class Budget:
-    """Credit for searches of one kind, in local searches: ``first``, and what each scan earns, up to ``most``.
+    """Credit for searches of one kind, in local searches: ``first`` at the start, ``each_scan`` more, at most ``most``.
 
-    ``work`` is that of the last search that was considered.
+    ``work`` is that of the last search that was requested.
     """
 
     def __init__(self, each_scan: float, first: float, most: float = inf) -> None:
-        """Begin with the first credit."""
+        """Start with the first credit."""
         self.each_scan, self.most = each_scan, most
         self.credit, self.work = first, 0.0
-        self._lent = 0.0
+        self._refundable = 0.0
 
     @property
     def is_ready(self) -> bool:
-        """Whether the credit covers a search like the last one; of one that takes more than ``most``, that much."""
+        """Whether the credit covers a search like the last one requested, or has reached ``most``."""
         return self.credit >= min(self.work, self.most)
 
     def earn(self, *, found: bool = False) -> None:
-        """Add what a scan earns, and what was lent to the scan before if it was ``found``."""
-        self.credit = min(self.credit + self.each_scan + (self._lent if found else 0.0), self.most)
-        self._lent = 0.0
+        """Add the credit of a scan, and refund the refundable work of the last scan if that was ``found``."""
+        self.credit = min(self.credit + self.each_scan + (self._refundable if found else 0.0), self.most)
+        self._refundable = 0.0
 
-    def pays(self, work: float, *, lent: bool = False) -> bool:
-        """Spend the work of a search if the credit covers it; what is missing beyond ``most`` is paid off later.
+    def spend(self, work: float, *, refundable: bool = False) -> bool:
+        """Spend the work of a search if the credit covers it; return whether it does.
 
-        What is ``lent`` comes back if the scan is found.
+        A search of more work than ``most`` may leave a negative credit. Work that is ``refundable`` is returned by
+        ``earn``.
         """
         self.work = work
         if not self.is_ready:
             return False
         self.credit -= work
-        self._lent += work if lent else 0.0
+        self._refundable += work if refundable else 0.0
         return True

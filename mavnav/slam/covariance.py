@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from mavnav.slam.steps import Steps
 
 LEAST_SIGMA_M = 1 * MM
-"""Points lie no closer to their walls than this."""
+"""Lower bound of the standard deviation of points from their walls."""
 
 SINGULAR = 1e-9
-"""A Hessian whose least eigenvalue is a smaller share of the largest leaves a direction open."""
+"""Ratio of the least to the largest eigenvalue of a Hessian below which a direction is not observable."""
 
 _ROWS, _COLS = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
 
@@ -25,9 +25,9 @@ _ROWS, _COLS = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
 def covariances_of(steps: Steps, hessians: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the covariances of the poses of steps in the map frame, (n, 6): xx, xy, yy, x yaw, y yaw, yaw yaw; m, rad.
 
-    As of least squares: the mean squared distance of the points from their lines, times the inverse Hessian (m, 6) of
-    the first m steps. NaN where there is none, or where it leaves a direction open. Points count as independent, and
-    the map as true: it is a lower bound.
+    They are those of least squares: the mean squared distance of the points from their lines times the inverse Hessian.
+    ``hessians`` (m, 6) are those of the first m steps. NaN without a Hessian, or if a direction is not observable.
+    Points are taken as independent and the map as exact, so this is a lower bound.
     """
     out, n = np.full((len(steps), 6), np.nan), len(hessians)
     full = np.empty((n, 3, 3))

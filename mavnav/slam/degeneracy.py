@@ -1,8 +1,8 @@
-"""Degenerate geometry: where motion along the walls in sight is not observable without odometry (docs/method.md).
+"""Degenerate geometry: where motion along the visible walls is not observable without odometry (docs/method.md).
 
-Along a plain corridor, before a single wall and in a round room every scan fits as well a little farther on: cost,
-inliers and the figures of the map are then as good as ever (Zhang, Kaess and Singh 2016, "On degeneracy of
-optimization-based state estimation problems").
+Along a plain corridor, before a single wall and in a round room a shifted or turned pose fits a scan equally well.
+Cost, inliers and map metrics do not show it (Zhang, Kaess and Singh 2016, "On degeneracy of optimization-based state
+estimation problems").
 """
 
 from __future__ import annotations
@@ -20,17 +20,19 @@ if TYPE_CHECKING:
     from mavnav.slam.steps import Steps
 
 LEAST_OBSERVABILITY = 0.01
-"""Below this ``kernels.observability`` a scan may slide: 0.033 at the least on the recordings, 0.002 or less in
-plain corridors, before a wall and in round rooms."""
+"""Minimum ``kernels.observability`` of a constrained scan.
+
+It is at least 0.033 on the recordings, and at most 0.002 in plain corridors, before a wall and in round rooms.
+"""
 
 UNMEASURED = 1.0
-"""The observability of a scan without a pose."""
+"""Observability that stands for a scan without a pose."""
 
 
 def degeneracy_warning(steps: Steps, observed: NDArray[np.float64], *, contradicted: bool = False) -> str:
-    """Return a warning where so many scans in a row could slide; ``observed`` (n,) are those of the steps, in order.
+    """Return a warning if ``LOST_SCANS`` or more successive scans are degenerate, else an empty string.
 
-    Empty where none do. ``contradicted``: the log has odometry that is not used.
+    ``observed`` (n,) is the observability of the steps. ``contradicted``: the log has odometry that is not used.
     """
     padded = np.concatenate(([False], observed < LEAST_OBSERVABILITY, [False])).astype(np.int8)
     starts, ends = (np.flatnonzero(np.diff(padded) == turn) for turn in (1, -1))
@@ -43,6 +45,6 @@ def degeneracy_warning(steps: Steps, observed: NDArray[np.float64], *, contradic
     when = f"from {from_s:.1f} to {to_s:.1f} s" + (f", and {len(starts) - 1} more" if len(starts) > 1 else "")
     advice = "correct the odometry" if contradicted else "record odometry"
     return (
-        f"the walls that {share:.0f} % of the scans see leave a direction open ({when}): the path "
-        f"may be too short, too long or turned there; {advice}, or see whether map.png is true"
+        f"degenerate geometry in {share:.0f} % of the scans ({when}): motion in one direction is not observable, "
+        f"and the path may be too short, too long or turned there; {advice}, or check map.png"
     )

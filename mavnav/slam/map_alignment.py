@@ -1,4 +1,4 @@
-"""How two maps lie to each other: virtual scans of one are found in the other, and must agree."""
+"""Alignment of two maps: virtual scans of one are searched in the other, and must agree."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, GridBuilder, occupancy
 from mavnav.pose import Pose, transform_points
-from mavnav.slam.localization import MANY
-from mavnav.slam.parts import agreed
-from mavnav.slam.relocalization import CLEAR_BY, apart, around, candidates, everywhere, unrivalled
+from mavnav.slam.localization import MAP_CANDIDATES
+from mavnav.slam.parts import consensus
+from mavnav.slam.relocalization import AMBIGUITY_MARGIN, apart, around, candidates, everywhere, unambiguous
 from mavnav.slam.scan_matching import Schedule, search_lines
 from mavnav.units import DEG, MM
 
@@ -24,34 +24,34 @@ if TYPE_CHECKING:
     from mavnav.slam.relocalization import Region
 
     Placed = tuple[Pose, Pose]
-    """A pose in the second map, and in the first."""
+    """The pose of a virtual scan in its own map ``b``, and in map ``a``."""
 
-PLACES = 12
-"""Virtual scans are taken at so many places, as far from each other as can be."""
+VIEWPOINTS = 12
+"""Number of positions of virtual scans, each as far as possible from the others."""
 
-ROOM_M = 0.3
-"""They are so far from walls and unknown cells."""
+CLEARANCE_M = 0.3
+"""Minimum distance of these positions from walls and unknown cells."""
 
 MOST_CELLS = 4000
-"""The places are chosen from a sample of so many cells at most, and the walls that refine the alignment too."""
+"""Maximum number of points of a sample: of free cells for the positions, of walls for the refinement."""
 
 BEAMS, FAR_M = 360, 15.0
-"""Beams of a virtual scan, all round, and their greatest range."""
+"""Number of beams of a virtual scan, over a full turn, and their maximum range, m."""
 
 NEAR_M, NEAR_RAD = 1.0, 15 * DEG
-"""Maps are first compared as if they were made in one frame, but for this."""
+"""Half-widths of the first search, which assumes that both maps have nearly the same frame."""
 
 LEAST_INLIERS = 0.5
-"""Share of a virtual scan that agrees with the other map; the others may lie on changes, or beyond the map."""
+"""Minimum share of inliers of a virtual scan; the others may lie on changes, or beyond the other map."""
 
 REFINED_M, REFINED_RAD = 0.2, 2 * DEG
 """Half-widths of the search that refines the alignment."""
 
 
 class Alignment(NamedTuple):
-    """The pose of the second map in the first, and how many of the virtual scans that were taken agree on it.
+    """The pose of map ``b`` in map ``a``, the number of virtual scans, and how many of them agree on it.
 
-    ``cost_m2`` is the mean squared distance of the second map's walls from the first one's, truncated.
+    ``cost_m2`` is the mean squared distance of the walls of ``b`` from those of ``a``, truncated.
     """
 
     a_T_b: Pose
@@ -61,7 +61,7 @@ class Alignment(NamedTuple):
 
 
 def align(a: PriorMap, b: PriorMap, config: Config) -> Alignment | None:
-    """Find map ``b`` in map ``a``: near where it would be in the same frame, and anywhere; the better one is returned.
+    """Find map ``b`` in map ``a``, near the same frame and anywhere; return the better alignment.
 
     None unless at least three virtual scans of ``b``, and most of those that are found in ``a``, agree.
     """
@@ -71,8 +71,8 @@ def align(a: PriorMap, b: PriorMap, config: Config) -> Alignment | None:
 
 
 def _alignment(target: _Target, found: list[Placed], b: PriorMap, taken: int) -> Alignment | None:
-    """Return the alignment on which poses agree, refined; None where too few agree."""
-    a_T_b = agreed(found)
+    """Return the refined alignment on which the virtual scans agree; None if too few agree."""
+    a_T_b = consensus(found)
     if a_T_b is None:
         return None
     agreeing = [pair for pair in found if not apart(a_T_b @ pair[0], pair[1])]
@@ -81,7 +81,7 @@ def _alignment(target: _Target, found: list[Placed], b: PriorMap, taken: int) ->
 
 
 class _Target:
-    """The map in which another one is found."""
+    """The map in which another map is searched."""
 
     def __init__(self, known: PriorMap, config: Config) -> None:
         robust, cell_m = config.robust, known.grid.cell_m
@@ -90,18 +90,18 @@ class _Target:
         self.lines.insert(known.walls_xy_m)
 
     def placed(self, scans: list[tuple[Pose, NDArray[np.float64]]], *, anywhere: bool) -> list[Placed]:
-        """Return the poses of those scans that fit in one place of the map, and only there."""
+        """Return the poses of those scans that fit the map at exactly one pose."""
         all_over = everywhere(self.grid) if anywhere else None
         found = ((pose, self._place(points, all_over or around(pose, NEAR_M, NEAR_RAD))) for pose, points in scans)
         return [(pose, place) for pose, place in found if place]
 
     def _place(self, points: NDArray[np.float64], region: Region) -> Pose | None:
-        found = candidates(points, self.lines, self.grid, region, self.config, MANY)
-        best = unrivalled(found, CLEAR_BY, self.config)
+        found = candidates(points, self.lines, self.grid, region, self.config, MAP_CANDIDATES)
+        best = unambiguous(found, AMBIGUITY_MARGIN, self.config)
         return best.map_T_laser if best and best.inliers >= LEAST_INLIERS else None
 
     def refined(self, a_T_b: Pose, b: PriorMap) -> tuple[Pose, float]:
-        """Search near an alignment for the one in which most walls lie on each other; return its cost too, m2."""
+        """Refine an alignment by the least distance of the walls of ``b``; return it with its cost, m2."""
         walls_xy_m = _sample(b.walls_xy_m)
         x_m, y_m = walls_xy_m.mean(axis=0).tolist()
         middle = Pose(x_m, y_m)
@@ -112,7 +112,7 @@ class _Target:
 
 
 def fitted(pairs: list[Placed]) -> Pose:
-    """Return the motion that brings the positions of the first poses to those of the second, by least squares."""
+    """Return the transform from the positions of the first poses to those of the second, by least squares."""
     first, second = (np.array([pair[k][:2] for pair in pairs]) for k in (0, 1))
     p, q = first - first.mean(axis=0), second - second.mean(axis=0)
     turned_rad = np.arctan2((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum(), (p * q).sum())
@@ -122,12 +122,12 @@ def fitted(pairs: list[Placed]) -> Pose:
 
 
 def virtual_scans(known: PriorMap, config: Config) -> list[tuple[Pose, NDArray[np.float64]]]:
-    """Return what a laser would see in a map: poses, and points (n, 2) in their frames, m, in a mixed order."""
+    """Return virtual scans of a map: poses, and points (n, 2) in their frames, m, in shuffled order."""
     cells, angles_rad = occupancy(known.grid), np.arange(BEAMS) * (2 * np.pi / BEAMS)
     walls = Grid(known.grid.cell_m, known.grid.origin_xy_m, (cells == OCCUPIED).astype(np.uint16), known.grid.passes)
     directions, seen = np.column_stack((np.cos(angles_rad), np.sin(angles_rad))), GridBuilder.of(walls)
     scans = []
-    for x_m, y_m in places(walls, cells == FREE).tolist():
+    for x_m, y_m in viewpoints(walls, cells == FREE).tolist():
         pose = Pose(x_m, y_m, 0.0)
         points = seen.virtual_scan(pose, directions, FAR_M, 0)[:, None] * directions
         points = _sample(points[np.isfinite(points).all(axis=1)])
@@ -136,20 +136,20 @@ def virtual_scans(known: PriorMap, config: Config) -> list[tuple[Pose, NDArray[n
     return scans
 
 
-def places(grid: Grid, free: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Choose ``PLACES`` positions (n, 2), m, with room around them, each as far as can be from those before it."""
+def viewpoints(grid: Grid, free: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Choose up to ``VIEWPOINTS`` positions (n, 2), m, in free space, each as far as possible from those before it."""
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  takes 0.1 s to load
 
-    row, col = np.nonzero(distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * grid.cell_m >= ROOM_M)
+    row, col = np.nonzero(distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * grid.cell_m >= CLEARANCE_M)
     xy_m = _sample((np.column_stack((col, row)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m))
     chosen, away_m = list[int](), np.full(len(xy_m), np.inf)
-    for _ in range(min(PLACES, len(xy_m))):
+    for _ in range(min(VIEWPOINTS, len(xy_m))):
         chosen.append(int(np.argmax(away_m)))
         away_m = np.minimum(away_m, np.hypot(*(xy_m - xy_m[chosen[-1]]).T))
     return xy_m[chosen]
 
 
 def _sample(xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return up to ``MOST_CELLS`` of some points (n, 2), in an order any beginning of which is a fair sample."""
+    """Return up to ``MOST_CELLS`` of the points (n, 2), shuffled, so that any prefix is a fair sample."""
     mixed: NDArray[np.float64] = np.random.default_rng(0).permutation(xy_m)[:MOST_CELLS]
     return mixed

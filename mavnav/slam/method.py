@@ -1,4 +1,4 @@
-"""What a SLAM method is: what the tracker needs of it, and what the passes that look back need besides."""
+"""Interfaces of a SLAM method: for the tracker, and for the passes after tracking."""
 
 from __future__ import annotations
 
@@ -18,51 +18,51 @@ if TYPE_CHECKING:
 
 
 class Refiner(Protocol):
-    """What a method can do beyond one causal step; without it there is no relocalization and no pass looks back.
+    """Interface for relocalization and for the passes after tracking; a method without it runs neither.
 
     ``builds_map`` is False where the map is given: then no loop is closed, and no other track is compared.
     """
 
     builds_map: bool
 
-    def pays_for_whole_map(self, scan: Scan) -> bool:
-        """Return whether the budget of work pays for ``relocalize``, and spend it."""
+    def reserve_whole_map_search(self, scan: Scan) -> bool:
+        """Spend the work of ``relocalize`` if the budget covers it; return whether it does."""
 
     def relocalize(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
-        """Find the scan anywhere in the map; None unless exactly one place explains it. ``match`` is a hypothesis."""
+        """Find the scan anywhere in the map; None unless exactly one pose fits. ``match`` is a further hypothesis."""
 
     def match_between(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
-        """Match a rejected scan between two accepted ones that lie far apart: not in wide regions."""
+        """Match a rejected scan between two accepted ones that are far apart in time, without wide searches."""
 
     def match_points(self, scan: Scan, motion: Motion | None = None) -> NDArray[np.float64]:
-        """Return the points (n, 2) of the scan that are matched, m, laser frame; as recorded, or de-skewed."""
+        """Return the points (n, 2) of the scan for matching, m, laser frame; de-skewed if the motion is given."""
 
     def refine(self, points: NDArray[np.float64], match: Match) -> Match:
-        """Match points (n, 2) of a scan, m, laser frame, against the finished map, close to an earlier match."""
+        """Match points (n, 2), m, laser frame, against the finished map, close to an earlier match."""
 
     def placed_points(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> tuple[NDArray[np.float64], Extent]:
-        """Return all points (n, 2) of the de-skewed scan as they enter the map, m, map frame, and their extent."""
+        """Return all points (n, 2) of the de-skewed scan for insertion, m, map frame, and their extent."""
 
     def observability(self, points: NDArray[np.float64], match: Match) -> tuple[float, NDArray[np.float64]]:
-        """Return how well the map constrains a refined scan in its least constrained direction, 0 to 1.
+        """Return how well the map constrains a refined scan in its least constrained direction (0 to 1), and a Hessian.
 
-        And the Hessian of half its squared distances in the map frame, (6,): xx, xy, yy, x yaw, y yaw, yaw yaw; m, rad.
+        The Hessian (6,) is that of half the squared distances, map frame: xx, xy, yy, x yaw, y yaw, yaw yaw; m, rad.
         """
 
     def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
-        """Return the share of a refined scan's points that conflict with what the finished map shows as free."""
+        """Return the share of visibility conflicts of a refined scan with the finished map."""
 
-    def rival(self, points: NDArray[np.float64], match: Match) -> float:
-        """Return by how much the best other heading of a refined scan costs more, as a share of the worst cost."""
+    def heading_margin(self, points: NDArray[np.float64], match: Match) -> float:
+        """Return the additional cost of the best other heading of a refined scan, as a share of the worst cost."""
 
     def remove_dynamic_cells(self) -> None:
-        """Remove from the map what did not stay where it was seen."""
+        """Remove the hits of dynamic cells from the map."""
 
 
 class Method(Protocol):
-    """What the tracker needs; ``grid`` is the map that the method builds.
+    """Interface for the tracker; ``grid`` is the map that the method builds.
 
-    ``expects_rest``: without odometry the laser is expected where it was. ``uses_odometry``: the log's is read.
+    ``expects_rest``: without odometry the last pose is the prediction. ``uses_odometry``: odometry of the log is used.
     """
 
     grid: GridBuilder
@@ -71,19 +71,19 @@ class Method(Protocol):
 
     @property
     def refiner(self) -> Refiner | None:
-        """What the passes that look back need; None for a causal method."""
+        """Refiner for the passes after tracking; None for a causal method."""
 
     def first(self, scan: Scan) -> Match:
-        """Judge whether a scan can begin the map (``converged``)."""
+        """Return the first match; ``converged`` if the scan can begin the map."""
 
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
         """Match the scan against the map."""
 
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
-        """Decide whether the match is accepted; then the scan may be inserted as well."""
+        """Decide whether to accept the match."""
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Add the scan to the map."""
 
     def finished(self) -> Grid:
-        """Return the map, and forget it: of a large one there is no room for both."""
+        """Return the map and release the working copy: two copies of a large map may not fit into memory."""

@@ -1,4 +1,4 @@
-"""Whether the odometry of a log fits its scans, and the track without it where it does not."""
+"""Check the odometry of a log against its scans, and track without it where it does not fit."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from mavnav.slam.track import Track, Until
 
 LEAST_STEPS, MISLEADING = 20, 0.3
-"""Steps that judge odometry; the share of the motion by which it may be wrong."""
+"""Minimum number of steps of the check, and largest RMS error of the odometry as a share of the motion."""
 
-EARLY_STEPS, PLAINLY = 60, 1.5
-"""After so many steps odometry that is so many times worse than allowed is given up at once."""
+EARLY_STEPS, EARLY_RATIO = 60, 1.5
+"""Minimum number of steps before the track ends early, and the multiple of the allowed error that ends it."""
 
 WARNING = (
     "odometry contradicts the scans and is not used; check its scale, axes and clock; if they are right, see map.png"
@@ -31,7 +31,7 @@ WARNING = (
 
 
 def while_odometry_fits(track: Track, phase: str = "track", until: Until | None = None) -> Track:
-    """Track the log, with odometry as long as that does not plainly contradict the scans: the track then ends there.
+    """Track the log; the track ends early where its odometry plainly contradicts the scans.
 
     ``until`` may end it earlier.
     """
@@ -59,7 +59,7 @@ def without_misleading_odometry(track: Track) -> Track:
 
 
 def until_misled(steps: Iterable[Step], odometry: Odometry) -> Iterator[Step]:
-    """Yield the steps of a track until its odometry plainly misleads it."""
+    """Yield the steps of a track until its odometry is wrong by ``EARLY_RATIO`` times the allowed error."""
     poses: list[tuple[int, Pose]] = []
     squares, count = np.zeros(3), 0
     for step in steps:
@@ -70,12 +70,12 @@ def until_misled(steps: Iterable[Step], odometry: Odometry) -> Iterator[Step]:
         errors = _errors(odometry, poses) if len(poses) == 3 else None
         if errors is not None:
             squares, count = squares + errors**2, count + 1
-        if count >= EARLY_STEPS and _is_worse(np.sqrt(squares / count), PLAINLY):
+        if count >= EARLY_STEPS and _is_worse(np.sqrt(squares / count), EARLY_RATIO):
             return
 
 
 def misleads(odometry: Odometry, map_T_laser: Trajectory) -> bool:
-    """Tell whether odometry predicts the tracked poses worse than constant velocity, and badly.
+    """Return whether odometry predicts the tracked poses worse than constant velocity, and badly.
 
     Errors are root mean squares over steps, in m; a radian counts as a metre.
     """
@@ -86,7 +86,10 @@ def misleads(odometry: Odometry, map_T_laser: Trajectory) -> bool:
 
 
 def _errors(odometry: Odometry, poses: list[tuple[int, Pose]]) -> NDArray[np.float64] | None:
-    """Return the errors of odometry and of constant velocity in the last of three poses, and the motion there, (3,)."""
+    """Return the errors of odometry and of constant velocity at the last of three poses, and the motion there, (3,).
+
+    None where odometry does not cover both times.
+    """
     (_, a), (b_ns, b), (c_ns, c) = poses
     then, now = odometry(b_ns), odometry(c_ns)
     if then is None or now is None:

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from mavnav.slam.scan_matching import Match
 
 LEAST_BEAMS_SHARE = 0.1
-"""Fewer valid beams than this share of the scan make no match, whatever share must contribute."""
+"""Minimum share of valid beams of a scan to be matched, if ``min_beams_of`` is not ``scan``."""
 
 
 class Paper:
-    """The paper's method, every step of it; its map is the plain grid of hit counts, and nothing looks back."""
+    """The paper's method in all its steps; its map is the plain grid of hit counts, and it has no refiner."""
 
     uses_odometry = False
     refiner = None
@@ -53,7 +53,7 @@ class Paper:
         return paper.min_beams_share * spec.beams if paper.min_beams_of == "scan" else LEAST_BEAMS_SHARE * spec.beams
 
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
-        """Match against a virtual scan from where the last command should have led (cost steps i, ii)."""
+        """Match against a virtual scan from the predicted pose (cost steps i, ii)."""
         paper = self.config.paper
         points = polar_points(scan.ranges_m, scan.spec, paper.mixed_pixel_mm * MM)
         if len(points) < self._least_beams(scan.spec):
@@ -63,7 +63,7 @@ class Paper:
         return match._replace(threshold_m2=self._threshold_m2(scan))
 
     def _virtual_scan(self, predicted: Pose, spec: LaserSpec) -> NDArray[np.float64]:
-        """Cast the virtual scan (beams,), m; while neither map nor prediction change, it is the one before."""
+        """Return the virtual scan (beams,), m; the last one is reused while neither map nor prediction change."""
         if self._seen is None or self._seen[:2] != (predicted, spec):
             paper = self.config.paper
             ranges_m = self.grid.virtual_scan(
@@ -78,7 +78,7 @@ class Paper:
 
     @timed("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
-        """Accept only a well-minimized cost (paper, "Map Update")."""
+        """Accept a match whose cost is at most the threshold (paper, "Map Update")."""
         return Verdict.SURE if match.cost_m2 <= self._threshold_m2(scan) else Verdict.REFUSED
 
     def _threshold_m2(self, scan: Scan) -> float:

@@ -1,4 +1,4 @@
-"""The paper's scan matching: a polar search for the least radius differences, coarse to fine."""
+"""The paper's scan matching: a polar search for the least range differences, coarse to fine."""
 
 from __future__ import annotations
 
@@ -18,8 +18,11 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config, GridSize
     from mavnav.scan import LaserSpec
 
-HOPELESS = 2.5
-"""Times the gate: what costs more is in a wrong place, and a finer grid brought none of 452 such under the gate."""
+GIVE_UP_RATIO = 2.5
+"""Multiple of the acceptance threshold above which a match is not refined.
+
+Such a pose is wrong: of 452 of them, none had a cost below the threshold on the finer grid.
+"""
 
 
 def match_polar(
@@ -28,14 +31,14 @@ def match_polar(
     """Match a scan against the virtual scan from the predicted pose (paper, "Scan Matching", minimisation i-v).
 
     ``virtual_m`` (beams,) are the virtual scan's ranges; ``points`` (n, 5) the real scan's, from ``polar_points``.
-    The grid is refined only where the cost on the coarse one stays too high, but not where it is hopeless: of a place
-    that is wrong a finer grid makes no right one. A search that can only end there ends at once.
+    The grid is refined only if the cost on the coarse one is too high, but not above ``GIVE_UP_RATIO`` times the
+    threshold: a finer grid does not correct a wrong pose. A search that can only end above that bound ends early.
     """
     paper = config.paper
     level = acceptance_scale(points[:, 3], config)
     search = partial(_search_polar, virtual_m, points, spec, predicted, config, level)
     match = search(config.grid, config.azimuth)
-    worth_it = paper.refine_above_mm2 < match.cost_m2 / MM2 / level <= _hopeless_mm2(config)
+    worth_it = paper.refine_above_mm2 < match.cost_m2 / MM2 / level <= _give_up_mm2(config)
     if not worth_it or paper.refine_factor == 1:
         return match
     k = paper.refine_factor
@@ -57,8 +60,8 @@ def acceptance_scale(ranges_m: NDArray[np.float64], config: Config) -> float:
     return float(np.mean(np.square(used / (paper.gate_range_mm * MM)))) if len(used) else 1.0
 
 
-def _hopeless_mm2(config: Config) -> float:
-    return max(config.paper.refine_above_mm2, HOPELESS * config.paper.gate_mm2)
+def _give_up_mm2(config: Config) -> float:
+    return max(config.paper.refine_above_mm2, GIVE_UP_RATIO * config.paper.gate_mm2)
 
 
 @timed("search")
@@ -88,7 +91,7 @@ def _search_polar(
                 paper.leave_no_gaps,
                 paper.stop_mm * MM,
                 paper.stop_deg * DEG,
-                level * _hopeless_mm2(config) * MM2 if paper.give_up else np.inf,
+                level * _give_up_mm2(config) * MM2 if paper.give_up else np.inf,
                 paper.occlusion_shrink,
                 paper.occlusion_least_mm * MM,
                 paper.pivot == "laser",
@@ -116,7 +119,7 @@ def _search_polar(
 
 @timed("cleaning")
 def polar_points(ranges_m: NDArray[np.float64], spec: LaserSpec, mixed_pixel_m: float) -> NDArray[np.float64]:
-    """Return the valid beams as rows x, y, beam number, range, bearing, (n, 5); mixed pixels left out (cost step vii).
+    """Return the valid beams as rows x, y, beam number, range, bearing, (n, 5), without mixed pixels (cost step vii).
 
     A mixed pixel differs from both neighbouring beams by more than ``mixed_pixel_m``.
     """

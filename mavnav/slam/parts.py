@@ -1,7 +1,7 @@
-"""Parts of a log that was lost for good: each is tracked on a map of its own, and joined to the largest where possible.
+"""Parts of a log that was lost for good: each is tracked on a separate map, and joined to the largest if possible.
 
-A part is joined if several of its scans are found in the map of the largest, by the whole-map search, and agree on how
-the two maps lie to each other. What is not joined has no row in the trajectory and is no part of the map.
+A part is joined if several of its scans are found in the map of the largest part by the whole-map search, and agree on
+the transform between the two maps. A part that is not joined is neither in the trajectory nor in the map.
 """
 
 from __future__ import annotations
@@ -28,22 +28,27 @@ if TYPE_CHECKING:
     from mavnav.slam.track import Track
 
 LEAST_SCANS, MOST_TRACKED = 20, 4
-"""Shorter stretches are not tracked on a map of their own, and of all no more than so many: each may cost seconds."""
+"""Minimum number of scans of a stretch that is tracked on a separate map, and maximum number of such stretches.
+
+Each may take seconds.
+"""
 
 GIVE_UP_SCANS = 16
-"""The map of a part ends where so many usable scans in a row do not match it."""
+"""Number of successive usable scans without a match that ends the track of a part."""
 
-WITNESSES, LEAST_WITNESSES = 6, 3
-"""So many scans of a part, taken at different places, are searched in the largest map; so many of them must agree."""
+SEARCHED_SCANS, LEAST_AGREEING = 6, 3
+"""Number of scans of a part that are searched in the largest map, and minimum number of them that must agree."""
 
 LEAST_TRACKED_SHARE, MOST_LEFT_OUT = 0.5, 0.1
-"""With poses for fewer of its scans a log is lost for good: what is found again at its end by chance tracks no log. So
-it is with more of its scans in parts that are not joined."""
+"""Minimum share of scans with a pose, and maximum share of scans in parts that are not joined.
+
+Beyond either bound a log is lost for good: a short track at its end, recovered by chance, is no track of the log.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A stretch of the log with a map of its own: its first and last accepted scan, and how many they are.
+    """A stretch of the log with a separate map: stamps of its first and last accepted scan, and the number of those.
 
     ``joined``: the scans are in the map of the run, and their poses in its trajectory.
     """
@@ -55,7 +60,7 @@ class Part:
 
 
 def lost_for_good(steps: Steps, lost: Sequence[LostInterval], parts: Sequence[Part] = ()) -> bool:
-    """Return whether the track ended before the log did, has too few of the scans, or too many are in other parts."""
+    """Return whether the track ended before the log, has too few of its scans, or too many are in parts not joined."""
     ended = bool(lost) and not lost[-1].recovered
     left_out = sum(part.scans for part in parts if not part.joined)
     few = bool(steps.share("tracked") < LEAST_TRACKED_SHARE) or left_out > MOST_LEFT_OUT * len(steps)
@@ -63,7 +68,7 @@ def lost_for_good(steps: Steps, lost: Sequence[LostInterval], parts: Sequence[Pa
 
 
 def with_lost_parts(track: Track) -> Track:
-    """Track the lost stretches of a log that was lost for good on maps of their own; join what can be joined."""
+    """Track the lost stretches of a log that was lost for good on separate maps; join them where possible."""
     if track.refiner is None or not track.refiner.builds_map:
         return track
     found = lost_parts(track) if lost_for_good(track.steps, list(lost_intervals(track.steps))) else []
@@ -76,7 +81,7 @@ def with_lost_parts(track: Track) -> Track:
 
 
 def lost_parts(track: Track) -> list[Track]:
-    """Track the longest stretches of lost scans, each from an empty map, and what they lose in turn."""
+    """Track the longest stretches of lost scans, each from an empty map; then the stretches lost in these tracks."""
     found: list[Track] = []
     waiting = lost_stretches(track.steps, range(len(track.steps)))
     for _ in range(MOST_TRACKED):
@@ -93,7 +98,7 @@ def lost_parts(track: Track) -> list[Track]:
 
 
 def over_stretch(track: Track, stretch: range) -> Track:
-    """Track a stretch of scans from an empty map, until too many do not match it."""
+    """Track a stretch of scans from an empty map, until ``GIVE_UP_SCANS`` in a row do not match it."""
     least_points = track.config.robust.min_points
     part = replace(track, begin=stretch.start, parts=())
     scans = islice(track.log_scans(), stretch.stop)
@@ -101,7 +106,7 @@ def over_stretch(track: Track, stretch: range) -> Track:
 
 
 def lost_stretches(steps: Steps, within: range) -> list[range]:
-    """Find ``LEAST_SCANS`` and more scans in a row without a pose, as ranges of their numbers."""
+    """Return the ranges of ``LEAST_SCANS`` or more successive scans without a pose, as scan numbers."""
     lost = ~steps.column("tracked")[within.start : within.stop]
     edges = np.diff(np.concatenate(([False], lost, [False])).astype(np.int8))
     pairs = zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True)
@@ -114,7 +119,7 @@ def accepted_steps(track: Track) -> tuple[Step, ...]:
 
 
 def with_all_scans(track: Track, steps: Steps) -> Track:
-    """Return a track of a part of a log with a step for each of its scans: those of the others have no pose."""
+    """Return the track of a part of a log with a step for each scan of the log; the other scans have no pose."""
     if track.steps is steps:
         return track
     own = {step.index: step for step in track.steps if step.tracked}
@@ -123,28 +128,28 @@ def with_all_scans(track: Track, steps: Steps) -> Track:
 
 
 def joined(track: Track, others: list[tuple[Step, ...]]) -> Track:
-    """Join parts to a track where they lie in its map, the longest first; each may make room for the next one."""
+    """Join parts to a track where they fit its map, the longest first; each one extends the map for the next."""
     steps, parts = Steps(track.steps), sorted(others, key=len, reverse=True)
     for part in parts:
         wanted = {step.index for step in part if not steps[step.index].tracked}
         scans = (
             {k: scan for k, scan in enumerate(track.log_scans()) if k in wanted} if len(wanted) >= LOST_SCANS else {}
         )
-        part_T = placement([s for s in part if s.index in scans], scans, track)
+        part_T = part_pose([s for s in part if s.index in scans], scans, track)
         if part_T is not None:
-            for step in put(part, part_T, scans, track):
+            for step in insert_part(part, part_T, scans, track):
                 steps[step.index] = step
     return replace(track, steps=steps, parts=tuple(parts))
 
 
-def placement(part: list[Step], scans: dict[int, Scan], track: Track) -> Pose | None:
+def part_pose(part: list[Step], scans: dict[int, Scan], track: Track) -> Pose | None:
     """Return the pose of a part's map in the map of a track; None unless several of its scans agree on it.
 
     More than half of the scans that are found must agree.
     """
     refiner = track.refiner
-    chosen = witnesses(part)
-    if refiner is None or len(chosen) < LEAST_WITNESSES:
+    chosen = spread_out(part)
+    if refiner is None or len(chosen) < LEAST_AGREEING:
         return None
     anywhere = track.motion._replace(odometry=None).started_at(Pose(), 0)
     found: list[tuple[Pose, Pose]] = []
@@ -152,30 +157,30 @@ def placement(part: list[Step], scans: dict[int, Scan], track: Track) -> Pose | 
         match = refiner.relocalize(scans[step.index], no_match(Pose()), anywhere)
         if match:
             found.append((step.match.map_T_laser, match.map_T_laser))
-    return agreed(found)
+    return consensus(found)
 
 
-def witnesses(part: list[Step]) -> list[Step]:
-    """Choose ``WITNESSES`` steps of a part at different places: a laser at rest is one witness, however long."""
+def spread_out(part: list[Step]) -> list[Step]:
+    """Choose up to ``SEARCHED_SCANS`` steps of a part at different poses; all scans of a laser at rest count as one."""
     places: list[Step] = []
     for step in part:
         if all(apart(step.match.map_T_laser, other.match.map_T_laser) for other in places):
             places.append(step)
-    return [places[k] for k in np.unique(np.linspace(0, len(places) - 1, WITNESSES).astype(int))] if places else []
+    return [places[k] for k in np.unique(np.linspace(0, len(places) - 1, SEARCHED_SCANS).astype(int))] if places else []
 
 
-def agreed(found: list[tuple[Pose, Pose]]) -> Pose | None:
-    """Return the motion from the first to the second poses of most pairs; None if too few agree."""
+def consensus(found: list[tuple[Pose, Pose]]) -> Pose | None:
+    """Return the transform from the first to the second poses of most pairs; None if too few agree."""
     best, most = None, 0
     for before, after in found:
         moved = after @ before.inverse()
         agree = sum(not apart(moved @ a, b) for a, b in found)
         best, most = (moved, agree) if agree > most else (best, most)
-    return best if most >= LEAST_WITNESSES and 2 * most > len(found) else None
+    return best if most >= LEAST_AGREEING and 2 * most > len(found) else None
 
 
-def put(part: Sequence[Step], map_T_part: Pose, scans: dict[int, Scan], track: Track) -> Iterator[Step]:
-    """Insert the scans of a part where they lie in the map; yield their steps there."""
+def insert_part(part: Sequence[Step], map_T_part: Pose, scans: dict[int, Scan], track: Track) -> Iterator[Step]:
+    """Insert the scans of a part into the map of the track at their transformed poses; yield their steps."""
     here: Motion | None = None
     for step in part:
         if step.index not in scans:
@@ -188,7 +193,7 @@ def put(part: Sequence[Step], map_T_part: Pose, scans: dict[int, Scan], track: T
 
 
 def parts_of(track: Track) -> tuple[Part, ...]:
-    """Return the parts of a log in the order of time; none if it was tracked as a whole."""
+    """Return the parts of a log in order of time; none if it was tracked as a whole."""
     if not track.parts:
         return ()
     tracked, elsewhere = track.steps.column("tracked"), {step.index for part in track.parts for step in part}
@@ -200,7 +205,7 @@ def parts_of(track: Track) -> tuple[Part, ...]:
 
 
 def part_warnings(parts: Sequence[Part], first_ns: int) -> Iterator[str]:
-    """Say which scans were tracked on another map than the rest, and whether the maps could be joined."""
+    """Yield a warning for every part that could not be joined."""
     for k, part in enumerate(parts):
         from_s, to_s = ((stamp - first_ns) * NS for stamp in (part.start_ns, part.end_ns))
         what = f"{part.scans} scan(s) from {from_s:.1f} to {to_s:.1f} s"

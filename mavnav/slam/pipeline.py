@@ -1,4 +1,4 @@
-"""The passes over a whole log, in order; docs/method.md explains each under the number that stands beside it."""
+"""The passes over a whole log, in order; the number beside each is its step in docs/method.md."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ if TYPE_CHECKING:
     from mavnav.slam.track import LogScans, OnStep
 
     Pass = Callable[[Track], Track]
-    """Returns the track as it is where the pass does not apply."""
+    """Return the track after a pass, unchanged where the pass does not apply."""
 
 ODOMETRY_GAP_NS = 500_000_000
-"""Odometry is interpolated over gaps up to this."""
+"""Longest gap in the odometry over which it is interpolated, ns."""
 
 SHORTEST_PERIOD_S = 1e-3
-"""A log of one scan has no period."""
+"""Minimum scan period, s, also that of a log of one scan, whose period is unknown."""
 
 RETRIES: Final[tuple[Pass, ...]] = (
     without_misleading_odometry,  # "Input checks"
     with_reversed_beams,  # "Input checks"
     with_coarser_voxels,  # step 10
 )
-"""Each tracks the log again where something is in doubt, and keeps the better of two tracks."""
+"""Passes that track the log again where an input check fails or scans are sparse, and keep the better track."""
 
 CHECKING: Final[tuple[Pass, ...]] = (
     close_loops,  # step 11
@@ -52,13 +52,13 @@ CHECKING: Final[tuple[Pass, ...]] = (
     refine_against_final_map,  # step 13
     judge_track,  # "Doubt"
 )
-"""What the finished track is corrected and judged by; nothing of it on line, nor in the paper's method."""
+"""Passes that correct and judge the finished track; skipped in causal mode and by the paper's method."""
 
 DRAWING: Final[tuple[Pass, ...]] = (
     smooth_jitter,  # step 14
     redraw_map,  # step 15
 )
-"""What makes poses and map of the outputs, again not on line."""
+"""Passes that make the final poses and the final map; skipped as well in causal mode and by the paper's method."""
 
 
 def run_slam(
@@ -74,14 +74,14 @@ def run_slam(
 
     Parameters
     ----------
-    log_scans : gives the scans, from the first one again at every call
-    config : the method, its grids and its numbers
+    log_scans : returns the scans; every call starts at the first scan
+    config : the method, its search grids and its parameters
     period_s : the sensor's time between scans, 0 if unknown
     odom_T_laser : odometry of the laser, used as the prediction
     on_step : called with the name of the pass ("track", "track again", "close loops", "final pass") and the number of
         scans done
-    prior_map : localize in this map, and leave it as it is, instead of making one
-    rotation : what an inertial sensor measured: its yaw rate predicts turns where odometry does not, its tilt is
+    prior_map : localize in this map, which is not changed, instead of building one
+    rotation : measurements of an inertial sensor: its yaw rate predicts turns where odometry does not, its tilt is
         evidence of motion that is not planar
     """
     odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
@@ -93,19 +93,19 @@ def run_slam(
 
 
 def judged_track(start: Track) -> Track:
-    """Track a log as a whole, correct and judge the track."""
+    """Track a whole log, then correct and judge the track."""
     track = after(with_good_beginning(start), RETRIES)  # steps 1 to 8, 10
     track = rematch_rejected(rematch_beginning(track))  # step 9
     return after(with_lost_parts(track), CHECKING)  # "Parts"
 
 
 def finish(track: Track) -> SlamResult:
-    """Make the last passes over a track, and sum up."""
+    """Run the last passes over a track and summarize it."""
     return summarize(after(track, (*CHECKING, *DRAWING)))
 
 
 def after(track: Track, passes: tuple[Pass, ...]) -> Track:
-    """Make some passes over a track."""
+    """Run passes over a track in order."""
     for each in passes:
         track = each(track)
     return track

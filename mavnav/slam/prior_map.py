@@ -1,4 +1,4 @@
-"""A map that is given, to be localised in."""
+"""A given map for localization."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SURELY = 10
-"""A map file has no counts: every cell is taken as seen by this many beams."""
+"""Number of beams by which every known cell counts as seen: a map file has no counts."""
 
 
 TIE = 1e-9
-"""Of a cell, what rounding must not decide: a middle on an edge of the old cells belongs to the upper one."""
+"""Tolerance for rounding, in cells: a centre on the edge of two old cells belongs to the upper one."""
 
 
 @dataclass(frozen=True, slots=True)
 class PriorMap:
-    """A map in its own frame: what is known of its cells, the middles of the occupied ones (n, 2), m.
+    """A map in its own frame: the grid, and the centres of its occupied cells (n, 2), m.
 
-    ``start`` is about where the laser begins, None where that is not known.
+    ``start`` is the approximate start pose of the laser, None if unknown.
     """
 
     grid: Grid
@@ -34,7 +34,10 @@ class PriorMap:
 
 
 def prior_map_of(grid: Grid, map_T_grid: Pose, start: Pose | None = None) -> PriorMap:
-    """Bring a grid that lies anywhere in its map frame to that frame, each cell from the old one at its middle."""
+    """Resample a grid with any pose in its map frame to cells along the axes of that frame.
+
+    Each new cell is a copy of the old one at its centre.
+    """
     rows, cols = occupied_cells(grid).T
     walls_xy_m = (np.column_stack((cols, rows)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
     return PriorMap(_upright(grid, map_T_grid), transform_points(map_T_grid, walls_xy_m), start)

@@ -1,4 +1,4 @@
-"""Step 15: the map is drawn again from the finished track: each scan was inserted before the whole map was known."""
+"""Step 15: redraw the map from the finished track, because scans were inserted before the whole map was known."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 
 
 def redraw_map(track: Track) -> Track:
-    """Draw the map again: every scan, deskewed by the finished track, where it fits the whole map best.
+    """Redraw the map: insert every scan, deskewed by the finished track, where it fits the whole map best.
 
-    The trajectory stays. The method takes the new map if it has fewer hit cells, because blur and doubled walls add
-    some, and unless the run is being stopped.
+    The trajectory does not change. The method takes the new map if it has fewer hit cells, because blurred and doubled
+    walls have more. If the run is stopped early, the old map stays.
     """
     method, refiner = track.method, track.refiner
     if refiner and refiner.builds_map:
-        drawn = drawn_again(track, refiner)
+        drawn = redrawn(track, refiner)
         if drawn and np.count_nonzero(drawn.hits) < np.count_nonzero(method.grid.hits):
             method.grid = drawn
     return track
 
 
-def drawn_again(track: Track, refiner: Refiner) -> GridBuilder | None:
-    """Return a new map; None if not every tracked scan comes, because the run is being stopped."""
+def redrawn(track: Track, refiner: Refiner) -> GridBuilder | None:
+    """Return the new map; None if the run is stopped before the last tracked scan."""
     map_T_laser, drawn, inserted = tracked_trajectory(track.steps), GridBuilder(track.method.grid.cell_m), 0
     steps = track.reported(track.steps, "draw map")
     tracked = ((step, scan) for step, scan in zip(steps, track.log_scans(), strict=False) if step.tracked)
@@ -51,14 +51,14 @@ def drawn_again(track: Track, refiner: Refiner) -> GridBuilder | None:
 
 
 def motions_along(map_T_laser: Trajectory, motion: Motion) -> Iterator[Motion]:
-    """Give the motion at every pose: its velocity is that of the path before and after it."""
+    """Yield the motion at every pose, with the velocity of the path before and after it."""
     for row, (x, y, yaw) in enumerate(twists(map_T_laser, motion.period_s).tolist()):
         stamp_ns = int(map_T_laser.stamps_ns[row])
         yield motion._replace(odometry=None, map_T_laser=map_T_laser[row], stamp_ns=stamp_ns, twist=(x, y, yaw))
 
 
 def twists(map_T_laser: Trajectory, period_s: float) -> NDArray[np.float64]:
-    """Return the velocity at every pose (n, 3) in the laser's own frame, m/s, m/s, rad/s; 0 between two gaps."""
+    """Return the velocity at every pose (n, 3), laser frame, m/s, m/s, rad/s; 0 between two gaps."""
     moved = np.diff(map_T_laser.xyyaw, axis=0)
     moved[:, 2] = (moved[:, 2] + pi) % (2.0 * pi) - pi
     elapsed_s = np.maximum(np.round(np.diff(map_T_laser.stamps_ns) * NS / period_s), 1.0) * period_s

@@ -1,4 +1,4 @@
-"""The table of methods, by their names in the configuration: a new method is one class and one line."""
+"""The table of methods by their names in the configuration; a new method takes one class and one line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LOCALIZERS: dict[str, type[Localizer]] = {"robust": Localizer}
 
 
 def make_method(config: Config, prior_map: PriorMap | None = None) -> Method:
-    """Return the configured method with an empty map; with a prior map, the one that localizes in it."""
+    """Return the configured method with an empty map, or its localizer if there is a prior map."""
     return METHODS[config.method](config) if prior_map is None else LOCALIZERS[config.method](config, prior_map)
 
 
@@ -33,13 +33,13 @@ def uses_odometry(config: Config) -> bool:
 
 
 RARE_KERNELS: Final = ("cost_floors", "free_cells", "lowest_poses")
-"""Modules that only loops and lost scans need: compiled in 5 s when the first one comes, or by `mavnav warmup`."""
+"""Modules that only loops and lost scans need: compiled in 5 s at the first use, or by `mavnav warmup`."""
 
 
 def load_kernels(config: Config, progress: Callable[[str, int, int | None], None]) -> None:
-    """See to it that the kernels of imported modules are compiled, but for rare ones and those of other methods.
+    """Compile missing kernels of the imported modules, except rare ones and those of other methods.
 
-    ``progress`` is called while kernels are compiled, which is the case once on a machine.
+    ``progress`` is called while kernels are compiled, which happens once on a machine.
     """
     chosen = METHODS[config.method]
     for name in chosen.own_kernels:

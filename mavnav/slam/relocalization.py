@@ -1,4 +1,4 @@
-"""Search a wide region, or the whole map, for the poses at which a scan can have been taken, and rank them."""
+"""Correlative search of a wide region, or of the whole map, for the poses of a scan, and their ranking."""
 
 from __future__ import annotations
 
@@ -27,55 +27,55 @@ if TYPE_CHECKING:
     from mavnav.mapping.tiled_arrays import Extent
 
     Region = tuple[NDArray[np.float64], NDArray[np.float64]]
-    """Positions (p, 2), m, and yaws (q,), rad, map frame: every position with every yaw."""
+    """Positions (p, 2), m, and yaws (q,), rad, map frame; the poses are all their combinations."""
     Start = tuple[float, Pose]
-    """Cost, m2, and pose of a minimum of the wide search."""
+    """Cost, m2, and pose of a minimum of the search."""
 
 STEP_M, STEP_RAD = 0.1, 4 * DEG
-"""Spacing of the wide search: the cost of a point depends on walls up to 0.15 m away."""
+"""Spacing of the search: the cost of a point depends on walls up to 0.15 m away."""
 
 SEPARATE_M, SEPARATE_RAD = 0.25, 12 * DEG
 SEPARATE = np.array((SEPARATE_M, SEPARATE_RAD))
-"""Minima nearer than this are one."""
+"""Distance and rotation up to which two poses are the same minimum."""
 
 _ROW = 1 << 20
-"""Positions of a lattice are numbered row by row, each row so long."""
+"""Length of a row in the numbering of lattice positions."""
 
 CANDIDATES = 6
 
 WORTH_PRUNING = 1 << 19
-"""With fewer evaluations of a point's cost, computing the bounds takes longer than the exhaustive search."""
+"""Minimum number of point cost evaluations of a search that is pruned; below, the exhaustive search is faster."""
 
 AT_ONCE = 1 << 16
-"""Positions whose costs are found at once where the search is not pruned: they take 47 MB."""
+"""Number of positions whose costs an exhaustive search holds at a time, in 47 MB."""
 
 FARTHEST_M = 2.5
-"""Largest radius of a wide search; a laser that is lost for longer is searched in the whole map."""
+"""Largest radius of a search; a laser that is lost for longer is searched in the whole map."""
 
 PRIOR = 0.05
 """Weight of the motion cost beside the misfit."""
 
 ACCELERATION_M_S2, ACCELERATION_RAD_S2 = 4.0, 600 * DEG
 SLACK_M, SLACK_RAD = 0.1, 5 * DEG
-"""Strong accelerations of vehicles and hands, and the error of velocity estimates and stamps."""
+"""Strong accelerations of vehicles and hands, and the error of velocity estimates and stamps; for the motion cost."""
 
-RIVAL_M, RIVAL_RAD = 0.3, 30 * DEG
-"""Headings that differ by more are compared within such a disc (``rival``)."""
+OTHER_HEADING_M, OTHER_HEADING_RAD = 0.3, 30 * DEG
+"""Radius of the disc for other headings (``heading_margin``), and their minimum difference from the pose's."""
 
 MOST_MOTION_COST = 4.0
-"""Upper limit of the motion cost: beyond, someone carried the laser, and all places are equally likely."""
+"""Upper limit of the motion cost: beyond, someone carried the laser, and all poses are equally likely."""
 
-CLEAR_BY = 0.05
-"""A place is ambiguous if another one ranks nearer than this."""
+AMBIGUITY_MARGIN = 0.05
+"""Minimum difference in rank to another pose; below, a match is ambiguous."""
 
-AROUND_RAD = np.arange(8, dtype=np.float64) * (pi / 4)
-"""Directions in which a place is moved to see whether it is observable."""
+DIRECTIONS_RAD = np.arange(8, dtype=np.float64) * (pi / 4)
+"""Directions of the steps that test whether a pose is observable."""
 
 ACROSS = 0.2
-"""Least growth of the cost ``SEPARATE_M`` across a direction that is not observable, as a share of the worst cost."""
+"""Minimum increase of the cost, as a share of the worst cost, ``SEPARATE_M`` across an unobservable direction."""
 
 CONFLICT_POINTS = 150
-"""Points, a sample of the scan, that the visibility conflicts are counted on."""
+"""Number of points, a sample of the scan, for the visibility conflicts."""
 
 
 @timed("gate")
@@ -83,25 +83,25 @@ def with_conflicts(match: Match, points: NDArray[np.float64], line_map: LineMap,
     """Return the match with the visibility conflicts of its points (n, 2), laser frame."""
     pose, counts, some = match.map_T_laser.as_array(), (grid.lattice, grid.hits, grid.passes), points[:CONFLICT_POINTS]
     count = conflicts(some, pose, *counts, line_map.nearest, line_map.geometry)
-    return Match(*match[:7], count / max(len(some), 1), *match[8:])  # a third of what ``_replace`` takes
+    return Match(*match[:7], count / max(len(some), 1), *match[8:])  # in a third of the time of ``_replace``
 
 
 def misfit(match: Match, config: Config) -> float:
-    """Return the cost of a match as a share of the worst, plus its share of visibility conflicts; 0 is best."""
+    """Return the cost of a match as a share of the worst cost, plus its share of visibility conflicts; 0 is best."""
     return match.cost_m2 / (config.robust.truncate_mm * MM) ** 2 + match.conflicts
 
 
 def within_reach(pose: Pose, elapsed_s: float) -> Region:
-    """Return a disc of positions and the yaws about a pose where a vehicle can be after a time, in m and rad."""
+    """Return the poses that a vehicle can reach from a pose in the elapsed time: a disc of positions, and yaws."""
     radius_m = float(np.clip(0.15 + 1.5 * elapsed_s, 0.3, FARTHEST_M))
     half_rad = float(np.clip(10 * DEG + 150 * DEG * elapsed_s, 20 * DEG, pi))
     return around(pose, radius_m, half_rad)
 
 
 def within_reach_of(poses: tuple[Pose, ...], elapsed_s: float) -> Region:
-    """Return the positions of the discs about several poses where a vehicle can be after a time, and their yaws.
+    """Return the poses that a vehicle can reach from any of several poses: the union of the discs, and their yaws.
 
-    The lattice is that of the first pose; it is searched once where the discs overlap.
+    Positions are on the lattice of the first pose, and occur once where discs overlap.
     """
     first_xy, yaws_rad = within_reach(poses[0], elapsed_s)
     cells = [np.round((within_reach(p, elapsed_s)[0] - first_xy[0]) / STEP_M).astype(np.int64) for p in poses]
@@ -113,14 +113,14 @@ def within_reach_of(poses: tuple[Pose, ...], elapsed_s: float) -> Region:
 
 
 def around(pose: Pose, radius_m: float, half_rad: float) -> Region:
-    """Return a disc of positions and the yaws about a pose, in m and rad."""
+    """Return the poses around a pose: a disc of positions, m, and yaws within ``half_rad``."""
     k = int(np.ceil(half_rad / STEP_RAD))
     return _disc(radius_m) + pose.as_array()[:2], pose.yaw_rad + STEP_RAD * np.arange(-k, k + 1, dtype=np.float64)
 
 
 @lru_cache(maxsize=8)
 def _disc(radius_m: float) -> NDArray[np.float64]:
-    """Return the positions (p, 2) of a lattice about the origin, m."""
+    """Return the lattice positions (p, 2) of a disc about the origin, m."""
     n = int(np.ceil(radius_m / STEP_M))
     rows, cols = np.indices((2 * n + 1, 2 * n + 1), dtype=np.float64)
     lattice = STEP_M * (np.column_stack((cols.ravel(), rows.ravel())) - n)
@@ -129,7 +129,7 @@ def _disc(radius_m: float) -> NDArray[np.float64]:
 
 
 def everywhere(grid: GridBuilder) -> Region:
-    """Return the positions (p, 2), row by row, where the map was seen free, and yaws (q,) all round, in m and rad."""
+    """Return the free positions (p, 2) of the map, row by row, m, and the yaws (q,) of a full turn, rad."""
     yaws_rad = np.arange(-pi, pi, STEP_RAD)
     if not grid.passes.size:
         return np.zeros((0, 2)), yaws_rad
@@ -151,11 +151,10 @@ def candidates(
     most: int = CANDIDATES,
     limit: float = np.inf,
 ) -> list[Match]:
-    """Search a region of poses; return its separate minima, ``most`` of them, refined, with their conflicts.
+    """Search a region of poses; return up to ``most`` separate minima, refined, with their visibility conflicts.
 
-    Minima are left out that cost more than ``limit``, a share of the worst cost.
-
-    ``points`` (n, 2) are the scan's in the laser's frame, m, in an order any beginning of which is a fair sample.
+    Minima with a cost above ``limit``, a share of the worst cost, are left out. ``points`` (n, 2) are those of the
+    scan, laser frame, m, shuffled, so that any prefix is a fair sample.
     """
     few, truncate_m = points[: config.robust.first_level_points], config.robust.truncate_mm * MM
     limit_m2, exhaustive = limit * truncate_m**2, config.search == "exhaustive"
@@ -178,13 +177,14 @@ def lowest(
 ) -> list[Start]:
     """Return the ``most`` lowest separate minima of the cost of points (n, 2) in a region, up to ``limit_m2``.
 
-    Pruned, they are the same. A small region is not worth pruning. Pruning needs positions that are whole cells apart.
+    The pruned search returns the same minima as the exhaustive one. The exhaustive search is used for small regions,
+    and if positions are not whole cells apart.
     """
     xy_m, yaws_rad = region
     step = round(STEP_M / line_map.cell_m)
     small = len(xy_m) * len(yaws_rad) * len(points) < WORTH_PRUNING
     if exhaustive or small or abs(step * line_map.cell_m - STEP_M) > 1e-9:
-        found = exhaustively(points, line_map, region, truncate_m, most)
+        found = lowest_exhaustive(points, line_map, region, truncate_m, most)
         return [start for start in found if start[0] <= limit_m2]
     floors = line_map.cost_floors(truncate_m, step, reached_by(points, xy_m))
     poses = lowest_poses(
@@ -207,16 +207,16 @@ def lowest(
 
 
 def reached_by(points: NDArray[np.float64], xy_m: NDArray[np.float64]) -> Extent:
-    """Return the extent of points (n, 2), laser frame, m, that are seen from positions (p, 2) at any yaw."""
+    """Return the extent that points (n, 2), laser frame, m, can have at positions (p, 2) and any yaw."""
     far_m = float(np.hypot(*points.T).max())
     (x0, y0), (x1, y1) = (xy_m.min(axis=0) - far_m).tolist(), (xy_m.max(axis=0) + far_m).tolist()
     return x0, y0, x1, y1
 
 
-def exhaustively(
+def lowest_exhaustive(
     points: NDArray[np.float64], line_map: LineMap, region: Region, truncate_m: float, most: int
 ) -> list[Start]:
-    """Return what ``lowest`` does from the costs of all poses, of ``AT_ONCE`` positions at once."""
+    """Return the ``most`` lowest separate minima from the costs of all poses, for ``AT_ONCE`` positions at a time."""
     xy_m, yaws_rad = region
     starts: list[Start] = []
     for first in range(0, len(xy_m), AT_ONCE):
@@ -231,7 +231,7 @@ def _pose(xy_m: NDArray[np.float64], yaw_rad: float) -> Pose:
 
 
 def best_of(found: list[Match], expected: tuple[Pose, ...], elapsed_s: float, config: Config) -> Match:
-    """Return the match that agrees best with map and motion; it is ambiguous if another place agrees as well."""
+    """Return the match of lowest rank, by misfit and motion cost; ambiguous if another pose ranks about equally."""
     weighed = [
         m._replace(motion_cost=min(motion_cost(pose, m.map_T_laser, elapsed_s) for pose in expected)) for m in found
     ]
@@ -239,24 +239,25 @@ def best_of(found: list[Match], expected: tuple[Pose, ...], elapsed_s: float, co
     lowest = min(ranks)
     best = weighed[ranks.index(lowest)]
     rivals = [rank for m, rank in zip(weighed, ranks, strict=True) if apart(best.map_T_laser, m.map_T_laser)]
-    return with_effort(best, *found)._replace(ambiguous=min(rivals, default=np.inf) < lowest + CLEAR_BY)
+    return with_effort(best, *found)._replace(ambiguous=min(rivals, default=np.inf) < lowest + AMBIGUITY_MARGIN)
 
 
-def unrivalled(found: list[Match], clear_by: float, config: Config) -> Match | None:
-    """Return the match of least misfit; None if there is none, or another place ranks within ``clear_by`` of it."""
+def unambiguous(found: list[Match], margin: float, config: Config) -> Match | None:
+    """Return the match of least misfit; None without matches, or if another pose ranks within ``margin`` of it."""
     ranked = sorted(found, key=lambda match: misfit(match, config))
     best = next(iter(ranked), None)
     rival = next((m for m in ranked if best and apart(best.map_T_laser, m.map_T_laser)), None)
-    clear = best and (rival is None or misfit(rival, config) >= misfit(best, config) + clear_by)
+    clear = best and (rival is None or misfit(rival, config) >= misfit(best, config) + margin)
     return best if clear else None
 
 
 def least_growth(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, config: Config) -> float:
-    """Return by how much the cost of a place grows, as a share of the worst, ``SEPARATE_M`` away in the best direction.
+    """Return the least increase of the cost at ``SEPARATE_M`` from a pose, over all directions.
 
-    It is nearly 0 where walls on both sides leave open how far along them the laser is.
+    It is a share of the worst cost, and nearly 0 between parallel walls, where the position along them is not
+    observable.
     """
-    return float(growth(points, map_T_laser, line_map, AROUND_RAD, SEPARATE_M, config).min())
+    return float(growth(points, map_T_laser, line_map, DIRECTIONS_RAD, SEPARATE_M, config).min())
 
 
 def growth(
@@ -267,7 +268,7 @@ def growth(
     step_m: float,
     config: Config,
 ) -> NDArray[np.float64]:
-    """Return by how much the cost of a place grows a step away in some directions (k,), as shares of the worst."""
+    """Return the increase of the cost a step away from a pose in some directions (k,), as shares of the worst cost."""
     truncate_m = config.robust.truncate_mm * MM
     steps = step_m * np.column_stack((np.cos(angles_rad), np.sin(angles_rad)))
     xy_m, yaw_rad = np.vstack(([(0.0, 0.0)], steps)) + map_T_laser.as_array()[:2], np.array([map_T_laser.yaw_rad])
@@ -276,43 +277,43 @@ def growth(
     return shares
 
 
-def least_observable(
+def unobservable_direction(
     points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, least: float, config: Config
 ) -> float | None:
-    """Return the direction (rad, map frame) in which a place moves at a cost below ``least``.
+    """Return the direction (rad, map frame) in which a pose can be moved at a cost below ``least``.
 
-    It is None if there is no such direction, or if moving across it costs less than ``ACROSS``. The cost of small steps
-    is a quadratic form, whose axis is the second harmonic of its values around the place.
+    None if there is no such direction, or if moving across it costs less than ``ACROSS``. The cost of small steps is a
+    quadratic form, whose axis is the second harmonic of its values around the pose.
     """
     if least_growth(points, map_T_laser, line_map, config) >= least:
         return None
-    small = growth(points, map_T_laser, line_map, AROUND_RAD, STEP_M, config)
-    along_rad = 0.5 * atan2(-float(small @ np.sin(2 * AROUND_RAD)), -float(small @ np.cos(2 * AROUND_RAD)))
+    small = growth(points, map_T_laser, line_map, DIRECTIONS_RAD, STEP_M, config)
+    along_rad = 0.5 * atan2(-float(small @ np.sin(2 * DIRECTIONS_RAD)), -float(small @ np.cos(2 * DIRECTIONS_RAD)))
     across = along_rad + np.array((0.5, -0.5)) * pi
     return along_rad if growth(points, map_T_laser, line_map, across, SEPARATE_M, config).min() >= ACROSS else None
 
 
-def rival(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, config: Config) -> float:
-    """Return by how much more the best other heading costs near a place, as a share of the worst cost.
+def heading_margin(points: NDArray[np.float64], map_T_laser: Pose, line_map: LineMap, config: Config) -> float:
+    """Return the additional cost of the best other heading near a pose, as a share of the worst cost.
 
-    It is nearly 0, or less, where the walls look alike from several sides.
+    It is nearly 0, or negative, where the walls look alike from several headings.
     """
     truncate_m, some = config.robust.truncate_mm * MM, points[: config.robust.first_level_points]
-    xy_m, yaws_rad = around(map_T_laser, RIVAL_M, pi)
+    xy_m, yaws_rad = around(map_T_laser, OTHER_HEADING_M, pi)
     costs = pose_costs(some, xy_m, yaws_rad, truncate_m, line_map.nearest, line_map.lines, line_map.geometry)
-    other = np.abs(yaws_rad - map_T_laser.yaw_rad) > RIVAL_RAD
+    other = np.abs(yaws_rad - map_T_laser.yaw_rad) > OTHER_HEADING_RAD
     return float(costs[other].min() - costs[~other].min()) / truncate_m**2
 
 
 def motion_cost(expected: Pose, pose: Pose, elapsed_s: float) -> float:
-    """Return the squared distance from the expected pose, relative to what strong accelerations reach meanwhile."""
+    """Return the squared distance from the expected pose, relative to the reach of strong accelerations meanwhile."""
     off, half_t2 = expected.between(pose), 0.5 * elapsed_s**2
     reach_m, reach_rad = SLACK_M + ACCELERATION_M_S2 * half_t2, SLACK_RAD + ACCELERATION_RAD_S2 * half_t2
     return (off.distance_m / reach_m) ** 2 + (off.yaw_rad / reach_rad) ** 2
 
 
 def apart(a: Pose, b: Pose) -> bool:
-    """Return whether two poses are different places."""
+    """Return whether two poses are too far apart to be the same minimum."""
     off = a.between(b)
     return off.distance_m > SEPARATE_M or abs(off.yaw_rad) > SEPARATE_RAD
 
@@ -320,7 +321,7 @@ def apart(a: Pose, b: Pose) -> bool:
 def minima(
     costs: NDArray[np.float64], xy_m: NDArray[np.float64], yaws_rad: NDArray[np.float64], most: int = CANDIDATES
 ) -> list[Start]:
-    """Return the ``most`` lowest costs (q, p) that lie apart, with their poses; the costs themselves are lost."""
+    """Return the ``most`` lowest separate minima of the costs (q, p), with their poses; the costs are overwritten."""
     found: list[Start] = []
     for _ in range(most):
         q, p = np.unravel_index(int(np.argmin(costs)), costs.shape)
@@ -334,7 +335,7 @@ def minima(
 
 
 def merged(starts: list[Start], most: int) -> list[Start]:
-    """Return the ``most`` lowest minima that lie apart, of those of several parts of a region."""
+    """Return the ``most`` lowest separate minima among those of several parts of a region."""
     kept: list[Start] = []
     for start in sorted(starts, key=itemgetter(0)):
         if all(apart(start[1], other) for _, other in kept):

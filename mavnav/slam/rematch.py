@@ -1,4 +1,4 @@
-"""Matching scans once more: the rejected ones between their neighbours, and all against the finished map."""
+"""Second matching: rejected scans between their accepted neighbours, and all scans against the finished map."""
 
 from __future__ import annotations
 
@@ -24,41 +24,41 @@ if TYPE_CHECKING:
     from mavnav.slam.track import Track
 
 SHORT_SCANS = 8
-"""Scans between accepted ones so near to each other are searched in wide regions, too."""
+"""Longest interval between accepted scans, in periods, within which rejected ones are searched in wide regions."""
 
 MOST_FAILED = 5
-"""So many scans in a row that do not match end the rematching of a gap: the laser was elsewhere, or saw nothing."""
+"""Number of successive scans without a match that ends the rematching of a gap: the laser was elsewhere or blocked."""
 
-NOTHING_SHOWN = (UNMEASURED, *(0.0,) * 7)
+NO_EVIDENCE = (UNMEASURED, *(0.0,) * 7)
 """Observability, visibility conflicts and Hessian of a scan without a pose."""
 
-REFINED_AT_ONCE = 16
-"""The same is done for so many scans in a row: it is found in the processor's caches."""
+BATCH_SCANS = 16
+"""Number of scans for which each operation runs in turn: its code and data stay in the processor's caches."""
 
 
 def rematch_rejected(track: Track) -> Track:
-    """Match the rejected scans again, now that it is known where the track went on after them.
+    """Match the rejected scans again between their accepted neighbours.
 
-    From the next accepted pose backwards, each is expected between its neighbours; one that is accepted then enters
-    trajectory and map, the others are left out for good.
+    The scans of a gap are matched backwards from the next accepted pose. Those accepted enter trajectory and map; the
+    others stay without a pose.
     """
     steps = track.steps
     before = {} if track.refiner is None or steps.column("tracked").all() else between_accepted(steps)
     if not before:
         return track
     scans = {index: scan for index, scan in enumerate(track.log_scans()) if index in before}
-    settled, after, failed = Steps(steps), steps[-1], 0
+    updated, after, failed = Steps(steps), steps[-1], 0
     for step in reversed(steps):
         if step.index in scans and failed < MOST_FAILED and (after.stamp_ns - step.stamp_ns) * NS <= LONGEST_S:
-            settled[step.index] = rematched(scans[step.index], step, before[step.index], after, track)
+            updated[step.index] = rematched(scans[step.index], step, before[step.index], after, track)
             failed += 1
-        if settled[step.index].tracked:
-            after, failed = settled[step.index], 0
-    return replace(track, steps=settled)
+        if updated[step.index].tracked:
+            after, failed = updated[step.index], 0
+    return replace(track, steps=updated)
 
 
 def between_accepted(steps: Iterable[Step]) -> dict[int, Step]:
-    """Return the accepted step before each rejected scan that lies between two accepted ones."""
+    """Return the last accepted step before each rejected scan that has accepted scans on both sides, by scan number."""
     before: dict[int, Step] = {}
     between: dict[int, Step] = {}
     last: Step | None = None
@@ -72,7 +72,7 @@ def between_accepted(steps: Iterable[Step]) -> dict[int, Step]:
 
 
 def rematched(scan: Scan, step: Step, before: Step, after: Step, track: Track) -> Step:
-    """Match a scan between two accepted ones; return its step, tracked if it fits there."""
+    """Match a scan between two accepted ones; return its step, tracked if the match is accepted."""
     here = track.motion.started_at(after.match.map_T_laser, after.stamp_ns)
     here = here.coming_from(before.match.map_T_laser, before.stamp_ns)
     short = here.elapsed_s(before.stamp_ns) <= SHORT_SCANS * here.period_s
@@ -85,7 +85,7 @@ def rematched(scan: Scan, step: Step, before: Step, after: Step, track: Track) -
 
 
 def remove_dynamic_cells(track: Track) -> Track:
-    """Remove from the map what did not stay where it was seen: people who walked by, and the like."""
+    """Remove the hits of people and other moving things from the map."""
     if track.refiner:
         track.refiner.remove_dynamic_cells()
     return track
@@ -94,14 +94,15 @@ def remove_dynamic_cells(track: Track) -> Track:
 def refine_against_final_map(track: Track) -> Track:
     """Match every tracked scan against the finished map; without odometry, warn where its geometry is degenerate.
 
-    The steps themselves take what is found: there are many. What the map shows of each scan is kept with the track.
+    The steps are changed in place, because there may be many. Observability, visibility conflicts and Hessians of the
+    scans are stored in the track.
     """
     if track.refiner is None:
         return track
-    shown = array("d")
-    for step in track.reported(refined(track.log_scans(), track.steps, track.refiner, shown), "final pass"):
+    evidence = array("d")
+    for step in track.reported(refined(track.log_scans(), track.steps, track.refiner, evidence), "final pass"):
         track.steps[step.index] = step
-    columns = np.array(shown).reshape(-1, 8)
+    columns = np.array(evidence).reshape(-1, 8)
     observed = columns[:, 0]
     track = replace(track, observed=observed, conflicts=columns[:, 1], hessians=columns[:, 2:])
     if not len(observed) or track.motion.odometry:
@@ -110,21 +111,21 @@ def refine_against_final_map(track: Track) -> Track:
     return track.with_warning(warning) if warning else track
 
 
-def refined(scans: Iterable[Scan], steps: Iterable[Step], refiner: Refiner, shown: array[float]) -> Iterator[Step]:
-    """Match every tracked scan once more, against the finished map, close to where it was.
+def refined(scans: Iterable[Scan], steps: Iterable[Step], refiner: Refiner, evidence: array[float]) -> Iterator[Step]:
+    """Match every tracked scan once more against the finished map, close to its pose; yield the steps.
 
-    Steps whose scans do not come, because the run is being stopped, stay as they are. Observability, visibility
-    conflicts and Hessian of each of the others are added to ``shown``.
+    If the run is stopped and the scans end early, the remaining steps are yielded unchanged. Observability, visibility
+    conflicts and Hessian of each of the others are appended to ``evidence``.
     """
     waiting, coming = iter(steps), iter(scans)
-    while some := list(islice(waiting, REFINED_AT_ONCE)):
+    while some := list(islice(waiting, BATCH_SCANS)):
         points = [refiner.match_points(scan) for scan in islice(coming, len(some))]
         matches = [refiner.refine(p, s.match) if s.tracked else s.match for p, s in zip(points, some, strict=False)]
         for p, step, match in zip(points, some, matches, strict=False):
             if not step.tracked:
-                shown.extend(NOTHING_SHOWN)
+                evidence.extend(NO_EVIDENCE)
                 continue
             observed, hessian = refiner.observability(p, match)
-            shown.extend((observed, refiner.conflicts(p, match), *hessian.tolist()))
+            evidence.extend((observed, refiner.conflicts(p, match), *hessian.tolist()))
         yield from (Step(*step[:2], match, *step[3:]) for step, match in zip(some, matches, strict=False))
         yield from some[len(matches) :]

@@ -1,7 +1,7 @@
-"""A remedy for a track that is lost or doubtful: the log is tracked once more as a whole, with finer voxels.
+"""A remedy for a track that is lost or doubtful: track the whole log once more, with finer voxels.
 
-One wrong match bends all that follows, and other points rarely lead to the same one. The resampled track of the doubt
-decides between the two: what finer and coarser voxels agree on is no matter of chance.
+One wrong match bends all later poses, and other points rarely lead to the same wrong match. The resampled track of the
+doubt decides between the two tracks: agreement of finer and coarser voxels is unlikely to be chance.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ if TYPE_CHECKING:
 
 FINER, FINER_VOXELS = 3 / 4, "finer voxels"
 
-HOPELESS = (NOT_PLANAR, FEATURES["weakly_constrained"].reason)
-"""Reasons that no other track of the same scans removes."""
+INHERENT = (NOT_PLANAR, FEATURES["weakly_constrained"].reason)
+"""Reasons for doubt that another track of the same scans cannot remove."""
 
 MOST_DOUBT = 0.25
-"""A remedy is used if its doubt is at most this."""
+"""Largest doubt with which a remedy is used."""
 
 KEPT_WARNINGS = (odometry_check.WARNING, beam_order.WARNING)
-"""What was found about the input: it is not looked for again."""
+"""Warnings about the input that are kept: the remedy does not check it again."""
 
 
 def with_remedy(track: Track, start: Track, whole: Callable[[Track], Track]) -> Track:
-    """Track a log from its ``start`` on with finer voxels where the track is lost or doubtful; keep the better one.
+    """Track a log from its ``start`` on with finer voxels if the track is lost or doubtful; keep the better one.
 
-    ``whole`` makes all passes up to the judgement. If the run is being stopped, the track stays.
+    ``whole`` makes all passes up to the judgement. If the run is stopped early, the first track stays.
     """
     if track.doubt is None or not is_worth_a_remedy(track):
         return track
@@ -62,9 +62,9 @@ def with_remedy(track: Track, start: Track, whole: Callable[[Track], Track]) -> 
 
 
 def is_worth_a_remedy(track: Track) -> bool:
-    """Return whether a track is lost for good or doubtful, unless its scans themselves are the reason."""
-    hopeless = track.doubt and track.doubt.reasons[:1] and track.doubt.reasons[0].name in HOPELESS
-    return not hopeless and (is_lost(track) or bool(track.doubt and track.doubt.high))
+    """Return whether a track is lost for good or doubtful, for a reason that another track can remove."""
+    inherent = track.doubt and track.doubt.reasons[:1] and track.doubt.reasons[0].name in INHERENT
+    return not inherent and (is_lost(track) or bool(track.doubt and track.doubt.high))
 
 
 def is_lost(track: Track) -> bool:

@@ -1,4 +1,4 @@
-"""A resampled track where scans are sparse: one slip in a sharp turn bends the whole map, a sharper map shows it."""
+"""A resampled track where scans are sparse: a wrong match in a sharp turn bends the map, and blurs it."""
 
 from __future__ import annotations
 
@@ -15,10 +15,13 @@ if TYPE_CHECKING:
     from mavnav.slam.track import Track
 
 FEW_POINTS, SPARSE_SCANS = 80, 5
-"""With so many scans accepted on fewer points a track is in doubt: a turn rests on a few walls then."""
+"""Number of points below which an accepted scan is sparse, and number of sparse scans from which a track is in doubt.
+
+The pose in a turn then depends on a few walls.
+"""
 
 COARSER = 4 / 3
-"""Voxels of the second track: other points, and so other slips."""
+"""Factor on the voxel size of the second track: with other points, other matches are wrong."""
 
 
 def with_coarser_voxels(track: Track) -> Track:
@@ -28,11 +31,11 @@ def with_coarser_voxels(track: Track) -> Track:
     other = track.again(replace(track, config=coarser(track.config)))
     if other is None:
         return track
-    return replace(other if blur(other) < blur(track) else track, tracks_compared=2)
+    return replace(other if rank(other) < rank(track) else track, tracks_compared=2)
 
 
 def in_doubt(steps: Steps) -> bool:
-    """Return whether some accepted scans of a track have few points."""
+    """Return whether ``SPARSE_SCANS`` or more accepted scans of a track have few points."""
     few = steps.column("beams_used") < FEW_POINTS
     return int(np.count_nonzero(few & steps.column("tracked"))) >= SPARSE_SCANS
 
@@ -43,7 +46,7 @@ def coarser(config: Config) -> Config:
     return replace(config, robust=robust)
 
 
-def blur(track: Track) -> tuple[int, int]:
-    """Rank a track, the better one first: scans lost, jumps included, then cells of its map that were hit."""
+def rank(track: Track) -> tuple[int, int]:
+    """Return the rank of a track, the lesser the better: scans lost, jumps included, then hit cells of its map."""
     lost = sum(max(1, interval.scans) for interval in lost_intervals(track.steps))
     return lost, int(np.count_nonzero(track.method.grid.hits))

@@ -1,4 +1,4 @@
-"""The result of SLAM on a log: what the writers, the metrics and the simulation take."""
+"""The result of SLAM on a log: the input of the writers, the metrics and the simulation."""
 
 from __future__ import annotations
 
@@ -24,15 +24,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SlamResult:
-    """The outcome: a step for every scan, the poses of the tracked ones (map_T_laser), map, lost stretches, loops.
+    """The result: a step for every scan, the poses of the tracked ones (map_T_laser), map, lost intervals, loops.
 
-    ``covariances`` (n, 6) of the poses of all steps in the map frame, in the order of `covariances_of`, NaN where they
-    are not known; None where no pass looked back.
-    ``warnings`` are lines for the user: what of the log was not taken as it stands there. ``tracks_compared``
-    counts the tracks of which the sharpest was kept. ``parts`` are the stretches of a log that was not tracked as a
-    whole, each on a map of its own at first; none otherwise. ``doubt`` is None where it was not judged. ``begin_ns`` is
-    the stamp of the scan that begins the map, which is the map frame; None where nothing was tracked.
-    ``remedies`` are other tracks that were made because of the doubt.
+    ``covariances`` (n, 6) are those of the poses of all steps in the map frame, in the order of `covariances_of`, NaN
+    where unknown; None without the passes after tracking. ``warnings`` are lines for the user about input that was not
+    used as recorded. ``tracks_compared`` counts the tracks of which the sharpest was kept. ``parts`` are the stretches
+    of a log that was not tracked as a whole, each on a separate map at first; else empty. ``doubt`` is None where it
+    was not judged. ``begin_ns`` is the stamp of the scan that begins the map and defines the map frame; None where
+    nothing was tracked. ``remedies`` are other tracks that were made because of the doubt.
     """
 
     steps: Steps
@@ -50,21 +49,21 @@ class SlamResult:
 
     @property
     def tracked_share(self) -> float:
-        """The part of the scans that have a pose; 0 where there are no scans."""
+        """Share of the scans that have a pose; 0 without scans."""
         return len(self.trajectory) / max(len(self.steps), 1)
 
     @property
     def lost_for_good(self) -> bool:
-        """Whether the track ended before the log did, has too few of its scans, or left too many out."""
+        """Whether the track ended before the log, has too few of its scans, or too many are in parts not joined."""
         return lost_for_good(self.steps, self.lost, self.parts)
 
     @property
     def planar(self) -> bool:
-        """Whether nothing speaks for a tilting laser, or another one that no map of a plane fits."""
+        """Whether the scans fit a map of a plane: False if the doubt is high and "not planar" is among its reasons."""
         return self.doubt is None or not self.doubt.high or NOT_PLANAR not in {r.name for r in self.doubt.reasons}
 
     def doubtful(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which of the scans (n,) are of a doubtful stretch: none where the doubt is not high."""
+        """Return which of the scans (n,) are in a doubtful stretch; none unless the doubt is high."""
         return np.zeros(len(stamps_ns), np.bool_) if self.doubt is None else self.doubt.marks(stamps_ns)
 
 

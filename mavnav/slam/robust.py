@@ -1,4 +1,4 @@
-"""The robust method: point to local line over the whole map, and a search of wide regions where that fails."""
+"""The robust method: point-to-line matching against the whole map, and a correlative search where that fails."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from mavnav.slam.relocalization import (
     best_of,
     candidates,
     everywhere,
+    heading_margin,
     reached_by,
-    rival,
     with_conflicts,
     within_reach,
     within_reach_of,
@@ -50,38 +50,43 @@ if TYPE_CHECKING:
     from mavnav.slam.relocalization import Region
 
     Points = tuple[NDArray[np.float64], NDArray[np.float64]]
-    """The good end points (n, 2) of a scan and their means (m, 2), m, laser frame."""
+    """The valid end points (n, 2) of a scan and their voxel means (m, 2), m, laser frame."""
 
-REGAIN_S = 0.5  # without an accepted pose for longer, chance matches are likely, and more inliers are required
+REGAIN_S = 0.5  # longest gap before more inliers are required: after it, chance matches are likely
 
-
-INSIDE = 0.5
-"""Share of the near window within which a match is accepted: beyond, the laser may be outside of it."""
+INNER_SHARE = 0.5
+"""Share of the near window within which a match is accepted: nearer to its edge, the pose may be outside of it."""
 
 
 NEAR_MINIMA = 3
-"""So many separate minima of the cost near the prediction are refined: the lowest of a coarse lattice may mislead."""
+"""Number of separate minima near the prediction that are refined: the lowest one of a coarse grid may be wrong."""
 
 
 LOST_PERIODS = 8
-"""Without an accepted pose for longer the laser is lost: wide regions are searched as their budget allows. Once it is
-found again, the scans between are matched from there."""
+"""Number of periods without an accepted pose after which the laser is lost.
+
+Then wide regions are searched as far as their budget allows. Once the laser is found, the scans between are rematched.
+"""
 
 FOUND_PERIODS = 1.5
-"""An accepted pose at most so many periods ago is that of the scan before: the work lent to that scan is paid back.
-Each scan of a sparse log may need a wide search."""
+"""Time since the last accepted pose, in periods, below which the previous scan was accepted.
+
+Its refundable work is then returned: each scan of a sparse log may need a wide search.
+"""
 
 WIDE_EACH, WIDE_FIRST, WIDE_MOST = 2.0, 80.0, 120.0
 WHOLE_EACH, WHOLE_FIRST = 1.0, 50.0
-"""Budgets of wide regions and of the whole map, in local searches: what a scan earns, the first and the most credit."""
+"""Budgets of wide regions and of the whole map, in local searches: credit of each scan, first and maximum credit."""
 
 FOUND_COST, FOUND_ANYWHERE_COST = 0.4, 0.25
-"""Share of the worst cost that a minimum of a wide search, and of one of the whole map, has at most after so many
-scans, to be refined. Places where a lost laser was found cost up to 0.1 with 10 scans a second."""
+"""Maximum cost of a minimum that is refined when the laser is lost, in a wide region and in the whole map.
+
+It is a share of the worst cost. Poses at which a lost laser was found cost up to 0.1 at 10 scans a second.
+"""
 
 
 AT_REST = np.zeros(3)
-"""No motion to undo."""
+"""Twist of a laser at rest, for scans that are not de-skewed."""
 
 
 REACHABLE = 1.0
@@ -89,16 +94,19 @@ REACHABLE = 1.0
 
 
 EXPECTED = 0.01
-"""Up to this ``motion_cost`` fewer inliers are required after a gap."""
+"""Largest ``motion_cost`` with which fewer inliers are enough after a gap."""
 
 
 FOUND_CONFLICTS, LONG_GAP_S = 0.05, 2.5
-"""Largest share of visibility conflicts of a pose found after so long a gap. Measured: 0.11 to 0.25 where the laser was
-carried into another room, up to 0.01 where it stayed; after shorter gaps of urg_exp1 up to 0.1 at the right pose."""
+"""Largest share of visibility conflicts of a pose after a gap without odometry of more than ``LONG_GAP_S``.
+
+Measured: 0.11 to 0.25 where the laser was carried into another room, up to 0.01 where it stayed; after shorter gaps of
+urg_exp1 up to 0.1 at the right pose.
+"""
 
 
 def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
-    """Return where the laser should be: as predicted, by its velocity, or where it was."""
+    """Return the expected poses of a scan: as predicted, by constant velocity, and at rest."""
     return tuple(dict.fromkeys((predicted, motion.by_velocity(scan.stamp_ns), motion.map_T_laser)))
 
 
@@ -107,9 +115,9 @@ def _is_lost(motion: Motion, elapsed_s: float) -> bool:
 
 
 class Robust:
-    """Point to local line over the whole map; the grid of hit counts is kept beside it for the outputs.
+    """Point-to-line matching against the whole map; hit counts are kept in ``grid`` for the outputs.
 
-    ``known`` is the grid that visibility conflicts are counted on.
+    ``known`` is the grid for visibility conflicts.
     """
 
     expects_rest = False
@@ -126,19 +134,19 @@ class Robust:
         self._begin()
         self._limits_m = np.array([robust.near_mm * MM, robust.far_mm * MM, robust.voxel_mm * MM])
         self._deskewed: tuple[Scan, Motion, Points] | None = None
-        self._free: Region | None = None  # the whole map, as long as it does not grow
-        self._bounded = False  # whether the costs have bounds since the map grew
+        self._free: Region | None = None  # the free area of the whole map, until it grows
+        self._bounded = False  # whether cost bounds were computed since the map last grew
         self._wide_budget = Budget(WIDE_EACH, WIDE_FIRST, WIDE_MOST)
         self._whole_budget = Budget(WHOLE_EACH, WHOLE_FIRST)
 
     @property
     def refiner(self) -> Robust:
-        """The method itself."""
+        """The method itself, which has all parts of the refiner."""
         return self
 
     @cached_property
     def _near(self) -> tuple[Schedule, Schedule]:
-        """The search close to the prediction: without odometry, and with it."""
+        """Schedules of the search close to the prediction: without odometry, and with it."""
         robust = self.config.robust
         window = (robust.near_window_mm * MM, robust.near_window_deg * DEG)
         return Schedule.of(self.config, self.lines, window), Schedule.of(
@@ -147,12 +155,12 @@ class Robust:
 
     @cached_property
     def _final(self) -> Schedule:
-        """The search of the final pass."""
+        """Schedule of the search of the final pass."""
         window = (self.config.robust.final_window_mm * MM, self.config.robust.final_window_deg * DEG)
         return Schedule.of(self.config, self.lines, window, final=True)
 
     def _begin(self) -> None:
-        """Begin an empty map."""
+        """Start an empty map."""
         robust = self.config.robust
         self.known = self.grid = GridBuilder(robust.cell_mm * MM)
         self.lines = LineMap(
@@ -169,7 +177,7 @@ class Robust:
         return first_match(n) if n >= self.config.robust.min_points else no_match(Pose(), n)
 
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
-        """Match the de-skewed scan close to the prediction; search farther unless that match is good."""
+        """Match the de-skewed scan close to the prediction; search wider regions unless that match is acceptable."""
         points, elapsed_s = self.match_points(scan, motion), motion.elapsed_s(scan.stamp_ns)
         if len(points) < self.config.robust.min_points:
             return no_match(predicted, len(points))
@@ -179,25 +187,25 @@ class Robust:
         if self._is_found_near(tried, predicted, motion, elapsed_s):
             return tried[0]
         expected, lost = _expected(scan, predicted, motion), _is_lost(motion, elapsed_s)
-        regions = self._paid_region(points, expected, elapsed_s) if lost else []
+        regions = self._lost_region(points, expected, elapsed_s) if lost else []
         given_up = lost and not regions
         if given_up and tried and motion.odometry is None:
             return tried[0]
         tried += self._search_around(points, predicted)
-        best = self._likeliest(tried, points, predicted, motion)
+        best = self._of_least_cost(tried, points, predicted, motion)
         if given_up or self._is_acceptable(best, motion, elapsed_s):
             return with_effort(best, *tried)
         for region in regions or [within_reach(pose, elapsed_s) for pose in expected]:
-            if lost or self._wide_budget.pays(self._work(points, region), lent=True):
+            if lost or self._wide_budget.spend(self._work(points, region), refundable=True):
                 tried += self._search_wide(points, region, FOUND_COST if lost else np.inf)
         return best_of(tried, expected, elapsed_s, self.config)
 
-    def _paid_region(self, points: NDArray[np.float64], expected: tuple[Pose, ...], elapsed_s: float) -> list[Region]:
-        """Return where a lost laser can be, about all expected poses at once; nothing if the budget does not pay."""
+    def _lost_region(self, points: NDArray[np.float64], expected: tuple[Pose, ...], elapsed_s: float) -> list[Region]:
+        """Return the region of a lost laser, around all expected poses; none if the budget does not cover a search."""
         if not self._wide_budget.is_ready:
             return []
         region = within_reach_of(expected, elapsed_s)
-        return [region] if self._wide_budget.pays(self._work(points, region)) else []
+        return [region] if self._wide_budget.spend(self._work(points, region)) else []
 
     def match_between(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
         """Match a scan between two accepted ones: close to the prediction, or within the second window."""
@@ -208,10 +216,10 @@ class Robust:
         if self._is_found_near(tried, predicted, motion, elapsed_s):
             return tried[0]
         tried += self._search_around(points, predicted)
-        return with_effort(self._likeliest(tried, points, predicted, motion), *tried)
+        return with_effort(self._of_least_cost(tried, points, predicted, motion), *tried)
 
-    def _likeliest(self, tried: list[Match], points: NDArray[np.float64], predicted: Pose, motion: Motion) -> Match:
-        """Return the match of least cost; where that is not observable, distance from the odometry costs as well."""
+    def _of_least_cost(self, tried: list[Match], points: NDArray[np.float64], predicted: Pose, motion: Motion) -> Match:
+        """Return the match of least cost; distance from the odometry adds to it if the best match is not observable."""
         best = min(tried, key=lambda match: match.cost_m2)
         if motion.odometry is None or self.observability(points, best)[0] >= LEAST_OBSERVABILITY:
             return best
@@ -224,30 +232,30 @@ class Robust:
         return candidates(points, self.lines, self.known, region, self.config, most=NEAR_MINIMA)
 
     def _search_near(self, points: NDArray[np.float64], predicted: Pose, motion: Motion) -> list[Match]:
-        """Search close to the prediction, unless the configuration leaves that out."""
+        """Search close to the prediction, unless the configuration disables that."""
         if not self.config.robust.near_window_mm:
             return []
         found = search_lines(points, self.lines, predicted, self._near[motion.odometry is not None])
         return [with_conflicts(found, points, self.lines, self.known)]
 
     def _is_found_near(self, tried: list[Match], predicted: Pose, motion: Motion, elapsed_s: float) -> bool:
-        """Return whether the search close to the prediction, if it was made, is enough."""
+        """Return whether the search close to the prediction was made and its match is acceptable."""
         return bool(tried) and self._inside(tried[0], predicted) and self._is_acceptable(tried[0], motion, elapsed_s)
 
     def _inside(self, near: Match, predicted: Pose) -> bool:
-        """Return whether a match lies so far inside the near window that the laser cannot be outside of it."""
+        """Return whether a match lies well inside the near window, so that the pose is not outside of it."""
         robust, (off_m, off_rad) = self.config.robust, predicted.gap(near.map_T_laser)
         half_m, half_rad = robust.near_window_mm * MM, robust.near_window_deg * DEG
-        return off_m <= INSIDE * half_m and off_rad <= INSIDE * half_rad
+        return off_m <= INNER_SHARE * half_m and off_rad <= INNER_SHARE * half_rad
 
     def _work(self, points: NDArray[np.float64], region: Region) -> float:
-        """Return the work of a search of a region; cost bounds are computed once, until the map grows."""
+        """Return the work of a search of a region; that of cost bounds counts once until the map grows."""
         (xy_m, yaws_rad), some = region, points[: self.config.robust.first_level_points]
         cells = 0.0 if self._bounded or not len(xy_m) else self.lines.cells_within(reached_by(some, xy_m))
         return search_work(len(xy_m) * len(yaws_rad), cells, CANDIDATES)
 
     def _search_wide(self, points: NDArray[np.float64], region: Region, limit: float) -> list[Match]:
-        """Search a region where the laser can be by now."""
+        """Search a region that the laser can have reached."""
         self._bounded = True
         return candidates(points, self.lines, self.known, region, self.config, limit=limit)
 
@@ -258,12 +266,12 @@ class Robust:
         return self._is_good(match) and self._possible(match, motion, elapsed_s)
 
     def _possible(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
-        """Return whether a vehicle can have moved so far."""
+        """Return whether a vehicle can have moved so far in the elapsed time."""
         robust, (moved_m, turned_rad) = self.config.robust, motion.map_T_laser.gap(match.map_T_laser)
         return moved_m <= robust.max_speed_m_s * elapsed_s and turned_rad <= robust.max_turn_deg_s * DEG * elapsed_s
 
-    def _contradicted(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
-        """Return whether a pose has too many visibility conflicts to be accepted after a long gap."""
+    def _conflicts_after_gap(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
+        """Return whether a pose after a long gap without odometry has too many visibility conflicts."""
         long = motion.odometry is None and elapsed_s > max(LONG_GAP_S, motion.period_s)
         return long and match.conflicts > self.found_conflicts
 
@@ -271,30 +279,30 @@ class Robust:
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
         """Accept a match with many inliers and few visibility conflicts, at a possible speed.
 
-        After a gap, and after a jump, more inliers are required, and the next scans must match too.
+        After a gap or a jump, more inliers are required, and the match is only probable.
         """
-        robust, convinces, elapsed_s = self.config.robust, self._is_good(match), motion.elapsed_s(scan.stamp_ns)
+        robust, good, elapsed_s = self.config.robust, self._is_good(match), motion.elapsed_s(scan.stamp_ns)
         if match.ambiguous or match.inliers < robust.track_above or not self._possible(match, motion, elapsed_s):
             return Verdict.REFUSED
         if match.conflicts > robust.conflicts_below and match.inliers < robust.retry_below:
             return Verdict.REFUSED
-        if (match.motion_cost > REACHABLE and not convinces) or self._contradicted(match, motion, elapsed_s):
+        if (match.motion_cost > REACHABLE and not good) or self._conflicts_after_gap(match, motion, elapsed_s):
             return Verdict.REFUSED
-        if elapsed_s <= max(LONGEST_S if convinces else REGAIN_S, motion.period_s) and match.motion_cost <= REACHABLE:
+        if elapsed_s <= max(LONGEST_S if good else REGAIN_S, motion.period_s) and match.motion_cost <= REACHABLE:
             return Verdict.SURE
         expected = match.motion_cost <= EXPECTED
         return Verdict.PROBABLE if expected or match.inliers >= robust.regain_above else Verdict.REFUSED
 
-    def pays_for_whole_map(self, scan: Scan) -> bool:
+    def reserve_whole_map_search(self, scan: Scan) -> bool:
         """Spend the work of a search of the whole map if the budget covers it."""
         points = self.match_points(scan)
         if not self._whole_budget.is_ready or len(points) < self.config.robust.min_points:
             return False
         self._free = self._free or everywhere(self.known)
-        return self._whole_budget.pays(self._work(points, self._free))
+        return self._whole_budget.spend(self._work(points, self._free))
 
     def relocalize(self, scan: Scan, match: Match, motion: Motion) -> Match | None:
-        """Find the scan anywhere in the map; None unless one place, and no other, explains it."""
+        """Find the scan anywhere in the map; None unless exactly one pose fits."""
         points = self.match_points(scan)
         if len(points) < self.config.robust.min_points:
             return None
@@ -304,46 +312,46 @@ class Robust:
         found = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
         expected = _expected(scan, motion.predict(scan.stamp_ns), motion)
         best = best_of(found, expected, elapsed_s, self.config)
-        sure = self._is_good(best) and not best.ambiguous and not self._contradicted(best, motion, elapsed_s)
+        sure = self._is_good(best) and not best.ambiguous and not self._conflicts_after_gap(best, motion, elapsed_s)
         return best if sure else None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
-        """Add every point of the de-skewed scan."""
+        """Insert every valid point of the de-skewed scan into lines and grid."""
         self._bounded, self._free = False, None
         xy_map_m, extent_m = self.placed_points(scan, map_T_laser, motion)
         self.lines.insert(xy_map_m, extent_m)
         self.grid.insert(map_T_laser, xy_map_m, extent_m)
 
     def placed_points(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> tuple[NDArray[np.float64], Extent]:
-        """Return every point (n, 2) of the de-skewed scan, m, map frame, and their extent."""
+        """Return every valid point (n, 2) of the de-skewed scan, m, map frame, and their extent."""
         points = self._points(scan, motion)[0]
         xy_map_m = np.empty_like(points)
         return xy_map_m, placed(points, map_T_laser.as_array(), xy_map_m)
 
     def remove_dynamic_cells(self) -> None:
-        """Take people who walked by, and the like, out of grid and lines."""
+        """Remove the hits of people and other moving things from grid and lines."""
         self.lines.remove(self.grid.remove_dynamic_cells())
 
     def refine(self, points: NDArray[np.float64], match: Match) -> Match:
-        """Place points of a scan: of a scan as it was recorded, so that pose and raw ranges fit together."""
+        """Match points of a scan as recorded, not de-skewed, so that the pose fits the raw ranges."""
         return search_lines(points, self.lines, match.map_T_laser, self._final, match)
 
     def observability(self, points: NDArray[np.float64], match: Match) -> tuple[float, NDArray[np.float64]]:
-        """Measure it on the lines through the walls that the points lie on."""
+        """Return the observability by the lines at the points, and the Hessian."""
         lines, information = self.lines, np.empty(6)
         pose = match.map_T_laser.as_array()
         return observability(points, pose, lines.nearest, lines.lines, lines.geometry, information), information
 
     def conflicts(self, points: NDArray[np.float64], match: Match) -> float:
-        """Count the visibility conflicts of a sample of the points."""
+        """Return the share of visibility conflicts of a sample of the points."""
         return with_conflicts(match, points, self.lines, self.known).conflicts
 
-    def rival(self, points: NDArray[np.float64], match: Match) -> float:
-        """Compare the cost of the pose with that of other headings near it."""
-        return rival(points, match.map_T_laser, self.lines, self.config)
+    def heading_margin(self, points: NDArray[np.float64], match: Match) -> float:
+        """Return the additional cost of the best other heading near the pose."""
+        return heading_margin(points, match.map_T_laser, self.lines, self.config)
 
     def finished(self) -> Grid:
-        """Return the map, and free it and its lines: a large map does not fit into memory twice."""
+        """Return the map, and free its working copy and its lines: a large map may not fit into memory twice."""
         counts = self.grid
         self._begin()
         return counts.by_rows()
@@ -354,15 +362,15 @@ class Robust:
         return self._points(scan, motion)[1]
 
     def _points(self, scan: Scan, motion: Motion | None = None) -> Points:
-        """Good points (n, 2) in the laser's frame, m, and their means; at mid-sweep if the motion is given.
+        """Return the valid points (n, 2), laser frame, m, and their voxel means; at mid-sweep if the motion is given.
 
-        Those of the last motion are kept: what is inserted was matched just before.
+        The result of the last motion is kept: the scan that is inserted was matched just before.
         """
         last = self._deskewed
         if last and last[0] is scan and last[1] is motion:
             return last[2]
         spec, twist, increment_s = scan.spec, AT_REST, 0.0
-        longest = 1.2 if scan.times_s is None else 2.2  # of merged lasers one may begin half a period later
+        longest = 1.2 if scan.times_s is None else 2.2  # one of several merged lasers may start half a period later
         if self.config.robust.deskew != "off" and motion and scan.sweep_s <= longest * motion.period_s:
             twist, increment_s = np.array(motion.twist_at(scan.stamp_ns)), spec.time_increment_s
         seen = (scan.ranges_m, spec.directions) if scan.times_s is None else scan.seen_at_mid_sweep(twist)

@@ -1,4 +1,4 @@
-"""Scan matching: the record of a match, and the robust method's search for the distance to local lines."""
+"""Scan matching: the record of a match, and the search of the robust method for the least point-to-line distance."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 class Match(NamedTuple):
     """The best pose of a scan in the map, with its evidence.
 
-    ``cost_m2`` is the mean squared distance over ``beams_used`` contributing beams; it is inf where too few contribute,
-    and ``beams_used`` is then the number of usable ones. ``inliers`` is the share of the scan that agrees with the map,
+    ``cost_m2`` is the mean squared distance over ``beams_used`` contributing beams. If too few contribute, it is inf
+    and ``beams_used`` is the number of usable beams. ``inliers`` is the share of the scan that agrees with the map,
     ``evaluations`` the number of candidate poses whose cost was evaluated, ``iterations`` the number of grids searched.
-    ``conflicts`` is the share of visibility conflicts, ``motion_cost`` the distance from the motion prior (1: as far as
-    strong acceleration reaches), and ``ambiguous`` is true if another pose explains the scan about as well
-    (``relocalize``). ``threshold_m2`` is the cost up to which the match is accepted, inf if that is not by cost.
+    ``conflicts`` is the share of visibility conflicts. ``motion_cost`` is the distance from the motion prior (1: as far
+    as strong acceleration reaches). ``ambiguous`` is true if another pose fits the scan about as well (``relocalize``).
+    ``threshold_m2`` is the largest accepted cost, inf if acceptance does not depend on the cost.
     """
 
     map_T_laser: Pose
@@ -49,20 +49,23 @@ def no_match(map_T_laser: Pose, beams: int = 0) -> Match:
 
 
 def first_match(beams: int) -> Match:
-    """Return the match of the scan that begins the map: it lies where it lies."""
+    """Return the match of the scan that begins the map: its pose is the map frame."""
     return Match(Pose(), 0.0, beams, 1.0, 0, 0, converged=True)
 
 
 ALTERNATIONS, FINAL_ALTERNATIONS = 2, 1
-"""Joint searches of a level that holds lines, or turns of azimuth and plane; the final pass begins where it ends."""
+"""Number of searches of a level, also in the final pass, which starts close to its result.
+
+A level with fixed correspondences searches yaw and plane jointly so often; other levels alternate between them.
+"""
 
 FINAL_STOP = 0.5
-"""Of the spacings at which a search ends, in the final pass: a trajectory of coarser steps is longer than the path."""
+"""Factor on the spacings at which a search ends, in the final pass: coarser steps make the trajectory longer."""
 
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """How a window of a line map is searched, level by level: ``grid`` and ``limits`` of ``line_search.search``."""
+    """Parameters of the coarse-to-fine search of a window: ``grid`` and ``limits`` of ``line_search.search``."""
 
     grid: NDArray[np.float64]
     limits: NDArray[np.float64]
@@ -77,10 +80,10 @@ class Schedule:
         prior: float = 0.0,
         final: bool = False,
     ) -> Schedule:
-        """Schedule a search within ``window``: half-widths, m and rad.
+        """Return the schedule of a search within ``window``: half-widths, m and rad.
 
-        ``prior`` is what a squared metre away from the start adds to the cost; it decides where the walls do not. In
-        the final pass, whose map is finished, points hold their lines on every level.
+        ``prior`` is the additional cost of a squared metre of distance from the start; it decides where the walls leave
+        a direction unobservable. In the final pass, whose map is finished, all levels use fixed correspondences.
         """
         robust, grid = config.robust, config.grid
         finer = FINAL_STOP if final else 1.0
@@ -106,9 +109,9 @@ class Schedule:
 def search_lines(
     points: NDArray[np.float64], line_map: LineMap, start: Pose, schedule: Schedule, before: Match | None = None
 ) -> Match:
-    """Search once around ``start`` for the place of points (n, 2), laser frame, m.
+    """Search once around ``start`` for the pose of points (n, 2), laser frame, m.
 
-    A match of the same scan ``before``, which led here, is counted in the effort.
+    The effort of ``before``, a match of the same scan that provided the start, is added to that of the search.
     """
     x, y, yaw, cost, inliers, evaluations, grids, converged = line_search.search(
         points,
@@ -125,7 +128,7 @@ def search_lines(
 
 
 def with_effort(best: Match, *tried: Match) -> Match:
-    """Charge a match with the effort of all that were tried for it."""
+    """Return the best match with the summed effort of all matches that were tried."""
     if len(tried) == 1 and tried[0] is best:
         return best
     return best._replace(evaluations=sum(m.evaluations for m in tried), iterations=sum(m.iterations for m in tried))

@@ -1,4 +1,4 @@
-"""Smooth the jitter of the finished trajectory, within what the scans leave open (docs/method.md)."""
+"""Smooth the jitter of the finished trajectory, within the uncertainty of the scans (docs/method.md)."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ if TYPE_CHECKING:
     from mavnav.slam.track import Track
 
 FEWEST = 10
-"""Consecutive poses from which the share of jitter in the motion is estimated."""
+"""Minimum number of consecutive poses for an estimate of the jitter."""
 
 STIFFNESSES = 2.0 ** np.arange(-6, 32, 0.5)
-"""That are tried, in periods to the fourth: from what leaves the path alone to a window of some 250 scans."""
+"""Stiffnesses that are tried, in periods to the fourth, from no smoothing to a window of about 250 scans."""
 
 UNCERTAIN_SHARE = 1 / 7
-"""The position of a scan is known to about this share of its points' distances from the walls; some fifty count."""
+"""Position error of one match as a share of its RMS point-to-line distance (about 1/sqrt(50))."""
 
 LONGEST_S = 1.2
-"""A longer gap parts two stretches."""
+"""Longest gap within a stretch, s."""
 
 
 def smooth_jitter(track: Track) -> Track:
-    """Smooth the positions of the finished trajectory; the steps themselves take them."""
+    """Smooth the positions of the finished trajectory; the steps are changed in place."""
     if track.refiner:
         smooth_positions(track.steps, track.motion.period_s)
     return track
@@ -43,11 +43,11 @@ def smooth_jitter(track: Track) -> Track:
 
 @timed("smoothing")
 def smooth_positions(steps: Steps, period_s: float) -> None:
-    """Move the steps to smooth positions: the jitter of the scans would lengthen every path, and move a rest.
+    """Move the steps to smoothed positions: jitter lengthens every path and moves a laser at rest.
 
-    The share of jitter is estimated for each stretch: white noise on the positions of a path whose velocity is a random
-    walk, with the likeliest share of both. Where the median scan would move farther than its uncertainty, less is
-    smoothed. Headings stay: scans determine them well.
+    The model is white noise on the positions of a path whose velocity is a random walk. The most likely ratio of both
+    is estimated for each stretch. If the median scan would move farther than its uncertainty, less is smoothed.
+    Headings do not change: scans determine them well.
     """
     poses, stamps_ns, costs_m2 = (steps.column(name) for name in ("map_T_laser", "stamp_ns", "cost_m2"))
     for stretch in stretches(steps):
@@ -57,7 +57,7 @@ def smooth_positions(steps: Steps, period_s: float) -> None:
 
 
 def stretches(steps: Steps) -> list[NDArray[np.intp]]:
-    """Return the numbers of tracked steps that follow each other without a long gap or a leap, ``FEWEST`` or more."""
+    """Return the numbers of tracked steps in stretches of ``FEWEST`` or more, without a long gap or a jump within."""
     tracked, path = np.flatnonzero(steps.column("tracked")), tracked_trajectory(steps)
     parted = (np.diff(path.stamps_ns) * NS > LONGEST_S) | jumps(path)[1]
     runs = np.split(tracked, np.flatnonzero(parted) + 1)
@@ -65,7 +65,7 @@ def stretches(steps: Steps) -> list[NDArray[np.intp]]:
 
 
 def _smooth(xy_m: NDArray[np.float64], periods: NDArray[np.float64], uncertainty_m: float) -> NDArray[np.float64]:
-    """Return positions (n, 2) smoothed by their jitter, at most by the uncertainty of the scans."""
+    """Return smoothed positions (n, 2), m, of which the median moves by at most the uncertainty of the scans."""
     middle, out = xy_m.mean(axis=0), np.empty(xy_m.shape)
     centred = xy_m - middle
     likely = [smooth(centred, periods, stiffness, out) for stiffness in STIFFNESSES]
@@ -81,7 +81,7 @@ def _smooth(xy_m: NDArray[np.float64], periods: NDArray[np.float64], uncertainty
 
 
 def rests(xy_m: NDArray[np.float64], within_m: float) -> Iterator[slice]:
-    """Give the stretches of ``FEWEST`` positions (n, 2) or more that stay in a box of this half diagonal, m."""
+    """Yield the stretches of ``FEWEST`` positions (n, 2) or more that stay in a box of this half diagonal, m."""
     first = 0
     low_x = low_y = np.inf
     high_x = high_y = -np.inf

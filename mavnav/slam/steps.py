@@ -1,4 +1,4 @@
-"""What became of the scans, one by one and on the whole."""
+"""Steps: the result of each scan, and the lost intervals and the trajectory that follow from them."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LOST_SCANS = 5
-"""So many scans in a row without an accepted pose are called lost; fewer are rejected scans, unless a jump follows."""
+"""Minimum number of scans in a row without an accepted pose that are a lost interval; fewer need a jump across them."""
 
 JUMP_M, JUMP_RAD = 0.5, 45 * DEG
-"""So much motion over scans without an accepted pose is a gap in the track, however few they are."""
+"""Motion across scans without an accepted pose that makes them a lost interval, however few they are."""
 
 FASTEST_M_S, FASTEST_RAD_S = 3.0, 300 * DEG
-"""A jump at more than this is a gap even where no scan is missing: the track was found again elsewhere."""
+"""Speed above which a jump is a lost interval even between successive scans: the laser was relocalized elsewhere."""
 
 
 class Step(NamedTuple):
-    """What became of one scan.
+    """The result of one scan.
 
-    ``tracked``: the match is accepted and stands in the trajectory, and the scan is in the map.
+    ``tracked``: the match is accepted, its pose is in the trajectory, and the scan is in the map.
     """
 
-    index: int  # type: ignore[assignment]  # what a tuple calls so is lost
+    index: int  # type: ignore[assignment]  # hides ``tuple.index``, which is not used
     stamp_ns: int
     match: Match
     tracked: bool
 
 
 _KINDS = {"int": ("q", "<i8"), "float": ("d", "<f8"), "bool": ("?", "?"), "Pose": ("3d", "3<f8")}
-"""Type of a field -> how it is packed, and its column."""
+"""Type of a field -> its `struct` format and its numpy type."""
 
 _FIELDS = {
     "index": "int",
@@ -50,19 +50,19 @@ _FIELDS = {
     **{name: kind.__forward_arg__ for name, kind in Match.__annotations__.items()},
     "tracked": "bool",
 }
-"""The fields of a step, those of its match in place, in order."""
+"""Fields of a step in order, with those of its match in place of ``match``, and their types."""
 
 _PACKED = Struct("<" + "".join(_KINDS[kind][0] for kind in _FIELDS.values()))
 _COLUMNS = np.dtype([(name, _KINDS[kind][1]) for name, kind in _FIELDS.items()])
 
 
 class Steps(Sequence[Step]):
-    """The steps of a run, packed: 107 bytes a scan, of which the objects take 630; a log may have 100 000 of them."""
+    """The steps of a run, packed in 107 bytes each; as objects they take 630, and a log may have 100 000 scans."""
 
     __slots__ = ("_rows",)
 
     def __init__(self, steps: Iterable[Step] = ()) -> None:
-        """Take in some steps."""
+        """Pack the given steps."""
         self._rows = bytearray()
         for step in steps:
             self.append(step)
@@ -72,23 +72,23 @@ class Steps(Sequence[Step]):
         self._rows += _pack(step)
 
     def column(self, name: str) -> NDArray[Any]:
-        """Return what a field of the steps or of their matches is, (n,); of poses x, y (m) and yaw (rad), (n, 3)."""
+        """Return a field of all steps or of their matches, (n,); poses as x, y (m) and yaw (rad), (n, 3)."""
         return np.frombuffer(self._rows, _COLUMNS)[name].copy()
 
     def share(self, name: str) -> float:
-        """Return the share of the steps of which something is true; 0 where there are none."""
+        """Return the share of the steps whose field is true; 0 if there are no steps."""
         return np.count_nonzero(self.column(name)) / max(len(self), 1)
 
     def move(self, where: NDArray[np.intp], xy_m: NDArray[np.float64]) -> None:
-        """Put the poses of some steps elsewhere: to positions (n, 2), m."""
+        """Set the positions (n, 2), m, of the steps with the numbers ``where``."""
         np.frombuffer(self._rows, _COLUMNS)["map_T_laser"][where, :2] = xy_m
 
     def __len__(self) -> int:
-        """Count the steps."""
+        """Return the number of steps."""
         return len(self._rows) // _PACKED.size
 
     def __iter__(self) -> Iterator[Step]:
-        """Give the steps one after the other."""
+        """Yield the steps in order."""
         return map(_step, _PACKED.iter_unpack(self._rows))
 
     @overload
@@ -103,7 +103,7 @@ class Steps(Sequence[Step]):
         return _step(_PACKED.unpack_from(self._rows, where * _PACKED.size))
 
     def __setitem__(self, at: int, step: Step) -> None:
-        """Put another step in the place of one."""
+        """Replace one step."""
         where = range(len(self))[at] * _PACKED.size
         self._rows[where : where + _PACKED.size] = _pack(step)
 
@@ -120,9 +120,9 @@ def _step(row: tuple[Any, ...]) -> Step:
 
 @dataclass(frozen=True, slots=True)
 class LostInterval:
-    """A stretch of scans without an accepted pose, and whether the track was found again after it.
+    """An interval of scans without an accepted pose; ``recovered`` if a pose was accepted after it.
 
-    It has no scans where the track jumped from one scan to the next.
+    ``scans`` is 0 for a jump between two successive scans.
     """
 
     start_ns: int
@@ -132,19 +132,19 @@ class LostInterval:
 
 
 def tracked_trajectory(steps: Steps) -> Trajectory:
-    """Return the poses that are accepted (map_T_laser)."""
+    """Return the accepted poses (map_T_laser)."""
     tracked = steps.column("tracked")
     return Trajectory(steps.column("stamp_ns")[tracked], steps.column("map_T_laser")[tracked])
 
 
 def lost_intervals(steps: Steps) -> Iterator[LostInterval]:
-    """Find the stretches without an accepted pose: of ``LOST_SCANS`` or more scans, or with a jump across them.
+    """Yield the intervals without an accepted pose: of ``LOST_SCANS`` or more scans, or with a jump across them.
 
-    A jump that no vehicle makes is one even where no scan is missing.
+    A jump faster than any vehicle is an interval of no scans.
     """
     stamps_ns, tracked = steps.column("stamp_ns").tolist(), np.flatnonzero(steps.column("tracked"))
     jumped, leapt = (np.pad(found, 1) for found in jumps(tracked_trajectory(steps)))
-    starts, ends = np.append(0, tracked + 1), np.append(tracked, len(steps))  # of what is between tracked steps
+    starts, ends = np.append(0, tracked + 1), np.append(tracked, len(steps))  # of the scans between tracked ones
     for k in np.flatnonzero((ends > starts) | leapt[: len(ends)]).tolist():
         start, end, recovered = int(starts[k]), int(ends[k]), k < len(tracked)
         many = LOST_SCANS if recovered else min(LOST_SCANS, len(steps))
@@ -155,7 +155,7 @@ def lost_intervals(steps: Steps) -> Iterator[LostInterval]:
 
 
 def jumps(path: Trajectory) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return where the pose jumps from one scan to the next farther than a vehicle moves, (n - 1,)."""
+    """Return which motions between successive poses are jumps, and which of these are too fast, each (n - 1,)."""
     moved, elapsed_s = np.diff(path.xyyaw, axis=0), np.diff(path.stamps_ns) * NS
     moved_m, turned_rad = np.hypot(moved[:, 0], moved[:, 1]), np.abs((moved[:, 2] + pi) % (2.0 * pi) - pi)
     jumped = (moved_m > JUMP_M) | (turned_rad > JUMP_RAD)

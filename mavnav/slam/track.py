@@ -1,4 +1,4 @@
-"""A track: the steps and the map of one pass over a log, with all that the pass was made from."""
+"""A track: the steps and the map of one pass over a log, and the inputs of that pass."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from mavnav.slam.prior_map import PriorMap
 
     LogScans = Callable[[], Iterable[Scan]]
-    """Gives the scans of a log, from the first one again at every call."""
+    """Return the scans of a log; every call starts at the first scan."""
     OnStep = Callable[[str, int], None]
     """Called with the name of the pass ("track", "track again", "close loops", "final pass") and the scans done."""
     Until = Callable[[Iterable[Step]], Iterator[Step]]
-    """Passes the first steps of a track on."""
+    """Yield the steps of a track up to the one that ends it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +42,12 @@ class Track:
 
     ``motion`` is the state before the first scan, with the odometry that is used. ``warnings`` are lines for the user.
     ``tracks_compared`` counts the tracks that were compared for the sharper map. The map begins with the first usable
-    scan from number ``begin`` on. ``parts`` are stretches that were tracked on maps of their own: their accepted steps.
-    ``odometry_contradicts``: the log has odometry that is not used. ``observed`` and ``conflicts`` (n,) are the
-    observability and the visibility conflicts of the steps in the finished map, ``hessians`` (n, 6) what covariances
-    follow from; empty before the final pass. ``resampled`` (n, 3) are the poses of the steps in a track with coarser
-    voxels, NaN where it has none; empty where there is no such track. ``remedies`` are other tracks that were made
-    because of the doubt.
+    scan from number ``begin`` on. ``parts`` are the accepted steps of each stretch that was tracked on a separate map.
+    ``odometry_contradicts``: the log has odometry, but it contradicts the scans and is not used. ``observed`` and
+    ``conflicts`` (n,) are the observability and the visibility conflicts of the steps in the finished map, ``hessians``
+    (n, 6) their Hessians, from which covariances are computed; empty before the final pass. ``resampled`` (n, 3) are
+    the poses of the steps in a track with coarser voxels, NaN for scans without a pose there; empty without such a
+    track. ``remedies`` are other tracks that were made because of the doubt.
     """
 
     log_scans: LogScans
@@ -72,17 +72,17 @@ class Track:
 
     @property
     def refiner(self) -> Refiner | None:
-        """What looks back; None where the method has none, or only causal steps are wanted."""
+        """Refiner for the passes after tracking; None if the method has none, or in causal mode."""
         return self.method.refiner if self.config.final_pass else None
 
     def with_warning(self, text: str) -> Track:
-        """Return the same with one more line for the user."""
+        """Return the track with one more warning for the user."""
         return replace(self, warnings=(*self.warnings, text))
 
     def over(self, scans: Iterable[Scan], phase: str = "", until: Until | None = None) -> Track:
-        """Return the track through some scans from an empty map on, or in the prior map; a named phase is reported.
+        """Track scans from an empty map, or in the prior map; report progress if the phase has a name.
 
-        The steps of the scans before ``begin`` have no pose. ``until`` may end it early.
+        The steps of the scans before ``begin`` have no pose. ``until`` may end the track early.
         """
         method, coming = make_method(self.config, self.prior_map), iter(scans)
         before = (
@@ -93,12 +93,12 @@ class Track:
         return replace(self, method=method, steps=Steps(self.reported(steps, phase) if phase else steps))
 
     def again(self, other: Track) -> Track | None:
-        """Return the whole log tracked by ``other``; None if the run is being stopped: the longer track stays."""
+        """Track the whole log with the settings of ``other``; None if the run is stopped before the end."""
         found = other.over(other.log_scans(), "track again")
         return found if len(found.steps) == len(self.steps) else None
 
     def reported(self, steps: Iterable[Step], phase: str) -> Iterator[Step]:
-        """Yield the steps of a pass, and report each."""
+        """Yield the steps of a pass, and report the progress at each."""
         for done, step in enumerate(steps, start=1):
             if self.on_step:
                 self.on_step(phase, done)

@@ -9,15 +9,15 @@ if TYPE_CHECKING:
     from mavnav.pose import Pose
     from mavnav.slam.motion_model import Motion
 
-PROOFS = 3
-"""So many scans in a row must agree on a place before it is accepted after a gap."""
+CONFIRMATIONS = 3
+"""Number of successive scans that must agree on a pose before it is accepted after a gap."""
 
 NEVER = -1000
-"""A number of scans so long ago that it does not matter."""
+"""Scan number of the last search if there was none: long before any interval between searches."""
 
 
 class Verdict(Enum):
-    """What a match is worth: accepted at once, accepted once the next scans agree, or nothing."""
+    """Decision on a match: accept it at once, accept it once the next scans agree, or refuse it."""
 
     SURE = "sure"
     PROBABLE = "probable"
@@ -25,20 +25,21 @@ class Verdict(Enum):
 
 
 class TrackState(NamedTuple):
-    """The last accepted motion, and perhaps a trial: a motion that ``proofs`` scans in a row agreed on.
+    """The last accepted motion, and the motion on trial, if any, on which the last ``confirmations`` scans agree.
 
-    ``missed`` counts the scans since the last accepted one, ``searched`` those up to the last search of the whole map.
+    ``missed`` counts the scans since the last accepted one; ``searched`` is its value at the last search of the whole
+    map.
     """
 
     motion: Motion
     trial: Motion | None = None
-    proofs: int = 0
+    confirmations: int = 0
     missed: int = 0
     searched: int = NEVER
 
     @property
     def here(self) -> Motion:
-        """The motion that predicts the next scan."""
+        """Motion from which the next scan is predicted."""
         return self.trial or self.motion
 
     def after(self, verdict: Verdict, map_T_laser: Pose, stamp_ns: int) -> TrackState:
@@ -46,9 +47,9 @@ class TrackState(NamedTuple):
         if self.trial is None and verdict is Verdict.SURE:
             return TrackState(self.motion.moved_to(map_T_laser, stamp_ns))
         if verdict is Verdict.REFUSED:
-            return self._replace(trial=None, proofs=0, missed=self.missed + 1)
+            return self._replace(trial=None, confirmations=0, missed=self.missed + 1)
         far = verdict is Verdict.PROBABLE and not self.trial
         moved = (self.here.started_at if far else self.here.moved_to)(map_T_laser, stamp_ns)
-        if self.trial and self.proofs + 1 >= PROOFS:
+        if self.trial and self.confirmations + 1 >= CONFIRMATIONS:
             return TrackState(moved)
-        return self._replace(trial=moved, proofs=self.proofs + 1, missed=self.missed + 1)
+        return self._replace(trial=moved, confirmations=self.confirmations + 1, missed=self.missed + 1)

@@ -17,16 +17,19 @@ if TYPE_CHECKING:
     from mavnav.slam.scan_matching import Match
 
 DOUBTFUL_SCANS, LONG_LOST_SCANS, RARELY_SCANS = 8, 16, 64
-"""The whole map is searched for a doubtful pose within the first so many scans without an accepted one, and later, of a
-log without odometry, if the last search is so many scans ago; for any pose after the second number, then at one scan in
-the third."""
+"""Numbers of scans without an accepted pose that decide when the whole map is searched.
+
+Below the first, a search follows every probable match. From it on, it follows probable matches of a log without
+odometry, if the last search is at least as many scans ago. At the second, and at every multiple of the third, it
+follows any match that is not accepted.
+"""
 
 
 def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0) -> Iterator[Step]:
-    """Follow the laser through the scans while the method's map grows (paper, Figure 1).
+    """Track the laser through the scans, and insert each accepted scan into the method's map (paper, Figure 1).
 
-    The first scan that the method can use becomes the map, and its pose the map frame. Afterwards a scan that does
-    not match well enough moves neither map nor pose (paper, "Map Update"). Steps are numbered from ``first`` on.
+    The first scan that the method can use begins the map, and its pose is the map frame. A later scan that does not
+    match well enough changes neither map nor pose (paper, "Map Update"). Steps are numbered from ``first`` on.
     """
     state = None
     for index, scan in enumerate(scans, first):
@@ -38,8 +41,8 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0)
             here = state.here
             match = method.match(scan, here.predict(scan.stamp_ns), here)
             verdict = method.gate(match, scan, here)
-            if method.refiner and state.trial is None and worth_a_search(verdict, state):
-                match, verdict, state = search_if_paid(scan, match, verdict, state, method.refiner)
+            if method.refiner and state.trial is None and needs_whole_map_search(verdict, state):
+                match, verdict, state = search_within_budget(scan, match, verdict, state, method.refiner)
             state = state.after(verdict, match.map_T_laser, scan.stamp_ns)
             tracked = state.missed == 0
         if tracked:
@@ -47,25 +50,28 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0)
         yield Step(index, scan.stamp_ns, match, tracked)
 
 
-def search_if_paid(
+def search_within_budget(
     scan: Scan, match: Match, verdict: Verdict, state: TrackState, refiner: Refiner
 ) -> tuple[Match, Verdict, TrackState]:
-    """Search the whole map if the budget of work pays for it; else a doubtful pose is accepted on trial.
+    """Search the whole map if the budget covers it; else return the match with its verdict.
 
-    After a long gap it is refused for the scans that follow a search.
+    After ``DOUBTFUL_SCANS`` missed scans, matches within as many scans of the last search are refused.
     """
     if state.missed >= DOUBTFUL_SCANS > state.missed - state.searched:
         return match, Verdict.REFUSED, state
-    if not refiner.pays_for_whole_map(scan):
+    if not refiner.reserve_whole_map_search(scan):
         return match, verdict, state
-    found, verdict = search_everywhere(scan, match, verdict, state.here, refiner)
+    found, verdict = search_whole_map(scan, match, verdict, state.here, refiner)
     return found, verdict, state._replace(searched=state.missed)
 
 
-def search_everywhere(
+def search_whole_map(
     scan: Scan, match: Match, verdict: Verdict, here: Motion, refiner: Refiner
 ) -> tuple[Match, Verdict]:
-    """Search the whole map: a doubtful pose is accepted if no other explains the scan as well, another on trial."""
+    """Search the whole map for the scan; refuse it unless exactly one pose fits.
+
+    A probable match at that pose becomes sure. Any other pose found is probable.
+    """
     found = refiner.relocalize(scan, match, here)
     if found is None:
         return match, Verdict.REFUSED
@@ -73,10 +79,10 @@ def search_everywhere(
     return found, Verdict.SURE if agree else Verdict.PROBABLE
 
 
-def worth_a_search(verdict: Verdict, state: TrackState) -> bool:
-    """Return whether to search the whole map: for doubtful poses, and rarely for others when lost.
+def needs_whole_map_search(verdict: Verdict, state: TrackState) -> bool:
+    """Return whether to search the whole map: for probable matches, and rarely for others when lost.
 
-    Where odometry leads after a long gap, the next scans are proof enough.
+    With odometry, after a long gap, the next scans confirm a probable match instead.
     """
     missed = state.missed
     if verdict is Verdict.PROBABLE and (missed < DOUBTFUL_SCANS or state.motion.odometry is None):

@@ -292,7 +292,7 @@ def test_drawn_points_are_their_twin(pose: tuple[float, float, float], overlap_m
     centred = np.ascontiguousarray((points - points.mean(axis=0)).T)
     at = np.array([*placed, pose[2], *placed])
     closeness = line_map.closeness_at(overlap_m)
-    fast = kernel_parts.on_known_ground(centred, at, closeness, known_points, *arrays(line_map))
+    fast = kernel_parts.on_mapped_area(centred, at, closeness, known_points, *arrays(line_map))
     slow = naive.drawn(points, pose, line_map, overlap_m, known_points)
     np.testing.assert_allclose(fast.T + points.mean(axis=0), slow, atol=1e-9)
 

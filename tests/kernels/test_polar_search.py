@@ -15,7 +15,7 @@ from mavnav.kernels.polar_search import search as polar_search
 from mavnav.kernels.polar_search.cost import polar_cost
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import LaserSpec
-from mavnav.slam.paper_matching import HOPELESS, match_polar, polar_points
+from mavnav.slam.paper_matching import GIVE_UP_RATIO, match_polar, polar_points
 from mavnav.slam.scan_matching import Match
 from support import matches, naive
 from support.matches import polar_problem
@@ -110,7 +110,7 @@ def test_identical_shifted_scans_converge_to_the_motion(walls: np.ndarray, at: P
         assert 800 < np.mean(evaluations) < 1400
 
 
-def test_grid_is_refined_only_where_the_cost_stays_high_and_not_where_it_is_hopeless() -> None:
+def test_grid_is_refined_only_for_a_high_cost_up_to_the_give_up_ratio() -> None:
     a = scan_at(room(), Pose(2.2, 1.7, 0.4))
     b = scan_at(furnished_rooms(), Pose(2.9, 2.2, 1.2))
     points = polar_points(a.ranges_m, a.spec, 0.1)
@@ -119,10 +119,10 @@ def test_grid_is_refined_only_where_the_cost_stays_high_and_not_where_it_is_hope
         return match_polar(ranges, points, a.spec, Pose(), Config(method="paper", paper=PaperConfig(**paper)))
 
     easy, coarse = matched(a.ranges_m), matched(b.ranges_m, refine_factor=1, gate_mm2=1e6)
-    hard = matched(b.ranges_m, gate_mm2=coarse.cost_m2 * 1e6 / HOPELESS + 1)
-    hopeless = matched(b.ranges_m, gate_mm2=coarse.cost_m2 * 1e6 / HOPELESS - 1)
-    assert hopeless.evaluations <= coarse.evaluations
-    assert hopeless.cost_m2 >= coarse.cost_m2
+    hard = matched(b.ranges_m, gate_mm2=coarse.cost_m2 * 1e6 / GIVE_UP_RATIO + 1)
+    given_up = matched(b.ranges_m, gate_mm2=coarse.cost_m2 * 1e6 / GIVE_UP_RATIO - 1)
+    assert given_up.evaluations <= coarse.evaluations
+    assert given_up.cost_m2 >= coarse.cost_m2
     assert easy.cost_m2 < 300e-6 < coarse.cost_m2
     assert easy.evaluations < 2000
     assert hard.evaluations > 3 * coarse.evaluations
@@ -139,7 +139,7 @@ def test_search_that_can_only_end_in_a_wrong_place_ends_at_once() -> None:
     assert whole.converged
     assert not ended.converged
     assert ended.evaluations < 0.7 * whole.evaluations
-    assert min(whole.cost_m2, ended.cost_m2) > HOPELESS * 100e-6
+    assert min(whole.cost_m2, ended.cost_m2) > GIVE_UP_RATIO * 100e-6
 
 
 def test_scans_that_share_nothing_cost_infinity() -> None:

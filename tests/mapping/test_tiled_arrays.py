@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mavnav.kernels.layout import SHIFT, WIDE
 from mavnav.mapping import tiled_arrays
-from mavnav.mapping.tiled_arrays import blank_strips, covering, in_strips, moved, plain, pooled, room, within
+from mavnav.mapping.tiled_arrays import blank_strips, covered_extent, covering, in_strips, moved, plain, pooled, within
 from mavnav.memory import SMALL_BYTES, blank
 
 cells = st.tuples(st.integers(-500, 500), st.integers(-500, 500))
@@ -32,15 +32,15 @@ def test_a_lattice_covers_what_is_asked_and_what_it_covered(
 
 
 @given(origin=cells, beyond=st.integers(0, 9), share=st.tuples(st.floats(-0.2, 1.2), st.floats(-0.2, 1.2)))
-def test_where_there_is_room_nothing_grows(origin: tuple[int, int], beyond: int, share: tuple[float, float]) -> None:
+def test_the_covered_extent_needs_no_growth(origin: tuple[int, int], beyond: int, share: tuple[float, float]) -> None:
     cell_m, present = 0.05, (70, 130)
-    room_m = room((origin[0] * cell_m, origin[1] * cell_m), present, cell_m, beyond)
-    x = room_m[0] + share[0] * (room_m[2] - room_m[0])
-    y = room_m[1] + share[1] * (room_m[3] - room_m[1])
+    covered_m = covered_extent((origin[0] * cell_m, origin[1] * cell_m), present, cell_m, beyond)
+    x = covered_m[0] + share[0] * (covered_m[2] - covered_m[0])
+    y = covered_m[1] + share[1] * (covered_m[3] - covered_m[1])
     inside = 0 <= min(share) <= max(share) <= 1
-    assert within((x, y, x, y), room_m) == inside or min(map(abs, (*share, share[0] - 1, share[1] - 1))) < 1e-9
+    assert within((x, y, x, y), covered_m) == inside or min(map(abs, (*share, share[0] - 1, share[1] - 1))) < 1e-9
     col, row = floor(x / cell_m), floor(y / cell_m)
-    if within((x, y, x, y), room_m):
+    if within((x, y, x, y), covered_m):
         assert covering((col - beyond, row - beyond), (col + beyond, row + beyond), present, origin, 8) is None
 
 

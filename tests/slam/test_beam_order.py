@@ -13,7 +13,13 @@ from mavnav.config.models import Config, RobustConfig
 from mavnav.pose import Pose
 from mavnav.scan import Scan
 from mavnav.slam import beam_order
-from mavnav.slam.beam_order import STRETCH_SCANS, backwards, is_backwards, is_plainly_listed, turning_stretch
+from mavnav.slam.beam_order import (
+    STRETCH_SCANS,
+    listed_fits_better,
+    reverse_fits_better,
+    reversed_scan,
+    turning_stretch,
+)
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.scan_matching import Match, no_match
 from mavnav.slam.track import Track
@@ -59,7 +65,7 @@ def test_the_right_order_is_kept(sweeps: list[Scan]) -> None:
 
 
 def test_a_wrong_order_is_found_out_and_said(sweeps: list[Scan]) -> None:
-    wrong = [backwards(scan) for scan in sweeps]
+    wrong = [reversed_scan(scan) for scan in sweeps]
     (warning,) = run_slam(lambda: wrong, Config(), 0.1).warnings
     assert "reverse" in warning
     right = run_slam(lambda: sweeps, Config(), 0.1)
@@ -88,15 +94,15 @@ def test_a_laser_that_hardly_turns_tells_nothing(yaws: list[float]) -> None:
 
 
 def test_the_other_order_must_be_clearly_better() -> None:
-    assert not is_backwards([at(1.0)] * 5, [at(0.95)] * 5)
-    assert is_backwards([at(1.0)] * 5, [at(0.8)] * 5)
-    assert not is_backwards([at(np.inf)] * 5, [at(0.8)] * 5)
+    assert not reverse_fits_better([at(1.0)] * 5, [at(0.95)] * 5)
+    assert reverse_fits_better([at(1.0)] * 5, [at(0.8)] * 5)
+    assert not reverse_fits_better([at(np.inf)] * 5, [at(0.8)] * 5)
 
 
 def test_a_glance_at_the_map_spares_the_trial_where_the_told_order_is_plainly_right() -> None:
-    assert is_plainly_listed([at(1.0)] * 5, [at(1.4)] * 5)
-    assert not is_plainly_listed([at(1.0)] * 5, [at(1.3)] * 5)
-    assert not is_plainly_listed([at(np.inf)] * 5, [at(1.4)] * 5)
+    assert listed_fits_better([at(1.0)] * 5, [at(1.4)] * 5)
+    assert not listed_fits_better([at(1.0)] * 5, [at(1.3)] * 5)
+    assert not listed_fits_better([at(np.inf)] * 5, [at(1.4)] * 5)
 
 
 def test_the_right_order_is_tracked_once_and_a_wrong_one_tried(
@@ -106,5 +112,5 @@ def test_the_right_order_is_tracked_once_and_a_wrong_one_tried(
     monkeypatch.setattr(Track, "over", _counted(Track.over, maps))
     run_slam(lambda: sweeps, Config(), 0.1)
     assert len(maps) == 1
-    run_slam(lambda: [backwards(scan) for scan in sweeps], Config(), 0.1)
+    run_slam(lambda: [reversed_scan(scan) for scan in sweeps], Config(), 0.1)
     assert len(maps) == 1 + 4  # as told, the trial of both, and the whole track again

@@ -14,7 +14,7 @@ from mavnav.ground_truth.references import References
 from mavnav.pipelines.replay import with_recorded_truth
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
-from mavnav.slam.parts import LEAST_WITNESSES, agreed, witnesses
+from mavnav.slam.parts import LEAST_AGREEING, consensus, spread_out
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
 from mavnav.slam.scan_matching import no_match
@@ -101,15 +101,15 @@ def step(pose: Pose) -> Step:
     return Step(0, 0, no_match(pose), tracked=True)
 
 
-def test_a_laser_at_rest_is_one_witness() -> None:
-    assert len(witnesses([step(Pose(0.01 * k)) for k in range(20)])) == 1
-    assert len(witnesses([step(Pose(0.3 * k)) for k in range(4)])) == 4
+def test_scans_of_a_laser_at_rest_count_once() -> None:
+    assert len(spread_out([step(Pose(0.01 * k)) for k in range(20)])) == 1
+    assert len(spread_out([step(Pose(0.3 * k)) for k in range(4)])) == 4
 
 
-def test_witnesses_must_agree() -> None:
+def test_scans_of_a_part_must_agree() -> None:
     places, moved = [Pose(0.3 * k) for k in range(5)], Pose(1.0, 2.0, 0.5)
     pairs = [(place, moved @ place) for place in places]
-    assert agreed(pairs[: LEAST_WITNESSES - 1]) is None
-    assert agreed(pairs[:LEAST_WITNESSES]).gap(moved)[0] < 1e-9
-    wrong = [(place, Pose(5.0 + k, 1.0, 2.0 * k)) for k, place in enumerate(places[:LEAST_WITNESSES])]
-    assert agreed([*pairs[:LEAST_WITNESSES], *wrong]) is None
+    assert consensus(pairs[: LEAST_AGREEING - 1]) is None
+    assert consensus(pairs[:LEAST_AGREEING]).gap(moved)[0] < 1e-9
+    wrong = [(place, Pose(5.0 + k, 1.0, 2.0 * k)) for k, place in enumerate(places[:LEAST_AGREEING])]
+    assert consensus([*pairs[:LEAST_AGREEING], *wrong]) is None

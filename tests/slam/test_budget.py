@@ -24,37 +24,37 @@ ELSEWHERE = polyline((0, 0), (2.2, 0), (3.1, 1.4), (1.2, 2.6), (-0.4, 1.6), clos
 LOST = 150
 
 
-def test_a_search_is_paid_for_by_what_scans_earned() -> None:
+def test_a_search_spends_the_credit_of_scans() -> None:
     budget = Budget(each_scan=2.0, first=5.0, most=20.0)
-    assert not budget.pays(8.0)
+    assert not budget.spend(8.0)
     assert not budget.is_ready
     budget.earn()
     budget.earn()
     assert budget.is_ready
-    assert budget.pays(8.0)
+    assert budget.spend(8.0)
     assert budget.credit == 1.0
 
 
-def test_a_search_of_more_than_the_most_credit_is_paid_off_later() -> None:
+def test_a_search_above_the_maximum_credit_leaves_a_negative_one() -> None:
     budget = Budget(each_scan=30.0, first=0.0, most=20.0)
-    assert not budget.pays(50.0)
+    assert not budget.spend(50.0)
     budget.earn()
     assert budget.credit == 20.0
-    assert budget.pays(50.0)
+    assert budget.spend(50.0)
     assert budget.credit == -30.0
     budget.earn()
-    assert not budget.pays(1.0)
+    assert not budget.spend(1.0)
 
 
 def test_what_is_lent_comes_back_if_the_scan_is_found() -> None:
     budget = Budget(each_scan=2.0, first=50.0, most=60.0)
     for _ in range(9):
-        assert budget.pays(20.0, lent=True)
+        assert budget.spend(20.0, refundable=True)
         budget.earn(found=True)
     assert budget.credit == 60.0
-    assert budget.pays(20.0)
+    assert budget.spend(20.0)
     budget.earn(found=True)
-    assert budget.pays(20.0, lent=True)
+    assert budget.spend(20.0, refundable=True)
     budget.earn()
     budget.earn(found=True)
     assert budget.credit == 26.0
@@ -104,13 +104,13 @@ def test_a_lost_laser_is_searched_as_its_scans_earn() -> None:
 def test_without_credit_the_whole_map_is_not_searched() -> None:
     method, scan = Robust(Config()), scan_at(furnished_rooms(), Pose(1.0, 1.0))
     method.insert(scan, Pose(1.0, 1.0), Motion(0.1))
-    assert method.pays_for_whole_map(scan)
+    assert method.reserve_whole_map_search(scan)
     method._whole_budget.credit = 0.0
-    assert not method.pays_for_whole_map(scan)
+    assert not method.reserve_whole_map_search(scan)
     blank = Scan(0, np.full(scan.spec.beams, np.nan), scan.spec)
     method._whole_budget.credit = 1e9
-    assert not method.pays_for_whole_map(blank)
-    assert not Robust(Config())._whole_budget.pays(1e9)
+    assert not method.reserve_whole_map_search(blank)
+    assert not Robust(Config())._whole_budget.spend(1e9)
 
 
 @pytest.mark.parametrize(
@@ -128,4 +128,4 @@ def test_without_credit_the_whole_map_is_not_searched() -> None:
 )
 def test_when_the_whole_map_is_searched(verdict: Verdict, missed: int, odometry: bool, expected: bool) -> None:
     motion = Motion(0.1, (lambda _: Pose()) if odometry else None)
-    assert tracker.worth_a_search(verdict, TrackState(motion, missed=missed)) is expected
+    assert tracker.needs_whole_map_search(verdict, TrackState(motion, missed=missed)) is expected

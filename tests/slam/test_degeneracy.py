@@ -1,4 +1,4 @@
-"""Walls that leave a direction open: there a laser without odometry slides, and nothing else tells it."""
+"""Degenerate geometry: motion in one direction is not observable without odometry, and only a warning shows it."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ def driven(walls: np.ndarray, *way_m: tuple[float, float]) -> Recording:
     ],
     ids=["corridor", "one wall", "round room"],
 )
-def test_a_direction_that_is_left_open_is_told(walls: np.ndarray, way: list[tuple[float, float]]) -> None:
+def test_degenerate_geometry_is_reported(walls: np.ndarray, way: list[tuple[float, float]]) -> None:
     drive = driven(walls, *way)
     found = run_slam(lambda: drive.scans, Config(), 0.1)
     (warning,) = found.warnings
-    assert "leave a direction open" in warning
+    assert "motion in one direction is not observable" in warning
     assert found.doubt is not None
     assert found.doubt.high
     assert "weakly constrained pose" in {reason.name for reason in found.doubt.reasons}

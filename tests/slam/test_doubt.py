@@ -39,7 +39,7 @@ def clean(*, compared: bool = False, **changes: object) -> Evidence:
         points=np.full(N, 300),
         observed=np.full(N, 0.1),
         conflicts=np.zeros(N),
-        rivals=np.full(N, np.inf),
+        heading_margins=np.full(N, np.inf),
         resampled=xyyaw.copy() if compared else np.full((N, 3), np.nan),
         tilt_rad=np.zeros(N),
     )
@@ -72,7 +72,7 @@ PLANTED = {
     "two tracks disagree": clean(resampled=jumped(x_m=0.4)),
     "weakly constrained pose": clean(observed=np.full(N, 0.001)),
     "sampling too sparse for the motion": clean(xyyaw=clean().xyyaw * (8.0, 1.0, 1.0)),
-    "symmetric place": clean(xyyaw=jumped(yaw_deg=90.0), rivals=some(0.05, np.inf)),
+    "symmetric place": clean(xyyaw=jumped(yaw_deg=90.0), heading_margins=some(0.05, np.inf)),
     NOT_PLANAR: clean(conflicts=np.full(N, 0.08), tilt_rad=np.full(N, 0.2)),
     "too few beams": clean(points=np.full(N, 50)),
     "gap": clean(stamps_ns=late()),

@@ -146,14 +146,14 @@ def swaying(sign: float, steps: int = 30) -> tuple[Motion, Pose]:
 
 def test_a_measured_yaw_rate_that_fits_predicts_the_turn() -> None:
     motion, there = swaying(1.0)
-    assert motion.proof.fits
+    assert motion.yaw_rate_fit.fits
     assert close(motion.predict(3000 * MS), there, 1e-3)
     turn_rad = motion.map_T_laser.between(there).yaw_rad
     assert motion.twist_at(3000 * MS)[2] == pytest.approx(turn_rad / 0.1, abs=0.02)
-    assert not swaying(1.0, 8)[0].proof.fits
+    assert not swaying(1.0, 8)[0].yaw_rate_fit.fits
 
 
 def test_a_measured_yaw_rate_of_the_wrong_sign_is_not_used() -> None:
     motion, _ = swaying(-1.0)
-    assert not motion.proof.fits
+    assert not motion.yaw_rate_fit.fits
     assert motion.predict(3000 * MS) == motion._replace(rotation=None).predict(3000 * MS)

@@ -31,7 +31,7 @@ from mavnav.slam.relocalization import (
     merged,
     minima,
     motion_cost,
-    unrivalled,
+    unambiguous,
     with_conflicts,
     within_reach,
 )
@@ -102,7 +102,7 @@ def test_a_large_region_is_searched_in_parts(monkeypatch: pytest.MonkeyPatch) ->
         monkeypatch.setattr(relocalization, "AT_ONCE", -(-len(region[0]) // parts))
         found.append(candidates(points, method.lines, method.known, region, exhaustive))
     assert len(found[0]) == len(found[1]) == CANDIDATES
-    best = [unrivalled(some, 0.0, method.config) for some in found]
+    best = [unambiguous(some, 0.0, method.config) for some in found]
     assert best[0] == best[1] is not None
 
 
@@ -190,13 +190,13 @@ def test_surprise_is_measured_in_accelerations() -> None:
     assert motion_cost(Pose(), Pose(0.6, 0.0, 0.0), 0.5) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(("walls", "firm"), [(room(4.0, 3.0), True), (polyline((-20, 0), (20, 0)), False)])
-def test_a_place_is_firm_where_walls_hold_it_from_all_sides(walls: np.ndarray, firm: bool) -> None:
+@pytest.mark.parametrize(("walls", "observable"), [(room(4.0, 3.0), True), (polyline((-20, 0), (20, 0)), False)])
+def test_a_pose_is_observable_with_walls_on_all_sides(walls: np.ndarray, observable: bool) -> None:
     here = Pose(1.5, 1.2, 0.3)
     method = mapped(walls, [here])
     points = method.match_points(scan_at(walls, here))
     least = least_growth(points, here, method.lines, Config())
-    assert least > 0.2 if firm else least < 0.03
+    assert least > 0.2 if observable else least < 0.03
 
 
 # ---- the whole loop --------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from mavnav.slam.doubt.record import NOT_PLANAR, Doubt, Reason
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.registry import make_method
-from mavnav.slam.remedy import FINER, HOPELESS, with_remedy
+from mavnav.slam.remedy import FINER, INHERENT, with_remedy
 from mavnav.slam.scan_matching import first_match, no_match
 from mavnav.slam.steps import Step, Steps
 from mavnav.slam.track import Track
@@ -72,7 +72,11 @@ def test_another_track_that_is_no_better_is_reported_and_not_used(other: Track) 
 
 @pytest.mark.parametrize(
     "first",
-    [track(0.5), *(track(0.9, reason=reason) for reason in (*HOPELESS, NOT_PLANAR)), replace(track(0.9), doubt=None)],
+    [
+        track(0.5),
+        *(track(0.9, reason=reason) for reason in (*INHERENT, NOT_PLANAR)),
+        replace(track(0.9), doubt=None),
+    ],
 )
 def test_no_remedy_is_tried_where_none_is_needed_or_helps(first: Track) -> None:
     assert remedied(first, track(0.1)) == (first, [])

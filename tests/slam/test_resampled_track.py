@@ -17,7 +17,7 @@ from mavnav.slam import resampled_track
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.registry import make_method
-from mavnav.slam.resampled_track import FEW_POINTS, SPARSE_SCANS, blur, coarser, in_doubt
+from mavnav.slam.resampled_track import FEW_POINTS, SPARSE_SCANS, coarser, in_doubt, rank
 from mavnav.slam.result import SlamResult
 from mavnav.slam.scan_matching import Match
 from mavnav.slam.steps import Step, Steps
@@ -75,7 +75,7 @@ def test_scans_lost_weigh_more_than_cells(tour: Recording) -> None:
     blind = replace(tour.scans[0], ranges_m=np.full(tour.scans[0].spec.beams, np.nan))
     gap = tracked([replace(blind, stamp_ns=s.stamp_ns) if 40 <= k < 60 else s for k, s in enumerate(tour.scans)])
     assert np.count_nonzero(gap.method.grid.hits) < np.count_nonzero(whole.method.grid.hits)
-    assert blur(whole) < blur(gap)
+    assert rank(whole) < rank(gap)
 
 
 def test_plenty_of_points_on_line_and_the_paper_want_no_second_opinion(tour: Recording, sparse: list[Scan]) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from mavnav.pose import Pose
 from mavnav.slam.motion_model import Motion
-from mavnav.slam.track_state import PROOFS, TrackState, Verdict
+from mavnav.slam.track_state import CONFIRMATIONS, TrackState, Verdict
 
 MS = 1_000_000
 HERE, THERE = Pose(1.0, 0.0, 0.0), Pose(4.0, 2.0, 1.0)
@@ -29,7 +29,7 @@ def test_a_refused_match_leaves_it_where_it_was(belief: TrackState) -> None:
 
 def test_a_place_found_again_is_believed_when_the_next_scans_agree(belief: TrackState) -> None:
     trial = belief.after(Verdict.PROBABLE, THERE, 0)
-    for k in range(1, PROOFS):
+    for k in range(1, CONFIRMATIONS):
         assert trial.here.map_T_laser == THERE
         assert trial.motion == belief.motion
         trial = trial.after(Verdict.SURE, THERE, k * 100 * MS)
@@ -39,4 +39,4 @@ def test_a_place_found_again_is_believed_when_the_next_scans_agree(belief: Track
 
 def test_a_trial_that_fails_leaves_the_old_belief(belief: TrackState) -> None:
     after = belief.after(Verdict.PROBABLE, THERE, 0).after(Verdict.REFUSED, THERE, 100 * MS)
-    assert (after.here, after.proofs, after.missed) == (belief.motion, 0, 2)
+    assert (after.here, after.confirmations, after.missed) == (belief.motion, 0, 2)

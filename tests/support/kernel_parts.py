@@ -14,7 +14,7 @@ from mavnav.kernels.line_search.cost import Lines, Middle, Window
 from mavnav.kernels.line_search.cost import cost_sum as _cost_sum
 from mavnav.kernels.line_search.plane import shift_sums as _shift_sums
 from mavnav.kernels.line_search.quadratic_form import quadratic_form as _quadratic_form
-from mavnav.kernels.line_search.search import on_known_ground as _on_known_ground
+from mavnav.kernels.line_search.search import on_mapped_area as _on_mapped_area
 from mavnav.kernels.points import voxel_means as _voxel_means
 
 
@@ -63,5 +63,5 @@ def quadratic_form(points, at, window, form, loose, nearest, lines, geometry):
 
 
 @kernel(float64[:, ::1](F64_2D, F64_1D, float64, float64, U32_2D, F64_2D, F64_1D))
-def on_known_ground(points, at, closeness, known_points, nearest, lines, geometry):
-    return _on_known_ground(points, _middle(at), closeness, known_points, _lines(nearest, lines, geometry))
+def on_mapped_area(points, at, closeness, known_points, nearest, lines, geometry):
+    return _on_mapped_area(points, _middle(at), closeness, known_points, _lines(nearest, lines, geometry))

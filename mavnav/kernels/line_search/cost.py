@@ -1,6 +1,6 @@
-"""The cost of a scan's points on the map's lines, and what all grids of the search share (see ``search``).
+"""The cost of a scan's points on the map's lines, and helpers of all grids of the search (see ``search``).
 
-Points (2, n) are given about their centroid, m, in the laser's axes; sums over them are m2.
+Points (2, n) are given relative to their centroid, m, along the laser's axes; sums over them are in m2.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 CHUNK = 32
-"""Points between two comparisons with the bound."""
+"""Number of points between two comparisons with the bound."""
 ROUNDING_M2 = 1e-9
-"""Above any difference between two orders of summation, as long as maps are smaller than 100 km."""
+"""Upper bound of the difference between two orders of summation, for maps smaller than 100 km."""
 
 
 class Lines(NamedTuple):
@@ -32,7 +32,7 @@ class Lines(NamedTuple):
 
 
 class Middle(NamedTuple):
-    """The middle of a grid: centroid of the points and yaw in the map frame, and where the centroid was expected."""
+    """The middle of a grid: centroid of the points and yaw in the map frame, and the expected centroid, m and rad."""
 
     x_m: float
     y_m: float
@@ -42,7 +42,7 @@ class Middle(NamedTuple):
 
 
 class Window(NamedTuple):
-    """Half-widths of a grid, the cost of a squared metre from where the centroid was expected, and the truncation."""
+    """Half-widths of a grid, the cost of a squared metre of distance from the expected centroid, and the truncation."""
 
     half_m: float
     half_rad: float
@@ -53,7 +53,7 @@ class Window(NamedTuple):
 
 @helper
 def mean(values: NDArray[np.float64]) -> float:
-    """Return the mean; NumPy's own in a kernel costs 0.1 s of start-up, because it loads scipy with it."""
+    """Return the mean; NumPy's own takes 0.1 s at start-up in a kernel, because it loads scipy."""
     total = 0.0
     for value in values:
         total += value
@@ -72,7 +72,7 @@ def mean_absolute(values: NDArray[np.float64]) -> float:
 
 @helper
 def least(sums: NDArray[np.float64]) -> tuple[float, int]:
-    """Return up to where rounding may hide the least, and its index where it is alone there, else -1."""
+    """Return the least sum plus a tolerance for rounding, and its index; -1 if another sum is within the tolerance."""
     at = 0
     for k in range(len(sums)):
         if sums[k] < sums[at]:
@@ -85,7 +85,7 @@ def least(sums: NDArray[np.float64]) -> tuple[float, int]:
 
 @helper
 def rotate(points: NDArray[np.float64], yaw_rad: float, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-    """Write the points (2, n), turned by a yaw, to ``x`` and ``y`` (n,)."""
+    """Write the points (2, n), rotated by a yaw, to ``x`` and ``y`` (n,)."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     from_x, from_y = points[0], points[1]
     for k in range(len(x)):
@@ -103,9 +103,9 @@ def cost_sum(
     line_map: Lines,
     bound: float,
 ) -> float:
-    """Sum the squared, truncated distances of points, shifted by ``to_x``, ``to_y``, to their lines.
+    """Return the sum of the squared, truncated distances of points, shifted by ``to_x``, ``to_y``, to their lines.
 
-    Gives up once the sum exceeds ``bound``.
+    The sum is incomplete once it exceeds ``bound``.
     """
     nearest, lines = line_map.nearest, line_map.lines
     ox, oy, cells_per_m = line_map.origin_x_m, line_map.origin_y_m, 1.0 / line_map.cell_m

@@ -1,4 +1,4 @@
-"""The grid of shifts in the plane, with the yaw fixed."""
+"""Search over a grid of shifts in the plane, with the yaw fixed."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from mavnav.kernels.line_search.cost import Lines, Middle
 
 RECTANGLE_COST = 3
-"""Of a polynomial on a rectangle of candidates, in candidates summed point by point."""
+"""Cost of a polynomial on a rectangle of candidates, in candidates that are summed point by point."""
 
 
 @helper
 def _shift(ji: int, nx: int, ny: int, middle: Middle, window: Window) -> tuple[float, float, float]:
-    """Return the centroid of candidate j nx + i of the plane, and what its distance costs a point."""
+    """Return the centroid of candidate j nx + i of the plane, and the prior cost of its distance per point."""
     x = middle.x_m - window.half_m + (ji % nx) * (2 * window.half_m / (nx - 1))
     y = middle.y_m - window.half_m + (ji // nx) * (2 * window.half_m / (ny - 1))
     dx, dy = x - middle.expected_x_m, y - middle.expected_y_m
@@ -32,23 +32,23 @@ def _shift(ji: int, nx: int, ny: int, middle: Middle, window: Window) -> tuple[f
 
 @helper
 def _integrate(
-    bends: NDArray[np.float64], right: NDArray[np.float64], up: NDArray[np.float64], sums: NDArray[np.float64]
+    diffs: NDArray[np.float64], right: NDArray[np.float64], up: NDArray[np.float64], sums: NDArray[np.float64]
 ) -> None:
-    """Sum second differences (ny, nx, 6) of polynomials up, and add each candidate's value to ``sums``."""
+    """Integrate second differences (ny, nx, 6) of polynomials, and add each candidate's value to ``sums``."""
     ny, nx = sums.shape
-    flat = bends.ravel()
+    flat = diffs.ravel()
     for m in range(6 * nx, len(flat)):
         flat[m] += flat[m - 6 * nx]
     for j in range(ny):
         v, p0, p_u, p_v, p_uu, p_uv, p_vv = up[j], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(nx):
             u = right[i]
-            p0 += bends[j, i, 0]
-            p_u += bends[j, i, 1]
-            p_v += bends[j, i, 2]
-            p_uu += bends[j, i, 3]
-            p_uv += bends[j, i, 4]
-            p_vv += bends[j, i, 5]
+            p0 += diffs[j, i, 0]
+            p_u += diffs[j, i, 1]
+            p_v += diffs[j, i, 2]
+            p_uu += diffs[j, i, 3]
+            p_uv += diffs[j, i, 4]
+            p_vv += diffs[j, i, 5]
             sums[j, i] += p0 + u * (p_u + u * p_uu + v * p_uv) + v * (p_v + v * p_vv)
 
 
@@ -61,9 +61,10 @@ def _spans(
     cells: NDArray[np.int64],
     starts: NDArray[np.int64],
 ) -> int:
-    """Write which cells a point comes to by evenly spaced moves along an axis, and the first move to each.
+    """Write the cells that a point reaches by evenly spaced moves along an axis, and the first move to each.
 
-    The number of moves stands behind them. The sums are those of ``slot_at``. Returns how many cells there are.
+    After the last cell the number of moves is written. The operations are those of ``slot_at``. Returns the number of
+    cells.
     """
     last = len(to) - 1
     first, end = (p + to[0] - origin) * inverse, np.floor((p + to[last] - origin) * inverse)
@@ -84,7 +85,7 @@ def _spans(
 
 @helper
 def _nodes(middle_m: float, half_m: float, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the nodes of a grid along an axis, and what they are from its middle."""
+    """Return the nodes of a grid along an axis, and their distances from its middle."""
     to, away = np.empty(count), np.empty(count)
     for i in range(count):
         to[i] = middle_m - half_m + i * (2 * half_m / (count - 1))
@@ -100,12 +101,12 @@ def shift_sums(
     sums: NDArray[np.float64],
     line_map: Lines,
 ) -> None:
-    """Add the costs of all shifts of the turned points to ``sums`` (ny, nx), right but for rounding.
+    """Add the costs of all shifts of the rotated points to ``sums`` (ny, nx), exact except for rounding.
 
-    Points that stay in their cells make one form. For each of the others candidates that put it into one cell form a
-    rectangle, over which its cost is one polynomial of the shift. ``bends`` hold the second differences of the sum of
-    these polynomials; each rectangle adds what it differs by at its first corner, ``steps`` what the rectangles of the
-    row before did along theirs.
+    Points that stay in their cells are summed in one quadratic form. For each other point, the candidates that put it
+    into one cell form a rectangle, on which its cost is one polynomial of the shift. ``diffs`` are the second
+    differences of the sum of these polynomials. Each rectangle adds its difference from the last one at its first
+    corner, less ``steps``, the differences of the rectangles in the row before.
     """
     ny, nx = sums.shape
     nearest, lines, half_m, truncate_m2 = line_map.nearest, line_map.lines, window.half_m, window.truncate_m2
@@ -115,9 +116,9 @@ def shift_sums(
     form, loose = np.zeros((5, 5)), np.empty(points.shape[1], np.int64)
     shifting = Window(half_m, 0.0, window.prior, truncate_m2, window.prune)
     found = quadratic_form(points, middle, shifting, form, loose, line_map)
-    bends, steps = np.zeros((ny, nx, 6)), np.zeros((nx, 6))
-    bends[0, 0, 0], bends[0, 0, 1], bends[0, 0, 2] = form[0, 0], 2.0 * form[0, 3], 2.0 * form[0, 4]
-    bends[0, 0, 3], bends[0, 0, 4], bends[0, 0, 5] = form[3, 3], 2.0 * form[3, 4], form[4, 4]
+    diffs, steps = np.zeros((ny, nx, 6)), np.zeros((nx, 6))
+    diffs[0, 0, 0], diffs[0, 0, 1], diffs[0, 0, 2] = form[0, 0], 2.0 * form[0, 3], 2.0 * form[0, 4]
+    diffs[0, 0, 3], diffs[0, 0, 4], diffs[0, 0, 5] = form[3, 3], 2.0 * form[3, 4], form[4, 4]
     ox, oy, inverse = line_map.origin_x_m, line_map.origin_y_m, 1.0 / line_map.cell_m
     near, far = max(truncate_m - 1.5 * half_m, 0.0) ** 2, (truncate_m + 1.5 * half_m) ** 2
     flat, wide, last_col, last_row = nearest.ravel(), nearest.shape[1], nearest.shape[1] - 1, nearest.shape[0] - 1
@@ -148,7 +149,7 @@ def shift_sums(
                             sums[j, i] += min(x * x * a + 2.0 * x * y * b + y * y * d, truncate_m2)
                 d0, d_u, d_v, d_uu, d_uv, d_vv = p0 - l0, p_u - l_u, p_v - l_v, p_uu - l_uu, p_uv - l_uv, p_vv - l_vv
                 l0, l_u, l_v, l_uu, l_uv, l_vv = p0, p_u, p_v, p_uu, p_uv, p_vv
-                before, bend = steps[uint64(q)], bends[j0, i0]
+                before, bend = steps[uint64(q)], diffs[j0, i0]
                 bend[0] += d0 - before[0]
                 bend[1] += d_u - before[1]
                 bend[2] += d_v - before[2]
@@ -158,7 +159,7 @@ def shift_sums(
                 before[0], before[1], before[2], before[3], before[4], before[5] = d0, d_u, d_v, d_uu, d_uv, d_vv
         for q in range(n_i):
             steps[uint64(q)] = 0.0
-    _integrate(bends, right, up, sums)
+    _integrate(diffs, right, up, sums)
 
 
 @helper
@@ -170,7 +171,7 @@ def least_shift(
     ny: int,
     line_map: Lines,
 ) -> int:
-    """Return the index j nx + i of the shift of the least cost; every candidate finds its own lines."""
+    """Return the index j nx + i of the shift of least cost, with the lines found separately for every candidate."""
     n, pruned, truncate_m2 = points.shape[1], window.prune, window.truncate_m2
     by_cells = pruned and RECTANGLE_COST * (2 * window.half_m / line_map.cell_m + 1) ** 2 < nx * ny
     sums, near = np.zeros((ny, nx)), np.inf

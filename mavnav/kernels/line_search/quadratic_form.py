@@ -1,4 +1,4 @@
-"""Fixed correspondences: one quadratic form of the motion stands for the points whose lines do not change."""
+"""Fixed correspondences: one quadratic form of the motion replaces all points whose lines do not change."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from mavnav.kernels.line_search.cost import Lines, Middle, Window
 
 LANES = 32
-"""Sums over points run in so many lanes, so that the compiler adds several at once without changing their order."""
+"""Number of SIMD lanes of sums over points: several are added at a time in an unchanged order."""
 
 
 @helper
 def _fold(sums: NDArray[np.float64]) -> None:
-    """Add up the lanes of each row in its first one."""
+    """Sum the lanes of each row into its first one."""
     half = LANES // 2
     while half:
         for row in range(len(sums)):
@@ -41,9 +41,9 @@ def quadratic_form(
 ) -> int:
     """Write the quadratic form (5, 5) of the cost sum in (1, cos - 1, sin, right, up) of a motion from the middle.
 
-    Every point keeps the line that it has there; one that is truncated there stays so. But points that the window
-    brings to another cell, or to and from truncation, are left out and listed in ``loose`` (n,), if that has room;
-    returns how many. Only the upper triangle is written.
+    Every point keeps its line at the middle, or stays truncated. If ``loose`` (n,) has space, points that the window
+    moves to another cell, or across the truncation, are left out and listed there; returns their number. Only the upper
+    triangle is written.
     """
     nearest, lines = line_map.nearest, line_map.lines
     n, fixes_all, found = points.shape[1], len(loose) == 0, 0
@@ -75,14 +75,14 @@ def quadratic_form(
             a, b, d = p[4, k], p[5, k], p[6, k]
             hx, hy = a * dx + b * dy, b * dx + d * dy
             d2 = dx * hx + dy * hy
-            # Eigenvalues are 1 at most: a point that moves so far is no farther from its line, nor nearer, than that.
+            # The eigenvalues are at most 1: the distance to the line changes by at most the motion of the point.
             move = half_m + half_rad * (abs(ex) + abs(ey)) + 1e-9
             near, far = max(truncate_m - 1.5 * move, 0.0), truncate_m + 1.5 * move
             stays = 1.0 if fixes_all or (p[7, k] > move and (d2 < near * near or d2 >= far * far)) else 0.0
             p[8, k] = stays
             kept = stays if d2 < truncate_m2 else 0.0
             a, b, d, hx, hy = kept * a, kept * b, kept * d, kept * hx, kept * hy
-            # The point moves by (cos - 1) e + sin e' + (right, up), e' at right angles to e.
+            # The point moves by (cos - 1) e + sin e' + (right, up), where e' is perpendicular to e.
             ax, ay = a * ex + b * ey, b * ex + d * ey
             bx, by = b * ex - a * ey, d * ex - b * ey
             g[0, k] += stays * min(d2, truncate_m2)
@@ -102,7 +102,7 @@ def quadratic_form(
             g[14, k] += d
         if not fixes_all:
             for k in range(block):
-                loose[uint64(found)] = first + k  # written over unless the point is loose
+                loose[uint64(found)] = first + k  # overwritten unless the point is loose
                 found += p[8, k] == 0.0
     _fold(g)
     m = 0
@@ -121,9 +121,9 @@ def quadratic_form(
 
 @helper
 def least_of_form(form: NDArray[np.float64], window: Window, turns: NDArray[np.float64], nx: int, ny: int) -> int:
-    """Return the index (a ny + j) nx + i of the least value over azimuths, ups and rights.
+    """Return the index (a ny + j) nx + i of the least value over yaw samples, ups and rights.
 
-    Along a row the form is a parabola, least at one of the two nodes about its vertex.
+    Along a row the form is a parabola with its minimum at one of the two nodes around its vertex.
     """
     half_m, azimuths, a, best, best_at = window.half_m, turns.shape[1], form[3, 3], np.inf, 0
     step_x, step_y, last = 2 * half_m / (nx - 1), 2 * half_m / (ny - 1), nx - 1.0

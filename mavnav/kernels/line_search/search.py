@@ -1,19 +1,19 @@
-"""Coarse-to-fine search over grids for the pose that lays a scan's points on the map (docs/method.md).
+"""Coarse-to-fine search over grids for the pose at which a scan's points fit the map best (docs/method.md).
 
-Grids are searched in turn as in the paper's minimisation, steps i-v: azimuth with the position fixed (``azimuth``),
-then the plane with the azimuth fixed (``plane``); the scan turns about its points' centroid. A point costs its squared
-distance to the line of the cell that it falls into (``cost``; arrays of ``linemap``). Where the window is a few cells
-wide every point first keeps the line that it has in the middle: then one quadratic form stands for a joint grid of
-azimuth and plane (``quadratic_form``).
+Grids are searched in turn as in the paper's minimisation, steps i-v: yaw with the position fixed (``azimuth``), then
+the plane with the yaw fixed (``plane``); the scan rotates about its points' centroid. The cost of a point is its
+squared distance to the line of the cell that contains it (``cost``; arrays of ``linemap``). If the window is a few
+cells wide, every point first keeps its line at the middle: one quadratic form then gives the cost on a joint grid of
+yaw and plane (``quadratic_form``).
 
 Every grid has an exhaustive and a pruned form with the same minimum: the same index, the lowest of equals, and the
-same cost, bit for bit. Pruning rests on three facts:
+same cost, bit for bit. Pruning uses three facts:
 
-* a sum of squares that exceeds the best total so far only grows: the rest of that candidate is left out;
-* while a point stays in one cell its cost is a polynomial of the motion, so that a few sums over the points stand for
-  all candidates: nearly, but for rounding, and what comes within `ROUNDING_M2` of the best is summed point by point;
-* a metric's eigenvalues are 1 at most, so that a cost bounds how far its point may move before it is truncated, or
-  after it was.
+* a sum of squares that exceeds the best total so far only increases: the rest of that candidate is left out;
+* while a point stays in one cell, its cost is a polynomial of the motion, so that a few sums over the points give the
+  costs of all candidates except for rounding; those within `ROUNDING_M2` of the best are summed point by point;
+* the eigenvalues of a metric are at most 1, so that a cost bounds how far its point may move before it is truncated,
+  or no longer truncated.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MAX_LEVELS = 40
-FEWEST_KNOWN = 0.5
-"""Share of the points on known ground below which the others decide too."""
+LEAST_MAPPED_SHARE = 0.5
+"""Share of points on mapped area below which all points are used."""
 
 
 class Grid(NamedTuple):
-    """Yaw samples, nodes of the plane in x and y, border extensions at most."""
+    """Numbers of yaw samples and of nodes of the plane in x and y, and maximum number of border extensions."""
 
     azimuths: int
     nx: int
@@ -59,7 +59,7 @@ def _turned(middle: Middle, turn_rad: float) -> Middle:
 
 @helper
 def _move_back(points: NDArray[np.float64], right_m: float, up_m: float) -> None:
-    """Subtract a shift from points (2, n); an expression of whole arrays would take 1 s to compile."""
+    """Subtract a shift from points (2, n); an expression with whole arrays would take 1 s to compile."""
     for k in range(points.shape[1]):
         points[0, k] -= right_m
         points[1, k] -= up_m
@@ -75,9 +75,9 @@ def _joint_search(
     rounds: int,
     line_map: Lines,
 ) -> tuple[Middle, int]:
-    """Search yaw and plane at once with fixed correspondences, ``rounds`` times and while the best is on the border.
+    """Search yaw and plane jointly with fixed correspondences, ``rounds`` times, or more if the best is on the border.
 
-    Returns the best pose and how many grids were searched.
+    Returns the best pose and the number of grids searched.
     """
     azimuths, nx, ny, extensions = grid
     form, no_list = np.zeros((5, 5)), np.empty(0, np.int64)
@@ -105,9 +105,9 @@ def _alternating_search(
     rounds: int,
     line_map: Lines,
 ) -> tuple[Middle, int, int]:
-    """Search yaw and plane in turn, every candidate on the lines where its points fall, ``rounds`` times.
+    """Alternate between yaw and plane ``rounds`` times, with the lines found separately for every candidate.
 
-    Returns the best pose, and how many grids of yaw and of the plane were searched.
+    Returns the best pose, and the numbers of yaw grids and plane grids searched.
     """
     azimuths, nx, ny, extensions = grid
     step_x, step_y = 2 * window.half_m / (nx - 1), 2 * window.half_m / (ny - 1)
@@ -130,13 +130,13 @@ def _alternating_search(
 
 
 @helper
-def on_known_ground(
+def on_mapped_area(
     points: NDArray[np.float64], middle: Middle, closeness: float, known_points: float, line_map: Lines
 ) -> NDArray[np.float64]:
-    """Return the points (2, m) on known ground; all, if those are too few.
+    """Return the points (2, m) on mapped area; all points if these are too few.
 
-    Known is where an occupied cell is near, with a ``closeness`` as ``nearest`` has it, and its line rests on
-    ``known_points`` or more.
+    Mapped area has an occupied cell near, with a closeness in ``nearest`` of at least ``closeness``, and its line is
+    fitted to at least ``known_points`` points.
     """
     nearest, lines, ox, oy, cell = line_map
     n, count = points.shape[1], 0
@@ -152,7 +152,7 @@ def on_known_ground(
         if closeness_of(there) >= closeness and lines[uint64(slot_of(there)), 5] >= known_points:
             kept[count] = k
             count += 1
-    if count < FEWEST_KNOWN * n:
+    if count < LEAST_MAPPED_SHARE * n:
         return points.copy()
     out = np.empty((2, count))
     for k in range(count):
@@ -162,7 +162,7 @@ def on_known_ground(
 
 @helper
 def _evaluated(points: NDArray[np.float64], middle: Middle, truncate_m2: float, line_map: Lines) -> tuple[float, int]:
-    """Return the cost sum of the points at the middle, m2, and how many lie within half the truncation distance."""
+    """Return the cost sum of the points at the middle, m2, and the number within half the truncation distance."""
     nearest, lines, ox, oy, cell = line_map
     n, total, inliers = points.shape[1], 0.0, 0
     x, y = np.empty(n), np.empty(n)
@@ -191,13 +191,13 @@ def search(
     ----------
     points : (n, 2) points in the laser's frame, m, in an order that makes any prefix a fair sample
     start : (3,) predicted pose in the map frame: x, y (m), yaw (rad)
-    grid : (5,) yaw samples, nodes of the plane in x and y, border extensions a grid at most, 1 to prune
-    limits : (13,) half-window in the plane (m) and azimuth (rad), spacing to stop at (m, rad), truncation (m), how many
-        points search until it is settled which decide, alternations a level down to a cell, what a squared metre away
-        from the start costs a point, the half-windows (m) up to which correspondences are fixed and up to which points
-        may change their cells as well, 0 for never; what known ground is (closeness, points of a line): within a cell
-        the points elsewhere are left out; and of how many points a scan is dense. Within a cell only dense scans fix
-        correspondences, and let points change their cells on the first and the last level alone
+    grid : (5,) yaw samples, nodes of the plane in x and y, maximum border extensions per grid, 1 to prune
+    limits : (13,) half-window in the plane (m) and yaw (rad), final spacing (m, rad), truncation (m), number of points
+        until those on mapped area are selected, rounds per level down to a cell, cost per point of a squared metre from
+        the start, largest half-window (m) with fixed correspondences, largest half-window (m) within a cell (0: none),
+        closeness and points of a line on mapped area, and least number of points of a dense scan. Within a cell, points
+        elsewhere than on mapped area are left out; only dense scans fix correspondences there, and alternate between
+        yaw and plane on the first and the last of these levels only
     nearest, lines, geometry : the map, see ``linemap``
     """
     (n_azimuths, n_x, n_y, n_extensions, prune), n = grid, len(points)
@@ -220,7 +220,7 @@ def search(
     at_x, at_y = x + start_c * pivot_x - start_s * pivot_y, y + start_s * pivot_x + start_c * pivot_y
     middle = Middle(at_x, at_y, yaw, at_x, at_y)
 
-    deciding, settled, few = centred, closeness == 0, int(min(n, few_points))
+    active, selected, few = centred, closeness == 0, int(min(n, few_points))
     dense, rounds = n >= dense_points, joint_rounds
     evaluations, grids, converged = 0, 0, False
     for _ in range(MAX_LEVELS):
@@ -228,8 +228,8 @@ def search(
         step_m, step_rad = max(2 * half_m / (nx - 1), 2 * half_m / (ny - 1)), 2 * half_rad / (azimuths - 1)
         last = step_m < stop_m and step_rad < stop_rad
         within = half_m <= within_below_m
-        sampled, fixed = within and not settled, half_m <= fixed_below_m and (dense or not within)
-        used = deciding if settled or (fixed and not sampled) else deciding[:, :few].copy()
+        sampled, fixed = within and not selected, half_m <= fixed_below_m and (dense or not within)
+        used = active if selected or (fixed and not sampled) else active[:, :few].copy()
         turns = turns_of(half_rad, azimuths)
         if fixed:
             middle, of_both = _joint_search(used, middle, window, nodes, turns, joint_rounds, line_map)
@@ -242,12 +242,12 @@ def search(
         evaluations += of_yaw * azimuths + of_plane * nx * ny
         grids += of_yaw + of_plane
         if sampled:
-            # Points on new ground lower the cost by falling back onto the map: the others decide, from this level on.
-            settled, deciding = True, on_known_ground(centred, middle, closeness, known_points, line_map)
-            right, up = mean(deciding[0]), mean(deciding[1])
+            # Points on unmapped area lower the cost by falling back onto the map: from here on they are left out.
+            selected, active = True, on_mapped_area(centred, middle, closeness, known_points, line_map)
+            right, up = mean(active[0]), mean(active[1])
             pivot_x, pivot_y = pivot_x + right, pivot_y + up
             _move_back(centred, right, up)
-            _move_back(deciding, right, up)
+            _move_back(active, right, up)
             c, s = np.cos(middle.yaw_rad), np.sin(middle.yaw_rad)
             middle = Middle(
                 middle.x_m + (c * right - s * up),
@@ -261,7 +261,7 @@ def search(
             converged = True
             break
         if within:
-            rounds = 1  # finer levels begin where they will end
+            rounds = 1  # finer levels start close to their result
         half_m, half_rad = min(1.5 * step_m, 0.9 * half_m), min(1.5 * step_rad, 0.9 * half_rad)
 
     total, inliers = _evaluated(centred, middle, truncate_m2, line_map)

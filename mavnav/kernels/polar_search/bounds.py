@@ -1,4 +1,4 @@
-"""Lower bounds of the cost of all candidates of a grid."""
+"""Lower bounds of the cost for all candidates of a grid."""
 
 from __future__ import annotations
 
@@ -7,8 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels._jit import helper
-from mavnav.kernels.polar_search.cost import Scan, see, span
-from mavnav.kernels.polar_search.fixed_beams import FIXED_SHARE, Reach, Sight, fix, reach_of, release, rest_of, sweep
+from mavnav.kernels.polar_search.cost import Scan, span, to_polar
+from mavnav.kernels.polar_search.fixed_beams import (
+    FIXED_SHARE,
+    Reach,
+    Sight,
+    classify,
+    find_fixed,
+    reach_of,
+    rest_of,
+    sweep,
+)
 from mavnav.kernels.polar_search.polynomial import polynomial, sum_loose
 from mavnav.kernels.polar_search.wide_bounds import bound_wide
 
@@ -19,10 +28,13 @@ if TYPE_CHECKING:
     from mavnav.kernels.polar_search.fixed_beams import Window
 
 FIXED_BEAMS, TRIMMED_BEAMS, WORTH_TRIMMING = 0.25, 6.0, 15
-"""Where points pass more beams on average, too few beams keep their segments, or are of no use on the whole grid; it
-takes as long to find these as to bound some ten candidates."""
+"""Bounds on the beams that points pass on the grid, on average.
+
+Above the first, too few beams keep their segments. Above the second, or with fewer candidates than the third, trimming
+is not worth its time, which is that of bounding some ten candidates.
+"""
 SUM_M2 = 1e-11
-"""More than the series of the bearings, and another order of summation, change a cost."""
+"""Upper bound of the change of a cost by the series of the bearings and the order of summation."""
 
 
 @helper
@@ -34,14 +46,14 @@ def bound(
     work: Work,
     bounds: NDArray[np.float64],
 ) -> Scan:
-    """Write a lower bound of each candidate's cost, -inf where none is known.
+    """Write a lower bound of each candidate's cost, -inf if unknown.
 
-    ``motions`` are those of the candidates, and of the grid's middle at the end; ``offsets`` (m, 2) from there. Returns
-    the scan without what matters nowhere on the grid: it costs the same, to the bit.
+    ``motions`` are those of the candidates, and of the grid's middle at the end; ``offsets`` (m, 2) are relative to it.
+    Returns the scan without the parts that contribute nowhere on the grid: its cost is the same, to the bit.
     """
     virtual, points, limits = scan
     n, beams, middle = points.shape[1], len(virtual), motions[-1]
-    see(points, middle, limits, work.r[:n], work.beam[:n])
+    to_polar(points, middle, limits, work.r[:n], work.beam[:n])
     reach, swept = Reach(np.empty(n), np.empty(n), np.empty(n)), np.empty((2, n))
     sight, fixed = Sight(np.empty(beams), np.empty(beams), np.empty(beams)), np.empty(beams, np.int64)
     passed, share = reach_of(scan, middle, window, work.r, reach)
@@ -51,11 +63,11 @@ def bound(
         return scan
     span(scan, work)
     sweep(scan, work.beam, reach.by_beams, swept)
-    fix(scan, work, reach, swept, sight, fixed)
-    release(scan, work, reach, sight, fixed, small)
+    find_fixed(scan, work, reach, swept, sight, fixed)
+    classify(scan, work, reach, sight, fixed, small)
     rest = rest_of(scan, swept, fixed)
     if not small:
-        see(rest, middle, limits, work.r[: rest.shape[1]], work.beam[: rest.shape[1]])
+        to_polar(rest, middle, limits, work.r[: rest.shape[1]], work.beam[: rest.shape[1]])
         trimmed = Scan(np.where(fixed < 0, virtual, np.nan), rest, limits)
         bound_wide(trimmed, motions, work, bounds)
         return trimmed

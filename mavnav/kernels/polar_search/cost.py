@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 
 class Limits(NamedTuple):
-    """What contributes to the cost.
+    """Limits of the beams in the cost.
 
-    Bearing of beam 0 and bearing step (rad); near, far, occlusion threshold, range jump between surfaces (m); least
+    Bearing of beam 0 and bearing step (rad); near, far, occlusion threshold, range jump between surfaces (m); minimum
     number of beams; whether occluded beams count with the squared threshold, or are left out.
     """
 
@@ -34,9 +34,9 @@ class Limits(NamedTuple):
 
 
 class Scan(NamedTuple):
-    """The virtual ranges (beams,), and the scan's points (6, n).
+    """The virtual ranges (beams,), the points of the scan (6, n), and the limits.
 
-    The rows of points are x, y, beam number, range, bearing, and 1 where a point and the one before are of one surface.
+    The rows of points are x, y, beam number, range, bearing, and 1 if a point and the one before are on one surface.
     """
 
     virtual: NDArray[np.float64]
@@ -45,9 +45,9 @@ class Scan(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Scratch: of the moved points range and beam number; of the segments before them what ``span`` writes; of beams.
+    """Scratch arrays: range and beam number of the moved points; results of ``span`` for the segments before them.
 
-    ``seen`` and ``squares`` are the ranges that beams see, and the squared differences.
+    ``seen`` and ``squares`` are the ranges in which beams meet the moved points, and the squared differences.
     """
 
     r: NDArray[np.float64]
@@ -62,20 +62,20 @@ class Work(NamedTuple):
 
 @helper
 def limits_of(limits: NDArray[np.float64]) -> Limits:
-    """Name the limits (8,) of ``polar_cost``."""
+    """Return the limits (8,) of ``polar_cost`` as a record."""
     first_rad, step_rad, near_m, far_m, occlusion_m, edge_m, fewest_beams, counted = limits
     return Limits(first_rad, step_rad, near_m, far_m, occlusion_m, edge_m, fewest_beams, counted > 0.0)
 
 
 @helper
 def scan_of(virtual: NDArray[np.float64], points: NDArray[np.float64], limits: Limits) -> Scan:
-    """Put a scan together from virtual ranges (beams,) and points (5, n)."""
+    """Return a scan of virtual ranges (beams,) and points (5, n)."""
     return Scan(virtual.copy(), _joined(points, limits.edge_m), limits)
 
 
 @helper
 def work_for(points: int, beams: int) -> Work:
-    """Return scratch for so many points and beams."""
+    """Return scratch arrays for these numbers of points and beams."""
     r, beam, value, slope = np.empty(points), np.empty(points), np.empty(points), np.empty(points)
     first, more = np.empty(points, np.int32), np.empty(points, np.int32)
     return Work(r, beam, value, slope, first, more, np.empty(beams), np.empty(beams))
@@ -83,7 +83,7 @@ def work_for(points: int, beams: int) -> Work:
 
 @helper
 def _joined(points: NDArray[np.float64], edge: float) -> NDArray[np.float64]:
-    """Return points (5, n) with a row more: 1 where a point and the one before are of one surface."""
+    """Return points (5, n) with one more row: 1 if a point and the one before are on one surface."""
     out = np.zeros((6, points.shape[1]))
     for row in range(5):
         for k in range(points.shape[1]):
@@ -94,7 +94,7 @@ def _joined(points: NDArray[np.float64], edge: float) -> NDArray[np.float64]:
 
 
 @helper
-def see(
+def to_polar(
     points: NDArray[np.float64],
     motion: NDArray[np.float64],
     limits: Limits,
@@ -103,8 +103,8 @@ def see(
 ) -> None:
     """Write range and beam number of the moved points.
 
-    Between neighbouring poses a point's bearing changes little: a series of the tangent is then good to 1e-11. Without
-    branches the loop works on four points at a time; those that turn farther are done afterwards.
+    Between neighbouring poses a point's bearing changes little, so that a series of the tangent is accurate to 1e-11.
+    The loop has no branches, so that it uses SIMD lanes; points with larger changes are processed afterwards.
     """
     c, s, x, y, yaw = motion
     per_step, turn = 1.0 / limits.step_rad, 2.0 * np.pi / abs(limits.step_rad)
@@ -132,10 +132,10 @@ def see(
 
 @helper
 def span(scan: Scan, work: Work) -> None:
-    """Write what the first virtual beam that meets the segment before each point sees there, and the segment's slope.
+    """Write the range in which the first virtual beam meets the segment before each point, and the segment's slope.
 
-    Only between neighbouring beams of one surface, where it turns its front to the virtual laser (step iv). The
-    integers are that beam's number and how many more meet the segment, -1 where it lies across the seam.
+    Segments are between neighbouring beams on one surface, with their front towards the virtual laser (step iv). The
+    integers are that beam's number and the number of further beams that meet the segment, -1 if it crosses the seam.
     """
     r, beam, value, slope, first, more = work.r, work.beam, work.value, work.slope, work.first, work.more
     joined, turn, last = scan.points[5], 2.0 * np.pi / abs(scan.limits.step_rad), len(scan.virtual) - 1.0
@@ -152,8 +152,8 @@ def span(scan: Scan, work: Work) -> None:
 
 
 @helper
-def lay(scan: Scan, work: Work, seen: NDArray[np.float64]) -> None:
-    """Lower what each virtual beam sees to the moved points: nearer surfaces hide farther ones."""
+def lower_ranges(scan: Scan, work: Work, seen: NDArray[np.float64]) -> None:
+    """Lower the range in which each virtual beam meets the moved points: nearer surfaces hide farther ones."""
     r, beam, value, slope, first, more = work.r, work.beam, work.value, work.slope, work.first, work.more
     beams, turn = len(seen), 2.0 * np.pi / abs(scan.limits.step_rad)
     for k in range(1, scan.points.shape[1]):
@@ -167,14 +167,14 @@ def lay(scan: Scan, work: Work, seen: NDArray[np.float64]) -> None:
         for _ in range(2):
             for j in range(max(int64(np.ceil(start)), 0), min(int64(np.floor(start + ahead)), beams - 1) + 1):
                 seen[uint64(j)] = min(seen[uint64(j)], from_r + (j - start) * slope[k])
-            start -= turn  # it goes on at beam 0
+            start -= turn  # the segment continues at beam 0
 
 
 @helper
 def _compare(
     virtual: NDArray[np.float64], limits: Limits, seen: NDArray[np.float64], squares: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Sum the squared differences of the beams that see the same, and count these.
+    """Return the sum of the squared differences of the contributing beams, and their number.
 
     The bounds of the pruned search apply step viii as well: ``polynomial``, ``fixed_beams``, ``wide_bounds``.
     """
@@ -195,13 +195,13 @@ def _compare(
 
 @helper
 def _mean(scan: Scan, work: Work) -> tuple[float, float]:
-    """Return cost and number of beams in it, from ranges and beam numbers of the moved points."""
+    """Return the cost and the number of beams in it, from ranges and beam numbers of the moved points."""
     virtual, limits = scan.virtual, scan.limits
     # Cost function, step iv
     seen = work.seen[: len(virtual)]
     seen[:] = np.inf
     span(scan, work)
-    lay(scan, work, seen)
+    lower_ranges(scan, work, seen)
     total, used = _compare(virtual, limits, seen, work.squares[: len(virtual)])
     # Steps x and xi
     if used < limits.fewest_beams or used == 0.0:
@@ -211,10 +211,10 @@ def _mean(scan: Scan, work: Work) -> tuple[float, float]:
 
 @helper
 def evaluate(scan: Scan, motion: NDArray[np.float64], work: Work) -> tuple[float, float]:
-    """Return cost and number of beams in it, see ``polar_cost``."""
+    """Return the cost and the number of beams in it, see ``polar_cost``."""
     n = scan.points.shape[1]
     # Cost function, step iii
-    see(scan.points, motion, scan.limits, work.r[:n], work.beam[:n])
+    to_polar(scan.points, motion, scan.limits, work.r[:n], work.beam[:n])
     return _mean(scan, work)
 
 
@@ -227,18 +227,18 @@ def polar_cost(
     yaw: float,
     limits: NDArray[np.float64],
 ) -> tuple[float, float]:
-    """Mean squared radius difference (m2) between virtual and roto-translated scan, and the number of beams in it.
+    """Return the mean squared range difference (m2) of virtual and roto-translated scan, and the number of its beams.
 
     Parameters
     ----------
     virtual : (beams,) ranges of the virtual scan, m, NaN where it saw no cell
-    points : (5, n) the scan's good points in beam order: x, y (m), beam number, its range (m) and bearing (rad)
+    points : (5, n) the scan's valid points in beam order: x, y (m), beam number, its range (m) and bearing (rad)
     x, y, yaw : proposed motion from the virtual scan's pose, m, rad
     limits : (8,) bearing of beam 0 and bearing step (rad); near, far, occlusion threshold, range jump between
-        surfaces (m); least number of beams; 1 where occluded beams count with the squared threshold, 0 where they are
-        left out
+        surfaces (m); minimum number of beams; 1 if occluded beams count with the squared threshold, 0 if they are left
+        out
 
-    The cost is inf where fewer beams than the least number contribute.
+    The cost is inf if fewer beams than the minimum contribute.
     """
     scan = scan_of(virtual, points, limits_of(limits))
     motion = np.array([np.cos(yaw), np.sin(yaw), x, y, yaw])

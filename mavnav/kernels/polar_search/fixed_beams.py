@@ -1,4 +1,4 @@
-"""Beams that keep the segment that they meet all over a small grid, and what has to be summed for each candidate."""
+"""Fixed beams, which meet the same segment everywhere on a small grid, and the others, summed for each candidate."""
 
 from __future__ import annotations
 
@@ -15,15 +15,18 @@ if TYPE_CHECKING:
     from mavnav.kernels.polar_search.cost import Scan, Work
 
 FIXED_SHARE = 1.0 / 16.0
-"""Of a point's range, and of a segment's width, that motion within a small grid may change."""
+"""Largest change by motion within a small grid, as a share of a point's range and of a segment's width."""
 HIDDEN_M = 0.05
-"""So far behind another a surface stays hidden within a small grid; beams whose range may change more are not fixed."""
+"""Least depth behind another surface at which a surface stays hidden on a small grid.
+
+It is also the largest change of the range of a fixed beam.
+"""
 CLOSE = 1e-8
-"""So near to the end of a segment, in beams, or to a threshold, in m, rounding and series decide what contributes."""
+"""Distance to the end of a segment, in beams, or to a threshold, in m, within which rounding may decide."""
 
 
 class Window(NamedTuple):
-    """Half-window in m and rad, one of them 0, and the point (m) that turns are about."""
+    """Half-window in m and rad, one of them 0, and the centre of rotation (m)."""
 
     half_m: float
     half_rad: float
@@ -32,7 +35,7 @@ class Window(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """How far each point (n,) comes on the grid: in m, in beams, and in beams more than the one before it."""
+    """Largest motion of each point (n,) on the grid: in m, in beams, and in beams relative to the point before."""
 
     by_m: NDArray[np.float64]
     by_beams: NDArray[np.float64]
@@ -40,7 +43,7 @@ class Reach(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """What each beam (beams,) sees in the middle of the grid, and the least and the most that it can see on it, m."""
+    """Range of each beam (beams,) in the middle of the grid, and its least and greatest range on the grid, m."""
 
     seen: NDArray[np.float64]
     least: NDArray[np.float64]
@@ -55,9 +58,9 @@ def reach_of(
     r: NDArray[np.float64],
     reach: Reach,
 ) -> tuple[float, float]:
-    """Write how far each point comes on the grid: in m, in beams, and in beams more than the one before it.
+    """Write the largest motion of each point on the grid: in m, in beams, and in beams relative to the point before.
 
-    Returns the beams on average, and the largest share of a point's range.
+    Returns the mean in beams, and the largest one as a share of a point's range.
     """
     points, (c, s, x, y, _), (shift, turn, pivot_x, pivot_y) = scan.points, motion, window
     per_step, shear = 1.0 / abs(scan.limits.step_rad), shift + turn * np.hypot(pivot_x, pivot_y)
@@ -76,9 +79,9 @@ def reach_of(
 
 @helper
 def sweep(scan: Scan, beam: NDArray[np.float64], by_beams: NDArray[np.float64], swept: NDArray[np.float64]) -> None:
-    """Write the beams that each segment may meet somewhere on the grid, from and to.
+    """Write the first and last beam that each segment may meet somewhere on the grid.
 
-    An empty range where it meets none, beyond 0 or a whole turn where it may cross the seam.
+    The range is empty if it meets none, and extends below 0 or above a whole turn if it may cross the seam.
     """
     joined, turn = scan.points[5], 2.0 * np.pi / abs(scan.limits.step_rad)
     for k in range(1, len(joined)):
@@ -90,7 +93,7 @@ def sweep(scan: Scan, beam: NDArray[np.float64], by_beams: NDArray[np.float64], 
 
 
 @helper
-def fix(
+def find_fixed(
     scan: Scan,
     work: Work,
     reach: Reach,
@@ -98,14 +101,14 @@ def fix(
     sight: Sight,
     fixed: NDArray[np.int64],
 ) -> None:
-    """Write what each beam sees and which segment it meets all over the grid: 0 for none, -1 where that may change."""
+    """Write the range of each beam, and its segment everywhere on the grid: 0 for none, -1 if that may change."""
     r, beam, value, slope, first, more = work.r, work.beam, work.value, work.slope, work.first, work.more
     (seen, least, most), by_m, by_beams = sight, reach.by_m, reach.by_beams
     last, turn = len(fixed) - 1, 2.0 * np.pi / abs(scan.limits.step_rad)
     seen[:], least[:], most[:], fixed[:] = np.inf, np.inf, 0.0, 0
     for k in range(1, scan.points.shape[1]):
         if value[k] == np.inf or beam[k] < beam[k - 1]:
-            continue  # across the seam: loose in any case
+            continue  # across the seam: never fixed
         for i in range(more[k] + 1):
             j, at = uint64(first[k] + i), value[k] + i * slope[k]
             if at < seen[j]:
@@ -127,7 +130,7 @@ def fix(
 
 
 @helper
-def release(
+def classify(
     scan: Scan,
     work: Work,
     reach: Reach,
@@ -135,7 +138,10 @@ def release(
     fixed: NDArray[np.int64],
     small: bool,
 ) -> None:
-    """Set to 0 which beams contribute nowhere on the grid, to -1 which may or may not: the others, if not small."""
+    """Set ``fixed`` to 0 for beams that contribute nowhere on the grid, and to -1 for those that may contribute.
+
+    On a grid that is not small, no other beam stays fixed.
+    """
     virtual, near, far, occlusion = scan.virtual, scan.limits.near_m, scan.limits.far_m, scan.limits.occlusion_m
     r, beam, by_m, by_beams, apart_beams = work.r, work.beam, reach.by_m, reach.by_beams, reach.apart_beams
     for j in range(len(virtual)):
@@ -157,7 +163,7 @@ def release(
 
 @helper
 def rest_of(scan: Scan, swept: NDArray[np.float64], fixed: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the points (6, m) of the segments that loose beams may meet."""
+    """Return the points (6, m) of the segments that beams with -1 may meet."""
     points, last, turn, count = scan.points, len(fixed) - 1, 2.0 * np.pi / abs(scan.limits.step_rad), 0
     n, loose = points.shape[1], np.zeros(len(fixed) + 1, np.int64)
     needed, kept = np.zeros(n + 1, np.bool_), np.empty(n, np.int64)

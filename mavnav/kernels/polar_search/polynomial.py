@@ -1,4 +1,4 @@
-"""The sum of the fixed beams' squared differences as a polynomial of second order of the motion."""
+"""The sum of the fixed beams' squared differences as a second-order polynomial of the motion."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from mavnav.kernels._jit import helper
 from mavnav.kernels._types import uint64
-from mavnav.kernels.polar_search.cost import lay, see, span
+from mavnav.kernels.polar_search.cost import lower_ranges, span, to_polar
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,7 +29,8 @@ def _derive(
     """Write the first three derivatives of the points' ranges, and of their beam numbers, along a path.
 
     ``path`` (3,) is the speed of x, of y and of the turn about the pivot. With a point as a complex number, range and
-    bearing are real and imaginary part of its logarithm: (a, b), (e, f) are its first and second derivative by itself.
+    bearing are the real and imaginary part of its logarithm: (a, b), (e, f) are the first and second derivatives of the
+    point divided by the point itself.
     """
     points, (c, s, x, y, _), (right, up, turn) = scan.points, motion, path
     per_step, pivot_x, pivot_y = 1.0 / scan.limits.step_rad, window.pivot_x_m, window.pivot_y_m
@@ -54,9 +55,10 @@ def _expand(
     rates: NDArray[np.float64],
     terms: NDArray[np.float64],
 ) -> None:
-    """Write the squared differences of fixed beams, their first and second derivative, and the third's amounts.
+    """Write the squared differences of fixed beams, their first two derivatives, and the absolute value of the third.
 
-    ``beams`` (2, m) are the numbers of the fixed beams and their differences, ``segments`` (m,) those that they meet.
+    ``beams`` (2, m) are the numbers of the fixed beams and their differences, ``segments`` (m,) the segments that they
+    meet.
     """
     r, beam = work.r, work.beam
     for i in range(len(segments)):
@@ -78,7 +80,7 @@ def _expand(
 
 @helper
 def _sum_up(terms: NDArray[np.float64], sums: NDArray[np.float64]) -> None:
-    """Sum rows (4, m), halves in parallel."""
+    """Sum rows (4, m) pairwise, in SIMD lanes."""
     for i in range(len(terms)):
         row, n = terms[i], terms.shape[1]
         while n > 1:
@@ -98,10 +100,10 @@ def polynomial(
     seen: NDArray[np.float64],
     fixed: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """Return what 1, u, v, uu, uv, vv add to the sum of the fixed beams; less the error.
+    """Return the coefficients of 1, u, v, uu, uv, vv in the sum of the fixed beams, less the error.
 
-    u and v are the shifts, or u the turn. The error is twice the third-order term of all beams' absolute values, where
-    it is largest of four paths to the edge of the grid.
+    u and v are the shifts, or u is the turn. The error is twice the third-order term of all beams' absolute values, the
+    largest of four paths to the edge of the grid.
     """
     rates, out, widest, diagonal = np.empty((6, scan.points.shape[1])), np.zeros(6), 0.0, np.sqrt(0.5)
     at = np.flatnonzero(fixed > 0)
@@ -128,17 +130,17 @@ def polynomial(
 
 @helper
 def sum_loose(scan: Scan, loose: NDArray[np.int64], motion: NDArray[np.float64], work: Work) -> tuple[float, float]:
-    """Sum the squared differences of loose beams for one candidate; returns how many contribute as well."""
+    """Return the sum of the squared differences of loose beams for one candidate, and the number that contribute."""
     virtual, points, limits = scan
     n, total, used = points.shape[1], 0.0, 0.0
     if len(loose) == 0:
         return total, used
-    see(points, motion, limits, work.r[:n], work.beam[:n])
+    to_polar(points, motion, limits, work.r[:n], work.beam[:n])
     seen = work.seen[: len(virtual)]
     for i in range(len(loose)):
         seen[loose[i]] = np.inf
     span(scan, work)
-    lay(scan, work, seen)
+    lower_ranges(scan, work, seen)
     for i in range(len(loose)):
         at, d = seen[loose[i]], seen[loose[i]] - virtual[loose[i]]
         if limits.near_m < at < limits.far_m and abs(d) < limits.occlusion_m:

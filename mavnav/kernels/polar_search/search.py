@@ -1,14 +1,14 @@
 """The paper's scan matching: minimisation (steps i-v) of the cost function in polar coordinates.
 
 A pruned grid has the minimum of the exhaustive one: the same index, the lowest of equals, and the same cost, bit for
-bit. Every candidate gets a lower bound of its cost; that of the least bound is evaluated, then those whose bounds leave
-them a chance. The bounds come
+bit. A lower bound is computed for every candidate. The candidate with the least bound is evaluated first, then all
+whose bounds are not above the best cost. The bounds are
 
-* on wide grids from the cost in single precision, of points as they are seen from the grid's middle: beams that may be
-  off by more than `RANGE_M`, or may not contribute, are counted but not summed (``wide_bounds``);
-* on small ones, where most beams keep the segment that they meet and contribute throughout or nowhere
-  (``fixed_beams``), from the polynomial of second order of their sum, less twice its third-order term
-  (``polynomial``); the others are summed for each candidate.
+* on wide grids the cost in single precision, from points relative to the grid's middle: beams that may be off by more
+  than `RANGE_M`, or may not contribute, are counted but not summed (``wide_bounds``);
+* on small grids, where most beams meet the same segment and contribute everywhere or nowhere (``fixed_beams``), the
+  second-order polynomial of their sum, less twice its third-order term (``polynomial``); the other beams are summed
+  for each candidate.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MAX_ITERATIONS = 60
 
 
 class Grid(NamedTuple):
-    """The middle of a grid: where the pivot is and the yaw; and the pivot in the scan, m."""
+    """The middle of a grid: position of the pivot, and yaw; and the pivot in the scan, m."""
 
     x_m: float
     y_m: float
@@ -45,7 +45,7 @@ class Grid(NamedTuple):
 def _least(
     scan: Scan, motions: NDArray[np.float64], bounds: NDArray[np.float64], work: Work
 ) -> tuple[int, float, float]:
-    """Return the first candidate of least cost (-1 where all are inf), its cost and its beams."""
+    """Return the first candidate of least cost (-1 if all are inf), its cost and the number of its beams."""
     promising = int64(np.argmin(bounds))
     best, used = evaluate(scan, motions[promising], work)
     best_i = promising if best < np.inf else -1
@@ -65,7 +65,7 @@ def _turns(
     motions: NDArray[np.float64],
     offsets: NDArray[np.float64],
 ) -> None:
-    """Write the turns of the azimuth grid (minimisation, step i), and that of its middle."""
+    """Write the motions of the yaw samples (minimisation, step i), and of their middle."""
     x, y, yaw, pivot_x, pivot_y = grid
     azimuths = len(offsets)
     step = 2.0 * half_rad / (azimuths - 1)
@@ -86,10 +86,10 @@ def _shifts(
     motions: NDArray[np.float64],
     offsets: NDArray[np.float64],
 ) -> None:
-    """Write the shifts of the plane's grid (step iii), and that of its middle.
+    """Write the motions of the plane's grid (step iii), and of its middle.
 
-    They cover a circular area: the square lattice is mapped onto the disc, its border onto the circle, so that NxM
-    points cost N*M evaluations as in the paper.
+    They cover a disc: the square lattice is mapped onto it, its border onto the circle, so that NxM points cost N*M
+    evaluations as in the paper.
     """
     x, y, yaw, pivot_x, pivot_y = grid
     ny, c, s = len(offsets) // nx, np.cos(yaw), np.sin(yaw)
@@ -120,21 +120,21 @@ def search(
     schedule: NDArray[np.float64],
     limits: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Minimise the cost; returns [x, y, yaw, cost_m2, beams used, evaluations, iterations, converged].
+    """Minimise the cost; return [x, y, yaw, cost_m2, beams used, evaluations, iterations, converged].
 
     Parameters
     ----------
     virtual, limits : as for ``polar_cost``
-    points : (n, 5), the columns of ``polar_cost``'s as rows
-    grid : (5,) points of the azimuth grid, of the plane in x and in y, border extensions at most, 1 to prune
-    schedule : (11,) half-window in the plane (m) and in azimuth (rad), shrink factor, 1 to leave no gaps between
-        grids, spacings to stop at (m, rad), cost (m2) that is of no use, factor by which the occlusion threshold
-        shrinks from iteration to iteration and the least that it shrinks to (m), 1 to turn about the laser instead of
-        the points' centroid, 1 to stop where either spacing is reached instead of both
+    points : (n, 5), the transpose of those of ``polar_cost``
+    grid : (5,) yaw samples, nodes of the plane in x and in y, maximum border extensions, 1 to prune
+    schedule : (11,) half-window in the plane (m) and in yaw (rad), shrink factor, 1 to leave no gaps between grids,
+        final spacings (m, rad), cost (m2) above which the search gives up, factor of the occlusion threshold per
+        iteration and its minimum (m), 1 to rotate about the laser instead of the points' centroid, 1 to stop at either
+        final spacing instead of both
 
-    Where occluded beams count, no bounds are known and every candidate is evaluated. A motion changes ranges by about
-    its length: the search ends as well where the root of the cost exceeds that of one of no use by more than twice the
-    half-window, and has not converged.
+    If occluded beams count, there are no bounds and every candidate is evaluated. A motion changes ranges by about its
+    length. So the search gives up, not converged, if the root of the cost exceeds the root of its bound by more than
+    twice the half-window.
     """
     n_azimuths, n_x, n_y, n_extensions, prune = grid
     half_m, half_rad, shrink, covered, stop_m, stop_rad, useless, occlusion_shrink, least_m, at_laser, either = schedule
@@ -177,7 +177,7 @@ def search(
                 ji = ny // 2 * nx + nx // 2
             if 0 < ji % nx < nx - 1 and 0 < ji // nx < ny - 1:
                 break
-        # Step v; the grid's spacing bounds the change still to come, also where the centre stays the best.
+        # Step v; the spacing of the grid bounds the remaining change, even if the centre stays the best.
         spacing = 2.0 * half_m / (min(nx, ny) - 1)
         fine_xy, fine_yaw = spacing < stop_m, step_rad < stop_rad
         if (fine_xy and fine_yaw) or (either > 0.0 and (fine_xy or fine_yaw)):

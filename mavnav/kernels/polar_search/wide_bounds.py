@@ -1,4 +1,4 @@
-"""Lower bounds of the cost on wide grids, in single precision, of points as they are seen from the grid's middle.
+"""Lower bounds of the cost on wide grids, in single precision, from points relative to the grid's middle.
 
 Beams that may be off by more than `RANGE_M`, or may not contribute, are counted but not summed.
 """
@@ -18,20 +18,24 @@ if TYPE_CHECKING:
     from mavnav.kernels.polar_search.cost import Limits, Scan, Work
 
 BEARING_RAD, RANGE_M, RANGE_SHARE = 6e-7, 5e-5, 1e-6
-"""In single precision bearings are better than this, and ranges where the surface is not too steep: in m, or of the
-farthest."""
-DOUBT, NOTHING = np.float32(-1e30), np.float32(np.inf)
+"""Errors in single precision: of bearings, and of ranges on surfaces that are not too steep.
+
+The second is in m, the third a share of the greatest range.
+"""
+UNCERTAIN, NOTHING = np.float32(-1e30), np.float32(np.inf)
 ZERO, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 THIRD, FIFTH, SEVENTH, NINTH = (np.float32(1.0 / n) for n in (3.0, 5.0, 7.0, 9.0))
 LITTLE, TOO_NEAR = np.float32(0.2), np.float32(0.2)
-"""Of a point's squared range: shifts up to here turn it so little that the series is good to 3e-8. Of its range: points
-that come nearer than this are not known as well in single precision."""
+"""Largest squared shift and least range of a moved point, as shares of the point's squared range and range.
+
+Up to the first, the series is accurate to 3e-8. Below the second, points are not accurate in single precision.
+"""
 NEARLY_BEHIND_RAD = 3.0
-"""Beyond, a neighbour may have turned the other way round."""
+"""Largest change of a bearing: beyond, a neighbour may have turned the other way."""
 
 
 class Motion(NamedTuple):
-    """Shift in the axes of the grid's middle (m), turn in beams, and beams a radian, in single precision."""
+    """Shift along the axes of the grid's middle (m), turn in beams, and beams per radian, in single precision."""
 
     x: np.float32
     y: np.float32
@@ -40,9 +44,9 @@ class Motion(NamedTuple):
 
 
 class Widths(NamedTuple):
-    """A whole turn, what is close to a segment's end and the last beam number, in beams; what slope is steep.
+    """A whole turn, the margin at a segment's ends and the last beam number, in beams; the least steep slope.
 
-    Then near, far, occlusion threshold and the error of ranges in m, and the least number of beams.
+    Then near, far, occlusion threshold and the error of ranges in m, and the minimum number of beams.
     """
 
     turn: np.float32
@@ -74,11 +78,11 @@ def _widths_of(limits: Limits, beams: int) -> Widths:
 
 
 @helper
-def _glance(points: NDArray[np.float32], motion: Motion, moved: NDArray[np.float32]) -> None:
-    """Write range and turn in beams of the moved points; the turn is NaN where it is not known well.
+def _to_polar_f32(points: NDArray[np.float32], motion: Motion, moved: NDArray[np.float32]) -> None:
+    """Write the range and the change of the beam number of the moved points; NaN if that is not accurate.
 
-    Half the turn has the tangent cross / (product of the ranges + dot). Of points that turn little a short series is
-    good to 1e-7; the others are done afterwards.
+    The tangent of half the change is cross / (product of the ranges + dot). A short series is accurate to 1e-7 for
+    small changes; the other points are processed afterwards.
     """
     x, y, turned, per_step = motion
     shift2, wide = x * x + y * y, int32(0)
@@ -88,7 +92,7 @@ def _glance(points: NDArray[np.float32], motion: Motion, moved: NDArray[np.float
         t = cross / (points[6, k] * r + (points[3, k] + along))
         u = t * t
         far = LITTLE * points[3, k] < shift2
-        wide = int32(wide + int32(far))  # 32 bits wide, or half as many points are done at a time
+        wide = int32(wide + int32(far))  # 32 bits: with 64, half as many SIMD lanes are used
         half = t * (ONE - u * (THIRD - u * (FIFTH - u * (SEVENTH - u * NINTH))))
         moved[0, k] = r
         moved[1, k] = NOTHING - NOTHING if far else points[4, k] + (turned + per_step * (half + half))
@@ -101,15 +105,15 @@ def _glance(points: NDArray[np.float32], motion: Motion, moved: NDArray[np.float
 
 
 @helper
-def _span_glance(
+def _span_f32(
     points: NDArray[np.float32], widths: Widths, moved: NDArray[np.float32], spans: NDArray[np.int32]
 ) -> None:
-    """Write, as ``_span``, what the first beam that meets each segment sees; `DOUBT` where that is not known well.
+    """Write the results of ``span`` in single precision; the range is `UNCERTAIN` where it is not accurate.
 
-    Doubtful are beams close to the ends of a segment, steep segments, and those across the seam.
+    That are beams near the ends of a segment, steep segments, and those across the seam.
     """
     turn, close, steep, last = widths.turn, widths.close, widths.steep, widths.last
-    quarter, by_seam = turn / (TWO + TWO), close + close + close  # numbers are rounded when they are added
+    quarter, by_seam = turn / (TWO + TWO), close + close + close  # three, because sums with numbers are rounded
     for k in range(1, points.shape[1]):
         number, start, end = points[2, k - 1], moved[1, k - 1], moved[1, k] + ONE
         ahead, joined = end - start, points[5, k] > ZERO
@@ -119,25 +123,25 @@ def _span_glance(
         across = (number + start < by_seam) | (number + end > turn - by_seam)
         inside = meets & (number + low <= last) & (number + low >= ZERO)
         doubt = (low - start < close) | (end - high < close) | (abs(slope) > steep) | (ahead > quarter - ONE)
-        value = DOUBT if doubt else moved[0, k - 1] + (low - start) * slope
+        value = UNCERTAIN if doubt else moved[0, k - 1] + (low - start) * slope
         moved[2, k] = value if inside & (not across) else NOTHING
         moved[3, k] = slope
         spans[0, k] = int32(min(max(number + low, ZERO), last)) if inside else int32(0)
-        # A turn is no whole number of beams: across the seam others meet a segment than before it.
+        # A turn is not a whole number of beams: beyond the seam, other beams meet a segment than before it.
         special = across & (ahead > -close) & (ahead < quarter + ONE)
         special = joined & (special | (abs(ahead) > TWO * quarter) | np.isnan(ahead))
         spans[1, k] = int32(-1) if special else int32(min(number + high, last) - (number + low) if inside else ZERO)
 
 
 @helper
-def _lay_glance(
+def _lower_ranges_f32(
     points: NDArray[np.float32],
     widths: Widths,
     moved: NDArray[np.float32],
     spans: NDArray[np.int32],
     seen: NDArray[np.float32],
 ) -> bool:
-    """Write, as ``_lay``, what each virtual beam sees; False where a point is not known well."""
+    """Write the range of each virtual beam as ``lower_ranges`` does; return False if a point is not accurate."""
     seen[:] = NOTHING
     turn, last, across = widths.turn, len(seen) - 1, 0
     for k in range(1, points.shape[1]):
@@ -153,12 +157,12 @@ def _lay_glance(
             across += 1
     for k in spans[0, :across]:
         start, end = points[2, k - 1] + moved[1, k - 1], points[2, k - 1] + moved[1, k] + ONE
-        if not -ONE <= end - start <= turn:  # not known, or the laser has gone through it
+        if not -ONE <= end - start <= turn:  # not accurate, or the laser moved through it
             return False
         for around in range(int64(np.floor(-end / turn)), int64(np.ceil((last - start) / turn)) + 1):
             low, high = np.floor(start + around * turn), np.ceil(end + around * turn)
             for j in range(max(int64(low), 0), min(int64(high), last) + 1):
-                seen[j] = DOUBT
+                seen[j] = UNCERTAIN
     return True
 
 
@@ -166,7 +170,7 @@ def _lay_glance(
 def _least_mean(
     virtual: NDArray[np.float32], widths: Widths, seen: NDArray[np.float32], squares: NDArray[np.float32]
 ) -> float:
-    """Return what the cost is at least: the sum of what contributes for sure, by the beams that may contribute."""
+    """Return a lower bound of the cost: the sum over beams that surely contribute, by the number of those that may."""
     near, far, occlusion, off_by = widths.near, widths.far, widths.occlusion, widths.off_by
     n, most = len(virtual), int32(0)
     for j in range(n):
@@ -185,10 +189,10 @@ def _least_mean(
 
 @helper
 def _at_middle(scan: Scan, middle: NDArray[np.float64], work: Work) -> NDArray[np.float32]:
-    """Return the points as they lie in the middle of a grid, (7, n).
+    """Return the points in the middle of a grid, (7, n).
 
-    Their x, y, beam number as measured, squared range, how many beams they have moved on from there (not back at the
-    seam), whether they are of one surface with the point before, and range.
+    The rows are x, y, beam number as measured, squared range, change of the beam number (not wrapped at the seam),
+    whether a point is on one surface with the one before, and range.
     """
     points, (c, s, x, y, yaw), per_step = scan.points, middle, 1.0 / scan.limits.step_rad
     out, turn, before = np.empty((7, points.shape[1]), np.float32), 2.0 * np.pi * abs(per_step), 0.0
@@ -205,10 +209,10 @@ def _at_middle(scan: Scan, middle: NDArray[np.float64], work: Work) -> NDArray[n
 
 @helper
 def bound_wide(scan: Scan, motions: NDArray[np.float64], work: Work, bounds: NDArray[np.float64]) -> None:
-    """Write a lower bound of each candidate's cost, -inf where none is known.
+    """Write a lower bound of each candidate's cost, -inf if unknown.
 
-    ``work`` holds the points as they are seen from the grid's middle, the last of the ``motions``; the candidates are
-    taken for shifts from there and then turns.
+    ``work`` has the points relative to the grid's middle, the last of the ``motions``; the candidates are expressed as
+    shifts from there and then turns.
     """
     (virtual, points, limits), (_, _, x, y, yaw) = scan, motions[-1]
     n, beams, per_step = points.shape[1], len(virtual), 1.0 / limits.step_rad
@@ -222,7 +226,7 @@ def bound_wide(scan: Scan, motions: NDArray[np.float64], work: Work, bounds: NDA
         c, s = np.cos(turn), np.sin(turn)
         right, up = c * motions[i, 2] + s * motions[i, 3] - x, c * motions[i, 3] - s * motions[i, 2] - y
         motion = Motion(np.float32(right), np.float32(up), np.float32(turn * per_step), np.float32(per_step))
-        _glance(small, motion, moved)
-        _span_glance(small, widths, moved, spans)
-        known = _lay_glance(small, widths, moved, spans, seen)
+        _to_polar_f32(small, motion, moved)
+        _span_f32(small, widths, moved, spans)
+        known = _lower_ranges_f32(small, widths, moved, spans, seen)
         bounds[i] = _least_mean(expected, widths, seen, squares) if known else -np.inf

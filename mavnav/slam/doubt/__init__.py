@@ -1,1 +1,1 @@
-"""How likely a finished track is wrong although its scans were accepted (docs/method.md, "Doubt")."""
+"""The probability that a finished track is wrong although its scans were accepted (docs/method.md, "Doubt")."""

@@ -1,4 +1,4 @@
-"""The coefficients of doubt, as `python benchmarks/doubt.py fit` prints them (docs/method.md, "Doubt")."""
+"""The coefficients of doubt, as printed by `python benchmarks/doubt.py fit` (docs/method.md, "Doubt")."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 class Weights(NamedTuple):
-    """The log-odds of a track that shows nothing, and what each doubling of a feature adds."""
+    """The log-odds of a track with all features at their least, and the increase by each doubling of a feature."""
 
     bias: float
     weights: Mapping[str, float]
@@ -30,7 +30,7 @@ ONE_TRACK: Final = Weights(
         "odometry_contradicts": 0.1,
     },
 )
-"""Of a track alone."""
+"""Weights without a second track."""
 
 TWO_TRACKS: Final = Weights(
     -6.5,
@@ -48,4 +48,4 @@ TWO_TRACKS: Final = Weights(
         "odometry_contradicts": 0.1,
     },
 )
-"""Of a track that was compared with a resampled one."""
+"""Weights of a track that was compared with a resampled one."""

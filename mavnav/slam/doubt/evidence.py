@@ -1,4 +1,4 @@
-"""What a finished track shows of its own quality, scan by scan."""
+"""Evidence of the quality of a finished track, scan by scan."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 SHARPEST, LEAST_TURN_RAD = 12, 30 * DEG
-"""So many scans after the sharpest turns are compared with other headings; smaller turns confuse no two of them."""
+"""Number of scans, those after the sharpest turns, that are compared with other headings, and their minimum turn."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Arrays with a row for every tracked scan, and two counts.
+    """Arrays with a row for every tracked scan, and scalars of the whole track.
 
-    ``stamps_ns`` (n,); ``xyyaw`` (n, 3) the poses in the map frame, m and rad; ``points`` (n,) that were matched;
-    ``observed`` and ``conflicts`` (n,) observability and visibility conflicts in the finished map; ``rivals`` (n,) by
-    how much the best other heading costs more, as a share of the worst cost, inf where there is no sharp turn;
-    ``resampled`` (n, 3) the poses of a track with coarser voxels, NaN where there is none; ``tilt_rad`` (n,) the tilt
-    by an inertial sensor, 0 without one.
-    ``period_s`` is the sensor's; ``odometry`` says whether it predicts the poses, ``contradicted`` whether it was left
-    out; ``refused`` counts the loops that were found and not used, ``closed`` those that were.
+    ``stamps_ns`` (n,); ``xyyaw`` (n, 3) the poses in the map frame, m and rad; ``points`` (n,) the numbers of matched
+    points; ``observed`` and ``conflicts`` (n,) observability and visibility conflicts in the finished map;
+    ``heading_margins`` (n,) the additional cost of the best other heading, as a share of the worst cost, inf without a
+    sharp turn; ``resampled`` (n, 3) the poses of a track with coarser voxels, NaN without one; ``tilt_rad`` (n,) the
+    tilt by an inertial sensor, 0 without one. ``period_s`` is the scan period; ``odometry``: odometry predicts the
+    poses; ``contradicted``: it is not used; ``refused`` is the number of loops that were found and not used, ``closed``
+    of those that were used.
     """
 
     period_s: float
@@ -52,13 +52,13 @@ class Evidence:
     points: NDArray[np.int64]
     observed: Floats
     conflicts: Floats
-    rivals: Floats
+    heading_margins: Floats
     resampled: Floats
     tilt_rad: Floats
 
 
 def evidence_of(track: Track, refiner: Refiner) -> Evidence:
-    """Gather what the finished track shows without another one."""
+    """Return the evidence of a finished track, without that of other tracks."""
     tracked = track.steps.column("tracked")
     xyyaw = track.steps.column("map_T_laser")[tracked]
     stamps_ns, rotation = track.steps.column("stamp_ns")[tracked], track.motion.rotation
@@ -73,24 +73,24 @@ def evidence_of(track: Track, refiner: Refiner) -> Evidence:
         points=track.steps.column("beams_used")[tracked],
         observed=track.observed[tracked],
         conflicts=track.conflicts[tracked],
-        rivals=rivals(track, refiner, xyyaw[:, 2]),
+        heading_margins=heading_margins(track, refiner, xyyaw[:, 2]),
         resampled=track.resampled[tracked] if len(track.resampled) else np.full(xyyaw.shape, np.nan),
         tilt_rad=np.zeros(len(stamps_ns)) if rotation is None else rotation.tilts_rad(stamps_ns),
     )
 
 
 def wrapped(yaws_rad: Floats) -> Floats:
-    """Bring angles to [-pi, pi)."""
+    """Wrap angles to [-pi, pi)."""
     return (yaws_rad + pi) % (2.0 * pi) - pi
 
 
 def turns_rad(yaws_rad: Floats) -> Floats:
-    """Return by how much each of the headings (n,) differs from the one before, 0 for the first."""
+    """Return the rotation (n,) from the previous heading to each of the headings (n,), 0 for the first."""
     return np.abs(wrapped(np.diff(yaws_rad, prepend=yaws_rad[:1])))
 
 
-def rivals(track: Track, refiner: Refiner, yaws_rad: Floats) -> Floats:
-    """Compare the scans after the sharpest turns with all other headings; inf for the others."""
+def heading_margins(track: Track, refiner: Refiner, yaws_rad: Floats) -> Floats:
+    """Return the heading margins of the scans after the sharpest turns (n,); inf for the others."""
     out, turned = np.full(len(yaws_rad), np.inf), turns_rad(yaws_rad)
     sharpest = np.sort(np.argsort(-turned, kind="stable")[:SHARPEST])
     rows = sharpest[turned[sharpest] >= LEAST_TURN_RAD].tolist()
@@ -98,12 +98,12 @@ def rivals(track: Track, refiner: Refiner, yaws_rad: Floats) -> Floats:
         steps = [step for step in track.steps if step.tracked]
         coming = points_of(track.log_scans, track.steps, refiner, rows)
         for row, points in zip(rows, coming, strict=False):
-            out[row] = refiner.rival(points, steps[row].match)
+            out[row] = refiner.heading_margin(points, steps[row].match)
     return out
 
 
 def with_resampled_track(track: Track) -> Track:
-    """Add the poses of a track of the same scans with coarser voxels; none if the run is being stopped."""
+    """Track the same scans with coarser voxels, and add those poses; not if the run is stopped early."""
     tracked = track.steps.column("tracked")
     some = partial(tracked_scans, track.log_scans, tracked)
     again = replace(track, config=coarser(track.config), log_scans=some, begin=int(tracked[: track.begin].sum()))
@@ -116,5 +116,5 @@ def with_resampled_track(track: Track) -> Track:
 
 
 def tracked_scans(log_scans: LogScans, tracked: NDArray[np.bool_]) -> Iterable[Scan]:
-    """Return the scans with a pose: what was lost cannot be compared, and costs most."""
+    """Return the tracked scans: lost ones cannot be compared, and take most time."""
     return compress(log_scans(), tracked)

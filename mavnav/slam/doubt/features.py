@@ -1,4 +1,4 @@
-"""The features that doubt is computed from: what each scan of a track shows of each reason to doubt it."""
+"""The features of the doubt: for each reason to doubt a track, its strength at each scan."""
 
 from __future__ import annotations
 
@@ -20,36 +20,39 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 WINDOWS_S = (2.0, 10.0)
-"""Two tracks are compared by the motion over windows of these lengths."""
+"""Lengths of the windows over which the motion of two tracks is compared."""
 
 WRONG_M, WRONG_RAD = 0.2, 5 * DEG
-"""A track is wrong if the motion over a window is off by more."""
+"""Largest error of the motion over a window of a track that is not wrong."""
 
 STEADY_M, STEADY_RAD, SPIKE = 0.01, 0.02, 5.0
-"""Changes of velocity, per period, that count as none; a spike is so many times what nine of ten changes stay below."""
+"""Changes of velocity per period, m and rad, that are added to the 0.9 quantile of all changes, and the factor.
+
+A spike is the sum times the factor.
+"""
 
 SPARSE_M, SPARSE_RAD = 0.3, 20 * DEG
-"""Motion between two scans that is much."""
+"""Motion between two scans above which sampling is sparse."""
 
-WEAK, FEW_POINTS, CONFLICTS, RIVALS = 0.01, 80, 0.05, 0.15
-"""Observability that is weak, points that are few, conflicts that are many, rivals that are near."""
+WEAK, FEW_POINTS, CONFLICTS, LEAST_MARGIN = 0.01, 80, 0.05, 0.15
+"""Bounds: observability below it is weak, points fewer, conflicts more, heading margins smaller raise doubt."""
 
 TILT_RAD = 10 * DEG
-"""Tilt that is much: a wall 3 m away is then met 0.5 m higher or lower."""
+"""Tilt above which motion is not planar: a wall 3 m away is then met 0.5 m higher or lower."""
 
 GAP_S, REFUSED_LOOPS = 2.0, 10
-"""Time without a pose that is long, and loops that are many."""
+"""Time without a pose that is long, and number of refused loops that is high."""
 
 
 def motions(xyyaw: Floats, start: NDArray[np.intp], end: NDArray[np.intp]) -> Floats:
-    """Return the motion (m, 3) from poses to poses of (n, 3), seen from the first: m, m, rad."""
+    """Return the motion (m, 3) between poses of (n, 3), in the frame of the first of each pair: m, m, rad."""
     x, y, yaw = (xyyaw[end] - xyyaw[start]).T
     cos, sin = np.cos(xyyaw[start, 2]), np.sin(xyyaw[start, 2])
     return np.column_stack((cos * x + sin * y, cos * y - sin * x, wrapped(yaw)))
 
 
 def disagreement(evidence: Evidence) -> Floats:
-    """Return by how much two tracks disagree on the motion from or to each scan, as a share of what is wrong.
+    """Return the difference of two tracks in the motion from or to each scan, as a multiple of the bound for wrong.
 
     NaN without a second track.
     """
@@ -60,14 +63,14 @@ def disagreement(evidence: Evidence) -> Floats:
         end = np.minimum(np.searchsorted(stamps_s, stamps_s + window_s), len(found) - 1)
         off = motions(evidence.xyyaw[found], start, end) - motions(evidence.resampled[found], start, end)
         share = np.maximum(np.hypot(off[:, 0], off[:, 1]) / WRONG_M, np.abs(wrapped(off[:, 2])) / WRONG_RAD)
-        share[stamps_s[end] - stamps_s > window_s + 1.5] = 0.0  # across a gap both are guesses
+        share[stamps_s[end] - stamps_s > window_s + 1.5] = 0.0  # across a gap neither is reliable
         np.maximum.at(out, found, share)
         np.maximum.at(out, found[end], share)
     return out
 
 
 def slip(evidence: Evidence) -> Floats:
-    """Return by how much the velocity to each scan differs from those before and after, as a share of a spike."""
+    """Return the change of velocity at each scan, before and after it, as a multiple of a spike."""
     n = len(evidence.stamps_ns)
     if n < 4:
         return np.zeros(n)
@@ -78,18 +81,18 @@ def slip(evidence: Evidence) -> Floats:
 
 
 def _spikes(changes: Floats, steady: float) -> Floats:
-    """Return the lesser of two successive changes (n,), as a share of a spike."""
+    """Return the lesser of two successive changes (n,), as a multiple of a spike."""
     spike = SPIKE * (float(np.quantile(changes, 0.9)) + steady)
     return np.asarray(np.minimum(changes[:-1], changes[1:]) / spike)
 
 
 def weak(evidence: Evidence) -> Floats:
-    """Return how weakly each pose is constrained by the walls; nothing where odometry constrains it."""
+    """Return how weakly the walls constrain each pose; 0 with odometry."""
     return np.zeros(len(evidence.observed)) if evidence.odometry else _weakness(evidence)
 
 
 def weak_but_odometry(evidence: Evidence) -> Floats:
-    """Return the same where the poses have odometry."""
+    """Return how weakly the walls constrain each pose with odometry; 0 without."""
     return _weakness(evidence) if evidence.odometry else np.zeros(len(evidence.observed))
 
 
@@ -98,35 +101,35 @@ def _weakness(evidence: Evidence) -> Floats:
 
 
 def sparse(evidence: Evidence) -> Floats:
-    """Return the motion between two scans as a share of what is much."""
+    """Return the motion before each scan as a multiple of the bound for sparse sampling."""
     moved_m = np.linalg.norm(np.diff(evidence.xyyaw[:, :2], axis=0, prepend=evidence.xyyaw[:1, :2]), axis=1)
     share: Floats = np.maximum(moved_m / SPARSE_M, turns_rad(evidence.xyyaw[:, 2]) / SPARSE_RAD)
     return share
 
 
 def not_planar(evidence: Evidence) -> Floats:
-    """Return the visibility conflicts with the finished map, or the tilt, as a share of what is much."""
+    """Return the visibility conflicts with the finished map, or the tilt if larger, as multiples of their bounds."""
     shown: Floats = np.maximum(evidence.conflicts / CONFLICTS, evidence.tilt_rad / TILT_RAD)
     return shown
 
 
 def few_points(evidence: Evidence) -> Floats:
-    """Return how few points were matched."""
+    """Return the bound for few points as a multiple of the matched points."""
     return FEW_POINTS / np.maximum(evidence.points, 1)
 
 
 def gap(evidence: Evidence) -> Floats:
-    """Return the time since the last pose as a multiple of what is long."""
+    """Return the time since the last pose as a multiple of a long gap."""
     return np.diff(evidence.stamps_ns, prepend=evidence.stamps_ns[:1]) * NS / GAP_S
 
 
 def symmetric(evidence: Evidence) -> Floats:
-    """Return the turn before each scan that fits in another heading as well, as a share of what is much."""
-    return np.where(evidence.rivals < RIVALS, turns_rad(evidence.xyyaw[:, 2]) / SPARSE_RAD, 0.0)
+    """Return the turn before each scan that fits at another heading as well, as a multiple of a sparse turn."""
+    return np.where(evidence.heading_margins < LEAST_MARGIN, turns_rad(evidence.xyyaw[:, 2]) / SPARSE_RAD, 0.0)
 
 
 def unclosed_loop(evidence: Evidence) -> Floats:
-    """Return the loops that were refused, where none was closed, as a share of many; the same for all scans."""
+    """Return the number of refused loops, if none was closed, as a multiple of many; equal for all scans."""
     return np.full(len(evidence.stamps_ns), 0.0 if evidence.closed else evidence.refused / REFUSED_LOOPS)
 
 
@@ -136,14 +139,14 @@ def odometry_contradicts(evidence: Evidence) -> Floats:
 
 
 class Feature(NamedTuple):
-    """A reason to doubt a track: what each scan shows of it, (n,), and the quantile over the scans that counts."""
+    """A reason to doubt a track: its strength at each scan, (n,), and the quantile over the scans that is used."""
 
     reason: str
     of: Callable[[Evidence], Floats]
     quantile: float
 
     def total(self, shown: Floats) -> float:
-        """Return the feature of a track from those of its scans; NaN where it was not measured."""
+        """Return the value for a track from the values of its scans; NaN if it was not measured."""
         return float(np.quantile(shown, self.quantile))
 
 
@@ -165,4 +168,4 @@ FEATURES: Final = {
     "unclosed_loop": Feature("unclosed loop", unclosed_loop, ONE_SCAN),
     "odometry_contradicts": Feature("odometry contradicts", odometry_contradicts, ONE_SCAN),
 }
-"""A slip is of one scan, weak geometry of many."""
+"""A slip shows at one scan, weak geometry at many."""

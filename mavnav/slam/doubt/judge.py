@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from mavnav.slam.track import Track
 
 WORTH_A_TRACK = 0.1
-"""From this probability on the log is tracked once more."""
+"""Minimum probability with which the log is tracked once more."""
 
 FEWEST = 2
-"""A track of fewer scans shows nothing."""
+"""Minimum number of tracked scans of a track that is judged."""
 
 RESAMPLED = "resampled track"
 
 
 def judge_track(track: Track) -> Track:
-    """Give a track its probability to be wrong; not on line, in a known map, nor where nothing was tracked."""
+    """Add the probability that a track is wrong; not in causal mode, in a given map, or if nothing was tracked."""
     refiner = track.refiner
     if refiner is None or not refiner.builds_map or len(track.observed) < len(track.steps):
         return track
@@ -34,7 +34,7 @@ def judge_track(track: Track) -> Track:
 
 @timed("doubt")
 def judged(track: Track, refiner: Refiner) -> Track:
-    """Judge by the features of the track, and compare it with another one where that is worth it."""
+    """Judge a track by its features; compare it with a resampled track if these raise doubt, or if one exists."""
     evidence = evidence_of(track, refiner)
     doubt = doubt_of(evidence)
     if not len(track.resampled) and doubt.probability >= WORTH_A_TRACK:

@@ -1,4 +1,4 @@
-"""How doubtful a track is, and why: a logistic model over features, with coefficients fitted by benchmarks/doubt.py."""
+"""Doubt of a track and its reasons: a logistic model over features, with coefficients from benchmarks/doubt.py."""
 
 from __future__ import annotations
 
@@ -20,17 +20,20 @@ if TYPE_CHECKING:
     from mavnav.slam.doubt.evidence import Evidence
 
 LEAST, MOST_DOUBLINGS = 0.25, 5.0
-"""Features below the first count nothing; above, each doubling counts the same, up to so many."""
+"""Value from which a feature counts, and maximum number of its doublings that count."""
 
 MUCH = 1.0
-"""From this value on a feature that counts is a reason."""
+"""Minimum value of a feature that is reported as a reason."""
 
 JOINED_S, MOST_STRETCHES = 2.0, 5
-"""Scans that show a reason at most so far apart are one stretch; of a reason the strongest stretches are reported."""
+"""Longest time between scans of one stretch, and maximum number of stretches of a reason, the strongest ones."""
 
 
 def doubt_of(evidence: Evidence, tried: tuple[str, ...] = ()) -> Doubt:
-    """Judge a track by its evidence."""
+    """Return the doubt of a track, and its reasons with the largest contribution first.
+
+    ``tried`` names what was done because of the doubt.
+    """
     shown = {name: feature.of(evidence) for name, feature in FEATURES.items()}
     values = {name: feature.total(shown[name]) for name, feature in FEATURES.items()}
     log_odds = contributions(values)
@@ -43,24 +46,24 @@ def doubt_of(evidence: Evidence, tried: tuple[str, ...] = ()) -> Doubt:
 
 
 def contributions(values: Mapping[str, float]) -> dict[str, float]:
-    """Return what each feature adds to the log-odds; a comparison of tracks counts where there was one."""
+    """Return the contribution of each feature to the log-odds; the weights differ with and without a second track."""
     _, weights = TWO_TRACKS if np.isfinite(values[DISAGREEMENT]) else ONE_TRACK
     return {name: weight * doublings(values[name]) for name, weight in weights.items()}
 
 
 def probability(values: Mapping[str, float]) -> float:
-    """Return the probability that a track of these features is wrong; it grows with each of them."""
+    """Return the probability that a track with these features is wrong; it increases with each of them."""
     bias, _ = TWO_TRACKS if np.isfinite(values[DISAGREEMENT]) else ONE_TRACK
     return 1.0 / (1.0 + exp(-bias - sum(contributions(values).values())))
 
 
 def doublings(value: float) -> float:
-    """Count how often a feature doubles from where it begins to count."""
+    """Return how often a feature doubles above ``LEAST``."""
     return min(log2(max(value, LEAST) / LEAST), MOST_DOUBLINGS)
 
 
 def stretches(name: str, shown: NDArray[np.float64], stamps_ns: NDArray[np.int64]) -> list[Reason]:
-    """Return where scans show much of a feature (n,), in the order of time."""
+    """Return the stretches in which a feature (n,) is a reason, in order of time."""
     rows = np.flatnonzero(shown >= MUCH)
     parts = np.split(rows, np.flatnonzero(np.diff(stamps_ns[rows]) * NS > JOINED_S) + 1)
     found = [Reason(name, int(stamps_ns[p[0]]), int(stamps_ns[p[-1]]), float(shown[p].max())) for p in parts]

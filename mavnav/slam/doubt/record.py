@@ -1,4 +1,4 @@
-"""The record of how doubtful a track is."""
+"""Records of the doubt of a track."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 HIGH: Final = 0.5
-"""A track of higher probability is marked as doubtful."""
+"""Probability above which a track is marked as doubtful."""
 
 NOT_PLANAR: Final = "not planar"
-"""The reason that makes a map of the plane meaningless."""
+"""The reason with which a map of the plane is meaningless."""
 
 
 class Reason(NamedTuple):
-    """A reason to doubt a track: the scans from and to which it holds, stamps in ns, and its strongest value there."""
+    """A reason to doubt a track: its stretch from and to a scan, stamps in ns, and its largest value there."""
 
     name: str
     start_ns: int
@@ -27,7 +27,7 @@ class Reason(NamedTuple):
 
 
 class Remedy(NamedTuple):
-    """Another whole track, made because the first one was lost or doubtful, the doubt of both, and which was kept."""
+    """Another whole track, made because the first was lost or doubtful: the doubt of both, and whether it is used."""
 
     name: str
     doubt_before: float
@@ -37,7 +37,7 @@ class Remedy(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """The probability that an accepted track is wrong somewhere, the reasons, the strongest first.
+    """The probability that an accepted track is wrong somewhere, and the reasons, the strongest first.
 
     ``tried`` names what was done because of it.
     """
@@ -54,7 +54,7 @@ class Doubt:
     def marks(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return which of the scans (n,) are doubtful: those of the reasons, if the doubt is high.
 
-        A reason that holds everywhere marks them only where no other says more.
+        A reason that holds for all scans marks them only if there is no other reason.
         """
         found = [(stamps_ns >= r.start_ns) & (stamps_ns <= r.end_ns) for r in self.reasons if self.high]
         local = [some for some in found if not some.all()]

@@ -16,12 +16,12 @@ import numpy as np
 from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD, Closure
 from mavnav.slam.loop_closure.detection import LOOP_M, consistent, track_confirmed
 from mavnav.slam.loop_closure.key_frames import Part, Visibility
-from mavnav.slam.loop_closure.matching import CLEAR_BY, find_closure, fits
+from mavnav.slam.loop_closure.matching import AMBIGUITY_MARGIN, find_closure, fits
 from mavnav.slam.loop_closure.path_edges import PATH_SIGMA_M, PATH_SIGMA_RAD
 from mavnav.slam.loop_closure.pose_graph import Edge, optimized
 from mavnav.slam.map_alignment import fitted
-from mavnav.slam.parts import agreed
-from mavnav.slam.relocalization import apart, candidates, everywhere, unrivalled, with_conflicts
+from mavnav.slam.parts import consensus
+from mavnav.slam.relocalization import apart, candidates, everywhere, unambiguous, with_conflicts
 from mavnav.slam.scan_matching import no_match
 from mavnav.units import DEG
 
@@ -183,7 +183,7 @@ def _grown(
 def sought(session: Session, part: Part, config: Config) -> tuple[Join, Pose | None]:
     """Search a session in the map of a group; return the evidence, and its pose there, None if too few agree."""
     pairs, searched = witnesses(session, part, config)
-    group_T_session, join = agreed(pairs), Join(session.name, searched, len(pairs))
+    group_T_session, join = consensus(pairs), Join(session.name, searched, len(pairs))
     if group_T_session is None:
         few = "too few of its scans fit in one place of the others' map" if len(pairs) < 3 else "its scans disagree"
         return join._replace(why=few), None
@@ -216,7 +216,9 @@ def _only_place(key: KeyFrame, part: Part, region: Region, config: Config) -> Ma
     """Return where a key frame fits in a map; None where it fits nowhere, or elsewhere about as well."""
     if len(key.points) < config.robust.min_points:
         return None
-    best = unrivalled(candidates(key.points, part.lines, part.grid, region, config, MOST_PLACES), CLEAR_BY, config)
+    best = unambiguous(
+        candidates(key.points, part.lines, part.grid, region, config, MOST_PLACES), AMBIGUITY_MARGIN, config
+    )
     return best if best and fits(best) else None
 
 

@@ -1,4 +1,4 @@
-"""Closures: two key frames that saw the same walls, what their match constrains, and whether closures agree."""
+"""Closures: pairs of key frames that saw the same walls, the directions they constrain, and their consistency."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ SIGMA_M, SIGMA_RAD = 0.03, 0.5 * DEG
 """Standard deviations of a closure."""
 
 NEIGHBOR_M = 10.0
-"""Closures are compared if the paths between them are no longer."""
+"""Longest path between two closures that are compared."""
 
 AGREE_M, AGREE_RAD = (0.15, 0.05), (2 * DEG, 1 * DEG)
-"""Largest difference of two closures: at no path between them, more per metre of it."""
+"""Largest difference of two closures that agree: a constant, and the increase per metre of path between them."""
 
 PARALLEL_RAD = 20 * DEG
-"""Closures of corridors at a larger angle constrain no common direction."""
+"""Largest angle between the weak directions of two closures that are compared."""
 
 SMALL_M, SMALL_RAD = 0.06, 1 * DEG
-"""Closures with a smaller correction confirm the track, which is left as it is."""
+"""Largest correction by a closure that confirms the track, which then does not change."""
 
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """Key frame ``end`` saw again what key frame ``start`` saw (numbers of key frames); ``match`` is the evidence.
+    """Key frame ``end`` saw the same walls as key frame ``start`` (numbers of key frames); ``match`` is the evidence.
 
-    ``weak_rad`` is the direction, in the frame of ``start``, in which the pose is not observable (along a plain
-    corridor); None where it is observable in all.
+    ``weak_rad`` is the direction, frame of ``start``, in which the pose is not observable (along a plain corridor);
+    None if all directions are observable.
     """
 
     start: int
@@ -50,7 +50,7 @@ class Closure:
     weak_rad: float | None = None
 
     def correction(self, keys: Sequence[KeyFrame]) -> Pose:
-        """Return where ``end`` should be, seen from where it is, without what is not observable."""
+        """Return the corrected pose of ``end`` in its present frame, without the direction that is not observable."""
         off = keys[self.end].map_T_laser.between(keys[self.start].map_T_laser @ self.start_T_end)
         if self.weak_rad is None:
             return off
@@ -67,14 +67,14 @@ class Closure:
 
 
 def without(offset: Pose, direction_rad: float) -> tuple[float, float]:
-    """Return the translation (x, y) of an offset, m, without its part along a direction."""
+    """Return the translation (x, y) of an offset, m, without its component along a direction."""
     c, s = cos(direction_rad), sin(direction_rad)
     across_m = -s * offset.x_m + c * offset.y_m
     return -s * across_m, c * across_m
 
 
 def agreeing(closures: Sequence[Closure], keys: Sequence[KeyFrame], accepted: Sequence[Closure] = ()) -> list[Closure]:
-    """Keep the closures that agree with more of their neighbours, and of the accepted ones, than they contradict."""
+    """Return the closures that agree with more of each other, and of the accepted ones, than they contradict."""
     kept, before = list(closures), len(closures) + 1
     while len(kept) < before:
         before = len(kept)
@@ -89,7 +89,7 @@ def is_confirmed(a: Closure, others: Sequence[Closure], keys: Sequence[KeyFrame]
 
 
 def agree(a: Closure, b: Closure, keys: Sequence[KeyFrame]) -> bool | None:
-    """Return whether two closures agree in what both constrain; None where they are too far apart to compare."""
+    """Return whether two closures agree in the directions that both constrain; None if they cannot be compared."""
     path_m = sum(abs(keys[p].path_m - keys[q].path_m) for p, q in ((a.start, b.start), (a.end, b.end)))
     if path_m > NEIGHBOR_M:
         return None

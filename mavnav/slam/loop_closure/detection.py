@@ -1,9 +1,9 @@
-"""Loop closure: find where the laser came back to a place after a long path, and correct the path (docs/method.md).
+"""Loop closure: find where the laser returned to a place after a long path, and correct the path (docs/method.md).
 
-Key frames of the track are matched with the old part of the map, which was seen a long path before. One that fits
-there in one place and in no other within the bounds of the drift, and that agrees with its neighbours, is a closure
-(Olson 2009, "Recognizing places using spectrally clustered local matches", on why closures must agree). A pose graph
-then distributes the corrections over the path.
+Key frames of the track are matched against the old part of the map, which was seen a long path before. A match at
+exactly one pose within the drift bound, which agrees with other closures, is a closure (Olson 2009, "Recognizing places
+using spectrally clustered local matches", on the consistency of closures). A pose graph then distributes the
+corrections over the path.
 """
 
 from __future__ import annotations
@@ -33,33 +33,33 @@ if TYPE_CHECKING:
     Points = NDArray[np.float64]
 
 LOOP_M = 8.0
-"""What was seen a shorter path before is no loop: there the tracker itself keeps the map consistent."""
+"""Minimum path of a loop: for shorter ones the tracker itself keeps the map consistent."""
 
 SEARCH_M, FAR_SEARCH_M = 0.25, 2.5
-"""Path from one search for a loop to the next: at first; while closures confirm the track, or none is found."""
+"""Path between two searches: at first, and while closures confirm the track or no closure is found."""
 
 CONFIRMING = 2
-"""Number of closures in a row that must be small to confirm the track."""
+"""Number of successive small closures that confirm the track."""
 
-IN_VAIN = 40
-"""Number of searches in a row without a closure after which they become sparse."""
+MOST_FAILED = 40
+"""Number of successive searches without a closure after which they become sparse."""
 
 SIGHT_M = 4.0
-"""Old key frames within this, and the drift, may have seen the same walls."""
+"""Largest distance, besides the drift bound, of old key frames that may have seen the same walls."""
 
 SMALL_SHARE, FAR_OFF = 0.95, 3.0
-"""The track stays if this share of its closures is small, and none exceeds the bounds by this factor."""
+"""The track does not change if this share of its closures is small, and none exceeds the bounds by this factor."""
 
 ROUNDS = 3
-"""Largest number of searches: a closed loop brings others within the bounds."""
+"""Maximum number of rounds: a closed loop can bring other closures within the bounds."""
 
 
 @dataclass(frozen=True, slots=True)
 class Loop:
     """A closed loop: the scan of row ``end`` of the trajectory lies at ``start_T_end`` from that of row ``start``.
 
-    ``correction`` is where the later one should have been, seen from where it was tracked, without what is not
-    observable; ``inliers`` is the share of its points that agree.
+    ``correction`` is the corrected pose of the later scan in its tracked frame, without the direction that is not
+    observable. ``inliers`` is the share of its points that agree.
     """
 
     start: int
@@ -79,9 +79,9 @@ class Graph:
 
 @dataclass(frozen=True, slots=True)
 class Loops:
-    """The loops, the number of candidates that were refused, and the poses that follow.
+    """The closed loops, the number of refused candidates, and the corrected poses.
 
-    ``map_T_laser`` is None where the track stays as it is, ``graph`` where no loop was looked for.
+    ``map_T_laser`` is None if the track does not change, ``graph`` is None if no loop was searched.
     """
 
     closed: tuple[Loop, ...] = ()
@@ -90,7 +90,7 @@ class Loops:
     graph: Graph | None = field(default=None, compare=False)
 
     def dropped(self) -> Loops:
-        """Return the same with every loop refused."""
+        """Return the loops with every one refused."""
         return Loops(refused=self.refused + len(self.closed), graph=self.graph)
 
 
@@ -101,11 +101,11 @@ def find_loops(
     information_of: InformationOf,
     config: Config,
 ) -> Loops:
-    """Find the places that the laser came back to, and correct the path between.
+    """Find the loops of a track, and correct the path between their ends.
 
-    ``map_T_laser`` holds the tracked poses; ``points_of`` gives the points (n, 2) of the scans of some rows, thinned
-    for matching, m, laser frame. Where the path never comes back it is not called, and where it gives fewer, because
-    the run is being stopped, no loop is searched. ``information_of`` gives what the map of the track shows of a pose.
+    ``map_T_laser`` holds the tracked poses. ``points_of`` returns the match points (n, 2) of the scans of given rows,
+    m, laser frame; it is not called if the path never returns. If it returns fewer, because the run is stopped, no loop
+    is searched. ``information_of`` returns the information of the track's map about a pose.
     """
     rows, paths_m = key_rows(map_T_laser.xyyaw)
     xy_m = map_T_laser.xyyaw[rows, :2]
@@ -147,14 +147,14 @@ def find_closures(
 
 
 def consistent(found: Sequence[Closure], keys: Sequence[KeyFrame], tracked: Sequence[KeyFrame]) -> list[Closure]:
-    """Return the closures that agree: weak ones never refute others, and count only where they correct the track."""
-    firm = agreeing([c for c in found if c.weak_rad is None], keys)
-    weak = agreeing([c for c in found if c.weak_rad is not None], keys, firm)
-    return sorted(firm + [c for c in weak if not is_small(c.correction(tracked))], key=lambda c: c.end)
+    """Return the closures that agree; weak ones never refute others, and count only if they correct the track."""
+    full = agreeing([c for c in found if c.weak_rad is None], keys)  # constrained in all directions
+    weak = agreeing([c for c in found if c.weak_rad is not None], keys, full)
+    return sorted(full + [c for c in weak if not is_small(c.correction(tracked))], key=lambda c: c.end)
 
 
 def nearest_old(xy_m: NDArray[np.float64], paths_m: NDArray[np.float64], j: int) -> int | None:
-    """Return the old key frame nearest to key frame ``j``, None where none may have seen the same walls."""
+    """Return the old key frame nearest to key frame ``j``; None if none is near enough to have seen the same walls."""
     old = int(np.searchsorted(paths_m, paths_m[j] - LOOP_M))
     if not old:
         return None
@@ -164,10 +164,10 @@ def nearest_old(xy_m: NDArray[np.float64], paths_m: NDArray[np.float64], j: int)
 
 
 def detect_closures(keys: Sequence[KeyFrame], config: Config) -> Iterator[Closure | None]:
-    """Search key frames on what was seen long before; yield a closure or None for each search.
+    """Search key frames in the old part of the map; yield a closure or None for each search.
 
-    Searches are dense at first and sparse where closures confirm the track; these also bound the drift from there on.
-    Weak closures confirm nothing: the drift along a corridor stays unknown.
+    Searches are dense at first and sparse where closures confirm the track, which also bounds the drift from there on.
+    Weak closures confirm nothing, because the drift along a corridor stays unknown.
     """
     old, seen, paths, pace = Part(config), Visibility(keys), Paths(), Pace()
     xy_m = np.array([(k.map_T_laser.x_m, k.map_T_laser.y_m) for k in keys])
@@ -180,29 +180,29 @@ def detect_closures(keys: Sequence[KeyFrame], config: Config) -> Iterator[Closur
         old.grow(keys, count)
         seen.grow(count)
         found = find_closure(keys, j, old, seen, drift_bound(paths.between(keys[i].path_m, key.path_m)), config)
-        firm = found if found and found.weak_rad is None else None
-        pace = pace.after(key.path_m, firm, small=firm is not None and is_small(firm.correction(keys)))
-        if firm and pace.confirming >= CONFIRMING:
-            paths.join(keys[firm.start].path_m, key.path_m)
+        full = found if found and found.weak_rad is None else None
+        pace = pace.after(key.path_m, full, small=full is not None and is_small(full.correction(keys)))
+        if full and pace.confirming >= CONFIRMING:
+            paths.join(keys[full.start].path_m, key.path_m)
         yield found
 
 
 class Pace(NamedTuple):
-    """When to search next: from ``next_m`` of the path on, after so many closures in a row that were small, or none."""
+    """When to search next: the path length ``next_m``, and the successive small closures and failed searches so far."""
 
     next_m: float = 0.0
     confirming: int = 0
-    in_vain: int = 0
+    failed: int = 0
 
     def after(self, path_m: float, found: Closure | None, *, small: bool) -> Pace:
         """Return the pace after a search."""
-        confirming, in_vain = (self.confirming + 1 if small else 0), (0 if found else self.in_vain + 1)
-        step_m = FAR_SEARCH_M if confirming >= CONFIRMING or in_vain >= IN_VAIN else SEARCH_M
-        return Pace(path_m + step_m, confirming, in_vain)
+        confirming, failed = (self.confirming + 1 if small else 0), (0 if found else self.failed + 1)
+        step_m = FAR_SEARCH_M if confirming >= CONFIRMING or failed >= MOST_FAILED else SEARCH_M
+        return Pace(path_m + step_m, confirming, failed)
 
 
 def track_confirmed(corrections: Sequence[Pose]) -> bool:
-    """Return whether the corrections are so small that the track is better left as it is."""
+    """Return whether the corrections are so small that the track should not change."""
     few = sum(not is_small(correction) for correction in corrections) <= (1.0 - SMALL_SHARE) * len(corrections)
     return few and all(is_small(correction, FAR_OFF) for correction in corrections)
 
@@ -219,7 +219,7 @@ def edges_of(closures: Sequence[Closure]) -> list[Edge]:
 
 
 def follow(map_T_laser: Trajectory, tracked: Sequence[KeyFrame], keys: Sequence[KeyFrame]) -> Trajectory:
-    """Move all poses with the key frames: each keeps its pose relative to the two next to it."""
+    """Correct all poses with the key frames: each pose keeps its position relative to the two key frames around it."""
     rows = np.array([key.row for key in tracked])
     poses = []
     for row in range(len(map_T_laser)):

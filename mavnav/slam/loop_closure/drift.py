@@ -1,4 +1,4 @@
-"""How far the track may be off between two key frames: a bound that grows with the path between them."""
+"""Bound of the drift of the track between two key frames, which increases with the path between them."""
 
 from __future__ import annotations
 
@@ -7,33 +7,34 @@ import numpy as np
 from mavnav.units import DEG
 
 DRIFT_M, DRIFT_RAD = (0.3, 0.06, 4.0), (5 * DEG, 0.8 * DEG, 30 * DEG)
-"""Bounds of the drift: at first, more per metre of path, at most."""
+"""Drift bound: constant, increase per metre of path, and maximum."""
 
 TIE_M = 1e-9
-"""Shorter paths by no more than this are rounding errors."""
+"""Tolerance for rounding errors of path lengths."""
 
 
 def drift_bound(path_m: float) -> tuple[float, float]:
-    """Return how far a track may be off after a path of this length, m and rad."""
+    """Return the drift bound after a path of this length, m and rad."""
     (first_m, more_m, most_m), (first_rad, more_rad, most_rad) = DRIFT_M, DRIFT_RAD
     return min(first_m + more_m * path_m, most_m), min(first_rad + more_rad * path_m, most_rad)
 
 
 class Paths:
-    """The shortest path between two points of the track; closures that confirm the track shorten it."""
+    """Shortest paths between points of the track; closures that confirm the track shorten them."""
 
     def __init__(self) -> None:
-        """Begin with the track alone."""
+        """Start with the track alone."""
         self._across: list[tuple[float, float]] = []
 
     def join(self, a_m: float, b_m: float) -> None:
-        """Join two points, given by the path length up to them: a closure confirms that nothing drifted between."""
+        """Connect two points, given by their path lengths, at no distance: a closure shows no drift between them."""
         self._across.append((a_m, b_m))
 
     def between(self, a_m: float, b_m: float) -> float:
         """Return the length of the shortest path, m.
 
-        Paths to all joined points are shortened until none is: across a joint, then along the track ahead and back.
+        The paths to all connected points are relaxed until none gets shorter: across a connection, then along the track
+        forwards and backwards.
         """
         if not self._across:
             return abs(b_m - a_m)

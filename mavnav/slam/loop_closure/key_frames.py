@@ -1,4 +1,4 @@
-"""Key frames: the tracked scans that are searched for loops, the map of some of them, and what several saw."""
+"""Key frames: the tracked scans in which loops are searched, their map, and the squares of the plane that each saw."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     Points = NDArray[np.float64]
 
 KEY_M, KEY_RAD = 0.3, 15 * DEG
-"""A key frame follows the last one after this path length or rotation."""
+"""Path length or rotation from one key frame to the next."""
 
 SQUARE_M = 0.1
-"""Two key frames saw the same where their points lie in the same square of this edge."""
+"""Edge of the squares by which key frames are compared: points in the same square are taken as the same wall."""
 
 _ROW = 1 << 32
-"""Squares of the plane are numbered row by row, each row so long."""
+"""Length of a row in the numbering of squares of the plane."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class KeyFrame:
 
 
 def key_rows(xyyaw: NDArray[np.float64]) -> tuple[list[int], list[float]]:
-    """Choose the rows of key frames out of poses (n, 3); return them and the path length up to each, m."""
+    """Return the rows of the key frames among poses (n, 3), and the path length up to each, m."""
     steps_m = np.hypot(*np.diff(xyyaw[:, :2], axis=0).T)
     path_m = np.concatenate(([0.0], steps_m.cumsum()))
     rows: list[int] = []
@@ -56,7 +56,7 @@ def key_rows(xyyaw: NDArray[np.float64]) -> tuple[list[int], list[float]]:
 
 
 class Part:
-    """A part of the map: what some key frames saw."""
+    """A part of the map, built from some of the key frames."""
 
     def __init__(self, config: Config) -> None:
         """Start empty."""
@@ -69,7 +69,7 @@ class Part:
         """Insert the next key frames, up to the number ``count``."""
         some = keys[self.count : count]
         seen = [transform_points(key.map_T_laser, key.points) for key in some]
-        extent_m = extent(np.concatenate([np.zeros((0, 2)), *seen]))  # of all: the map is copied once as it grows
+        extent_m = extent(np.concatenate([np.zeros((0, 2)), *seen]))  # of all, so that the map is enlarged only once
         for key, xy_map_m in zip(some, seen, strict=True):
             self.lines.insert(xy_map_m, extent_m)
             self.grid.insert(key.map_T_laser, xy_map_m, extent_m)
@@ -77,25 +77,26 @@ class Part:
 
 
 class Visibility:
-    """Which key frames saw which squares of the plane, kept as they come."""
+    """Index from squares of the plane to the key frames that saw them."""
 
     def __init__(self, keys: Sequence[KeyFrame]) -> None:
-        """Start with none of the key frames."""
+        """Start with no key frame in the index."""
         self.keys = keys
         self.count = 0
         self._seen_by: dict[int, list[int]] = {}
 
     def grow(self, count: int) -> None:
-        """Enter the next key frames, up to the number ``count``."""
+        """Add the next key frames, up to the number ``count``."""
         for k in range(self.count, count):
             for square in squares(self.keys[k]):
                 self._seen_by.setdefault(square, []).append(k)
         self.count = max(count, self.count)
 
     def reference(self, key: KeyFrame) -> int:
-        """Return the entered key frame that saw most of what a key frame saw; a nearer one may not.
+        """Return the indexed key frame that saw most squares of ``key``, at the pose of ``key``.
 
-        Of equals it is the nearest, of equally near ones the first. ``key`` is placed by its own pose.
+        Of several, the nearest is returned, and of equally near ones the first. The nearest key frame alone may not
+        have seen the same walls.
         """
         seen = [k for square in squares(key) for k in self._seen_by.get(square, ())]
         common = np.bincount(np.array(seen, np.intp), minlength=self.count)
@@ -104,7 +105,7 @@ class Visibility:
 
 
 def squares(key: KeyFrame) -> list[int]:
-    """Return the numbers of the squares that hold points of a key frame."""
+    """Return the numbers of the squares with points of a key frame."""
     col, row = np.floor(transform_points(key.map_T_laser, key.points) / SQUARE_M).astype(np.int64).T
     numbers: list[int] = np.unique(row * _ROW + col).tolist()
     return numbers

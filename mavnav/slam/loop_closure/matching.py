@@ -1,4 +1,4 @@
-"""Where does a key frame fit on the old part of the map? One closure, or none (docs/method.md, steps 2 and 3)."""
+"""Match a key frame against the old part of the map: one closure, or none (docs/method.md, steps 2 and 3)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from mavnav.slam.relocalization import (
     around,
     candidates,
     least_growth,
-    least_observable,
     misfit,
-    unrivalled,
+    unambiguous,
+    unobservable_direction,
     with_conflicts,
 )
 from mavnav.slam.scan_matching import Schedule, search_lines
@@ -31,37 +31,37 @@ if TYPE_CHECKING:
     from mavnav.slam.scan_matching import Match
 
 LEAST_INLIERS, LEAST_WEAK_INLIERS = 0.5, 0.7
-"""Share of a closure's points that agree with the old part, also of a weak one; the others may lie on new area."""
+"""Minimum share of inliers of a closure, and of a weak one; the other points may lie on new area."""
 
 MOST_CONFLICTS = 0.05
 """Largest share of visibility conflicts of a closure's points with the old part."""
 
-CLEAR_BY = 0.15
-"""A closure is ambiguous if another place within the drift ranks nearer than this (``misfit``)."""
+AMBIGUITY_MARGIN = 0.15
+"""Minimum difference in rank (``misfit``) to another pose within the drift bound; below, a closure is ambiguous."""
 
 PART_M = 1.0
-"""A closure is measured against what was seen within this path length of its reference key frame, which is rigid."""
+"""Path length around the reference key frame whose scans a closure is measured against; these are nearly rigid."""
 
 LEAST_GROWTH = 0.03
-"""A direction is not observable if moving in it costs less (``relocalization.least_growth``), as along a corridor."""
+"""Least cost of a step (``relocalization.least_growth``) in a direction that is observable."""
 
 STRIP_M = 0.15
-"""Half the width of the strip across a corridor that is searched for a weak closure."""
+"""Half-width of the strip across a corridor that is searched for a weak closure."""
 
 MOST_WEAK_M, MOST_WEAK_RAD = 0.8, 10 * DEG
-"""Largest correction by a weak closure: a parallel corridor, which looks the same, is farther away."""
+"""Largest correction by a weak closure: a parallel corridor with similar walls is farther away."""
 
 
 def find_closure(
     keys: Sequence[KeyFrame], j: int, old: Part, seen: Visibility, bound: tuple[float, float], config: Config
 ) -> Closure | None:
-    """Find the one place within the bounds of the drift, m and rad, where key frame ``j`` fits on the old part.
+    """Return the closure of key frame ``j`` with the old part, within the drift bound, m and rad.
 
-    In a plain corridor the closure is weak. None where the key frame fits nowhere, or in several places.
+    In a plain corridor the closure is weak. None if the key frame fits nowhere, or at several poses.
     """
     region = around(keys[j].map_T_laser, *bound)
     found = candidates(keys[j].points, old.lines, old.grid, region, config)
-    best = unrivalled(found, CLEAR_BY, config)
+    best = unambiguous(found, AMBIGUITY_MARGIN, config)
     closure = measured(keys, j, best, seen, config) if best and fits(best) else None
     if closure and closure.weak_rad is None:
         return closure
@@ -78,15 +78,15 @@ def weak_closure(
     bound: tuple[float, float],
     config: Config,
 ) -> Closure | None:
-    """Search across the corridor in which a key frame matches; along it the tracked position is kept."""
+    """Search across the corridor of a match, at the tracked position along it; return the weak closure or None."""
     key = keys[j]
-    along_rad = least_observable(key.points, match.map_T_laser, old.lines, LEAST_GROWTH, config)
+    along_rad = unobservable_direction(key.points, match.map_T_laser, old.lines, LEAST_GROWTH, config)
     if along_rad is None:
         return None
     xy_m, yaws_rad = around(key.map_T_laser, *bound)
     off_m = (xy_m - key.map_T_laser[:2]) @ (cos(along_rad), sin(along_rad))
     found = candidates(key.points, old.lines, old.grid, (xy_m[abs(off_m) <= STRIP_M], yaws_rad), config)
-    best = unrivalled(found, CLEAR_BY, config)
+    best = unambiguous(found, AMBIGUITY_MARGIN, config)
     closure = measured(keys, j, best, seen, config) if best and fits(best, LEAST_WEAK_INLIERS) else None
     if closure is None or closure.weak_rad is None or closure.match.inliers < LEAST_WEAK_INLIERS:
         return None
@@ -95,14 +95,14 @@ def weak_closure(
 
 
 def fits(match: Match, least_inliers: float = LEAST_INLIERS) -> bool:
-    """Return whether enough of a key frame agrees with the old part, with few visibility conflicts."""
+    """Return whether enough points of a key frame are inliers, and few are visibility conflicts."""
     return match.inliers >= least_inliers and match.conflicts <= MOST_CONFLICTS
 
 
 def measured(keys: Sequence[KeyFrame], j: int, match: Match, seen: Visibility, config: Config) -> Closure | None:
-    """Match key frame ``j`` against what was seen near its reference key frame; None where it does not fit there.
+    """Match key frame ``j`` against the scans near its reference key frame; None if it does not fit there.
 
-    The closure is weak where one direction is not observable; None where none is.
+    The closure is weak if one direction is not observable; None if no direction is.
     """
     i = seen.reference(replace(keys[j], map_T_laser=match.map_T_laser))
     old = range(seen.count)
@@ -119,7 +119,7 @@ def measured(keys: Sequence[KeyFrame], j: int, match: Match, seen: Visibility, c
     start, place = keys[i].map_T_laser, fine.map_T_laser
     if least_growth(points, place, part.lines, config) >= LEAST_GROWTH:
         return Closure(i, j, start.between(place), fine)
-    along_rad = least_observable(points, place, part.lines, LEAST_GROWTH, config)
+    along_rad = unobservable_direction(points, place, part.lines, LEAST_GROWTH, config)
     if along_rad is None:
         return None
     return Closure(i, j, start.between(place), fine, wrap_angle(along_rad - start.yaw_rad))

@@ -1,8 +1,8 @@
-"""A pose graph in the plane: the poses that agree best with what was measured between pairs of them (docs/method.md).
+"""A pose graph in the plane: the poses that fit relative measurements between pairs of them best (docs/method.md).
 
-Each edge measures one pose from another. The squared errors, weighted by the edges' information matrices, are summed
-with a robust loss and minimised by damped Gauss-Newton steps on the sparse normal equations (Kuemmerle et al. 2011,
-"g2o: A general framework for graph optimization"; Levenberg-Marquardt damping; Huber's loss).
+Each edge measures one pose from another. The sum of the squared errors, weighted by the information matrices of the
+edges and with a robust loss, is minimised by damped Gauss-Newton steps on the sparse normal equations (Kuemmerle et al.
+2011, "g2o: A general framework for graph optimization"; Levenberg-Marquardt damping; Huber's loss).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
 OUTLIER_SIGMAS = 3.0
-"""Errors beyond this count linearly instead of squared, so that one wrong edge cannot distort the rest."""
+"""Error above which the loss is linear instead of quadratic, so that one wrong edge cannot distort the rest."""
 
 MAX_ITERATIONS = 50
 SMALL_STEP = 1e-6  # m, rad
@@ -32,7 +32,7 @@ class Edge:
     """Pose ``end`` was measured from pose ``start`` (numbers of poses).
 
     ``sqrt_information`` (3, 3) is the square root of the information matrix of x, y (m) and yaw (rad) in the frame of
-    ``start``: the inverse standard deviations on the diagonal; a row of zeros leaves a direction unconstrained.
+    ``start``: a diagonal of inverse standard deviations, or a row of zeros for an unconstrained direction.
     """
 
     start: int
@@ -42,9 +42,9 @@ class Edge:
 
 
 def optimized(poses: Sequence[Pose], edges: Sequence[Edge]) -> list[Pose]:
-    """Return the poses that fit the edges best; the first one stays where it is.
+    """Return the poses that fit the edges best; the first pose does not change.
 
-    ``poses`` are where the iteration starts, in any one frame; edges must join all of them to the first.
+    ``poses`` are the start of the iteration, in any common frame; edges must connect all of them to the first.
     """
     graph = _Graph(edges, len(poses))
     here = np.array([(p.x_m, p.y_m, p.yaw_rad) for p in poses])
@@ -63,7 +63,7 @@ def optimized(poses: Sequence[Pose], edges: Sequence[Edge]) -> list[Pose]:
 
 
 class _Graph:
-    """The errors of all edges, and how they change with the poses (n, 3), of which the first is fixed."""
+    """The errors of all edges and their derivatives by the poses (n, 3), of which the first is fixed."""
 
     def __init__(self, edges: Sequence[Edge], n: int) -> None:
         self.start = np.array([e.start for e in edges], np.intp)
@@ -83,27 +83,27 @@ class _Graph:
         return scaled
 
     def cost(self, poses: NDArray[np.float64]) -> float:
-        """Return Huber's loss of the edges' errors, summed."""
+        """Return the sum of Huber's loss over the edges."""
         size = np.linalg.norm(self.errors(poses), axis=1)
         far = size > OUTLIER_SIGMAS
         return float(np.where(far, OUTLIER_SIGMAS * (2.0 * size - OUTLIER_SIGMAS), size**2).sum())
 
     def step(self, poses: NDArray[np.float64], damping: float) -> NDArray[np.float64]:
-        """Return the damped Gauss-Newton step from here, (n, 3); outliers weigh less the larger they are."""
+        """Return the damped Gauss-Newton step at these poses, (n, 3); larger errors of outliers weigh less."""
         from scipy.sparse import diags  # noqa: PLC0415  takes 0.2 s to load, and few logs have a loop
         from scipy.sparse.linalg import spsolve  # noqa: PLC0415
 
         errors, jacobian = self.errors(poses), self.jacobian(poses)
         size = np.linalg.norm(errors, axis=1)
-        trust = np.repeat(OUTLIER_SIGMAS / np.maximum(size, OUTLIER_SIGMAS), 3)
-        weighted = jacobian.T @ diags(trust)
+        outlier_weights = np.repeat(OUTLIER_SIGMAS / np.maximum(size, OUTLIER_SIGMAS), 3)
+        weighted = jacobian.T @ diags(outlier_weights)
         normal = weighted @ jacobian
         damped = normal + damping * diags(normal.diagonal())
         step = spsolve(damped.tocsc(), -(weighted @ errors.ravel()))
         return np.concatenate((np.zeros(3), step)).reshape(-1, 3)
 
     def jacobian(self, poses: NDArray[np.float64]) -> csr_matrix:
-        """Return how the errors change with all poses but the first, (3 edges, 3 (n - 1))."""
+        """Return the derivatives of the errors by all poses but the first, (3 edges, 3 (n - 1))."""
         from scipy.sparse import csr_matrix  # noqa: PLC0415
 
         a, b = poses[self.start], poses[self.end]

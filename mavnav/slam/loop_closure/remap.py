@@ -1,4 +1,4 @@
-"""The map rebuilt from the poses that follow where loops were closed."""
+"""Loop closure of a track: correct the poses and rebuild the map from them."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 
 def close_loops(track: Track) -> Track:
-    """Close loops and rebuild the map; all stays where there are none, or where the new map is no sharper.
+    """Close loops and rebuild the map; the track does not change without loops, or if the new map is no sharper.
 
-    It stays as well where scans do not come, because the run is being stopped.
+    Nor does it change if the run is stopped early.
     """
     refiner, steps, config = track.refiner, track.steps, track.config
     if refiner is None or not refiner.builds_map or config.loop_closure != "auto":
@@ -49,7 +49,7 @@ def close_loops(track: Track) -> Track:
 
 
 def points_of(log_scans: LogScans, steps: Steps, refiner: Refiner, rows: list[int]) -> Iterator[NDArray[np.float64]]:
-    """Give the points (n, 2) of some tracked scans, numbered as in the trajectory; m, laser frame."""
+    """Yield the match points (n, 2) of the tracked scans in these rows of the trajectory; m, laser frame."""
     tracked = steps.column("index")[steps.column("tracked")].tolist()
     wanted = {tracked[row] for row in rows}
     return (refiner.match_points(scan).copy() for index, scan in enumerate(log_scans()) if index in wanted)
@@ -63,7 +63,7 @@ def information_of(refiner: Refiner, points: NDArray[np.float64], map_T_laser: P
 def rebuild(
     scans: Iterable[Scan], steps: Steps, map_T_laser: Trajectory, method: Method, motion: Motion
 ) -> Iterator[Step]:
-    """Build a new map with every tracked scan at its corrected pose: a row of ``map_T_laser`` for each of them."""
+    """Insert every tracked scan into a new map at its corrected pose, a row of ``map_T_laser``; yield the steps."""
     poses = iter([map_T_laser[row] for row in range(len(map_T_laser))])
     for step, scan in zip(steps, scans, strict=False):
         if not step.tracked:

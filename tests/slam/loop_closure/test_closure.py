@@ -12,7 +12,7 @@ from mavnav.pose import Pose
 from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD, Closure, agree, agreeing
 from mavnav.slam.loop_closure.key_frames import KeyFrame, Part
 from mavnav.slam.loop_closure.matching import LEAST_GROWTH
-from mavnav.slam.relocalization import least_observable
+from mavnav.slam.relocalization import unobservable_direction
 from mavnav.slam.scan_matching import first_match
 from support.synthetic import DEG, LDS_01, Segments, polyline, scan_at
 
@@ -25,10 +25,10 @@ def closure(x_m: float, y_m: float, yaw_rad: float = 0.0, weak_rad: float | None
 
 
 def test_closures_are_compared_only_in_what_both_constrain() -> None:
-    firm, along_x = closure(0.0, 0.0), closure(1.5, 0.0, weak_rad=0.0)
-    assert agree(firm, closure(1.5, 0.0), KEYS) is False
-    assert agree(firm, along_x, KEYS) is True
-    assert agree(along_x, firm, KEYS) is True
+    full, along_x = closure(0.0, 0.0), closure(1.5, 0.0, weak_rad=0.0)
+    assert agree(full, closure(1.5, 0.0), KEYS) is False
+    assert agree(full, along_x, KEYS) is True
+    assert agree(along_x, full, KEYS) is True
     assert agree(along_x, closure(-1.5, 0.1, weak_rad=0.0), KEYS) is True
     assert agree(along_x, closure(-1.5, 0.4, weak_rad=0.0), KEYS) is False
     assert agree(along_x, closure(1.5, 0.0, 5 * DEG, weak_rad=0.0), KEYS) is False
@@ -69,4 +69,4 @@ def direction(walls: Segments, yaw_rad: float) -> float | None:
     poses = [Pose(0.2 * k, 0.0, yaw_rad) for k in range(-5, 6)]
     points = [scan_at(walls, pose, LDS_01, noise=0.005, rng=rng).points() for pose in poses]
     part.grow([KeyFrame(k, 0.0, *seen) for k, seen in enumerate(zip(points, poses, strict=True))], len(poses))
-    return least_observable(points[5], poses[5], part.lines, LEAST_GROWTH, config)
+    return unobservable_direction(points[5], poses[5], part.lines, LEAST_GROWTH, config)
