@@ -71,13 +71,13 @@ def parse_tolerance(name: str, text: str) -> Tolerance:
     if match is None or size is None:
         example = "write for example --tolerance wall_thickness.p95_mm=5%"
         raise UsageError(f"the tolerance {text!r} of {name} is no number, with % or not; {example}")
-    usual = any(known.name == name and known.high for known in TOLERANCES)
-    high = match[3] == "high" if match[3] else usual
+    default = any(known.name == name and known.high for known in TOLERANCES)
+    high = match[3] == "high" if match[3] else default
     return Tolerance(name, high=high, **({"relative": size / 100} if match[2] else {"absolute": size}))
 
 
 def tolerances(given: Iterable[Tolerance]) -> tuple[Tolerance, ...]:
-    """Return the usual tolerances, with those given in their places or behind them."""
+    """Return the default tolerances, with those given in their places or behind them."""
     return tuple(({known.name: known for known in TOLERANCES} | {mine.name: mine for mine in given}).values())
 
 

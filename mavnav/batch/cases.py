@@ -80,7 +80,7 @@ def make_cases(request: BatchRequest, progress: Progress) -> list[Case]:
     for number, (entry, log) in enumerate(logs):
         progress("reading", number, len(logs) if len(logs) > 1 else None)
         for case in _cases(request, entry, log, names[log]):
-            found[case.name] = _joined(found[case.name], case) if case.name in found else case
+            found[case.name] = _merged(found[case.name], case) if case.name in found else case
     return list(found.values())
 
 
@@ -98,7 +98,7 @@ def _logs(request: BatchRequest, entry: Entry) -> Sequence[str]:
     return gather(entry.log, request.base) if request.patterns else entry.log
 
 
-def _joined(one: Case, other: Case) -> Case:
+def _merged(one: Case, other: Case) -> Case:
     """Return a case that two entries name, a pattern and then a path for one, with all that both say of it."""
     if one.has_references and other.has_references and one.run != other.run:
         raise UsageError(f"{one.name}: two entries compare it with different references; give it one")

@@ -18,7 +18,7 @@ from mavnav.outputs.quantities import number
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-_NOT_XML: Final = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_INVALID_XML: Final = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML 1.0 cannot hold (its section 2.2)."""
 
 
@@ -88,4 +88,4 @@ def _missing(names: Sequence[str], *, failed: bool) -> XML.Element:
 
 
 def _text(text: str) -> str:
-    return _NOT_XML.sub("?", text)
+    return _INVALID_XML.sub("?", text)

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 _TIMEOUT: Final = "MAVNAV_FETCH_TIMEOUT_S"
 PIECE_BYTES: Final = 2**20
 IDLE_S: Final = 60.0
-"""A server that sends nothing for so long is given up; so is one that by then sends less than `LEAST_RATE`."""
+"""A server that sends nothing for so long is given up; so is one that by then sends less than `MIN_RATE`."""
 
-LEAST_RATE: Final = 1000.0
+MIN_RATE: Final = 1000.0
 """Bytes a second."""
 
 
@@ -39,7 +39,7 @@ class Limits:
 
     total_s: float
     idle_s: float
-    most_bytes: float
+    max_bytes: float
     private: bool
     """Whether the address may name a host of a private network."""
 
@@ -47,12 +47,12 @@ class Limits:
 def limits() -> Limits:
     """Return the limits of the ``MAVNAV_FETCH_*`` variables; raises UsageError for no numbers."""
     total_s = _number(_TIMEOUT, 3600.0)
-    most_bytes = 1e6 * _number("MAVNAV_FETCH_MAX_MB", 65_536.0)
-    return Limits(total_s, min(IDLE_S, total_s), most_bytes, private=any(_allowed_hosts()) or not in_cluster())
+    max_bytes = 1e6 * _number("MAVNAV_FETCH_MAX_MB", 65_536.0)
+    return Limits(total_s, min(IDLE_S, total_s), max_bytes, private=any(_allowed_hosts()) or not in_cluster())
 
 
-def _number(variable: str, usual: float) -> float:
-    text = os.environ.get(variable) or str(usual)
+def _number(variable: str, default: float) -> float:
+    text = os.environ.get(variable) or str(default)
     try:
         number = float(text)
     except ValueError:
@@ -147,8 +147,8 @@ class _Copy:
             while not self.stop.is_set() and (piece := source.read(PIECE_BYTES)):
                 self.done_bytes += len(piece)
                 self.latest_s = monotonic()
-                if self.done_bytes > self.limits.most_bytes:
-                    raise self._refused(f"larger than {self.limits.most_bytes / 1e6:g} MB", "MAVNAV_FETCH_MAX_MB")
+                if self.done_bytes > self.limits.max_bytes:
+                    raise self._refused(f"larger than {self.limits.max_bytes / 1e6:g} MB", "MAVNAV_FETCH_MAX_MB")
                 self._put(copy, piece)
 
     def _created(self) -> Any:  # noqa: ANN401  a file
@@ -176,8 +176,8 @@ class _Copy:
         elapsed_s = now_s - self.began_s
         if elapsed_s > self.limits.total_s or now_s - self.latest_s > self.limits.idle_s:
             raise self._late()
-        if elapsed_s > self.limits.idle_s and self.done_bytes < LEAST_RATE * elapsed_s:
-            raise self._refused(f"less than {LEAST_RATE:g} bytes/s for {self.limits.idle_s:g} s", _TIMEOUT)
+        if elapsed_s > self.limits.idle_s and self.done_bytes < MIN_RATE * elapsed_s:
+            raise self._refused(f"less than {MIN_RATE:g} bytes/s for {self.limits.idle_s:g} s", _TIMEOUT)
 
     def _refused(self, reason: str, variable: str) -> UsageError:
         advice = f"download it by other means, or set {variable}"

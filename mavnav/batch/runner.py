@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 from mavnav.atomic_files import discard
 from mavnav.batch.cases import CaseResult
 from mavnav.batch.jobs import replay_local, replay_remote
-from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs, run_with_retries
+from mavnav.jobs import Ended, Event, Job, Outcome, Status, run_jobs, run_with_retries
 from mavnav.jobs.run_cache import finished_document
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def run_cases(
     described: dict[str, T] = {}
 
     def record(case: Case, outcome: Outcome | None) -> None:
-        has_run = outcome is None or outcome.fate is Fate.DONE
+        has_run = outcome is None or outcome.status is Status.DONE
         document = finished_document(case.run) if case.run and has_run else None
         described[case.name] = describe(CaseResult(case, outcome, document))
 
@@ -92,7 +92,7 @@ def _run_here(jobs: Sequence[Job], on_event: OnEvent, limits: RunLimits) -> list
     """Run jobs in processes of this machine; what a dead worker left is removed before its end is reported."""
 
     def tidy(event: Event) -> None:
-        if isinstance(event, Ended) and event.outcome.fate in {Fate.DIED, Fate.TIMEOUT}:
+        if isinstance(event, Ended) and event.outcome.status in {Status.DIED, Status.TIMEOUT}:
             discard(jobs[event.index].args[0].directory, event.outcome.pid)
         on_event(event)
 

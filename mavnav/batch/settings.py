@@ -116,8 +116,8 @@ def _distinct(settings: Iterable[Setting]) -> list[Setting]:
 
 def setting_name(config: Config) -> str:
     """Name a configuration: ``robust 20/10x10``, yaw samples first, then what is not the method's default."""
-    usual = load_config(None, (), {name: getattr(config, name) for name in ("method", "azimuth")})
-    mine, theirs = (dict(_leaves(c.document())) for c in (config, usual))
+    default = load_config(None, (), {name: getattr(config, name) for name in ("method", "azimuth")})
+    mine, theirs = (dict(_leaves(c.document())) for c in (config, default))
     others = [
         f"{'.'.join(key)}={formatted(value)}"
         for key, value in mine.items()

@@ -12,7 +12,7 @@ from mavnav.outputs.quantities import NAMED, TIME
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-MOST_ROWS: Final = 100
+MAX_ROWS: Final = 100
 """A summary shows so many runs, the worst; GitHub takes 1 MiB of them a step."""
 
 FIGURES: Final = (
@@ -43,8 +43,8 @@ def to_summary(document: Mapping[str, Any]) -> str:
     mark = "✅" if document["exit_code"] == 0 else "❌"
     lines = [f"## {mark} mavnav batch", "", batch_headline(document) + ".", ""]
     bad = [row for row in rows if row["verdict"]]
-    lines += [f"- **{escaped(row['name'])}**: {escaped('; '.join(why(row)))}" for row in bad[:MOST_ROWS]]
-    lines += [f"- **{escaped(name)}**: in the baseline, not in this batch" for name in _missing(document)[:MOST_ROWS]]
+    lines += [f"- **{escaped(row['name'])}**: {escaped('; '.join(why(row)))}" for row in bad[:MAX_ROWS]]
+    lines += [f"- **{escaped(name)}**: in the baseline, not in this batch" for name in _missing(document)[:MAX_ROWS]]
     lines += [""] if bad or _missing(document) else []
     titles = [
         "",
@@ -53,9 +53,9 @@ def to_summary(document: Mapping[str, Any]) -> str:
         *(["since the baseline"] if document["baseline"] else []),
     ]
     lines += [table_row(titles), table_row(["---"] * len(titles))]
-    lines += [table_row(_cells(row, since=bool(document["baseline"]))) for row in rows[:MOST_ROWS]]
-    if len(rows) > MOST_ROWS:
-        lines += ["", f"{len(rows) - MOST_ROWS} more are in batch.html and batch.csv."]
+    lines += [table_row(_cells(row, since=bool(document["baseline"]))) for row in rows[:MAX_ROWS]]
+    if len(rows) > MAX_ROWS:
+        lines += ["", f"{len(rows) - MAX_ROWS} more are in batch.html and batch.csv."]
     return "\n".join(lines) + "\n"
 
 

@@ -25,7 +25,7 @@ def client_options(address: str, total_s: float, idle_s: float, *, private: bool
     """
     parts = [part for part in address.split("::") if part.lower().startswith(("http://", "https://"))]
     timeout = aiohttp.ClientTimeout(total=total_s, sock_connect=idle_s, sock_read=idle_s)
-    make_socket = _guard(parts, private=private)
+    make_socket = _socket_factory(parts, private=private)
 
     async def get_client(**options: Any) -> aiohttp.ClientSession:  # noqa: ANN401
         connector = aiohttp.TCPConnector(socket_factory=make_socket)
@@ -37,23 +37,23 @@ def client_options(address: str, total_s: float, idle_s: float, *, private: bool
     return {part.partition("://")[0].lower(): client for part in parts}
 
 
-def _guard(addresses: list[str], *, private: bool) -> Callable[[Any], socket.socket]:
+def _socket_factory(addresses: list[str], *, private: bool) -> Callable[[Any], socket.socket]:
     """Return what makes the sockets of a client; it refuses private networks, unless they may be named and are."""
     named: set[str] = set()
 
     def make_socket(info: Any) -> socket.socket:  # noqa: ANN401  of getaddrinfo
-        family, kind, protocol, _, place = info
+        family, kind, protocol, _, address_info = info
         if not named:
             named.update(*map(_hosts, addresses))
-        if (place[0] not in named or not private) and not _is_public(place[0]):
+        if (address_info[0] not in named or not private) and not _is_public(address_info[0]):
             shown = " and ".join(map(public_address, addresses))
-            if place[0] in named:
+            if address_info[0] in named:
                 reason, advice = (
-                    f"{place[0]} is a private address",
+                    f"{address_info[0]} is a private address",
                     "list the host in MAVNAV_FETCH_HOSTS on the workers",
                 )
             else:
-                reason, advice = f"it redirects to the private address {place[0]}", "name that address itself"
+                reason, advice = f"it redirects to the private address {address_info[0]}", "name that address itself"
             raise UsageError(f"{shown}: cannot be read ({reason}); {advice}")
         made = socket.socket(family, kind, protocol)
         made.setblocking(False)
@@ -71,8 +71,8 @@ def _hosts(address: str) -> set[str]:
 
 def _is_public(host: str) -> bool:
     try:
-        place = ip_address(host.partition("%")[0])
+        address_info = ip_address(host.partition("%")[0])
     except ValueError:
         return False
-    mapped = getattr(place, "ipv4_mapped", None)
-    return (mapped or place).is_global
+    mapped = getattr(address_info, "ipv4_mapped", None)
+    return (mapped or address_info).is_global

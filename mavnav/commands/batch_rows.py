@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-MOST_ROWS = 60
+MAX_ROWS = 60
 """The table shows so many runs, the worst."""
 
 WIDE = 200
@@ -79,12 +79,12 @@ def _table(document: dict[str, Any]) -> Table:
     for figure in FIGURES:
         table.add_column(figure.head, justify="right", no_wrap=True)
     table.add_column("", overflow="fold")
-    for row in worst_first(document["cells"])[:MOST_ROWS]:
+    for row in worst_first(document["cells"])[:MAX_ROWS]:
         texts = [figure.shown(row["run"]) for figure in FIGURES]
         remarks = [*why(row), changed(row), "from before" if row["status"] == "cached" else ""]
         remark = printable("; ".join(filter(None, remarks))).replace("::", ":\\x3a")
         end = Text(remark, style="bold red" if row["verdict"] else "")
         table.add_row(Text(printable(row["name"]).replace("::", ":\\x3a")), *texts, end)  # it may be folded anywhere
-    if len(document["cells"]) > MOST_ROWS:
-        table.caption = f"{len(document['cells']) - MOST_ROWS} more in batch.csv"
+    if len(document["cells"]) > MAX_ROWS:
+        table.caption = f"{len(document['cells']) - MAX_ROWS} more in batch.csv"
     return table

@@ -70,15 +70,15 @@ def _again(name: str, event: Retried) -> str:
 
 def _fate(outcome: Outcome) -> str:
     """Describe how a job ended."""
-    from mavnav.jobs import Fate
+    from mavnav.jobs import Status
 
-    return f"done in {outcome.seconds:.1f} s" if outcome.fate is Fate.DONE else f"failed: {outcome.error}"
+    return f"done in {outcome.seconds:.1f} s" if outcome.status is Status.DONE else f"failed: {outcome.error}"
 
 
 @contextmanager
 def _bars(names: Sequence[str]) -> Iterator[Listener]:
     """Show a bar for the whole, one for everything that is being run, and a line that stays for one that failed."""
-    from mavnav.jobs import Ended, Fate, Progressed, Retried, Started
+    from mavnav.jobs import Ended, Progressed, Retried, Started, Status
 
     with bars() as shown:
         failed = 0
@@ -99,7 +99,7 @@ def _bars(names: Sequence[str]) -> Iterator[Listener]:
                 case Ended(index, outcome):
                     shown.remove_task(tasks.pop(index))  # type: ignore[arg-type]
                     shown.advance(whole)
-                    if outcome.fate is not Fate.DONE:
+                    if outcome.status is not Status.DONE:
                         failed += 1
                         shown.update(whole, description=f"{len(names)} runs, {failed} failed")
                         note(f"mavnav: {names[index]} {_fate(outcome)}")
