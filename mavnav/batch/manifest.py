@@ -1,4 +1,4 @@
-"""The manifest of a batch: a YAML file that names logs, settings, and what must hold."""
+"""The manifest of a batch: a YAML file with logs, settings and gates."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Codes = Annotated[tuple[int, ...], BeforeValidator(_listed)]
 
 
 class Entry(Strict):
-    """Logs that are read alike, and what must hold of them besides what must of all."""
+    """Logs with the same options for reading, and gates for them in addition to those of the batch."""
 
     log: Texts = Field(description="path, pattern, folder or address; or a list of them")
     topic: str | None = Field(None, description="scan topic, where there are several")
@@ -49,7 +49,7 @@ class Entry(Strict):
 
 
 class Manifest(Strict):
-    """Logs times settings. Relative paths count from the manifest's folder."""
+    """Logs and settings, which are combined. Relative paths start at the manifest's folder."""
 
     logs: tuple[Annotated[Entry, BeforeValidator(_entry)], ...] = Field((), description="paths, or sections with log")
     runs: tuple[dict[str, Any], ...] = Field(
@@ -70,6 +70,6 @@ class Manifest(Strict):
 
 
 def read_manifest(path: Path) -> tuple[Manifest, Layer]:
-    """Read a manifest, and where each of its values stands; raises ConfigError with the line."""
+    """Return a manifest, and the layer with the line of each of its values; raises ConfigError with the line."""
     layer = read_yaml(path)
     return validated(Manifest, layer, str(path)), layer

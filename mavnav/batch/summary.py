@@ -1,4 +1,4 @@
-"""What is shown of a batch in CI: a summary in Markdown, and annotations of GitHub's kind."""
+"""Output of a batch for CI: a summary in Markdown, and annotations for GitHub."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 MAX_ROWS: Final = 100
-"""A summary shows so many runs, the worst; GitHub takes 1 MiB of them a step."""
+"""Maximum number of runs in a summary, which GitHub limits to 1 MiB per step; the worst runs are shown."""
 
 FIGURES: Final = (
     NAMED["map.accepted_share"],
@@ -24,7 +24,7 @@ FIGURES: Final = (
 
 
 def batch_headline(document: Mapping[str, Any]) -> str:
-    """Return in one line how a batch ended."""
+    """Return the result of a batch in one line."""
     rows = document["cells"]
     bad = sum(bool(row["verdict"]) for row in rows)
     counts, since = document["counts"], document["baseline"]
@@ -38,7 +38,7 @@ def batch_headline(document: Mapping[str, Any]) -> str:
 
 
 def to_summary(document: Mapping[str, Any]) -> str:
-    """Write a batch in GitHub's Markdown: the headline, what went wrong, and a table, worst first."""
+    """Return a batch in GitHub's Markdown: the headline, the failures, and a table, worst runs first."""
     rows = worst_first(document["cells"])
     mark = "✅" if document["exit_code"] == 0 else "❌"
     lines = [f"## {mark} mavnav batch", "", batch_headline(document) + ".", ""]
@@ -60,7 +60,7 @@ def to_summary(document: Mapping[str, Any]) -> str:
 
 
 def missing_lines(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return a kind and a text for every run of the baseline that is missing: errors if the baseline is a gate."""
+    """Return severity and text for every missing run of the baseline; an error if the baseline is a gate."""
     kind = "error" if _missing(document) and document["baseline"].get("gate") else "warning"
     return [(kind, f"{name}: in the baseline, not in this batch") for name in _missing(document)]
 
@@ -75,7 +75,7 @@ def _cells(row: Mapping[str, Any], *, since: bool) -> list[str]:
 
 
 def changed(row: Mapping[str, Any]) -> str:
-    """Return what has changed since the baseline."""
+    """Return the change of a run since the baseline as text; empty without a baseline or a change."""
     found = row["baseline"]
     if not found or found["change"] == Change.SAME:
         return ""
@@ -83,7 +83,7 @@ def changed(row: Mapping[str, Any]) -> str:
 
 
 def github_commands(document: Mapping[str, Any]) -> list[str]:
-    """Return the workflow commands that make GitHub show what went wrong, a line each."""
+    """Return the workflow commands that show the failures of a batch on GitHub, one line each."""
     bad = [row for row in worst_first(document["cells"]) if row["verdict"]]
     found = [
         f"::error file={_property(r['log'])},title={_property(r['name'])}::{_data('; '.join(why(r)))}" for r in bad
@@ -92,7 +92,7 @@ def github_commands(document: Mapping[str, Any]) -> list[str]:
 
 
 def _data(text: str) -> str:
-    """Escape the text of a workflow command: one line, and no escape of its own."""
+    """Escape the text of a workflow command, which must be one line without a literal percent sign."""
     return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
 
 

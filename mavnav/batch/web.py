@@ -1,4 +1,4 @@
-"""The client of web servers: limits of time, and no redirection into networks that the user did not name."""
+"""The client of web servers: time limits, and no redirection into private networks that the user did not name."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 def client_options(address: str, total_s: float, idle_s: float, *, private: bool) -> dict[str, Any]:
     """Return the options of ``fsspec.open`` for an address with ``http(s)://`` in it.
 
-    A request may take ``total_s`` in all and ``idle_s`` without a byte. A private network is entered only with
-    ``private``, where the address itself names it: a redirection from elsewhere raises UsageError.
+    A request may take ``total_s`` in all and ``idle_s`` without data. A host of a private network is allowed only with
+    ``private`` and if the address itself names it; a redirection to another one raises UsageError.
     """
     parts = [part for part in address.split("::") if part.lower().startswith(("http://", "https://"))]
     timeout = aiohttp.ClientTimeout(total=total_s, sock_connect=idle_s, sock_read=idle_s)
@@ -33,15 +33,15 @@ def client_options(address: str, total_s: float, idle_s: float, *, private: bool
 
     client: dict[str, Any] = {"get_client": get_client, "skip_instance_cache": True}
     if len(address.split("::")) == 1:
-        client["block_size"] = 0  # one request, read as it comes
+        client["block_size"] = 0  # one request, read as a stream
     return {part.partition("://")[0].lower(): client for part in parts}
 
 
 def _socket_factory(addresses: list[str], *, private: bool) -> Callable[[Any], socket.socket]:
-    """Return what makes the sockets of a client; it refuses private networks, unless they may be named and are."""
+    """Return the socket factory of a client; it rejects private addresses, except named ones with ``private``."""
     named: set[str] = set()
 
-    def make_socket(info: Any) -> socket.socket:  # noqa: ANN401  of getaddrinfo
+    def make_socket(info: Any) -> socket.socket:  # noqa: ANN401  an item of getaddrinfo
         family, kind, protocol, _, address_info = info
         if not named:
             named.update(*map(_hosts, addresses))
@@ -63,7 +63,7 @@ def _socket_factory(addresses: list[str], *, private: bool) -> Callable[[Any], s
 
 
 def _hosts(address: str) -> set[str]:
-    """Return the numeric addresses of a host; none where it has none."""
+    """Return the numeric addresses of the host of a URL; empty if it has none."""
     with suppress(OSError, ValueError):
         return {str(found[4][0]) for found in socket.getaddrinfo(urlsplit(address).hostname, None)}
     return set()
