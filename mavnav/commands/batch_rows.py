@@ -1,4 +1,4 @@
-"""How the runs of a batch ended: a plain line each on stderr, or a line of JSON each on stdout; and the verdict."""
+"""Output of a batch: a plain line per run on stderr, or a line of JSON per run on stdout; and the final result."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 MAX_ROWS = 60
-"""The table shows so many runs, the worst."""
+"""Maximum number of runs in the table; the worst ones are shown."""
 
 WIDE = 200
 
 
 def row_printer(total: int, *, json: bool, quiet: bool) -> Callable[[dict[str, Any]], None]:
-    """Return the function that prints the row of every run as it ends.
+    """Return the function that prints the row of every run when it ends.
 
-    Reused runs are counted, but not printed on stderr; on a terminal the bars show enough.
+    Runs finished before are counted, but not printed on stderr. On a terminal the bars replace the lines.
     """
     from mavnav.batch.document import why
 
@@ -49,9 +49,9 @@ def _line(document: dict[str, Any]) -> str:
 
 
 def print_verdict(document: dict[str, Any], results: Path, *, json: bool) -> None:
-    """Print the end of a batch: on stdout a table, worst first, or with ``json`` a line without the rows.
+    """Print the result of a batch on stdout: a table, worst runs first, or with ``json`` one line without the rows.
 
-    ``results`` is where more of them is.
+    ``results`` is the path with further results, printed below the table.
     """
     from mavnav.batch.summary import batch_headline, missing_lines
 
