@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from typing import TYPE_CHECKING, Any, Final
-from xml.etree import ElementTree as XML  # noqa: N814  short, as it stands in every line
+from xml.etree import ElementTree as XML  # noqa: N814  short, because many lines use it
 
 from mavnav.batch.document import why
 from mavnav.batch.files import FIGURES

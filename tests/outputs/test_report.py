@@ -234,7 +234,7 @@ def with_document(entry, **changes):
     return replace(entry, document=entry.document | changes)
 
 
-def test_the_price_is_told_as_a_multiple(entries):
+def test_the_cost_is_relative_to_the_coarsest_grid(entries):
     search, timing = {"evaluations_per_scan": {"mean": 20_000.0}}, entries[0].document["timing"]
     coarse = entries[0]
     fine = with_document(entries[1], search=search, timing=timing | {"cpu_s": 3.0 * timing["cpu_s"]})

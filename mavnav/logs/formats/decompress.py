@@ -21,14 +21,17 @@ MAX_CHUNK_BYTES = 128 << 20
 """Maximum size of a chunk or message read into memory, in bytes; writers make chunks of 1 to 8 MiB."""
 
 _MAX_RATIO = 1000
+"""Maximum ratio of decompressed to compressed bytes of a log, besides the bytes that every log may have."""
 _FREE_LOG_BYTES = 2 << 30
 _FREE_RECORDS = 1_000_000
+"""Decompressed bytes and records that every log may have, whatever its size."""
 _MIN_RECORD_BYTES = 2
 _FREE_BYTES = 1 << 20
 _BLOCK_BYTES = 1 << 20
 _PIECE_BYTES = 1 << 8
 _MAX_WINDOW_BYTES = 1 << 27
 _MAX_FILE_RATIO = 200
+"""Maximum ratio of decompressed to compressed bytes of a whole file."""
 
 
 TOO_MANY = "the chunk has more records than a log of this size can hold; the rest is left out"

@@ -96,7 +96,7 @@ def _report_loss(source: Source, pending: Record | None, offset: int, found: int
     elif pending and not _is_whole(source, pending, found):
         text, at = f"{upto - pending.start} bytes are no record", pending.start
     elif offset >= upto and pending:
-        text, at = "the length of a record lies", pending.start
+        text, at = "the length of a record is wrong", pending.start
     else:
         text, at = f"{upto - offset} bytes are no record", offset
     report.damage(text, source.where(at))
@@ -166,7 +166,7 @@ def _find_header(source: Source, offset: int) -> int | None:
 
 
 def _is_followed(source: Source, record: Record) -> bool:
-    """Return whether a header belongs to the bag, and is no bytes in compressed data that look like one."""
+    """Return whether a header belongs to the bag, rather than being bytes in compressed data that look like one."""
     return record.opcode == Op.CHUNK or record.end == source.size or parse_header(source, record.end) is not None
 
 

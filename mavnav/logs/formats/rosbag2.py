@@ -121,7 +121,7 @@ def read_metadata(folder: Path, report: ReadReport) -> Metadata | None:
         return None
 
 
-def _metadata(tree: Any) -> Metadata:  # noqa: ANN401  (whatever YAML holds)
+def _metadata(tree: Any) -> Metadata:  # noqa: ANN401  (any YAML value)
     bag = tree["rosbag2_bagfile_information"]
     names = bag["relative_file_paths"]
     if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
