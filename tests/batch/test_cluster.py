@@ -21,7 +21,7 @@ from mavnav.jobs.dask import client as cluster_client
 from mavnav.jobs.dask.client import _incompatibility
 from mavnav.jobs.dask.worker import in_cluster
 from support import strange_jobs
-from support.small_batch import ASKED
+from support.small_batch import OPTIONS
 
 distributed = pytest.importorskip("distributed", reason="the extra mavnav[cluster]")
 
@@ -124,7 +124,7 @@ def files(directory: Path) -> dict[str, str]:
 
 
 def test_a_batch_has_the_same_bytes_as_one_made_here(cluster: Cluster, home: Path) -> None:
-    planned = plan_batch(request_of(Options(**ASKED, directory=Path("runs/there"))), lambda *args: None)
+    planned = plan_batch(request_of(Options(**OPTIONS, directory=Path("runs/there"))), lambda *args: None)
     document = run_batch(planned, ignore, lambda row: None, cluster)
     assert [row["exit_code"] for row in document["cells"]] == [3, 4, 0, 2]
     assert len(files(Path("runs/there"))) >= 10
