@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mavnav.batch.find_logs import check_found, gather
+from mavnav.batch.find_logs import check_found, find_logs
 from mavnav.batch.remote import fetched
 from mavnav.batch.settings import formatted
 from mavnav.errors import ExitCode, MavnavError, UsageError
@@ -95,7 +95,7 @@ def display_names(logs: Sequence[str]) -> dict[str, str]:
 
 
 def _logs(request: BatchRequest, entry: Entry) -> Sequence[str]:
-    return gather(entry.log, request.base) if request.patterns else entry.log
+    return find_logs(entry.log, request.base) if request.patterns else entry.log
 
 
 def _merged(one: Case, other: Case) -> Case:

@@ -45,12 +45,12 @@ def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
 def _row(result: CaseResult, directory: Path) -> dict[str, Any]:
     """Return the row of a run as in comparison.json, with ``setting`` and ``seconds``."""
     case, outcome = result.case, result.outcome
-    row = run_row(case.run, outcome, result.document, directory) if case.run else _unread(case)
+    row = run_row(case.run, outcome, result.document, directory) if case.run else _unreadable_row(case)
     more = {"setting": case.setting.name, "seconds": outcome.seconds if outcome else None}
     return row | {"name": case.name, "log": case.log, **more}
 
 
-def _unread(case: Case) -> dict[str, Any]:
+def _unreadable_row(case: Case) -> dict[str, Any]:
     """Return the row of a run whose log cannot be read."""
     config = case.setting.config
     return {
@@ -82,12 +82,12 @@ def batch_document(
     rows: Sequence[dict[str, Any]],
     wall_s: float,
     baseline: Baseline | None,
-    gone: Sequence[str] = (),
+    missing_runs: Sequence[str] = (),
     *,
     baseline_gate: bool,
 ) -> dict[str, Any]:
-    """Return batch.json of these rows; ``gone`` are runs missing since the baseline, which fail the baseline gate."""
-    codes = [*(row["verdict"] for row in rows), *(ExitCode.GATE_FAILED for _ in gone if baseline_gate)]
+    """Return batch.json of these rows; runs that only the baseline has, ``missing_runs``, fail the baseline gate."""
+    codes = [*(row["verdict"] for row in rows), *(ExitCode.GATE_FAILED for _ in missing_runs if baseline_gate)]
     return {
         "schema_version": SCHEMA_VERSION,
         "mavnav_version": __version__,
@@ -95,7 +95,7 @@ def batch_document(
         "counts": _counts(rows),
         "wall_s": wall_s,
         "cells": list(rows),
-        "baseline": None if baseline is None else {**_since(rows, baseline, gone), "gate": baseline_gate},
+        "baseline": None if baseline is None else {**_since(rows, baseline, missing_runs), "gate": baseline_gate},
         "exit_code": int(worst(codes)),
     }
 
@@ -113,10 +113,10 @@ def _counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _since(rows: Sequence[Mapping[str, Any]], baseline: Baseline, gone: Sequence[str]) -> dict[str, Any]:
+def _since(rows: Sequence[Mapping[str, Any]], baseline: Baseline, missing_runs: Sequence[str]) -> dict[str, Any]:
     kinds = Counter(row["baseline"]["change"] for row in rows)
     counts = {str(change): kinds[change] for change in Change}
-    return {"path": str(baseline.path), "mavnav_version": baseline.version, **counts, "missing": list(gone)}
+    return {"path": str(baseline.path), "mavnav_version": baseline.version, **counts, "missing": list(missing_runs)}
 
 
 def worst_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _PATTERN: Final = re.compile(r"[*?[]")
 
 
-def gather(patterns: Iterable[str], base: Path) -> list[str]:
+def find_logs(patterns: Iterable[str], base: Path) -> list[str]:
     """Return the logs that paths, patterns, folders and addresses refer to, each once and in order.
 
     A pattern (``*``, ``?``, ``[...]``, ``**``) gives the matching paths sorted by name, without hidden files and
@@ -39,7 +39,7 @@ def gather(patterns: Iterable[str], base: Path) -> list[str]:
 def check_found(log: str, path: Path) -> None:
     """Raise NoScansError for a folder without logs, and UsageError for a pattern that matches nothing.
 
-    ``log`` is a result of `gather`, and ``path`` its path.
+    ``log`` is a result of `find_logs`, and ``path`` its path.
     """
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         kinds = ", ".join(SUFFIXES)

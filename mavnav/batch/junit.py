@@ -28,9 +28,9 @@ def to_junit(document: Mapping[str, Any]) -> str:
     for row in document["cells"]:
         logs.setdefault(row["log"], []).append(row)
     suites = [_suite(log, rows) for log, rows in logs.items()]
-    gone = (document["baseline"] or {}).get("missing", [])
-    if gone:
-        suites.append(_missing(gone, failed=bool(document["baseline"].get("gate"))))
+    missing_runs = (document["baseline"] or {}).get("missing", [])
+    if missing_runs:
+        suites.append(_missing(missing_runs, failed=bool(document["baseline"].get("gate"))))
     sums = {name: str(sum(int(suite.attrib[name]) for suite in suites)) for name in ("tests", "failures", "errors")}
     seconds = sum(float(suite.attrib["time"]) for suite in suites)
     root = XML.Element("testsuites", {"name": "mavnav batch", **sums, "time": f"{seconds:.3f}"})

@@ -79,7 +79,7 @@ def fetched(address: str) -> Iterator[Path]:
         try:
             (folder / path).parent.mkdir(parents=True)
         except OSError as error:
-            raise _full(address, error) from error
+            raise _write_error(address, error) from error
         _Copy(address, folder / path, limits()).run()
         yield folder
 
@@ -104,7 +104,7 @@ def _allowed_hosts() -> list[str]:
     return [pattern.strip().lower() for pattern in os.environ.get("MAVNAV_FETCH_HOSTS", "").split(",")]
 
 
-def _full(address: str, error: OSError) -> OutputError:
+def _write_error(address: str, error: OSError) -> OutputError:
     reason = f"the temporary folder cannot be written ({error.strerror or error})"
     return OutputError(f"{public_address(address)}: {reason}; make room, or set TMPDIR to another folder")
 
@@ -156,7 +156,7 @@ class _Copy:
         try:
             return self.file.open("wb", buffering=0)
         except OSError as error:
-            raise _full(self.address, error) from error
+            raise _write_error(self.address, error) from error
 
     def _put(self, copy: Any, piece: bytes) -> None:  # noqa: ANN401
         left = memoryview(piece)
@@ -164,9 +164,9 @@ class _Copy:
             while left:
                 left = left[copy.write(left) :]
         except OSError as error:
-            raise _full(self.address, error) from error
+            raise _write_error(self.address, error) from error
 
-    def _late(self) -> UsageError:
+    def _timeout_error(self) -> UsageError:
         if monotonic() - self.began_s > self.limits.total_s:
             return self._refused(f"not complete after {self.limits.total_s:g} s", _TIMEOUT)
         return self._refused(f"no data for {self.limits.idle_s:g} s", _TIMEOUT)
@@ -176,7 +176,7 @@ class _Copy:
         now_s = monotonic()
         elapsed_s = now_s - self.began_s
         if elapsed_s > self.limits.total_s or now_s - self.latest_s > self.limits.idle_s:
-            raise self._late()
+            raise self._timeout_error()
         if elapsed_s > self.limits.idle_s and self.done_bytes < MIN_RATE * elapsed_s:
             raise self._refused(f"less than {MIN_RATE:g} bytes/s for {self.limits.idle_s:g} s", _TIMEOUT)
 
@@ -195,7 +195,7 @@ class _Copy:
         if type(error).__name__ == "TooManyRedirects":
             return UsageError(f"{shown}: cannot be read (it redirects without end); check the address")
         if isinstance(error, TimeoutError) and error.errno is None:  # the client's own time limit
-            return self._late()
+            return self._timeout_error()
         reason = " ".join(public_text(str(error), self.address).split()) or type(error).__name__
         return UsageError(f"{shown}: cannot be read ({reason}); check the address and the permissions")
 

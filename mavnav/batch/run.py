@@ -42,8 +42,10 @@ def run_batch(
         return row
 
     rows, rules = run_cases(plan, on_event, described, cluster), request.rules
-    gone = [] if rules.baseline is None or request.part else missing(rows, rules.baseline)
-    document = batch_document(rows, monotonic() - began_s, rules.baseline, gone, baseline_gate=rules.baseline_gate)
+    missing_runs = [] if rules.baseline is None or request.part else missing(rows, rules.baseline)
+    document = batch_document(
+        rows, monotonic() - began_s, rules.baseline, missing_runs, baseline_gate=rules.baseline_gate
+    )
     if request.part is None:
         write_batch(document, request.directory)
     if request.new_baseline:

@@ -45,7 +45,7 @@ class Terminated(Stopped):
 _REASONS = {signal.SIGINT: Interrupted, signal.SIGTERM: Terminated}
 _ARRIVED: list[type[Stopped]] = []
 _DEFERRED = [0]
-"""Number of signals that raise no exception: code within ``keeping`` checks for them."""
+"""Number of signals that raise no exception: code within ``deferring`` checks for them."""
 
 
 def listen() -> None:
@@ -55,7 +55,7 @@ def listen() -> None:
 
 
 @contextmanager
-def keeping() -> Iterator[Callable[[], ExitCode | None]]:
+def deferring() -> Iterator[Callable[[], ExitCode | None]]:
     """Defer the first signal, so that the results so far can be kept; the second one raises an exception.
 
     Yields a function that returns the exit code of the signal that arrived, None if there is none. If it is not called

@@ -67,7 +67,7 @@ def print_traceback(error: BaseException) -> None:
         sys.stderr.write(public_line("".join(format_exception(error))))
 
 
-def note_oddities(document: dict[str, Any]) -> None:
+def note_problems(document: dict[str, Any]) -> None:
     """Print the ``warnings`` and the first items of ``damage`` of a document on stderr, one line each."""
     for warning in document["warnings"]:
         note(f"mavnav: warning: {warning}")

@@ -73,16 +73,16 @@ def presets_folder() -> Path:
 
 def presets() -> list[str]:
     """Return the names of the presets: the files without walls in ``configs/``."""
-    return _included(scenarios=False)
+    return _config_names(scenarios=False)
 
 
 def scenarios() -> list[str]:
     """Return the names of the scenarios: the files with walls in ``configs/``."""
-    return _included(scenarios=True)
+    return _config_names(scenarios=True)
 
 
 @cache
-def _included(*, scenarios: bool) -> list[str]:
+def _config_names(*, scenarios: bool) -> list[str]:
     texts = {path.stem: path.read_text("utf-8") for path in presets_folder().glob("*.yaml")}
     return [name for name, text in sorted(texts.items()) if bool(re.search(r"(?m)^walls:", text)) == scenarios]
 

@@ -88,7 +88,7 @@ def _assign_jobs(
             idle = _Worker(memory_mb)
             pool.append(idle)
         index, job = waiting.popleft()
-        idle.give(index, job)
+        idle.assign(index, job)
         yield Started(index, idle.pid)
 
 
@@ -131,7 +131,7 @@ class _Worker:
     def seconds(self) -> float:
         return monotonic() - self.began_s
 
-    def give(self, index: int, job: Job) -> None:
+    def assign(self, index: int, job: Job) -> None:
         self.index, self.began_s = index, monotonic()
         with suppress(OSError):  # the worker has just died, which `receive` reports
             self.channel.send((index, pickle.dumps(job)))

@@ -104,8 +104,8 @@ def kinds_of_poses(lines: Iterable[bytes]) -> tuple[Poses, bool]:
     lines : the first lines of a log
 
     Poses are corrected if the log contains weights of a particle filter (``NEFF``), or if an odometry line with the
-    same time has another position. A scan line with both poses comes from a SLAM system if the pose of the laser
-    relative to the robot changes.
+    same time has another position. Otherwise, if the pose of the laser relative to the robot changes, the laser poses
+    are those of a SLAM system and the robot poses are odometry.
     """
     by_time: dict[int, Pose] = {}
     mountings, corrected, contradicted = list[Pose](), False, False

@@ -67,7 +67,7 @@ def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
 
 
 def _outside(source: Source, record: Record, state: State) -> Iterator[RawMessage]:
-    """Process a record outside of the chunks; in a file with chunks it is a result of damage."""
+    """Process a record outside of the chunks; in the data section of a file with chunks it is a result of damage."""
     is_message = record.opcode == Op.MESSAGE
     outside_chunks = state.chunked and not state.verified and (is_message or not state.data_ended)
     if outside_chunks and is_message and not state.reported_outside:

@@ -106,7 +106,7 @@ def read_data_section(source: Source, start: int, report: ReadReport) -> DataSec
     A data section that lost its end has no CRC.
     """
     opcodes, end = set[int](), None
-    for opcode, offset in _hops(source, start + len(MAGIC)):
+    for opcode, offset in _record_heads(source, start + len(MAGIC)):
         opcodes.add(opcode)
         if opcode == Op.DATA_END:
             end = offset
@@ -123,7 +123,7 @@ def read_data_section(source: Source, start: int, report: ReadReport) -> DataSec
     return DataSection(chunked, False)
 
 
-def _hops(source: Source, offset: int) -> Iterator[tuple[int, int]]:
+def _record_heads(source: Source, offset: int) -> Iterator[tuple[int, int]]:
     """Yield opcode and offset of records, up to the first invalid one; fast, because there may be millions."""
     block, base = b"", offset
     while True:

@@ -83,7 +83,7 @@ def _of_many(sound: Sequence[Entry]) -> str:
         return f"No run stands out: {names} are each best at {max(score)} {of}{_fewest_evaluations(sound)}."
     measures = _list([title for title in contested if leaders[0] in won[title]])
     lead = "by the one measure that differs" if len(contested) == 1 else f"best at {max(score)} {of}"
-    return f"{best.name} gives the best map, {lead} ({measures}){_thinner(sound, best)}. {_cost(sound, best)}".rstrip()
+    return f"{best.name} gives the best map, {lead} ({measures}){_walls(sound, best)}. {_cost(sound, best)}".rstrip()
 
 
 def _spread(sound: Sequence[Entry], quantity: Quantity) -> float:
@@ -96,7 +96,7 @@ def _list(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def _thinner(sound: Sequence[Entry], best: Entry) -> str:
+def _walls(sound: Sequence[Entry], best: Entry) -> str:
     """Return the comparison of a run's wall thickness with that of the coarsest grid of its method; may be empty."""
     coarse = columns.coarsest(sound, best)
     ours, theirs = P95.of(best.document), P95.of(coarse.document)
