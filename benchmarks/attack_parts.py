@@ -1,4 +1,4 @@
-"""What the attacks on logs are made of: values that lie, and small sound logs to spoil."""
+"""Building blocks of the attacks on logs: wrong values, and small valid logs to damage."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ DIGITS = (400, 5000, 100_000)
 
 
 def pick(rng: Random, *values: Any) -> Any:
-    """Return one of some values, of whatever types."""
+    """Return a random one of the values, which may have any types."""
     return values[int(rng.integers(len(values)))]
 
 
 def float32(value: float) -> float:
-    """Return a number that a float32 field takes without a complaint of the writer."""
+    """Return a number clipped to the range of float32, which the writer accepts without a warning."""
     return float(np.clip(value, -3e38, 3e38)) if np.isfinite(value) else value
 
 
 def channel_log(
     path: Path, kind: str, encodings: tuple[str, str], schema: bytes, payloads: Iterable[bytes], topic: str = "/scan"
 ) -> Path:
-    """Write a sound MCAP container of one channel with any schema and any messages."""
+    """Write a valid MCAP container of one channel with any schema and any messages."""
     with path.open("wb") as file:
         writer = McapWriter(file, compression=CompressionType.NONE)
         writer.start()
@@ -47,13 +47,13 @@ def channel_log(
 
 
 def room(beams: int = 180) -> np.ndarray:
-    """Return the ranges of a turn in a room of 4 by 6 m, float32."""
+    """Return the ranges of a full turn in a room of 4 by 6 m, (beams,), float32."""
     angle_rad = np.linspace(-np.pi, np.pi, beams, endpoint=False) + 1e-3
     return np.minimum(2.0 / np.abs(np.cos(angle_rad)), 3.0 / np.abs(np.sin(angle_rad))).astype(np.float32)
 
 
 def scan(k: int, **fields: Any) -> Message:
-    """Return scan k of the room, with some fields that differ."""
+    """Return scan k of the room, with some fields replaced."""
     step_rad = 2 * np.pi / 180
     return laser(
         k, **{"angle_min": -np.pi, "angle_increment": step_rad, "angle_max": np.pi, "ranges": room(), **fields}
@@ -61,13 +61,13 @@ def scan(k: int, **fields: Any) -> Message:
 
 
 def scans(count: int = 6) -> list[Message]:
-    """Return some sound scans."""
+    """Return some valid scans."""
     return [scan(k) for k in range(count)]
 
 
 @cache
 def sound(name: str) -> bytes:
-    """Return a sound log of a container, to be spoiled."""
+    """Return the bytes of a valid log of a format, to be damaged."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
         if name == "carmen":
@@ -79,10 +79,10 @@ def sound(name: str) -> bytes:
 
 
 def any_sound(rng: Random) -> bytes:
-    """Return a sound log of any container."""
+    """Return the bytes of a valid log of a random format."""
     return sound(pick(rng, "mcap", "bag1", "db3", "carmen"))
 
 
 def carmen_line(k: int, count: object = 181, value: str = "2.5", pose: str = "0 0 0 0 0 0") -> bytes:
-    """Return a line of a CARMEN laser that holds 181 ranges, whatever count it announces."""
+    """Return a CARMEN laser line with 181 ranges and any declared count."""
     return f"FLASER {count} {' '.join([value] * 181)} {pose} {1000 + 0.2 * k} host {0.2 * k}\n".encode()

@@ -1,9 +1,9 @@
-"""What bounds the search: nanoseconds a point of an evaluation, whole, without its arithmetic, without its look-ups.
+"""Measure what limits the speed of the search: ns per point of a full evaluation, of its lookups, of its arithmetic.
 
     python benchmarks/bound.py [LOG]
 
-An evaluation reads of each point its place (16 bytes), the number of the line of the cell (4) and the line (40), and
-does some 20 operations. Both parts are timed apart, on the same points of a finished map, in one run.
+For each point, an evaluation reads its position (16 bytes), the index of the cell's line (4) and the line (40), and
+does about 20 operations. Both parts are timed separately, on the same points of a finished map, in one run.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def evaluation(x: np.ndarray, y: np.ndarray, nearest: np.ndarray, lines: np.ndar
 
 
 def nanoseconds(work: Callable[[], object], points: int) -> float:
-    """Return the least time of ten runs, a point."""
+    """Return the minimum time of ten runs, in ns per point."""
     work()
     best = np.inf
     for _ in range(10):

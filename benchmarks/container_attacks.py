@@ -1,4 +1,4 @@
-"""Containers of logs that are built to break a reader: each function writes one into a folder and returns its path."""
+"""Hostile log containers: each function writes one to a folder and returns its path."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NAMES = ("../../out_of_bounds", "/\x1b[2J", "/a\n::error::b", "", "/" * 5000, "/
 
 
 def many_topics(rng: Random, folder: Path) -> Path:
-    """Thousands of topics, of any names, few of them with messages."""
+    """Write thousands of topics with hostile names, a fifth of them with messages."""
     path, count = folder / "a.mcap", int(pick(rng, 100, 1000, 4000))
     with path.open("wb") as file:
         writer = McapWriter(file, chunk_size=int(pick(rng, 500, 100_000)))
@@ -41,7 +41,7 @@ def many_topics(rng: Random, folder: Path) -> Path:
 
 
 def tiny_records(rng: Random, folder: Path) -> Path:
-    """Tens of thousands of records of no or few bytes."""
+    """Write tens of thousands of records of few or no bytes."""
     path, count = folder / "a.mcap", int(pick(rng, 5000, 40_000))
     opcode, size = int(pick(rng, 0, 1, 3, 4, 5, 6, 7, 8, 9, 11, 12, 14, 128, 255)), int(pick(rng, 0, 0, 1, 2, 22, 30))
     record = HEAD.pack(opcode, size) + bytes(size)
@@ -78,12 +78,12 @@ SQL = (
 
 
 def sqlite(rng: Random, folder: Path) -> Path:
-    """A database with generated columns, views, triggers, and values of other types."""
+    """Write a database with generated columns, views, triggers, or values of other types."""
     path = folder / "a.db3"
     path.write_bytes(sound("db3"))
     live = sqlite3.connect(path)
     for script in rng.choice(SQL, int(rng.integers(1, 3)), replace=False):
-        live.set_progress_handler(partial(next, iter([0] * 20), 1), 1_000_000)  # two scripts together may never end
+        live.set_progress_handler(partial(next, iter([0] * 20), 1), 1_000_000)  # two combined scripts may never end
         try:
             live.executescript(str(script))
         except sqlite3.Error:
@@ -94,7 +94,7 @@ def sqlite(rng: Random, folder: Path) -> Path:
 
 
 def sparse(rng: Random, folder: Path) -> Path:
-    """A file of 200 GB that holds nothing but holes behind, before or within its data."""
+    """Write a sparse file of 200 GB with a hole after, before or within its data."""
     path, data = folder / "a.log", any_sound(rng)
     data = pick(rng, data, gzip.compress(data), zstandard.compress(data), b"")
     at = int(pick(rng, len(data), len(data) // 2, 0))
@@ -108,7 +108,7 @@ def sparse(rng: Random, folder: Path) -> Path:
 
 
 def lengths(rng: Random, folder: Path) -> Path:
-    """Records, chunks, strings and arrays that claim another length than they have."""
+    """Write records, chunks, strings and arrays with wrong lengths."""
     path = folder / "a.log"
     data = bytearray(any_sound(rng))
     for _ in range(int(rng.integers(1, 4))):
@@ -130,7 +130,7 @@ def bombs() -> tuple[bytes, ...]:
 
 
 def bomb(rng: Random, folder: Path) -> Path:
-    """Whole files or chunks that decompress to many times their size."""
+    """Write a file or a chunk that decompresses to many times its size."""
     path = folder / "a.mcap"
     if rng.random() < 0.5:
         path.write_bytes(pick(rng, *bombs())[: int(pick(rng, 10**9, 10**9, 5000))])
@@ -151,7 +151,7 @@ def bomb(rng: Random, folder: Path) -> Path:
 
 
 def special(rng: Random, folder: Path) -> Path:
-    """A pipe, device, socket, folder or loop of links instead of a file, or as a part of a log that is a folder."""
+    """Create a pipe, device, socket, folder or link loop in place of a log, or of a file of a bag folder."""
     inside = rng.random() < 0.4
     path = next(write_bag2(folder / "bag", scans()).glob("*.db3")) if inside else folder / "a.mcap"
     path = pick(rng, path, path.with_name("metadata.yaml"), path.with_name(path.name + "-wal")) if inside else path
@@ -182,7 +182,7 @@ METADATA = ("duration", "version", "message_count", "relative_file_paths", "topi
 
 
 def metadata(rng: Random, folder: Path) -> Path:
-    """A rosbag2 folder whose metadata.yaml has odd values, or names files elsewhere."""
+    """Write a rosbag2 folder whose metadata.yaml has invalid values, or lists files outside of the folder."""
     bag = write_bag2(folder / "bag", scans(), str(pick(rng, "SQLITE3", "MCAP")))
     path = bag / "metadata.yaml"
     value = pick(
@@ -200,7 +200,7 @@ def metadata(rng: Random, folder: Path) -> Path:
 
 
 def connections(rng: Random, folder: Path) -> Path:
-    """A ROS 1 bag whose connection ids, field names, indices, definitions or compressions are wrong."""
+    """Write a ROS 1 bag with wrong connection ids, field names, indices, definitions or compressions."""
     path = folder / "a.bag"
     data = sound("bag1")
     for _ in range(int(rng.integers(1, 4))):
@@ -225,7 +225,7 @@ def connections(rng: Random, folder: Path) -> Path:
 
 
 def nested_records(rng: Random, folder: Path) -> Path:
-    """MCAP chunks within chunks, summaries that point to themselves or far away, and records twice."""
+    """Write MCAP with nested chunks, a summary with wrong offsets, and repeated records."""
     data = sound("mcap")
     body = data[8:-8]
     for _ in range(int(pick(rng, 0, 0, 1, 40))):

@@ -1,15 +1,15 @@
-"""How well does `tracking.doubt` tell wrong tracks from right ones? Makes runs, fits the coefficients, and reports.
+"""Evaluate how well `tracking.doubt` separates wrong tracks from correct ones: make runs, fit coefficients, report.
 
     python benchmarks/doubt.py collect RUNS.jsonl [--logs FOLDER] [--jobs N] [--only TEXT]
     python benchmarks/doubt.py fit RUNS.jsonl
     python benchmarks/doubt.py report RUNS.jsonl [--plot FILE.png]
 
-``collect`` runs what is not yet in the file: recorded logs, disturbed, compared with the undisturbed track; scenes and
-missions, compared with the truth. Each line holds the features of a run, always with a second track, and its errors. A
-run is wrong if the motion over a window of 2 or 10 s is off by more than 0.2 m or 5 deg somewhere. ``fit`` prints
-the coefficients that belong into mavnav/slam/doubt/coefficients.py, from the even seeds; ``report`` judges all runs
-with those that are there, the second track only where they ask for it, and prints both halves; then every simulated
-scene, all seeds.
+``collect`` makes the runs missing in the file: disturbed recorded logs, compared with the undisturbed track, and scenes
+and missions, compared with ground truth. Each line contains the features of a run, always with a second track, and its
+errors. A run is wrong if the motion over any window of 2 or 10 s has an error over 0.2 m or 5 deg. ``fit`` fits the
+coefficients to the even seeds and prints them for mavnav/slam/doubt/coefficients.py. ``report`` evaluates all runs with
+the coefficients in that file, with the second track only if the doubt of the first one requires it. It prints both
+halves, and then every simulated scene with all seeds.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ from mavnav.units import DEG
 Run = dict[str, Any]
 
 RIDGE, LEAST_WEIGHT = 0.3, 0.1
-"""The penalty on squared weights; what each doubling of a feature counts at least, however rare it is in the runs."""
+"""Penalty on squared weights, and minimum weight of a doubling of a feature, for features that are rare in the runs."""
 
 PASSES = pipeline.CHECKING
 
 BINS = (0.0, 0.02, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 1.0)
-"""Of the reliability diagram."""
+"""Limits of the bins of the reliability diagram."""
 
 
 def features_of(track: Track) -> dict[str, float]:
-    """Return the features of a judged track, with a second one."""
+    """Return the features of a judged track, including those that need a second track."""
     refiner = track.refiner
     if refiner is None or track.steps.column("tracked").sum() < FEWEST:
         return {}
@@ -61,7 +61,7 @@ def features_of(track: Track) -> dict[str, float]:
 
 
 def made(folder: Path, name: str) -> Run:
-    """Make a run; return its features and errors, and whether a remedy was used."""
+    """Make a run; return its features and errors, and the remedy that was used, if any."""
     os.nice(5)
     features: list[dict[str, float]] = []
 
@@ -85,7 +85,7 @@ def made(folder: Path, name: str) -> Run:
 
 
 def collect(file: Path, folder: Path, jobs: int, only: str) -> None:
-    """Make the runs that are missing in a file."""
+    """Make the runs that are missing in a file, and append them."""
     there = {run["name"] for run in read(file)} if file.exists() else set()
     names = [name for name in every_name() if only in name and name not in there]
     np.random.default_rng(0).shuffle(names)
@@ -107,12 +107,12 @@ def half(runs: list[Run], odd: int) -> list[Run]:
 
 
 def is_wrong(run: Run) -> bool:
-    """Return whether the track of a run is wrong somewhere."""
+    """Return whether the track of a run is wrong in any window."""
     return bool(run["off_m"] > WRONG_M or run["off_deg"] > WRONG_RAD / DEG)
 
 
 def fitted(runs: list[Run], names: list[str]) -> Weights:
-    """Fit the weights of some features to runs: logistic regression with no negative weight."""
+    """Fit the weights of some features to runs by logistic regression with weights of at least ``LEAST_WEIGHT``."""
     x = np.array([[doublings(run["features"][name]) for name in names] for run in runs])
     wrong = np.array([is_wrong(run) for run in runs], dtype=np.float64)
 
@@ -128,7 +128,7 @@ def fitted(runs: list[Run], names: list[str]) -> Weights:
 
 
 def fit(runs: list[Run]) -> None:
-    """Print the coefficients that follow from the even seeds."""
+    """Fit the coefficients to the even seeds and print them."""
     some = [run for run in half(runs, 0) if run["features"] and not run["lost"]]
     cheap = [name for name in FEATURES if name != DISAGREEMENT]
     print(f"{len(some)} runs, {sum(map(is_wrong, some))} of them wrong")
@@ -139,13 +139,13 @@ def fit(runs: list[Run]) -> None:
 
 
 def judged(run: Run) -> float:
-    """Return the doubt of a run: the second track counts where the first one's doubt asks for it, or for a remedy."""
+    """Return the doubt of a run, with the second track if the doubt of the first one is high or a remedy was used."""
     one, used = probability({**run["features"], DISAGREEMENT: np.nan}), run.get("remedy", {}).get("used")
     return one if one < WORTH_A_TRACK and not used else probability(run["features"])
 
 
 def outcomes(runs: list[Run]) -> str:
-    """Count right, marked, lost and silently wrong runs, as a row of a table."""
+    """Return a table row with the numbers of correct, marked, lost and silently wrong runs."""
     live = [run for run in runs if not run["lost"] and run["features"]]
     right, wrong = ([judged(r) > HIGH for r in live if is_wrong(r) == w] for w in (False, True))
     silent, false = len(wrong) - sum(wrong), sum(right)
@@ -156,30 +156,30 @@ def outcomes(runs: list[Run]) -> str:
 
 
 def grouped(runs: list[Run], group: Callable[[str], str]) -> Iterator[tuple[str, list[Run]]]:
-    """Group runs by what their names have in common."""
+    """Yield groups of runs, and the part of their names that they have in common."""
     for common in sorted({group(run["name"]) for run in runs}):
         yield common, [run for run in runs if group(run["name"]) == common]
 
 
 def family(name: str) -> str:
-    """Return what a run is of: a log, a simulated scene or a mission."""
+    """Return the kind of data of a run: a log, a simulated scene or a mission."""
     return name.partition("/")[0].partition("-")[0]
 
 
 def scene(name: str) -> str:
-    """Return the scene or mission of a run, and whether the scans are thinned out or have odometry."""
+    """Return the scene or mission of a run, and its variant: subsampled scans, or odometry."""
     return "/".join(name.split("/")[:2])
 
 
 def main_reason(runs: list[Run]) -> str:
-    """Return the strongest reason of most runs that are marked."""
+    """Return the most frequent main reason of the marked runs."""
     marked = [run["features"] for run in runs if run["features"] and not run["lost"] and judged(run) > HIGH]
     found = [max(odds := contributions(features), key=odds.__getitem__) for features in marked]
     return FEATURES[max(found, key=found.count)].reason if found else ""
 
 
 def report(runs: list[Run], plot: Path | None) -> None:
-    """Print what became of the runs of both halves, those that slipped through, and the reliability."""
+    """Print the results of both halves, the runs with a wrong verdict, and the reliability."""
     print("| runs | runs | right | right, marked | wrong, marked | exit 5 | silently wrong |\n|" + "---|" * 7)
     for odd, title in enumerate(("fitted", "reported")):
         print(f"| **{title} half** {outcomes(half(runs, odd))}")
@@ -207,7 +207,7 @@ def report(runs: list[Run], plot: Path | None) -> None:
 
 
 def reliability(runs: list[Run]) -> list[tuple[float, float, int, float, float]]:
-    """Return for each bin its limits, the number of runs, their mean doubt and the share that is wrong."""
+    """Return for each bin its limits, the number of runs, their mean doubt and the share of wrong ones."""
     doubts, wrong = np.array([judged(r) for r in runs]), np.array([is_wrong(r) for r in runs])
     rows = []
     for low, high in pairwise(BINS):

@@ -1,6 +1,6 @@
-"""The runs that the doubt is fitted on: recorded logs, disturbed in many ways, and simulated scenes with truth.
+"""The runs to which the doubt is fitted: recorded logs with disturbances, and simulated scenes with ground truth.
 
-Every run has a name, ``LOG/KIND/LEVEL/SEED``. Even seeds are for fitting, odd ones for the report.
+The name of a run is ``LOG/KIND/LEVEL/SEED``. Even seeds are for fitting, odd ones for the report.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ LOGS = {
     "fr079b": ("fr079/fr079.mcap", 300.0, 360.0),
     "ydlidar_194415": ("ydlidar_194415/ydlidar_194415.mcap", None, None),
 }
-"""Files in the folder of logs, and the part that is used, in seconds."""
+"""Name of a log -> its file in the folder of logs, and start and end of the part that is used, s."""
 
 LEVELS: dict[str, tuple[float, ...]] = {
     "none": (0,),
@@ -49,15 +49,16 @@ LEVELS: dict[str, tuple[float, ...]] = {
     "mask": (0, 1, 2),
     "far": (0.5, 0.75),
 }
-"""Kinds of disturbance, each with its levels: the share of dropped scans, one scan of so many, seconds cut out twice,
-noise in m, which third of the beams is masked (a tenth of the scans dropped), quantile of the ranges that are kept."""
+"""Kinds of disturbance with their levels: share of dropped scans; keep every n-th scan; length of two gaps, s; standard
+deviation of range noise, m; index of the masked third of the beams (with a tenth of the scans dropped); quantile of the
+ranges that are kept."""
 
 SEEDS = {"drop": 4, "every": 2, "none": 2}
 
 
 @dataclass(frozen=True)
 class Case:
-    """A run: its scans, period, odometry and the poses to compare with."""
+    """A run: its scans, period, odometry and reference poses."""
 
     scans: list[Scan]
     period_s: float
@@ -66,7 +67,7 @@ class Case:
 
 
 def disturbed(scans: list[Scan], period_s: float, kind: str, level: float, seed: int) -> tuple[list[Scan], float]:
-    """Return what a disturbance leaves of the scans, and their period."""
+    """Return the disturbed scans, and their period in s."""
     rng = np.random.default_rng([seed, int(1000 * level), sorted(LEVELS).index(kind)])
     if kind == "drop":
         return [s for s, keep in zip(scans, rng.random(len(scans)) >= level, strict=True) if keep], period_s
@@ -99,7 +100,7 @@ def masked(ranges_m: np.ndarray, third: int) -> np.ndarray:
 
 
 def recorded_names(logs: tuple[str, ...] = tuple(LOGS)) -> list[str]:
-    """Name all runs of recorded logs."""
+    """Return the names of all runs of recorded logs."""
     return [
         f"{log}/{kind}/{level}/{seed}"
         for log in logs
@@ -131,11 +132,11 @@ SCENES = ("plain24", "doors24", "plain80", "doors80", "hall", "round", "wall", "
 
 
 DEGENERATE = ("plain24", "plain80", "hall", "round")
-"""Scenes in which a direction is not observable."""
+"""Scenes with an unobservable direction."""
 
 
 def scene_names(seeds: int = 8, more: int = 20) -> list[str]:
-    """Name all simulated scenes; ``odo`` have drifting odometry. Degenerate ones have more seeds without it."""
+    """Return the names of all simulated runs; ``odo`` has drifting odometry. Degenerate scenes have more seeds."""
     kinds = {
         scene: {"plain": more if scene in DEGENERATE else seeds, "every3": seeds, "odo": seeds} for scene in SCENES
     }
@@ -152,12 +153,12 @@ def simulated(name: str) -> Case:
     drive = record(walls, path, SHORT, noise=float(rng.uniform(0.003, 0.015)), seed=int(seed))
     odometry = drifting_odometry(drive.world_T_laser, int(seed)) if kind == "odo" else None
     scans, period_s = (drive.scans[::3], 0.3) if kind == "every3" else (drive.scans, 0.1)
-    seen = [scan for scan in scans if np.isfinite(scan.ranges_m).any()]  # readers of logs skip the others
+    seen = [scan for scan in scans if np.isfinite(scan.ranges_m).any()]  # readers of logs skip empty scans
     return Case(seen, period_s, odometry, drive.map_T_laser)
 
 
 def scenery(scene: str, rng: np.random.Generator) -> tuple[np.ndarray, list[tuple[float, float]]]:
-    """Return walls and a way through them."""
+    """Return the walls of a scene, and the waypoints of a path through it."""
     jitter = [(float(a), float(b)) for a, b in rng.uniform(-0.15, 0.15, (12, 2))]
     if scene.startswith(("plain", "doors")):
         length = float(scene[-2:])
@@ -190,15 +191,12 @@ MISSIONS = ("corner", "corridor", "complex", "curved", "loop", "u_trap")
 
 
 def mission_names(seeds: int = 20) -> list[str]:
-    """Name all missions."""
+    """Return the names of all missions."""
     return [f"mission-{scenario}/fly/0/{seed}" for scenario in MISSIONS for seed in range(seeds)]
 
 
 def largest_errors(poses: Trajectory, reference: Trajectory) -> tuple[float, float]:
-    """Return the largest error over windows of 2 and 10 s: of the position in m, of the heading in deg.
-
-    The motion over a window is compared with the reference's over the same scans.
-    """
+    """Return the largest error of the relative motion over windows of 2 and 10 s: position in m, heading in deg."""
     rows = np.searchsorted(reference.stamps_ns, poses.stamps_ns)
     same = (rows < len(reference)) & (reference.stamps_ns[np.minimum(rows, len(reference) - 1)] == poses.stamps_ns)
     stamps, found, true = poses.stamps_ns[same], poses.xyyaw[same], reference.xyyaw[rows[same]]
@@ -213,11 +211,11 @@ def largest_errors(poses: Trajectory, reference: Trajectory) -> tuple[float, flo
 
 INTEL = "intel_sparse"
 STRETCH = 130
-"""Key frames of a stretch of the sparse log."""
+"""Number of key frames in a part of the sparse log."""
 
 
 def sparse(folder: Path, name: str) -> Case:
-    """Return a stretch of a log of key frames, which is too sparse to be tracked, with the poses of another SLAM."""
+    """Return a part of a log of key frames, too sparse for tracking, with the poses of another SLAM system."""
     first = int(name.split("/")[3]) * STRETCH
     log = open_log(folder / INTEL / f"{INTEL}.mcap", odom="off")
     scans, rows = list(log.scans()), np.loadtxt(folder / INTEL / "groundtruth.tum")
@@ -230,7 +228,7 @@ def sparse(folder: Path, name: str) -> Case:
 
 @lru_cache(maxsize=8)
 def undisturbed(folder: Path, log: str) -> Trajectory:
-    """Return the track of a log as it was recorded, with its odometry."""
+    """Return the track of the undisturbed log, with its odometry."""
     scans, period_s, odometry = read(folder, log, "auto")
     return run_slam(lambda: scans, Config(), period_s, odometry).trajectory
 
@@ -243,14 +241,14 @@ def case_of(folder: Path, name: str) -> Case:
 
 
 def flown(name: str) -> tuple[SlamResult, Trajectory]:
-    """Fly a mission; return what SLAM made of it, and the true poses."""
+    """Fly a mission; return the result of SLAM, and the true poses."""
     scenario, _, _, seed = name.removeprefix("mission-").split("/")
     flight = fly(load_scenario(scenario, [], {"seed": int(seed)}))
     return flight.slam, flight.map_T_laser
 
 
 def every_name() -> Iterator[str]:
-    """Give all names."""
+    """Yield the names of all runs."""
     yield from recorded_names()
     yield from (f"{INTEL}/none/0/{stretch}" for stretch in range(7))
     yield from scene_names()

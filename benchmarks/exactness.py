@@ -1,10 +1,10 @@
-"""Do pruned and exhaustive search agree, bit for bit, on every match of recorded and random scans?
+"""Check that pruned and exhaustive search agree bit for bit on every match of recorded and random scans.
 
     python benchmarks/exactness.py [LOG ...] [--method robust|paper] [--random N]
 
-Every search that a replay of the logs asks for is made both ways on 5x5, 10x10, 20x20 and 40x40 points (twice as many
-azimuths), and compared in all that it returns: pose, cost, inliers or beams, evaluations, grids. Random scans in random
-maps are compared level by level (robust) or by whole searches (paper). Exit code 1 at the first difference.
+Every search in a replay of the logs is run both ways on 5x5, 10x10, 20x20 and 40x40 points (twice as many yaw samples),
+and all results are compared: pose, cost, inliers or beams, evaluations, grids. Random scans in random maps are compared
+level by level (robust) or by whole searches (paper). Exit code 1 at the first difference.
 """
 
 from __future__ import annotations
@@ -33,11 +33,13 @@ SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
 HALF_WINDOWS = ((0.35, 0.35), (0.05, 0.09), (0.017, 0.008), (0.006, 0.0015), (0.002, 0.0002))
 
 READINGS = ((1.0, 0.1, 0.0, 0.0), (0.7, 0.06, 1.0, 1.0))
-"""Occlusion threshold fixed or shrinking, turns about the centroid or the laser, both or either converged."""
+"""Variants of the paper's method: occlusion threshold fixed or shrinking, rotation about the centroid or the laser,
+convergence of both or either.
+"""
 
 
 class Both:
-    """Stands for the module of a search: searches both ways and compares."""
+    """Replacement for the module of a search, which runs both searches and compares them."""
 
     def __init__(self, kernel: Any) -> None:
         self.kernel, self.matches = kernel, 0
@@ -76,7 +78,7 @@ def recorded(path: Path, method: str, grid: int) -> int:
 
 
 def random_grids(count: int) -> int:
-    """Compare the grids of random problems of the robust method; return their number."""
+    """Compare the grids of random problems of the robust method; return the number of grids."""
     for seed in range(count):
         problem = random_problem(seed)
         for half_m, half_rad in HALF_WINDOWS:
@@ -87,7 +89,7 @@ def random_grids(count: int) -> int:
 
 
 def random_searches(count: int) -> int:
-    """Compare random searches of the paper's method; return their number."""
+    """Compare random searches of the paper's method; return the number of searches."""
     both = Both(polar_search)
     for seed in range(count):
         for spec in LASERS:
@@ -100,7 +102,7 @@ def random_searches(count: int) -> int:
 
 
 def main() -> None:
-    """Compare all that the command line asks for."""
+    """Run the comparisons of the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("logs", nargs="*", type=Path, default=[SAMPLE])
     parser.add_argument("--method", choices=("robust", "paper"), default="robust")

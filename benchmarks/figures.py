@@ -1,4 +1,4 @@
-"""Draw the paper's Figures 2 to 8 anew with ``--method paper``, and print the metrics of every map.
+"""Draw the paper's Figures 2 to 8 with ``--method paper``, and print the metrics of every map.
 
     python benchmarks/figures.py [LOGS]
 
@@ -62,7 +62,7 @@ def figure(width_in: float, height_in: float) -> Figure:
 
 
 def draw_walls(axes: Axes, truth: Truth, label: str, **style: Any) -> None:
-    """Draw the true walls; the first alone bears the label."""
+    """Draw the true walls; only the first one has the label."""
     for k, line in enumerate(wall_lines(truth)):
         axes.plot(*line.T, label=None if k else label, **style)
 
@@ -82,7 +82,7 @@ def draw_frame(axes: Axes, window: Window) -> None:
 
 
 def draw_hits(axes: Axes, grid: Grid, world_T_map: Pose) -> None:
-    """Draw the cells that were hit; the axes of the map may be rotated against those of the world."""
+    """Draw the cells with hits; the map may be rotated relative to the world."""
     (rows, cols), (x, y), hits = grid.hits.shape, grid.origin_xy_m, np.ma.masked_equal(grid.hits, 0)
     extent = (x, x + cols * grid.cell_m, y, y + rows * grid.cell_m)
     moved = Affine2D().rotate(world_T_map.yaw_rad).translate(world_T_map.x_m, world_T_map.y_m) + axes.transData
@@ -90,7 +90,7 @@ def draw_hits(axes: Axes, grid: Grid, world_T_map: Pose) -> None:
 
 
 def finish(fig: Figure, name: str, window: Window) -> None:
-    """Give all maps one frame and one logarithmic colour scale, add colour bar and legend, and write the picture."""
+    """Set a common frame and a logarithmic color scale for all maps, add color bar and legend, and write the figure."""
     axes, images = fig.axes, [image for ax in fig.axes for image in ax.get_images()]
     top = float(np.quantile(np.concatenate([np.ma.compressed(image.get_array()) for image in images]), 0.995))
     for image in images:
@@ -110,7 +110,7 @@ def finish(fig: Figure, name: str, window: Window) -> None:
 
 
 def report(name: str, outcome: SlamResult, truth: Trajectory | None = None, scenario: Scenario | None = None) -> None:
-    """Print the metrics of a map; ``truth`` holds the true poses in the map frame, ``scenario`` the true walls."""
+    """Print the metrics of a map; ``truth`` are the true poses in the map frame, ``scenario`` has the true walls."""
     true_map = of_scenario(scenario, scenario.world_T_base @ scenario.base_T_laser) if scenario else None
     errors = compared(References(truth, true_map), outcome.trajectory, occupied_xy_m(outcome.grid)) or {}
     walls = wall_thickness(outcome.grid.hits, outcome.grid.cell_m, 2)
@@ -125,14 +125,14 @@ def report(name: str, outcome: SlamResult, truth: Trajectory | None = None, scen
 
 
 def flown(name: str) -> tuple[Flight, Truth]:
-    """Fly a mission; return it with true poses, true walls and goal in the world frame."""
+    """Fly a mission; return it, and the true poses, true walls and goal in the world frame."""
     flight = fly(load_scenario(name, [], {"seed": 0, "slam.method": "paper"}))
     world, way = flight.scenario.world, flight.map_T_laser.seen_from(flight.world_T_map)
     return flight, Truth(way, world.segments, world.arcs, flight.scenario.goals_xy_m[-1])
 
 
 def mission(name: str, scenario: str, titles: tuple[str, str]) -> None:
-    """Figures 2 and 3, 5 and 6: a scenario, and the occupancy grid at the end of its mission."""
+    """Draw Figures 2 and 3, or 5 and 6: a scenario, and the occupancy grid at the end of its mission."""
     (flight, truth), fig = flown(scenario), figure(11.0, 5.5)
     left, right = fig.subplots(1, 2)
     draw_walls(left, truth, color=INK, lw=1.8, label="true wall")
@@ -152,7 +152,7 @@ def mission(name: str, scenario: str, titles: tuple[str, str]) -> None:
 
 
 def recorded(name: str, path: Path) -> None:
-    """Figure 4: a log of the paper's own sensor, moved by hand; the truth is not known."""
+    """Draw Figure 4: a log of the paper's sensor, moved by hand, without ground truth."""
     if not path.exists():
         print(f"{name}: skipped, {path} does not exist", file=sys.stderr)
         return
@@ -169,11 +169,11 @@ def recorded(name: str, path: Path) -> None:
 
 
 def corridor(name: str) -> None:
-    """Figure 7: the scans and commands of one mission, replayed with a coarse and a fine search grid."""
+    """Draw Figure 7: the scans and commands of one mission, replayed with a coarse and a fine search grid."""
     (flight, truth), fig, effort = flown("corridor"), figure(11.0, 5.6), []
     for ax, (yaws, grid) in zip(fig.subplots(2, 1, sharex=True), ((20, "10x10"), (40, "40x40")), strict=True):
         config, clock_s = load_config("paper", [], {"grid": grid, "azimuth": yaws}), [process_time()]
-        for _ in range(3):  # the least time counts
+        for _ in range(3):  # the minimum time is used
             outcome = run_slam(lambda: iter(flight.scans), config, 0.1, flight.odom_T_base)
             clock_s.append(process_time())
         effort.append((np.diff(clock_s).min(), outcome.steps.column("evaluations").mean()))
@@ -188,7 +188,7 @@ def corridor(name: str) -> None:
 
 
 def cart(scenario: Scenario) -> tuple[list[Scan], Trajectory]:
-    """Push a cart through the corridor as the test of Figure 8 does; return its scans and true poses, world frame."""
+    """Simulate a cart in the corridor as in the test of Figure 8; return its scans and true poses, world frame."""
     rng, scans, poses, (x_m, y_m, yaw_rad) = np.random.default_rng(22), [], [], (0.8, 1.0, 0.0)
     for k in range(40):
         poses.append(Pose(x_m, y_m, yaw_rad))
@@ -200,7 +200,7 @@ def cart(scenario: Scenario) -> tuple[list[Scan], Trajectory]:
 
 
 def ring(axes: Axes, ghost: GhostWall, world_T_map: Pose) -> None:
-    """Frame a ghost wall: the ridge in front, and the rear one farther from the laser's path (y = 0 in the map)."""
+    """Draw a rectangle around a ghost wall and its wall, which is nearer to the laser's path (y = 0 in the map)."""
     front = Pose(ghost.x_m, ghost.y_m, (ghost.direction_deg + 90.0) % 180.0 * DEG)
     x, y, yaw_rad = world_T_map @ front @ Pose(np.sign(ghost.y_m) * ghost.offset_mm * MM / 2.0)
     deep, long = ghost.offset_mm * MM + 0.1, ghost.length_m + 0.1
@@ -209,7 +209,7 @@ def ring(axes: Axes, ghost: GhostWall, world_T_map: Pose) -> None:
 
 
 def grids(name: str) -> None:
-    """Figure 8: close-ups of three search grids, preset ``fig8``, at the longest ghost wall of the first."""
+    """Draw Figure 8: close-ups of three search grids, preset ``fig8``, at the longest ghost wall of the first one."""
     scenario = load_scenario("corridor", ["laser.noise_percent=0.2"])
     (scans, way), fig, found = cart(scenario), figure(13.0, 2.9), []
     truth = Truth(way, scenario.world.segments, scenario.world.arcs, scenario.goals_xy_m[-1])

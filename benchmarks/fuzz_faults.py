@@ -1,11 +1,11 @@
-"""What a failing disk leaves behind: every operation of every command fails once.
+"""Check the effects of a failing disk: every file operation of every command fails once.
 
     python benchmarks/fuzz_faults.py [--seconds S] [--count N] [--commands NAME ...]
 
 Opening for writing, writing, fsync, rename, mkdir and writing to stdout fail at the n-th operation, for every n: with
 ENOSPC from there on, or with EIO once. After each fault the exit code, the message and the files are checked, and the
-command is run again. Without a fault, nothing may take its name before its content is synced. Counted, and 0 where all
-is well: half-written results, wrong exit codes or messages, next runs that are not fine.
+command is run again. Without a fault, no file may be renamed before its content is synced. Problems are counted, and
+must be 0: incomplete results, wrong exit codes or messages, and later runs that fail.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
 
 
 def main() -> int:
-    """Print a line per command, and every problem; return how many there are."""
+    """Print a line per command, and every problem; return 1 if there are problems."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after this time")
     parser.add_argument("--count", type=int, default=10**6, help="faults per command")

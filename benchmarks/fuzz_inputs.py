@@ -1,12 +1,12 @@
-"""What hostile configurations, scenarios, manifests, maps, tables and results of earlier runs can do.
+"""Fuzz configurations, scenarios, manifests, maps, tables and results of earlier runs.
 
     python benchmarks/fuzz_inputs.py [--seed S] [--count N] [--seconds T] [--kinds NAME ...] [--verbose]
 
-Sound files are mutated byte by byte, or a value in them is replaced: numbers of thousands of digits or beyond all
-bounds, deep nesting, huge strings, aliases, tags, paths to devices, pipes and addresses; pictures are pipes, devices,
-bombs, or lie about their size. Each is read by a command in a forked child. Counted, and 0 where all is well:
-tracebacks, exit code 70, crashes, hangs, more than 20 s of CPU, more than 1 GB of memory, altered inputs, and files
-outside of the output.
+Valid files are mutated byte by byte, or a value in them is replaced: numbers with thousands of digits or out of range,
+deep nesting, huge strings, aliases, tags, paths to devices, pipes and addresses. Images are replaced by pipes, devices,
+bombs, or files with a wrong size. Each file is read by a command in a forked child. Problems are counted, and must be
+0: tracebacks, exit code 70, crashes, hangs, over 20 s of CPU, over 1 GB of memory, changed inputs, and files outside of
+the output.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Random = np.random.Generator
 
 @dataclass(frozen=True)
 class Kind:
-    """A file that is attacked, the commands that read it (one is chosen), and how to make another picture of it."""
+    """A file to attack, the commands that read it, of which one is chosen, and the function that replaces an image."""
 
     name: str
     file: str
@@ -53,7 +53,7 @@ class Kind:
 
 
 def png(width: int, height: int, colour: int, body: bytes) -> bytes:
-    """Return a PNG file that says so of itself."""
+    """Return a PNG file with this size and color type in its header, and any body."""
     head = struct.pack(">IIBBBBB", width, height, 8, colour, 0, 0, 0)
     chunks = ((b"IHDR", head), (b"IDAT", body), (b"IEND", b""))
     packed = (
@@ -63,7 +63,7 @@ def png(width: int, height: int, colour: int, body: bytes) -> bytes:
 
 
 def attack_picture(rng: Random, path: Path) -> None:
-    """Replace a map's picture."""
+    """Replace the image of a map by a hostile file."""
     path.unlink()
     kind = int(rng.integers(12))
     side = int(rng.choice([0, 1, 9000, 9400, 20_000, 2**31 - 1]))
@@ -124,7 +124,7 @@ KINDS = (
 
 
 def make_home(folder: Path) -> None:
-    """Write a sound file of every kind; the run is a real one."""
+    """Write a valid file of every kind, including a real run."""
     assert cli.run(["replay", str(SAMPLE), "-o", str(folder / "run"), *SHORT]) == 0
     shutil.copy(folder / "run" / "trajectory.tum", folder / "t.tum")
     for name in ("map.yaml", "map.pgm"):
@@ -153,8 +153,8 @@ RAW = "@raw@"
 DEEP = (100, 5000, 200_000)
 
 
-def nasty(rng: Random) -> tuple[Any, str]:
-    """Return a value to put anywhere, and the text that takes the place of `RAW` in it."""
+def hostile_value(rng: Random) -> tuple[Any, str]:
+    """Return a hostile value, and the text that replaces `RAW` in the file."""
     depth = int(rng.choice(DEEP))
     values: list[tuple[Any, str]] = [
         (RAW, "9" * int(rng.choice([400, 5000, 400_000]))),
@@ -175,28 +175,28 @@ def nasty(rng: Random) -> tuple[Any, str]:
     return values[int(rng.integers(len(values)))]
 
 
-def places(tree: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """Return the keys of all values in a document, from the outside."""
+def paths(tree: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Return the paths of all values in a document, as tuples of keys."""
     inner = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
-    return [path, *(place for key, value in inner for place in places(value, (*path, key)))]
+    return [path, *(deeper for key, value in inner for deeper in paths(value, (*path, key)))]
 
 
-def replaced(tree: Any, place: tuple[Any, ...], value: Any) -> Any:
-    """Return a document with another value at one place."""
-    if not place:
+def replaced(tree: Any, path: tuple[Any, ...], value: Any) -> Any:
+    """Return a document with the value at a path replaced."""
+    if not path:
         return value
     copy = dict(tree) if isinstance(tree, dict) else list(tree)
-    copy[place[0]] = replaced(copy[place[0]], place[1:], value)
+    copy[path[0]] = replaced(copy[path[0]], path[1:], value)
     return copy
 
 
 def attack_document(rng: Random, content: bytes) -> bytes:
-    """Replace a value or two of a JSON or YAML document."""
+    """Replace one or two values of a JSON or YAML document."""
     tree = yaml.safe_load(content)
     text = ""
     for _ in range(int(rng.integers(1, 3))):
-        value, text = nasty(rng)
-        found = places(tree)
+        value, text = hostile_value(rng)
+        found = paths(tree)
         tree = replaced(tree, found[int(rng.integers(len(found)))], value)
     return json.dumps(tree).replace(f'"{RAW}"', text or "0").encode()
 
@@ -205,32 +205,32 @@ def attack_table(rng: Random, content: bytes) -> bytes:
     """Replace words of a table."""
     words = content.split(b" ")
     for _ in range(int(rng.integers(1, 4))):
-        value, text = nasty(rng)
+        value, text = hostile_value(rng)
         words[int(rng.integers(len(words)))] = (text or str(value)).encode("utf-8", "backslashreplace")
     return b" ".join(words)
 
 
 def attack(kind: Kind, rng: Random, folder: Path) -> None:
-    """Change the file of a kind in a copy of the home."""
+    """Attack the file of a kind in a copy of the folder with valid files."""
     path = folder / kind.file
     content = path.read_bytes()
-    way = float(rng.random())
-    if kind.picture and way < 0.7:
+    choice = float(rng.random())
+    if kind.picture and choice < 0.7:
         kind.picture(rng, path)
-    elif path.suffix in {".json", ".yaml"} and way < 0.65:
+    elif path.suffix in {".json", ".yaml"} and choice < 0.65:
         path.write_bytes(attack_document(rng, content))
-    elif path.suffix == ".tum" and way < 0.5:
+    elif path.suffix == ".tum" and choice < 0.5:
         path.write_bytes(attack_table(rng, content))
-    elif way > 0.95:
+    elif choice > 0.95:
         path.unlink()
-        ways = (os.mkfifo, os.mkdir, lambda place: place.symlink_to("/dev/zero"))
-        ways[int(rng.integers(3))](path)
+        replacements = (os.mkfifo, os.mkdir, lambda name: name.symlink_to("/dev/zero"))
+        replacements[int(rng.integers(3))](path)
     else:
         path.write_bytes(mutated(content, int(rng.integers(2**31))))
 
 
 def main() -> int:
-    """Print a line per kind and every finding; return whether there is one."""
+    """Print a line per kind, and every problem; return 1 if there are problems."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int, default=1000, help="inputs in all")

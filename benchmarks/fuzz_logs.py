@@ -1,21 +1,21 @@
-"""How much of damaged logs is recovered, and does any damage pass unmarked?
+"""Measure how much of damaged logs is recovered, and check that all damage is reported.
 
     python benchmarks/fuzz_logs.py [--seed S] [--count N] [--attacks N] [--seconds T] [--logs NAME ...] [--verbose]
 
 Small logs of every container are mutated, ``N`` times in all, and read back. Scans are compared by content, bit for
-bit. A scan is still whole where the bytes that hold it are in the file unaltered: the content of its chunk, or its own
-record where no chunk holds it. Counted per container:
+bit. A scan is intact if its bytes are unchanged in the file: the content of its chunk, or its own record outside of
+chunks. Counted per container:
 
-- recovered: whole scans that are read, over all whole scans (containers with chunks or records);
-- unmarked: altered scans that are not suspect, where a checksum covers them; must be 0;
-- strict: altered scans that ``--strict`` keeps, where a checksum covers them; must be 0;
-- silent: cases with altered scans and neither damage nor a warning; must be 0 where a checksum covers them;
-- invented: topics of no sound log while the name of the real one (in MCAP with its length) is in the file; duplicated:
-  a scan twice on one topic and not suspect; must be 0;
+- recovered: intact scans that are read, over all intact scans (containers with chunks or records);
+- unmarked: altered scans that are not suspect, although a checksum covers them; must be 0;
+- strict: altered scans that ``--strict`` keeps, although a checksum covers them; must be 0;
+- silent: cases with altered scans and neither damage nor a warning; must be 0 if a checksum covers them;
+- invented: topics that the valid log does not have, while the name of the real one (in MCAP with its length) is in the
+  file; duplicated: a scan twice on one topic and not suspect; must be 0;
 - errors: exceptions other than the documented ones (exit code 70); slow: more than 20 s of CPU; must be 0.
 
-With ``--attacks`` logs that are built to break a reader (`log_attacks`) are read by a command in a forked child, as
-`fuzz_inputs` does; what is counted there must be 0 too.
+With ``--attacks``, hostile logs (`log_attacks`) are read by a command in a forked child, as in `fuzz_inputs`; the
+problems counted there must be 0 too.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ from support.sandbox import COUNTED as ATTACK_COUNTED
 from support.sandbox import problems, table_row
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
-MOST_SECONDS = 20.0
+MAX_CPU_S = 20.0
 Scan = tuple[int, bytes]
 
 
 @dataclass
 class Seed:
-    """A sound log: ``parts`` are the bytes that hold scans, each with the numbers of its scans."""
+    """A valid log: ``parts`` are the byte sequences that contain scans, each with the indices of its scans."""
 
     name: str
     data: bytes
@@ -83,7 +83,7 @@ class Seed:
 
 
 def read_scans(path: Path, *, strict: bool) -> tuple[list[tuple[str, Log]], bool]:
-    """Return the usable scan topics, and whether anything is reported."""
+    """Return the logs of the usable scan topics, and whether damage or a warning is reported."""
     found = survey(path, strict=strict)
     logs, marked = [], bool(found.damage or found.warnings)
     for topic in found.scans:
@@ -145,7 +145,7 @@ def _measure(seed: Seed, folder: Path) -> None:
 
 
 def unpacked(data: bytes) -> bytes:
-    """Return what a damaged zstd file still holds."""
+    """Return the content of a zstd file up to the first damage."""
     blocks = []
     with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as stream:
         try:
@@ -157,7 +157,7 @@ def unpacked(data: bytes) -> bytes:
 
 
 def heads(data: bytes) -> list[tuple[int, int]]:
-    """Return the offsets and content lengths of an MCAP file's records, those in front."""
+    """Return the offsets and content lengths of the records of an MCAP file, up to the first incomplete head."""
     offset, found = len(MAGIC), []
     while offset + HEAD.size <= len(data):
         _, length = HEAD.unpack_from(data, offset)
@@ -166,13 +166,13 @@ def heads(data: bytes) -> list[tuple[int, int]]:
     return found
 
 
-def anyhow(seed: Seed, number: int) -> bytes:
-    """Damage any place, as a bad disk, a bad copy or a lying writer would."""
+def damaged_anywhere(seed: Seed, number: int) -> bytes:
+    """Damage a log at random offsets, as a bad disk, a bad copy or a faulty writer does."""
     return mutated(seed.data, number)
 
 
-def attacked(seed: Seed, number: int) -> bytes:
-    """Damage the places that matter: heads and first fields of records, and one byte or more within one."""
+def damaged_records(seed: Seed, number: int) -> bytes:
+    """Damage heads, first fields or contents of one or two records."""
     rng = np.random.default_rng((number, 77))
     data = bytearray(seed.data)
     if not seed.heads:
@@ -197,7 +197,7 @@ def attacked(seed: Seed, number: int) -> bytes:
 
 
 def _mcap_parts(data: bytes) -> Iterator[tuple[bytes, list[int]]]:
-    """Yield the chunks' contents, and the message records outside of chunks, with the numbers of their scans."""
+    """Yield the contents of chunks, and the message records outside of chunks, with the indices of their scans."""
     number, laser_ids = 0, set()
 
     def is_scan(opcode: int, content: bytes) -> bool:
@@ -221,7 +221,7 @@ def _mcap_parts(data: bytes) -> Iterator[tuple[bytes, list[int]]]:
 
 @dataclass
 class Case:
-    """What became of one mutated log."""
+    """Counts and findings of one mutated log."""
 
     counts: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)
@@ -233,7 +233,7 @@ class Case:
 
 
 def judge(seed: Seed, path: Path, damaged: bytes) -> Case:
-    """Read a mutated log as a user would, with and without ``--strict``."""
+    """Read a mutated log with and without ``--strict``, and count what is lost, altered and reported."""
     case = Case()
     began_s = time.process_time()
     try:
@@ -241,10 +241,10 @@ def judge(seed: Seed, path: Path, damaged: bytes) -> Case:
         read = [(topic, scan) for topic, log in logs for scan in contents(log)]
         suspect = sum(log.counts.suspect for _, log in logs)
         kept = [scan for _, log in read_scans(path, strict=True)[0] for scan in contents(log)]
-    except Exception as error:  # whatever it is, it is the finding
+    except Exception as error:  # any other exception is a finding
         case.note("errors", 1, f"{type(error).__name__}: {error}\n{traceback.format_exc()}")
         return case
-    case.note("slow", int(time.process_time() - began_s > MOST_SECONDS))
+    case.note("slow", int(time.process_time() - began_s > MAX_CPU_S))
     sound = set(seed.scans) | {(-1, ranges) for _, ranges in seed.scans}
     plain = unpacked(damaged) if seed.packed else damaged
     whole = {number for part, numbers in seed.parts if part in plain for number in numbers}
@@ -271,14 +271,14 @@ def judge(seed: Seed, path: Path, damaged: bytes) -> Case:
 
 
 def declared(topic: str, plain: bytes) -> bytes:
-    """Return the bytes of a name in a log; in MCAP its length stands before it, without which no record can be read."""
+    """Return the bytes of a topic's name in a log; in MCAP with its length, which is needed to read the record."""
     name = topic.encode()
     return len(name).to_bytes(4, "little") + name if plain.startswith(MAGIC) else name
 
 
 COUNTED = "cases whole lost altered unmarked strict silent invented duplicated errors slow"
 COLUMNS = {name: max(len(name), 6) + 1 for name in COUNTED.split()}
-"""What is counted, and how wide its column is."""
+"""Name of a count -> width of its column, in characters."""
 
 MUST_BE_ZERO = ("unmarked", "strict", "silent", "invented", "duplicated", "errors", "slow")
 
@@ -290,7 +290,7 @@ def row(log: str, counts: Counter[str]) -> str:
 
 
 def attack_logs(seed: int, count: int, end_s: float, kinds: list[str], *, verbose: bool) -> int:
-    """Let a command read built logs, one kind after the other; return how many findings there are."""
+    """Read hostile logs of all kinds by a command, in turn; return the number of findings."""
     names = [name for name in log_attacks.KINDS if not kinds or name in kinds]
     counts, began_s = {name: Counter[str]() for name in names}, time.monotonic()
     with tempfile.TemporaryDirectory() as name:
@@ -319,7 +319,7 @@ def attack_logs(seed: int, count: int, end_s: float, kinds: list[str], *, verbos
 
 
 def main() -> int:
-    """Print a table of counts; return 1 where one that must be 0 is not."""
+    """Print a table of counts; return 1 if a count that must be 0 is not."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int, default=1000, help="mutated logs in all")
@@ -339,7 +339,7 @@ def main() -> int:
 
 
 def mutate_logs(options: argparse.Namespace, began_s: float, seconds: float) -> int:
-    """Print a line per container; return how many findings there are."""
+    """Print a line per container; return the number of findings."""
     total: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -352,7 +352,7 @@ def mutate_logs(options: argparse.Namespace, began_s: float, seconds: float) -> 
             for number in range(options.seed + index, options.seed + options.count, len(seeds)):
                 if time.monotonic() > end_s:
                     break
-                attack = attacked if number // len(seeds) % 2 else anyhow
+                attack = damaged_records if number // len(seeds) % 2 else damaged_anywhere
                 damaged = attack(seed, number)
                 path.write_bytes(damaged)
                 case = judge(seed, path, damaged)

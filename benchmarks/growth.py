@@ -1,4 +1,4 @@
-"""Does the time of a scan stay flat while the map grows? A laser drives down a hall of 200 m; blocks of 200 scans.
+"""Check that the time per scan stays constant while the map grows: a drive along a hall of 200 m, by blocks of scans.
 
 python benchmarks/growth.py [LENGTH_M]
 """
@@ -27,7 +27,7 @@ STEP_M, BLOCK, NEAR_M = 0.1, 200, 15.0
 
 
 def hall(length_m: float) -> np.ndarray:
-    """Return a hall with a box every 3 m or so, alternately left and right."""
+    """Return the walls (n, 4) of a hall with a box about every 3 m, alternately left and right."""
     rng = np.random.default_rng(0)
     boxes = [
         box(x + rng.uniform(-1, 1), 1.0 + 4.0 * (k % 2), *rng.uniform(0.3, 1.2, 2), rng.uniform(-0.5, 0.5))
@@ -37,12 +37,12 @@ def hall(length_m: float) -> np.ndarray:
 
 
 def main() -> None:
-    """Track and print the processor time of each block, without the making of its scans."""
+    """Track, and print the CPU time of each block without the generation of its scans."""
     length_m = float(sys.argv[1]) if len(sys.argv) > 1 else 200.0
-    walls, making_s, rng = hall(length_m), 0.0, np.random.default_rng(1)
+    walls, generation_s, rng = hall(length_m), 0.0, np.random.default_rng(1)
 
     def scans() -> Iterator[Scan]:
-        nonlocal making_s
+        nonlocal generation_s
         for k in range(int((length_m - 4.0) / STEP_M)):
             began_s, x = process_time(), 2.0 + k * STEP_M
             near = walls[
@@ -50,13 +50,13 @@ def main() -> None:
                 & (np.maximum(walls[:, 0], walls[:, 2]) > x - NEAR_M)
             ]
             scan = scan_at(near, Pose(x, 3.0, 0.0), SPEC, stamp_ns=(k + 1) * 100_000_000, noise=0.01, rng=rng)
-            making_s += process_time() - began_s
+            generation_s += process_time() - began_s
             yield scan
 
-    def told(phase: str, done: int) -> None:
+    def print_block(phase: str, done: int) -> None:
         nonlocal spent_s
         if done % BLOCK == 0:
-            now_s = process_time() - making_s
+            now_s = process_time() - generation_s
             memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             print(
                 f"{phase:10} {done:6} scans  {(now_s - spent_s) / BLOCK * 1e3:.2f} ms a scan  {memory_mb:.0f} MB",
@@ -66,7 +66,7 @@ def main() -> None:
 
     spent_s = process_time()
     config = Config()
-    found = run_slam(scans, config, 0.1, on_step=told)
+    found = run_slam(scans, config, 0.1, on_step=print_block)
     end = found.trajectory.xyyaw[-1]
     print(f"end at {end[0]:.2f} m of {int((length_m - 4.0) / STEP_M - 1) * STEP_M:.2f} m, map {found.grid.hits.shape}")
 

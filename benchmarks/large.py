@@ -1,10 +1,10 @@
-"""What does a log of 1 GB and 100 000 scans take, and is a scan as quick at the end of a large map as at its beginning?
+"""Measure time and memory for a log of 1 GB and 100,000 scans, and how the time per scan grows with the map.
 
     python benchmarks/large.py LOG.mcap OUTPUT_DIRECTORY [--scans N] [--plot FILE.png]
 
-A laser drives once through the aisles of a warehouse of 200 m x 200 m. The log is made if it is not there: 720 beams
-with intensities, and a second topic of bytes. It is replayed with all outputs; printed are the processor time of a scan
-by blocks of scans, and the peak of memory.
+A laser drives once through the aisles of a warehouse of 200 m x 200 m. The log is generated if it does not exist: 720
+beams with intensities, and a second topic of random bytes. It is replayed with all outputs. The CPU time per scan is
+printed by blocks of scans, and the peak memory.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ BLOB_BYTES, WHOLE = 4300, 100_000
 
 
 def warehouse() -> np.ndarray:
-    """Return walls (n, 4): aisles along x, open to each other by turns at either end, with racks of uneven depth."""
+    """Return walls (n, 4): aisles along x, connected at alternate ends, with racks of varying depth."""
     rng, walls = np.random.default_rng(0), []
     for k in range(AISLES):
         y = k * PITCH_M
@@ -51,14 +51,14 @@ def warehouse() -> np.ndarray:
             edge = LENGTH_M if k % 2 == 0 else 0.0
             inner = LENGTH_M - WIDE_M if k % 2 == 0 else WIDE_M
             walls += [(x, y + WIDE_M / 2, x, y + PITCH_M - WIDE_M / 2) for x in (edge, inner)]
-            for j, dy in enumerate(np.arange(3.0, PITCH_M - 3.0, 2.0)):  # posts, so that the links are not bare
+            for j, dy in enumerate(np.arange(3.0, PITCH_M - 3.0, 2.0)):  # posts along the connections
                 out = edge + (-0.3 if k % 2 == 0 else 0.3) * (1 + j % 2)
                 walls += [(edge, y + dy, out, y + dy), (out, y + dy, out, y + dy + 0.3)]
     return np.array(walls)
 
 
 def drive(scans: int) -> np.ndarray:
-    """Return the first poses (scans, 3) of `WHOLE` along all aisles, corners rounded."""
+    """Return the first ``scans`` of `WHOLE` poses, (scans, 3), along all aisles with rounded corners."""
     corners, half = [], WIDE_M / 2
     for k in range(AISLES):
         ends = (half, LENGTH_M - half) if k % 2 == 0 else (LENGTH_M - half, half)
@@ -113,7 +113,7 @@ def make(path: Path, scans: int) -> None:
 
 
 def main() -> None:
-    """Make the log, replay it, tell times and memory."""
+    """Generate the log, replay it, and print times and memory."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("log", type=Path)
     parser.add_argument("output", type=Path)
@@ -121,7 +121,7 @@ def main() -> None:
     parser.add_argument("--plot", type=Path)
     args = parser.parse_args()
     if not args.log.exists():
-        with ProcessPoolExecutor(1) as other:  # what it takes to make the log is none of the replay's memory
+        with ProcessPoolExecutor(1) as other:  # so that the memory of the generation does not count
             other.submit(make, args.log, args.scans).result()
     seen: dict[str, list[tuple[int, float]]] = {}
 
@@ -158,7 +158,7 @@ def _peak_mb() -> float:
 
 
 def plot(seen: dict[str, list[tuple[int, float]]], path: Path) -> None:
-    """Draw the time of a scan over the scans."""
+    """Plot the CPU time per scan over the scans."""
     from matplotlib.figure import Figure  # noqa: PLC0415
 
     fig: Any = Figure(figsize=(7, 3), layout="constrained")

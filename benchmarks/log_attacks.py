@@ -1,4 +1,4 @@
-"""Kinds of logs that are built to break a reader, and the commands that read them."""
+"""Kinds of hostile logs, and the commands that read them."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ KINDS: dict[str, Callable[[Random, Path], Path]] = {
     "special files": container.special, "metadata.yaml": container.metadata, "bag connections": container.connections,
     "scan geometry": message.geometry, "nested records": container.nested_records,
 }  # fmt: skip
-"""Name -> the function that writes a log of this kind into a folder and returns its path."""
+"""Name -> the function that writes a log of this kind to a folder and returns its path."""
 
 
 def command(rng: Random, kind: str, path: Path) -> Sequence[str]:
-    """Return the command that reads a log: one of three, often with a part of a topic."""
+    """Return one of three commands that read a log, often with a suffix that selects a scan of a topic."""
     name = path.name
     part = str(pick(rng, "ring_1", "z_-0.1_0.3")) if kind == "PointCloud2" else str(pick(rng, "last", "strongest"))
     topic = ("--topic", f"/scan/{part}") if kind in {"PointCloud2", "MultiEcho"} and rng.random() < 0.4 else ()

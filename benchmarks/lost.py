@@ -1,9 +1,10 @@
-"""What does a log cost in which the laser is lost, beside the whole log, and how much of it is found again?
+"""Measure the relative cost of logs in which tracking is lost, and how many scans are tracked again.
 
     python benchmarks/lost.py LOG ... [--kinds half,blocks,middle,carried] [--rounds N]
 
-Scans of each log are taken away, or come from another place. Every run follows one of the whole log; the ratio of their
-processor times a scan is printed, the median of the rounds, loops off. Poses are compared with those of the whole log.
+Scans of each log are removed, or replaced by those of another place. Every run follows a run of the original log,
+without loop closure; the ratio of their CPU times per scan is printed, as the median of the rounds. Poses are compared
+with those of the original log.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def middle(scans: list[Scan]) -> list[Scan]:
 
 
 def carried(scans: list[Scan]) -> list[Scan]:
-    """Carry the laser into a room that is not on the map, and back to where it was a bit earlier."""
+    """Insert scans of a room that is not on the map, and continue with scans from shortly before."""
     at, step_ns = len(scans) // 2, int(np.median(np.diff([scan.stamp_ns for scan in scans])))
     spec, rng = scans[at].spec, np.random.default_rng(0)
     other = [scan_at(ELSEWHERE, Pose(0.8, 0.8, 0.01 * k), spec, noise=0.003, rng=rng) for k in range(OTHER_SCANS)]
@@ -67,14 +68,14 @@ KINDS: dict[str, Callable[[list[Scan]], list[Scan]]] = {
 
 
 def run(scans: list[Scan], period_s: float) -> tuple[SlamResult, float]:
-    """Return the result, and the processor time of a scan in ms."""
+    """Return the result, and the CPU time per scan in ms."""
     began_s = process_time()
     found = run_slam(lambda: scans, load_config(overrides={"loop_closure": "off"}), period_s)
     return found, (process_time() - began_s) / len(scans) * 1e3
 
 
 def wrong(found: Trajectory, whole: Trajectory) -> int:
-    """Count the poses that are off in the frame of the first one, of scans that both have."""
+    """Return the number of wrong poses in the frame of the first pose, among the scans that both tracks contain."""
     _, a, b = np.intersect1d(found.stamps_ns, whole.stamps_ns, return_indices=True)
     there = Trajectory(whole.stamps_ns[b], whole.xyyaw[b])
     off_m = found.xyyaw[a] - there.seen_from(there[0].inverse() if len(b) else Pose()).xyyaw
@@ -82,7 +83,7 @@ def wrong(found: Trajectory, whole: Trajectory) -> int:
 
 
 def main() -> None:
-    """Disturb, track, print."""
+    """Disturb the logs, track them, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("logs", type=Path, nargs="+")
     parser.add_argument("--kinds", default=",".join(KINDS))

@@ -1,4 +1,4 @@
-"""Messages and definitions in sound containers, built to break a reader: each function writes a log into a folder."""
+"""Hostile messages and definitions in valid containers: each function writes a log to a folder."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ CLOUD, ECHOES = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/MultiEchoLaserSc
 
 
 def huge_strings(rng: Random, folder: Path) -> Path:
-    """Names of topics, types, frames and encodings of a megabyte or more."""
+    """Write names of topics, types, frames and encodings of a megabyte or more."""
     text = "x" * int(pick(rng, 70_000, 1 << 20, 4 << 20))
     at = int(rng.integers(5))
     payloads = [serialized(laser(k, frame_id=text if at == 0 else "laser"), 2) for k in range(2)]
@@ -43,7 +43,7 @@ def huge_strings(rng: Random, folder: Path) -> Path:
 
 
 def definitions(rng: Random, folder: Path) -> Path:
-    """Message definitions that nest deeply, recurse, explode or announce arrays beyond all memory."""
+    """Write message definitions that nest deeply, recurse, grow exponentially or declare arrays larger than memory."""
     depth, width = int(pick(rng, 30, 900, 9000)), int(pick(rng, 1, 2, 10))
     size = pick(rng, "", "[]", "[4294967295]", "[999999999999999999999]", "[<=4]", "[0]", "[-1]")
     fields = pick(rng, "float64", "string<=99999999999", "wstring", "uint8[4294967295]", "", "x/Gone")
@@ -70,14 +70,14 @@ IDLS = (
 
 
 def idl(rng: Random, folder: Path) -> Path:
-    """Definitions in IDL that nest, recurse or do not end."""
+    """Write definitions in IDL that nest, recurse or do not end."""
     kind = pick(rng, LASER, "a/msg/S", "x", "/" * 300)
     payloads = [serialized(laser(k), 2) for k in range(3)]
     return channel_log(folder / "a.mcap", kind, ("cdr", "ros2idl"), pick(rng, *IDLS).encode(), payloads)
 
 
 def odometry(rng: Random, folder: Path) -> Path:
-    """Poses and mountings of any size beside sound scans."""
+    """Write poses and mountings of any magnitude with valid scans."""
     messages = []
     for k in range(12):
         x, y, yaw = (float(pick(rng, 0.1 * k, 0.0, *NUMBERS)) if rng.random() < 0.5 else 0.1 * k for _ in range(3))
@@ -90,7 +90,7 @@ def odometry(rng: Random, folder: Path) -> Path:
 
 
 def cdr(rng: Random, folder: Path) -> Path:
-    """Sound definitions, but messages that claim other counts, or have another byte order or type."""
+    """Write valid definitions, with messages that have wrong counts, another byte order or another type."""
     payloads = []
     for k in range(5):
         data = bytearray(serialized(laser(k), 2))
@@ -103,7 +103,7 @@ def cdr(rng: Random, folder: Path) -> Path:
 
 
 def foxglove_json(rng: Random, folder: Path) -> Path:
-    """JSON that nests deeply, has numbers of thousands of digits, or values of other types."""
+    """Write JSON that nests deeply, has numbers with thousands of digits, or values of other types."""
     scan = {"timestamp": {"sec": 1, "nsec": 5}, "frame_id": "l", "start_angle": -1.0, "end_angle": 1.0, "pose": {}}
     deep = int(pick(rng, 500, 100_000))
     raw = pick(
@@ -120,7 +120,7 @@ def foxglove_json(rng: Random, folder: Path) -> Path:
 
 
 def protobuf(rng: Random, folder: Path) -> Path:
-    """Protobuf with descriptors of other types, recursion or broken bytes, and messages that do not fit them."""
+    """Write protobuf with wrong types, recursion or damage in the descriptor, and messages that do not fit it."""
     files = pb.FileDescriptorSet()
     for number in range(int(pick(rng, 1, 1, 2, 500))):
         file = files.file.add(
@@ -145,7 +145,7 @@ def protobuf(rng: Random, folder: Path) -> Path:
 
 @cache
 def foxglove_bytes() -> tuple[bytes, bytes]:
-    """Return a sound descriptor and a sound message."""
+    """Return a valid descriptor and a valid message."""
     scan = {"timestamp": {"sec": 1, "nsec": 5}, "frame_id": "l", "start_angle": -1.0, "end_angle": 1.0, "ranges": [2.0]}
     with tempfile.TemporaryDirectory() as folder:
         path = foxglove_protobuf(Path(folder) / "a", [scan])
@@ -156,7 +156,7 @@ def foxglove_bytes() -> tuple[bytes, bytes]:
 
 
 def cloud(rng: Random, folder: Path) -> Path:
-    """Clouds of points with lying counts, offsets, steps, types and names."""
+    """Write point clouds with wrong counts, offsets, steps, types and names."""
     types, payloads = store(2).types, []
     data = rng.uniform(-3, 3, (40, 4)).astype("<f4")
     for _ in range(4):
@@ -186,7 +186,7 @@ def header(types: dict[str, Any]) -> Any:
 
 
 def multi_echo(rng: Random, folder: Path) -> Path:
-    """Scans of several echoes with beams of none or many, other counts of intensities, and lying counts."""
+    """Write multi-echo scans with beams of no or many echoes, other numbers of intensities, and wrong counts."""
     types, payloads = store(2).types, []
     echo = types["sensor_msgs/msg/LaserEcho"]
     for _ in range(4):
@@ -202,7 +202,7 @@ def multi_echo(rng: Random, folder: Path) -> Path:
 
 
 def carmen(rng: Random, folder: Path) -> Path:
-    """CARMEN lines with lying counts, gigantic numbers, or without an end."""
+    """Write CARMEN lines with wrong counts, huge numbers, or without an end."""
     digits = "9" * int(pick(rng, *DIGITS))
     odd = (digits, "-1", "1e5", "0x10", "1_0", "nan", "-inf", "1e999", "1e300", "4294967296", "\u0661", "", "\0", "x")
     lines = [carmen_line(k) for k in range(6)]
@@ -227,7 +227,7 @@ def carmen(rng: Random, folder: Path) -> Path:
 
 
 def geometry(rng: Random, folder: Path) -> Path:
-    """Scans with angles, steps, limits, ranges, counts and stamps of any size."""
+    """Write scans with angles, steps, limits, ranges, counts and stamps of any magnitude."""
     names = ("angle_min", "angle_increment", "angle_max", "time_increment", "scan_time", "range_min", "range_max")
     odd = {str(name): float32(float(pick(rng, *NUMBERS))) for name in rng.choice(names, int(rng.integers(3)))}
     messages = []
@@ -238,7 +238,7 @@ def geometry(rng: Random, folder: Path) -> Path:
         ranges[: beams // 3 * int(rng.integers(2))] = float32(float(pick(rng, 2.0, *NUMBERS)))
         stamp_ns = int(pick(rng, START_NS + k * PERIOD_NS, START_NS, 0, -(2**31) * 10**9, (2**31 - 1) * 10**9))
         stamp_ns = stamp_ns if rng.random() < 0.4 else START_NS + k * PERIOD_NS
-        told = scan(k, **fields, ranges=ranges).fields
+        laser_fields = scan(k, **fields, ranges=ranges).fields
         log_ns = int(pick(rng, START_NS + k, 0, 2**63 - 1, 2**64 - 1)) if rng.random() < 0.3 else START_NS + k
-        messages.append(Message("/scan", LASER, stamp_ns, told, log_ns))
+        messages.append(Message("/scan", LASER, stamp_ns, laser_fields, log_ns))
     return write_mcap(folder / "a.mcap", messages, compression=str(pick(rng, "NONE", "LZ4", "ZSTD")))

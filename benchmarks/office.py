@@ -1,10 +1,10 @@
-"""What do loops and lost scans cost beside plain tracking? An office floor is simulated, and ratios are printed.
+"""Measure the cost of loop closure and of lost scans relative to tracking alone, on a simulated office floor.
 
     python benchmarks/office.py [--scans N] [--laps N] [--length METRES]
 
-A ring corridor with rooms on its outer side is driven round several times, with a visit to every third room. The same
-scans are tracked without loops, with loops, and with a stretch that shows another place, after which the laser is found
-again. Times are of the processor, without the making of the scans, which is done before.
+The laser drives several laps of a ring corridor with rooms on its outer side, and visits every third room. The same
+scans are tracked without loop closure, with loop closure, and with intervals of scans from another place, after which
+the laser is relocalized. Times are CPU times, without the generation of the scans.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ SPEC = LaserSpec(-np.pi * 3 / 4, np.pi / 120, 181, 0.1, 12.0)
 WIDE_M, DEPTH_M, ROOM_M, DOOR_M, PERIOD_S, SPEED_M_S = 2.0, 12.0, 5.0, 1.0, 0.1, 0.8
 FALSE_M, FALSE_RAD = 0.3, np.radians(5.0)
 LOST_EVERY, LOST_SCANS = 400, 60
-"""Of the log with lost scans: so many in a row, every so manieth scan after the first lap, show another place."""
+"""Period and length, in scans, of the intervals after the first lap whose scans come from another place."""
 
 ELSEWHERE = polyline((0, 0), (2.2, 0), (3.1, 1.4), (1.2, 2.6), (-0.4, 1.6), closed=True)
 """A room that is not on the map."""
 
 
 def floor(length_m: float) -> np.ndarray:
-    """Return walls (n, 4): a ring corridor round a core, rooms of two to three boxes along both long sides."""
+    """Return walls (n, 4): a ring corridor, with rooms of two or three boxes along both long sides."""
     rng = np.random.default_rng(0)
     core = WIDE_M, WIDE_M, length_m - WIDE_M, DEPTH_M - WIDE_M
     walls = [polyline((core[0], core[1]), (core[2], core[1]), (core[2], core[3]), (core[0], core[3]), closed=True)]
@@ -62,12 +62,12 @@ def floor(length_m: float) -> np.ndarray:
 
 
 def door_of(x_m: float, out: float) -> float:
-    """Return where in its room a door begins, m: no two are alike."""
+    """Return the offset of the door in its room, m, which differs between rooms."""
     return float(np.random.default_rng([int(x_m), int(out) + 1]).uniform(0.3, 3.6))
 
 
 def drive(length_m: float, laps: int) -> Trajectory:
-    """Return the true poses: round the corridor, into every third room."""
+    """Return the true poses: laps of the corridor with visits to every third room."""
     ways: list[tuple[float, float]] = [(1.0, 1.0)]
     for lap in range(laps):
         for x_m in np.arange(0.0, length_m - 0.1, ROOM_M)[1 + lap % 3 : -1 : 3]:
@@ -78,7 +78,7 @@ def drive(length_m: float, laps: int) -> Trajectory:
 
 
 def recorded(walls: np.ndarray, truth: Trajectory) -> list[Scan]:
-    """Return a scan from every pose, with noise of 10 mm or so."""
+    """Return a scan from every pose, with range noise of 0.3 %."""
     rng, middle, scans = np.random.default_rng(1), (walls[:, :2] + walls[:, 2:]) / 2, []
     half_m = np.hypot(*(walls[:, :2] - walls[:, 2:]).T) / 2
     for k in range(len(truth)):
@@ -88,7 +88,7 @@ def recorded(walls: np.ndarray, truth: Trajectory) -> list[Scan]:
 
 
 def with_lost_stretches(scans: list[Scan], laps: int) -> list[Scan]:
-    """Replace stretches of scans by those of a room that is not on the map, once the floor is."""
+    """Replace intervals of scans after the first lap by scans of a room that is not on the map."""
     pose = along([(0.8, 0.8), (1.6, 1.4)])[0]
     out = list(scans)
     for first in range((len(scans) // laps // LOST_EVERY + 1) * LOST_EVERY, len(scans) - LOST_EVERY // 2, LOST_EVERY):
@@ -98,7 +98,7 @@ def with_lost_stretches(scans: list[Scan], laps: int) -> list[Scan]:
 
 
 def timed(name: str, scans: list[Scan], reference_s: float = 0.0, **options: str) -> tuple[SlamResult, float]:
-    """Run the method; print the time of a scan, and its ratio to that of the reference."""
+    """Run SLAM; print the time per scan, and its ratio to that of the reference."""
     began_s = process_time()
     found = run_slam(lambda: scans, load_config(overrides=options), PERIOD_S)
     spent_s = process_time() - began_s
@@ -112,7 +112,7 @@ def timed(name: str, scans: list[Scan], reference_s: float = 0.0, **options: str
 
 
 def off_m(found: SlamResult, truth: Trajectory) -> np.ndarray:
-    """Return how far the poses are off in the frame of the first one, m."""
+    """Return the position errors in the frame of the first pose, (n,), m."""
     rows = np.searchsorted(truth.stamps_ns, found.trajectory.stamps_ns)
     true = truth.seen_from(truth[0].inverse()).xyyaw[rows]
     error: np.ndarray = np.hypot(*(found.trajectory.xyyaw - true)[:, :2].T)
@@ -120,7 +120,7 @@ def off_m(found: SlamResult, truth: Trajectory) -> np.ndarray:
 
 
 def false_closures(found: SlamResult, truth: Trajectory) -> int:
-    """Count the closures whose poses differ from the true ones by over 0.3 m or 5 deg."""
+    """Return the number of loop closures whose relative pose has an error over 0.3 m or 5 deg."""
     rows, false = np.searchsorted(truth.stamps_ns, found.trajectory.stamps_ns), 0
     for loop in found.loops.closed:
         true = truth[int(rows[loop.start])].between(truth[int(rows[loop.end])])
@@ -130,7 +130,7 @@ def false_closures(found: SlamResult, truth: Trajectory) -> int:
 
 
 def searches(scans: list[Scan]) -> None:
-    """Print how long the pruned wide search takes beside the exhaustive one, which finds the same minima."""
+    """Print the time of the pruned correlative search relative to the exhaustive one, which finds the same minima."""
     method = Robust(Config())
     last = list(track(scans, method, Motion(PERIOD_S)))[-1].match.map_T_laser
     few = method.match_points(scans[-1])[:100]
@@ -138,7 +138,7 @@ def searches(scans: list[Scan]) -> None:
     for name, region in (regions | {"whole map": everywhere(method.known)}).items():
         spent_s = []
         for exhaustive in (False, True):
-            for _ in range(2):  # the first one makes the bounds
+            for _ in range(2):  # the first one computes the bounds
                 began_s = process_time()
                 found = lowest(few, method.lines, region, 0.15, 6, exhaustive=exhaustive)
                 end_s = process_time()
@@ -151,7 +151,7 @@ def searches(scans: list[Scan]) -> None:
 
 
 def main() -> None:
-    """Simulate, track, print."""
+    """Simulate the floor, track the scans, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--length", type=float, default=40.0)
     parser.add_argument("--laps", type=int, default=3)

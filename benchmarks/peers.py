@@ -1,12 +1,11 @@
-"""How fast and how accurate are other scan matchers on the same scans, beside mavnav's?
+"""Compare speed and accuracy of mavnav with other scan matchers on the same scans.
 
-    make bench-peers LOGS="LOG ..."        # or, where kiss-icp and small-gicp are installed:
+    make bench-peers LOGS="LOG ..."        # or, if kiss-icp and small-gicp are installed:
     python benchmarks/peers.py [LOG ...] [--rounds N]
 
-Each is run in this process, in turn, on one core. mavnav's time includes reading the log; the others get points that
-are ready in memory. Accuracy is mavnav's own revisit metric of each one's poses: how far scans of a place lie from
-scans of it at another time. The peers match 3D points: kiss-icp gets the scan as it is, small_gicp the scan at three
-heights, so that walls have normals.
+All run in this process, in turn, on one core. mavnav's time includes reading the log; the others get points in memory.
+Accuracy is mavnav's revisit metric of the poses: the distance between scans of one place at different times. The peers
+match 3D points: kiss-icp gets the scan unchanged, small_gicp the scan at three heights, so that walls have normals.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
 SAMPLE = Path(__file__).parent.parent / "sample_logs" / "corridor.mcap"
 HEIGHTS_M = (-0.1, 0.0, 0.1)
 KEY_M, KEY_RAD, KEYS = 0.1, 0.1, 30
-"""A scan enters small_gicp's map after so much motion; the map is of the last so many."""
+"""Motion, m and rad, after which a scan is inserted into small_gicp's map, and number of scans in that map."""
 
 
 def clouds_of(log: Log) -> tuple[NDArray[np.int64], Clouds]:
@@ -73,7 +72,7 @@ def with_kiss_icp(clouds: Clouds) -> Clouds:
 
 
 def with_small_gicp(clouds: Clouds) -> Clouds:
-    """Return the pose of each cloud, (4, 4): matched to a map of the last key scans, with constant velocity."""
+    """Return the pose of each cloud, (4, 4), matched to a map of the last key scans with a constant-velocity prior."""
     import small_gicp  # noqa: PLC0415
 
     poses, keys, key, velocity = [np.eye(4)], [high(clouds[0])], np.eye(4), np.eye(4)
@@ -92,7 +91,7 @@ def with_small_gicp(clouds: Clouds) -> Clouds:
 
 
 def high(cloud: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the points at all heights."""
+    """Return copies of the points at all heights."""
     return np.concatenate([cloud + np.array((0.0, 0.0, height)) for height in HEIGHTS_M])
 
 
@@ -100,7 +99,7 @@ PEERS: dict[str, Callable[[Clouds], Clouds]] = {"kiss-icp": with_kiss_icp, "smal
 
 
 def measured(log: Log, map_T_laser: Trajectory) -> Revisits:
-    """Return the self-consistency of poses."""
+    """Return the revisit metric of poses."""
     pairs = pairs_of(map_T_laser)
     return revisits(map_T_laser, pairs, placed_scans(Journey(map_T_laser, log.scans, 1.0), pairs.rows))
 
@@ -134,7 +133,7 @@ def compare(path: Path, rounds: int) -> None:
 
 
 def main() -> None:
-    """Run the peers that are installed beside mavnav."""
+    """Compare mavnav with the installed peers."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("logs", nargs="*", type=Path, default=[SAMPLE])
     parser.add_argument("--rounds", type=int, default=3)

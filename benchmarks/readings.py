@@ -1,13 +1,13 @@
-"""Under which reading of its text does the paper's method work best?
+"""Evaluate readings (interpretations of the paper's text as parameter values) of the paper's method.
 
     python benchmarks/readings.py [missions] [grids] [ablation] [search] [--logs FOLDER] [--designs N] [--jobs N]
 
 ``search``: a random design over the parameters of ``PaperConfig`` and of the recovery, flown at the paper's full noise
-in three heats: all readings on few training seeds, the better ones on more, the best and the named ones on the test
-seeds, which decide. Readings are ranked by goals reached, then by accepted scans, then by trajectory error.
-``ablation``: each value of `paper` undone once. ``missions``: both methods, both noises, faster lasers. ``grids``: the
-search grids of the paper's figures 7 and 8. With ``--logs`` recordings are replayed as well (FOLDER/NAME/NAME.mcap).
-The tables are written to docs/paper/, where docs/paper.md refers to them.
+in three rounds: all readings on few training seeds, the better ones on more, and the best and the named ones on the
+test seeds, which decide. Readings are ranked by goals reached, then by accepted scans, then by trajectory error.
+``ablation``: each value of `paper` is reset once. ``missions``: both methods, both noises, faster lasers. ``grids``:
+the search grids of the paper's figures 7 and 8. With ``--logs``, recordings are replayed too (FOLDER/NAME/NAME.mcap).
+The tables are written to docs/paper/, and docs/paper.md refers to them.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ SCENARIOS = ("corner-paper", "corner", "complex-paper", "complex", "corridor", "
 ABLATED = ("corner-paper", "complex", "corridor", "u_trap")
 LOGS = ("ccny_demo", "lego_robot4", "urg_exp1")
 KEPT = (20, 5)
-"""Readings that pass from the first heat to the second, and from there to the test."""
+"""Number of readings kept from the first round for the second, and from the second for the test."""
 
 LEVELS: dict[str, tuple[object, ...]] = {
     "slam.paper.gate_mm2": (400, 500, 800),
@@ -82,7 +82,7 @@ E = A | {
 
 
 class Reading(NamedTuple):
-    """A named reading: a preset and what is set on top of it, ``key=value``."""
+    """A named reading: a preset and the values that override it, ``key=value``."""
 
     name: str
     preset: str
@@ -90,12 +90,12 @@ class Reading(NamedTuple):
 
     @classmethod
     def of(cls, name: str, preset: str, values: dict[str, object]) -> Reading:
-        """Set some values."""
+        """Return a reading from a preset and values by key."""
         return cls(name, preset, tuple(f"{key}={value}" for key, value in values.items()))
 
 
 class Flown(NamedTuple):
-    """A mission's result: accepted share, ATE in mm, wall distance error in percent, thickness in cells and mm."""
+    """Result of a mission: accepted share, ATE in mm, wall distance error in percent, thickness in cells and mm."""
 
     goal: bool
     accepted: float
@@ -170,13 +170,13 @@ def ranked(
 
 
 def ate_mm(flown: Iterable[Flown]) -> float:
-    """Return the median ATE of the missions that reached their goal, NaN where none did."""
+    """Return the median ATE of the missions that reached their goal, NaN if none did."""
     errors = [f.ate_mm for f in flown if f.goal]
     return float(np.median(errors)) if errors else np.nan
 
 
 def interval(hits: int, n: int) -> str:
-    """Write a share in percent with its 95 % confidence interval (Wilson 1927)."""
+    """Format a share in percent with its 95 % confidence interval (Wilson 1927)."""
     z, p = 1.96, hits / n
     middle, half = p + z * z / (2 * n), z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     low, high = (100 * (middle + sign * half) / (1 + z * z / n) for sign in (-1, 1))
@@ -189,7 +189,7 @@ def table(
     scenarios: Sequence[str],
     recorded: dict[tuple[str, str], str],
 ) -> list[str]:
-    """Write a row for each reading: goals in percent, then goals, accepted scans and ATE by scenario."""
+    """Return a row for each reading: goals in percent, then goals, accepted scans and ATE by scenario."""
     logs = [log for log in LOGS if any(log == key[1] for key in recorded)]
     head = ["reading", "goals %", *scenarios, *logs]
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
@@ -202,13 +202,13 @@ def table(
 
 
 def cell(flown: Sequence[Flown]) -> str:
-    """Write goals, accepted scans and ATE."""
+    """Format goals, accepted scans and ATE."""
     accepted = 100 * np.mean([f.accepted for f in flown])
     return f"{sum(f.goal for f in flown)} of {len(flown)}, {accepted:.0f} %, {ate_mm(flown):.0f}"
 
 
 def designed(count: int) -> list[Reading]:
-    """Draw readings: each level of a parameter equally often."""
+    """Return random readings in which each level of a parameter is equally frequent."""
     rng = np.random.default_rng(0)
     columns = {key: rng.permutation(np.resize(np.arange(len(levels)), count)) for key, levels in LEVELS.items()}
     return [
@@ -218,7 +218,7 @@ def designed(count: int) -> list[Reading]:
 
 
 def replays(ex: Executor, readings: Sequence[Reading], folder: Path | None) -> dict[tuple[str, str], str]:
-    """Replay the recordings that are there: accepted scans, distance between revisits."""
+    """Replay the available recordings; return accepted scans and distance between revisits as text."""
     logs = [log for log in LOGS if folder and (folder / log / f"{log}.mcap").exists()]
     tasks = list(product(readings, logs))
     results = ex.map(_replay, [(reading, str(folder), log) for reading, log in tasks])
@@ -237,7 +237,7 @@ def _replay(task: tuple[Reading, str, str]) -> str:
 
 
 def search(ex: Executor, folder: Path | None, designs: int) -> list[str]:
-    """Run the three heats; returns the lines of the page."""
+    """Run the three rounds of the search; return the lines of the page."""
     readings = designed(designs)
     for kept, seeds in zip(KEPT, (TRAINING_SEEDS[:2], TRAINING_SEEDS), strict=True):
         readings = ranked(readings, fly_all(ex, readings, TRAINING, seeds), TRAINING)[:kept]
@@ -249,7 +249,7 @@ def search(ex: Executor, folder: Path | None, designs: int) -> list[str]:
 
 
 def ablation(ex: Executor, folder: Path | None) -> list[str]:
-    """Undo each value of `paper` once; returns the lines of the page."""
+    """Reset each value of `paper` to the literal reading once; return the lines of the page."""
     best, literal = load_config("paper").paper, load_config("paper-literal").paper
     undone = [
         Reading.of(f"{key} {_yaml(was)}", "paper", {f"slam.paper.{key}": _yaml(was)})
@@ -274,7 +274,7 @@ def _yaml(value: object) -> object:
 
 @dataclass(frozen=True)
 class Case:
-    """A setting of the missions' table."""
+    """Settings of a row group in the table of missions."""
 
     name: str
     sets: tuple[str, ...] = ()
@@ -294,7 +294,7 @@ CASES = (
 
 
 def missions(ex: Executor) -> list[str]:
-    """Fly both presets of methods in all cases; returns the lines of the page."""
+    """Fly both methods in all cases; return the lines of the page."""
     head = ["case", "method", "scenario", "goals", "accepted %", "ATE mm (worst)", "wall distance %",
             "max, p95 cells (>= 2 hits)", "max, p95 cells (>= 5)", "evaluations a match", "lost"]  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
@@ -306,14 +306,14 @@ def missions(ex: Executor) -> list[str]:
 
 
 GRIDS = ((10, 5), (20, 10), (40, 20), (40, 40))
-"""Yaw samples and points a side of the plane's grid: the paper's figures 7 and 8."""
+"""Yaw samples, and points per side of the position grid, of the paper's figures 7 and 8."""
 
 NARROW = ("slam.paper.shrink=0.1", "slam.paper.leave_no_gaps=false", "slam.paper.extend_border=false")
-"""A search that narrows faster than its grid is fine, so that it leaves gaps between the places it looks at."""
+"""Settings of a search whose window shrinks faster than its grid resolves, so that gaps remain between samples."""
 
 
 def grids(ex: Executor) -> list[str]:
-    """Fly the corridor with each search grid (figures 7 and 8); returns the lines of the page."""
+    """Fly the corridor with each search grid (figures 7 and 8); return the lines of the page."""
     head = ["reading", "yaw samples / grid", "goals", "accepted %", "ATE mm (worst)", "ghost walls, maps", "m",
             "evaluations a match", "ms a match"]  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
@@ -363,7 +363,7 @@ def _row(case: str, method: str, scenario: str, flown: Sequence[Flown]) -> str:
 
 
 def main() -> None:
-    """Make the pages that the command line asks for, all by default."""
+    """Write the requested pages, by default all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("pages", nargs="*", default=[])
     parser.add_argument("--logs", type=Path)

@@ -1,14 +1,13 @@
-"""How many scans a second of processor time does the whole program map, and how much memory does it take?
+"""Measure scans per second of CPU time, and memory, of the whole program.
 
     python benchmarks/replays.py [LOG ...] [--rounds N] [--row TEXT] [--output FILE.json]
 
-Each row is the command ``mavnav replay LOG`` with all its outputs, in a process of its own on one core. Start-up is
-the same command on a log of the first second alone, and is taken off, with its scans: imports, kernels from the disk,
-pictures. Beside it stand the rate by the median of the rounds, of a run less its start-up right before it, and the rate
-less the imports of an empty process alone. The least of the rounds counts, and the
-rows of a round alternate. A machine differs from another, and from itself: times
-are also told as multiples of a fixed piece of work done in the same run, and those are compared with the results kept
-in replays.json.
+Each row is the command ``mavnav replay LOG`` with all its outputs, in a process of its own on one core. Start-up
+(imports, kernels from the disk, pictures) is the same command on a log of the first second only; its time and its scans
+are subtracted. The rate uses the minimum of the rounds. Two other rates are printed: the median of the rounds, each run
+less the start-up right before it, and the rate less only the imports of an empty process. The rows of a round
+alternate. Because machines differ, times are also given as multiples of a fixed workload timed in the same run, and
+these are compared with the results in replays.json.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ ROWS = {
 
 
 def run(log: Path, options: list[str], directory: str) -> tuple[float, float, dict[str, Any]]:
-    """Replay a log; returns processor time in s, peak memory in MB and the document of the run."""
+    """Replay a log; return CPU time in s, peak memory in MB and the document of the run."""
     command = [sys.executable, "-m", "mavnav", "replay", str(log), "--odom", "off", "-q", "--force", "-o", directory]
     process = os.posix_spawn(
         sys.executable,
@@ -57,13 +56,13 @@ def run(log: Path, options: list[str], directory: str) -> tuple[float, float, di
 
 
 def environment() -> dict[str, str]:
-    """Return the variables of a process on one core, which keeps its modules compiled as an installed program does."""
+    """Return the environment of a process on one core that caches compiled modules, as an installed program does."""
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     return {**kept, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def cut(log: Path, path: Path) -> None:
-    """Write a log of the scans of the first second."""
+    """Write a log with the scans of the first second."""
     found, write = open_log(log, odom="off", end_s=1.0), cdr.scans("laser")
     with write_serialized(path, {"/scan": Channel(definitions.SCAN)}) as put:
         for scan in found.scans():
@@ -71,14 +70,14 @@ def cut(log: Path, path: Path) -> None:
 
 
 def imports_s() -> float:
-    """Return the processor time of a process that loads the program and does nothing."""
+    """Return the CPU time of a process that only imports the program, in s."""
     command = [sys.executable, "-c", "import mavnav.cli, mavnav.pipelines.replay, mavnav.outputs.map_picture"]
     _, _, usage = os.wait4(os.posix_spawn(sys.executable, command, environment()), 0)
     return usage.ru_utime + usage.ru_stime
 
 
 def reference_s() -> float:
-    """Do the fixed piece of work: sorting, rounding and adding numbers."""
+    """Return the CPU time of the fixed workload, sorting, rounding and counting numbers, in s."""
     values = np.random.default_rng(0).random(1_000_000)
     began_s = process_time()
     for _ in range(5):
@@ -87,7 +86,7 @@ def reference_s() -> float:
 
 
 def measured(logs: list[Path], rounds: int, wanted: str) -> dict[str, Any]:
-    """Measure the rows whose name begins with some text, alternating."""
+    """Measure the rows whose names begin with ``wanted``, in alternation."""
     cases = [(log, name) for log in logs for name in ROWS if name.startswith(wanted)]
     rows: dict[tuple[str, str], dict[str, Any]] = {}
     references, imports = [], []
@@ -125,14 +124,14 @@ def measured(logs: list[Path], rounds: int, wanted: str) -> dict[str, Any]:
 
 
 def processor() -> str:
-    """Name the processor."""
+    """Return the name of the processor."""
     path = Path("/proc/cpuinfo")
     lines = path.read_text().splitlines() if path.exists() else []
     return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
 def table(now: dict[str, Any], before: dict[str, Any]) -> str:
-    """Write the rows, with how much the work of a scan has grown since the kept results."""
+    """Return the table of the rows, with the work per scan relative to the kept results."""
     lines = [f"{'':45} scans/CPU-s  median  less imports  start-up s  MB  evaluations  against kept"]
     for name, row in now["rows"].items():
         kept = before.get("rows", {}).get(name)
@@ -147,7 +146,7 @@ def table(now: dict[str, Any], before: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """Measure what the command line asks for, print the table and write the results where told."""
+    """Measure the requested rows, print the table, and write the results to ``--output``."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("logs", nargs="*", type=Path, default=[SAMPLE])
     parser.add_argument("--rounds", type=int, default=3)

@@ -1,4 +1,4 @@
-"""How fast are reading and mapping? ``make bench``; compare with ``--benchmark-compare``."""
+"""Benchmarks of reading and mapping: ``make bench``; compare with ``--benchmark-compare``."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""How thick are walls whose thickness is known, and does the number depend on how long one looks?
+"""Measure walls of known thickness, and how the result depends on the duration of the recording.
 
     python benchmarks/thickness.py rest | rounds | noise | smear | angles | logs LOG [...]
 
-``rest``: a laser at rest, alone and with people walking about, for 5 to 120 s. ``rounds``: the same room for one round,
-for 6, and for 20 minutes. ``noise`` and ``smear``: poses with planted errors. ``angles``: planted walls at 40 angles.
-``logs``: the first 5, 15, 30, ... seconds of recordings, mapped by the default method.
+``rest``: a laser at rest, without and with walking people, for 5 to 120 s. ``rounds``: the same room for one round, 6
+rounds and 20 minutes. ``noise`` and ``smear``: poses with known errors. ``angles``: known walls at 40 angles. ``logs``:
+the first 5, 10, 15, ... seconds of recordings, mapped by the default method.
 """
 
 from __future__ import annotations
@@ -125,10 +125,10 @@ def main() -> None:
     parser = ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("what", choices=["rest", "rounds", "noise", "smear", "angles", "logs"])
     parser.add_argument("logs", nargs="*")
-    asked = parser.parse_args()
-    if asked.what != "angles":
+    args = parser.parse_args()
+    if args.what != "angles":
         print(HEAD)
-    logs(asked.logs) if asked.what == "logs" else globals()[asked.what]()
+    logs(args.logs) if args.what == "logs" else globals()[args.what]()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The command line: the typer app, and ``main``, the one place that catches, prints and exits."""
+"""The command line: the typer app, and ``main``, the only place that catches exceptions, prints them and exits."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ COMMANDS: Final = {
     "warmup": "ci.md#compiled-kernels",
     "config": "cli.md#configuration",
 }
-"""The commands, each a function or an app of its own in the module of its name, and their pages in docs/."""
+"""Name of a command, which is a function or an app in the module of that name -> its page in docs/."""
 
 
 def _print_version(wanted: bool) -> None:
@@ -83,11 +83,11 @@ def _global_options(
         bool, typer.Option("--debug", help="Show the traceback of an error; anywhere on the line, or MAVNAV_DEBUG=1.")
     ] = False,
 ) -> None:
-    """Take the options that belong to no command; ``main`` has acted on them before."""
+    """Declare the global options; ``main`` has evaluated them already."""
 
 
 def app_for(args: Sequence[str]) -> typer.Typer:
-    """Make the app with the command that is asked for, or with all, as for help: reading their options takes 60 ms."""
+    """Return the app with the command in ``args``, or with all commands: loading the options of all takes 60 ms."""
     app = typer.Typer(
         name="mavnav",
         cls=Group,
@@ -98,8 +98,8 @@ def app_for(args: Sequence[str]) -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     app.callback()(_global_options)
-    asked = next((arg for arg in args if not arg.startswith("-")), "")
-    for name in (asked,) if asked in COMMANDS else COMMANDS:
+    wanted = next((arg for arg in args if not arg.startswith("-")), "")
+    for name in (wanted,) if wanted in COMMANDS else COMMANDS:
         module = import_module(f"mavnav.commands.{name}")
         epilog = _epilog(module.EPILOG, COMMANDS[name])
         if name == "config":
@@ -112,12 +112,12 @@ def app_for(args: Sequence[str]) -> typer.Typer:
 
 
 def _epilog(text: str, page: str) -> str:
-    """Return what follows the options in a help, with the page of the documentation."""
+    """Return the text after the options in a help page, with the documentation page."""
     return f"{text.rstrip()}\n\n[bold]Documentation[/bold]  docs/{page}"
 
 
 def run(args: Sequence[str], *, debug: bool = False) -> int:
-    """Run one command line and return its exit code; everything that goes wrong is said in one line on stderr."""
+    """Run one command line and return its exit code; an error is printed on stderr in one line."""
     try:
         code = app_for(args)(args=list(args), prog_name="mavnav", standalone_mode=False, obj=("mavnav", *args))
         sys.stdout.flush()
@@ -129,7 +129,7 @@ def run(args: Sequence[str], *, debug: bool = False) -> int:
 
 
 def _explain(error: BaseException) -> int:
-    """Say on stderr what went wrong, and return the exit code."""
+    """Print an error on stderr, and return its exit code."""
     match error:
         case typer.TyperException():
             context = getattr(error, "ctx", None)
@@ -145,14 +145,14 @@ def _explain(error: BaseException) -> int:
             return error.exit_code
         case BrokenPipeError():
             return ExitCode.OUTPUT
-        case SystemExit(__context__=BrokenPipeError()):  # typer's way with a reader that has gone, as in `| head`
+        case SystemExit(__context__=BrokenPipeError()):  # raised by typer if the reader of a pipe ends, as in `| head`
             return ExitCode.OUTPUT
         case OSError() if _is_stdout(error):
             note(f"mavnav: error: the result cannot be written to stdout: {error.strerror}; make room, or redirect it")
             return ExitCode.OUTPUT
         case SystemExit():  # shell completion
             return int(error.code or 0)
-        case PermissionError() if error.filename is not None:  # whether it exists cannot even be asked
+        case PermissionError() if error.filename is not None:  # a folder denies access, even to check existence
             note(f"mavnav: error: {error.filename} cannot be reached: {error.strerror}; check its folders' permissions")
             return ExitCode.USAGE
         case MemoryError():
@@ -163,7 +163,7 @@ def _explain(error: BaseException) -> int:
 
 
 def _is_stdout(error: OSError) -> bool:
-    """Tell whether an error is one of a stream that is full or closed: files have a name."""
+    """Return whether an error is of a full or closed stream; errors of files have a file name."""
     return error.filename is None and error.errno in _STREAM_ERRORS
 
 
@@ -173,21 +173,24 @@ def _explain_bug(error: BaseException) -> int:
 
 
 def _split_debug(args: Sequence[str]) -> tuple[list[str], bool]:
-    """Take ``--debug`` out of the arguments before any ``--``, so that it may stand after the command too."""
+    """Remove ``--debug`` from the arguments before any ``--``, so that it is also allowed after the command.
+
+    Returns the remaining arguments, and whether ``--debug`` or MAVNAV_DEBUG is set.
+    """
     end = args.index("--") if "--" in args else len(args)
     rest = [a for a in args[:end] if a != "--debug"] + list(args[end:])
     return rest, len(rest) < len(args) or os.environ.get("MAVNAV_DEBUG", "") not in ("", "0")
 
 
 def _open_streams() -> None:
-    """Put the null device where a stream was closed before the start, as by ``>&-``."""
+    """Replace streams that were closed before the start, as by ``>&-``, by the null device."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115  it stays open
 
 
 def main(args: Sequence[str] | None = None) -> NoReturn:
-    """Run the command line and exit with its code (design: docs/cli.md, "Exit codes")."""
+    """Run the command line and exit with its code (docs/cli.md, "Exit codes")."""
     signals.listen()
     _open_streams()
     rest, debug = _split_debug(sys.argv[1:] if args is None else args)
@@ -196,7 +199,7 @@ def main(args: Sequence[str] | None = None) -> NoReturn:
     try:
         sys.stdout.flush()
     except (OSError, ValueError):
-        # Or the interpreter would complain at shutdown that it cannot flush.
+        # Otherwise the interpreter reports at shutdown that it cannot flush.
         with suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = code or ExitCode.OUTPUT

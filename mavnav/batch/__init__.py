@@ -1,1 +1,1 @@
-"""The pipeline of ``mavnav batch``: many logs with many settings, each run apart, one verdict."""
+"""The pipeline of ``mavnav batch``: many logs with many settings, each run in its own process, and one exit code."""

@@ -1,4 +1,4 @@
-"""Baselines: the metrics of an earlier batch, and how far those of a new one may differ from them."""
+"""Baselines: the metrics of an earlier batch, and the tolerances for the metrics of a new one."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ SCHEMA_VERSION: Final = 1
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """How far a number of run.json may move: by the larger of ``absolute`` and ``relative`` times what it was.
+    """Tolerance of a number of run.json: the larger of ``absolute`` and ``relative`` times the baseline value.
 
-    ``high`` says that more of it is better.
+    With ``high``, larger values are better.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Tolerance:
     high: bool = False
 
     def allows(self, before: float) -> float:
-        """Return by how much the number may differ and still count as the same."""
+        """Return the largest difference from the value ``before`` that counts as no change."""
         return max(self.absolute, self.relative * abs(before))
 
 
@@ -52,15 +52,16 @@ TOLERANCES: Final = (
     Tolerance("map_quality.crispness.occupied_cells_per_m", relative=0.05),
     Tolerance("search.evaluations_per_scan.mean", relative=0.1),
 )
-"""What is compared by default. CPU time is not: it depends on the machine."""
+"""Tolerances of the metrics compared by default. CPU time is not compared, because it depends on the machine."""
 
 _TOLERANCE: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(%?)\s*(?:,\s*(low|high)\s*)?")
 
 
 def parse_tolerance(name: str, text: str) -> Tolerance:
-    """Read ``5``, ``5%``, ``5%,high``; which direction is better is known for the metrics in `TOLERANCES`, else low.
+    """Parse a tolerance such as ``5``, ``5%`` or ``5%,high``.
 
-    The name may be short, as in a gate. Raises UsageError.
+    By default the better direction is that of the metric in `TOLERANCES`, else low. The name may be abbreviated as in a
+    gate. Raises UsageError.
     """
     name = full_name(name)
     match = _TOLERANCE.fullmatch(text)
@@ -71,18 +72,18 @@ def parse_tolerance(name: str, text: str) -> Tolerance:
     if match is None or size is None:
         example = "write for example --tolerance wall_thickness.p95_mm=5%"
         raise UsageError(f"the tolerance {text!r} of {name} is no number, with % or not; {example}")
-    usual = any(known.name == name and known.high for known in TOLERANCES)
-    high = match[3] == "high" if match[3] else usual
+    default = any(known.name == name and known.high for known in TOLERANCES)
+    high = match[3] == "high" if match[3] else default
     return Tolerance(name, high=high, **({"relative": size / 100} if match[2] else {"absolute": size}))
 
 
 def tolerances(given: Iterable[Tolerance]) -> tuple[Tolerance, ...]:
-    """Return the usual tolerances, with those given in their places or behind them."""
+    """Return the default tolerances, replaced or extended by the given ones."""
     return tuple(({known.name: known for known in TOLERANCES} | {mine.name: mine for mine in given}).values())
 
 
 class Change(StrEnum):
-    """What became of a number or of a run since the baseline."""
+    """Change of a number or of a run since the baseline."""
 
     SAME = "same"
     BETTER = "better"
@@ -92,7 +93,7 @@ class Change(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """The runs of an earlier batch by name, each with its exit code, and its metrics or its sections of run.json."""
+    """The runs of an earlier batch by name, each with its exit code, and its metrics or sections of run.json."""
 
     path: Path
     version: str
@@ -100,7 +101,7 @@ class Baseline:
 
 
 def read_baseline(path: Path) -> Baseline:
-    """Read ``batch.json`` of a directory, or a file of `write_baseline`; raises UsageError where it is neither."""
+    """Read ``batch.json`` of a directory, or a file written by `write_baseline`; raises UsageError for other input."""
     file = path / "batch.json" if path.is_dir() else path
     try:
         document = read_json(file)
@@ -121,7 +122,7 @@ def read_baseline(path: Path) -> Baseline:
 
 
 def _figures(stored: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return metrics by their full names; raises ValueError for what is no number, such as NaN."""
+    """Return metrics by their full names; raises ValueError for a value that is no finite number."""
     for value in stored.values():
         if value is not None and not (isinstance(value, int | float) and isfinite(value)):
             raise ValueError
@@ -129,7 +130,7 @@ def _figures(stored: Mapping[str, Any]) -> dict[str, float | None]:
 
 
 def write_baseline(rows: Sequence[Mapping[str, Any]], path: Path, watched: Sequence[Tolerance]) -> None:
-    """Write the metrics that are compared, and nothing else, so that the file can be committed with the code."""
+    """Write only the metrics that are compared, so that the file can be committed with the code."""
     cells = [_stored(row, watched) for row in rows]
     document = {"schema_version": SCHEMA_VERSION, "mavnav_version": __version__, "cells": cells}
     try:
@@ -145,11 +146,11 @@ def _stored(row: Mapping[str, Any], watched: Sequence[Tolerance]) -> dict[str, A
 
 
 def changes(row: Mapping[str, Any], baseline: Baseline, watched: Sequence[Tolerance]) -> dict[str, Any]:
-    """Compare a run with the one of its name.
+    """Compare a run with the run of the same name in the baseline.
 
-    Returns ``change`` as a whole, and ``figures``: for the metrics beyond their tolerance, and for the exit code,
-    what they were, what they are, and whether that is better. A number that is gone is worse, and so is a map that has
-    ceased to be meaningful; one that is new is not compared.
+    Returns the overall ``change``, and ``figures``: the old value, the new value and the change of each metric outside
+    of its tolerance, and of a changed exit code. A number that is missing now counts as worse, and so does a map that
+    is no longer meaningful. A number without a baseline value is not compared.
     """
     before = baseline.runs.get(row["name"])
     if before is None:
@@ -185,13 +186,13 @@ def _figure_change(tolerance: Tolerance, before: float | None, now: float | None
 
 
 def _ordered(now: float, before: float, allowed: float) -> Change:
-    """Compare two numbers of which the less is the better."""
+    """Compare two numbers of which the smaller one is better."""
     if abs(now - before) <= allowed:
         return Change.SAME
     return Change.WORSE if now > before else Change.BETTER
 
 
 def missing(rows: Sequence[Mapping[str, Any]], baseline: Baseline) -> list[str]:
-    """Return the names of the baseline's runs that a batch does not have."""
+    """Return the names of the baseline's runs that are missing in a batch."""
     names = {row["name"] for row in rows}
     return [name for name in baseline.runs if name not in names]

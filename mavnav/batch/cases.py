@@ -1,4 +1,4 @@
-"""Cases of a batch: every log with every setting, each with a name that stays from one batch to the next."""
+"""Cases of a batch: every log with every setting, each with a name that is the same in every batch."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mavnav.batch.find_logs import check_found, gather
+from mavnav.batch.find_logs import check_found, find_logs
 from mavnav.batch.remote import fetched
 from mavnav.batch.settings import formatted
 from mavnav.errors import ExitCode, MavnavError, UsageError
@@ -30,16 +30,16 @@ if TYPE_CHECKING:
     from mavnav.pipelines.replay import Progress
 
 BASELINE_GATE = "baseline"
-"""The gate that holds where nothing is worse than in the baseline."""
+"""Name of the gate that passes if nothing is worse than in the baseline."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A log with a setting, and what must hold of it.
+    """A log with a setting, and its gates.
 
-    ``run`` is None for a log that cannot be read; ``error`` and ``exit_code`` then say why. ``log`` is its display
-    name. ``has_references``: its outcome is compared with ground truth. ``baseline_gate``: it may not be worse than in
-    the baseline, whatever holds of others.
+    ``run`` is None for a log that cannot be read; ``error`` and ``exit_code`` are then the reason. ``log`` is the
+    display name. With ``has_references``, the result is compared with ground truth. With ``baseline_gate``, this case
+    may not be worse than in the baseline, whether or not the batch has that gate.
     """
 
     name: str
@@ -56,10 +56,10 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class CaseResult:
-    """How a case ended.
+    """Result of a case.
 
-    ``outcome`` is None if nothing was run for it: its run was finished before, or its log cannot be read. ``document``
-    is run.json, None without a run.
+    ``outcome`` is None if no job was run: the run was finished before, or the log cannot be read. ``document`` is
+    run.json, None without a run.
     """
 
     case: Case
@@ -68,11 +68,11 @@ class CaseResult:
 
 
 def make_cases(request: BatchRequest, progress: Progress) -> list[Case]:
-    """Return the cases of a request, logs first, in order.
+    """Return the cases of a request in order, all settings of the first log first.
 
-    Every log is read once, for the hash of its content; one that cannot be read, or whose references cannot, is a case
-    that has failed already. What several entries say of one case holds together. Raises UsageError for a gate that
-    cannot be read, for two references, and for folders that cannot be read.
+    Every log is read once for the hash of its content. A log that cannot be read, or whose references cannot, gives
+    failed cases. The gates and accepted exit codes of several entries for one case are combined. Raises UsageError for
+    a gate that cannot be parsed, for different references of one case, and for folders that cannot be read.
     """
     logs = [(entry, log) for entry in request.entries for log in _logs(request, entry)]
     names = display_names([log for _, log in logs])
@@ -80,12 +80,12 @@ def make_cases(request: BatchRequest, progress: Progress) -> list[Case]:
     for number, (entry, log) in enumerate(logs):
         progress("reading", number, len(logs) if len(logs) > 1 else None)
         for case in _cases(request, entry, log, names[log]):
-            found[case.name] = _joined(found[case.name], case) if case.name in found else case
+            found[case.name] = _merged(found[case.name], case) if case.name in found else case
     return list(found.values())
 
 
 def display_names(logs: Sequence[str]) -> dict[str, str]:
-    """Return each log's display name: an address without its secrets, numbered where two then read the same."""
+    """Return each log's display name: an address without its secrets, numbered if two would be equal."""
     found, taken = dict[str, str](), Counter[str]()
     for log in dict.fromkeys(logs):
         name = public_address(log) if is_address(log) else log
@@ -95,11 +95,11 @@ def display_names(logs: Sequence[str]) -> dict[str, str]:
 
 
 def _logs(request: BatchRequest, entry: Entry) -> Sequence[str]:
-    return gather(entry.log, request.base) if request.patterns else entry.log
+    return find_logs(entry.log, request.base) if request.patterns else entry.log
 
 
-def _joined(one: Case, other: Case) -> Case:
-    """Return a case that two entries name, a pattern and then a path for one, with all that both say of it."""
+def _merged(one: Case, other: Case) -> Case:
+    """Merge two cases of one name, for example from a pattern and from a path, with the gates of both."""
     if one.has_references and other.has_references and one.run != other.run:
         raise UsageError(f"{one.name}: two entries compare it with different references; give it one")
     return replace(
@@ -111,7 +111,7 @@ def _joined(one: Case, other: Case) -> Case:
 
 
 def _cases(request: BatchRequest, entry: Entry, log: str, name: str) -> Iterator[Case]:
-    """Return the cases of one log with its display name, one for each setting."""
+    """Yield the cases of one log with its display name, one for each setting."""
     references = {name: request.base / file for name in REFERENCES if (file := getattr(entry, name))}
     topic = recorded_topic(str(entry.truth)) if entry.truth else None
     if topic:
@@ -138,7 +138,7 @@ def _cases(request: BatchRequest, entry: Entry, log: str, name: str) -> Iterator
 
 
 def _digest(request: BatchRequest, log: str) -> str:
-    """Return the hash of a log's content; one at an address is fetched for that."""
+    """Return the hash of a log's content; a log at an address is downloaded for that."""
     if is_address(log):
         with fetched(log) as folder:
             return content_sha256(folder / public_address(log))
@@ -149,7 +149,7 @@ def _digest(request: BatchRequest, log: str) -> str:
 
 
 def _name(entry: Entry, log: str, setting: Setting) -> str:
-    """Name a case by its log, its setting, and how the log is read where that is given."""
+    """Return the name of a case: its log, its setting, and the given options for reading the log."""
     extrinsic = ",".join(f"{x:g}" for x in entry.extrinsic or ())
     reading = {"topic": entry.topic, "start_s": entry.start_s, "end_s": entry.end_s, "extrinsic": extrinsic}
     more = [f"{name}={formatted(value)}" for name, value in reading.items() if value not in {None, ""}]
@@ -157,6 +157,6 @@ def _name(entry: Entry, log: str, setting: Setting) -> str:
 
 
 def _reading(entry: Entry) -> dict[str, Any]:
-    """Return the values of a `ReplayRequest` that say how a log is read."""
+    """Return the fields of a `ReplayRequest` for reading a log."""
     given = {name: getattr(entry, name) for name in ("topic", "start_s", "end_s", "strict")}
     return given | {"extrinsic": Pose(*entry.extrinsic) if entry.extrinsic else None}

@@ -24,11 +24,11 @@ BATCH_FILE: Final = "batch.json"
 
 
 def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
-    """Describe and judge a run: its row in batch.json.
+    """Return the row of a run in batch.json, with the results of its gates.
 
-    That is the row of comparison.json with ``setting`` and ``seconds``, and with ``gates``, ``baseline`` (None without
-    one), ``accepted`` and ``verdict``, the exit code that counts: the worst of the gates and of the run's own, unless
-    that is accepted. A gate on a number that the run does not have fails.
+    This is the row of comparison.json with ``setting``, ``seconds``, ``gates``, ``baseline`` (None without one),
+    ``accepted`` and ``verdict``. The verdict is the worst exit code of the gates and of the run; the run's own code is
+    ignored if it is accepted. A gate on a number that the run does not have fails.
     """
     case, rules, row = result.case, request.rules, _row(result, request.directory)
     verdicts = [] if result.document is None else judge_some((*rules.gates, *case.gates), result.document)
@@ -43,15 +43,15 @@ def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
 
 
 def _row(result: CaseResult, directory: Path) -> dict[str, Any]:
-    """Describe a run; as in comparison.json, with ``setting`` and ``seconds`` besides."""
+    """Return the row of a run as in comparison.json, with ``setting`` and ``seconds``."""
     case, outcome = result.case, result.outcome
-    row = run_row(case.run, outcome, result.document, directory) if case.run else _unread(case)
+    row = run_row(case.run, outcome, result.document, directory) if case.run else _unreadable_row(case)
     more = {"setting": case.setting.name, "seconds": outcome.seconds if outcome else None}
     return row | {"name": case.name, "log": case.log, **more}
 
 
-def _unread(case: Case) -> dict[str, Any]:
-    """Describe a run whose log cannot be read."""
+def _unreadable_row(case: Case) -> dict[str, Any]:
+    """Return the row of a run whose log cannot be read."""
     config = case.setting.config
     return {
         "name": case.name,
@@ -82,12 +82,12 @@ def batch_document(
     rows: Sequence[dict[str, Any]],
     wall_s: float,
     baseline: Baseline | None,
-    gone: Sequence[str] = (),
+    missing_runs: Sequence[str] = (),
     *,
     baseline_gate: bool,
 ) -> dict[str, Any]:
-    """Put the rows of a batch together; where the baseline is a gate, a run that is ``gone`` since then fails it."""
-    codes = [*(row["verdict"] for row in rows), *(ExitCode.GATE_FAILED for _ in gone if baseline_gate)]
+    """Return batch.json of these rows; runs that only the baseline has, ``missing_runs``, fail the baseline gate."""
+    codes = [*(row["verdict"] for row in rows), *(ExitCode.GATE_FAILED for _ in missing_runs if baseline_gate)]
     return {
         "schema_version": SCHEMA_VERSION,
         "mavnav_version": __version__,
@@ -95,7 +95,7 @@ def batch_document(
         "counts": _counts(rows),
         "wall_s": wall_s,
         "cells": list(rows),
-        "baseline": None if baseline is None else {**_since(rows, baseline, gone), "gate": baseline_gate},
+        "baseline": None if baseline is None else {**_since(rows, baseline, missing_runs), "gate": baseline_gate},
         "exit_code": int(worst(codes)),
     }
 
@@ -113,14 +113,14 @@ def _counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _since(rows: Sequence[Mapping[str, Any]], baseline: Baseline, gone: Sequence[str]) -> dict[str, Any]:
+def _since(rows: Sequence[Mapping[str, Any]], baseline: Baseline, missing_runs: Sequence[str]) -> dict[str, Any]:
     kinds = Counter(row["baseline"]["change"] for row in rows)
     counts = {str(change): kinds[change] for change in Change}
-    return {"path": str(baseline.path), "mavnav_version": baseline.version, **counts, "missing": list(gone)}
+    return {"path": str(baseline.path), "mavnav_version": baseline.version, **counts, "missing": list(missing_runs)}
 
 
 def worst_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows from the worst verdict to the best; of equal ones those that are worse than the baseline first."""
+    """Return rows from the worst verdict to the best; among equal ones, those worse than the baseline come first."""
 
     def rank(row: dict[str, Any]) -> tuple[int, int]:
         change = (row["baseline"] or {}).get("change")
@@ -130,7 +130,7 @@ def worst_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def why(row: Mapping[str, Any]) -> list[str]:
-    """Return why a run is not passed, a line each: its own end, and the gates that do not hold."""
+    """Return the reasons why a run did not pass, one line each: its error or exit code, and its failed gates."""
     own = [row["error"] or ENDS[ExitCode(row["exit_code"])]] if row["exit_code"] else []
     return own + [f"gate {gate['gate']} failed: {gate['why']}" for gate in row["gates"] if not gate["passed"]]
 
@@ -147,4 +147,4 @@ ENDS: Final = {
     ExitCode.INTERRUPTED: "interrupted",
     ExitCode.TERMINATED: "terminated",
 }
-"""What the exit code of a run means, in a few words."""
+"""Meaning of the exit codes of a run, in a few words."""

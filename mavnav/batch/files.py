@@ -1,4 +1,4 @@
-"""The files of a batch: batch.json, a table for spreadsheets and for pandas, and a page."""
+"""The files of a batch: batch.json, batch.csv and batch.html."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FIGURES: Final = (
     "timing.cpu_s",
     "timing.wall_s",
 )
-"""Numbers of run.json that have a column."""
+"""Numbers of run.json that have a column in batch.csv."""
 
 _HEAD: Final = ("name", "log", "setting", "method", "grid", "azimuth", "status", "exit_code", "verdict", "error")
 
@@ -59,13 +59,13 @@ def write_text(text: str, path: Path) -> None:
 
 
 def check_file(path: Path) -> None:
-    """Raise OutputError where a file cannot be written, as far as that is known before the work."""
+    """Raise OutputError for a path that is a directory, before any run."""
     if path.is_dir():
         raise OutputError(f"{path} is a directory; name a file")
 
 
 def append_text(text: str, path: Path) -> None:
-    """Write behind what a file holds already; raises OutputError."""
+    """Append text to a file; raises OutputError."""
     try:
         with path.open("a", encoding="utf-8", errors="backslashreplace") as file:
             file.write(text)
@@ -74,7 +74,7 @@ def append_text(text: str, path: Path) -> None:
 
 
 def batch_csv(document: dict[str, Any]) -> str:
-    """Write one line per run: what it is, how it ended, and its metrics under their names in run.json."""
+    """Return CSV with one line per run: its settings, its result, and its metrics under their names in run.json."""
     rows = io.StringIO()
     table = csv.writer(rows, lineterminator="\n")
     table.writerow([*_HEAD, "gates_failed", "baseline", "seconds", "directory", *FIGURES])

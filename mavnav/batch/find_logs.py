@@ -1,4 +1,4 @@
-"""Logs out of paths, patterns, folders and addresses."""
+"""Search for the logs given by paths, patterns, folders and addresses."""
 
 from __future__ import annotations
 
@@ -17,14 +17,13 @@ if TYPE_CHECKING:
 _PATTERN: Final = re.compile(r"[*?[]")
 
 
-def gather(patterns: Iterable[str], base: Path) -> list[str]:
-    """Return the logs that paths, patterns, folders and addresses stand for, each once and in order.
+def find_logs(patterns: Iterable[str], base: Path) -> list[str]:
+    """Return the logs that paths, patterns, folders and addresses refer to, each once and in order.
 
-    A pattern (``*``, ``?``, ``[...]``, ``**``) stands for the paths that fit, by name, but for hidden ones and what
-    finished runs have left; a folder for the logs in it, ROS 2 bags and folders of folders included, finished runs left
-    out. What stands for nothing is returned as it is:
-    it fails alone later, by its name. Relative paths count from ``base``; those returned are relative to it where they
-    lie below it. Raises UsageError for a folder that cannot be looked into.
+    A pattern (``*``, ``?``, ``[...]``, ``**``) gives the matching paths sorted by name, without hidden files and
+    results of runs. A folder gives the logs in it and in its subfolders, including ROS 2 bags, without finished runs. A
+    path or pattern that matches nothing is returned unchanged, so that only its own case fails. Relative paths start at
+    ``base``; returned paths below ``base`` are relative to it. Raises UsageError for a folder that cannot be read.
     """
     found: dict[str, None] = {}
     for pattern in patterns:
@@ -38,9 +37,9 @@ def gather(patterns: Iterable[str], base: Path) -> list[str]:
 
 
 def check_found(log: str, path: Path) -> None:
-    """Raise an error for a folder without logs and for a pattern that matches nothing.
+    """Raise NoScansError for a folder without logs, and UsageError for a pattern that matches nothing.
 
-    ``log`` is one of those that `gather` returns, ``path`` where it is. Raises NoScansError, UsageError.
+    ``log`` is a result of `find_logs`, and ``path`` its path.
     """
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         kinds = ", ".join(SUFFIXES)
@@ -54,7 +53,7 @@ def _paths(pattern: str, base: Path) -> list[str]:
 
 
 def _matches(pattern: str, base: Path) -> list[Path]:
-    """Return what a pattern stands for; a file may well have a bracket in its name."""
+    """Return the paths that a pattern matches; an existing path with brackets in its name is no pattern."""
     whole = base / pattern
     if whole.exists() or not _PATTERN.search(pattern):
         return [whole]
@@ -64,7 +63,7 @@ def _matches(pattern: str, base: Path) -> list[Path]:
 
 
 def _hidden(path: Path, pattern: Path) -> bool:
-    """Return whether a shell's pattern leaves a path out; a run that is being made is hidden."""
+    """Return whether a path has a hidden part that the pattern does not name; unfinished runs are hidden."""
     return any(part.startswith(".") and part not in pattern.parts for part in path.parts)
 
 

@@ -1,4 +1,4 @@
-"""The jobs of a batch, as worker processes run them."""
+"""The jobs of a batch, which run in worker processes."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 
 def replay_local(request: ReplayRequest, report: Report) -> None:
-    """Replay one log into its run directory; the kernels are loaded by now, and nothing is sent to the parent."""
+    """Replay one log into its run directory; the kernels are compiled already, and nothing is returned."""
     replay_log(request, report, compile_s=0.0)
 
 
 def replay_remote(request: ReplayRequest, report: Report) -> None:
-    """Fetch a log and replay it; errors name it by its address."""
+    """Download a log and replay it; errors contain its address instead of its path."""
     report("fetching", 0, None)
     address = str(request.address)
     name = public_address(address)

@@ -1,15 +1,15 @@
-"""JUnit XML, as CI servers read it: a suite a log, a test case a run.
+"""Output of a batch as JUnit XML for CI servers: a test suite per log, a test case per run.
 
-After junit-10.xsd, the schema that Jenkins' xUnit plugin publishes: ``testsuites`` of ``testsuite`` of ``testcase``,
-with at most one ``failure`` or ``error`` each. A gate that does not hold, a lost track and a damaged log are failures,
-a run that could not be made is an error. Figures are the output of a case: the schema has properties for suites alone.
+The format is junit-10.xsd, the schema of Jenkins' xUnit plugin: ``testsuites`` of ``testsuite`` of ``testcase``, each
+case with at most one ``failure`` or ``error``. A failed gate, a lost track and a damaged log are failures; a run
+without a result is an error. Metrics are the output of a case, because the schema has properties for suites only.
 """
 
 from __future__ import annotations
 
 import re
 from typing import TYPE_CHECKING, Any, Final
-from xml.etree import ElementTree as XML  # noqa: N814  short, as it stands in every line
+from xml.etree import ElementTree as XML  # noqa: N814  short, because many lines use it
 
 from mavnav.batch.document import why
 from mavnav.batch.files import FIGURES
@@ -18,19 +18,19 @@ from mavnav.outputs.quantities import number
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-_NOT_XML: Final = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Characters that XML 1.0 cannot hold (its section 2.2)."""
+_INVALID_XML: Final = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""Characters that XML 1.0 does not allow (section 2.2)."""
 
 
 def to_junit(document: Mapping[str, Any]) -> str:
-    """Write a batch as JUnit XML."""
+    """Return a batch as JUnit XML."""
     logs: dict[str, list[Mapping[str, Any]]] = {}
     for row in document["cells"]:
         logs.setdefault(row["log"], []).append(row)
     suites = [_suite(log, rows) for log, rows in logs.items()]
-    gone = (document["baseline"] or {}).get("missing", [])
-    if gone:
-        suites.append(_missing(gone, failed=bool(document["baseline"].get("gate"))))
+    missing_runs = (document["baseline"] or {}).get("missing", [])
+    if missing_runs:
+        suites.append(_missing(missing_runs, failed=bool(document["baseline"].get("gate"))))
     sums = {name: str(sum(int(suite.attrib[name]) for suite in suites)) for name in ("tests", "failures", "errors")}
     seconds = sum(float(suite.attrib["time"]) for suite in suites)
     root = XML.Element("testsuites", {"name": "mavnav batch", **sums, "time": f"{seconds:.3f}"})
@@ -47,7 +47,7 @@ def _totals(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 
 
 def _seconds(row: Mapping[str, Any]) -> float:
-    """Return what a run took, now or when it was made."""
+    """Return the duration of a run in s, in this batch or, if it was finished before, in its own run."""
     return float(row["seconds"] or number(row["run"], "timing.wall_s") or 0.0)
 
 
@@ -77,7 +77,7 @@ def _case(log: str, row: Mapping[str, Any]) -> XML.Element:
 
 
 def _missing(names: Sequence[str], *, failed: bool) -> XML.Element:
-    """Make a suite of the runs that the baseline has and the batch has not."""
+    """Return a suite of the runs that are in the baseline and not in the batch."""
     count = str(len(names) if failed else 0)
     counts = {"tests": str(len(names)), "failures": count, "errors": "0", "time": "0.000"}
     suite = XML.Element("testsuite", {"name": "missing", **counts, "skipped": str(0 if failed else len(names))})
@@ -88,4 +88,4 @@ def _missing(names: Sequence[str], *, failed: bool) -> XML.Element:
 
 
 def _text(text: str) -> str:
-    return _NOT_XML.sub("?", text)
+    return _INVALID_XML.sub("?", text)

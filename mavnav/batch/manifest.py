@@ -1,4 +1,4 @@
-"""The manifest of a batch: a YAML file that names logs, settings, and what must hold."""
+"""The manifest of a batch: a YAML file with logs, settings and gates."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ Codes = Annotated[tuple[int, ...], BeforeValidator(_listed)]
 
 
 class Entry(Strict):
-    """Logs that are read alike, and what must hold of them besides what must of all."""
+    """Logs with the same options for reading, and gates for them in addition to those of the batch."""
 
     log: Texts = Field(description="path, pattern, folder or address; or a list of them")
-    topic: str | None = Field(None, description="scan topic, where there are several")
-    start_s: float | None = Field(None, ge=0, description="begin so many seconds after the first scan")
-    end_s: float | None = Field(None, ge=0, description="end so many seconds after the first scan")
+    topic: str | None = Field(None, description="scan topic, if there are several")
+    start_s: float | None = Field(None, ge=0, description="start this many seconds after the first scan")
+    end_s: float | None = Field(None, ge=0, description="end this many seconds after the first scan")
     extrinsic: tuple[float, float, float] | None = Field(
         None, description="laser on its base: x and y in m, yaw in rad"
     )
-    strict: bool = Field(False, description="leave out scans from where a checksum does not match")
+    strict: bool = Field(False, description="leave out scans from parts of the log whose checksum does not match")
     truth: str | None = Field(
         None, description="true trajectory: a TUM file, auto, or topic:NAME of the log, as of mavnav replay --truth"
     )
@@ -49,27 +49,27 @@ class Entry(Strict):
 
 
 class Manifest(Strict):
-    """Logs times settings. Relative paths count from the manifest's folder."""
+    """Logs and settings, which are combined. Relative paths start at the manifest's folder."""
 
     logs: tuple[Annotated[Entry, BeforeValidator(_entry)], ...] = Field((), description="paths, or sections with log")
     runs: tuple[dict[str, Any], ...] = Field(
         (), description="settings, every log with each: the keys of a configuration, with name and config (a file)"
     )
-    gates: Texts = Field((), description="bounds that must hold of every run; the word baseline: none is worse")
+    gates: Texts = Field((), description="bounds for every run; the word baseline: no run may be worse than in it")
     accept: Codes = Field((), description="exit codes that count as done")
     baseline: str | None = Field(None, description="an earlier batch: its directory, batch.json, or a baseline file")
     tolerances: dict[str, float | str] = Field(
-        {}, description="number of run.json: how far it may move, 5, 5% or 5%,high"
+        {}, description="number of run.json: its tolerance, such as 5, 5% or 5%,high"
     )
     output: str | None = Field(None, description="directory")
-    report: bool = Field(False, description="draw a page of every run")
+    report: bool = Field(False, description="write a report of every run")
     jobs: int | None = Field(None, ge=1, description="runs at a time")
     timeout_s: float | None = Field(None, gt=0, description="a run that takes longer is stopped")
-    memory_mb: int | None = Field(None, ge=1, description="data that a run may hold")
-    tries: int = Field(3, ge=1, description="a run whose process was killed is tried so many times in all")
+    memory_mb: int | None = Field(None, ge=1, description="memory limit of a run")
+    tries: int = Field(3, ge=1, description="maximum number of attempts for a run whose process was killed")
 
 
 def read_manifest(path: Path) -> tuple[Manifest, Layer]:
-    """Read a manifest, and where each of its values stands; raises ConfigError with the line."""
+    """Return a manifest, and the layer with the line of each of its values; raises ConfigError with the line."""
     layer = read_yaml(path)
     return validated(Manifest, layer, str(path)), layer

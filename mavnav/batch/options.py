@@ -1,4 +1,4 @@
-"""The request of a batch from its command line and its manifest: the command line wins."""
+"""The request of a batch from its command line and its manifest; the command line takes precedence."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ MANIFEST_SUFFIXES = (".yaml", ".yml")
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The command line: what was not given is None or empty.
+    """The command line; an option that was not given is None or empty.
 
-    ``words`` is all of it as typed; ``sources`` are a manifest and logs; ``options`` values of the configuration,
-    ``reading`` those of an `Entry`.
+    ``words`` is the whole command line as typed. ``sources`` are a manifest and logs, ``options`` values of the
+    configuration, and ``reading`` values of an `Entry`.
     """
 
     words: Sequence[str] = ()
@@ -61,9 +61,9 @@ class Options:
 
 
 def request_of(options: Options) -> BatchRequest:
-    """Read the manifest, if one is named, and return the request.
+    """Read the manifest, if one is given, and return the request.
 
-    Raises ConfigError for a manifest that is wrong, UsageError for anything else that cannot be done.
+    Raises ConfigError for an invalid manifest, and UsageError for other invalid input.
     """
     path = _manifest_path(options.sources)
     manifest, layer = read_manifest(path) if path else (Manifest(), Layer())
@@ -96,7 +96,7 @@ def _default_directory(path: Path | None) -> Path:
 
 
 def _entries(options: Options, manifest: Manifest, base: Path) -> tuple[Entry, ...]:
-    """Return the manifest's logs and those of the command line, which count from the current folder."""
+    """Return the entries of the manifest and of the command line, whose paths start at the current folder."""
     logs = [source for source in options.sources if not source.endswith(MANIFEST_SUFFIXES)]
     absolute = [log if "://" in log or not base.parts else str(Path(log).absolute()) for log in logs]
     entries = (*manifest.logs, *((Entry(log=tuple(absolute)),) if absolute else ()))

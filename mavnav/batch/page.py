@@ -1,4 +1,4 @@
-"""batch.html: all runs of a batch on one page, worst first, each with a small map and why it failed."""
+"""batch.html: all runs of a batch on one page, worst first, each with a small map and the reasons of a failure."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ COLUMNS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A metric as it is shown, and its sort key; empty if there is none."""
+    """The text of a metric and its sort key; both empty if there is no value."""
 
     text: str
     key: str
@@ -44,10 +44,10 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class PageLine:
-    """A run as the page shows it.
+    """A run on the page.
 
-    ``facts`` are its date, log and sensor; ``kind`` is passed, failed (a verdict) or broken (not made); ``link`` leads
-    to the run, ``change`` is that since the baseline.
+    ``facts`` are its date, log and sensor; ``kind`` is passed, failed, or broken (a run without a result); ``link`` is
+    the address of the run's page; ``change`` is the change since the baseline.
     """
 
     name: str
@@ -63,7 +63,7 @@ class PageLine:
 
 
 def to_page(document: Mapping[str, Any], directory: Path) -> str:
-    """Write the page of a batch whose run directories lie in ``directory``."""
+    """Return the page of a batch whose run directories are in ``directory``."""
     templates = environment("mavnav.batch", "mavnav.outputs.report")
     lines = [_line(row, directory) for row in worst_first(document["cells"])]
     return templates.get_template("batch.html").render(
@@ -99,13 +99,13 @@ def _line(row: dict[str, Any], directory: Path) -> PageLine:
 
 
 def _link(path: Path, address: str) -> str | None:
-    """Return the address of the page of a run, or else of its map or run.json; ``address`` is that of its directory."""
+    """Return the address of a run's report, else of its map or run.json; ``address`` is that of its directory."""
     names = (name for name in (REPORT_FILE, "map.png", RUN_FILE) if (path / name).is_file())
     return next((f"{address}/{name}" for name in names), None)
 
 
 def _facts(path: Path) -> str:
-    """Describe the log of a run and when it was made, by its run.json; nothing where that cannot be read."""
+    """Return the facts of a run from its run.json; empty if that cannot be read."""
     try:
         document = read_json(path / RUN_FILE)
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""The runs of a batch or a comparison, and which of them are finished already."""
+"""The plan of a batch or a comparison: its runs, and which of them are finished."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _OWN_FILES: Final = ("cells", BATCH_FILE)
 
 @dataclass(frozen=True, slots=True)
 class BatchPlan:
-    """The cases of a request, and the run directories among theirs that are finished."""
+    """The cases of a request, and those of their run directories that are finished."""
 
     request: BatchRequest
     cases: tuple[Case, ...]
     finished: frozenset[Path]
 
     def by_directory(self) -> dict[Path, list[Case]]:
-        """Return the cases of each run directory: one run serves all that share it."""
+        """Return the cases of each run directory; cases with the same directory share one run."""
         found: dict[Path, list[Case]] = {}
         for case in self.cases:
             if case.run:
@@ -42,16 +42,16 @@ class BatchPlan:
 
     @property
     def missing(self) -> list[Case]:
-        """The cases that are to be run, one for each run directory."""
+        """The cases to run, one for each run directory."""
         return [cases[-1] for directory, cases in self.by_directory().items() if directory not in self.finished]
 
 
 def plan_batch(request: BatchRequest, progress: Progress) -> BatchPlan:
-    """Find out what is to be run and what is finished.
+    """Return the plan of a batch: its cases, and which of their runs are finished.
 
-    Raises UsageError for no logs at all, for gates and tolerances on numbers that no run has, and for folders that
-    cannot be read, OutputError where the directory cannot be used: before the work. A log that cannot be read fails
-    alone.
+    Raises, before any run: UsageError if there are no logs, for gates and tolerances on unknown numbers, and for
+    folders that cannot be read; OutputError if the directory cannot be used. A log that cannot be read only fails its
+    own cases.
     """
     if not request.entries:
         raise UsageError("no logs; name a manifest, or logs, patterns or folders")
@@ -63,26 +63,26 @@ def plan_batch(request: BatchRequest, progress: Progress) -> BatchPlan:
 
 
 def plan_cases(request: BatchRequest, cases: Sequence[Case]) -> BatchPlan:
-    """Return the plan of these cases, with what is finished of them."""
+    """Return the plan of these cases, with those of their runs that are finished."""
     runs = () if request.force else (case.run for case in cases if case.run)
     return BatchPlan(request, tuple(cases), frozenset(run.directory for run in runs if _is_finished(run)))
 
 
 def _is_finished(run: PlannedRun) -> bool:
-    """Return whether a run is finished, and its page written if the request has one."""
+    """Return whether a run is finished, including its report if one is requested."""
     return finished_document(run) is not None and (not run.request.report or (run.directory / REPORT_FILE).is_file())
 
 
 def load_kernels(plan: BatchPlan, progress: Progress) -> None:
-    """Compile the kernels of the runs to make, so that none is charged with it; a cluster's workers compile theirs."""
+    """Compile the kernels of the missing runs before they start; workers of a cluster compile their own."""
     for case in plan.missing if plan.request.limits.scheduler is None else ():
         registry.load_kernels(case.setting.config, progress)
 
 
 def check_gates(request: BatchRequest, cases: Sequence[Case], more: Sequence[str] = ()) -> None:
-    """Raise UsageError for a gate or tolerance on a number that no run has, or on a reference that a log lacks.
+    """Raise UsageError for a gate or tolerance on an unknown number, or on ground truth that a log does not have.
 
-    ``more`` are names that gates may have besides those of run.json.
+    ``more`` are names allowed in gates in addition to those of run.json.
     """
     rules = request.rules
     check_names((tolerance.name for tolerance in rules.watched), number_names(reference=True))

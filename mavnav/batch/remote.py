@@ -1,6 +1,6 @@
-"""Logs by their address: anything that fsspec can open, copied to a temporary folder while it is needed.
+"""Download of logs by address: any file that fsspec can open is copied to a temporary folder while it is needed.
 
-A server may never answer, send without end, or send next to nothing: the copy is bounded in time and size.
+Time, size and data rate of the copy are limited, because a server may never answer, never end, or be very slow.
 """
 
 from __future__ import annotations
@@ -27,32 +27,32 @@ if TYPE_CHECKING:
 _TIMEOUT: Final = "MAVNAV_FETCH_TIMEOUT_S"
 PIECE_BYTES: Final = 2**20
 IDLE_S: Final = 60.0
-"""A server that sends nothing for so long is given up; so is one that by then sends less than `LEAST_RATE`."""
+"""Time without data after which a download is aborted, and after which its rate must exceed `MIN_RATE`, in s."""
 
-LEAST_RATE: Final = 1000.0
-"""Bytes a second."""
+MIN_RATE: Final = 1000.0
+"""Minimum average rate of a download, in bytes/s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """How long a log may take in all, how long nothing may come, how large it may be, and from where it may come."""
+    """Limits of a download: total time, time without data, size, and whether private networks are allowed."""
 
     total_s: float
     idle_s: float
-    most_bytes: float
+    max_bytes: float
     private: bool
     """Whether the address may name a host of a private network."""
 
 
 def limits() -> Limits:
-    """Return the limits of the ``MAVNAV_FETCH_*`` variables; raises UsageError for no numbers."""
+    """Return the limits of the ``MAVNAV_FETCH_*`` variables; raises UsageError for a value that is no number."""
     total_s = _number(_TIMEOUT, 3600.0)
-    most_bytes = 1e6 * _number("MAVNAV_FETCH_MAX_MB", 65_536.0)
-    return Limits(total_s, min(IDLE_S, total_s), most_bytes, private=any(_allowed_hosts()) or not in_cluster())
+    max_bytes = 1e6 * _number("MAVNAV_FETCH_MAX_MB", 65_536.0)
+    return Limits(total_s, min(IDLE_S, total_s), max_bytes, private=any(_allowed_hosts()) or not in_cluster())
 
 
-def _number(variable: str, usual: float) -> float:
-    text = os.environ.get(variable) or str(usual)
+def _number(variable: str, default: float) -> float:
+    text = os.environ.get(variable) or str(default)
     try:
         number = float(text)
     except ValueError:
@@ -64,10 +64,11 @@ def _number(variable: str, usual: float) -> float:
 
 @contextmanager
 def fetched(address: str) -> Iterator[Path]:
-    """Give a folder in which the log lies under its address, taken as a path: that is how people know it.
+    """Yield a temporary folder with the log; its relative path in the folder is its address.
 
-    User name, password and query of the address are left out of that path, and of errors. Raises UsageError for what
-    cannot be opened or exceeds `limits`, and without fsspec; OutputError where the temporary folder takes no more.
+    User name, password and query of the address are left out of the path and of errors. Raises UsageError if the
+    address cannot be opened, a limit of `limits` is exceeded, or fsspec is missing, and OutputError if the temporary
+    folder cannot be written.
     """
     path = Path(public_address(address))
     if ".." in path.parts:
@@ -78,13 +79,13 @@ def fetched(address: str) -> Iterator[Path]:
         try:
             (folder / path).parent.mkdir(parents=True)
         except OSError as error:
-            raise _full(address, error) from error
+            raise _write_error(address, error) from error
         _Copy(address, folder / path, limits()).run()
         yield folder
 
 
 def check_allowed(address: str) -> None:
-    """Raise UsageError for hosts that ``MAVNAV_FETCH_HOSTS`` does not list, and for local files that never end."""
+    """Raise UsageError for hosts that ``MAVNAV_FETCH_HOSTS`` does not list, and for non-regular local files."""
     allowed = _allowed_hosts()
     shown = public_address(address)
     *inner, outer = shown.split("::")
@@ -103,14 +104,14 @@ def _allowed_hosts() -> list[str]:
     return [pattern.strip().lower() for pattern in os.environ.get("MAVNAV_FETCH_HOSTS", "").split(",")]
 
 
-def _full(address: str, error: OSError) -> OutputError:
+def _write_error(address: str, error: OSError) -> OutputError:
     reason = f"the temporary folder cannot be written ({error.strerror or error})"
     return OutputError(f"{public_address(address)}: {reason}; make room, or set TMPDIR to another folder")
 
 
 @dataclass(slots=True)
 class _Copy:
-    """The copy of what an address stands for, made by a thread that is left alone when a limit is reached."""
+    """Download of an address in a thread, which is abandoned when a limit is exceeded."""
 
     address: str
     file: Path
@@ -123,7 +124,7 @@ class _Copy:
     error: Exception | None = None
 
     def run(self) -> None:
-        """Copy; raises MavnavError."""
+        """Download the file; raises MavnavError."""
         _fsspec()
         Thread(target=self._work, daemon=True).start()
         try:
@@ -137,7 +138,7 @@ class _Copy:
     def _work(self) -> None:
         try:
             self._copy()
-        except Exception as error:  # every protocol has errors of its own
+        except Exception as error:  # every protocol has its own exceptions
             self.error = error
         finally:
             self.ended.set()
@@ -147,15 +148,15 @@ class _Copy:
             while not self.stop.is_set() and (piece := source.read(PIECE_BYTES)):
                 self.done_bytes += len(piece)
                 self.latest_s = monotonic()
-                if self.done_bytes > self.limits.most_bytes:
-                    raise self._refused(f"larger than {self.limits.most_bytes / 1e6:g} MB", "MAVNAV_FETCH_MAX_MB")
+                if self.done_bytes > self.limits.max_bytes:
+                    raise self._refused(f"larger than {self.limits.max_bytes / 1e6:g} MB", "MAVNAV_FETCH_MAX_MB")
                 self._put(copy, piece)
 
     def _created(self) -> Any:  # noqa: ANN401  a file
         try:
             return self.file.open("wb", buffering=0)
         except OSError as error:
-            raise _full(self.address, error) from error
+            raise _write_error(self.address, error) from error
 
     def _put(self, copy: Any, piece: bytes) -> None:  # noqa: ANN401
         left = memoryview(piece)
@@ -163,21 +164,21 @@ class _Copy:
             while left:
                 left = left[copy.write(left) :]
         except OSError as error:
-            raise _full(self.address, error) from error
+            raise _write_error(self.address, error) from error
 
-    def _late(self) -> UsageError:
+    def _timeout_error(self) -> UsageError:
         if monotonic() - self.began_s > self.limits.total_s:
             return self._refused(f"not complete after {self.limits.total_s:g} s", _TIMEOUT)
         return self._refused(f"no data for {self.limits.idle_s:g} s", _TIMEOUT)
 
     def _check(self) -> None:
-        """Raise UsageError where a limit of time is reached."""
+        """Raise UsageError if a limit of time or rate is exceeded."""
         now_s = monotonic()
         elapsed_s = now_s - self.began_s
         if elapsed_s > self.limits.total_s or now_s - self.latest_s > self.limits.idle_s:
-            raise self._late()
-        if elapsed_s > self.limits.idle_s and self.done_bytes < LEAST_RATE * elapsed_s:
-            raise self._refused(f"less than {LEAST_RATE:g} bytes/s for {self.limits.idle_s:g} s", _TIMEOUT)
+            raise self._timeout_error()
+        if elapsed_s > self.limits.idle_s and self.done_bytes < MIN_RATE * elapsed_s:
+            raise self._refused(f"less than {MIN_RATE:g} bytes/s for {self.limits.idle_s:g} s", _TIMEOUT)
 
     def _refused(self, reason: str, variable: str) -> UsageError:
         advice = f"download it by other means, or set {variable}"
@@ -186,21 +187,21 @@ class _Copy:
     def _explained(self, error: Exception) -> MavnavError:
         shown = public_address(self.address)
         while isinstance(error, FileNotFoundError) and isinstance(error.__cause__, Exception):
-            error = error.__cause__  # fsspec calls everything so that goes wrong before the first byte
+            error = error.__cause__  # fsspec wraps every error before the first byte in a FileNotFoundError
         if isinstance(error, MavnavError):
             return error
         if isinstance(error, FileNotFoundError) or getattr(error, "status", None) == 404:
             return UsageError(f"{shown}: there is no such file; check the address")
         if type(error).__name__ == "TooManyRedirects":
             return UsageError(f"{shown}: cannot be read (it redirects without end); check the address")
-        if isinstance(error, TimeoutError) and error.errno is None:  # the client has reached a limit of time first
-            return self._late()
+        if isinstance(error, TimeoutError) and error.errno is None:  # the client's own time limit
+            return self._timeout_error()
         reason = " ".join(public_text(str(error), self.address).split()) or type(error).__name__
         return UsageError(f"{shown}: cannot be read ({reason}); check the address and the permissions")
 
 
 def _opened(address: str, bounds: Limits) -> Any:  # noqa: ANN401  an open file of fsspec
-    """Open an address; one on a web server is read as a stream, and its redirections are watched."""
+    """Open an address; one of a web server is read as a stream, with its redirections checked."""
     options: dict[str, Any] = {}
     if any(part.lower().startswith(("http://", "https://")) for part in address.split("::")):
         from mavnav.batch.web import client_options  # noqa: PLC0415  an extra

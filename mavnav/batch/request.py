@@ -1,4 +1,4 @@
-"""The request of a batch or a comparison: logs, settings, limits, and what must hold of every run."""
+"""The request of a batch or a comparison: logs, settings, limits and gates."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RunLimits:
-    """How many runs at a time, their time and memory limits, and the attempts if the process of a run dies.
+    """Number of runs at a time, their time and memory limits, and the number of attempts if a run's process dies.
 
-    ``scheduler`` names a Dask cluster to run on, if given.
+    ``scheduler`` is a Dask cluster to run on, None for this machine.
     """
 
     workers: int = 1
@@ -33,9 +33,10 @@ class RunLimits:
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """What must hold of every run, besides what must of its log.
+    """Gates of every run, in addition to those of its log.
 
-    ``accept`` are exit codes that count as done; ``baseline_gate`` says that nothing may be worse than in ``baseline``.
+    ``accept`` are exit codes that count as done; ``watched`` are the tolerances of the metrics compared with
+    ``baseline``. With ``baseline_gate``, nothing may be worse than in the baseline.
     """
 
     gates: tuple[Gate, ...] = ()
@@ -53,7 +54,7 @@ class BatchPart:
     of: int
 
     def __post_init__(self) -> None:
-        """Raise UsageError unless ``number`` is one of the parts."""
+        """Raise UsageError unless ``number`` is from 1 to ``of``."""
         if not 1 <= self.number <= self.of:
             raise UsageError(
                 f"part {self.number}/{self.of} is none; parts count from 1, for example 1/{max(self.of, 2)}"
@@ -62,11 +63,11 @@ class BatchPart:
 
 @dataclass(frozen=True, slots=True)
 class BatchRequest:
-    """The logs and settings of a batch or a comparison, where its results go, and how its runs are made and judged.
+    """Logs, settings, output directory, limits and gates of a batch or a comparison.
 
-    Relative paths of ``entries`` count from ``base``; with ``patterns`` they may be patterns and folders, without they
-    are single logs. ``force`` runs again what is finished; ``report`` writes a page of every run; the metrics are
-    written to the file ``new_baseline``, for later batches. ``typed`` is the command line.
+    Relative paths of ``entries`` start at ``base``; with ``patterns`` they may be patterns and folders, else they are
+    single logs. ``force`` repeats finished runs; ``report`` writes a report of every run. The metrics are written to
+    the file ``new_baseline`` for later batches. ``typed`` is the command line.
     """
 
     entries: tuple[Entry, ...]

@@ -1,7 +1,7 @@
-"""The pipeline of ``mavnav batch``: many logs with many settings, each run apart, one verdict.
+"""The pipeline of ``mavnav batch``: many logs with many settings, each run in its own process, and one exit code.
 
-A batch lives in a directory: ``cells/`` holds a run directory for every run, and a finished run is not made again;
-``batch.json``, ``batch.csv`` and ``batch.html`` are about all of them.
+The directory of a batch contains a run directory for every run in ``cells/``, so that finished runs are not repeated.
+``batch.json``, ``batch.csv`` and ``batch.html`` cover all runs.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 def run_batch(
     plan: BatchPlan, on_event: Callable[[Event], None], on_row: Callable[[Row], None], cluster: Cluster | None = None
 ) -> Row:
-    """Run what is missing, judge all, and return batch.json.
+    """Run the missing runs, evaluate all gates, and return batch.json.
 
     ``on_row`` is called with the row of every run as soon as it is known; ``on_event`` and ``cluster`` are those of
-    `run_cases`. Raises OutputError where the documents cannot be written. A part of a batch writes none, and misses
-    nothing that the baseline has: the whole does, when all parts are finished.
+    `run_cases`. Raises OutputError if the documents cannot be written. A part of a batch writes no documents, and does
+    not report runs missing since the baseline: run the whole batch for these when all parts are finished.
     """
     began_s, request = monotonic(), plan.request
 
@@ -42,8 +42,10 @@ def run_batch(
         return row
 
     rows, rules = run_cases(plan, on_event, described, cluster), request.rules
-    gone = [] if rules.baseline is None or request.part else missing(rows, rules.baseline)
-    document = batch_document(rows, monotonic() - began_s, rules.baseline, gone, baseline_gate=rules.baseline_gate)
+    missing_runs = [] if rules.baseline is None or request.part else missing(rows, rules.baseline)
+    document = batch_document(
+        rows, monotonic() - began_s, rules.baseline, missing_runs, baseline_gate=rules.baseline_gate
+    )
     if request.part is None:
         write_batch(document, request.directory)
     if request.new_baseline:

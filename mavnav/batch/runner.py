@@ -1,6 +1,6 @@
-"""The runner of a batch or a comparison: every missing run in a process of its own, each result as soon as it is known.
+"""The runner of a batch or a comparison: runs every missing run in a separate process, and reports results immediately.
 
-Finished runs are read from the cache. A run whose process dies is tried again, and what it left is removed.
+Finished runs are read from the cache. If the process of a run dies, its files are removed and the run is retried.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 from mavnav.atomic_files import discard
 from mavnav.batch.cases import CaseResult
 from mavnav.batch.jobs import replay_local, replay_remote
-from mavnav.jobs import Ended, Event, Fate, Job, Outcome, run_jobs, run_with_retries
+from mavnav.jobs import Ended, Event, Job, Outcome, Status, run_jobs, run_with_retries
 from mavnav.jobs.run_cache import finished_document
 
 if TYPE_CHECKING:
@@ -30,19 +30,19 @@ T = TypeVar("T")
 def run_cases(
     plan: BatchPlan, on_event: OnEvent, describe: Callable[[CaseResult], T], cluster: Cluster | None = None
 ) -> list[T]:
-    """Run what is missing, each run in a process of its own.
+    """Run the missing runs, each in a process of its own.
 
     Parameters
     ----------
     plan
-        What is to be run.
+        The cases and the finished runs.
     on_event
-        Called with the events of the jobs, which are ``plan.missing`` in its order.
+        Called with the events of the jobs, whose indices are those of ``plan.missing``.
     describe
-        Called with the result of every case as soon as it is known: first of finished runs and of logs that cannot be
-        read, then of each run as it ends.
+        Called with the result of every case as soon as it is known: first for finished runs and for logs that cannot
+        be read, then for each run when it ends.
     cluster
-        Where to run, if not in processes here; it tries again what kills its workers by rules of its own.
+        Cluster to run on, with its own rules for retries; None for processes of this machine.
 
     Returns
     -------
@@ -52,7 +52,7 @@ def run_cases(
     described: dict[str, T] = {}
 
     def record(case: Case, outcome: Outcome | None) -> None:
-        has_run = outcome is None or outcome.fate is Fate.DONE
+        has_run = outcome is None or outcome.status is Status.DONE
         document = finished_document(case.run) if case.run and has_run else None
         described[case.name] = describe(CaseResult(case, outcome, document))
 
@@ -66,7 +66,7 @@ def run_cases(
 def _run_missing(
     plan: BatchPlan, on_event: OnEvent, record: Callable[[Case, Outcome], None], cluster: Cluster | None
 ) -> None:
-    """Run the missing cases; ``record`` is called once for each case of a run that ended."""
+    """Run the missing cases; when a run ends, call ``record`` for each of its cases."""
     runs = {case.name: case.run.request for case in plan.missing if case.run}
     requests, sharing = list(runs.values()), plan.by_directory()
 
@@ -89,10 +89,10 @@ def _job(name: str, request: ReplayRequest) -> Job:
 
 
 def _run_here(jobs: Sequence[Job], on_event: OnEvent, limits: RunLimits) -> list[Outcome]:
-    """Run jobs in processes of this machine; what a dead worker left is removed before its end is reported."""
+    """Run jobs in processes of this machine; files of a dead worker are removed before its end is reported."""
 
     def tidy(event: Event) -> None:
-        if isinstance(event, Ended) and event.outcome.fate in {Fate.DIED, Fate.TIMEOUT}:
+        if isinstance(event, Ended) and event.outcome.status in {Status.DIED, Status.TIMEOUT}:
             discard(jobs[event.index].args[0].directory, event.outcome.pid)
         on_event(event)
 

@@ -1,4 +1,4 @@
-"""Settings of a batch: configurations, each with a name by which it is known from one batch to the next."""
+"""Settings of a batch: configurations, each with a name that is the same in every batch."""
 
 from __future__ import annotations
 
@@ -34,9 +34,10 @@ def crossed_settings(
     azimuths: Sequence[int],
     options: Mapping[str, object],
 ) -> list[Setting]:
-    """Return every method with every grid; where none is named, the configuration's own.
+    """Return a setting for every method and grid; without methods or grids, those of the configuration.
 
-    ``azimuths`` are none, one for all grids, or one for each. Raises ConfigError, and UsageError for another number.
+    ``azimuths`` (yaw samples) are none, one for all grids, or one per grid; raises UsageError for another number, and
+    ConfigError for invalid values.
     """
     named: list[dict[str, object]] = [{"method": method} for method in methods] or [{}]
     searches = [
@@ -49,9 +50,9 @@ def crossed_settings(
 
 
 def yaw_samples(grids: Sequence[object], azimuths: Sequence[int]) -> list[int | None]:
-    """Return the yaw samples given for each grid, or the only ones if there is no grid; None where none are given.
+    """Return the yaw samples of each grid, or a single value if there is no grid; None if they are not given.
 
-    ``azimuths`` are none, one for all grids, or one for each; raises UsageError for another number.
+    ``azimuths`` are none, one for all grids, or one per grid; raises UsageError for another number.
     """
     if len(azimuths) not in {0, 1, len(grids)}:
         raise UsageError(
@@ -61,17 +62,17 @@ def yaw_samples(grids: Sequence[object], azimuths: Sequence[int]) -> list[int | 
 
 
 def named_settings(configs: Iterable[Config]) -> list[Setting]:
-    """Return different configurations under their names."""
+    """Return configurations with their names, without duplicates."""
     return _distinct(Setting(setting_name(config), config) for config in configs)
 
 
 def listed_settings(
     runs: Sequence[Mapping[str, Any]], layer: Layer, base: Path, sets: Sequence[str], options: Mapping[str, object]
 ) -> list[Setting]:
-    """Return the settings of a manifest's ``runs``; ``sets`` and ``options`` of the command line lie above them.
+    """Return the settings of a manifest's ``runs``; ``sets`` and ``options`` of the command line override them.
 
-    A run has the keys of a configuration, and besides ``name`` and ``config``: a file, from ``base`` on, or a preset.
-    Raises ConfigError with the manifest's line.
+    A run has the keys of a configuration, and optionally ``name`` and ``config``, a preset or a file relative to
+    ``base``. Raises ConfigError with the manifest's line.
     """
     return _distinct(_listed(number, run, layer, base, sets, options) for number, run in enumerate(runs))
 
@@ -101,12 +102,12 @@ def _leaves(tree: Mapping[str, Any], above: Key = ()) -> Iterator[tuple[Key, obj
 
 
 def formatted(value: object) -> str:
-    """Format a value as users type it."""
+    """Format a value as on the command line."""
     return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _distinct(settings: Iterable[Setting]) -> list[Setting]:
-    """Leave out what comes twice; raises ConfigError where one name stands for two configurations."""
+    """Return the settings without duplicates; raises ConfigError if two configurations have the same name."""
     found: dict[str, Setting] = {}
     for setting in settings:
         if found.setdefault(setting.name, setting).config != setting.config:
@@ -115,9 +116,9 @@ def _distinct(settings: Iterable[Setting]) -> list[Setting]:
 
 
 def setting_name(config: Config) -> str:
-    """Name a configuration: ``robust 20/10x10``, yaw samples first, then what is not the method's default."""
-    usual = load_config(None, (), {name: getattr(config, name) for name in ("method", "azimuth")})
-    mine, theirs = (dict(_leaves(c.document())) for c in (config, usual))
+    """Return the name of a configuration, such as ``robust 20/10x10``: yaw samples, grid, and non-default values."""
+    default = load_config(None, (), {name: getattr(config, name) for name in ("method", "azimuth")})
+    mine, theirs = (dict(_leaves(c.document())) for c in (config, default))
     others = [
         f"{'.'.join(key)}={formatted(value)}"
         for key, value in mine.items()

@@ -1,4 +1,4 @@
-"""What is shown of a batch in CI: a summary in Markdown, and annotations of GitHub's kind."""
+"""Output of a batch for CI: a summary in Markdown, and annotations for GitHub."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from mavnav.outputs.quantities import NAMED, TIME
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-MOST_ROWS: Final = 100
-"""A summary shows so many runs, the worst; GitHub takes 1 MiB of them a step."""
+MAX_ROWS: Final = 100
+"""Maximum number of runs in a summary, which GitHub limits to 1 MiB per step; the worst runs are shown."""
 
 FIGURES: Final = (
     NAMED["map.accepted_share"],
@@ -24,7 +24,7 @@ FIGURES: Final = (
 
 
 def batch_headline(document: Mapping[str, Any]) -> str:
-    """Return in one line how a batch ended."""
+    """Return the result of a batch in one line."""
     rows = document["cells"]
     bad = sum(bool(row["verdict"]) for row in rows)
     counts, since = document["counts"], document["baseline"]
@@ -38,13 +38,13 @@ def batch_headline(document: Mapping[str, Any]) -> str:
 
 
 def to_summary(document: Mapping[str, Any]) -> str:
-    """Write a batch in GitHub's Markdown: the headline, what went wrong, and a table, worst first."""
+    """Return a batch in GitHub's Markdown: the headline, the failures, and a table, worst runs first."""
     rows = worst_first(document["cells"])
     mark = "✅" if document["exit_code"] == 0 else "❌"
     lines = [f"## {mark} mavnav batch", "", batch_headline(document) + ".", ""]
     bad = [row for row in rows if row["verdict"]]
-    lines += [f"- **{escaped(row['name'])}**: {escaped('; '.join(why(row)))}" for row in bad[:MOST_ROWS]]
-    lines += [f"- **{escaped(name)}**: in the baseline, not in this batch" for name in _missing(document)[:MOST_ROWS]]
+    lines += [f"- **{escaped(row['name'])}**: {escaped('; '.join(why(row)))}" for row in bad[:MAX_ROWS]]
+    lines += [f"- **{escaped(name)}**: in the baseline, not in this batch" for name in _missing(document)[:MAX_ROWS]]
     lines += [""] if bad or _missing(document) else []
     titles = [
         "",
@@ -53,14 +53,14 @@ def to_summary(document: Mapping[str, Any]) -> str:
         *(["since the baseline"] if document["baseline"] else []),
     ]
     lines += [table_row(titles), table_row(["---"] * len(titles))]
-    lines += [table_row(_cells(row, since=bool(document["baseline"]))) for row in rows[:MOST_ROWS]]
-    if len(rows) > MOST_ROWS:
-        lines += ["", f"{len(rows) - MOST_ROWS} more are in batch.html and batch.csv."]
+    lines += [table_row(_cells(row, since=bool(document["baseline"]))) for row in rows[:MAX_ROWS]]
+    if len(rows) > MAX_ROWS:
+        lines += ["", f"{len(rows) - MAX_ROWS} more are in batch.html and batch.csv."]
     return "\n".join(lines) + "\n"
 
 
 def missing_lines(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return a kind and a text for every run of the baseline that is missing: errors if the baseline is a gate."""
+    """Return severity and text for every missing run of the baseline; an error if the baseline is a gate."""
     kind = "error" if _missing(document) and document["baseline"].get("gate") else "warning"
     return [(kind, f"{name}: in the baseline, not in this batch") for name in _missing(document)]
 
@@ -75,7 +75,7 @@ def _cells(row: Mapping[str, Any], *, since: bool) -> list[str]:
 
 
 def changed(row: Mapping[str, Any]) -> str:
-    """Return what has changed since the baseline."""
+    """Return the change of a run since the baseline as text; empty without a baseline or a change."""
     found = row["baseline"]
     if not found or found["change"] == Change.SAME:
         return ""
@@ -83,7 +83,7 @@ def changed(row: Mapping[str, Any]) -> str:
 
 
 def github_commands(document: Mapping[str, Any]) -> list[str]:
-    """Return the workflow commands that make GitHub show what went wrong, a line each."""
+    """Return the workflow commands that show the failures of a batch on GitHub, one line each."""
     bad = [row for row in worst_first(document["cells"]) if row["verdict"]]
     found = [
         f"::error file={_property(r['log'])},title={_property(r['name'])}::{_data('; '.join(why(r)))}" for r in bad
@@ -92,7 +92,7 @@ def github_commands(document: Mapping[str, Any]) -> list[str]:
 
 
 def _data(text: str) -> str:
-    """Escape the text of a workflow command: one line, and no escape of its own."""
+    """Escape the text of a workflow command, which must be one line without a literal percent sign."""
     return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
 
 

@@ -1,4 +1,4 @@
-"""A map as a picture of a few kilobytes."""
+"""Thumbnails of maps, a few kilobytes each."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-MOST_PIXELS: Final = 160
-"""A thumbnail is not longer; it is shown at half of that, for screens with twice the pixels."""
+MAX_PIXELS: Final = 160
+"""Maximum width and height of a thumbnail, in pixels; it is shown at half that size, for high-density screens."""
 
 _UNKNOWN: Final = 205
-"""What map_server writes for a cell that no beam has crossed."""
+"""Gray level of map_server for a cell that no beam has crossed."""
 
 _SHADES: Final = {"wall": 24, "unknown": 232, "free": 255}
 
 
 def thumbnail(directory: Path) -> str | None:
-    """Return a small picture of the map of a run as a data URI, cut to what was seen; None where there is no map."""
+    """Return a small image of the map of a run as a data URI, cropped to the known cells; None without a map."""
     try:
         with Image.open(directory / "map.pgm") as image:
             cells = np.asarray(image)
     except (OSError, UnidentifiedImageError):
         return None
-    seen = _shrunk(_cut(cells))
+    seen = _downsampled(_cropped(cells))
     shades = np.where(seen < _UNKNOWN, _SHADES["wall"], np.where(seen == _UNKNOWN, _SHADES["unknown"], _SHADES["free"]))
-    held = io.BytesIO()
-    Image.fromarray(shades.astype(np.uint8)).quantize(4).save(held, format="PNG", optimize=True)
-    return "data:image/png;base64," + b64encode(held.getvalue()).decode("ascii")
+    buffer = io.BytesIO()
+    Image.fromarray(shades.astype(np.uint8)).quantize(4).save(buffer, format="PNG", optimize=True)
+    return "data:image/png;base64," + b64encode(buffer.getvalue()).decode("ascii")
 
 
-def _cut(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Leave away the edges that nothing is known of."""
+def _cropped(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Crop the unknown borders."""
     known = cells != _UNKNOWN
     rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
     if not rows.size:
@@ -46,9 +46,9 @@ def _cut(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return cells[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
 
 
-def _shrunk(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Let every pixel stand for a square of cells and show its darkest: a wall of one cell stays a line."""
-    side = -(-max(cells.shape) // MOST_PIXELS)
+def _downsampled(cells: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Reduce squares of cells to one pixel with their minimum, so that a wall of one cell remains visible."""
+    side = -(-max(cells.shape) // MAX_PIXELS)
     rows, columns = (-(-size // side) * side for size in cells.shape)
     padded = np.full((rows, columns), 255, dtype=np.uint8)
     padded[: cells.shape[0], : cells.shape[1]] = cells

@@ -1,4 +1,4 @@
-"""The client of web servers: limits of time, and no redirection into networks that the user did not name."""
+"""The client of web servers: time limits, and no redirection into private networks that the user did not name."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 def client_options(address: str, total_s: float, idle_s: float, *, private: bool) -> dict[str, Any]:
     """Return the options of ``fsspec.open`` for an address with ``http(s)://`` in it.
 
-    A request may take ``total_s`` in all and ``idle_s`` without a byte. A private network is entered only with
-    ``private``, where the address itself names it: a redirection from elsewhere raises UsageError.
+    A request may take ``total_s`` in all and ``idle_s`` without data. A host of a private network is allowed only with
+    ``private`` and if the address itself names it; a redirection to another one raises UsageError.
     """
     parts = [part for part in address.split("::") if part.lower().startswith(("http://", "https://"))]
     timeout = aiohttp.ClientTimeout(total=total_s, sock_connect=idle_s, sock_read=idle_s)
-    make_socket = _guard(parts, private=private)
+    make_socket = _socket_factory(parts, private=private)
 
     async def get_client(**options: Any) -> aiohttp.ClientSession:  # noqa: ANN401
         connector = aiohttp.TCPConnector(socket_factory=make_socket)
@@ -33,27 +33,27 @@ def client_options(address: str, total_s: float, idle_s: float, *, private: bool
 
     client: dict[str, Any] = {"get_client": get_client, "skip_instance_cache": True}
     if len(address.split("::")) == 1:
-        client["block_size"] = 0  # one request, read as it comes
+        client["block_size"] = 0  # one request, read as a stream
     return {part.partition("://")[0].lower(): client for part in parts}
 
 
-def _guard(addresses: list[str], *, private: bool) -> Callable[[Any], socket.socket]:
-    """Return what makes the sockets of a client; it refuses private networks, unless they may be named and are."""
+def _socket_factory(addresses: list[str], *, private: bool) -> Callable[[Any], socket.socket]:
+    """Return the socket factory of a client; it rejects private addresses, except named ones with ``private``."""
     named: set[str] = set()
 
-    def make_socket(info: Any) -> socket.socket:  # noqa: ANN401  of getaddrinfo
-        family, kind, protocol, _, place = info
+    def make_socket(info: Any) -> socket.socket:  # noqa: ANN401  an item of getaddrinfo
+        family, kind, protocol, _, address_info = info
         if not named:
             named.update(*map(_hosts, addresses))
-        if (place[0] not in named or not private) and not _is_public(place[0]):
+        if (address_info[0] not in named or not private) and not _is_public(address_info[0]):
             shown = " and ".join(map(public_address, addresses))
-            if place[0] in named:
+            if address_info[0] in named:
                 reason, advice = (
-                    f"{place[0]} is a private address",
+                    f"{address_info[0]} is a private address",
                     "list the host in MAVNAV_FETCH_HOSTS on the workers",
                 )
             else:
-                reason, advice = f"it redirects to the private address {place[0]}", "name that address itself"
+                reason, advice = f"it redirects to the private address {address_info[0]}", "name that address itself"
             raise UsageError(f"{shown}: cannot be read ({reason}); {advice}")
         made = socket.socket(family, kind, protocol)
         made.setblocking(False)
@@ -63,7 +63,7 @@ def _guard(addresses: list[str], *, private: bool) -> Callable[[Any], socket.soc
 
 
 def _hosts(address: str) -> set[str]:
-    """Return the numeric addresses of a host; none where it has none."""
+    """Return the numeric addresses of the host of a URL; empty if it has none."""
     with suppress(OSError, ValueError):
         return {str(found[4][0]) for found in socket.getaddrinfo(urlsplit(address).hostname, None)}
     return set()
@@ -71,8 +71,8 @@ def _hosts(address: str) -> set[str]:
 
 def _is_public(host: str) -> bool:
     try:
-        place = ip_address(host.partition("%")[0])
+        address_info = ip_address(host.partition("%")[0])
     except ValueError:
         return False
-    mapped = getattr(place, "ipv4_mapped", None)
-    return (mapped or place).is_global
+    mapped = getattr(address_info, "ipv4_mapped", None)
+    return (mapped or address_info).is_global

@@ -1,4 +1,4 @@
-"""How the runs of a batch ended: a plain line each on stderr, or a line of JSON each on stdout; and the verdict."""
+"""Output of a batch: a plain line per run on stderr, or a line of JSON per run on stdout; and the final result."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-MOST_ROWS = 60
-"""The table shows so many runs, the worst."""
+MAX_ROWS = 60
+"""Maximum number of runs in the table; the worst ones are shown."""
 
 WIDE = 200
 
 
 def row_printer(total: int, *, json: bool, quiet: bool) -> Callable[[dict[str, Any]], None]:
-    """Return the function that prints the row of every run as it ends.
+    """Return the function that prints the row of every run when it ends.
 
-    Reused runs are counted, but not printed on stderr; on a terminal the bars show enough.
+    Runs finished before are counted, but not printed on stderr. On a terminal the bars replace the lines.
     """
     from mavnav.batch.document import why
 
@@ -49,9 +49,9 @@ def _line(document: dict[str, Any]) -> str:
 
 
 def print_verdict(document: dict[str, Any], results: Path, *, json: bool) -> None:
-    """Print the end of a batch: on stdout a table, worst first, or with ``json`` a line without the rows.
+    """Print the result of a batch on stdout: a table, worst runs first, or with ``json`` one line without the rows.
 
-    ``results`` is where more of them is.
+    ``results`` is the path with further results, printed below the table.
     """
     from mavnav.batch.summary import batch_headline, missing_lines
 
@@ -79,12 +79,12 @@ def _table(document: dict[str, Any]) -> Table:
     for figure in FIGURES:
         table.add_column(figure.head, justify="right", no_wrap=True)
     table.add_column("", overflow="fold")
-    for row in worst_first(document["cells"])[:MOST_ROWS]:
+    for row in worst_first(document["cells"])[:MAX_ROWS]:
         texts = [figure.shown(row["run"]) for figure in FIGURES]
         remarks = [*why(row), changed(row), "from before" if row["status"] == "cached" else ""]
         remark = printable("; ".join(filter(None, remarks))).replace("::", ":\\x3a")
         end = Text(remark, style="bold red" if row["verdict"] else "")
         table.add_row(Text(printable(row["name"]).replace("::", ":\\x3a")), *texts, end)  # it may be folded anywhere
-    if len(document["cells"]) > MOST_ROWS:
-        table.caption = f"{len(document['cells']) - MOST_ROWS} more in batch.csv"
+    if len(document["cells"]) > MAX_ROWS:
+        table.caption = f"{len(document['cells']) - MAX_ROWS} more in batch.csv"
     return table

@@ -149,10 +149,10 @@ def _sample(directory: Path, report: Report) -> tuple[list[Path], Path]:
 
 def _compared(plan: BatchPlan, *, quiet: bool) -> tuple[dict[str, Any], Path]:
     """Run what is missing, and draw the report unless it shows these results; return comparison.json and its path."""
-    from mavnav.comparison.pipeline import is_drawn, run_comparison
+    from mavnav.comparison.pipeline import is_report_current, run_comparison
     from mavnav.outputs.writers import REPORT_FILE, write_page
 
-    directory, drawn = plan.request.directory, is_drawn(plan)  # before comparison.json is written again
+    directory, drawn = plan.request.directory, is_report_current(plan)  # before comparison.json is written again
     with watching([case.run.name for case in plan.missing if case.run], quiet=quiet) as listen:
         document = run_comparison(plan, listen)
     if not drawn:

@@ -1,4 +1,4 @@
-"""A comparison on a terminal: a line for every run, the best values marked, the main metrics with bars."""
+"""The table of a comparison on a terminal: a line per run, the best values marked, the main metrics with bars."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
     from mavnav.outputs.quantities import Quantity
 
-BARRED = {"wall_thickness.spread.p95_mm", "timing.cpu_s"}
+METRICS_WITH_BAR = {"wall_thickness.spread.p95_mm", "timing.cpu_s"}
 """Metrics that are shown with a bar."""
 
 BAR_WIDTH = 6
 EIGHTHS = " ▏▎▍▌▋▊▉█"
 
-LEFT_OUT_FIRST = (
+OPTIONAL_METRICS = (
     "map_quality.crispness.entropy_bits",
     "map_quality.crispness.occupied_cells_per_m",
     "wall_thickness.paper_cells.max",
@@ -28,10 +28,10 @@ LEFT_OUT_FIRST = (
     "map.accepted_share",
     "wall_thickness.spread.median_mm",
 )
-"""Metrics that a narrow terminal leaves out; the files and the report have them all."""
+"""Metrics that are left out on a narrow terminal, in this order; the files and the report contain all of them."""
 
 WIDE = 200
-"""Columns where the output goes to no terminal, so that no line is folded."""
+"""Width in characters if the output is no terminal, so that no line is folded."""
 
 
 def print_comparison(document: dict[str, Any]) -> None:
@@ -42,7 +42,7 @@ def print_comparison(document: dict[str, Any]) -> None:
     unbounded = out.options.update_width(1000)
     left_out: set[str] = set()
     table = _table(document, left_out)
-    for name in LEFT_OUT_FIRST:
+    for name in OPTIONAL_METRICS:
         if out.measure(table, options=unbounded).maximum > out.width:
             left_out.add(name)
             table = _table(document, left_out)
@@ -65,14 +65,14 @@ def _table(document: dict[str, Any], left_out: set[str]) -> Table:
     for k, cell in enumerate(document["cells"]):
         log = [_text(cell["log"])] if several else []
         figures = [_figure(document, k, figure) for figure in known]
-        prices = [_text(ratio(document, name, k)) for name in ("evaluations", "cpu")]
+        costs = [_text(ratio(document, name, k)) for name in ("evaluations", "cpu")]
         grid = _text(f"{cell['azimuth']}/{cell['grid']}")
-        table.add_row(*log, _text(cell["method"]), grid, *figures, *prices, _text(_state(cell)))
+        table.add_row(*log, _text(cell["method"]), grid, *figures, *costs, _text(_state(cell)))
     return table
 
 
 def _known(document: dict[str, Any]) -> list[Quantity]:
-    """Return the metrics that any run has."""
+    """Return the metrics for which any run has a value."""
     from mavnav.outputs.quantities import QUANTITIES
 
     return [figure for figure in QUANTITIES if any(figure.of(cell["run"]) is not None for cell in document["cells"])]
@@ -85,21 +85,21 @@ def _text(text: str, style: str = "") -> Text:
 
 
 def _figure(document: dict[str, Any], k: int, figure: Quantity) -> Text:
-    """Format a metric, its bar before it, an asterisk behind the best."""
+    """Format a metric, with a bar before it if it has one, and an asterisk after the best value."""
     from mavnav.comparison.files import winning
 
     run = document["cells"][k]["run"]
     number = figure.of(run)
     won = k in winning(document, figure.name)
     text = figure.shown(run) + ("*" if won else " ")
-    if figure.name in BARRED and number is not None:
+    if figure.name in METRICS_WITH_BAR and number is not None:
         largest = max(figure.of(cell["run"]) or 0.0 for cell in document["cells"])
         text = f"{bar(number, largest)} {text}"
     return _text(text, "bold green" if won else "")
 
 
 def bar(number: float, largest: float) -> str:
-    """Draw a number as a bar of ``BAR_WIDTH`` columns, the largest as a full one; hashes where blocks cannot be."""
+    """Return a bar of ``BAR_WIDTH`` characters, full for the largest number; hashes if blocks cannot be printed."""
     share = number / largest if largest > 0 else 0.0
     if not can_print(EIGHTHS, sys.stdout):
         return ("#" * round(BAR_WIDTH * share)).ljust(BAR_WIDTH)
@@ -108,7 +108,7 @@ def bar(number: float, largest: float) -> str:
 
 
 def _state(cell: dict[str, Any]) -> str:
-    """Return what the metrics do not show: that a run failed, was finished before, or has no meaningful map."""
+    """Return the status of a run in words: failed, finished before, map not meaningful, track lost."""
     if cell["status"] == "failed":
         return "failed"
     remarks = ["kept"] if cell["status"] == "cached" else []

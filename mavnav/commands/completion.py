@@ -1,4 +1,4 @@
-"""Values that the shell completes after ``mavnav --install-completion``: words, shipped files, topics of a log."""
+"""Completion of option values in the shell (``mavnav --install-completion``): words, presets, scenarios, topics."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
     Completer = Callable[[str], list[str]]
 
-READING_S: Final = 1.0
-"""For so long a log is read for its topics, s."""
+MAX_READ_S: Final = 1.0
+"""Maximum time to read a log for its topics, in s."""
 
 
 def words(*names: str) -> Completer:
-    """Return the completion of an option that takes one of some words."""
+    """Return the completer of an option that takes one of these words."""
 
     def complete(incomplete: str) -> list[str]:
         return [name for name in names if name.startswith(incomplete)]
@@ -29,21 +29,21 @@ METHODS: Final = words("robust", "paper")
 
 
 def presets(incomplete: str) -> list[str]:
-    """Return the shipped configurations whose names begin so."""
+    """Return the presets whose names begin with ``incomplete``."""
     from mavnav.config.loading import presets as shipped
 
     return words(*shipped())(incomplete)
 
 
 def scenarios(incomplete: str) -> list[str]:
-    """Return the shipped scenarios whose names begin so."""
+    """Return the included scenarios whose names begin with ``incomplete``."""
     from mavnav.config.loading import scenarios as shipped
 
     return words(*shipped())(incomplete)
 
 
 def scan_topics(context: typer.Context, incomplete: str) -> list[str]:
-    """Return the scan topics of the log on the command line whose names begin so."""
+    """Return the scan topics of the log on the command line whose names begin with ``incomplete``."""
     return words(*_topics(context, odometry=False))(incomplete)
 
 
@@ -55,6 +55,6 @@ def odometry_topics(context: typer.Context, incomplete: str) -> list[str]:
 def _topics(context: typer.Context, *, odometry: bool) -> list[str]:
     from mavnav.logs import motion_and_scan_topics
 
-    # An option without its value stops typer's parser before it has given the arguments their names.
-    found = [motion_and_scan_topics(Path(word), READING_S)[0 if odometry else 1] for word in context.args]
+    # An option without a value stops typer's parser before it assigns names to the arguments.
+    found = [motion_and_scan_topics(Path(word), MAX_READ_S)[0 if odometry else 1] for word in context.args]
     return sorted({name for names in found for name in names})

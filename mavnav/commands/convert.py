@@ -10,7 +10,7 @@ import typer
 
 from mavnav.commands.options import Force, Json, LogFile, Quiet, Strict
 from mavnav.commands.progress import reporting
-from mavnav.commands.terminal import emit_json, note_oddities, print_table
+from mavnav.commands.terminal import emit_json, note_problems, print_table
 from mavnav.errors import ExitCode
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def convert(
         emit_json(found)
     else:
         print_table(_rows(found))
-        note_oddities(found)
+        note_problems(found)
     raise typer.Exit(code)
 
 

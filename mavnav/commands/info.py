@@ -10,7 +10,7 @@ import typer
 
 from mavnav.commands.options import Json, LogFile, Quiet, Strict, Topic, joined_topics
 from mavnav.commands.progress import reporting
-from mavnav.commands.terminal import LISTED, emit_json, note_oddities, print_table
+from mavnav.commands.terminal import LISTED, emit_json, note_problems, print_table
 from mavnav.errors import ExitCode, MavnavError
 from mavnav.units import DEG, NS
 
@@ -190,7 +190,7 @@ def _print_result(document: dict[str, Any], *, json: bool) -> None:
         emit_json(document)
         return
     print_table(_rows(document))
-    note_oddities(document)
+    note_problems(document)
 
 
 def _rows(document: dict[str, Any]) -> list[tuple[str, str]]:

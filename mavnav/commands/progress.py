@@ -1,4 +1,4 @@
-"""How far a long job is, on stderr: a bar with the time left on a terminal, a plain line now and then elsewhere."""
+"""Progress of a long job on stderr: a bar with the remaining time on a terminal, else a plain line every 5 s."""
 
 from __future__ import annotations
 
@@ -22,36 +22,36 @@ if TYPE_CHECKING:
 
 BAR_PERIOD_S = 0.1
 LINE_PERIOD_S = 5.0
-SPEAK_AFTER_S = 1.0
+ANNOUNCE_AFTER_S = 1.0
 TICK_S = 0.25
 
 
 def silent(phase: str, done: int, total: int | None) -> None:
-    """Report nothing."""
+    """Ignore a progress report."""
 
 
 REPLAY: Final = {
     "reading": 0, "track": 50, "close loops": 10, "final pass": 14, "draw map": 14, "measuring": 6, "writing": 6,
 }  # fmt: skip
 MISSION: Final = {"fly": 75, "close loops": 5, "final pass": 8, "draw map": 7, "writing": 5}
-"""The stages of a job in their order, each with its usual share of the time, %; no time left is shown in one of 0."""
+"""The stages of a job in their order, each with its typical share of the time, in %; a share of 0 is not estimated."""
 
 
 @dataclass(slots=True)
-class _Pace:
-    """What is being done, how much of it, and when it was last reported."""
+class _State:
+    """State of the progress: phase, amount done, and time of the last report."""
 
     period_s: float
     stages: dict[str, int]
     phase: str = ""
     began_s: float = 0.0
     job_began_s: float | None = None
-    spoke_s: float = field(default_factory=monotonic)
+    reported_s: float = field(default_factory=monotonic)
     done: int = 0
     total: int | None = None
 
     def due(self, phase: str, done: int, total: int | None) -> bool:
-        """Take a report; return whether it is to be shown: where its phase is new, or a period has gone by."""
+        """Store a report; return whether to show it: its phase is new, or a period has passed since the last one."""
         now_s = monotonic()
         fresh = phase != self.phase
         if fresh:
@@ -59,13 +59,13 @@ class _Pace:
             if self.job_began_s is None and self.stages.get(self._stage()):
                 self.job_began_s = now_s
         self.done, self.total = done, total
-        if not fresh and now_s - self.spoke_s < self.period_s:
+        if not fresh and now_s - self.reported_s < self.period_s:
             return False
-        self.spoke_s = now_s
+        self.reported_s = now_s
         return True
 
     def text(self) -> str:
-        """Return the title, how much of the phase is done, and the time left; or how long it has taken."""
+        """Return the title with the share done of the phase and the remaining time, or with the elapsed time."""
         now_s = monotonic()
         left_s = self._seconds_left(self._stage(), now_s)
         if self.total and self.done:
@@ -79,11 +79,11 @@ class _Pace:
         return self.phase + (f" ({names.index(stage) + 1} of {len(names)})" if stage else "")
 
     def _stage(self) -> str:
-        """Return the stage that the phase is part of, as "track again" of "track"; "" where it is of none."""
+        """Return the stage that the phase belongs to, such as "track" for "track again"; empty if there is none."""
         return next((name for name in self.stages if self.phase.startswith(name)), "")
 
     def _seconds_left(self, stage: str, now_s: float) -> float | None:
-        """Estimate the time to the end of the job, or of a phase that is of no stage; None where nothing is known."""
+        """Estimate the remaining time of the job, or of a phase without a stage; None if there is no estimate."""
         share = self.done / self.total if self.total else 0.0
         if not stage:
             return (now_s - self.began_s) * (1 - share) / share if share else None
@@ -96,25 +96,25 @@ class _Pace:
 
 @contextmanager
 def reporting(*, quiet: bool, stages: dict[str, int] | None = None) -> Iterator[Report]:
-    """Give the function that a long job reports to: (what is being done, how much of it is done, of how much).
+    """Yield the progress callback of a long job: it takes the phase, the amount done, and the total, None if unknown.
 
-    With its ``stages`` each line has the number of the stage, and the time left is that of the whole job. The function
-    also raises the signal that arrived since, where Python has lost it.
+    With ``stages``, each line contains the number of the stage, and the remaining time is that of the whole job. The
+    callback also raises the exception of a signal that arrived and that Python has dropped.
     """
     with _reporting(stages or {}, quiet=quiet) as report:
 
-        def attentive(phase: str, done: int, total: int | None) -> None:
+        def checked(phase: str, done: int, total: int | None) -> None:
             signals.raise_pending()
             report(phase, done, total)
 
-        yield attentive
+        yield checked
 
 
 @contextmanager
 def loading_modules() -> Iterator[None]:
-    """Import within it what takes long to load; a signal ends the process at once.
+    """Context for imports that take long; a signal ends the process immediately.
 
-    What is imported stays: garbage is not looked for in it, now or later, which would take 0.1 s.
+    Garbage collection is disabled, and the imported objects are excluded from it later: that saves 0.1 s.
     """
     gc.disable()
     try:
@@ -133,16 +133,16 @@ def _reporting(stages: dict[str, int], *, quiet: bool) -> Iterator[Report]:
         with bars() as shown:
             yield _bar_report(shown, stages)
     else:
-        pace, ended = _Pace(LINE_PERIOD_S, stages), threading.Event()
-        threading.Thread(target=_fill_silence, args=(pace, ended), daemon=True).start()
+        state, ended = _State(LINE_PERIOD_S, stages), threading.Event()
+        threading.Thread(target=_print_when_idle, args=(state, ended), daemon=True).start()
         try:
-            yield _line_report(pace)
+            yield _line_report(state)
         finally:
             ended.set()
 
 
 def bars() -> Bars:
-    """Return bars on stderr that vanish at the end: a description, the bar, the share, the time left."""
+    """Return progress bars on stderr that vanish at the end: description, bar, share, remaining time."""
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     return Progress(
@@ -156,36 +156,36 @@ def bars() -> Bars:
 
 
 def _bar_report(shown: Bars, stages: dict[str, int]) -> Report:
-    pace = _Pace(BAR_PERIOD_S, stages)
+    state = _State(BAR_PERIOD_S, stages)
 
     def report(phase: str, done: int, total: int | None) -> None:
-        fresh = phase != pace.phase
-        if not pace.due(phase, done, total) and done != total:
+        fresh = phase != state.phase
+        if not state.due(phase, done, total) and done != total:
             return
         if fresh:
             for task in shown.task_ids:
                 shown.remove_task(task)
             shown.add_task(phase, total=total)
-        shown.update(shown.task_ids[-1], completed=done, description=pace.text() if stages else phase)
+        shown.update(shown.task_ids[-1], completed=done, description=state.text() if stages else phase)
 
     return report
 
 
-def _line_report(pace: _Pace) -> Report:
+def _line_report(state: _State) -> Report:
     def report(phase: str, done: int, total: int | None) -> None:
-        fresh = phase != pace.phase
-        if pace.due(phase, done, total) and not fresh and total:
-            note(f"mavnav: {pace.text()}")
+        fresh = phase != state.phase
+        if state.due(phase, done, total) and not fresh and total:
+            note(f"mavnav: {state.text()}")
 
     return report
 
 
-def _fill_silence(pace: _Pace, ended: threading.Event) -> None:
-    """Print a line for a phase of unknown length that lasts, and for any that reports nothing for a period."""
+def _print_when_idle(state: _State, ended: threading.Event) -> None:
+    """Print a line for a phase of unknown length that takes over 1 s, and for a phase without reports for a period."""
     announced = ""
     while not ended.wait(TICK_S):
-        now_s, phase = monotonic(), pace.phase
-        lasts = pace.total is None and phase != announced and now_s - pace.began_s >= SPEAK_AFTER_S
-        if phase and (lasts or now_s - pace.spoke_s >= pace.period_s):
-            announced, pace.spoke_s = phase, now_s
-            note(f"mavnav: {pace.text()}" if now_s - pace.began_s >= pace.period_s else f"mavnav: {pace.title()}")
+        now_s, phase = monotonic(), state.phase
+        lasts = state.total is None and phase != announced and now_s - state.began_s >= ANNOUNCE_AFTER_S
+        if phase and (lasts or now_s - state.reported_s >= state.period_s):
+            announced, state.reported_s = phase, now_s
+            note(f"mavnav: {state.text()}" if now_s - state.began_s >= state.period_s else f"mavnav: {state.title()}")

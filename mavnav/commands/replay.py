@@ -192,7 +192,7 @@ def replay(
             typed=Typed(context.obj, config, tuple(sets or ())),
         )
         request = replace(request, **fields)
-        _, document = replay_log(request, progress, compile_s, signals.keeping, startup_s)
+        _, document = replay_log(request, progress, compile_s, signals.deferring, startup_s)
     _print_result(document, target, json=json)
     if again:
         note_repetition(again, document)

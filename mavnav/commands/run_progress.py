@@ -1,4 +1,4 @@
-"""How far a comparison or a batch is, on stderr: bars on a terminal, elsewhere a plain line for every run that ends."""
+"""Progress of a comparison or a batch on stderr: bars on a terminal, else a plain line for every run that ends."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 @contextmanager
 def watching(names: Sequence[str], *, quiet: bool, lines: bool = True) -> Iterator[Listener]:
-    """Give the listener to the events of jobs; ``names`` are theirs. It also raises a signal that Python has lost.
+    """Yield a listener to the events of the jobs ``names``; it also raises a signal that Python has dropped.
 
-    ``lines`` says whether it prints ends where there are no bars; a caller may do that better.
+    Without a terminal, it prints a line for every run that ends, unless ``lines`` is false.
     """
     with _listener(names, quiet=quiet, lines=lines) as listen:
 
-        def attentive(event: Event) -> None:
+        def checked(event: Event) -> None:
             signals.raise_pending()
             listen(event)
 
-        yield attentive
+        yield checked
 
 
 @contextmanager
@@ -45,7 +45,7 @@ def _listener(names: Sequence[str], *, quiet: bool, lines: bool) -> Iterator[Lis
 
 
 def _silent(event: Event) -> None:
-    """Report nothing."""
+    """Ignore an event."""
 
 
 def _lines(names: Sequence[str], *, ends: bool) -> Listener:
@@ -56,29 +56,29 @@ def _lines(names: Sequence[str], *, ends: bool) -> Listener:
     def listen(event: Event) -> None:
         nonlocal ended
         if isinstance(event, Retried):
-            note(_again(names[event.index], event))
+            note(_retry_text(names[event.index], event))
         elif isinstance(event, Ended) and ends:
             ended += 1
-            note(f"mavnav: {ended} of {len(names)}: {names[event.index]} {_fate(event.outcome)}")
+            note(f"mavnav: {ended} of {len(names)}: {names[event.index]} {_ending(event.outcome)}")
 
     return listen
 
 
-def _again(name: str, event: Retried) -> str:
+def _retry_text(name: str, event: Retried) -> str:
     return f"mavnav: {name}: {event.error}; it is tried again at the end"
 
 
-def _fate(outcome: Outcome) -> str:
-    """Describe how a job ended."""
-    from mavnav.jobs import Fate
+def _ending(outcome: Outcome) -> str:
+    """Return the text of how a job ended."""
+    from mavnav.jobs import Status
 
-    return f"done in {outcome.seconds:.1f} s" if outcome.fate is Fate.DONE else f"failed: {outcome.error}"
+    return f"done in {outcome.seconds:.1f} s" if outcome.status is Status.DONE else f"failed: {outcome.error}"
 
 
 @contextmanager
 def _bars(names: Sequence[str]) -> Iterator[Listener]:
-    """Show a bar for the whole, one for everything that is being run, and a line that stays for one that failed."""
-    from mavnav.jobs import Ended, Fate, Progressed, Retried, Started
+    """Show a bar for all runs and one for each current run; print a line for each failure."""
+    from mavnav.jobs import Ended, Progressed, Retried, Started, Status
 
     with bars() as shown:
         failed = 0
@@ -95,13 +95,13 @@ def _bars(names: Sequence[str]) -> Iterator[Listener]:
                     shown.update(tasks[index], description=text, completed=done, total=total)  # type: ignore[arg-type]
                 case Retried(index):
                     shown.remove_task(tasks.pop(index))  # type: ignore[arg-type]
-                    note(_again(names[index], event))
+                    note(_retry_text(names[index], event))
                 case Ended(index, outcome):
                     shown.remove_task(tasks.pop(index))  # type: ignore[arg-type]
                     shown.advance(whole)
-                    if outcome.fate is not Fate.DONE:
+                    if outcome.status is not Status.DONE:
                         failed += 1
                         shown.update(whole, description=f"{len(names)} runs, {failed} failed")
-                        note(f"mavnav: {names[index]} {_fate(outcome)}")
+                        note(f"mavnav: {names[index]} {_ending(outcome)}")
 
         yield listen

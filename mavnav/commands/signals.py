@@ -1,10 +1,10 @@
-"""Ctrl-C and SIGTERM: they unwind the stack, so that unfinished files are removed, and are never lost.
+"""Handling of Ctrl-C and SIGTERM: an exception unwinds the stack, so that unfinished files are removed.
 
-Python drops an exception that a signal raises inside a finalizer, as happens while kernels compile. The signal is
-therefore remembered, and whoever works long asks for it. It is no KeyboardInterrupt either: one that passes an
-``exec`` anywhere, as in a library that makes its classes so, makes Python end by the signal and drop the exit code.
+Python drops an exception that a signal handler raises inside a finalizer, as happens while kernels compile. The signal
+is therefore stored, and long tasks check for it. The exception is no KeyboardInterrupt: if that passes through an
+``exec``, as in a library that generates classes, Python ends by the signal and drops the exit code.
 
-While scans are tracked there is something to keep: there the first signal lets the run end early and be written.
+While scans are tracked, the first signal only ends the run early, and the results so far are written.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Stopped(BaseException):
-    """A signal asks the process to end."""
+    """A signal requests the end of the process."""
 
     word: str
     exit_code: ExitCode
@@ -44,43 +44,43 @@ class Terminated(Stopped):
 
 _REASONS = {signal.SIGINT: Interrupted, signal.SIGTERM: Terminated}
 _ARRIVED: list[type[Stopped]] = []
-_FORGIVEN = [0]
-"""So many signals do not end the work by themselves: whoever works within ``keeping`` asks for them."""
+_DEFERRED = [0]
+"""Number of signals that raise no exception: code within ``deferring`` checks for them."""
 
 
 def listen() -> None:
-    """Take over SIGINT and SIGTERM."""
+    """Install the handlers of SIGINT and SIGTERM."""
     for number in _REASONS:
         signal.signal(number, _stop)
 
 
 @contextmanager
-def keeping() -> Iterator[Callable[[], ExitCode | None]]:
-    """Let the first signal only be asked for, so that what is done so far can be kept; the second ends the work.
+def deferring() -> Iterator[Callable[[], ExitCode | None]]:
+    """Defer the first signal, so that the results so far can be kept; the second one raises an exception.
 
-    Gives the function to ask: the exit code of the signal that arrived, None while there is none. Where it was never
-    asked again, the signal came when the work was done: the result is whole, and is what counts.
+    Yields a function that returns the exit code of the signal that arrived, None if there is none. If it is not called
+    after the signal, the work was already done: the result is complete, and the signal is ignored.
     """
-    heard: list[ExitCode] = []
+    received: list[ExitCode] = []
 
-    def ask() -> ExitCode | None:
+    def arrived() -> ExitCode | None:
         if _ARRIVED:
-            heard.append(_ARRIVED[-1].exit_code)
-        return heard[-1] if heard else None
+            received.append(_ARRIVED[-1].exit_code)
+        return received[-1] if received else None
 
-    _FORGIVEN[0] = 1
+    _DEFERRED[0] = 1
     try:
-        yield ask
-        if _ARRIVED and not heard:
-            _say("mavnav: the signal came after the work was done: the result is complete\n")
+        yield arrived
+        if _ARRIVED and not received:
+            _write_stderr("mavnav: the signal came after the work was done: the result is complete\n")
     finally:
-        _FORGIVEN[0] = 0
+        _DEFERRED[0] = 0
         _ARRIVED.clear()
 
 
 @contextmanager
 def at_once() -> Iterator[None]:
-    """End by a signal on the spot: for what cannot be unwound, as the compiler, and has nothing to put away."""
+    """Exit immediately on a signal: for code that cannot be unwound, such as the compiler, and needs no cleanup."""
     for number in _REASONS:
         signal.signal(number, _end)
     yield
@@ -88,7 +88,7 @@ def at_once() -> Iterator[None]:
 
 
 def ignore() -> None:
-    """Let no further signal disturb a process that is ending."""
+    """Ignore further signals, because the process is exiting."""
     for number in _REASONS:
         signal.signal(number, signal.SIG_IGN)
 
@@ -96,25 +96,25 @@ def ignore() -> None:
 def _stop(number: int, _frame: FrameType | None) -> None:
     reason = _REASONS[signal.Signals(number)]
     _ARRIVED.append(reason)
-    if len(_ARRIVED) > _FORGIVEN[0]:
+    if len(_ARRIVED) > _DEFERRED[0]:
         raise reason
-    _say(f"mavnav: {reason.word}: writing the results so far; interrupt again to discard them\n")
+    _write_stderr(f"mavnav: {reason.word}: writing the results so far; interrupt again to discard them\n")
 
 
-def _say(text: str) -> None:
-    """Write to stderr past its buffer, which may be in use; nothing happens where it is full or closed."""
+def _write_stderr(text: str) -> None:
+    """Write to stderr without its buffer, which may be in use; errors of a full or closed stream are ignored."""
     with suppress(OSError):
         os.write(2, text.encode())
 
 
 def _end(number: int, _frame: FrameType | None) -> NoReturn:
     reason = _REASONS[signal.Signals(number)]
-    show_cursor = "\x1b[?25h" if os.isatty(2) else ""  # a bar may have hidden it
-    _say(f"{show_cursor}mavnav: {reason.word}\n")
+    show_cursor = "\x1b[?25h" if os.isatty(2) else ""  # a progress bar may have hidden it
+    _write_stderr(f"{show_cursor}mavnav: {reason.word}\n")
     os._exit(reason.exit_code)
 
 
 def raise_pending() -> None:
-    """Raise the signal that arrived, if it is still to be obeyed."""
-    if len(_ARRIVED) > _FORGIVEN[0]:
+    """Raise the exception of a signal that arrived, unless it is deferred."""
+    if len(_ARRIVED) > _DEFERRED[0]:
         raise _ARRIVED[-1]

@@ -1,4 +1,4 @@
-"""The terminal: text that is safe to print, and a console for results or for talk."""
+"""Output to the terminal: escaped text, messages, results and tables."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 LISTED: Final = 10
-"""So many of a kind are listed one by one."""
+"""Maximum number of items of a list that are printed."""
 
 
 def printable(text: object) -> str:
-    """Return text that can steer neither a terminal nor, at the beginning of a line or within it, a CI runner.
+    """Escape text that could control a terminal, or that a CI runner could take for a workflow command.
 
-    Control, format and bidirectional characters are spelt out, and so is what begins a workflow command.
+    Control, format and bidirectional characters are replaced by escapes, and so is the beginning of a workflow command,
+    at the start of a line or within it.
     """
     shown = _visible(text)
     return re.sub(r"^( *):(?=:)", r"\1\\x3a", shown)
@@ -32,7 +33,7 @@ def _visible(text: object) -> str:
 
 
 def can_print(text: str, stream: TextIO) -> bool:
-    """Return whether a stream's encoding has all characters of a text."""
+    """Return whether a stream's encoding contains all characters of a text."""
     try:
         text.encode(stream.encoding or "ascii")
     except UnicodeEncodeError:
@@ -41,9 +42,9 @@ def can_print(text: str, stream: TextIO) -> bool:
 
 
 def console(*, stderr: bool = False) -> Console:
-    """Return a console for results (stdout) or talk (stderr); data is printed on it with markup off.
+    """Return a console for results (stdout) or messages (stderr), without markup.
 
-    Colours follow NO_COLOR, and end where the stream is no terminal.
+    Colors are off with NO_COLOR and if the stream is no terminal.
     """
     from rich.console import Console
 
@@ -51,7 +52,7 @@ def console(*, stderr: bool = False) -> Console:
 
 
 def note(text: str) -> None:
-    """Print one line on stderr; where that is full or closed, the exit code still says how the work ended."""
+    """Print one line on stderr; errors of a full or closed stream are ignored, and the exit code stays the same."""
     with suppress(OSError, ValueError):
         print(_visible(text), file=sys.stderr, flush=True)  # noqa: T201  only the command line prints
 
@@ -66,8 +67,8 @@ def print_traceback(error: BaseException) -> None:
         sys.stderr.write(public_line("".join(format_exception(error))))
 
 
-def note_oddities(document: dict[str, Any]) -> None:
-    """Print the ``warnings`` and the first of the ``damage`` of a document on stderr, a line each."""
+def note_problems(document: dict[str, Any]) -> None:
+    """Print the ``warnings`` and the first items of ``damage`` of a document on stderr, one line each."""
     for warning in document["warnings"]:
         note(f"mavnav: warning: {warning}")
     for damage in document["damage"][:LISTED]:
@@ -77,7 +78,7 @@ def note_oddities(document: dict[str, Any]) -> None:
 
 
 def emit(text: str) -> None:
-    """Write a result to stdout as it is."""
+    """Write a result to stdout without escaping."""
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 
@@ -88,14 +89,14 @@ def emit_json(document: dict[str, Any]) -> None:
 
 
 def json_text(document: dict[str, Any], *, indent: int | None = None) -> str:
-    """Return a document as JSON in which no text begins a workflow command of a CI runner."""
+    """Return a document as JSON, with the beginnings of workflow commands of a CI runner escaped."""
     from json import dumps
 
     return re.sub(r"##(?=\w*\[)", r"#\\u0023", dumps(document, indent=indent))
 
 
 def print_table(rows: list[tuple[str, str]]) -> None:
-    """Print names and values on stdout: on a terminal as a table, else in plain lines, for which nothing is loaded."""
+    """Print names and values on stdout: on a terminal as a table, else as plain lines, which need no imports."""
     if not sys.stdout.isatty():
         width = max((len(name) for name, _ in rows), default=0)
         emit("\n".join(f"{name:<{width}}  {printable(value)}" for name, value in rows))

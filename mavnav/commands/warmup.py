@@ -1,4 +1,4 @@
-"""``mavnav warmup``: compile the kernels now rather than at the first run."""
+"""``mavnav warmup``: compile the kernels in advance instead of at the first run."""
 
 from __future__ import annotations
 

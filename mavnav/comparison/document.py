@@ -1,4 +1,4 @@
-"""comparison.json: the runs, which is best by each metric, their relative cost, and which gates hold."""
+"""comparison.json: the runs, the best ones by each metric, their relative cost, and the results of the gates."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SCHEMA_VERSION: Final = 1
 
 
 def comparison_document(results: Sequence[CaseResult], directory: Path, gates: Sequence[Gate]) -> dict[str, Any]:
-    """Compare runs; their directories are given relative to ``directory``."""
+    """Return comparison.json of these results; the directories of the runs are relative to ``directory``."""
     runs = [result.document for result in results]
     planned = [result.case.run for result in results if result.case.run]
     costs = relative_costs([_group(run) for run in planned], runs)
@@ -47,7 +47,7 @@ def _group(run: PlannedRun) -> tuple[object, int]:
 
 
 def _logs(planned: Sequence[PlannedRun], runs: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]]:
-    """Return for every log its runs, and by metric which of them are the best."""
+    """Return the runs of every log, and the best of them by each metric."""
     groups: dict[Path, list[int]] = {}
     for k, run in enumerate(planned):
         groups.setdefault(run.request.log, []).append(k)
@@ -62,7 +62,7 @@ def _logs(planned: Sequence[PlannedRun], runs: Sequence[dict[str, Any] | None]) 
 
 
 def _winners(logs: Sequence[dict[str, Any]]) -> dict[str, int | None]:
-    """Return by metric the best run, of equal ones the coarser; None if several logs have one each."""
+    """Return the best run by each metric, of equal ones the coarser; all None if there are several logs."""
     found = {name: next(iter(places), None) for name, places in logs[0]["best"].items()}
     return found if len(logs) == 1 else dict.fromkeys(found)
 

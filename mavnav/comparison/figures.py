@@ -1,4 +1,4 @@
-"""Which runs of a comparison are best, and their relative cost."""
+"""The best runs of a comparison, and the relative cost of its runs."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ RELATIVE_COSTS: Final = {
     "cpu": "timing.cpu_s",
     "seconds": "timing.wall_s",
 }
-"""Relative cost -> the number of run.json that is divided by that of the coarsest grid."""
+"""Name of a relative cost -> the number of run.json that is divided by that of the run with the coarsest grid."""
 
 
 def best(runs: Sequence[Run | None]) -> dict[str, list[int]]:
-    """Return by every metric which runs are the best."""
+    """Return the indices of the best runs by each metric."""
     return {figure.name: winners(figure, runs) for figure in QUANTITIES}
 
 
@@ -30,15 +30,15 @@ def relative_costs(groups: Sequence[tuple[object, int]], runs: Sequence[Run | No
     Parameters
     ----------
     groups
-        For each run its group (log and method) and the samples of its search: the fewer, the coarser.
+        For each run its group (log and method) and the number of samples of its search; fewer samples are coarser.
     runs
-        Their documents.
+        run.json of each run, None if it failed.
 
     Returns
     -------
     dict
-        ``coarsest``: for each run the index of the coarsest of its group that has a result; and by the keys of
-        `RELATIVE_COSTS` the ratio to it. None where there is nothing to divide, or to divide by.
+        ``coarsest``: for each run the index of the coarsest run of its group that has a result. For each key of
+        `RELATIVE_COSTS`: the ratio of each run to that run, None if either number is missing or the divisor is 0.
     """
     coarsest: dict[object, int] = {}
     for k in sorted(range(len(runs)), key=lambda k: groups[k][1], reverse=True):

@@ -1,4 +1,4 @@
-"""The files of a comparison: comparison.json, and the same as tables for spreadsheets and for merge requests."""
+"""The files of a comparison: comparison.json, and tables in CSV and Markdown."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ def write_comparison(document: dict[str, Any], directory: Path) -> None:
             raise OutputError(f"{directory / name} cannot be written: {error.strerror or error}; make room") from error
 
 
-BY_HITS: Final = ("wall_thickness.2.p95_mm", "wall_thickness.2.max_mm")
-"""Further columns of the CSV file, for those who compare with earlier ones."""
+HIT_QUANTITIES: Final = ("wall_thickness.2.p95_mm", "wall_thickness.2.max_mm")
+"""Additional columns of the CSV file, for comparison with earlier files."""
 
 
 def comparison_csv(document: dict[str, Any]) -> str:
-    """Write one line per run: what it is, its metrics under their names in run.json, and its relative cost."""
+    """Return CSV with one line per run: its settings, its metrics under their names in run.json, its relative cost."""
     rows = io.StringIO()
     table = csv.writer(rows, lineterminator="\n")
     head = ("log", "method", "grid", "azimuth", "status", "exit_code", "error", "directory")
-    names = [*(figure.name for figure in QUANTITIES), *BY_HITS]
+    names = [*(figure.name for figure in QUANTITIES), *HIT_QUANTITIES]
     table.writerow([*head, *names, *(f"price.{name}" for name in RELATIVE_COSTS)])
     for k, cell in enumerate(document["cells"]):
         figures = [number(cell["run"], name) for name in names]
@@ -49,7 +49,7 @@ def comparison_csv(document: dict[str, Any]) -> str:
 
 
 def comparison_markdown(document: dict[str, Any]) -> str:
-    """Write a table in GitHub's Markdown, the best values bold, and below it what failed."""
+    """Return a table in GitHub's Markdown with the best values in bold, and a list of failures below it."""
     titles = ["log", "method", "azimuth/grid", *(f.head for f in QUANTITIES), "evaluations ratio", "cpu ratio"]
     lines = [f"# mavnav {document['mavnav_version']} compare", "", table_row(titles), table_row(["---"] * len(titles))]
     lines += [table_row(_cells(document, k)) for k in range(len(document["cells"]))]
@@ -67,12 +67,12 @@ def _cells(document: dict[str, Any], k: int) -> list[str]:
 
 
 def winning(document: dict[str, Any], metric: str) -> set[int]:
-    """Return the runs that are the best of their log by a metric."""
+    """Return the indices of the runs that are the best of their log by a metric."""
     return {k for log in document["logs"] for k in log["best"][metric]}
 
 
 def ratio(document: dict[str, Any], cost: str, k: int) -> str:
-    """Format the cost of a run relative to the coarsest one, or a dash if there is none."""
+    """Format the cost of a run relative to the coarsest one; a dash if it is unknown."""
     number = document["price"][cost][k]
     return "-" if number is None else f"{number:.1f}"
 

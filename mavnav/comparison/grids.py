@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
 
 PAPER_GRIDS: Final = ("5x5", "10x10", "20x20")
-"""What the paper compares in its Fig. 8, and what is compared where no grid is named."""
+"""The search grids of the paper's Fig. 8, compared by default."""
 
 
 def comparison_settings(
@@ -31,21 +31,22 @@ def comparison_settings(
     Parameters
     ----------
     file, sets, options
-        The configuration that all of them share: as in `load_config`.
+        The common configuration, as in `load_config`.
     methods
-        Names; none means the configuration's own.
+        Names of methods; if empty, the method of the configuration.
     grids
-        ``NxM``; none means the paper's three, and a single one is joined by the configuration's own (10x10).
+        Search grids ``NxM``; if empty, the three of the paper. A single grid is compared with that of the
+        configuration (10x10).
     azimuths
-        Yaw samples: none, one number for all the grids named, or one for each of them. If none are given, a grid takes
-        the configuration's own if that gives them, else `mavnav.config.models.paired_yaw_samples`.
+        Yaw samples: none, one number for all named grids, or one per grid. If empty, those of the configuration, else
+        `mavnav.config.models.paired_yaw_samples`.
 
     Raises
     ------
     ConfigError
-        A value that no configuration takes.
+        A value is not valid in a configuration.
     UsageError
-        Neither none, one, nor as many yaw samples as grids.
+        The number of yaw samples is neither 0, 1, nor the number of grids.
     """
     named: list[dict[str, object]] = [{"method": method} for method in methods] or [{}]
     return named_settings(

@@ -1,7 +1,7 @@
-"""The pipeline of ``mavnav compare``: a batch of logs x settings with documents and a page of its own.
+"""The pipeline of ``mavnav compare``: a batch of logs and settings with documents and a report of its own.
 
-A comparison lives in a directory: ``cells/`` holds a run directory for every run, and a finished run is not made again;
-``comparison.json``, ``comparison.csv``, ``comparison.md`` and ``report.html`` set them side by side.
+The directory of a comparison contains a run directory for every run in ``cells/``, so that finished runs are not
+repeated. ``comparison.json``, ``comparison.csv``, ``comparison.md`` and ``report.html`` compare the runs.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ def comparison_request(
 ) -> BatchRequest:
     """Return the batch of every log with every setting.
 
-    ``reading`` are values of an `Entry`: how a log is read, and its references. Raises UsageError for references of
-    several logs.
+    ``reading`` are values of an `Entry`: the options for reading a log, and its references. Raises UsageError for
+    reference files with several logs.
     """
     files = [reading.get(name) for name in REFERENCES]
     if len(logs) > 1 and any(file and recorded_topic(str(file)) is None for file in files):
@@ -76,15 +76,15 @@ def comparison_directory(logs: Sequence[Path]) -> Path:
 
 
 def check_comparison_directory(directory: Path) -> None:
-    """Make the directory of a comparison; raise OutputError where it cannot be, or holds other files."""
+    """Create the directory of a comparison; raise OutputError if that fails or if it contains other files."""
     check_cache_directory(directory, _OWN_FILES)
 
 
 def plan_comparison(request: BatchRequest, progress: Progress) -> BatchPlan:
-    """Find out what is to be run and what is finished.
+    """Return the plan of a comparison: its cases, and which of their runs are finished.
 
-    Raises UsageError for logs and files that cannot be read and for gates on unknown names, OutputError where the
-    directory cannot be used: before the work.
+    Raises, before any run: UsageError for logs and files that cannot be read and for gates on unknown names, and
+    OutputError if the directory cannot be used.
     """
     check_comparison_directory(request.directory)
     cases = make_cases(request, progress)
@@ -96,7 +96,7 @@ def plan_comparison(request: BatchRequest, progress: Progress) -> BatchPlan:
 
 
 def _distinct(cases: Iterable[Case]) -> list[Case]:
-    """Leave out copies of a log: they have the same keys."""
+    """Return the cases without duplicates; copies of a log have the same keys."""
     found: dict[str, Case] = {}
     for case in cases:
         if case.run:
@@ -104,8 +104,8 @@ def _distinct(cases: Iterable[Case]) -> list[Case]:
     return list(found.values())
 
 
-def is_drawn(plan: BatchPlan) -> bool:
-    """Return whether all runs are finished, and report.html in their directory shows exactly them in this order."""
+def is_report_current(plan: BatchPlan) -> bool:
+    """Return whether all runs are finished, and report.html shows exactly these runs in this order."""
     keys = [case.run.key for case in plan.cases if case.run]
     try:
         before = read_json(plan.request.directory / COMPARISON_FILE)
@@ -116,10 +116,10 @@ def is_drawn(plan: BatchPlan) -> bool:
 
 
 def run_comparison(plan: BatchPlan, on_event: Callable[[Event], None]) -> dict[str, Any]:
-    """Run what is missing, compare all runs, write the files but the page, and return comparison.json.
+    """Run the missing runs, write all files except report.html, and return comparison.json.
 
-    ``on_event`` is that of `run_cases`. A run that fails is named there and stops no other. Raises OutputError where
-    the comparison cannot be written.
+    ``on_event`` is that of `run_cases`. A run that fails is reported there and does not stop the others. Raises
+    OutputError if the comparison cannot be written.
     """
     results = run_cases(plan, on_event, lambda result: result)
     document: dict[str, Any] = plain(comparison_document(results, plan.request.directory, plan.request.rules.gates))

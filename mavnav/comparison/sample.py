@@ -1,6 +1,6 @@
-"""The log to compare where none is given: the sample corridor.
+"""The default log of a comparison: the sample corridor.
 
-Imported only where it is needed, because a mission needs kernels that a comparison does not.
+Imported only when needed, because a mission needs kernels that a comparison does not need.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 SCENARIO: Final = "corridor"
 SETS: Final = ("seed=1", "vehicle.laser_x_mm=60")
-"""How the sample log of a checkout was simulated."""
+"""Overrides of the scenario with which the sample log of a checkout was simulated."""
 
 SHIPPED: Final = Path(__file__).parents[2] / "sample_logs" / f"{SCENARIO}.mcap"
-"""Where a checkout has it; an installed package does not."""
+"""Path of the sample log in a checkout; an installed package does not contain it."""
 
 
 def sample_truth(directory: Path) -> Path:
-    """Write the scenario of the sample log to ``directory``: its walls are the true map."""
+    """Write the scenario of the sample log, whose walls are the true map, to ``directory``; return its path."""
     path = directory / "logs" / f"{SCENARIO}.yaml"
     try:
         with beside(path) as partial:
@@ -40,7 +40,7 @@ def sample_truth(directory: Path) -> Path:
 
 
 def sample_log(directory: Path, progress: Progress) -> Path:
-    """Return the sample log of a checkout; elsewhere simulate the same mission once and store it in ``directory``."""
+    """Return the sample log of a checkout; else simulate the same mission once and store it in ``directory``."""
     if SHIPPED.is_file():
         return SHIPPED
     path = directory / "logs" / f"{SCENARIO}-{__version__}.mcap"

@@ -1,4 +1,4 @@
-"""Layers of configuration values that remember where each was written."""
+"""Layers of configuration values with the origin of each value."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ Key = tuple[str, ...]
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """Values by dotted key, and for each where it was written (``file:line`` or the option)."""
+    """Values by dotted key, and the origin of each: ``file:line`` or the option."""
 
     values: dict[Key, object] = field(default_factory=dict)
     origins: dict[Key, str] = field(default_factory=dict)
 
     def over(self, below: Layer) -> Layer:
-        """Lay this layer over another one; a value hides what lay under and above its own key."""
+        """Merge this layer over another one; a value replaces those of its own key, and of its sub- and super-keys."""
         kept = {k: v for k, v in below.values.items() if not any(_related(k, mine) for mine in self.values)}
         origins = {k: o for k, o in below.origins.items() if not any(_inside(k, mine) for mine in self.values)}
         return Layer(kept | self.values, origins | self.origins)
 
     def within(self, section: str) -> Layer:
-        """Return the same layer as a section of a larger one."""
+        """Return the layer with all keys prefixed by a section."""
         return Layer(
             {(section, *key): value for key, value in self.values.items()},
             {(section, *key): origin for key, origin in self.origins.items()},
         )
 
     def tree(self) -> dict[str, Any]:
-        """Return nested dictionaries."""
+        """Return the values as nested dictionaries."""
         root: dict[str, Any] = {}
         for key, value in self.values.items():
             branch = root
@@ -45,5 +45,5 @@ def _related(a: Key, b: Key) -> bool:
 
 
 def _inside(key: Key, list_key: Key) -> bool:
-    """Return whether a key is one of an item of a list."""
+    """Return whether a key is below ``list_key``."""
     return len(key) > len(list_key) and key[: len(list_key)] == list_key

@@ -1,6 +1,6 @@
 """Configuration from files, presets, ``--set`` and options; every error names its line and the nearest known key.
 
-Later layers win: defaults, the method's preset in ``configs/``, the file, ``--set``, options of their own.
+Later layers take precedence: defaults, the method's preset in ``configs/``, the file, ``--set``, command line options.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 Model = TypeVar("Model")
 
 HELP = {"Config": "mavnav config show", "Scenario": "mavnav simulate --schema", "Manifest": "mavnav batch --schema"}
-"""Model -> the command that shows its keys."""
+"""Name of a model -> the command that shows its keys."""
 
 OPTIONS = {"planner.technique": "--planner"}
-"""Options that are not named like the last part of their key."""
+"""Key -> option, for options that are not named like the last part of their key."""
 
 
 _NUMBER, _SECTION = "should be a number", "should be a section of 'key: value' lines"
@@ -60,35 +60,35 @@ _PROBLEMS = {
 """Type of a rejected value -> what it should be."""
 
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
-"""Types of an unknown key, of a model and of a dataclass."""
+"""Types of the error for an unknown key, in a model and in a dataclass."""
 
 
 @cache
 def presets_folder() -> Path:
-    """Return ``configs/``: in the installed package, or beside it in a checkout."""
+    """Return the path of ``configs/``: in the installed package, or next to the package in a checkout."""
     package = Path(__file__).parents[1]
     installed = package / "configs"
     return installed if installed.is_dir() else package.parent / "configs"
 
 
 def presets() -> list[str]:
-    """Return the names of the presets: what has no walls in ``configs/``."""
-    return _shipped(scenarios=False)
+    """Return the names of the presets: the files without walls in ``configs/``."""
+    return _config_names(scenarios=False)
 
 
 def scenarios() -> list[str]:
-    """Return the names of the scenarios: what has walls in ``configs/``."""
-    return _shipped(scenarios=True)
+    """Return the names of the scenarios: the files with walls in ``configs/``."""
+    return _config_names(scenarios=True)
 
 
 @cache
-def _shipped(*, scenarios: bool) -> list[str]:
+def _config_names(*, scenarios: bool) -> list[str]:
     texts = {path.stem: path.read_text("utf-8") for path in presets_folder().glob("*.yaml")}
     return [name for name, text in sorted(texts.items()) if bool(re.search(r"(?m)^walls:", text)) == scenarios]
 
 
 def file_layer(file: str | Path | None) -> Layer:
-    """Read a file, or the preset of that name where no such file lies in the current folder."""
+    """Read a file, or, if no such file exists, the preset of that name."""
     if file is None:
         return Layer()
     path = Path(file)
@@ -116,30 +116,30 @@ def load_config(
     sets
         ``key=value`` with dotted keys, values read as YAML.
     overrides
-        Values of command line options by the name of the field; what is None was not given.
+        Values of command line options by the name of the field; None for an option that was not given.
     values
-        Values of a manifest for this run; above the file, below the rest.
+        Values of a manifest for this run, which override the file and are overridden by the rest.
 
     Raises
     ------
     ConfigError
-        One line: file and line, dotted key, what is wrong, the nearest known name.
+        A value is wrong. The message is one line: file and line, dotted key, problem, nearest known name.
     """
     top = overlaid((values or Layer()).over(file_layer(file)), sets, overrides or {})
     if top.values.items() <= {("method",): Config().method}.items():
-        return Config()  # as the preset of its method says
+        return Config()  # equals the preset of the default method
     return validated(Config, top.over(method_layer(top.values.get(("method",)))))
 
 
 def overlaid(layer: Layer, sets: Iterable[str], overrides: Mapping[str, object]) -> Layer:
-    """Lay ``--set`` and then the command line's own options over a layer."""
+    """Merge ``--set`` and then the command line options over a layer."""
     for above in (*map(_set_layer, sets), _option_layer(overrides)):
         layer = above.over(layer)
     return layer
 
 
 def method_layer(method: object) -> Layer:
-    """Return the preset of a method (None: of the default one), nothing where there is no such preset."""
+    """Return the preset of a method, None for the default method; an empty layer if there is no such preset."""
     name = method or Config().method
     return file_layer(presets_folder() / f"{name}.yaml") if name in presets() else Layer()
 
@@ -173,12 +173,12 @@ def _adapter(model: Any) -> TypeAdapter[Any]:  # noqa: ANN401  a class
 
 
 def schema_of(model: type) -> dict[str, Any]:
-    """Return the JSON Schema of what is read into a model."""
+    """Return the JSON Schema of the input of a model."""
     return _adapter(model).json_schema()
 
 
 def validated(model: type[Model], layer: Layer, name: str = "configuration") -> Model:
-    """Build a model of a layer's values; ``name`` is what errors without a line call it."""
+    """Build a model from the values of a layer; ``name`` is its name in errors without a line. Raises ConfigError."""
     from pydantic import ValidationError  # noqa: PLC0415  it takes 0.1 s to load
 
     try:
@@ -186,7 +186,7 @@ def validated(model: type[Model], layer: Layer, name: str = "configuration") -> 
     except ValidationError as error:
         details = sorted(error.errors(include_url=False), key=lambda d: d["type"] not in _UNKNOWN)
         more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-        raise ConfigError(_complaint(model, details[0], layer, name) + more) from error
+        raise ConfigError(_error_message(model, details[0], layer, name) + more) from error
     except ConfigError as error:
         grid = next((origin for key, origin in layer.origins.items() if key[-1] == "grid"), "grid")
         raise ConfigError(f"{grid}: {error}") from error
@@ -194,13 +194,13 @@ def validated(model: type[Model], layer: Layer, name: str = "configuration") -> 
 
 
 def origin(layer: Layer, key: Key, name: str = "configuration") -> str:
-    """Return where a key, or else what is around it, or in it, was written."""
+    """Return the origin of a key, or else of the section that contains it, or of a key below it; else ``name``."""
     around = (layer.origins[key[:n]] for n in range(len(key), 0, -1) if key[:n] in layer.origins)
     within = (where for inner, where in layer.origins.items() if inner[: len(key)] == key)
     return next(around, next(within, name))
 
 
-def _complaint(model: type, details: ErrorDetails, layer: Layer, name: str) -> str:
+def _error_message(model: type, details: ErrorDetails, layer: Layer, name: str) -> str:
     key = tuple(str(part) for part in details["loc"])
     where, dotted, known = origin(layer, key, name), ".".join(key), dict(fields(model))
     help_ = HELP[model.__name__]
@@ -211,24 +211,24 @@ def _complaint(model: type, details: ErrorDetails, layer: Layer, name: str) -> s
         return f"{where}: unknown key {dotted}; {advice}"
     if details["type"] == "missing":
         return f"{where}: {dotted} is missing; give the {hint}"
-    return f"{where}: {dotted} is {_short(details['input'])}, it {_problem(details)}; {hint}"
+    return f"{where}: {dotted} is {_truncated(details['input'])}, it {_problem(details)}; {hint}"
 
 
 def _problem(details: ErrorDetails) -> str:
-    """Return what a value should be, in plain terms."""
+    """Return the text of what a value should be."""
     template = _PROBLEMS.get(details["type"])
     if template is not None:
         return template.format_map(details.get("ctx", {}))
     return details["msg"].removeprefix("Input ").removeprefix("Value error, ")
 
 
-def _short(value: object) -> str:
+def _truncated(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _nearest(key: Key, keys: list[Key]) -> str:
-    """Propose the nearest known key, wherever in the configuration it stands; nothing where none is near."""
+    """Return a hint at the nearest known key anywhere in the configuration; empty if none is similar."""
     known = [".".join(path) for path in keys]
     by_last_name = {path[-1]: ".".join(path) for path in keys}
     proposal = [by_last_name[key[-1]]] if key[-1] in by_last_name else []
@@ -238,7 +238,7 @@ def _nearest(key: Key, keys: list[Key]) -> str:
 
 
 def fields(model: type = Config, above: Key = ()) -> list[tuple[Key, str]]:
-    """Return every key of a model with its description, in order; the items of a list share their list's key."""
+    """Return every key of a model with its description, in order; items of a list have the key of the list."""
     found: list[tuple[Key, str]] = []
     for name, annotation, description in _described(model):
         found.append(((*above, name), description))
@@ -247,7 +247,7 @@ def fields(model: type = Config, above: Key = ()) -> list[tuple[Key, str]]:
     return found
 
 
-def _described(model: Any) -> list[tuple[str, object, str]]:  # noqa: ANN401  a dataclass, or pydantic's model
+def _described(model: Any) -> list[tuple[str, object, str]]:  # noqa: ANN401  a dataclass or a pydantic model
     """Return the name, annotation and description of every field."""
     if is_dataclass(model):
         kinds = get_type_hints(model)
@@ -263,7 +263,7 @@ def _models(annotation: object) -> list[type]:
 
 
 def to_yaml(config: Config) -> str:
-    """Write a configuration as YAML, with a comment from every field's description; ``load_config`` reads it back."""
+    """Return a configuration as YAML with the description of every field as comment; ``load_config`` can read it."""
     descriptions = dict(fields())
     return "".join(_yaml_lines(config.document(), (), descriptions))
 

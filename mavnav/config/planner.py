@@ -1,4 +1,4 @@
-"""The planner's configuration: strict, in the paper's units, without any heavy import."""
+"""The planner's configuration: strict, in the paper's units, without slow imports."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ TechniqueName = Literal["wavefront", "field", "wall_following", "virtual_obstacl
 
 
 class PlannerConfig(Strict):
-    """What decides the commands besides map, pose and goal (paper, "Path Planning"); see docs/planner.md.
+    """Parameters of the planner (paper, "Path Planning"); see docs/planner.md.
 
-    Forces have no unit: 1 is the force that carries the vehicle at ``max_step_mm`` in the open.
+    Forces have no unit: at force 1 the vehicle moves by ``max_step_mm`` in free space.
     """
 
     technique: TechniqueName = Field("wavefront", description="method against local minima")

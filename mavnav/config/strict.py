@@ -1,4 +1,4 @@
-"""The base of the models that are read from files and need pydantic: scenarios, manifests, planner."""
+"""The base of the pydantic models that are read from files: scenarios, manifests, planner."""
 
 from __future__ import annotations
 
@@ -6,6 +6,6 @@ from pydantic import BaseModel, ConfigDict
 
 
 class Strict(BaseModel):
-    """A model that refuses what it does not know."""
+    """A frozen model that rejects unknown keys, NaN and infinity."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

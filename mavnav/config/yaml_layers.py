@@ -1,6 +1,6 @@
-"""The strict YAML that layers of configuration values are read from.
+"""Reader of strict YAML into layers of configuration values.
 
-YAML is read as version 1.2 does (``off`` is a word, ``1e-3`` a number), without aliases, tags or duplicate keys.
+Scalars have the types of YAML 1.2 (``off`` is a string, ``1e-3`` a number); aliases, tags, duplicate keys are errors.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ MAX_DEPTH = 20
 
 
 class _Yaml12(yaml.SafeLoader):
-    """The safe loader with the few scalar types of YAML 1.2's core schema."""
+    """The safe loader with the scalar types of YAML 1.2's core schema."""
 
-    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012  yaml's own way
+    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012  as in yaml
 
 
 for _tag, _pattern, _first in (
@@ -43,7 +43,8 @@ def read_yaml(path: Path) -> Layer:
     Raises
     ------
     ConfigError
-        Where it cannot be read, is no YAML mapping, has aliases, tags, duplicate keys, or is too large or too deep.
+        The file cannot be read, is no YAML mapping, has aliases, tags or duplicate keys, or is too large or too deeply
+        nested.
     """
     if path.exists() and not path.is_file():
         raise ConfigError(f"{path} is not a regular file; name a YAML file")
@@ -58,9 +59,9 @@ def read_yaml(path: Path) -> Layer:
 
 
 def layer_of(text: bytes | str, name: str) -> Layer:
-    """Read YAML text; ``name`` is what its errors call it."""
+    """Read YAML text; ``name`` is its name in errors."""
     try:
-        _refuse_tricks(text, name)
+        _refuse_aliases(text, name)
         root = yaml.compose(text, _Yaml12)
     except yaml.MarkedYAMLError as error:
         raise ConfigError(
@@ -74,8 +75,8 @@ def layer_of(text: bytes | str, name: str) -> Layer:
     return layer
 
 
-def _refuse_tricks(text: bytes | str, name: str) -> None:
-    """Refuse aliases and deep nesting before anything is built from them."""
+def _refuse_aliases(text: bytes | str, name: str) -> None:
+    """Raise ConfigError for aliases and deep nesting, before any object is built from the text."""
     depth = 0
     for event in yaml.parse(text, _Yaml12):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
@@ -86,12 +87,12 @@ def _refuse_tricks(text: bytes | str, name: str) -> None:
             raise ConfigError(f"{name}:{line}: nested deeper than {MAX_DEPTH} levels; name a configuration file")
 
 
-def _line(mark: Any) -> int:  # noqa: ANN401  yaml has two classes of marks
+def _line(mark: Any) -> int:  # noqa: ANN401  yaml has two types of marks
     return mark.line + 1 if mark else 1
 
 
 def _collect(node: yaml.Node, key: Key, name: str, layer: Layer) -> None:
-    """Walk a mapping and note its values and lines in ``layer``."""
+    """Add the values of a mapping and their lines to ``layer``, recursively."""
     where = f"{name}:{_line(node.start_mark)}"
     if not isinstance(node, yaml.MappingNode):
         raise ConfigError(f"{where}: {'.'.join(key) or 'the file'} is no mapping; write 'key: value' lines")
@@ -110,7 +111,7 @@ def _collect(node: yaml.Node, key: Key, name: str, layer: Layer) -> None:
 
 
 def _value(node: yaml.Node, key: Key, name: str, layer: Layer) -> object:
-    """Return a scalar, or a list of scalars, lists and mappings; note the lines of what is in it by its number."""
+    """Return a scalar, or a list of scalars, lists and mappings; add the lines of list items to ``layer`` by index."""
     if isinstance(node, yaml.SequenceNode):
         items = [((*key, str(number)), item) for number, item in enumerate(node.value)]
         layer.origins.update({item_key: f"{name}:{_line(item.start_mark)}" for item_key, item in items})
@@ -126,7 +127,7 @@ def _value(node: yaml.Node, key: Key, name: str, layer: Layer) -> object:
     loader = _Yaml12("")
     try:
         value: object = loader.construct_object(node)
-    except ValueError as error:  # a whole number of more digits than Python reads
+    except ValueError as error:  # an integer with more digits than Python converts
         where = f"{name}:{_line(node.start_mark)}: {'.'.join(key)}"
         raise ConfigError(f"{where} is a number of {len(node.value)} digits; write fewer") from error
     return value

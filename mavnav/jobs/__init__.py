@@ -1,25 +1,25 @@
-"""Functions run in processes of their own: one that crashes, hangs or eats the memory takes no other along.
+"""Process pool: jobs run in worker processes, so that a crash, a hang or a lack of memory affects one job alone.
 
-A job is a function by name with its arguments; a worker process runs one after another. A worker that ends in
-mid-job, whatever ended it, costs that job alone: another worker takes its place. Workers are forked on Linux, spawned
-elsewhere, and follow their parent when it dies. What they print goes nowhere.
+A job is a module-level function with its arguments; a worker process runs one job after another. If a worker dies
+during a job, only this job is lost, and a new worker replaces it. Workers are forked on Linux and spawned elsewhere,
+and end when their parent dies. Their output to stdout and stderr is discarded.
 """
 
 from mavnav.jobs.pool import run_jobs, usable_cores
-from mavnav.jobs.records import Ended, Event, Fate, Job, Outcome, Progressed, Report, Retried, Started
+from mavnav.jobs.records import Ended, Event, Job, Outcome, Progressed, Report, Retried, Started, Status
 from mavnav.jobs.retry import run_with_retries
 from mavnav.jobs.worker import attempt, failed
 
 __all__ = [
     "Ended",
     "Event",
-    "Fate",
     "Job",
     "Outcome",
     "Progressed",
     "Report",
     "Retried",
     "Started",
+    "Status",
     "attempt",
     "failed",
     "run_jobs",

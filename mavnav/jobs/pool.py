@@ -1,4 +1,4 @@
-"""The process pool: worker processes, which job each runs, and what it died of."""
+"""The process pool: worker processes, the job of each, and the cause of its death."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from time import monotonic
 from typing import TYPE_CHECKING
 
 from mavnav.errors import ExitCode
-from mavnav.jobs.records import Ended, Event, Fate, Job, Outcome, Started
+from mavnav.jobs.records import Ended, Event, Job, Outcome, Started, Status
 from mavnav.jobs.worker import serve
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
 CONTEXT = get_context("fork") if sys.platform == "linux" else get_context("spawn")
-"""A forked worker shares what its parent has loaded, where a spawned one takes a second of processor time to load it.
+"""Start method of workers. A forked worker shares its parent's modules; a spawned one takes 1 s of CPU to load them.
 
-On other systems libraries keep threads that do not survive a fork.
+On other systems, libraries have threads that do not survive a fork.
 """
 
-LISTEN_S = 0.2
-"""How long to listen at most before the clock is looked at."""
+POLL_S = 0.2
+"""Maximum time to wait for events before the time limits of jobs are checked, in s."""
 
 GRACE_S = 3.0
-"""A worker that is terminated has so long to remove its unfinished files, then it is killed."""
+"""Time for a terminated worker to remove its unfinished files before it is killed, in s."""
 
 
 def usable_cores() -> int:
-    """Return how many processors this process may use."""
+    """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
@@ -50,23 +50,23 @@ def run_jobs(
     Parameters
     ----------
     jobs
-        What to run.
+        The jobs to run.
     workers
-        How many at the same time, 1 or more.
+        Number of jobs at the same time, 1 or more.
     on_event
-        Called in this process as jobs start, progress and end. What it raises ends all workers and is passed on, as is
-        any signal's exception.
+        Called in this process when jobs start, progress and end. An exception of it, or of a signal handler, ends all
+        workers and propagates.
     timeout_s
-        A job that takes longer is killed, if given.
+        Time limit of a job, which is killed if it takes longer; None for no limit.
     memory_mb
-        Data that a worker may hold, if given (Linux): beyond it an allocation fails, and with it that job.
+        Limit on the data of a worker (Linux); None for no limit. An allocation over it fails, and with it the job.
     """
     waiting = deque(enumerate(jobs))
     outcomes: dict[int, Outcome] = {}
     pool: list[_Worker] = []
     try:
         while len(outcomes) < len(jobs):
-            for event in chain(_hand_out(waiting, pool, workers, memory_mb), _listen(pool, timeout_s)):
+            for event in chain(_assign_jobs(waiting, pool, workers, memory_mb), _receive_events(pool, timeout_s)):
                 if isinstance(event, Ended):
                     outcomes[event.index] = event.outcome
                 on_event(event)
@@ -75,10 +75,10 @@ def run_jobs(
     return [outcomes[index] for index in range(len(jobs))]
 
 
-def _hand_out(
+def _assign_jobs(
     waiting: deque[tuple[int, Job]], pool: list[_Worker], workers: int, memory_mb: int | None
 ) -> Iterator[Event]:
-    """Give a job to everyone who has none; new workers take the places of those that died."""
+    """Assign a job to each idle worker; start new workers up to their number, also in place of dead ones."""
     pool[:] = [worker for worker in pool if worker.process.is_alive() or worker.index is not None]
     while waiting:
         idle = next((worker for worker in pool if worker.index is None), None)
@@ -88,23 +88,23 @@ def _hand_out(
             idle = _Worker(memory_mb)
             pool.append(idle)
         index, job = waiting.popleft()
-        idle.give(index, job)
+        idle.assign(index, job)
         yield Started(index, idle.pid)
 
 
-def _listen(pool: list[_Worker], timeout_s: float | None) -> Iterator[Event]:
-    """Receive the events of workers, and stop jobs whose time is over."""
+def _receive_events(pool: list[_Worker], timeout_s: float | None) -> Iterator[Event]:
+    """Yield the events of workers, and stop jobs that exceed their time limit."""
     busy = {worker.channel: worker for worker in pool if worker.index is not None}
-    ready = connection.wait(list(busy), LISTEN_S if timeout_s is None else min(LISTEN_S, timeout_s))
+    ready = connection.wait(list(busy), POLL_S if timeout_s is None else min(POLL_S, timeout_s))
     for channel, worker in busy.items():
         if channel in ready:
             yield worker.receive()
         elif timeout_s is not None and worker.seconds > timeout_s:
-            yield worker.give_up(timeout_s)
+            yield worker.stop_late(timeout_s)
 
 
 def _end_all(pool: list[_Worker]) -> None:
-    """Terminate all workers at once, and kill those that remain."""
+    """Terminate all workers, and kill those that do not end in time."""
     for worker in pool:
         worker.process.terminate()
     deadline_s = monotonic() + GRACE_S
@@ -114,15 +114,15 @@ def _end_all(pool: list[_Worker]) -> None:
 
 
 class _Worker:
-    """A process, the channel to it, and the job that it runs."""
+    """A process, the channel to it, and the index of its job, None if it is idle."""
 
     def __init__(self, memory_mb: int | None) -> None:
         self.memory_mb = memory_mb
         self.channel, theirs = CONTEXT.Pipe()
         self.process = CONTEXT.Process(target=serve, args=(theirs, memory_mb), daemon=True)
-        with _children_without_sigint():
+        with _block_sigint():
             self.process.start()
-        theirs.close()  # or the end of the worker would not be noticed
+        theirs.close()  # otherwise the channel would not report the end of the worker
         self.pid = self.process.pid or 0
         self.index: int | None = None
         self.began_s = 0.0
@@ -131,43 +131,43 @@ class _Worker:
     def seconds(self) -> float:
         return monotonic() - self.began_s
 
-    def give(self, index: int, job: Job) -> None:
+    def assign(self, index: int, job: Job) -> None:
         self.index, self.began_s = index, monotonic()
-        with suppress(OSError):  # it has just died, which `receive` finds out
+        with suppress(OSError):  # the worker has just died, which `receive` reports
             self.channel.send((index, pickle.dumps(job)))
 
     def receive(self) -> Event:
-        """Receive one event; the end of the process is one."""
+        """Return the next event of the worker; the death of its process gives one too."""
         try:
             event: Event = self.channel.recv()
         except (EOFError, OSError):
-            return self._ended(Fate.DIED, self._cause())
+            return self._ended(Status.DIED, self._cause())
         if isinstance(event, Ended):
             self.index = None
         return event
 
-    def give_up(self, timeout_s: float) -> Event:
-        """Stop a job that takes too long."""
+    def stop_late(self, timeout_s: float) -> Event:
+        """Terminate the process of a job that exceeds its time limit."""
         self.process.terminate()
         self.process.join(GRACE_S)
-        return self._ended(Fate.TIMEOUT, f"took longer than {timeout_s:g} s")
+        return self._ended(Status.TIMEOUT, f"took longer than {timeout_s:g} s")
 
     def end(self) -> None:
-        """Make sure that the process is gone."""
+        """Kill the process and close its channel."""
         self.process.kill()
         self.process.join()
         self.channel.close()
 
-    def _ended(self, fate: Fate, error: str) -> Ended:
+    def _ended(self, status: Status, error: str) -> Ended:
         index, self.index = self.index, None
         self.end()
-        return Ended(index or 0, Outcome(fate, self.pid, self.seconds, error=error, exit_code=ExitCode.BUG))
+        return Ended(index or 0, Outcome(status, self.pid, self.seconds, error=error, exit_code=ExitCode.BUG))
 
     def _cause(self) -> str:
-        """Return what ended the process."""
+        """Return the cause of the end of the process as text."""
         self.process.join(GRACE_S)
         code = self.process.exitcode
-        limited = self.memory_mb is not None  # native code that gets no memory aborts
+        limited = self.memory_mb is not None  # native code aborts if an allocation fails
         memory = "; the memory may have run out" if limited or code == -signal.SIGKILL else ""
         if code is None or code >= 0:
             return f"its process exited with code {code}{memory}"
@@ -175,8 +175,8 @@ class _Worker:
 
 
 @contextmanager
-def _children_without_sigint() -> Iterator[None]:
-    """Keep Ctrl-C, which a terminal sends to all, from processes started within: their parent ends them."""
+def _block_sigint() -> Iterator[None]:
+    """Block SIGINT in processes started in this context: a terminal sends Ctrl-C to all, but their parent ends them."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

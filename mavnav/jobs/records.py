@@ -1,4 +1,4 @@
-"""Jobs, their events, and how they end."""
+"""Jobs, their events and their outcomes."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import Any
 from mavnav.errors import ExitCode
 
 Report = Callable[[str, int, int | None], None]
-"""What is being done, how much of it is done, how much there is or None."""
+"""Progress callback: the current phase, the amount done, and the total amount, None if unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A call to make in another process: ``work(*args, report)``.
+    """A function call to run in another process: ``work(*args, report)``.
 
-    ``work`` is a function of a module and returns what can be pickled; ``report`` takes what is being done, how much of
-    it is done, and how much there is or None. ``name`` is its display name.
+    ``work`` is a module-level function whose result can be pickled; ``report`` is a `Report`. ``name`` is the display
+    name.
     """
 
     name: str
@@ -26,8 +26,8 @@ class Job:
     args: tuple[Any, ...] = ()
 
 
-class Fate(StrEnum):
-    """How a job ended: with a result, by an exception, with its process, or by the clock."""
+class Status(StrEnum):
+    """How a job ended: with a result, an exception, the death of its process, or its time limit."""
 
     DONE = "done"
     FAILED = "failed"
@@ -37,13 +37,13 @@ class Fate(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a job ended.
+    """Outcome of a job.
 
-    ``value`` is what it returned. ``error`` is one line on why it has none; ``exit_code`` is that of its exception,
-    and that of a bug where the process itself ended. ``pid`` is the process that ran it.
+    ``value`` is its result. If there is none, ``error`` is the reason in one line, and ``exit_code`` is that of the
+    exception, or that of a bug if the process died. ``pid`` is the process that ran the job.
     """
 
-    fate: Fate
+    status: Status
     pid: int
     seconds: float
     value: Any = None
@@ -53,7 +53,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """Job ``index`` begins in process ``pid``."""
+    """Job ``index`` started in process ``pid``."""
 
     index: int
     pid: int
@@ -61,7 +61,7 @@ class Started:
 
 @dataclass(frozen=True, slots=True)
 class Progressed:
-    """Job ``index`` reports: what is being done, how much of it, of how much."""
+    """Job ``index`` reported its progress; see `Report`."""
 
     index: int
     phase: str
@@ -71,7 +71,7 @@ class Progressed:
 
 @dataclass(frozen=True, slots=True)
 class Retried:
-    """The process of job ``index`` died of ``error``; the job is run again later."""
+    """The process of job ``index`` died with ``error``; the job will be run again."""
 
     index: int
     error: str

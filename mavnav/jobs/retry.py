@@ -1,11 +1,11 @@
-"""Retries of jobs whose process died; a job that ended with an error of its own is not run again."""
+"""Retries of jobs whose process died; a job that raised an exception is not run again."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mavnav.jobs.records import Ended, Event, Fate, Job, Outcome, Retried
+from mavnav.jobs.records import Ended, Event, Job, Outcome, Retried, Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -15,25 +15,25 @@ if TYPE_CHECKING:
 
 
 def run_with_retries(jobs: Sequence[Job], run: Run, on_event: Listener, tries: int) -> None:
-    """Run jobs, and those whose process died again when all others are through, ``tries`` times in all.
+    """Run jobs; run those whose process died again after all others, up to ``tries`` times in all.
 
-    ``run`` runs some jobs, as `run_jobs` does. ``on_event`` gets the end of every job once, by its index in ``jobs``;
-    a death before the last try it gets as `Retried`.
+    ``run`` runs some jobs, as `run_jobs` does. ``on_event`` gets an `Ended` for every job once, with its index in
+    ``jobs``; a death before the last try is reported as `Retried`.
     """
     left = list(range(len(jobs)))
     for number in range(1, tries + 1):
         outcomes = run([jobs[k] for k in left], _renumbered(left, on_event, number, tries))
-        left = [k for k, outcome in zip(left, outcomes, strict=True) if outcome.fate is Fate.DIED]
+        left = [k for k, outcome in zip(left, outcomes, strict=True) if outcome.status is Status.DIED]
         if not left:
             return
 
 
 def _renumbered(numbers: Sequence[int], on_event: Listener, number: int, tries: int) -> Listener:
-    """Pass on the events of one round under the numbers that its jobs have among all."""
+    """Return a listener that replaces the index of a job in this round by its index among all jobs."""
 
     def listen(event: Event) -> None:
         event = replace(event, index=numbers[event.index])
-        if isinstance(event, Ended) and event.outcome.fate is Fate.DIED:
+        if isinstance(event, Ended) and event.outcome.status is Status.DIED:
             event = _retried(event, number, tries)
         on_event(event)
 

@@ -1,4 +1,4 @@
-"""The cache of finished runs: each is known by all that decides its result, so that none is made twice."""
+"""The cache of finished runs: the key of a run is a hash of all inputs of its result."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ SECTIONS: Final = (
     "timing",
     "exit_code",
 )
-"""What the document of a comparison or a batch repeats of every run.json."""
+"""Sections of run.json that the document of a comparison or a batch repeats for every run."""
 
 REFERENCES = ("truth", "truth_map", "relations")
-"""Of a request: the files to compare the outcome with."""
+"""Fields of a request that name reference files to compare the result with."""
 
-_NOT_OPTIONS = {
+_NOT_IN_KEY = {
     "log",
     "log_sha256",
     "address",
@@ -54,12 +54,14 @@ _NOT_OPTIONS = {
     "typed",
     *REFERENCES,
 }
-"""Of a request: where things are, what does not change a result, and what enters the key by itself."""
+"""Fields of a request that are not among the options of the key: paths, fields without effect on the result, and inputs
+that enter the key separately.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedRun:
-    """A replay to make or to find, and its key: SHA-256 of all that decides its result."""
+    """A replay to run or to read from the cache, and its key: the SHA-256 of all inputs of its result."""
 
     request: ReplayRequest
     key: str
@@ -76,7 +78,7 @@ class PlannedRun:
 
     @property
     def name(self) -> str:
-        """Its display name: ``drive.mcap robust 40/20x20``, yaw samples before the grid as the paper writes."""
+        """Its display name: ``drive.mcap robust 40/20x20``, yaw samples before the grid as in the paper."""
         return f"{self.request.log.name} {self.config.method} {self.config.azimuth}/{self.config.grid}"
 
 
@@ -91,18 +93,18 @@ def make_run(request: ReplayRequest, log_sha256: str, references: str) -> Planne
     return PlannedRun(replace(request, directory=request.directory / "cells" / name, log_sha256=log_sha256), key)
 
 
-def check_cache_directory(directory: Path, ours: Sequence[str]) -> None:
-    """Make the directory of a comparison or a batch; it may hold an earlier one, known by its files.
+def check_cache_directory(directory: Path, own_files: Sequence[str]) -> None:
+    """Create the directory of a comparison or a batch; it may contain an earlier one, recognized by its files.
 
-    Raises OutputError where it cannot be used, or holds none of ``ours`` but something else.
+    Raises OutputError if it cannot be used, or if it contains files, but none of ``own_files``.
     """
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        strange = bool(names := {path.name for path in directory.iterdir()}) and not names & set(ours)
+        foreign = bool(names := {path.name for path in directory.iterdir()}) and not names & set(own_files)
     except OSError as error:
         raise OutputError(f"{directory} cannot be used: {error.strerror}; choose another with -o") from error
-    if strange:
-        raise OutputError(f"{directory} holds other files (no {ours[-1]}); choose another directory with -o")
+    if foreign:
+        raise OutputError(f"{directory} holds other files (no {own_files[-1]}); choose another directory with -o")
     if not os.access(directory, os.W_OK | os.X_OK):
         raise OutputError(f"{directory} is not writable; choose another with -o")
 
@@ -110,14 +112,13 @@ def check_cache_directory(directory: Path, ours: Sequence[str]) -> None:
 def run_key(request: ReplayRequest, log_sha256: str, references: str) -> str:
     """Return the SHA-256 over the log's content, the effective configuration, options, references, and mavnav itself.
 
-    Of mavnav the version and the source enter: between releases the version
-    alone would pass off the results of earlier code.
+    Both the version of mavnav and the hash of its source are included, because the source changes between releases.
     """
     document = {
         "mavnav": [__version__, source_sha256()],
         "log": log_sha256,
         "config": request.config.document(),
-        "options": {f.name: _plain(getattr(request, f.name)) for f in fields(request) if f.name not in _NOT_OPTIONS},
+        "options": {f.name: _plain(getattr(request, f.name)) for f in fields(request) if f.name not in _NOT_IN_KEY},
         "references": references,
     }
     return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
@@ -128,7 +129,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401  any option of a request
 
 
 def references_sha256(references: References) -> str:
-    """Return the SHA-256 over what was read of the references, whatever files it stood in."""
+    """Return the SHA-256 over the content of the references, independent of their files."""
     digest = hashlib.sha256()
     for name, known in ((f.name, getattr(references, f.name)) for f in fields(references)):
         for part in fields(known) if known is not None else ():
@@ -148,7 +149,7 @@ def source_sha256() -> str:
 
 
 def finished_document(run: PlannedRun) -> dict[str, Any] | None:
-    """Return run.json of a finished run; None where there is none, or none that can be read."""
+    """Return run.json of a finished run; None if it is missing or cannot be read."""
     try:
         document: dict[str, Any] = read_json(run.directory / RUN_FILE)
         ExitCode(document["exit_code"])
@@ -160,10 +161,10 @@ def finished_document(run: PlannedRun) -> dict[str, Any] | None:
 def run_row(
     planned: PlannedRun, outcome: Outcome | None, run: Mapping[str, Any] | None, directory: Path
 ) -> dict[str, Any]:
-    """Describe a run: what it is, how it ended, and the sections of its run.json.
+    """Return the row of a run: its settings, its status, and the sections of its run.json.
 
-    ``outcome`` is None for a run that was finished before, ``run`` for one that failed; its directory is given relative
-    to ``directory``.
+    ``outcome`` is None for a run read from the cache, ``run`` for one that failed. Its directory is relative to
+    ``directory``.
     """
     status = "cached" if outcome is None else "failed" if run is None else "done"
     return {

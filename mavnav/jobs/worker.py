@@ -1,4 +1,4 @@
-"""The worker's side: it takes jobs from a channel, runs them, and answers through that channel alone."""
+"""The worker process: receives jobs from a channel, runs them, and sends progress and outcomes to the channel."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from mavnav.errors import ExitCode, MavnavError
-from mavnav.jobs.records import Ended, Fate, Job, Outcome, Progressed, Report
+from mavnav.jobs.records import Ended, Job, Outcome, Progressed, Report, Status
 
 if TYPE_CHECKING:
     from multiprocessing import connection
 
 REPORT_PERIOD_S = 0.2
-"""A worker reports its progress so often at most."""
+"""Minimum time between two progress reports of one phase, in s."""
 
 
 def serve(channel: connection.Connection[Any, Any], memory_mb: int | None) -> None:
-    """Be a worker: take jobs until the channel closes."""
+    """Run jobs from the channel until it closes."""
     _prepare(memory_mb)
     while True:
         try:
@@ -33,21 +33,21 @@ def serve(channel: connection.Connection[Any, Any], memory_mb: int | None) -> No
 
 
 def _prepare(memory_mb: int | None) -> None:
-    """Print nothing, end when terminated or when the parent is gone, and limit the memory."""
-    signal.signal(signal.SIGTERM, _leave)
+    """Discard output, exit on SIGTERM or when the parent dies, and limit the memory."""
+    signal.signal(signal.SIGTERM, _exit)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(nowhere, stream)
-    sys.stdout = sys.stderr = open(nowhere, "w", closefd=False)  # noqa: SIM115  a forked one has its parent's
+    sys.stdout = sys.stderr = open(nowhere, "w", closefd=False)  # noqa: SIM115  a fork has the parent's streams
     Thread(target=_follow_parent, daemon=True).start()
     if memory_mb is not None:
-        import resource  # noqa: PLC0415  not everywhere
+        import resource  # noqa: PLC0415  not on all systems
 
         resource.setrlimit(resource.RLIMIT_DATA, (memory_mb * 2**20, memory_mb * 2**20))
 
 
-def _leave(_number: int, _frame: object) -> NoReturn:
-    raise SystemExit(ExitCode.TERMINATED)  # unwinds, so that unfinished files are removed
+def _exit(_number: int, _frame: object) -> NoReturn:
+    raise SystemExit(ExitCode.TERMINATED)  # unwinds the stack, which removes unfinished files
 
 
 def _follow_parent() -> None:
@@ -58,10 +58,10 @@ def _follow_parent() -> None:
 
 
 def _attempt(index: int, packed: bytes, channel: connection.Connection[Any, Any]) -> Outcome:
-    """Unpack one job and run it."""
+    """Unpickle one job and run it."""
     began_s = monotonic()
     try:
-        job: Job = pickle.loads(packed)  # noqa: S301  our own parent packed it
+        job: Job = pickle.loads(packed)  # noqa: S301  the parent process pickled it
     except Exception as error:
         return failed(error, began_s)
     return attempt(job, _reporter(index, channel))
@@ -74,13 +74,13 @@ def attempt(job: Job, report: Report) -> Outcome:
         value = job.work(*job.args, report)
     except Exception as error:
         return failed(error, began_s)
-    return Outcome(Fate.DONE, os.getpid(), monotonic() - began_s, value)
+    return Outcome(Status.DONE, os.getpid(), monotonic() - began_s, value)
 
 
 def failed(error: Exception, began_s: float) -> Outcome:
-    """Return the outcome of a job that raised, and began at that time of the monotonic clock."""
+    """Return the outcome of a job that raised ``error`` and began at ``began_s`` of the monotonic clock."""
     code = error.exit_code if isinstance(error, MavnavError) else ExitCode.BUG
-    return Outcome(Fate.FAILED, os.getpid(), monotonic() - began_s, None, _described(error), code)
+    return Outcome(Status.FAILED, os.getpid(), monotonic() - began_s, None, _described(error), code)
 
 
 def _described(error: Exception) -> str:
@@ -93,7 +93,7 @@ def _described(error: Exception) -> str:
 
 
 def _reporter(index: int, channel: connection.Connection[Any, Any]) -> Report:
-    """Make the function by which a job reports its progress; it lets through a report now and then."""
+    """Return the progress callback of a job; it drops reports within ``REPORT_PERIOD_S`` of the last one of a phase."""
     sent_s, sent_phase = 0.0, ""
 
     def report(phase: str, done: int, total: int | None) -> None:

@@ -18,7 +18,7 @@ from mavnav.errors import ConfigError, ExitCode, OutputError, UsageError
 from mavnav.jobs import Ended, Event, Started
 from mavnav.metrics.gates import check_names, names
 from mavnav.outputs.schema import number_names
-from support.small_batch import ASKED, NAME, batch
+from support.small_batch import NAME, OPTIONS, batch
 
 
 def rows(document: dict) -> dict[str, dict]:
@@ -67,7 +67,7 @@ def test_a_page_that_is_asked_for_later_is_drawn(home: Path) -> None:
 def test_a_run_that_was_spoilt_is_made_again(home: Path, broken: str) -> None:
     path = next(Path("runs/batch/cells").glob("good-*/run.json"))
     path.write_text(broken)
-    planned = plan_batch(request_of(Options(**ASKED)), lambda *args: None)
+    planned = plan_batch(request_of(Options(**OPTIONS)), lambda *args: None)
     assert f"logs/good.mcap robust {NAME}" in [case.name for case in planned.missing]
 
 

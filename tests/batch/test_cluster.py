@@ -15,13 +15,13 @@ from mavnav.batch.options import Options, request_of
 from mavnav.batch.plan import plan_batch
 from mavnav.batch.run import run_batch
 from mavnav.errors import ExitCode, UsageError
-from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started
+from mavnav.jobs import Ended, Event, Job, Outcome, Progressed, Started, Status
 from mavnav.jobs.dask import LOCAL, Cluster, connected
 from mavnav.jobs.dask import client as cluster_client
-from mavnav.jobs.dask.client import _why_not
+from mavnav.jobs.dask.client import _incompatibility
 from mavnav.jobs.dask.worker import in_cluster
 from support import strange_jobs
-from support.small_batch import ASKED
+from support.small_batch import OPTIONS
 
 distributed = pytest.importorskip("distributed", reason="the extra mavnav[cluster]")
 
@@ -67,7 +67,7 @@ def test_outcomes_come_in_order_and_events_as_they_happen(cluster: Cluster, tmp_
     jobs = [Job("square", strange_jobs.square, (7,)), Job("refuse", strange_jobs.refuse)]
     jobs += [Job("blunder", strange_jobs.blunder), Job("where", strange_jobs.where)]
     outcomes = outcomes_of(cluster, jobs, events.append)
-    assert [outcome.fate for outcome in outcomes] == [Fate.DONE, Fate.FAILED, Fate.FAILED, Fate.DONE]
+    assert [outcome.status for outcome in outcomes] == [Status.DONE, Status.FAILED, Status.FAILED, Status.DONE]
     assert outcomes[0].value == 49
     assert (outcomes[1].exit_code, outcomes[1].error) == (
         ExitCode.NO_SCANS,
@@ -99,7 +99,7 @@ def test_a_lost_worker_costs_nothing_and_what_kills_workers_is_named(processes: 
     jobs = [Job(f"good {x}", strange_jobs.square, (x,)) for x in range(3)]
     jobs[1:1] = [Job("bad", strange_jobs.kill_itself), Job("unlucky", strange_jobs.kill_the_first, (tmp_path / "x",))]
     outcomes = outcomes_of(processes, jobs)
-    assert [outcome.fate for outcome in outcomes] == [Fate.DONE, Fate.DIED, Fate.DONE, Fate.DONE, Fate.DONE]
+    assert [outcome.status for outcome in outcomes] == [Status.DONE, Status.DIED, Status.DONE, Status.DONE, Status.DONE]
     assert re.fullmatch(
         rf"{TRIES} workers died of it, the last tcp://127.0.0.1:\d+; given up after 2 tries", outcomes[1].error
     )
@@ -110,7 +110,7 @@ def test_a_lost_worker_costs_nothing_and_what_kills_workers_is_named(processes: 
 def test_a_job_that_takes_too_long(cluster: Cluster) -> None:
     events: list[Event] = []
     outcome = outcomes_of(cluster, [Job("slow", strange_jobs.report_for_ever)], events.append, timeout_s=0.6)[0]
-    assert (outcome.fate, outcome.error) == (Fate.TIMEOUT, "took longer than 0.6 s")
+    assert (outcome.status, outcome.error) == (Status.TIMEOUT, "took longer than 0.6 s")
     assert any(isinstance(event, Progressed) and event.phase == "waiting" for event in events)
 
 
@@ -124,7 +124,7 @@ def files(directory: Path) -> dict[str, str]:
 
 
 def test_a_batch_has_the_same_bytes_as_one_made_here(cluster: Cluster, home: Path) -> None:
-    planned = plan_batch(request_of(Options(**ASKED, directory=Path("runs/there"))), lambda *args: None)
+    planned = plan_batch(request_of(Options(**OPTIONS, directory=Path("runs/there"))), lambda *args: None)
     document = run_batch(planned, ignore, lambda row: None, cluster)
     assert [row["exit_code"] for row in document["cells"]] == [3, 4, 0, 2]
     assert len(files(Path("runs/there"))) >= 10
@@ -152,7 +152,7 @@ def test_what_the_listener_raises_ends_it(cluster: Cluster) -> None:
     ],
 )
 def test_workers_that_will_not_do(version, seen, said: str) -> None:
-    assert _why_not(version, seen, ("1.0", "a")) == said
+    assert _incompatibility(version, seen, ("1.0", "a")) == said
 
 
 @pytest.mark.slow

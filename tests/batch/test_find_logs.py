@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.batch.find_logs import check_found, gather
+from mavnav.batch.find_logs import check_found, find_logs
 from mavnav.errors import NoScansError, UsageError
 from mavnav.outputs.addresses import is_address
 
@@ -32,15 +32,15 @@ ALL = ["logs/a.mcap", "logs/b.bag", "logs/drive", "logs/odd[1].bag", "logs/sub/c
 
 
 def test_a_folder_stands_for_the_logs_in_it(logs: Path) -> None:
-    assert gather(["logs"], logs) == ALL
-    assert gather(["logs/sub/"], logs) == ALL[4:]
+    assert find_logs(["logs"], logs) == ALL
+    assert find_logs(["logs/sub/"], logs) == ALL[4:]
 
 
 def test_patterns(logs: Path) -> None:
-    assert gather(["logs/*.mcap"], logs) == ["logs/a.mcap"]
-    assert gather(["logs/**/a.mcap"], logs) == ["logs/a.mcap", "logs/sub/deep/a.mcap"]
-    assert gather([str(logs / "logs" / "?.bag")], logs) == ["logs/b.bag"]
-    assert gather(["logs/d*"], logs) == ["logs/drive"]
+    assert find_logs(["logs/*.mcap"], logs) == ["logs/a.mcap"]
+    assert find_logs(["logs/**/a.mcap"], logs) == ["logs/a.mcap", "logs/sub/deep/a.mcap"]
+    assert find_logs([str(logs / "logs" / "?.bag")], logs) == ["logs/b.bag"]
+    assert find_logs(["logs/d*"], logs) == ["logs/drive"]
 
 
 def test_patterns_leave_out_what_runs_have_left_and_what_is_hidden(logs: Path) -> None:
@@ -48,31 +48,31 @@ def test_patterns_leave_out_what_runs_have_left_and_what_is_hidden(logs: Path) -
     (logs / "logs/run/own.mcap").write_bytes(b"")
     (logs / "logs/sub/result.mcap").write_bytes(b"")
     found = ["logs/a.mcap", "logs/run/own.mcap", "logs/sub/deep/a.mcap", "logs/sub/result.mcap"]
-    assert gather(["**/*.mcap"], logs) == found
-    assert gather(["*/.hidden/*.mcap"], logs) == ["logs/.hidden/x.mcap"]
-    assert gather(["logs/run/result.mcap"], logs) == ["logs/run/result.mcap"]
+    assert find_logs(["**/*.mcap"], logs) == found
+    assert find_logs(["*/.hidden/*.mcap"], logs) == ["logs/.hidden/x.mcap"]
+    assert find_logs(["logs/run/result.mcap"], logs) == ["logs/run/result.mcap"]
 
 
 def test_a_name_with_brackets_is_a_name_first(logs: Path) -> None:
-    assert gather(["logs/odd[1].bag"], logs) == ["logs/odd[1].bag"]
+    assert find_logs(["logs/odd[1].bag"], logs) == ["logs/odd[1].bag"]
 
 
 def test_each_once_in_order(logs: Path) -> None:
-    assert gather(["logs/b.bag", "logs", "logs/a.mcap"], logs) == ["logs/b.bag", ALL[0], *ALL[2:]]
+    assert find_logs(["logs/b.bag", "logs", "logs/a.mcap"], logs) == ["logs/b.bag", ALL[0], *ALL[2:]]
 
 
 def test_what_stands_for_nothing_stays(logs: Path) -> None:
     (logs / "empty").mkdir()
-    assert gather(["nothing/*.bag", "gone.bag", "empty"], logs) == ["nothing/*.bag", "gone.bag", "empty"]
+    assert find_logs(["nothing/*.bag", "gone.bag", "empty"], logs) == ["nothing/*.bag", "gone.bag", "empty"]
 
 
 def test_elsewhere_is_told_in_full(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     other = tmp_path_factory.mktemp("other")
-    assert gather([str(logs / "logs" / "a.mcap")], other) == [str(logs / "logs" / "a.mcap")]
+    assert find_logs([str(logs / "logs" / "a.mcap")], other) == [str(logs / "logs" / "a.mcap")]
 
 
 def test_addresses_are_left_alone(logs: Path) -> None:
-    assert gather(["s3://bucket/*.mcap"], logs) == ["s3://bucket/*.mcap"]
+    assert find_logs(["s3://bucket/*.mcap"], logs) == ["s3://bucket/*.mcap"]
     assert is_address("HTTPS://host/a.bag")
     assert not is_address("C:/logs/a.bag")
 
@@ -83,7 +83,7 @@ def test_a_folder_that_cannot_be_read(logs: Path, monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(Path, "iterdir", refuse)
     with pytest.raises(UsageError, match="logs cannot be read: Permission denied"):
-        gather(["logs"], logs)
+        find_logs(["logs"], logs)
 
 
 @pytest.mark.parametrize(
@@ -95,6 +95,6 @@ def test_a_folder_that_cannot_be_read(logs: Path, monkeypatch: pytest.MonkeyPatc
 )
 def test_what_stands_for_no_log_says_so(logs: Path, pattern: str, error: type, said: str) -> None:
     (logs / "empty").mkdir()
-    (found,) = gather([pattern], logs)
+    (found,) = find_logs([pattern], logs)
     with pytest.raises(error, match=said):
         check_found(found, logs / found)

@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 from mavnav.batch.page import to_page
-from mavnav.batch.thumbnail import MOST_PIXELS, thumbnail
+from mavnav.batch.thumbnail import MAX_PIXELS, thumbnail
 
 VOID = {"meta", "link", "img", "input"}
 
@@ -126,7 +126,7 @@ def test_a_wall_of_one_cell_stays_in_a_small_picture(tmp_path: Path) -> None:
     cells[100:800, 341] = 0
     Image.fromarray(cells).save(tmp_path / "map.pgm")
     picture = shades(thumbnail(tmp_path))
-    assert max(picture.shape) <= MOST_PIXELS
+    assert max(picture.shape) <= MAX_PIXELS
     assert picture.shape == (140, 100)  # the unknown edges are cut off, five cells a pixel
     dark = (picture < 100).sum(axis=1)
     assert (dark == 1).all()

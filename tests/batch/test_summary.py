@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from mavnav.batch.summary import MOST_ROWS, github_commands, to_summary
+from mavnav.batch.summary import MAX_ROWS, github_commands, to_summary
 from mavnav.cli import run
 
 
@@ -42,9 +42,9 @@ def test_names_are_no_markdown(document: dict[str, Any]) -> None:
 
 def test_a_long_batch_shows_the_worst(document: dict[str, Any]) -> None:
     good, bad = document["cells"][2], document["cells"][3]
-    document["cells"] = [{**good, "name": f"good {k}"} for k in range(MOST_ROWS)] + [bad]
+    document["cells"] = [{**good, "name": f"good {k}"} for k in range(MAX_ROWS)] + [bad]
     text = to_summary(document)
-    assert len(table(text)) == MOST_ROWS + 2
+    assert len(table(text)) == MAX_ROWS + 2
     assert table(text)[2][0] == "❌"
     assert "\n\n|  | run |" in text  # or the table belongs to the list before it
     assert text.endswith("\n1 more are in batch.html and batch.csv.\n")

@@ -217,7 +217,7 @@ def test_lines_have_the_number_of_the_stage_and_the_time_left_of_the_job(
 
 
 def test_no_stage_is_silent_for_long(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    for name, value in (("LINE_PERIOD_S", 0.05), ("TICK_S", 0.01), ("SPEAK_AFTER_S", 0.02)):
+    for name, value in (("LINE_PERIOD_S", 0.05), ("TICK_S", 0.01), ("ANNOUNCE_AFTER_S", 0.02)):
         monkeypatch.setattr(progress, name, value)
     with progress.reporting(quiet=False, stages=progress.REPLAY) as report:
         report("close loops", 0, 100)
@@ -238,7 +238,7 @@ def test_quiet_is_silent(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
 def test_a_phase_of_unknown_length_is_named_if_it_lasts(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(progress, "SPEAK_AFTER_S", 0.05)
+    monkeypatch.setattr(progress, "ANNOUNCE_AFTER_S", 0.05)
     import time
 
     with progress.reporting(quiet=False) as report:

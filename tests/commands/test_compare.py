@@ -15,7 +15,7 @@ from mavnav.commands.comparison_table import bar, print_comparison
 from mavnav.commands.gating import gated_code, gates_of
 from mavnav.commands.run_progress import watching
 from mavnav.errors import ExitCode, UsageError
-from mavnav.jobs import Ended, Fate, Outcome, Retried, Started
+from mavnav.jobs import Ended, Outcome, Retried, Started, Status
 
 
 @pytest.fixture
@@ -142,8 +142,8 @@ def test_ctrl_c_keeps_the_finished_runs(spawn: Callable, sample: Path, tmp_path:
 def test_a_plain_line_for_every_run_that_ends(capsys: pytest.CaptureFixture[str]) -> None:
     with watching(["a.bag robust 6/5x5", "b\x1b.bag"], quiet=False) as listen:
         listen(Started(1, 7))
-        listen(Ended(1, Outcome(Fate.DIED, 7, 1.0, error="its process was killed by SIGKILL")))
-        listen(Ended(0, Outcome(Fate.DONE, 8, 2.04, value={})))
+        listen(Ended(1, Outcome(Status.DIED, 7, 1.0, error="its process was killed by SIGKILL")))
+        listen(Ended(0, Outcome(Status.DONE, 8, 2.04, value={})))
     assert capsys.readouterr().err.splitlines() == [
         "mavnav: 1 of 2: b\\x1b.bag failed: its process was killed by SIGKILL",
         "mavnav: 2 of 2: a.bag robust 6/5x5 done in 2.0 s",
@@ -162,7 +162,7 @@ def test_a_run_that_is_tried_again_has_a_line(capsys: pytest.CaptureFixture[str]
     with watching(["a.bag", "b.bag"], quiet=False, lines=False) as listen:
         listen(Started(1, 4711))
         listen(Retried(1, "its process was killed by SIGKILL"))
-        listen(Ended(1, Outcome(Fate.DONE, 4712, 1.0)))
+        listen(Ended(1, Outcome(Status.DONE, 4712, 1.0)))
     said = "mavnav: b.bag: its process was killed by SIGKILL; it is tried again at the end\n"
     assert capsys.readouterr().err == said
 

@@ -16,7 +16,7 @@ import pytest
 from mavnav.batch.plan import BatchPlan, plan_batch
 from mavnav.batch.request import BatchRequest
 from mavnav.comparison.grids import comparison_settings
-from mavnav.comparison.pipeline import comparison_request, is_drawn, plan_comparison, run_comparison
+from mavnav.comparison.pipeline import comparison_request, is_report_current, plan_comparison, run_comparison
 from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.jobs import Event, Started
 from mavnav.jobs.run_cache import run_key
@@ -94,16 +94,16 @@ def test_what_was_run_is_not_run_again(copied: Path, finished: tuple[Path, dict]
 
 
 def test_a_report_of_the_same_results_is_not_drawn_again(copied: Path) -> None:
-    assert is_drawn(plan(request(copied)))
-    assert not is_drawn(plan(request(copied, force=True)))
-    assert not is_drawn(plan(request(copied, grids=("5x5",))))
+    assert is_report_current(plan(request(copied)))
+    assert not is_report_current(plan(request(copied, force=True)))
+    assert not is_report_current(plan(request(copied, grids=("5x5",))))
     (copied / "comparison.json").write_text("[]")
-    assert not is_drawn(plan(request(copied)))
+    assert not is_report_current(plan(request(copied)))
 
 
 def test_a_report_that_was_removed_is_drawn_again(copied: Path) -> None:
     (copied / "report.html").unlink()
-    assert not is_drawn(plan(request(copied)))
+    assert not is_report_current(plan(request(copied)))
 
 
 def test_a_batch_in_the_same_directory_reuses_the_runs(copied: Path) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from mavnav.errors import ExitCode
-from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started, run_jobs, usable_cores
+from mavnav.jobs import Ended, Event, Job, Outcome, Progressed, Started, Status, run_jobs, usable_cores
 from support import strange_jobs as strange
 
 
@@ -36,7 +36,7 @@ def test_results_come_in_the_order_of_the_jobs() -> None:
     events: list[Event] = []
     outcomes = run_jobs([Job(str(k), strange.square, (k,)) for k in range(5)], 2, events.append)
     assert [outcome.value for outcome in outcomes] == [0, 1, 4, 9, 16]
-    assert {outcome.fate for outcome in outcomes} == {Fate.DONE}
+    assert {outcome.status for outcome in outcomes} == {Status.DONE}
     for k in range(5):
         kinds = [type(event) for event in events if event.index == k]
         assert kinds == [Started, Progressed, Ended]
@@ -60,19 +60,19 @@ def test_a_crash_costs_its_own_job_alone() -> None:
         Job("blundered", strange.blunder),
         Job("good", strange.square, (3,)),
     )
-    assert (killed.fate, killed.exit_code) == (Fate.DIED, ExitCode.BUG)
+    assert (killed.status, killed.exit_code) == (Status.DIED, ExitCode.BUG)
     assert killed.error == "its process was killed by SIGKILL; the memory may have run out"
-    assert (left.fate, left.error) == (Fate.DIED, "its process exited with code 3")
-    assert (refused.fate, refused.exit_code) == (Fate.FAILED, ExitCode.NO_SCANS)
+    assert (left.status, left.error) == (Status.DIED, "its process exited with code 3")
+    assert (refused.status, refused.exit_code) == (Status.FAILED, ExitCode.NO_SCANS)
     assert refused.error == "empty.bag: no scans; choose another"
     assert (blundered.exit_code, blundered.error) == (ExitCode.BUG, "a bug: ZeroDivisionError: x")
-    assert (good.fate, good.value) == (Fate.DONE, 9)
+    assert (good.status, good.value) == (Status.DONE, 9)
     assert good.pid == blundered.pid != killed.pid
 
 
 def test_the_clock_stops_a_job_that_hangs() -> None:
     hung, good = run(Job("hung", strange.hang), Job("good", strange.square, (2,)), timeout_s=2.0)
-    assert (hung.fate, hung.error) == (Fate.TIMEOUT, "took longer than 2 s")
+    assert (hung.status, hung.error) == (Status.TIMEOUT, "took longer than 2 s")
     assert 2.0 <= hung.seconds < 10.0
     assert good.value == 4
     assert gone(hung.pid)
@@ -88,7 +88,7 @@ def test_what_ends_for_want_of_memory_says_that_there_was_a_limit() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="RLIMIT_DATA counts mapped memory on Linux alone")
 def test_memory_is_limited() -> None:
     greedy, modest = run(Job("greedy", strange.devour, (900,)), Job("modest", strange.devour, (1,)), memory_mb=600)
-    assert (greedy.fate, greedy.error) == (Fate.FAILED, "it needs more memory than it may use")
+    assert (greedy.status, greedy.error) == (Status.FAILED, "it needs more memory than it may use")
     assert modest.value == 2**20
 
 

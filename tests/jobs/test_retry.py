@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Retried, Started, run_with_retries
+from mavnav.jobs import Ended, Event, Job, Outcome, Retried, Started, Status, run_with_retries
 
 JOBS = [Job(name, print) for name in ("good", "unlucky", "hopeless", "refused")]
 
@@ -17,8 +17,8 @@ def crew(rounds: list[list[str]]) -> Callable[[Sequence[Job], Callable[[Event], 
         outcomes = []
         for k, job in enumerate(jobs):
             dies = job.name == "hopeless" or (job.name == "unlucky" and len(rounds) == 1)
-            fate = Fate.DIED if dies else Fate.FAILED if job.name == "refused" else Fate.DONE
-            outcomes.append(Outcome(fate, 1, 0.0, error="killed" if dies else ""))
+            status = Status.DIED if dies else Status.FAILED if job.name == "refused" else Status.DONE
+            outcomes.append(Outcome(status, 1, 0.0, error="killed" if dies else ""))
             on_event(Started(k, 1))
             on_event(Ended(k, outcomes[-1]))
         return outcomes
@@ -32,7 +32,7 @@ def test_only_the_dead_are_tried_again() -> None:
     run_with_retries(JOBS, crew(rounds), events.append, 3)
     assert rounds == [["good", "unlucky", "hopeless", "refused"], ["unlucky", "hopeless"], ["hopeless"]]
     ended = {event.index: event.outcome for event in events if isinstance(event, Ended)}
-    assert [ended[k].fate for k in range(4)] == [Fate.DONE, Fate.DONE, Fate.DIED, Fate.FAILED]
+    assert [ended[k].status for k in range(4)] == [Status.DONE, Status.DONE, Status.DIED, Status.FAILED]
     assert ended[2].error == "killed; given up after 3 tries"
     assert [e for e in events if isinstance(e, Retried)] == [Retried(k, "killed") for k in (1, 2, 2)]
     assert [e.index for e in events if isinstance(e, Started)] == [0, 1, 2, 3, 1, 2, 2]

@@ -121,7 +121,7 @@ def test_points_wait_until_they_are_a_share_of_those_before(seed: int, share: fl
     grown = LineMap(0.02, 0.06, 0.01, waiting_share=share)
     for scan in scans:
         grown.insert(scan)
-    assert_lines(grown, naive.insert_points(naive.told(scans, 0.02, share), 0.02, 0.06, 0.01))
+    assert_lines(grown, naive.insert_points(naive.line_points(scans, 0.02, share), 0.02, 0.06, 0.01))
     grown.remove(np.array([(99.0, 99.0)]))
     assert_lines(grown, naive.insert_points(np.concatenate(scans), 0.02, 0.06, 0.01))
 
@@ -241,7 +241,7 @@ def cost_of(points: np.ndarray, line_map: LineMap) -> Callable[[float, float, fl
     return cost
 
 
-FEW = 90  # points that search until it is settled which decide
+FEW = 90  # points of the search until those on known ground are selected
 
 
 @pytest.mark.parametrize("hold_m", [0.0, 0.05])
@@ -269,17 +269,17 @@ def assert_is_its_twin(line_map: LineMap, points: np.ndarray, grid: tuple[int, .
     found = line_search.search(points, start, np.array([*grid, 1.0]), limits, *arrays(line_map))
 
     def terms(deciding: np.ndarray, pivot: np.ndarray) -> Terms:
-        def held(at: tuple, motion: tuple) -> np.ndarray:
-            return naive.held_cost(deciding - pivot, at, motion, line_map, 0.15)
+        def fixed(at: tuple, motion: tuple) -> np.ndarray:
+            return naive.fixed_cost(deciding - pivot, at, motion, line_map, 0.15)
 
-        return cost_of(deciding, line_map), pivot, prior * len(deciding), held
+        return cost_of(deciding, line_map), pivot, prior * len(deciding), fixed
 
-    def settled(*pose: float) -> Terms:
-        deciding = naive.drawn(points, pose, line_map, overlap_m, known_points)
+    def on_known(*pose: float) -> Terms:
+        deciding = naive.on_mapped_area(points, pose, line_map, overlap_m, known_points)
         return terms(deciding, deciding.mean(axis=0))
 
     few = terms(points[:FEW], middle)
-    slow = naive.coarse_to_fine(terms(points, middle), start, grid, limits, dense, few, settled if overlap_m else None)
+    slow = naive.coarse_to_fine(terms(points, middle), start, grid, limits, dense, few, on_known if overlap_m else None)
     np.testing.assert_allclose(found[:3], slow, atol=1e-9)
     assert found[3] == pytest.approx(cost_of(points, line_map)(*found[:3]) / len(points), rel=1e-9)
 
@@ -293,7 +293,7 @@ def test_drawn_points_are_their_twin(pose: tuple[float, float, float], overlap_m
     at = np.array([*placed, pose[2], *placed])
     closeness = line_map.closeness_at(overlap_m)
     fast = kernel_parts.on_mapped_area(centred, at, closeness, known_points, *arrays(line_map))
-    slow = naive.drawn(points, pose, line_map, overlap_m, known_points)
+    slow = naive.on_mapped_area(points, pose, line_map, overlap_m, known_points)
     np.testing.assert_allclose(fast.T + points.mean(axis=0), slow, atol=1e-9)
 
 

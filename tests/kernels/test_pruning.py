@@ -89,7 +89,7 @@ def test_the_form_is_the_sum_by_points(seed: int, prior: float) -> None:
     for turn, right, up in rng.uniform(-1, 1, (5, 3)) * (0.1, 0.05, 0.05):
         motion = np.array((1.0, math.cos(turn) - 1.0, math.sin(turn), right, up))
         value = motion @ (form + np.triu(form, 1).T) @ motion
-        slow = naive.held_cost(problem.centred.T, at[:3], (right, up, turn), problem.line_map, 0.15)
+        slow = naive.fixed_cost(problem.centred.T, at[:3], (right, up, turn), problem.line_map, 0.15)
         far2 = ((at[:2] - at[3:] + np.array((right, up))) ** 2).sum()
         assert value == pytest.approx(slow + prior * len(problem.points) * far2, abs=ROUNDING_M2)
 

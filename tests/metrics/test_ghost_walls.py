@@ -37,7 +37,7 @@ def test_real_walls_are_not_reported(kind: str, counted: bool) -> None:
 def test_the_place_is_that_of_the_ridge_in_front() -> None:
     scene = Scene(0.0, 0.003, 1)
     ghost(scene, 6 * CELL_M)
-    walls = ghosts_of(scene.tally.by_rows())
+    walls = ghosts_of(scene.grid.by_rows())
     (place,) = walls.places
     assert (walls.count, walls.worst_offset_mm) == (1, place.offset_mm)
     assert walls.worst_offset_cells == pytest.approx(6, abs=1)

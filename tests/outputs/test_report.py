@@ -234,13 +234,13 @@ def with_document(entry, **changes):
     return replace(entry, document=entry.document | changes)
 
 
-def test_the_price_is_told_as_a_multiple(entries):
+def test_the_cost_is_relative_to_the_coarsest_grid(entries):
     search, timing = {"evaluations_per_scan": {"mean": 20_000.0}}, entries[0].document["timing"]
     coarse = entries[0]
     fine = with_document(entries[1], search=search, timing=timing | {"cpu_s": 3.0 * timing["cpu_s"]})
     search_0 = coarse.document["search"]["evaluations_per_scan"]["mean"]
-    assert columns.times_the_coarsest([coarse, fine], fine) == pytest.approx(20_000.0 / search_0)
-    assert columns.table([coarse, fine]).rows[1].price == pytest.approx((20_000.0 / search_0, 3.0))
+    assert columns.relative_cost([coarse, fine], fine) == pytest.approx(20_000.0 / search_0)
+    assert columns.table([coarse, fine]).rows[1].relative_costs == pytest.approx((20_000.0 / search_0, 3.0))
     assert f"{20_000.0 / search_0:.1f} times the evaluations of robust 20/5x5" in headline([coarse, fine])
 
 

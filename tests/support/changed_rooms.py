@@ -1,4 +1,4 @@
-"""Two furnished rooms as they were mapped before and after something changed, from known poses."""
+"""Maps of two furnished rooms before and after a change, from known poses."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from mavnav.pose import Pose, transform_points
 from support.synthetic import LDS_01, Segments, box, cast, furnished_rooms, polyline
 
 POSES = ((0.8, 0.8), (3.0, 0.8), (5.2, 1.0), (5.0, 3.0), (4.6, 4.0), (4.6, 5.2), (5.8, 5.6), (3.0, 3.3), (0.9, 3.0))
-"""Where the laser stands, x and y in the world, m; the map's frame has its origin at the first."""
+"""Positions of the laser, x and y in the world, m."""
 
 MOVED, WALL, DOOR, TURNED = (2.2, 2.0), (0.5, 1.3), (4.65, 4.0), Pose(5.0, 3.0, 2.0)
-"""Where the changes are, in the world, m; and where the frame of another session is."""
+"""Positions of the changes in the world, m; and the frame of another session."""
 
 WORLD = Pose()
-"""The frame of a map that is that of the world."""
+"""``world_T_map`` of a map in the world frame."""
 
 
 def rooms(*, moved_m: float = 0.0, wall: bool = False, door: bool = False) -> Segments:
-    """Return the rooms with a box that was moved along x, a wall that was built, or the door shut."""
+    """Return the rooms with a box moved along x, a new wall, or a closed door."""
     same = furnished_rooms()
     walls = [same[:10], box(1.9 + moved_m, 2.0, 0.7, 0.5, 0.3), same[14:]]
     walls += [polyline((0.0, 1.3), (1.0, 1.3))] if wall else []
@@ -30,7 +30,7 @@ def rooms(*, moved_m: float = 0.0, wall: bool = False, door: bool = False) -> Se
 
 
 def mapped(walls: Segments, world_T_map: Pose = WORLD, seed: int = 0, poses: object = POSES) -> Grid:
-    """Map walls from known poses, with 10 mm of noise."""
+    """Return a map of the walls from known poses, with 10 mm of range noise."""
     rng, grid = np.random.default_rng(seed), GridBuilder(0.02)
     angles_rad = LDS_01.angles_rad[:, None] + np.arange(3) * (LDS_01.angle_step_rad / 3)
     bearings_rad = np.sort(angles_rad.ravel())
@@ -45,7 +45,7 @@ def mapped(walls: Segments, world_T_map: Pose = WORLD, seed: int = 0, poses: obj
 
 
 def saved(grid: Grid, folder: Path) -> Path:
-    """Write a map as a run directory holds it."""
+    """Write a map as in a run directory; return the directory."""
     folder.mkdir()
     arrays = {"counts": grid.hits, "passes": grid.passes, "cell_m": grid.cell_m, "origin_xy_m": grid.origin_xy_m}
     np.savez_compressed(folder / "hits.npz", **arrays)

@@ -1,4 +1,4 @@
-"""A tiny exact world for the planner: walls painted into a grid, a vehicle that obeys, and what came of it."""
+"""A small exact world for the planner: walls drawn into a grid, a vehicle that executes commands, and the result."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class World:
 
 @dataclass(frozen=True)
 class Flight:
-    """How a mission ended: the true way (n, 2), and its least distance to the true walls."""
+    """Result of a mission: the true path (n, 2), m, and its minimum distance to the true walls."""
 
     reached: bool
     reason: str
@@ -73,7 +73,7 @@ def true_clearance_m(walls: Segments, xy_m: tuple[float, float]) -> float:
 
 
 def paint(grid: GridBuilder, walls: Segments, laser: Pose, hits: int = 3) -> None:
-    """Insert the whole length of all walls, as if seen from the laser."""
+    """Insert the full length of all walls, as if seen from the laser."""
     for x1, y1, x2, y2 in walls:
         n = int(np.hypot(x2 - x1, y2 - y1) / (0.5 * grid.cell_m)) + 2
         share = np.linspace(0, 1, n)[:, None]
@@ -81,13 +81,13 @@ def paint(grid: GridBuilder, walls: Segments, laser: Pose, hits: int = 3) -> Non
     grid.passes[:] = 0
 
 
-def look(
-    grid: GridBuilder, walls: Segments, laser: Pose, rng: np.random.Generator, noise: float, far_m: float = 5.0
+def insert_scan(
+    grid: GridBuilder, walls: Segments, laser: Pose, rng: np.random.Generator, noise: float, max_range_m: float = 5.0
 ) -> None:
     """Insert one scan: 240 degrees ahead, 681 beams."""
     ranges = synthetic.cast(walls, (laser.x_m, laser.y_m), BEARINGS + laser.yaw_rad)
     ranges = ranges * (1.0 + noise * rng.standard_normal(len(ranges)))
-    xy = np.column_stack((ranges * np.cos(BEARINGS), ranges * np.sin(BEARINGS)))[ranges < far_m]
+    xy = np.column_stack((ranges * np.cos(BEARINGS), ranges * np.sin(BEARINGS)))[ranges < max_range_m]
     grid.insert(laser, transform_points(laser, xy))
 
 
@@ -102,7 +102,7 @@ def fly(
     cell_m: float = 0.02,
     **settings: float,
 ) -> Flight:
-    """Fly until within 250 mm of the goal, stuck, or out of steps; ``known`` paints the whole map beforehand."""
+    """Fly until within 250 mm of the goal, stuck, or out of steps; with ``known`` the whole map is drawn first."""
     rng, grid = np.random.default_rng(seed), GridBuilder(cell_m)
     planner = Planner(PlannerConfig(technique=technique, **settings))
     pose, plans = world.start, []
@@ -111,7 +111,7 @@ def fly(
         paint(grid, world.walls, pose)
     while len(plans) < steps and np.hypot(*np.subtract(world.goal_m, xy[-1])) > 0.25:
         if not known:
-            look(grid, world.walls, pose, rng, 0.015 if noisy else 0.0)
+            insert_scan(grid, world.walls, pose, rng, 0.015 if noisy else 0.0)
         plans.append(planner.plan(grid, pose, world.goal_m))
         if plans[-1].stuck:
             break

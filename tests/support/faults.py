@@ -1,4 +1,4 @@
-"""A disk that fails at its n-th operation, and forgets at a loss of power what was not synced; both in this process.
+"""A simulated disk that fails at its n-th operation, and loses unsynced data at a power failure, in this process.
 
 Operations are those below one folder: opening for writing, writing, fsync, rename and mkdir, and writing to stdout.
 """
@@ -27,10 +27,10 @@ STDOUT = "stdout"
 
 @dataclass
 class Disk:
-    """Counts the operations below ``root``; the one with the number ``fail_at`` fails.
+    """Counter of the operations below ``root``; operation number ``fail_at`` fails.
 
-    A full disk fails from there on, any other error once. ``lost`` are the files that got their name before their
-    content was synced, ``unsynced`` the folders whose names changed since they were synced.
+    A full disk fails from there on, any other error occurs once. ``lost`` are the files that were renamed before their
+    content was synced, ``unsynced`` the folders whose entries changed since they were synced.
     """
 
     root: Path
@@ -43,11 +43,11 @@ class Disk:
     lost: list[str] = field(default_factory=list)
     unsynced: set[str] = field(default_factory=set)
 
-    def concerns(self, path: object) -> bool:
+    def contains(self, path: object) -> bool:
         return isinstance(path, str | os.PathLike) and Path(os.fspath(path)).absolute().is_relative_to(self.root)
 
     def step(self, kind: str, path: object) -> None:
-        if path != STDOUT and not self.concerns(path):
+        if path != STDOUT and not self.contains(path):
             return
         self.count += 1
         self.kinds[kind] += 1
@@ -56,22 +56,22 @@ class Disk:
             self.failed = self.failed or f"{kind} {path}"
             raise OSError(self.error, os.strerror(self.error), *([] if path == STDOUT else [str(path)]))
 
-    def named(self, place: object) -> None:
-        """Note that a file or folder has taken its name."""
-        if not self.concerns(place):
+    def renamed(self, place: object) -> None:
+        """Record that a file or folder was renamed to ``place``."""
+        if not self.contains(place):
             return
         path = Path(str(place))
         files = [path] if path.is_file() else [inner for inner in path.rglob("*") if inner.is_file()]
         self.lost += [str(file) for file in files if _key(file.stat()) in self.dirty]
         self.unsynced.add(str(path.parent))
 
-    def forgotten(self) -> list[Path]:
-        """Return the files whose content was never synced."""
+    def unsynced_files(self) -> list[Path]:
+        """Return the files whose content was not synced."""
         return [file for file in self.root.rglob("*") if file.is_file() and _key(file.stat()) in self.dirty]
 
     def lose_power(self) -> None:
         """Empty every file whose content was not synced."""
-        for file in self.forgotten():
+        for file in self.unsynced_files():
             os.truncate(file, 0)
 
 
@@ -80,7 +80,7 @@ def _key(status: os.stat_result) -> tuple[int, int]:
 
 
 class _Raw(io.FileIO):
-    """A file that counts its writes."""
+    """A file whose writes are operations of the disk."""
 
     def __init__(self, disk: Disk, path: Any, mode: str) -> None:
         super().__init__(path, mode)
@@ -93,17 +93,17 @@ class _Raw(io.FileIO):
 
 
 class _Stdout(io.RawIOBase):
-    """Takes what is printed."""
+    """A stream that stores its output, and whose writes are operations of the disk."""
 
     def __init__(self, disk: Disk) -> None:
-        self.disk, self.taken = disk, bytearray()
+        self.disk, self.output = disk, bytearray()
 
     def writable(self) -> bool:
         return True
 
     def write(self, data: Any, /) -> int:
         self.disk.step("write", STDOUT)
-        self.taken += data
+        self.output += data
         return len(data)
 
 
@@ -114,7 +114,7 @@ def _patches(disk: Disk) -> Iterator[Any]:
     real_file, swapped = io.open, atomic_files._swapped
 
     def open_file(file: Any, mode: str = "r", buffering: int = -1, *more: Any, **options: Any) -> Any:
-        if not set(mode) & set("wax+") or not disk.concerns(file):
+        if not set(mode) & set("wax+") or not disk.contains(file):
             return real_file(file, mode, buffering, *more, **options)
         disk.step("open", file)
         raw = _Raw(disk, file, mode.replace("b", "").replace("t", ""))
@@ -146,7 +146,7 @@ def _patches(disk: Disk) -> Iterator[Any]:
         def rename(source: Any, target: Any, **options: Any) -> None:
             disk.step("rename", target)
             real[name](source, target, **options)
-            disk.named(target)
+            disk.renamed(target)
 
         return rename
 
@@ -157,7 +157,7 @@ def _patches(disk: Disk) -> Iterator[Any]:
             return False
         done = swapped(one, other)
         if done:
-            disk.named(other)
+            disk.renamed(other)
         return done
 
     for module in (builtins, io):
@@ -171,7 +171,7 @@ def _patches(disk: Disk) -> Iterator[Any]:
 
 
 def run_here(jobs: Sequence[Job], workers: int, on_event: Callable[[Event], None], *_: object) -> list[Outcome]:
-    """Run jobs as `mavnav.jobs.run_jobs`, in this process."""
+    """Run jobs like `mavnav.jobs.run_jobs`, but in this process."""
     outcomes = []
     for index, job in enumerate(jobs):
         on_event(Started(index, os.getpid()))
@@ -182,7 +182,7 @@ def run_here(jobs: Sequence[Job], workers: int, on_event: Callable[[Event], None
 
 @contextmanager
 def failing(disk: Disk) -> Iterator[None]:
-    """Let this process write to the disk."""
+    """Redirect the file operations of this process to the disk."""
     entered: list[Any] = []
     try:
         for change in _patches(disk):
@@ -196,7 +196,7 @@ def failing(disk: Disk) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class End:
-    """How a command ended."""
+    """Result of a command: exit code, stdout and stderr."""
 
     code: int
     out: str
@@ -204,7 +204,7 @@ class End:
 
 
 def run_command(args: Sequence[object], disk: Disk) -> End:
-    """Run one command line on the disk."""
+    """Run one command line with the disk."""
     raw, err = _Stdout(disk), io.StringIO()
     out = io.TextIOWrapper(io.BufferedWriter(raw), "utf-8")
     with redirect_stdout(out), redirect_stderr(err), failing(disk):
@@ -215,11 +215,11 @@ def run_command(args: Sequence[object], disk: Disk) -> End:
             code = code or 6
     with suppress(OSError):
         out.detach().detach()
-    return End(code, raw.taken.decode(), err.getvalue())
+    return End(code, raw.output.decode(), err.getvalue())
 
 
 def tree(folder: Path) -> dict[str, bytes]:
-    """Return the content of all files below a folder by their paths."""
+    """Return the content of all files below a folder by relative path."""
     return {
         path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()
     }
@@ -227,7 +227,7 @@ def tree(folder: Path) -> dict[str, bytes]:
 
 @dataclass(frozen=True)
 class Trial:
-    """A command line, the folder that it writes to, and what is there before and after it without a fault."""
+    """A command line, its output folder, and the content of that folder before and after a run without a fault."""
 
     name: str
     args: Sequence[object]
@@ -238,7 +238,7 @@ class Trial:
     steps: int
 
     def restore(self) -> None:
-        """Put back what was there before."""
+        """Restore the content from before the command."""
         for path in sorted(self.folder.rglob("*"), reverse=True):
             path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
         for name, content in self.before.items():
@@ -247,28 +247,28 @@ class Trial:
 
 
 def make_trial(name: str, args: Sequence[object], folder: Path) -> Trial:
-    """Run a command without a fault, and put back what was there before it."""
+    """Run a command without a fault, restore the folder, and return the trial."""
     before = tree(folder)
     disk = Disk(folder)
     end = run_command(args, disk)
     assert "a bug" not in end.err, end.err
     assert not disk.lost, f"{name}: not synced before the name: {disk.lost}"
     assert not disk.unsynced, f"{name}: not synced after the name: {disk.unsynced}"
-    assert not disk.forgotten(), f"{name}: not synced: {disk.forgotten()}"
+    assert not disk.unsynced_files(), f"{name}: not synced: {disk.unsynced_files()}"
     after = tree(folder)
     trial = Trial(name, args, folder, before, after, end.code, disk.count)
-    problems = list(_harm(trial, after))
+    problems = list(_incomplete(trial, after))
     assert not problems, problems
     trial.restore()
     return trial
 
 
 def faults_of(trial: Trial, fail_at: int, *, again: bool = True) -> list[str]:
-    """Run a command with one fault, and once more without; return what is wrong with its end."""
+    """Run a command with one fault, and again without it; return the problems found."""
     disk = Disk(trial.folder, fail_at, errno.EIO if fail_at % 2 else errno.ENOSPC)
     end = run_command(trial.args, disk)
     found = tree(trial.folder)
-    problems = [*_wrong_end(trial, end, disk, found), *_harm(trial, found)]
+    problems = [*_end_problems(trial, end, disk, found), *_incomplete(trial, found)]
     if again:
         second = run_command(trial.args, Disk(trial.folder))
         if second.code == 6 and "exists" in second.err:
@@ -281,7 +281,7 @@ def faults_of(trial: Trial, fail_at: int, *, again: bool = True) -> list[str]:
     return [f"{trial.name}, fault {fail_at} ({disk.failed}): {problem}" for problem in problems]
 
 
-def _wrong_end(trial: Trial, end: End, disk: Disk, found: dict[str, bytes]) -> Iterator[str]:
+def _end_problems(trial: Trial, end: End, disk: Disk, found: dict[str, bytes]) -> Iterator[str]:
     text = end.out + end.err
     if "Traceback" in text or "a bug" in text:
         yield f"a bug: {end.err}"
@@ -295,8 +295,8 @@ def _wrong_end(trial: Trial, end: End, disk: Disk, found: dict[str, bytes]) -> I
         yield f"more than one line: {end.err}"
 
 
-def _harm(trial: Trial, found: dict[str, bytes]) -> Iterator[str]:
-    """Return what is half-written: files that are neither the old ones nor whole, and incomplete runs."""
+def _incomplete(trial: Trial, found: dict[str, bytes]) -> Iterator[str]:
+    """Yield incomplete results: files that are neither the old ones nor complete, and incomplete runs."""
     for name, content in found.items():
         if any(part.startswith(".") for part in Path(name).parts):
             yield f"{name} is left over"
@@ -310,7 +310,7 @@ def _harm(trial: Trial, found: dict[str, bytes]) -> Iterator[str]:
 
 
 def _is_whole(name: str, content: bytes) -> bool:
-    """Return whether a file that differs from run to run, by its times, is complete."""
+    """Return whether a file that contains times, and so differs between runs, is complete."""
     if name.endswith(".json"):
         try:
             json.loads(content)
@@ -324,14 +324,17 @@ def _is_whole(name: str, content: bytes) -> bool:
 
 
 def spread(steps: int, count: int) -> list[int]:
-    """Return so many of the numbers 1 to ``steps``, the first and the last among them."""
+    """Return ``count`` of the numbers 1 to ``steps``, evenly spaced, including the first and the last."""
     if count >= steps:
         return list(range(1, steps + 1))
     return sorted({1 + round(k * (steps - 1) / max(count - 1, 1)) for k in range(count)})
 
 
 def trials(folder: Path, log: Path, names: Sequence[str] = ()) -> Iterator[Trial]:
-    """Return a trial of every command, or of those named, each in a folder of its own; `check` reads what is there."""
+    """Yield a trial of every command, or of those in ``names``, each in a folder of its own.
+
+    `check` and `metrics` read the result of the trial "replay --force".
+    """
     short = ("-q", "--end", "0.3", "--online", "--grid", "5x5", "--azimuth", "6")
     run, old, target, flight, cells, several = (
         folder / name for name in ("replay", "forced", "convert", "simulate", "batch", "compare")

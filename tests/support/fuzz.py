@@ -1,8 +1,8 @@
-"""Mutations of whole logs, and what must hold of every one of them.
+"""Mutations of logs, and checks of how they are read.
 
     PYTHONPATH=tests python -m support.fuzz [CASES [SEED [LOG ...]]]
 
-Logs are the small ones of `log_files`, or those that are named.
+The logs are the small ones of `log_files`, or those given.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 CHECKED = {"mcap-none", "mcap-lz4", "mcap-zstd", "mcap-unchunked", "mcap-ros1", "bag1-bz2"}
-"""Logs whose chunks carry a checksum: no altered scan may pass unmarked."""
+"""Logs whose chunks have a checksum, so that every altered scan must be reported."""
 
 DATA_END = b"\x0f" + (4).to_bytes(8, "little")
 
@@ -71,7 +71,7 @@ def _repeat(rng: np.random.Generator, data: bytearray) -> None:
 
 
 def _lie(rng: np.random.Generator, data: bytearray) -> None:
-    """Put a number where some length may stand."""
+    """Overwrite bytes, which may be a length, by another number."""
     number = [0, 1, 0x7F, 0xFFFF, 1 << 24, 0x7FFFFFFF, 0xFFFFFFFF, 1 << 40, (1 << 64) - 1][rng.integers(9)]
     width = [2, 4, 8][rng.integers(3)]
     at = int(rng.integers(len(data)))
@@ -93,12 +93,12 @@ MUTATIONS: list[Callable[[np.random.Generator, bytearray], None]] = [
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a case: its scans, those that differ from the sound log's, and whether anything was told."""
+    """Result of a case: its scans, those that differ from the valid log, and whether anything was reported."""
 
     scans: int
     altered: int
     suspect: int
-    told: bool
+    reported: bool
     seconds: float
 
 
@@ -112,7 +112,7 @@ def mutated(data: bytes, seed: int) -> bytes:
 
 
 def is_guarded(name: str, sound: bytes, damaged: bytes) -> bool:
-    """Tell whether a checksum speaks for every scan; without chunks it stands behind the data."""
+    """Return whether a checksum covers every scan; without chunks it follows the data."""
     at = sound.rfind(DATA_END)
     return name in CHECKED and (name != "mcap-unchunked" or sound[at : at + 13] in damaged)
 
@@ -122,12 +122,12 @@ def contents(log: Log) -> dict[int, bytes]:
 
 
 def verdict(path: Path, sound: dict[int, bytes]) -> Verdict:
-    """Read a damaged log as a user would; whatever is raised but on purpose is the finding."""
+    """Read a damaged log; exceptions other than the documented ones are findings."""
     began_s = time.process_time()
     scans: dict[int, bytes] = {}
     suspect = 0
     found = survey(path)
-    told = bool(found.damage or found.warnings)
+    reported = bool(found.damage or found.warnings)
     for topic in found.scans:
         try:
             log = choose(found, topic=topic)
@@ -136,11 +136,11 @@ def verdict(path: Path, sound: dict[int, bytes]) -> Verdict:
         here = contents(log)
         assert len(here) == log.counts.usable, "the second reading differs from the first"
         assert log.counts.total == log.counts.usable + sum(log.counts.skipped.values()), "a scan is not counted"
-        told |= bool(log.warnings)
+        reported |= bool(log.warnings)
         suspect += log.counts.suspect
         scans |= here if log.stamp_source == "header" else {}
     altered = sum(sound.get(stamp) != ranges for stamp, ranges in scans.items())
-    return Verdict(len(scans), altered, suspect, told, time.process_time() - began_s)
+    return Verdict(len(scans), altered, suspect, reported, time.process_time() - began_s)
 
 
 def _seeds(folder: Path, named: list[str]) -> dict[str, Path]:
@@ -155,7 +155,7 @@ def main(cases: int, seed: int, named: list[str]) -> None:
         folder = Path(name)
         for format_, source in _seeds(folder, named).items():
             data, sound = source.read_bytes(), contents(choose(survey(source)))
-            worst, unmarked, kept = 0.0, 0, 0
+            worst, unreported, read = 0.0, 0, 0
             for case in range(cases):
                 path = folder / "case"
                 damaged = mutated(data, seed + case)
@@ -168,10 +168,10 @@ def main(cases: int, seed: int, named: list[str]) -> None:
                     continue
                 if guarded and result.altered > result.suspect:
                     print(f"{format_}, seed {seed + case}: {result}")
-                    unmarked += 1
-                worst, kept = max(worst, result.seconds), kept + result.scans
-            share = kept / (cases * len(sound))
-            print(f"{format_}: {cases} cases, {share:.3f} of the scans kept, {unmarked} unmarked, worst {worst:.2f} s")
+                    unreported += 1
+                worst, read = max(worst, result.seconds), read + result.scans
+            share = read / (cases * len(sound))
+            print(f"{format_}: {cases} cases, {share:.3f} of scans read, {unreported} unreported, worst {worst:.2f} s")
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 

@@ -1,4 +1,4 @@
-"""Runs with planted ghosts, and honest runs with what looks like one: scans and poses, from seeds.
+"""Runs with known ghost walls, and runs without ghosts but with similar structures: scans and poses, from seeds.
 
 ``python -m support.ghost_scenes FIRST LAST`` (in tests/) prints the table of docs/metrics.md for these seeds.
 """
@@ -43,7 +43,7 @@ Moving = Callable[[float], list[Segments]]
 
 @dataclass
 class Scene:
-    """Walls, a path past them, what moves (by the share of the run that is over), and a pane of glass."""
+    """Walls, a path, moving walls as a function of the elapsed share of the run, and a glass pane."""
 
     walls: list[Segments]
     path: list[tuple[float, float]]
@@ -52,7 +52,7 @@ class Scene:
 
 
 def corridor(rng: Rng, width_m: float = WIDTH_M, recess_m: float = 0.12) -> Scene:
-    """A corridor with recessed doors, there and back."""
+    """Return a corridor with recessed doors, with a path there and back."""
 
     def side(y: float, out: int) -> Segments:
         points, x = [(0.0, y)], rng.uniform(0.8, 1.6)
@@ -67,7 +67,7 @@ def corridor(rng: Rng, width_m: float = WIDTH_M, recess_m: float = 0.12) -> Scen
 
 
 def hall(rng: Rng, least_y_m: float = 0.8) -> Scene:
-    """A hall of 8 x 6 m, twice round."""
+    """Return a hall of 8 x 6 m, with a path of two rounds."""
     corners = [tuple(c + rng.uniform(-0.2, 0.2, 2)) for c in [(1, 1), (7, 1), (7, 5), (1, 5)]]
     first = rng.integers(4)
     corners = (corners[first:] + corners[:first])[:: rng.choice([-1, 1])]
@@ -80,7 +80,7 @@ def hall_with_box(rng: Rng) -> Scene:
 
 
 def rooms(_: Rng) -> Scene:
-    """Two furnished rooms, twice round."""
+    """Return two furnished rooms, with a path of two rounds."""
     return Scene([furnished_rooms()], TOUR + TOUR[1:])
 
 
@@ -93,7 +93,7 @@ def door_frames(rng: Rng) -> Scene:
 
 
 def shelves(rng: Rng) -> Scene:
-    """Shelves 0.1 to 0.5 m deep along a corridor's wall, panels before the other wall."""
+    """Return a corridor with shelves 0.1 to 0.5 m deep along one wall, and panels in front of the other."""
     scene = corridor(rng)
     for x in (2.0, 6.0, 10.0):
         deep = rng.uniform(0.1, 0.5)
@@ -103,7 +103,7 @@ def shelves(rng: Rng) -> Scene:
 
 
 def open_rack(rng: Rng) -> Scene:
-    """Boards and posts 0.1 to 0.5 m before a wall, which is seen between them."""
+    """Return a hall with boards and posts 0.1 to 0.5 m in front of a wall, which is visible between them."""
     scene, y, x = hall(rng, 1.3), rng.uniform(0.1, 0.5), 1.5
     while x < 6.5:
         wide = rng.uniform(0.03, 0.3)
@@ -113,7 +113,7 @@ def open_rack(rng: Rng) -> Scene:
 
 
 def legs(rng: Rng) -> Scene:
-    """Tables and chairs, of which the laser sees the legs, in the hall and along its walls."""
+    """Return a hall with the legs of tables and chairs, in the middle and along its walls."""
     scene, seats = hall(rng, 1.2), [(x, 0.35) for x in (2, 4, 6)] + [(x, 5.6) for x in (2, 4, 6)]
     seats += [(rng.uniform(2, 6), rng.uniform(2, 4)) for _ in range(8)]
     scene.walls += [box(x + a, y + b, 0.04, 0.04) for x, y in seats for a in (-0.25, 0.25) for b in (-0.2, 0.2)]
@@ -121,21 +121,21 @@ def legs(rng: Rng) -> Scene:
 
 
 def partition(rng: Rng) -> Scene:
-    """A partition 0.1 to 0.2 m thick, seen from both sides."""
+    """Return a hall with a partition 0.1 to 0.2 m thick, seen from both sides."""
     scene = hall(rng)
     scene.walls.append(box(4.0, 3.0, 4.5, rng.uniform(0.1, 0.2)))
     return scene
 
 
 def moved_furniture(rng: Rng) -> Scene:
-    """A cupboard before a wall is taken away after the first round."""
+    """Return a hall with a cupboard in front of a wall that is removed after the first round."""
     scene, deep = hall(rng, 1.6), rng.uniform(0.3, 0.7)
     cupboard = box(4, deep / 2 + 0.02, rng.uniform(1.0, 3.0), deep)
     return Scene([*scene.walls, box(4, 3, 1, 0.6, 0.4)], scene.path, lambda over: [cupboard] if over < 0.5 else [])
 
 
 def opened_doors(rng: Rng) -> Scene:
-    """Closets 0.4 to 1 m deep whose doors are closed on the way there, and open on the way back."""
+    """Return a corridor with closets 0.4 to 1 m deep, closed on the way there and open on the way back."""
     deep = rng.uniform(0.4, 1.0)
     gaps = [polyline((a, 0), (b, 0)) for a, b in [(0, 3), (4, 8), (9, LENGTH_M)]]
     closets = [polyline((x, 0), (x, -deep), (x + 1, -deep), (x + 1, 0)) for x in (3, 8)]
@@ -145,13 +145,13 @@ def opened_doors(rng: Rng) -> Scene:
 
 
 def glass(rng: Rng) -> Scene:
-    """A pane 0.15 to 0.8 m before a wall, which returns the beams that meet it steeply, by chance."""
+    """Return a hall with a glass pane 0.15 to 0.8 m in front of a wall; it reflects steep beams at random."""
     scene, y = hall(rng, 1.5), rng.uniform(0.15, 0.8)
     return Scene(scene.walls, scene.path, glass=polyline((1.5, y), (6.5, y)))
 
 
 def people(rng: Rng) -> Scene:
-    """Four people walk round a hall."""
+    """Return a hall with four walking people."""
     scene, speed, phases = hall(rng), rng.uniform(1, 4), rng.random(4)
 
     def moving(over: float) -> list[Segments]:
@@ -187,7 +187,7 @@ REAL = {
 
 
 def placed(scene: Scene, seed: int, rng: Rng) -> PlacedScans:
-    """Scan along the path; the poses are off by 8 mm and 0.2 degrees."""
+    """Return scans along the path, with pose errors of 8 mm and 0.2 degrees (standard deviation)."""
     spec, poses = SENSORS[seed % 4], along(scene.path, period_s=0.2)
     ranges = [read(scene, poses, k, spec, NOISE[seed // 4 % 4], rng) for k in range(len(poses))]
     return PlacedScans(spec, poses.stamps_ns, poses.xyyaw + rng.normal(0, (0.008, 0.008, 0.2 * DEG), (len(poses), 3)),
@@ -208,33 +208,33 @@ def read(scene: Scene, poses: Trajectory, k: int, spec: LaserSpec, noise: float,
 
 @dataclass
 class Shift:
-    """What is done to the poses of the second half: turned about a point, then moved; m, rad."""
+    """Displacement of the poses of the second half: rotation about a point, then translation; m, rad."""
 
     about_m: np.ndarray
     step_m: np.ndarray
     yaw_rad: float
 
     def moved(self, xy_m: np.ndarray, share: np.ndarray) -> np.ndarray:
-        """Move points (n, 2) by a share (n,) of the shift."""
+        """Return points (n, 2) moved by a share (n,) of the shift."""
         (x, y), yaw = (xy_m - self.about_m).T, share * self.yaw_rad
         turned = np.column_stack((np.cos(yaw) * x - np.sin(yaw) * y, np.sin(yaw) * x + np.cos(yaw) * y))
         return turned + self.about_m + share[:, None] * self.step_m
 
     def across_m(self, place: GhostWall) -> float:
-        """Return how far a wall is moved across."""
+        """Return the displacement of a wall along its normal, m."""
         at, angle = np.array([[place.x_m, place.y_m]]), np.radians(place.direction_deg)
         ((dx, dy),) = self.moved(at, np.ones(1)) - at
         return abs(np.cos(angle) * dy - np.sin(angle) * dx)
 
     def found_m(self, ghosts: GhostWalls) -> float:
-        """Return the length of the places whose offset is right to 50 mm or 10 %."""
+        """Return the length of the ghost walls whose offset is correct to 50 mm or 10 %, m."""
         true_m = [self.across_m(place) for place in ghosts.places]
         right = [abs(p.offset_mm * 1e-3 - t) < max(0.05, 0.1 * t) for p, t in zip(ghosts.places, true_m, strict=True)]
         return sum(place.length_m for place, fits in zip(ghosts.places, right, strict=True) if fits)
 
 
 def with_ghost(scans: PlacedScans, shift: Shift, sudden: bool) -> PlacedScans:
-    """Shift the poses of the second half, suddenly or growing over a tenth of the run."""
+    """Shift the poses of the second half, suddenly or gradually over a tenth of the run."""
     n = len(scans.poses)
     share = np.clip((np.arange(n) / n - 0.45) / 0.1, 0.0, 1.0) if not sudden else (np.arange(n) >= n // 2) * 1.0
     poses = np.column_stack((shift.moved(scans.poses[:, :2], share), scans.poses[:, 2] + share * shift.yaw_rad))
@@ -246,9 +246,9 @@ def ghosts_of(scans: PlacedScans) -> GhostWalls:
 
 
 def planted(kind: str, seed: int, offset_m: float) -> tuple[GhostWalls, float]:
-    """Return what is found of a ghost of this offset, across the corridor or along a wall of the room.
+    """Return the ghost walls found with this offset, across the corridor or along a wall of the room.
 
-    Returned with it is the length of the places whose offset is right.
+    Returns also the length of the ghost walls whose offset is correct, m.
     """
     rng = np.random.default_rng((seed, 1))
     scans, turn = placed(GHOSTS[kind](rng), seed, rng), int(rng.integers(4))

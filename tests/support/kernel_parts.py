@@ -1,4 +1,4 @@
-"""Helpers of kernels, made callable from Python for their tests; they take arrays in place of named tuples.
+"""Helpers of kernels made callable from Python for tests; they take arrays instead of named tuples.
 
 ``at`` (5,) is the middle of a grid: x, y (m), yaw (rad), and where the centroid was expected, x, y (m). ``window`` (5,)
 is half-windows (m, rad), the cost of a squared metre, the truncation (m2), and 1 to prune.

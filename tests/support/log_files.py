@@ -1,4 +1,4 @@
-"""Small logs of every format, written by the formats' own libraries from one list of messages."""
+"""Small logs of every format, written by the libraries of the formats from a list of messages."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def store(ros: int) -> Any:
 
 @dataclass(frozen=True)
 class Message:
-    """A message to write: ``fields`` is built into a message of either ROS by ``build``."""
+    """A message to write; ``build`` converts it to a message of ROS 1 or ROS 2."""
 
     topic: str
     type: str
@@ -63,18 +63,18 @@ def _header(types: dict[str, Any], stamp_ns: int, frame_id: str, ros: int) -> An
 def build(message: Message, ros: int) -> Any:
     types, f = store(ros).types, message.fields
     if message.type == LASER:
-        told = {"angle_max": f["angle_min"] + f["angle_increment"] * (len(f["ranges"]) - 1)}
-        told |= {"time_increment": 0.0, "scan_time": 0.1, "range_min": 0.1, "range_max": 10.0}
-        values = told | {k: v for k, v in f.items() if k != "frame_id"}
+        defaults = {"angle_max": f["angle_min"] + f["angle_increment"] * (len(f["ranges"]) - 1)}
+        defaults |= {"time_increment": 0.0, "scan_time": 0.1, "range_min": 0.1, "range_max": 10.0}
+        values = defaults | {k: v for k, v in f.items() if k != "frame_id"}
         values["ranges"] = np.asarray(values["ranges"], dtype=np.float32)
         header = _header(types, message.stamp_ns, f.get("frame_id", "laser"), ros)
         return types[LASER](header=header, intensities=np.array([], dtype=np.float32), **values)
     if message.type == IMU:
         none, vector = np.zeros(9), types["geometry_msgs/msg/Vector3"]
         turn = types["geometry_msgs/msg/Quaternion"](*f.get("xyzw", (0.0, 0.0, 0.0, 1.0)))
-        told = none if "xyzw" in f else np.r_[-1.0, none[1:]]
+        covariance = none if "xyzw" in f else np.r_[-1.0, none[1:]]
         header, gravity = _header(types, message.stamp_ns, "imu", ros), f.get("up", (0.0, 0.0, 9.81))
-        return types[IMU](header, turn, told, vector(*f["rates"]), none, vector(*gravity), none)
+        return types[IMU](header, turn, covariance, vector(*f["rates"]), none, vector(*gravity), none)
     if message.type == POSE:
         return types[POSE](header=_header(types, message.stamp_ns, "world", ros), pose=_pose(types, f))
     if message.type == ODOM:
@@ -108,11 +108,11 @@ def _yaw(types: dict[str, Any], yaw: float) -> Any:
 
 
 def laser(k: int, *, topic: str = "/scan", beams: int = 16, **fields: Any) -> Message:
-    """Return scan number k: ranges from its number, some odd ones."""
+    """Return scan number k, with random ranges from seed k, one of them 0."""
     ranges = np.random.default_rng(k).uniform(0.5, 9.0, beams).astype(np.float32)
     ranges[k % beams] = 0.0
-    told = {"angle_min": -1.0, "angle_increment": 2.0 / beams, "ranges": ranges} | fields
-    return Message(topic, LASER, START_NS + k * PERIOD_NS, told)
+    defaults = {"angle_min": -1.0, "angle_increment": 2.0 / beams, "ranges": ranges} | fields
+    return Message(topic, LASER, START_NS + k * PERIOD_NS, defaults)
 
 
 def drive(scans: int = 25) -> list[Message]:
@@ -183,7 +183,7 @@ def write_bag2(path: Path, messages: Sequence[Message], storage: str = "SQLITE3"
 
 
 def write_zstd(path: Path, source: Path) -> Path:
-    """Compress a whole file, in blocks of 1000 bytes, so that small files have several."""
+    """Compress a file in blocks of 1000 bytes, so that small files have several blocks."""
     data, packer = source.read_bytes(), zstandard.ZstdCompressor().compressobj()
     with path.open("wb") as file:
         for at in range(0, len(data), 1000):
@@ -219,7 +219,7 @@ WRITERS: dict[str, tuple[str, Callable[[Path, Sequence[Message]], Path]]] = {
     "bag2-mcap-file": ("rosbag2-mcap-zstd", lambda p, m: write_bag2(p, m, "MCAP", "FILE")),
     "db3": ("rosbag2-sqlite3", _lone_db3),
 }
-"""Name -> (format that the survey tells, writer)."""
+"""Name -> (format that the survey reports, writer)."""
 
 
 def foxglove_json(path: Path, scans: Sequence[dict[str, Any]], **options: Any) -> Path:
@@ -235,7 +235,7 @@ def foxglove_json(path: Path, scans: Sequence[dict[str, Any]], **options: Any) -
 
 
 def foxglove_protobuf(path: Path, scans: Sequence[dict[str, Any]], **options: Any) -> Path:
-    """Write scans by a schema of our own, with the field numbers of Foxglove's."""
+    """Write scans with an own schema that has the field numbers of Foxglove's."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
     from google.protobuf.timestamp_pb2 import DESCRIPTOR as TIMESTAMP
 

@@ -1,4 +1,4 @@
-"""Pictures of maps as other tools write them."""
+"""Images of maps in the formats of other tools."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 
 FREE, OCCUPIED, UNKNOWN = 1, 2, 0
 KINDS = np.array([[UNKNOWN, FREE, OCCUPIED], [FREE, FREE, UNKNOWN]])
-"""Row 0 is the lowest."""
+"""Kinds of cells; row 0 is at the minimum y."""
 
 
 def pgm(shades: np.ndarray, kind: str = "P5", depth: int = 255) -> bytes:
-    """Write a picture, its first row on top."""
+    """Return the bytes of an image with its first row on top."""
     rows, cols = shades.shape
     head = f"{kind}\n# made by a test\n{cols} {rows}\n{depth}\n".encode()
     if kind == "P2":

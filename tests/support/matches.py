@@ -1,4 +1,4 @@
-"""Matches to search for, random and recorded, and whether pruned and exhaustive search agree on each of their grids."""
+"""Random matching problems, and the comparison of pruned and exhaustive search on each of their grids."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ LASERS = (
     LaserSpec(0.0, 2 * math.pi / 90, 90, 0.02, 5.6),
     LaserSpec(2.0, -4.0 / 80, 81, 0.02, 5.6),
 )
-"""With a seam behind, of a full turn, clockwise."""
+"""Lasers with a gap behind, with a full turn, and clockwise."""
 
 
 def voxel_means(xy_m: np.ndarray, voxel_m: float) -> np.ndarray:
-    """Return the means (m, 2) of points (n, 2) in voxels, as scans are matched."""
+    """Return the means (m, 2) of points (n, 2) in voxels, as used for matching."""
     out = np.empty_like(xy_m)
     return out[: kernel_parts.voxel_means(np.ascontiguousarray(xy_m), voxel_m, out)]
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A scan's points (n, 2) in the laser's frame, the map, and where the search begins: x, y, yaw."""
+    """The points (n, 2) of a scan in the laser's frame, the map, and the start of the search: x, y, yaw."""
 
     line_map: LineMap
     points: np.ndarray
@@ -47,7 +47,7 @@ class Problem:
         return np.ascontiguousarray((self.points - self.points.mean(axis=0)).T)
 
     def grid(self, half_m: float, half_rad: float, prior: float, *, pruned: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return ``at`` and ``window`` of a grid about the start."""
+        """Return ``at`` and ``window`` of a grid around the start."""
         middle = transform_points(Pose(*self.start), self.points.mean(axis=0)[None])[0]
         at = np.array([*middle, self.start[2], *(middle + np.array((0.01, -0.02)))])
         return at, np.array([half_m, half_rad, prior, 0.15**2, float(pruned)])
@@ -63,9 +63,9 @@ class Problem:
     def search_once(
         self, grid: int, half_m: float, half_rad: float, prior: float, *, fixed: bool, pruned: bool, rounds: int = 2
     ) -> tuple:
-        """Search grids of one size, jointly with fixed correspondences or yaw and plane in turn.
+        """Search grids of one size, jointly with fixed correspondences, or yaw and plane in turn.
 
-        From the second round on the middle is not where the centroid was expected.
+        From the second round on, the center of the grid differs from the expected centroid.
         """
         whole = [np.inf, np.inf, 0.15, np.inf, rounds]  # one level, with all points
         limits = np.array([half_m, half_rad, *whole, prior, np.inf if fixed else 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -74,7 +74,7 @@ class Problem:
 
 
 def random_problem(seed: int) -> Problem:
-    """Make a map of scans and scattered points, and a scan that more or less fits it."""
+    """Return a map of scans and scattered points, with a scan that fits it approximately."""
     rng = np.random.default_rng(seed)
     here = Pose(3.0, 2.2, float(rng.uniform(-3, 3)))
     noise = float(rng.choice((0.001, 0.01, 0.04)))
@@ -89,7 +89,7 @@ def random_problem(seed: int) -> Problem:
 
 
 def differences(problem: Problem, grid: int, half_m: float, half_rad: float, prior: float) -> list[str]:
-    """Search grids both ways; names those whose minima differ in index or cost."""
+    """Return the names of the grids whose minima differ in index or cost between both searches."""
     found = {
         pruned: {
             name: problem.search_once(grid, half_m, half_rad, prior, fixed=fixed, pruned=pruned)
@@ -103,7 +103,7 @@ def differences(problem: Problem, grid: int, half_m: float, half_rad: float, pri
 def polar_problem(
     seed: int, spec: LaserSpec, *, counted: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.random.Generator]:
-    """Return virtual ranges, points (n, 5) and limits of a search by the paper, and what goes on making numbers."""
+    """Return virtual ranges, points (n, 5) and limits of a search of the paper's method, and the random generator."""
     rng = np.random.default_rng(seed)
     virtual = scan_at(furnished_rooms(), Pose(3.0, 2.4, rng.uniform(-3, 3)), spec, noise=0.02, rng=rng).ranges_m.copy()
     virtual[rng.random(spec.beams) < 0.1] = np.nan

@@ -1,4 +1,4 @@
-"""Slow, obvious twins of the kernels: what each must compute, without a thought for speed."""
+"""Slow, simple twins of the kernels: reference implementations without optimization."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ from mavnav.pose import transform_points
 # ---- hits, raycast -------------------------------------------------------------------------------------------------
 
 
-def cells_on_the_way(u0, v0, u1, v1):
-    """Cells (row, col) from one point to another, in cell units, both ends included: sort all crossings of edges."""
+def cells_between(u0, v0, u1, v1):
+    """Return the cells (row, col) from one point to another, in cell units, including both ends.
+
+    Sorts all crossings with cell edges.
+    """
     crossings = [0.0, 1.0]
     for a, b in ((u0, u1), (v0, v1)):
         lines = range(math.ceil(min(a, b)), math.floor(max(a, b)) + 1)
@@ -34,7 +37,7 @@ def add_scan(xy_map_m, laser_xy_m, lattice, hits, passes, shielded, near=3):
             last = (row, col)
             near_ends |= {(row + i, col + j) for i in range(-near, near + 1) for j in range(-near, near + 1)}
     for x, y in xy_map_m:
-        *way, end = cells_on_the_way(u0, v0, (x - ox) / cell, (y - oy) / cell)
+        *way, end = cells_between(u0, v0, (x - ox) / cell, (y - oy) / cell)
         for cell_on_way in way:
             passes[cell_on_way] += 1
             shielded[cell_on_way] += cell_on_way in near_ends
@@ -42,7 +45,7 @@ def add_scan(xy_map_m, laser_xy_m, lattice, hits, passes, shielded, near=3):
 
 
 def show_ends(ranges_m, directions, pose, lattice, walls, cells):
-    """Show the walls in which the beams of a scan end; returns how many do."""
+    """Mark the wall cells in which the beams of a scan end; return the number of these beams."""
     (x, y, yaw), (ox, oy, cell), count = pose, lattice, 0
     for r, (dx, dy) in zip(ranges_m, directions, strict=True):
         if not math.isfinite(r):
@@ -81,7 +84,7 @@ def virtual_scan(hits, lattice, pose, directions, far_m, gap_cells, middle=False
         angle = math.atan2(cy, cx) + yaw
         far = far_m / cell
         cluster, empty = [], 0
-        for row, col in cells_on_the_way(u, v, u + far * math.cos(angle), v + far * math.sin(angle)):
+        for row, col in cells_between(u, v, u + far * math.cos(angle), v + far * math.sin(angle)):
             inside = 0 <= row < hits.shape[0] and 0 <= col < hits.shape[1]
             if inside and hits[row, col] > 0:
                 cluster.append((hits[row, col], cell * math.hypot(col + 0.5 - u, row + 0.5 - v)))
@@ -165,7 +168,7 @@ def scan_points(ranges_m, directions, twist, time_increment_s, near_m, far_m):
 
 
 def voxel_means(points, voxel_m):
-    """The means in any order."""
+    """Return the means in any order."""
     voxels = defaultdict(list)
     for x, y in points:
         voxels[math.floor(x / voxel_m), math.floor(y / voxel_m)].append((x, y))
@@ -173,7 +176,7 @@ def voxel_means(points, voxel_m):
 
 
 def extent(points):
-    """Least and largest coordinates: x, y, x, y."""
+    """Return the minimum and maximum coordinates: x, y, x, y."""
     xs, ys = [x for x, _ in points], [y for _, y in points]
     return min(xs), min(ys), max(xs), max(ys)
 
@@ -185,8 +188,8 @@ def cell_of(point, cell_m):
     return math.floor(point[1] / cell_m), math.floor(point[0] / cell_m)
 
 
-def told(scans, cell_m, share):
-    """The points that lines rest on, if those of a cell wait until they exceed a share of those that rest there."""
+def line_points(scans, cell_m, share):
+    """Return the points that support lines, if new points of a cell wait until they exceed a share of the old ones."""
     known, new = defaultdict(list), defaultdict(list)
     for points in scans:
         for p in points:
@@ -198,9 +201,9 @@ def told(scans, cell_m, share):
 
 
 def insert_points(points, cell_m, sigma_m, noise_m, window=4):
-    """Lines of all occupied cells from all points at once: cell (row, col) -> foot, metric A, points it rests on.
+    """Return the lines of all occupied cells from all points: cell (row, col) -> foot, metric A, supporting points.
 
-    The foot is the window's centroid across the wall, and the cell's own along it.
+    The foot is the centroid of the window across the wall, and that of the cell along it.
     """
     cells = defaultdict(list)
     for p in points:
@@ -227,7 +230,7 @@ def insert_points(points, cell_m, sigma_m, noise_m, window=4):
 
 
 def line_costs(points, pose, lines, cell_m, truncate_m, reach=8):
-    """Every point's squared, truncated distance to the line of its nearest occupied cell; None marks a tie of cells."""
+    """Return each point's truncated squared distance to the line of the nearest occupied cell; None for a tie."""
     x, y, yaw = pose
     costs = []
     for px, py in points:
@@ -245,10 +248,10 @@ def line_costs(points, pose, lines, cell_m, truncate_m, reach=8):
     return costs
 
 
-def drawn(points, pose, line_map, overlap_m, known_points):
-    """The points whose cell has an occupied one within ``overlap_m``, and there a line that rests on ``known_points``.
+def on_mapped_area(points, pose, line_map, overlap_m, known_points):
+    """Return the points with an occupied cell within ``overlap_m`` whose line has at least ``known_points`` points.
 
-    All points, where those are fewer than half. Of occupied cells that are as near, the one first hit counts.
+    If these are fewer than half, return all points. Of equally near occupied cells, the one hit first is used.
     """
     occupied = line_map.cells[1 : line_map.count] + np.array(line_map.origin_cells)[::-1]
     counts, window = line_map.moments[1 : line_map.count, 0], 4
@@ -259,14 +262,17 @@ def drawn(points, pose, line_map, overlap_m, known_points):
         away = ((occupied - cell_of(p, line_map.cell_m)) ** 2).sum(axis=1)
         apart = occupied - occupied[away.argmin()]
         weights = np.exp(-0.5 * (apart**2).sum(axis=1) * (line_map.cell_m / line_map.line_sigma_m) ** 2)
-        rests_on = (weights * counts)[(abs(apart) <= window).all(axis=1)].sum()
-        if math.sqrt(away.min()) * line_map.cell_m <= overlap_m + 1e-9 and rests_on >= known_points:
+        support = (weights * counts)[(abs(apart) <= window).all(axis=1)].sum()
+        if math.sqrt(away.min()) * line_map.cell_m <= overlap_m + 1e-9 and support >= known_points:
             kept.append((px, py))
     return np.array(kept if len(kept) >= 0.5 * len(points) else points)
 
 
 def smooth(xy, elapsed, stiffness):
-    """Positions by the dense system; how likely the accelerations are under white noise of positions, best scaled."""
+    """Return the smoothed positions from the dense system, and the log-likelihood of the accelerations.
+
+    The likelihood assumes white noise of the positions with the optimal scale.
+    """
     n = len(xy)
     rates = np.diff(np.eye(n), axis=0) / elapsed[:, None]
     accelerations = np.diff(rates, axis=0) * 2 / (elapsed[1:] + elapsed[:-1])[:, None]
@@ -277,11 +283,11 @@ def smooth(xy, elapsed, stiffness):
     return np.linalg.solve(np.eye(n) + stiffness * accelerations.T @ accelerations, xy), likely
 
 
-def held_cost(points, at, motion, line_map, truncate_m):
-    """Sum of the points' squared distances after a motion of their middle to the lines that they have before it.
+def fixed_cost(points, at, motion, line_map, truncate_m):
+    """Return the sum of squared distances after a motion of the centroid, with the correspondences before it.
 
-    ``at`` x, y, yaw before, ``motion`` to the right, up and turn, each a number or an array over motions; a point
-    truncated before it stays so.
+    ``at`` is x, y, yaw before the motion; ``motion`` is right, up and turn, each a number or an array over motions. A
+    point that was truncated before stays truncated.
     """
     (x, y, yaw), (right, up, turn) = at, motion
     there, total = yaw + turn, 0.0
@@ -299,13 +305,13 @@ def held_cost(points, at, motion, line_map, truncate_m):
 
 
 def pose_costs(points, xy_map_m, yaws_rad, lines, cell_m, truncate_m):
-    """Mean cost at every yaw and position; None marks a tie of cells."""
+    """Return the mean cost at every yaw and position; None for a tie of cells."""
     costs = [[line_costs(points, (x, y, yaw), lines, cell_m, truncate_m) for x, y in xy_map_m] for yaw in yaws_rad]
     return [[None if None in point else sum(point) / len(point) for point in row] for row in costs]
 
 
 def lowest_poses(costs, xy_m, yaws_rad, separate, most):
-    """Lowest costs (q, p) one after the other, each apart from those before it; cost, yaw, position."""
+    """Return the lowest costs (q, p) in order, each separated from those before it, as (cost, q, p)."""
     found = []
     for cost, q, p in sorted((cost, q, p) for q, row in enumerate(costs) for p, cost in enumerate(row)):
         turns = [abs(np.angle(np.exp(1j * (yaws_rad[q] - yaws_rad[other])))) for _, other, _ in found]
@@ -316,7 +322,7 @@ def lowest_poses(costs, xy_m, yaws_rad, separate, most):
 
 
 def cost_floors(lines, box, step, truncate_m, levels):
-    """Bounds of the cells of a box by level; ``lines`` as in ``line_costs``, of the nearest cell by (row, col)."""
+    """Return the bounds of the cells of a box by level; ``lines`` as in ``line_costs``, of the nearest cell."""
     first_row, first_col, rows, cols = box
 
     def least(row, col):
@@ -335,7 +341,10 @@ def cost_floors(lines, box, step, truncate_m, levels):
 
 
 def observability(points, map_T_laser, line_map):
-    """Least eigenvalue of the information of the points (n, 2), by way of every line's normal; and their sum (3, 3)."""
+    """Return the smallest eigenvalue of the mean information of points (n, 2), and the total information (3, 3).
+
+    The information of a point comes from the normal of its line.
+    """
     arm = np.linalg.norm(points, axis=1).mean()
     information = np.zeros((3, 3))
     for x, y in transform_points(map_T_laser, points):
@@ -343,40 +352,40 @@ def observability(points, map_T_laser, line_map):
         inside = 0 <= row < line_map.nearest.shape[0] and 0 <= col < line_map.nearest.shape[1]
         if slot := line_map.nearest[row, col] // 128 if inside else 0:
             axx, axy, ayy = line_map.lines[slot, 2:5]
-            (along_it, _), ways = np.linalg.eigh([[axx, axy], [axy, ayy]])
-            nx, ny = ways[:, 1]
-            tells = np.array([nx, ny, (ny * (x - map_T_laser.x_m) - nx * (y - map_T_laser.y_m)) / arm])
-            information += (1.0 - along_it) * np.outer(tells, tells) / len(points)
+            (along_it, _), axes = np.linalg.eigh([[axx, axy], [axy, ayy]])
+            nx, ny = axes[:, 1]
+            jacobian = np.array([nx, ny, (ny * (x - map_T_laser.x_m) - nx * (y - map_T_laser.y_m)) / arm])
+            information += (1.0 - along_it) * np.outer(jacobian, jacobian) / len(points)
     units = np.array([1.0, 1.0, arm])
     return np.linalg.eigvalsh(information)[0], len(points) * information * np.outer(units, units)
 
 
-def coarse_to_fine(terms, start, grid, limits, dense, few=None, settled=None):
-    """The schedule of ``line_search.search`` over any cost(x, y, yaw) of the pose, rotating about the pivot.
+def coarse_to_fine(terms, start, grid, limits, dense, few=None, on_known=None):
+    """Run the schedule of ``line_search.search`` over any cost(x, y, yaw) of the pose, rotating about the pivot.
 
-    ``terms`` are cost, pivot, what is added for a squared metre between the pivot and where it was expected, and
-    held(at, motion), the cost after motions of the pivot while lines are held; within a cell ``dense`` scans hold them.
-    Levels that may change lines are searched by ``few`` until the first within a cell is searched again, with the
-    terms that ``settled`` gives for the pose found; finer ones alternate once.
+    ``terms`` are the cost, the pivot, the motion-prior cost per m2 between the pivot and its expected position, and
+    fixed(at, motion), the cost after motions of the pivot with fixed correspondences. Within a cell, correspondences
+    are fixed only for ``dense`` scans. Levels that may change correspondences use the terms ``few``, until the first
+    level within a cell is repeated with the terms that ``on_known`` returns for its pose; finer levels alternate once.
     """
     azimuths, nx, ny, extensions = map(int, grid[:4])
     half_m, half_rad, stop_m, stop_rad = limits[:4]
-    pose, joint, (hold_m, cell_m) = start, int(limits[6]), limits[8:10]
+    pose, joint, (fixed_below_m, cell_m) = start, int(limits[6]), limits[8:10]
     alternations = joint
     while True:
         step_m, step_rad = 2 * half_m / (min(nx, ny) - 1), 2 * half_rad / (azimuths - 1)
         last, within = step_m < stop_m and step_rad < stop_rad, half_m <= cell_m
-        held, sampled = half_m <= hold_m and (dense or not within), within and settled
-        used = terms if settled is None or (held and not sampled) else few
-        for turn in range(joint + extensions if held else 0):
+        fixed, sampled = half_m <= fixed_below_m and (dense or not within), within and on_known
+        used = terms if on_known is None or (fixed and not sampled) else few
+        for turn in range(joint + extensions if fixed else 0):
             pose, bordering = _best_of_both(used, pose, half_m, half_rad, grid, start)
             if turn + 1 >= joint and not bordering:
                 break
-        for _ in range((1 if sampled or (last and within) else 0) if held else alternations):
+        for _ in range((1 if sampled or (last and within) else 0) if fixed else alternations):
             pose = _best_turn(used, pose, half_rad, grid)
             pose = _best_shift(used, pose, half_m, grid, start)
         if sampled:
-            terms, settled = settled(*pose), None
+            terms, on_known = on_known(*pose), None
             continue
         if last:
             return pose
@@ -386,20 +395,20 @@ def coarse_to_fine(terms, start, grid, limits, dense, few=None, settled=None):
 
 
 def _middle(pose, pivot):
-    """Where the pivot, given in the laser's frame, lies in the map."""
+    """Return the position in the map of the pivot, given in the laser's frame."""
     (x, y, yaw), (px, py) = pose, pivot
     return np.array([x + math.cos(yaw) * px - math.sin(yaw) * py, y + math.sin(yaw) * px + math.cos(yaw) * py])
 
 
 def _best_of_both(terms, pose, half_m, half_rad, grid, start):
-    """The pose of the least cost with lines held, and whether it lies on the border of the joint grid."""
-    _, pivot, prior, held = terms
+    """Return the best pose with fixed correspondences, and whether it is on the border of the joint grid."""
+    _, pivot, prior, fixed = terms
     azimuths, nx, ny = map(int, grid[:3])
     turns, rights, ups = (np.linspace(-h, h, n) for h, n in ((half_rad, azimuths), (half_m, nx), (half_m, ny)))
     turn, up, right = np.meshgrid(turns, ups, rights, indexing="ij")
     at = _middle(pose, pivot)
     expected = at - _middle(start, pivot)
-    costs = held((*at, pose[2]), (right, up, turn))
+    costs = fixed((*at, pose[2]), (right, up, turn))
     costs = costs + prior * ((right + expected[0]) ** 2 + (up + expected[1]) ** 2)
     a, j, i = np.unravel_index(costs.argmin(), costs.shape)
     x, y, yaw = _turned(pose, pivot, turns[a])
@@ -408,7 +417,7 @@ def _best_of_both(terms, pose, half_m, half_rad, grid, start):
 
 
 def _turned(pose, pivot, turn):
-    """The pose after a turn about the pivot, given in the laser's frame."""
+    """Return the pose after a turn about the pivot, which is given in the laser's frame."""
     x, y, yaw = pose
     (px, py), there = pivot, yaw + turn
     at_x, at_y = x + math.cos(yaw) * px - math.sin(yaw) * py, y + math.sin(yaw) * px + math.cos(yaw) * py
@@ -449,7 +458,7 @@ def _best_shift(terms, pose, half_m, grid, start):
 
 
 def conflicts(xy_map_m, laser_xy_m, lattice, hits, passes, wall=4, free=3, reach=7, graze=10):
-    """Count the points in the open and those behind walls; the cells on a beam's way are looked at cell by cell."""
+    """Return the number of points in free space or behind walls, checking the cells of each beam one by one."""
     u, v = (np.asarray(xy_map_m) - lattice[:2]).T / lattice[2]
     u0, v0 = (np.asarray(laser_xy_m) - lattice[:2]) / lattice[2]
     count = 0
@@ -457,11 +466,11 @@ def conflicts(xy_map_m, laser_xy_m, lattice, hits, passes, wall=4, free=3, reach
         row, col = math.floor(v1), math.floor(u1)
         inside = 0 <= row < hits.shape[0] and 0 <= col < hits.shape[1]
         near = hits[max(row - reach, 0) : row + reach + 1, max(col - reach, 0) : col + reach + 1]
-        in_the_open = inside and passes[row, col] >= free and not near.any()
+        in_free_space = inside and passes[row, col] >= free and not near.any()
         length = math.hypot(u1 - u0, v1 - v0)
         way = [(v0 + i * (v1 - v0) / length, u0 + i * (u1 - u0) / length) for i in range(2, int(length - graze))]
         cells = [(math.floor(r), math.floor(c)) for r, c in way]
-        met = [hits[at] for at in cells if 0 <= at[0] < hits.shape[0] and 0 <= at[1] < hits.shape[1]
+        occluders = [hits[at] for at in cells if 0 <= at[0] < hits.shape[0] and 0 <= at[1] < hits.shape[1]
                and hits[at] >= max(wall, passes[at])]  # fmt: skip
-        count += bool(in_the_open or met)
+        count += bool(in_free_space or occluders)
     return count

@@ -1,4 +1,4 @@
-"""Slow, obvious twins of the kernels that the metrics use."""
+"""Slow, simple twins of the kernels of the metrics."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def link_groups(xy_m, directions, reach_m, across_m, sin_turn):
 
 
 def straight_beams(xy_m, spacing_m, radii_m, least_reach, max_ratio, min_points):
-    """Follow the docstring of the kernel of that name to the letter."""
+    """Implement the docstring of the kernel of this name directly."""
     direction, kept = np.full(len(xy_m), np.nan), []
     for beam, point in enumerate(xy_m):
         if np.isfinite(point).all() and (not kept or np.hypot(*(point - xy_m[kept[-1]])) >= spacing_m):
@@ -96,7 +96,7 @@ def straight_beams(xy_m, spacing_m, radii_m, least_reach, max_ratio, min_points)
 
 
 def wall_normals(ranges_m, directions, limits_m):
-    """Fit a line to the points beside each end point, one side after the other."""
+    """Fit a line to the points next to each end point, one side after the other."""
     used = (ranges_m >= limits_m[0]) & (ranges_m <= limits_m[1])
     out = np.full(ranges_m.shape, np.nan)
     for s, i in np.argwhere(used):
@@ -148,7 +148,7 @@ def wall_gaps(ranges_m, normals_rad, pairs, b_T_a, directions, beams, every):
 
 
 def closeness(points, targets, size):
-    """Return the mean closeness of points (n, 2) to the nearest targets (m, 2), by the middles of cells of 50 mm."""
+    """Return the mean closeness of points (n, 2) to the nearest targets (m, 2), from the centers of 50 mm cells."""
     cells = np.floor(points / 0.05 + size // 2)
     middles = (cells + 0.5 - size // 2) * 0.05
     at = np.floor(targets / 0.05)
@@ -162,7 +162,7 @@ def closeness(points, targets, size):
 
 
 def best_alignments(ranges_m, pairs, b_T_a, directions, limits_m, reach):
-    """Try all poses of a level, and remember the first of the best."""
+    """Evaluate all poses of each level, and keep the first of the best."""
     used = (ranges_m >= limits_m[0]) & (ranges_m <= limits_m[1])
     size, out = 2 * int(limits_m[1] / 0.05) + 2, b_T_a.copy()
     for p, (a, b) in enumerate(pairs):

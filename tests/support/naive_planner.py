@@ -1,4 +1,4 @@
-"""Slow, obvious twins of the planner's kernels."""
+"""Slow, simple twins of the planner's kernels."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def squared_clearance(walls, reach_cells):
 
 
 def steps_from(weights, row, col):
-    """Every cell that one step reaches, with the step's length."""
+    """Yield every cell that one step reaches, with the length of the step."""
     rows, cols = weights.shape
     for dr, dc in product((-1, 0, 1), repeat=2):
         r, c = row + dr, col + dc
@@ -56,7 +56,7 @@ def steps_from(weights, row, col):
 
 
 def wave(weights, goals):
-    """The cost of every cell: Dijkstra's algorithm with a heap, to its end."""
+    """Return the cost of every cell by Dijkstra's algorithm with a heap."""
     cost = {}
     heap = [(0, int(row), int(col)) for row, col in goals]
     while heap:

@@ -1,4 +1,4 @@
-"""Maps with planted walls: seen by beams from where a robot would be, and therefore with honest free space."""
+"""Maps with known walls, seen by beams from realistic robot positions, and therefore with correct free space."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ RETURNS = 6000
 
 
 class Scene:
-    """A map into which walls are drawn; everything is turned by ``angle_rad`` and moved off the lattice."""
+    """A map into which walls are drawn, rotated by ``angle_rad`` and shifted by a fraction of a cell."""
 
     def __init__(self, angle_rad: float, sigma_m: float, seed: int) -> None:
-        self.tally, self.rng, self.sigma_m = GridBuilder(CELL_M), np.random.default_rng(seed), sigma_m
+        self.grid, self.rng, self.sigma_m = GridBuilder(CELL_M), np.random.default_rng(seed), sigma_m
         c, s = np.cos(angle_rad), np.sin(angle_rad)
         self.turn = np.array([(c, s), (-s, c)])
 
     def viewers(self, side: int = 1, shift_m: float = 0.0):
-        """Return six places, 0.8 to 2 m from the walls."""
+        """Return six positions, 0.8 to 2 m from the walls."""
         return np.column_stack((self.rng.uniform(-0.8, 0.8, 6) + shift_m, side * self.rng.uniform(0.8, 2.0, 6)))
 
     def wall(self, start, end, lasers, share: float = 0.5) -> None:
@@ -33,17 +33,17 @@ class Scene:
             on_wall = ends[0] + self.rng.uniform(0, 1, (int(share * RETURNS) // len(lasers), 1)) * (ends[1] - ends[0])
             beam = on_wall - laser
             noise = self.rng.normal(0, self.sigma_m, (len(beam), 1))
-            self.tally.insert(Pose(*laser, 0.0), on_wall + beam / np.linalg.norm(beam, axis=1, keepdims=True) * noise)
+            self.grid.insert(Pose(*laser, 0.0), on_wall + beam / np.linalg.norm(beam, axis=1, keepdims=True) * noise)
 
 
 def ghost(scene: Scene, apart_m: float, share: float = 0.5) -> None:
-    """Plant one wall, mapped twice: from the same side."""
+    """Add one wall that is mapped twice, from the same side."""
     scene.wall((-HALF_M, 0), (HALF_M, 0), scene.viewers(), 1 - share)
     scene.wall((-HALF_M, -apart_m), (HALF_M, -apart_m), scene.viewers(), share)
 
 
 def faint_ghost(scene: Scene, apart_m: float) -> None:
-    """Plant a ghost with a tenth of the returns."""
+    """Add a ghost wall with a tenth of the returns."""
     ghost(scene, apart_m, 0.1)
 
 
@@ -52,27 +52,27 @@ def single(scene: Scene, apart_m: float) -> None:
 
 
 def double_sided(scene: Scene, apart_m: float) -> None:
-    """A real wall, both of its faces seen."""
+    """Add a real wall seen from both sides."""
     scene.wall((-HALF_M, 0), (HALF_M, 0), scene.viewers())
     scene.wall((-HALF_M, -apart_m), (HALF_M, -apart_m), scene.viewers(-1) - (0, apart_m))
 
 
 def corridor(scene: Scene, apart_m: float) -> None:
-    """A slit between two walls, seen from within."""
+    """Add a gap between two walls, seen from inside."""
     inside = np.column_stack((scene.rng.uniform(-0.9, 0.9, 6), -apart_m * scene.rng.uniform(0.3, 0.7, 6)))
     scene.wall((-HALF_M, 0), (HALF_M, 0), inside)
     scene.wall((-HALF_M, -apart_m), (HALF_M, -apart_m), inside)
 
 
 def step(scene: Scene, apart_m: float) -> None:
-    """A wall that steps back: two parallel walls side by side, not one behind the other."""
+    """Add a wall with a step: two parallel walls next to each other, not one behind the other."""
     scene.wall((-HALF_M, 0), (0, 0), scene.viewers())
     scene.wall((0, -apart_m), (HALF_M, -apart_m), scene.viewers())
     scene.wall((0, -apart_m), (0, 0), scene.viewers(shift_m=0.8), 0.1)
 
 
 def box(scene: Scene, apart_m: float) -> None:
-    """A shallow cupboard on a wall."""
+    """Add a shallow cupboard on a wall."""
     scene.wall((-HALF_M, -apart_m), (-0.4, -apart_m), scene.viewers(), 0.3)
     scene.wall((0.4, -apart_m), (HALF_M, -apart_m), scene.viewers(), 0.3)
     scene.wall((-0.4, 0), (0.4, 0), scene.viewers(), 0.3)
@@ -81,7 +81,7 @@ def box(scene: Scene, apart_m: float) -> None:
 
 
 def thick(scene: Scene, apart_m: float) -> None:
-    """A wall whose returns scatter evenly over its depth."""
+    """Add a wall whose returns are spread evenly over its depth."""
     scene.wall((-HALF_M, -apart_m / 2), (HALF_M, -apart_m / 2), scene.viewers(), 0.2)
     for depth in np.linspace(0, 1, 9):
         scene.wall((-HALF_M, -depth * apart_m), (HALF_M, -depth * apart_m), scene.viewers(), 0.15)
@@ -94,11 +94,11 @@ PLANTED = {f.__name__: f for f in (ghost, faint_ghost)}
 def map_of(kind, cells: float, angle_deg: float, sigma_m: float, seed: int) -> Grid:
     scene = Scene(np.radians(angle_deg), sigma_m, seed)
     kind(scene, cells * CELL_M)
-    return scene.tally.by_rows()
+    return scene.grid.by_rows()
 
 
 def as_published(grid: Grid) -> Grid:
-    """Forget the counts, as a map file does."""
+    """Return the grid without its counts, as in a map file."""
     cells = occupancy(grid)
     return Grid(grid.cell_m, grid.origin_xy_m, (cells == 100).astype(np.int32), (cells == 0).astype(np.int32))
 
@@ -108,7 +108,7 @@ def ghosts_of(grid: Grid, *, counted: bool = True) -> GhostWalls:
 
 
 def found(grid: Grid, cells: float, angle_deg: float, *, counted: bool = True) -> bool:
-    """Tell whether the planted ghost is found: right direction, offset to within a cell, half of its length or more."""
+    """Return whether the ghost wall is found: direction correct, offset within a cell, at least half of its length."""
     places = [
         place
         for place in ghosts_of(grid, counted=counted).places

@@ -1,4 +1,4 @@
-"""One command line in a forked child with limits of time and memory, and what is wrong with its end."""
+"""Execution of a command line in a forked child with limits of time and memory, and checks of the result."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from pathlib import Path
 
 from mavnav import cli
 
-MOST_CPU_S = 20
-MOST_WALL_S = 300.0  # a busy machine is no hang
-MOST_BYTES = 1 << 30
+MAX_CPU_S = 20
+MAX_WALL_S = 300.0  # high, because a busy machine must not count as a hang
+MAX_MEMORY_BYTES = 1 << 30
 GUARD_BYTES = 4 << 30
 CODES = {0, 1, 2, 3, 4, 5, 6}
 COUNTED = ("traceback", "exit 70", "crash", "hang", "slow", "memory", "altered inputs", "files outside")
@@ -27,7 +27,7 @@ COUNTED = ("traceback", "exit 70", "crash", "hang", "slow", "memory", "altered i
 
 @dataclass(frozen=True)
 class End:
-    """How a child ended: exit code, or minus the signal; its stderr; CPU seconds and memory beyond its parent's."""
+    """Result of a child: exit code, or minus the signal; stderr; CPU time, s; memory in addition to its parent's."""
 
     code: int
     err: str
@@ -37,13 +37,13 @@ class End:
 
 
 def run_forked(work: Callable[[], int], folder: Path) -> End:
-    """Run ``work`` in a child whose current folder is ``folder``; streams go to files beside it."""
+    """Run ``work`` in a child whose current folder is ``folder``; its streams are files next to that folder."""
     before = _private_bytes()
     streams = [folder.with_name(f"{folder.name}.{name}") for name in ("out", "err")]
     child = os.fork()
     if child == 0:
         _be_child(work, folder, streams)
-    deadline_s, timed_out = time.monotonic() + MOST_WALL_S, False
+    deadline_s, timed_out = time.monotonic() + MAX_WALL_S, False
     while True:
         ended, status, usage = os.wait4(child, os.WNOHANG)
         if ended:
@@ -58,7 +58,7 @@ def run_forked(work: Callable[[], int], folder: Path) -> End:
 
 
 def _private_bytes() -> int:
-    """Return the resident memory that a child gets at once; the pages of files come when they are touched."""
+    """Return the private resident memory, which a forked child has from the start, without file pages."""
     resident, shared = (int(pages) for pages in Path("/proc/self/statm").read_text().split()[1:3])
     return (resident - shared) * resource.getpagesize()
 
@@ -66,7 +66,7 @@ def _private_bytes() -> int:
 def _be_child(work: Callable[[], int], folder: Path, streams: Sequence[Path]) -> None:
     code = 99
     try:
-        resource.setrlimit(resource.RLIMIT_CPU, (MOST_CPU_S + 1, MOST_CPU_S + 2))
+        resource.setrlimit(resource.RLIMIT_CPU, (MAX_CPU_S + 1, MAX_CPU_S + 2))
         resource.setrlimit(resource.RLIMIT_DATA, (GUARD_BYTES, GUARD_BYTES))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         for number, path in enumerate(streams, 1):
@@ -88,7 +88,7 @@ def _be_child(work: Callable[[], int], folder: Path, streams: Sequence[Path]) ->
 
 
 def state(folder: Path) -> dict[str, str]:
-    """Return the kinds and hashes of all that is in a folder, but for ``out``."""
+    """Return mode, size and hash of all files in a folder, except in ``out``."""
     found = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
@@ -100,9 +100,9 @@ def state(folder: Path) -> dict[str, str]:
 
 
 def problems(args: Sequence[str], folder: Path) -> tuple[End, list[str]]:
-    """Run ``mavnav args`` in a folder and return its end, and what no input may cause.
+    """Run ``mavnav args`` in a folder; return its result, and the problems that no input may cause.
 
-    Only ``out`` in the folder may be written, and nothing may stay in the temporary folder.
+    Only ``out`` in the folder may be written, and nothing may remain in the temporary folder.
     """
     temporary = folder.with_name(f"{folder.name}.tmp")
     shutil.rmtree(temporary, ignore_errors=True)
@@ -126,7 +126,7 @@ def problems(args: Sequence[str], folder: Path) -> tuple[End, list[str]]:
 def _wrong(end: End) -> Iterator[str]:
     if end.timed_out:
         yield "hang"
-    elif end.code == -signal.SIGXCPU or end.cpu_s > MOST_CPU_S:
+    elif end.code == -signal.SIGXCPU or end.cpu_s > MAX_CPU_S:
         yield "slow"
     elif end.code == 70:
         yield "exit 70"
@@ -134,10 +134,10 @@ def _wrong(end: End) -> Iterator[str]:
         yield f"crash: {end.code}"
     if "Traceback" in end.err:
         yield "traceback"
-    if end.memory_bytes > MOST_BYTES:
+    if end.memory_bytes > MAX_MEMORY_BYTES:
         yield "memory"
 
 
 def table_row(name: str, counts: Counter[str]) -> str:
-    """Return a line of a table of what was found, by the words of `problems`."""
+    """Return a line of a table with the number of problems of each kind."""
     return f"{name:16s}{counts['inputs']:6d} inputs  " + "  ".join(f"{what} {counts[what]}" for what in COUNTED)

@@ -1,4 +1,4 @@
-"""Sessions in furnished rooms whose true poses are known, each in a frame of its own."""
+"""Sessions in furnished rooms with known true poses, each in a frame of its own."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ WIDE = LaserSpec(-135 * DEG, 0.5 * DEG, 541, 0.05, 12.0, 0.0, 0.1)
 """270 degrees in 541 beams, 12 m."""
 
 CELLAR = np.vstack([polyline((0, 0), (7, 0), (8, 4), (3, 5.5), (0, 3), closed=True), polyline((2, 2), (3.3, 2.9))])
-"""Another building."""
+"""Walls of another building."""
 
 
 def tour(path: str, seed: int = 0, walls: Segments | None = None) -> Recording:
-    """Scan along a path, every 0.5 s."""
+    """Return scans along a path, every 0.5 s."""
     track = along(TOURS[path], speed_m_s=0.3, period_s=0.5, turn_rad_s=0.6)
     return record(furnished_rooms() if walls is None else walls, track, LDS_01, seed=seed)
 
 
 def twin_room(x_m: float) -> Recording:
-    """Scan one of two rooms that look alike, and the corridor before it, which ends beside each on another side."""
+    """Return scans of one of two identical rooms, and of the corridor outside, which ends at another side of each."""
     walls = [polyline((0, 2), (0, 0), (10, 0), (10, 2))]
     for a in (0.0, 5.0):
         walls += [polyline((a, 2), (a + 2, 2)), polyline((a + 3, 2), (a + 5, 2)), box(a + 3.8, 5, 0.8, 0.6)]
@@ -45,7 +45,7 @@ def twin_room(x_m: float) -> Recording:
 
 
 def session(name: str, recording: Recording) -> Session:
-    """Make a session that was tracked without any error, in the frame of its first scan."""
+    """Return a session with the true poses, in the frame of its first scan."""
     return make_session(name, lambda: recording.scans, recording.map_T_laser, Config())
 
 
@@ -58,6 +58,6 @@ def written(recording: Recording, path: Path) -> Path:
 
 
 def errors_m(poses: Trajectory, recording: Recording, world_T_map: Pose) -> float:
-    """Return the greatest error of the positions of a trajectory."""
+    """Return the largest position error of a trajectory, m."""
     off_m = poses.seen_from(world_T_map).xyyaw[:, :2] - recording.world_T_laser.xyyaw[:, :2]
     return float(np.hypot(*off_m.T).max())

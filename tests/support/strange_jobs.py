@@ -53,7 +53,7 @@ def devour(megabytes: int, report) -> int:
 
 
 def sleep_with_a_file(path: Path, report) -> None:
-    """Make a file, sleep, and remove the file in any case."""
+    """Create a file, sleep, and remove the file in any case."""
     path.write_text(str(os.getpid()))
     try:
         report("sleeping", 0, None)
@@ -63,7 +63,7 @@ def sleep_with_a_file(path: Path, report) -> None:
 
 
 def kill_the_first(mark: Path, report) -> str:
-    """Kill the first process that tries."""
+    """Kill the first process that runs this job."""
     if not mark.exists():
         mark.touch()
         kill_itself(report)

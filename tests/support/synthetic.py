@@ -1,6 +1,6 @@
-"""Seeded scenes of line segments, seen by a perfect or a noisy laser: scans whose true poses are known.
+"""Scenes of line segments, seen by an ideal or a noisy laser: scans with known true poses.
 
-Ray casting is exact (ray against segment, in numpy). Everything follows from the seed.
+Ray casting is exact (ray against segment, in numpy). All random numbers depend on the seed only.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from mavnav.pose import Pose, Trajectory, wrap_angle
 from mavnav.scan import LaserSpec, Scan
 
 Segments = NDArray[np.float64]
-"""Walls, (n, 4): x1, y1, x2, y2 in metres, map frame."""
+"""Walls, (n, 4): x1, y1, x2, y2 in m, map frame."""
 
 DEG = pi / 180.0
 
@@ -27,13 +27,13 @@ LDS_01 = LaserSpec(0.0, DEG, 360, 0.12, 3.5, 0.0, 0.2)
 
 
 def polyline(*xy_m: tuple[float, float], closed: bool = False) -> Segments:
-    """Join points by walls."""
+    """Return the walls between consecutive points."""
     points = np.array([*xy_m, xy_m[0]] if closed else xy_m, dtype=np.float64)
     return np.column_stack((points[:-1], points[1:]))
 
 
 def box(x_m: float, y_m: float, width_m: float, depth_m: float, yaw_rad: float = 0.0) -> Segments:
-    """Return the four sides of a box about its centre."""
+    """Return the four sides of a box, given its center."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (width_m / 2, depth_m / 2)
     xy = corners @ np.array([(c, s), (-s, c)]) + (x_m, y_m)
@@ -81,7 +81,7 @@ def scan_at(
     noise: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> Scan:
-    """Take one scan at rest; ``noise`` is the standard deviation as a share of the range. No return gives NaN."""
+    """Return one scan at rest; ``noise`` is the standard deviation as a share of the range. No return gives NaN."""
     bearings = spec.angles_rad + map_T_laser.yaw_rad
     ranges = cast(segments, (map_T_laser.x_m, map_T_laser.y_m), bearings)
     if noise:
@@ -97,7 +97,7 @@ def along(
     turn_rad_s: float = 1.0,
     start_ns: int = 1_700_000_000_000_000_000,
 ) -> Trajectory:
-    """Walk way-points at a constant speed, turning towards the next one at a bounded rate while walking."""
+    """Return a trajectory along waypoints at constant speed, turning towards the next one at a bounded rate."""
     stamps, poses = [start_ns], [Pose(*waypoints_m[0], _bearing(waypoints_m[0], waypoints_m[1]))]
     for goal in waypoints_m[1:]:
         while True:
@@ -107,7 +107,7 @@ def along(
                 break
             error = wrap_angle(_bearing((at.x_m, at.y_m), goal) - at.yaw_rad)
             turn = float(np.clip(error, -turn_rad_s * period_s, turn_rad_s * period_s))
-            step = speed_m_s * period_s * max(0.0, np.cos(error - turn)) ** 4  # nearly on the spot in sharp turns
+            step = speed_m_s * period_s * max(0.0, np.cos(error - turn)) ** 4  # nearly in place in sharp turns
             poses.append(at @ Pose(0.0, 0.0, turn) @ Pose(float(step), 0.0, 0.0))
             stamps.append(stamps[-1] + round(period_s * 1e9))
     return Trajectory.of(stamps, poses)
@@ -126,7 +126,7 @@ class Recording:
 
     @property
     def map_T_laser(self) -> Trajectory:
-        """Return the truth in the map frame, that is seen from the first laser pose."""
+        """Return the true poses in the map frame, which is the first laser pose."""
         first = self.world_T_laser[0]
         poses = [first.between(self.world_T_laser[k]) for k in range(len(self.world_T_laser))]
         return Trajectory.of(self.world_T_laser.stamps_ns.tolist(), poses)
@@ -135,7 +135,7 @@ class Recording:
 def record(
     segments: Segments, world_T_laser: Trajectory, spec: LaserSpec = URG_04LX, noise: float = 0.01, seed: int = 0
 ) -> Recording:
-    """Scan along a trajectory."""
+    """Return the scans along a trajectory."""
     rng = np.random.default_rng(seed)
     scans = [
         scan_at(segments, world_T_laser[k], spec, stamp_ns=int(stamp), noise=noise, rng=rng)
@@ -147,7 +147,7 @@ def record(
 def drifting_odometry(
     world_T_base: Trajectory, seed: int = 0, length_share: float = 0.03, turn_share: float = 0.04
 ) -> Trajectory:
-    """Return wheel odometry: every step too long and turned too far by a constant share plus a random one."""
+    """Return wheel odometry: every step and turn is too large by a constant share plus a random one."""
     rng = np.random.default_rng(seed)
     poses = [Pose()]
     for k in range(1, len(world_T_base)):
@@ -159,4 +159,4 @@ def drifting_odometry(
 
 TOUR = [(0.8, 0.7), (4.9, 0.7), (5.2, 2.2), (4.65, 3.4), (4.65, 5.2), (5.9, 5.2), (4.65, 4.9), (4.65, 3.4), (3.0, 3.2),
         (1.1, 3.2), (0.8, 0.9)]  # fmt: skip
-"""A loop through ``furnished_rooms``: round the boxes, into the small room and back."""
+"""Waypoints of a loop through ``furnished_rooms``: around the boxes, into the small room and back."""

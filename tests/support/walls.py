@@ -1,4 +1,4 @@
-"""Walls of a known thickness, and people who walk about before them."""
+"""Walls of known thickness, and walking people."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CELL_M = 0.02
 
 
 def planted_wall(angle_rad: float, across_m: NDArray[np.float64]) -> WallSpread:
-    """Measure a wall of 4 m with hits planted at these distances from its middle, seen straight by one laser."""
+    """Measure a wall of 4 m with hits at these distances from its center line, seen perpendicularly by one laser."""
     rng, c, s = np.random.default_rng(0), np.cos(angle_rad), np.sin(angle_rad)
     turn = np.array(((c, s), (-s, c)))
     wall = np.array(((-2.0, 0.0), (2.0, 0.0))) @ turn
@@ -30,7 +30,7 @@ def planted_wall(angle_rad: float, across_m: NDArray[np.float64]) -> WallSpread:
 
 
 def walking_people(rng: np.random.Generator, people: int, steps: int) -> list[Segments]:
-    """Return the outlines of people who walk about in ``synthetic.room``, step by step."""
+    """Return the outlines of people walking in ``synthetic.room``, one array per step."""
     xy, heading = rng.uniform((0.8, 0.6), (5.2, 3.4), (people, 2)), rng.uniform(-np.pi, np.pi, people)
     outlines = []
     for _ in range(steps):

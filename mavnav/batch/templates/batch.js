@@ -13,7 +13,7 @@ function key(row) {
   return text === "" ? null : Number(text);
 }
 
-// Runs without the figure come last, whichever way; equal ones stay worst first.
+// Runs without the metric come last in either direction; equal ones keep the order of the page.
 function compare(a, b) {
   if (a.key === null || b.key === null) return (a.key === null) - (b.key === null);
   const sign = typeof a.key === "string" ? a.key.localeCompare(b.key, "en", { numeric: true }) : a.key - b.key;

@@ -1,7 +1,7 @@
-"""The same jobs on a Dask cluster: the scheduler hands them out, and gives those of a lost worker to another.
+"""Jobs on a Dask cluster: the scheduler assigns them, and reassigns the jobs of a lost worker.
 
-Needs ``mavnav[cluster]``. Workers have the same mavnav, and see the same folders under the same names. A worker runs
-one job at a time, in itself: what it dies of, Dask tries on another, and gives up after some.
+Needs ``mavnav[cluster]``. Workers need the same version of mavnav, and the same folders under the same paths. A worker
+runs one job at a time, in its own process. Dask runs a job that killed its worker on another one, a few times at most.
 """
 
 from mavnav.jobs.dask.client import LOCAL, Cluster, connected

@@ -1,4 +1,4 @@
-"""The side of the batch: who works, what is handed out, and what comes back."""
+"""Client of a Dask cluster: connection, check of the workers, and submission of jobs."""
 
 from __future__ import annotations
 
@@ -14,57 +14,58 @@ from typing import TYPE_CHECKING, Any, Final
 from uuid import uuid4
 
 from mavnav.errors import ExitCode, UsageError
-from mavnav.jobs import Ended, Event, Fate, Job, Outcome, Progressed, Started, run_with_retries
-from mavnav.jobs.dask.worker import Terms, our_version, run_there, sees
+from mavnav.jobs import Ended, Event, Job, Outcome, Progressed, Started, Status, run_with_retries
+from mavnav.jobs.dask.worker import JobContext, our_version, run_on_worker, sees
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
 LOCAL: Final = "local"
-"""The scheduler that is started here, with workers, and ends with the batch."""
+"""Name of a scheduler that is started on this machine, with workers, and ends with the batch."""
 
-LISTEN_S: Final = 0.2
+POLL_S: Final = 0.2
 CONNECT_S: Final = 20.0
-"""How long a scheduler and its first worker are waited for."""
+"""Maximum time to wait for a scheduler, and for its first worker, in s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cluster:
-    """A scheduler whose workers have been looked at; ``dashboard`` is the address of its pages."""
+    """A scheduler whose workers have been checked; ``dashboard`` is the address of its web pages."""
 
     client: Any
     dashboard: str
 
     @property
     def workers(self) -> int:
-        """How many workers there are now."""
+        """Current number of workers."""
         return len(self.client.nthreads())
 
     def run_jobs(self, jobs: Sequence[Job], on_event: Callable[[Event], None], timeout_s: float | None = None) -> None:
-        """Run jobs on the cluster; ``on_event`` gets the same events as of `mavnav.jobs.run_with_retries`.
+        """Run jobs on the cluster; ``on_event`` gets the events of `mavnav.jobs.run_with_retries`.
 
-        Dask tries jobs of a lost worker on others, and suspects all that a dying worker had in hand. So there are never
-        more jobs under way than workers, and those that it has given up are tried once more, one at a time. What
-        ``on_event`` raises cancels what has not begun, and is passed on. Raises UsageError when the scheduler is gone.
+        Dask runs the jobs of a lost worker again, and counts the failure against every job that was assigned to it. So
+        there are never more unfinished jobs than workers, and jobs that Dask gave up are run once more, one at a time.
+        An exception of ``on_event`` cancels the jobs that have not begun, and propagates. Raises UsageError if the
+        scheduler is lost.
         """
-        most = iter((None, 1))
+        max_jobs = iter((None, 1))
 
-        def once(jobs: Sequence[Job], listen: Callable[[Event], None]) -> list[Outcome]:
-            return self._round(jobs, listen, timeout_s, next(most))
+        def run_round(jobs: Sequence[Job], listen: Callable[[Event], None]) -> list[Outcome]:
+            return self._round(jobs, listen, timeout_s, next(max_jobs))
 
-        run_with_retries(jobs, once, on_event, 2)
+        run_with_retries(jobs, run_round, on_event, 2)
 
     def _round(
-        self, jobs: Sequence[Job], on_event: Callable[[Event], None], timeout_s: float | None, most: int | None
+        self, jobs: Sequence[Job], on_event: Callable[[Event], None], timeout_s: float | None, max_jobs: int | None
     ) -> list[Outcome]:
-        """Run jobs, ``most`` at a time, or as many as there are workers."""
+        """Run jobs, ``max_jobs`` at a time, or one per worker if that is None."""
         topic = f"mavnav-{uuid4()}"
-        terms = Terms(*our_version(), str(Path.cwd()), topic, timeout_s)
+        context = JobContext(*our_version(), str(Path.cwd()), topic, timeout_s)
         received: SimpleQueue[Any] = SimpleQueue()
         self.client.subscribe_topic(topic, lambda event: received.put(Progressed(*event[1]["progress"])))
         under_way: dict[int, _Submitted] = {}
         try:
-            return self._outcomes(jobs, terms, received, under_way, on_event, most)
+            return self._outcomes(jobs, context, received, under_way, on_event, max_jobs)
         finally:
             self.client.cancel([job.future for job in under_way.values()])
             self.client.unsubscribe_topic(topic)
@@ -72,18 +73,18 @@ class Cluster:
     def _outcomes(
         self,
         jobs: Sequence[Job],
-        terms: Terms,
+        context: JobContext,
         received: SimpleQueue[Any],
         under_way: dict[int, _Submitted],
         on_event: Callable[[Event], None],
-        most: int | None,
+        max_jobs: int | None,
     ) -> list[Outcome]:
         outcomes: dict[int, Outcome] = {}
         waiting = list(enumerate(jobs))[::-1]
         while len(outcomes) < len(jobs):
-            while waiting and len(under_way) < (most or max(self._count(), 1)):
+            while waiting and len(under_way) < (max_jobs or max(self._count(), 1)):
                 index, job = waiting.pop()
-                under_way[index] = self._submit(index, job, terms, received)
+                under_way[index] = self._submit(index, job, context, received)
                 on_event(Started(index, 0))
             for event in _events(received, under_way):
                 if isinstance(event, Ended):
@@ -98,9 +99,9 @@ class Cluster:
         except (OSError, TimeoutError) as error:
             raise UsageError("the scheduler is gone; start it again and call again: what is finished stays") from error
 
-    def _submit(self, index: int, job: Job, terms: Terms, received: SimpleQueue[Any]) -> _Submitted:
+    def _submit(self, index: int, job: Job, context: JobContext, received: SimpleQueue[Any]) -> _Submitted:
         key = f"{job.name} {uuid4().hex[:8]}"
-        future = self.client.submit(run_there, index, pickle.dumps(job), asdict(terms), key=key, pure=False)
+        future = self.client.submit(run_on_worker, index, pickle.dumps(job), asdict(context), key=key, pure=False)
         future.add_done_callback(lambda _: received.put(index))
         return _Submitted(future, monotonic())
 
@@ -112,9 +113,9 @@ class _Submitted:
 
 
 def _events(received: SimpleQueue[Any], under_way: dict[int, _Submitted]) -> Iterator[Event]:
-    """Return the events received of jobs that are under way; waits for a moment if there are none."""
+    """Yield the next event of a running job; yield nothing if none arrives within ``POLL_S``."""
     try:
-        item = received.get(timeout=LISTEN_S)
+        item = received.get(timeout=POLL_S)
     except Empty:
         return
     if isinstance(item, Progressed):
@@ -125,7 +126,7 @@ def _events(received: SimpleQueue[Any], under_way: dict[int, _Submitted]) -> Ite
 
 
 def _outcome(job: _Submitted) -> Outcome:
-    """Return how a job ended; for a worker that died, as Dask reports it."""
+    """Return the outcome of a job; for a dead worker, with the error that Dask reports."""
     from distributed.scheduler import KilledWorker  # noqa: PLC0415  an extra
 
     future = job.future
@@ -139,29 +140,29 @@ def _outcome(job: _Submitted) -> Outcome:
     if isinstance(error, KilledWorker):
         count = error.allowed_failures + 1
         text = f"{count} workers died of it, the last {error.last_worker.address}"
-        return Outcome(Fate.DIED, 0, seconds, error=text, exit_code=ExitCode.BUG)
+        return Outcome(Status.DIED, 0, seconds, error=text, exit_code=ExitCode.BUG)
     text = f"its worker could not run it: {type(error).__name__}: {error}"
-    return Outcome(Fate.FAILED, 0, seconds, error=text, exit_code=ExitCode.BUG)
+    return Outcome(Status.FAILED, 0, seconds, error=text, exit_code=ExitCode.BUG)
 
 
 @contextmanager
 def connected(scheduler: str, directory: Path, workers: int, memory_mb: int | None, tries: int) -> Iterator[Cluster]:
-    """Connect to a scheduler, or start one with ``workers`` here for `LOCAL`, and see whether its workers will do.
+    """Connect to a scheduler, or start one with ``workers`` on this machine for `LOCAL`, and check its workers.
 
     Parameters
     ----------
     scheduler
         Its address, ``tcp://HOST:PORT``, or `LOCAL`.
     directory
-        Where results go; every worker must see it.
+        The directory of the results, which every worker must be able to access.
     workers, memory_mb, tries
-        Of `LOCAL`: how many workers, how large each may get, and how many may die of a job.
+        For `LOCAL`: the number of workers, the memory limit of each, and the number of attempts per job.
 
     Raises
     ------
     UsageError
-        Without ``mavnav[cluster]``, where nobody answers, and for workers that have another mavnav, none, or do not
-        see the directory.
+        ``mavnav[cluster]`` is not installed, the scheduler does not answer, or a worker has no mavnav, another version,
+        or no access to the directory.
     """
     distributed = _distributed()
     with ExitStack() as stack:
@@ -177,7 +178,7 @@ def connected(scheduler: str, directory: Path, workers: int, memory_mb: int | No
             ValueError,
             TypeError,
             RuntimeError,
-        ) as error:  # the last two without certificates
+        ) as error:  # TypeError and RuntimeError: certificates are missing
             advice = "start one with `dask scheduler`, and `dask worker ADDRESS` where the work is to be done"
             if scheduler.startswith("tls://"):
                 advice = "name authority, certificate and key in Dask's settings, distributed.comm.tls"
@@ -188,7 +189,7 @@ def connected(scheduler: str, directory: Path, workers: int, memory_mb: int | No
 
 @contextmanager
 def _started(workers: int, memory_mb: int | None, tries: int) -> Iterator[Any]:
-    """Start a scheduler with workers here."""
+    """Start a scheduler with workers on this machine; yield the cluster."""
     import dask  # noqa: PLC0415  an extra
 
     distributed = _distributed()
@@ -211,21 +212,21 @@ def _distributed() -> Any:  # noqa: ANN401  a module
 
 
 def _check_workers(client: Any, directory: Path) -> None:  # noqa: ANN401  a client of dask
-    """Refuse workers with another mavnav or none, and those that do not see the directory."""
+    """Raise UsageError for workers without mavnav, with another version, or without access to the directory."""
     directory.mkdir(parents=True, exist_ok=True)
     ours = our_version()
     with NamedTemporaryFile(dir=directory, prefix=".seen-") as file:
         versions = client.run(our_version, on_error="return")
         seen = client.run(sees, str(Path(file.name).absolute()), on_error="return")
     problems = [
-        f"{worker}: {why}" for worker in versions if (why := _why_not(versions[worker], seen.get(worker), ours))
+        f"{worker}: {why}" for worker in versions if (why := _incompatibility(versions[worker], seen.get(worker), ours))
     ]
     if problems:
         advice = f"install mavnav {ours[0]} there, and share the folder"
         raise UsageError(f"{'; '.join(problems)}: {advice}, or stop these workers")
 
 
-def _why_not(version: Any, seen: Any, ours: tuple[str, str]) -> str:  # noqa: ANN401  what a worker answered
+def _incompatibility(version: Any, seen: Any, ours: tuple[str, str]) -> str:  # noqa: ANN401  what a worker answered
     if isinstance(version, ImportError | AttributeError):
         return "the worker has no mavnav, or one without clusters"
     if isinstance(version, Exception):

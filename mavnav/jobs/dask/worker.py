@@ -1,4 +1,4 @@
-"""The worker's side: one job at a time, where the batch was called, by the same mavnav."""
+"""Execution of a job on a worker of a Dask cluster: one at a time, in the folder of the caller."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 from mavnav import __version__
 from mavnav.errors import UsageError
-from mavnav.jobs import Fate, Outcome, attempt, failed
+from mavnav.jobs import Outcome, Status, attempt, failed
 from mavnav.jobs.run_cache import source_sha256
 
 if TYPE_CHECKING:
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from mavnav.jobs import Job
 
 REPORT_PERIOD_S = 0.5
-"""A worker reports its progress so often at most."""
+"""Minimum time between two progress reports of a worker, in s."""
 
 _ONE_AT_A_TIME = Lock()
-"""The current folder, the memory and the pictures belong to the whole process, whatever threads it has."""
+"""Prevents concurrent jobs: the current folder, memory and drawing state are shared by all threads of a process."""
 
 
 @dataclass(frozen=True, slots=True)
-class Terms:
-    """What a worker must agree with: the modules of mavnav, the folder, and how long a job may take.
+class JobContext:
+    """Context of a job: the required version of mavnav, the current folder, and the time limit.
 
-    Progress goes to ``topic``.
+    Progress is sent to ``topic``.
     """
 
     version: str
@@ -44,17 +44,17 @@ class Terms:
 
 
 def our_version() -> tuple[str, str]:
-    """Return the version of mavnav here, and the hash of its modules."""
+    """Return the version of mavnav in this process, and the hash of its modules."""
     return __version__, source_sha256()
 
 
 def sees(path: str) -> bool:
-    """Return whether a file exists here."""
+    """Return whether a file exists on this machine."""
     return Path(path).is_file()
 
 
 def in_cluster() -> bool:
-    """Return whether this thread runs a job for a scheduler on another machine."""
+    """Return whether this thread runs a job of a scheduler on another machine."""
     if "distributed" not in sys.modules:
         return False
     from distributed import get_worker  # noqa: PLC0415  an extra
@@ -66,37 +66,37 @@ def in_cluster() -> bool:
     return scheduler.scheme != "inproc" and scheduler.hostname not in {"127.0.0.1", "::1", "localhost"}
 
 
-def run_there(index: int, packed: bytes, terms: dict[str, Any]) -> Outcome:
+def run_on_worker(index: int, packed: bytes, context: dict[str, Any]) -> Outcome:
     """Run one job in this process."""
     began_s = monotonic()
     try:
-        return _run(index, packed, Terms(**terms))
+        return _run(index, packed, JobContext(**context))
     except Exception as error:
         return failed(error, began_s)
 
 
-def _run(index: int, packed: bytes, terms: Terms) -> Outcome:
-    if our_version() != (terms.version, terms.modules_sha256):
-        raise UsageError(f"a worker has another mavnav ({__version__}); install {terms.version} there")
-    with _ONE_AT_A_TIME, chdir(terms.folder):
-        job: Job = pickle.loads(packed)  # noqa: S301  whoever may submit may run anything anyway
-        report = _Reporter(index, terms, began_s=monotonic())
+def _run(index: int, packed: bytes, context: JobContext) -> Outcome:
+    if our_version() != (context.version, context.modules_sha256):
+        raise UsageError(f"a worker has another mavnav ({__version__}); install {context.version} there")
+    with _ONE_AT_A_TIME, chdir(context.folder):
+        job: Job = pickle.loads(packed)  # noqa: S301  who can submit jobs can run any code anyway
+        report = _Reporter(index, context, began_s=monotonic())
         outcome = attempt(job, report)
-    if report.late and outcome.fate is Fate.FAILED:
-        return replace(outcome, fate=Fate.TIMEOUT, error=f"took longer than {terms.timeout_s:g} s")
+    if report.late and outcome.status is Status.FAILED:
+        return replace(outcome, status=Status.TIMEOUT, error=f"took longer than {context.timeout_s:g} s")
     return outcome
 
 
 class _Reporter:
-    """Passes on a report now and then, and ends the job at one when its time is over."""
+    """Progress callback: sends a report every ``REPORT_PERIOD_S`` at most, and ends a job at its time limit."""
 
-    def __init__(self, index: int, terms: Terms, began_s: float) -> None:
-        self.index, self.terms, self.began_s = index, terms, began_s
-        self.late, self.sent_s, self.send = False, float("-inf"), _sender(terms.topic)
+    def __init__(self, index: int, context: JobContext, began_s: float) -> None:
+        self.index, self.context, self.began_s = index, context, began_s
+        self.late, self.sent_s, self.send = False, float("-inf"), _sender(context.topic)
 
     def __call__(self, phase: str, done: int, total: int | None) -> None:
         now_s = monotonic()
-        if self.terms.timeout_s is not None and now_s - self.began_s > self.terms.timeout_s:
+        if self.context.timeout_s is not None and now_s - self.began_s > self.context.timeout_s:
             self.late = True
             raise TimeoutError
         if now_s - self.sent_s >= REPORT_PERIOD_S:

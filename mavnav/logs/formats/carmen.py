@@ -1,4 +1,4 @@
-"""CARMEN logs: a line of text for each message, with poses of odometry or of a SLAM beside the scans.
+"""Reader of CARMEN logs: one line of text per message, with poses from odometry or a SLAM system in the scan lines.
 
 Format: CARMEN's logger (https://carmen.sourceforge.net/logger_playback.html). A line ends with the time of its message,
 the name of a computer, and the time since the logger started.
@@ -32,14 +32,14 @@ _MAXIMA: Final = {"FLASER": "robot_front_laser_max", "RLASER": "robot_rear_laser
 _STEPS: Final = {"FLASER": "laser_front_laser_resolution", "RLASER": "laser_rear_laser_resolution"}
 _OFFSETS: Final = {"FLASER": ("robot_frontlaser_offset", 0.0), "RLASER": ("robot_rearlaser_offset", 3.141592653589793)}
 _NUMBERS: Final = {*_MAXIMA.values(), *_STEPS.values(), *(name for name, _ in _OFFSETS.values())}
-_LONGEST_LINE: Final = 1 << 20
-_LINES_LOOKED_AT: Final = 4000
-_SAME_M: Final = 2e-3
-"""Poses are written with six digits."""
+_MAX_LINE_BYTES: Final = 1 << 20
+_INSPECTED_LINES: Final = 4000
+_ROUNDING_M: Final = 2e-3
+"""Largest position difference, in m, that rounding can cause: poses are written with six digits."""
 
 
 class Poses(Enum):
-    """What the poses beside the scans are: odometry, a SLAM's with odometry beside them, or a SLAM's alone."""
+    """Source of the poses in the scan lines: odometry, odometry and a SLAM system, or a SLAM system alone."""
 
     ODOMETRY = "odometry"
     BOTH = "both"
@@ -47,13 +47,13 @@ class Poses(Enum):
 
 
 def is_carmen(head: bytes) -> bool:
-    """Return whether the first bytes of a file are those of a CARMEN log: a laser's line, or two parameters."""
+    """Return whether the first bytes of a file contain a laser line or two parameter lines of CARMEN."""
     return LASER_LINE.search(head) is not None or len(_PARAMETER_LINE.findall(head)) > 1
 
 
 @dataclass
 class _State:
-    """What is known so far."""
+    """Parameters and channels read so far."""
 
     report: ReadReport
     poses: Poses
@@ -71,11 +71,11 @@ class _State:
 def read_carmen(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     """Yield scans and poses of a CARMEN log, line by line.
 
-    Poses that a SLAM corrected are ground truth and no odometry; which they are shows in the first lines. A line that
-    is no message of its kind is noted and left out.
+    Poses corrected by a SLAM system are ground truth, not odometry; the first 4000 lines decide which they are. A line
+    that cannot be parsed is reported and left out.
     """
     with path.open("rb") as file:
-        state = _State(report, *kinds_of_poses(islice(_lines(file), _LINES_LOOKED_AT)))
+        state = _State(report, *kinds_of_poses(islice(_lines(file), _INSPECTED_LINES)))
     if state.poses is Poses.CORRECTED:
         report.warn("the poses in the log are those of a SLAM and no odometry; compare with them by --truth auto")
     offset = 0
@@ -91,20 +91,21 @@ def read_carmen(path: Path, report: ReadReport) -> Iterator[RawMessage]:
 
 
 def _lines(file: IO[bytes]) -> Iterator[bytes]:
-    """Give the lines of a file; one that is longer than any scan in parts."""
-    while line := file.readline(_LONGEST_LINE):
+    """Yield the lines of a file; a line over 1 MiB, longer than any scan, is yielded in parts."""
+    while line := file.readline(_MAX_LINE_BYTES):
         yield line
 
 
 def kinds_of_poses(lines: Iterable[bytes]) -> tuple[Poses, bool]:
-    """Return what the poses beside the scans are, and whether odometry has lines of its own.
+    """Return the source of the poses in the scan lines, and whether odometry has lines of its own.
 
     Parameters
     ----------
-    lines : the first of a log
+    lines : the first lines of a log
 
-    Poses are corrected if the weights of a particle filter stand between them, or if odometry at the same time says
-    otherwise. Beside odometry they are a SLAM's where the laser is not always at the same place of the robot.
+    Poses are corrected if the log contains weights of a particle filter (``NEFF``), or if an odometry line with the
+    same time has another position. Otherwise, if the pose of the laser relative to the robot changes, the laser poses
+    are those of a SLAM system and the robot poses are odometry.
     """
     by_time: dict[int, Pose] = {}
     mountings, corrected, contradicted = list[Pose](), False, False
@@ -121,17 +122,17 @@ def kinds_of_poses(lines: Iterable[bytes]) -> tuple[Poses, bool]:
                 if laser.odom_T_laser is None or base is None:
                     continue
                 mountings.append(base.between(laser.odom_T_laser))
-                contradicted |= base.gap(by_time.get(laser.stamp_ns, base))[0] > _SAME_M
+                contradicted |= base.gap(by_time.get(laser.stamp_ns, base))[0] > _ROUNDING_M
         except (ValueError, IndexError, OverflowError):
             continue
     if corrected or contradicted:
         return Poses.CORRECTED, bool(by_time)
-    moved = any(mounting.gap(mountings[0])[0] > _SAME_M for mounting in mountings)
+    moved = any(mounting.gap(mountings[0])[0] > _ROUNDING_M for mounting in mountings)
     return Poses.BOTH if moved else Poses.ODOMETRY, bool(by_time)
 
 
 def _messages(line: bytes, state: _State) -> Iterator[RawMessage]:
-    """Yield what a line holds: a scan with the poses beside it, odometry, or nothing."""
+    """Yield the messages of a line: a scan with its poses, odometry, or nothing."""
     if LASER_LINE.match(line):
         yield from _scan(line, state)
     elif line.startswith(b"PARAM "):
@@ -145,7 +146,7 @@ def _messages(line: bytes, state: _State) -> Iterator[RawMessage]:
 
 
 def _scan(line: bytes, state: _State) -> Iterator[RawMessage]:
-    """Yield a scan, before the first one the mounting, and the poses that the line holds besides."""
+    """Yield a scan and the poses in its line; before the first scan, also the mounting of the laser."""
     laser = laser_of(line.split())
     kind, at_ns = laser.kind, laser.stamp_ns
     topic, frame = _TOPICS.get(kind, f"/{kind.lower()}"), _FRAMES.get(kind, kind.lower())
@@ -167,7 +168,7 @@ def _scan(line: bytes, state: _State) -> Iterator[RawMessage]:
 
 
 def _mounting(kind: str, base: Pose | None, laser: Pose | None, state: _State) -> Pose | None:
-    """Return where the laser sits on the robot: by the poses of both, else by the parameters; None if unknown."""
+    """Return ``base_T_laser`` from the poses of both, else from the parameters; None if unknown."""
     if state.poses is Poses.ODOMETRY and base is not None and laser is not None:
         return base.between(laser)
     name, yaw_rad = _OFFSETS.get(kind, ("", 0.0))

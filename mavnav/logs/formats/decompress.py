@@ -1,4 +1,4 @@
-"""Decompression that never yields more than it is allowed to, whatever the data claim."""
+"""Decompression with a limit on the output size that does not depend on sizes declared in the data."""
 
 from __future__ import annotations
 
@@ -18,24 +18,27 @@ if TYPE_CHECKING:
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 MAX_CHUNK_BYTES = 128 << 20
-"""Largest chunk or message taken into memory; writers make chunks of 1 to 8 MiB."""
+"""Maximum size of a chunk or message read into memory, in bytes; writers make chunks of 1 to 8 MiB."""
 
 _MAX_RATIO = 1000
+"""Maximum ratio of decompressed to compressed bytes of a log, besides the bytes that every log may have."""
 _FREE_LOG_BYTES = 2 << 30
 _FREE_RECORDS = 1_000_000
-_LEAST_RECORD_BYTES = 2
+"""Decompressed bytes and records that every log may have, whatever its size."""
+_MIN_RECORD_BYTES = 2
 _FREE_BYTES = 1 << 20
 _BLOCK_BYTES = 1 << 20
 _PIECE_BYTES = 1 << 8
 _MAX_WINDOW_BYTES = 1 << 27
 _MAX_FILE_RATIO = 200
+"""Maximum ratio of decompressed to compressed bytes of a whole file."""
 
 
 TOO_MANY = "the chunk has more records than a log of this size can hold; the rest is left out"
 
 
 class DecompressError(Exception):
-    """Data cannot be decompressed, or to far more than any log would."""
+    """Data cannot be decompressed, or they exceed the size limit."""
 
 
 class _Decompressor(Protocol):
@@ -47,29 +50,29 @@ class _Decompressor(Protocol):
 
 
 class Allowance:
-    """What the chunks of a log may yield in all: a megabyte can hold terabytes of zeros, or millions of records.
+    """Limits on the bytes and records of all chunks of a log: a MB can contain TB of zeros or millions of records.
 
-    Blank pictures compress ten thousandfold, so no single chunk has a bound of that kind. A chunk may have half of the
-    records that are left, so that a hostile one does not cost the others.
+    The limit holds for the whole log, because blank images compress by a factor of 10,000 and a limit per chunk would
+    reject them. A chunk may use half of the records that are left, so that a hostile chunk does not use up all of them.
     """
 
     def __init__(self, log_bytes: int = 0) -> None:
         self.bytes_left = _FREE_LOG_BYTES + _MAX_RATIO * log_bytes
-        self._records_left = _FREE_RECORDS + log_bytes // _LEAST_RECORD_BYTES
+        self._records_left = _FREE_RECORDS + log_bytes // _MIN_RECORD_BYTES
         self._keep_records = 0
 
     def begin_chunk(self) -> None:
-        """Let the records from here on be those of another chunk."""
+        """Start a new chunk, which may use half of the records that are left."""
         self._keep_records = self._records_left // 2
 
-    def takes_record(self, cost: int = 1) -> bool:
-        """Count a record of some cost; return whether it may be read."""
+    def spend_record(self, cost: int = 1) -> bool:
+        """Subtract the cost of a record; return whether the record may be read."""
         self._records_left -= cost
         return self._records_left >= self._keep_records
 
 
 def decompress(compression: str, data: bytes, allowance: Allowance | None = None) -> tuple[bytes, str | None]:
-    """Decompress as much as there is.
+    """Decompress as much of the data as possible.
 
     Parameters
     ----------
@@ -78,19 +81,20 @@ def decompress(compression: str, data: bytes, allowance: Allowance | None = None
     data
         The compressed bytes, a whole number of frames.
     allowance
-        What the log may still yield; None for bytes by themselves.
+        Remaining limits of the log; None for data outside of a log.
 
     Returns
     -------
     unpacked, problem
-        What came before the data end or break, and in words why they do; None where they end well. A zstd frame that
-        is cut between two blocks ends well. Bytes behind a frame that are no other are passed over.
+        The bytes up to the end of the data or the first error, and the description of the error, None if there is
+        none. A zstd frame that is cut between two blocks gives no error. Bytes after a frame that begin no other frame
+        are skipped.
 
     Raises
     ------
     DecompressError
-        Unknown compression, or a bomb: more than ``MAX_CHUNK_BYTES``, than the allowance, or, without one, than a MiB
-        and a thousand times the data.
+        Unknown compression, or a decompression bomb: over ``MAX_CHUNK_BYTES`` or the allowance, or, without an
+        allowance, over 1 MiB plus 1000 times the size of the data.
     """
     if compression not in CODECS:
         raise DecompressError(f"unknown compression {compression!r}")
@@ -99,16 +103,16 @@ def decompress(compression: str, data: bytes, allowance: Allowance | None = None
     most_bytes = allowance.bytes_left if allowance else _FREE_BYTES + _MAX_RATIO * len(data)
     limit = min(MAX_CHUNK_BYTES, most_bytes)
     try:
-        unpacked, problem = _gather(compression, data, limit), None
+        unpacked, problem = _decompress_sound(compression, data, limit), None
     except (*_ERRORS, _zstd_error()):
-        unpacked, problem = _carefully(compression, data, limit)
+        unpacked, problem = _decompress_damaged(compression, data, limit)
     if allowance:
         allowance.bytes_left -= len(unpacked)
     return unpacked, problem
 
 
-def _gather(compression: str, data: bytes, limit: int) -> bytes:
-    """Decompress sound data of one frame, in large blocks."""
+def _decompress_sound(compression: str, data: bytes, limit: int) -> bytes:
+    """Decompress undamaged data of one frame, in large blocks."""
     blocks: list[bytes] = []
     size = 0
     for block in CODECS[compression](data):
@@ -119,19 +123,22 @@ def _gather(compression: str, data: bytes, limit: int) -> bytes:
     return blocks[0] if len(blocks) == 1 else b"".join(blocks)
 
 
-def _carefully(compression: str, data: bytes, limit: int) -> tuple[bytes, str | None]:
-    """Decompress data of several frames, or broken ones: byte by byte where they break, so that nothing before is lost.
+def _decompress_damaged(compression: str, data: bytes, limit: int) -> tuple[bytes, str | None]:
+    """Decompress several frames or damaged data; byte by byte at the damage, so that all bytes before it are returned.
 
-    A decompressor that is given more at a time keeps to itself what came before the break.
+    A decompressor that fails on a longer piece does not return the bytes that it decompressed before the error.
     """
-    unpacked, broken_at, problem = _in_pieces(compression, data, limit, len(data))
+    unpacked, broken_at, problem = _decompress_pieces(compression, data, limit, len(data))
     if problem and broken_at < len(data):
-        unpacked, _, problem = _in_pieces(compression, data, limit, broken_at)
+        unpacked, _, problem = _decompress_pieces(compression, data, limit, broken_at)
     return unpacked, problem and f"{compression} data cannot be decompressed to their end ({problem})"
 
 
-def _in_pieces(compression: str, data: bytes, limit: int, fine_from: int) -> tuple[bytes, int, str | None]:
-    """Return what the data hold, and the offset of the piece that breaks and why; single bytes from ``fine_from``."""
+def _decompress_pieces(compression: str, data: bytes, limit: int, single_from: int) -> tuple[bytes, int, str | None]:
+    """Return the decompressed bytes, the offset of the piece that fails, and the error; None if none fails.
+
+    From offset ``single_from`` on the pieces are single bytes.
+    """
     magics, make = FRAMES[compression]
     decompressor, blocks, size, offset = make(), list[bytes](), 0, 0
     try:
@@ -140,7 +147,7 @@ def _in_pieces(compression: str, data: bytes, limit: int, fine_from: int) -> tup
                 if not data.startswith(magics, offset):
                     break
                 decompressor = make()
-            piece = data[offset : offset + (_PIECE_BYTES if offset < fine_from else 1)]
+            piece = data[offset : offset + (_PIECE_BYTES if offset < single_from else 1)]
             blocks.append(decompressor.decompress(piece))
             size += len(blocks[-1])
             if size > limit:
@@ -196,7 +203,7 @@ def _bz2(data: bytes) -> Iterator[bytes]:
 
 
 def _incremental(decompressor: Any, data: bytes) -> Iterator[bytes]:  # noqa: ANN401
-    """Yield blocks of one frame; raises EOFError where it is cut, or another follows."""
+    """Yield blocks of one frame; raises EOFError if the frame is cut or other bytes follow."""
     piece = data
     while not decompressor.eof:
         if decompressor.needs_input and not piece:
@@ -215,7 +222,7 @@ CODECS: dict[str, Callable[[bytes], Iterator[bytes]]] = {
     "lz4": _lz4,
     "bz2": _bz2,
 }
-"""Name of a compression -> the function from sound data to blocks."""
+"""Name of a compression -> the function from undamaged data to blocks."""
 
 _SKIPPABLE = tuple(bytes([kind]) + b"\x2a\x4d\x18" for kind in range(0x50, 0x60))
 FRAMES: dict[str, tuple[tuple[bytes, ...], Callable[[], Any]]] = {
@@ -223,13 +230,13 @@ FRAMES: dict[str, tuple[tuple[bytes, ...], Callable[[], Any]]] = {
     "lz4": ((b"\x04\x22\x4d\x18", *_SKIPPABLE), _lz4_frame),
     "bz2": ((b"BZh",), bz2.BZ2Decompressor),
 }
-"""Name of a compression -> how its frames begin, and a new decompressor of one."""
+"""Name of a compression -> the magic numbers of its frames, and a factory of decompressors for one frame."""
 
 
 def unpack_message(data: bytes) -> bytes:
-    """Decompress a message that its recorder compressed by itself (rosbag2, ``compression_mode: message``).
+    """Decompress a message that was compressed individually (rosbag2, ``compression_mode: message``).
 
-    No CDR message begins like a zstd frame: its first byte is 0. Raises DecompressError.
+    No CDR message begins with the magic of zstd: its first byte is 0. Raises DecompressError.
     """
     if data[:4] != ZSTD_MAGIC:
         return data
@@ -240,7 +247,7 @@ def unpack_message(data: bytes) -> bytes:
 
 
 def first_bytes(path: Path, packer: str, count: int) -> bytes:
-    """Return the first decompressed bytes of a file, as far as it is sound; ``packer`` is a key of ``PACKERS``."""
+    """Return the first ``count`` decompressed bytes of a file, fewer if it is damaged; ``packer`` is in ``PACKERS``."""
     found = b""
     with path.open("rb") as file, suppress(*_file_errors(packer)), PACKERS[packer][1](file) as stream:
         while len(found) < count and (block := stream.read(_PIECE_BYTES)):
@@ -250,7 +257,7 @@ def first_bytes(path: Path, packer: str, count: int) -> bytes:
 
 @contextmanager
 def unpacked_file(path: Path, packer: str, report: ReadReport) -> Iterator[Path]:
-    """Decompress a file into a temporary one, deleted at the end; what is broken is noted and left out."""
+    """Decompress a file into a temporary one, deleted at the end; damaged data are reported and left out."""
     limit = _MAX_FILE_RATIO * path.stat().st_size + MAX_CHUNK_BYTES
     with tempfile.TemporaryDirectory(prefix="mavnav-") as folder, path.open("rb") as packed:
         target = Path(folder) / path.stem
@@ -282,7 +289,7 @@ def _bzip2_stream(file: IO[bytes]) -> bz2.BZ2File:
 
 
 def _file_errors(packer: str) -> tuple[type[BaseException], ...]:
-    """Return what broken data raise; of zstd the library is loaded only where it is used."""
+    """Return the exceptions that damaged data raise; zstandard is imported only if the file needs it."""
     others = (zlib.error, EOFError, OSError, MemoryError)
     return (_zstd_error(), *others) if packer == "zstd" else others
 
@@ -292,4 +299,4 @@ PACKERS: dict[str, tuple[bytes, Callable[[IO[bytes]], Any]]] = {
     "gzip": (b"\x1f\x8b\x08", _gzip_stream),
     "bzip2": (b"BZh", _bzip2_stream),
 }
-"""Name of a program that compresses whole files -> how they begin, and the stream of their content."""
+"""Name of a program that compresses whole files -> the magic of its files, and a function that opens the content."""

@@ -1,4 +1,4 @@
-"""Which format a path is, by its first bytes, and the reader of each."""
+"""Detection of the format of a log by its first bytes, and the reader of each format."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 UNKNOWN = "unknown"
 SUFFIXES = (".mcap", ".bag", ".active", ".db3", ".clf", ".log", ".zst", ".zstd", ".gz", ".bz2")
-"""How names of logs end; the content decides the format."""
+"""Suffixes of log files; the content decides the format."""
 
 _AMBIGUOUS = (".log", ".gz", ".bz2")
 _HEAD_BYTES = 16
@@ -37,10 +37,10 @@ _STORAGES = {"rosbag2-sqlite3": "rosbag2-sqlite3", "mcap": "rosbag2-mcap"}
 
 
 def sniff(path: Path) -> str:
-    """Name the format of a file or folder by its content; ``UNKNOWN`` where it is no log that is read here.
+    """Return the name of the format of a file or folder by its content; ``UNKNOWN`` if no reader supports it.
 
-    ``-zstd``, ``-gzip`` or ``-bzip2`` is appended where the whole file is compressed. A magic of which a quarter is
-    wrong, or that stands a little further on, or at the end (MCAP), will do. A CARMEN log is known by its first lines.
+    ``-zstd``, ``-gzip`` or ``-bzip2`` is appended if the whole file is compressed. A magic is accepted with a quarter
+    of its bytes wrong, in the first 64 KiB, or at the end (MCAP). A CARMEN log is recognized by its first lines.
     """
     if path.is_dir():
         return _sniff_folder(path)
@@ -78,7 +78,7 @@ def _sniff_damaged(path: Path) -> str:
 
 
 def _sniff_headless(path: Path, head: bytes) -> str:
-    """Recognise a log whose beginning is lost by what follows, where its name says what to look for."""
+    """Recognize a log without its beginning by a later record; the suffix decides the kind of record."""
     with path.open("rb") as file:
         source = Source(file, min(path.stat().st_size, _HEADLESS_BYTES))
         if path.suffix == ".mcap" and mcap_records.find_record(source, 0) < source.size:
@@ -99,7 +99,7 @@ def _sniff_folder(folder: Path) -> str:
 
 
 def is_named_like_a_log(path: Path) -> bool:
-    """Return whether the name of a file is that of a log; what others use too has to be one by its content."""
+    """Return whether a file has the suffix of a log; for an ambiguous suffix the content must be a log too."""
     return path.name.endswith(SUFFIXES) and (not path.name.endswith(_AMBIGUOUS) or sniff(path) != UNKNOWN)
 
 
@@ -109,7 +109,7 @@ def parts(path: Path, report: ReadReport) -> list[Path]:
 
 
 def _is_storage(path: Path) -> bool:
-    """Tell whether a file of a folder is a log: by its content, or by its name where its beginning is broken."""
+    """Return whether a file of a folder is a log: by its content, or, if its beginning is damaged, also by its name."""
     if not path.is_file():
         return False
     named = any(path.name.endswith(suffix) for suffix in _STORAGE_SUFFIXES)
@@ -143,13 +143,13 @@ def _read_file(path: Path, report: ReadReport) -> Iterator[RawMessage]:
 
 
 def split_name(name: str) -> tuple[str, str]:
-    """Return the name of a format without that of the program that compressed it, and the latter, empty if none."""
+    """Split the name of a format into the format and the compression program, which is empty if there is none."""
     inner, _, packer = name.rpartition("-")
     return (inner, packer) if packer in PACKERS else (name, "")
 
 
 def refusal(path: Path) -> str:
-    """Say why a path is not read, and what to do."""
+    """Return the message why a path is not read, and what to do."""
     if path.is_dir():
         return "the folder holds no ROS 2 bag (no metadata.yaml, no .db3 or .mcap)"
     with path.open("rb") as file:
@@ -203,4 +203,4 @@ OTHERS: dict[bytes, str] = {
         "a rawlog of MRPT, which is not read; export it as CARMEN log with `rawlog-edit --export-2d-scans-txt`"
     ),
 }
-"""Patterns of the beginnings of other kinds of files -> what they are, and what to do."""
+"""Patterns of the beginnings of unsupported files -> what they are, and what to do."""

@@ -1,4 +1,4 @@
-"""The content of the records of an MCAP file: schemas, channels and messages, each compared with those before."""
+"""Processing of the records of an MCAP file: schemas, channels and messages, each checked against earlier ones."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from mavnav.logs.formats.decompress import Allowance
 from mavnav.logs.formats.mcap_records import MESSAGE_HEAD, Fields, Op
-from mavnav.logs.formats.untyped import channel_of, is_vague, typed
+from mavnav.logs.formats.untyped import channel_of, lacks_type, with_detected_type
 from mavnav.logs.records import Channel, RawMessage, Schema, ros_type
 
 if TYPE_CHECKING:
@@ -20,11 +20,11 @@ _NO_SCHEMA = Schema()
 
 @dataclass
 class State:
-    """What the records read so far contain.
+    """Schemas, channels and counters of the records read so far.
 
-    The data section is ``unsound`` where its CRC does not match, and ``verified`` where it does. In a ``suspect`` chunk
-    the channels known before and those of a sound summary are preferred to the chunk's own. In a ``chunked`` file
-    messages outside of the chunks are suspect.
+    The data section is ``unsound`` if its CRC does not match, and ``verified`` if it does. In a ``suspect`` chunk,
+    channels read before and those of an undamaged summary take precedence over the chunk's own. In a ``chunked`` file,
+    messages outside of the chunks are suspect. ``spare`` are the channels of the summary.
     """
 
     report: ReadReport
@@ -32,7 +32,7 @@ class State:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     spare: dict[int, Channel] = field(default_factory=dict)
-    strangers: set[int] = field(default_factory=set)
+    undeclared: set[int] = field(default_factory=set)
     messages: int = 0
     closed: bool = False
     suspect: bool = False
@@ -40,18 +40,18 @@ class State:
     verified: bool = False
     chunked: bool = False
     spare_is_sound: bool = False
-    astray: bool = False
+    reported_outside: bool = False
     data_ended: bool = False
-    looked_at_bytes: int = 0
+    searched_bytes: int = 0
 
     def begin(self) -> None:
-        """Forget what belongs to the file before, where several lie one behind the other."""
-        self.schemas, self.channels, self.strangers = {}, {}, set()
-        self.messages, self.closed, self.astray, self.data_ended = 0, False, False, False
+        """Reset the state of the previous file, for several MCAP files in one."""
+        self.schemas, self.channels, self.undeclared = {}, {}, set()
+        self.messages, self.closed, self.reported_outside, self.data_ended = 0, False, False, False
 
 
-def take(opcode: int, content: bytes, where: str, state: State) -> RawMessage | None:
-    """Return the message, or take in what the record contains about others."""
+def apply_record(opcode: int, content: bytes, where: str, state: State) -> RawMessage | None:
+    """Return the message of a record; a record of another kind updates the state and returns None."""
     try:
         if opcode == Op.MESSAGE:
             return _message(content, where, state)
@@ -75,11 +75,11 @@ def _message(content: bytes, where: str, state: State) -> RawMessage | None:
     state.messages += 1
     data = content[MESSAGE_HEAD.size :]
     channel = state.channels.get(number) or _spare_channel(number, state)
-    if channel is not None and is_vague(channel):
-        channel = state.channels[number] = typed(channel, data, where, state.report)
+    if channel is not None and lacks_type(channel):
+        channel = state.channels[number] = with_detected_type(channel, data, where, state.report)
     if channel is not None:
         return RawMessage(channel, log_ns, data)
-    return _stranger(number, log_ns, data, where, state)
+    return _undeclared_message(number, log_ns, data, where, state)
 
 
 def _spare_channel(number: int, state: State) -> Channel | None:
@@ -89,13 +89,13 @@ def _spare_channel(number: int, state: State) -> Channel | None:
     return channel
 
 
-def _stranger(number: int, log_ns: int, data: bytes, where: str, state: State) -> RawMessage | None:
-    """Return a message of an undeclared channel as suspect, if it is a scan by its bytes."""
+def _undeclared_message(number: int, log_ns: int, data: bytes, where: str, state: State) -> RawMessage | None:
+    """Return a message of an undeclared channel, marked as suspect, if its bytes are a LaserScan; else None."""
     channel = channel_of(data, f"/channel_{number}", state.report)
-    if number not in state.strangers:
-        state.strangers.add(number)
-        fate = f"scans by their bytes, and taken for {channel.topic}" if channel else "left out"
-        state.report.damage(f"messages of channel {number}, which is declared nowhere before, are {fate}", where)
+    if number not in state.undeclared:
+        state.undeclared.add(number)
+        outcome = f"scans by their bytes, and taken for {channel.topic}" if channel else "left out"
+        state.report.damage(f"messages of channel {number}, which is declared nowhere before, are {outcome}", where)
     return None if channel is None else RawMessage(channel, log_ns, data, suspect=True)
 
 
@@ -110,7 +110,7 @@ def _declare_schema(fields: Fields, where: str, state: State) -> None:
 
 
 def _declare_channel(fields: Fields, where: str, state: State) -> None:
-    """Take in a channel; equal repetitions are usual. One without its schema is made up for by the summary."""
+    """Declare a channel. Writers repeat declarations; a channel without its schema is replaced by the summary's."""
     number, schema_number, topic, encoding = fields.number("H"), fields.number("H"), fields.text(), fields.text()
     schema = state.schemas.get(schema_number, _NO_SCHEMA)
     encoding = encoding or _ENCODING_OF_SCHEMA.get(schema.encoding, "")

@@ -1,7 +1,7 @@
-"""MCAP: the records in the order of the file, so that neither index nor summary is needed.
+"""Reader of MCAP files: reads the records in the order of the file, so that neither index nor summary is needed.
 
-Whatever a record, chunk or summary claims is compared with what is there; where bytes are no record, reading goes on at
-the next that is.
+Lengths, counts and CRCs of records, chunks and the summary are checked against the data. After bytes that are no
+record, reading continues at the next record.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING
 
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, TOO_MANY, Allowance, DecompressError, decompress
-from mavnav.logs.formats.mcap_content import State, take
+from mavnav.logs.formats.mcap_content import State, apply_record
 from mavnav.logs.formats.mcap_records import (
     HEAD,
     IN_CHUNKS,
@@ -39,17 +39,17 @@ if TYPE_CHECKING:
 
 _READ = frozenset({Op.HEADER, Op.FOOTER, Op.SCHEMA, Op.CHANNEL, Op.MESSAGE, Op.CHUNK, Op.STATISTICS, Op.DATA_END})
 _BLOCK_BYTES = 1 << 20
-_FREE_LOOK_BYTES = 1 << 28
+_FREE_SEARCH_BYTES = 1 << 28
 _SEARCH_BYTES = 1 << 16
-_COST_OF_CARE = 4
-"""Records that are walked with care cost so many of the others."""
+_CHECKED_RECORD_COST = 4
+"""Cost of a record of a chunk that is read with checks, in records that are read without them."""
 
 
 def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     """Yield the messages of an MCAP file, in the order of the file, in constant memory.
 
-    What cannot be read is left out and noted. What is read from a chunk whose CRC does not match, or that does not
-    decompress to its end, is suspect, and noted as well.
+    Unreadable data are reported and left out. Messages of a chunk whose CRC does not match, or that does not
+    decompress to its end, are reported and marked as suspect.
     """
     with path.open("rb") as file:
         source = Source(file, path.stat().st_size)
@@ -67,24 +67,24 @@ def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
 
 
 def _outside(source: Source, record: Record, state: State) -> Iterator[RawMessage]:
-    """Take in a record that no chunk holds; in a file with chunks it has lost its chunk, or is what damage left."""
+    """Process a record outside of the chunks; in the data section of a file with chunks it is a result of damage."""
     is_message = record.opcode == Op.MESSAGE
-    astray = state.chunked and not state.verified and (is_message or not state.data_ended)
-    if astray and is_message and not state.astray:
-        state.astray = True
+    outside_chunks = state.chunked and not state.verified and (is_message or not state.data_ended)
+    if outside_chunks and is_message and not state.reported_outside:
+        state.reported_outside = True
         text = "messages lie outside of the chunks, where no checksum guards them; they are suspect"
         state.report.damage(text, source.where(record.start))
     content = source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES))
-    state.suspect = astray
-    message = take(record.opcode, content, source.where(record.start), state)
+    state.suspect = outside_chunks
+    message = apply_record(record.opcode, content, source.where(record.start), state)
     state.suspect = False
     if message is not None:
-        doubtful = astray or state.unsound or _runs_into_loss(source, record.end)
+        doubtful = outside_chunks or state.unsound or _runs_into_loss(source, record.end)
         yield message._replace(suspect=True) if doubtful else message
 
 
 def _begin(source: Source, state: State) -> int:
-    """Return where the file begins: with the magic, which may be broken or have other bytes before it."""
+    """Return the offset of the magic, which may be damaged or have other bytes before it."""
     at = source.read(0, _SEARCH_BYTES).find(MAGIC)
     if at == 0:
         return 0
@@ -96,49 +96,49 @@ def _begin(source: Source, state: State) -> int:
 
 
 def _check_data(source: Source, start: int, state: State) -> None:
-    """Note what the data section that begins there is known by."""
+    """Check the data section that begins at ``start``, and store the result in the state."""
     section = read_data_section(source, start, state.report)
     state.unsound, state.verified = section.crc_matches is False, section.crc_matches is True
     state.chunked |= section.chunked
 
 
 def _records(source: Source, offset: int, state: State) -> Iterator[Record]:
-    """Yield the sound records; behind a loss, go on at the next one.
+    """Yield the records; after bytes that are no record, continue at the next one.
 
-    A record that is not followed by another is yielded all the same, and what it claims to hold is searched for
-    records: its length may lie. A chunk ends at the first record found in it, unless its CRC matches.
+    A record that no other record follows is yielded too, and its content is searched for records, because its length
+    may be wrong. Such a chunk ends at the first record found in it, unless its CRC matches.
     """
     while offset < source.size:
         if source.read(offset, len(MAGIC)) == MAGIC:
-            offset = _pass_magic(source, offset, state)
+            offset = _skip_magic(source, offset, state)
             continue
         record = record_at(source, offset)
         if record is None:
-            offset = _lose(source, offset, offset + 1, state)
+            offset = _report_loss(source, offset, offset + 1, state)
             continue
         if Op.DATA_END < record.opcode < PRIVATE:
             state.report.warn(f"a record of an unknown kind ({record.opcode}) was passed over")
-        if record.odd:
-            state.report.damage(record.odd, source.where(offset))
+        if record.correction:
+            state.report.damage(record.correction, source.where(offset))
         followed = is_boundary(source, record.end)
         if not followed and record.opcode == Op.CHUNK:
             record = _clipped(source, record, state)
         yield record
         if state.closed:
-            offset = _pass_end(source, record.end, state)
+            offset = _skip_end_magic(source, record.end, state)
         elif followed or record.opcode == Op.CHUNK:
             offset = record.end
         else:
-            offset = _lose(source, offset, record.start, state)
+            offset = _report_loss(source, offset, record.start, state)
 
 
 def _clipped(source: Source, record: Record, state: State) -> Record:
-    """Let a chunk that no record follows, and whose CRC does not match, end where the next record is found in it.
+    """End a chunk that no record follows, and whose CRC does not match, at the first record found in it.
 
-    Hostile files have many chunks that claim the same bytes: only so many bytes are looked at for this.
+    Many chunks of a hostile file can declare the same bytes, so the number of bytes searched is limited.
     """
-    state.looked_at_bytes += record.end - record.start
-    if state.looked_at_bytes > _FREE_LOOK_BYTES + 4 * source.size or _is_verified(source, record, state):
+    state.searched_bytes += record.end - record.start
+    if state.searched_bytes > _FREE_SEARCH_BYTES + 4 * source.size or _is_verified(source, record, state):
         return record
     found = find_record(source, record.start + 1, outer=True)
     if found >= record.end:
@@ -149,7 +149,7 @@ def _clipped(source: Source, record: Record, state: State) -> Record:
 
 
 def _is_verified(source: Source, record: Record, state: State) -> bool:
-    """Return whether a chunk has a CRC, and it matches."""
+    """Return whether a chunk has a CRC that matches."""
     try:
         head, (records, _) = _read_chunk(source, record, state.allowance)
     except (DecompressError, struct.error):
@@ -158,7 +158,7 @@ def _is_verified(source: Source, record: Record, state: State) -> bool:
 
 
 def _runs_into_loss(source: Source, end: int) -> bool:
-    """Tell whether what follows a record is none, not even one that is cut: then its own end may be lost, too."""
+    """Return whether neither a record nor a cut record follows; the end of the record before may then be lost too."""
     head = source.read(end, HEAD.size)
     if len(head) < HEAD.size or is_boundary(source, end):
         return False
@@ -166,8 +166,8 @@ def _runs_into_loss(source: Source, end: int) -> bool:
     return not (0 < opcode <= Op.DATA_END and source.size - end < length < 1 << 32)
 
 
-def _lose(source: Source, offset: int, search_from: int, state: State) -> int:
-    """Return the offset of the next record, after reporting the bytes before it."""
+def _report_loss(source: Source, offset: int, search_from: int, state: State) -> int:
+    """Report the bytes up to the next record as lost; return the offset of that record."""
     found = find_record(source, search_from)
     if found == offset:
         return found
@@ -177,8 +177,8 @@ def _lose(source: Source, offset: int, search_from: int, state: State) -> int:
     return found
 
 
-def _pass_magic(source: Source, offset: int, state: State) -> int:
-    """Pass the magic at the beginning; one further on begins another file."""
+def _skip_magic(source: Source, offset: int, state: State) -> int:
+    """Return the offset after the magic; a magic after records begins another file."""
     if state.closed or state.messages:
         state.report.warn("several MCAP files lie one behind the other in this one; all were read")
         state.begin()
@@ -186,12 +186,12 @@ def _pass_magic(source: Source, offset: int, state: State) -> int:
     return offset + len(MAGIC)
 
 
-def _pass_end(source: Source, offset: int, state: State) -> int:
-    """Pass the magic behind the footer."""
+def _skip_end_magic(source: Source, offset: int, state: State) -> int:
+    """Return the offset after the magic that follows the footer; report it if it is missing."""
     if source.read(offset, len(MAGIC)) == MAGIC:
         return offset + len(MAGIC)
     state.report.damage("the magic at the end is missing", source.where(offset))
-    return offset if offset == source.size else _lose(source, offset, offset, state)
+    return offset if offset == source.size else _report_loss(source, offset, offset, state)
 
 
 def _chunk_messages(source: Source, record: Record, state: State) -> Iterator[RawMessage]:
@@ -213,7 +213,7 @@ def _chunk_messages(source: Source, record: Record, state: State) -> Iterator[Ra
 
 
 def _chunk_records(source: Source, record: Record, where: str, state: State) -> tuple[bytes, bool]:
-    """Decompress a chunk as far as that goes; report what is wrong, and return whether it is suspect."""
+    """Decompress as much of a chunk as possible and report damage; return the records and whether they are suspect."""
     head, (records, problem) = _read_chunk(source, record, state.allowance)
     if problem is None and len(records) != head.declared_bytes:
         problem = f"the chunk declares {head.declared_bytes} bytes and holds {len(records)}"
@@ -228,7 +228,7 @@ def _chunk_records(source: Source, record: Record, where: str, state: State) -> 
 
 
 def _read_chunk(source: Source, record: Record, allowance: Allowance) -> tuple[ChunkHead, tuple[bytes, str | None]]:
-    """Return the head of a chunk, and its records as far as they decompress; raises DecompressError, struct.error."""
+    """Return the head of a chunk, and the output of ``decompress``; raises DecompressError, struct.error."""
     size = record.end - record.start
     if size > MAX_CHUNK_BYTES:
         raise DecompressError(f"of {size} bytes; no more than {MAX_CHUNK_BYTES} are taken into memory")
@@ -238,7 +238,7 @@ def _read_chunk(source: Source, record: Record, allowance: Allowance) -> tuple[C
 
 
 def _unpacked(head: ChunkHead, data: bytes, allowance: Allowance) -> tuple[bytes, str | None]:
-    """Decompress as many bytes as a chunk announces, or all that are there where that number is wrong."""
+    """Decompress the declared number of bytes of a chunk, or all its bytes if that number is wrong."""
     records, problem = decompress(head.compression, data[: head.stored_bytes], allowance)
     if problem is None or len(data) <= head.stored_bytes:
         return records, problem
@@ -246,13 +246,13 @@ def _unpacked(head: ChunkHead, data: bytes, allowance: Allowance) -> tuple[bytes
 
 
 def _sound_messages(records: bytes, inner: Source, state: State) -> Iterator[RawMessage]:
-    """Yield the messages of a chunk that is as it was written; walk on with care where its records still lie."""
+    """Yield the messages of an undamaged chunk without checks; after a record that does not fit, with checks."""
     offset = 0
     for opcode, content in plain_records(records):
-        if not state.allowance.takes_record():
+        if not state.allowance.spend_record():
             state.report.damage(TOO_MANY, inner.where(offset))
             return
-        if opcode in IN_CHUNKS and (message := take(opcode, content, inner.where(offset), state)):
+        if opcode in IN_CHUNKS and (message := apply_record(opcode, content, inner.where(offset), state)):
             yield message
         elif opcode == Op.CHUNK:
             _refuse_nested(inner.where(offset), state)
@@ -262,12 +262,12 @@ def _sound_messages(records: bytes, inner: Source, state: State) -> Iterator[Raw
 
 def _walk(inner: Source, offset: int, state: State) -> Iterator[RawMessage]:
     for record in _records(inner, offset, state):
-        if not state.allowance.takes_record(_COST_OF_CARE):
+        if not state.allowance.spend_record(_CHECKED_RECORD_COST):
             state.report.damage(TOO_MANY, inner.where(record.start))
             return
         if record.opcode in IN_CHUNKS:
             content = inner.read(record.start, record.end - record.start)
-            if message := take(record.opcode, content, inner.where(record.start), state):
+            if message := apply_record(record.opcode, content, inner.where(record.start), state):
                 yield message
         elif record.opcode == Op.CHUNK:
             _refuse_nested(inner.where(record.start), state)

@@ -1,7 +1,7 @@
-"""MCAP records: what their fields say, and whether bytes can be the head of one (https://mcap.dev/spec).
+"""MCAP records: their fields, and checks whether bytes can be the head of a record (https://mcap.dev/spec).
 
-A record is ``opcode u8, length u64, content``, little-endian. Nothing guards a record's head, so a head is trusted
-only if its content can be what its opcode says.
+A record is ``opcode u8, length u64, content``, little-endian. No checksum covers the head of a record, so a head is
+accepted only if the content can be that of a record with this opcode.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _NAME_LENGTH = slice(_CHUNK_HEAD.size, _CHUNK_HEAD.size + 4)
 _NAME_LENGTHS = frozenset(len(name).to_bytes(4, "little") for name in CODECS)
 _PREFIX_BYTES = 64
 _FIRST_BLOCK_BYTES, _BLOCK_BYTES = 1 << 12, 1 << 20
-_MOST_CANDIDATES = 200_000
+_MAX_CANDIDATES = 200_000
 
 
 class Op(IntEnum):
@@ -53,23 +53,23 @@ class Op(IntEnum):
 
 
 IN_CHUNKS: Final = frozenset({Op.SCHEMA, Op.CHANNEL, Op.MESSAGE})
-"""Records that stand in chunks."""
+"""Records that chunks contain."""
 
 PRIVATE: Final = 0x80
-"""Opcodes from here on are free for anybody's use."""
+"""First of the opcodes that the format reserves for applications."""
 
 
 class Record(NamedTuple):
-    """A record: its content lies from ``start`` to ``end``. ``odd`` says what had to be put right to read it."""
+    """A record with its content from ``start`` to ``end``; ``correction`` describes a repair of its head, if any."""
 
     opcode: int
     start: int
     end: int
-    odd: str = ""
+    correction: str = ""
 
 
 class Fields:
-    """The fields of a record's content, one after the other; raises struct.error where they are cut."""
+    """Sequential reader of the fields of a record; raises struct.error at a field that is cut."""
 
     def __init__(self, content: bytes) -> None:
         self._content = content
@@ -82,7 +82,7 @@ class Fields:
         return int(value)
 
     def block(self) -> bytes:
-        """Read bytes with their length (u32) before them."""
+        """Read bytes that follow their length (u32)."""
         length = self.number("I")
         end = self.offset + length
         if end > len(self._content):
@@ -92,12 +92,12 @@ class Fields:
         return block
 
     def text(self) -> str:
-        """Read a string; bytes that are no UTF-8 are replaced."""
+        """Read a string; bytes that are not UTF-8 are replaced."""
         return self.block().decode(errors="replace")
 
 
 class ChunkHead(NamedTuple):
-    """The fields of a chunk before its data; ``start`` is where these begin in the content."""
+    """The fields of a chunk before its data; ``start`` is the offset of the data in the content."""
 
     declared_bytes: int
     crc: int
@@ -115,11 +115,12 @@ def chunk_head(content: bytes) -> ChunkHead:
     return ChunkHead(declared, crc, compression, fields.number("Q"), fields.offset)
 
 
-def record_at(source: Source, offset: int, *, mend: bool = True) -> Record | None:
-    """Read the record head at an offset; None where none is, or where its content cannot be what it says.
+def record_at(source: Source, offset: int, *, repair: bool = True) -> Record | None:
+    """Read the record head at an offset; None if there is none, or if the content does not fit the opcode.
 
-    A chunk whose own fields give its length is preferred to another length or opcode of the record (``mend``), if a
-    record follows there. The opcode of another record that can be one is believed, unless its length is the chunk's.
+    With ``repair``, the fields of a chunk take precedence over a wrong opcode or length in the head, if a record
+    follows at the end that these fields give. A known opcode with fitting content is kept, unless its length is the
+    chunk's and the chunk is compressed.
     """
     prefix = source.read(offset, HEAD.size + _PREFIX_BYTES)
     if len(prefix) < HEAD.size:
@@ -128,13 +129,13 @@ def record_at(source: Source, offset: int, *, mend: bool = True) -> Record | Non
     start, rest, content = offset + HEAD.size, source.size - offset - HEAD.size, prefix[HEAD.size :]
     known = _CHECKS.get(opcode, _never if opcode == 0 else _any)
     declared = None if length > rest or not known(content, length) else Record(opcode, start, start + length)
-    if declared is not None and not (mend and _may_be_chunk(opcode, length)):
+    if declared is not None and not (repair and _may_be_chunk(opcode, length)):
         return declared
     head = _head_of_chunk(content)
     if head is None:
         return declared
     stored = head.start + head.stored_bytes
-    if mend and (opcode, length) != (Op.CHUNK, stored) and _is_chunk_instead(source, declared, opcode, start, head):
+    if repair and (opcode, length) != (Op.CHUNK, stored) and _is_chunk_instead(source, declared, opcode, start, head):
         return Record(Op.CHUNK, start, start + stored, f"the record says kind {opcode} and {length} bytes")
     if opcode == Op.CHUNK and stored == length > rest:
         return Record(Op.CHUNK, start, source.size, "the chunk is cut by the end of the file")
@@ -142,13 +143,13 @@ def record_at(source: Source, offset: int, *, mend: bool = True) -> Record | Non
 
 
 def _may_be_chunk(opcode: int, length: int) -> bool:
-    """Tell whether a head is that of a chunk, also with one bit of its opcode wrong, or of no record that is known."""
+    """Return whether a head can be a chunk's: its opcode is a chunk's with at most one wrong bit, or unknown."""
     long_enough = length > _CHUNK_HEAD.size or opcode == Op.CHUNK
     return long_enough and (opcode > Op.DATA_END or (opcode ^ Op.CHUNK).bit_count() <= 1)
 
 
 def _is_chunk_instead(source: Source, declared: Record | None, opcode: int, start: int, head: ChunkHead) -> bool:
-    """Tell whether a chunk that ends by its own fields stands where a record's head says otherwise."""
+    """Return whether the content is a chunk by its own fields, although the head has another opcode or length."""
     if not _may_be_chunk(opcode, _PREFIX_BYTES) and not head.compression:
         return False
     end = start + head.start + head.stored_bytes
@@ -159,8 +160,8 @@ def _is_chunk_instead(source: Source, declared: Record | None, opcode: int, star
 
 
 def _head_of_chunk(content: bytes) -> ChunkHead | None:
-    """Return the head of a chunk; None where the bytes cannot be one."""
-    if content[_NAME_LENGTH] not in _NAME_LENGTHS:  # a quick no for millions of others
+    """Return the head of a chunk; None if the bytes cannot be one."""
+    if content[_NAME_LENGTH] not in _NAME_LENGTHS:  # rejects nearly all candidates quickly
         return None
     try:
         head = chunk_head(content[:_PREFIX_BYTES])
@@ -170,7 +171,7 @@ def _head_of_chunk(content: bytes) -> ChunkHead | None:
 
 
 def plain_records(records: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield opcode and content of records in memory, up to the first that is cut."""
+    """Yield opcode and content of records in memory, up to the first one that is cut."""
     offset = 0
     while len(records) - offset >= HEAD.size:
         opcode, length = HEAD.unpack_from(records, offset)
@@ -182,23 +183,24 @@ def plain_records(records: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def is_boundary(source: Source, offset: int) -> bool:
-    """Tell whether a record, the magic or the end stands at an offset.
+    """Return whether a record, the magic or the end of the source is at an offset.
 
-    Where bytes are lost or gained, a length is easily taken for an unknown kind: such a record has another behind it.
+    After lost or added bytes, a length field can look like a record of an unknown kind. Such a record counts only if
+    another record follows it.
     """
     if offset == source.size or source.read(offset, len(MAGIC)) == MAGIC:
         return True
-    record = record_at(source, offset, mend=False)
+    record = record_at(source, offset, repair=False)
     if record is None or record.opcode <= Op.DATA_END or record.end == source.size:
         return record is not None
-    return record_at(source, record.end, mend=False) is not None
+    return record_at(source, record.end, repair=False) is not None
 
 
 def find_record(source: Source, offset: int, *, outer: bool = False) -> int:
-    """Return the offset of the next record that is followed by another, a chunk, or the magic; the size if none.
+    """Return the offset of the next magic, chunk, or record followed by another; the size of the source if none.
 
-    Only heads whose length is below 4 GiB are looked at, and only so many that hostile bytes cost seconds at most.
-    Records that stand in chunks are passed over if only ``outer`` ones are wanted.
+    Only heads with a length below 4 GiB are considered, and at most 200,000 of them, so that hostile bytes cost seconds
+    at most. With ``outer``, the kinds of records that chunks contain are skipped.
     """
     tried, reach = 0, _FIRST_BLOCK_BYTES
     while offset < source.size:
@@ -209,7 +211,7 @@ def find_record(source: Source, offset: int, *, outer: bool = False) -> int:
             tried += 1
             if _is_record(source, offset + at):
                 return offset + at
-        if tried > _MOST_CANDIDATES:
+        if tried > _MAX_CANDIDATES:
             return source.size
         offset = max(offset + reach, source.next_data(offset + reach) - HEAD.size)
         reach = min(2 * reach, _BLOCK_BYTES)
@@ -217,9 +219,9 @@ def find_record(source: Source, offset: int, *, outer: bool = False) -> int:
 
 
 def _candidates(block: bytes, reach: int) -> list[int]:
-    """Return the places in the first ``reach`` bytes with an opcode, and zeros where a length has its upper half.
+    """Return the offsets in the first ``reach`` bytes where a record head may begin.
 
-    So are those before what reads like the head of a compressed chunk.
+    These are an opcode with zeros in the upper half of the length, the head of a compressed chunk, and the magic.
     """
     count = min(len(block) - HEAD.size + 1, reach)
     if count <= 0:
@@ -227,10 +229,10 @@ def _candidates(block: bytes, reach: int) -> list[int]:
     values = np.frombuffer(block, np.uint8)
     upper = values[5 : 5 + count] | values[6 : 6 + count] | values[7 : 7 + count] | values[8 : 8 + count]
     good = (values[:count] > 0) & (values[:count] <= Op.DATA_END) & (upper == 0)
-    places: list[int] = np.flatnonzero(good)[:_MOST_CANDIDATES].tolist()
-    named = (match.start() - HEAD.size - _CHUNK_HEAD.size for match in _COMPRESSION.finditer(block))
+    offsets: list[int] = np.flatnonzero(good)[:_MAX_CANDIDATES].tolist()
+    compressed = (match.start() - HEAD.size - _CHUNK_HEAD.size for match in _COMPRESSION.finditer(block))
     magic = block.find(MAGIC)
-    return sorted({*places, *(at for at in named if 0 <= at < count), *([magic] if magic >= 0 else [])})
+    return sorted({*offsets, *(at for at in compressed if 0 <= at < count), *([magic] if magic >= 0 else [])})
 
 
 def _is_record(source: Source, offset: int) -> bool:
@@ -253,12 +255,12 @@ def _any(_content: bytes, _length: int) -> bool:
     return True
 
 
-def _at_least(least: int, most: int = 1 << 63) -> Callable[[bytes, int], bool]:
-    return lambda _content, length: least <= length <= most
+def _at_least(min_bytes: int, max_bytes: int = 1 << 63) -> Callable[[bytes, int], bool]:
+    return lambda _content, length: min_bytes <= length <= max_bytes
 
 
 def _text_within(offset: int, behind: int) -> Callable[[bytes, int], bool]:
-    """Make the check of a record with a string at ``offset`` and at least ``behind`` bytes after it."""
+    """Return the check of a record with a string at ``offset`` and at least ``behind`` bytes after it."""
 
     def fits(content: bytes, length: int) -> bool:
         if length < offset + 4 + behind or len(content) < offset + 4:
@@ -274,7 +276,7 @@ _CHECKS: Final[dict[int, Callable[[bytes, int], bool]]] = {
     Op.SCHEMA: _text_within(2, 8),
     Op.CHANNEL: _text_within(4, 8),
     Op.MESSAGE: _at_least(MESSAGE_HEAD.size),
-    Op.CHUNK: _text_within(_CHUNK_HEAD.size, 8),  # whatever its compression is called
+    Op.CHUNK: _text_within(_CHUNK_HEAD.size, 8),  # with any compression, also an unknown one
     Op.MESSAGE_INDEX: _text_within(2, 0),
     Op.CHUNK_INDEX: _at_least(60),
     Op.ATTACHMENT: _text_within(16, 16),
@@ -285,4 +287,4 @@ _CHECKS: Final[dict[int, Callable[[bytes, int], bool]]] = {
     Op.SUMMARY_OFFSET: _at_least(17, 1 << 10),
     Op.DATA_END: _at_least(4, 1 << 10),
 }
-"""Opcode -> whether content (its beginning) and length can be such a record; padding behind the fields is legal."""
+"""Opcode -> check of the first content bytes and the length of such a record; padding after the fields is legal."""

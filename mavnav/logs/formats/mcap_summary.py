@@ -1,6 +1,6 @@
-"""What an MCAP file says of itself besides its messages: the summary's channels, and the data section's CRC.
+"""The summary of an MCAP file and the CRC of its data section.
 
-Neither is needed to read the messages. The one stands in for what is lost, the other shows that something is wrong.
+Neither is needed to read the messages. The summary replaces lost channels, and the CRC reveals damage.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING, NamedTuple
 
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
-from mavnav.logs.formats.mcap_content import State, take
+from mavnav.logs.formats.mcap_content import State, apply_record
 from mavnav.logs.formats.mcap_records import HEAD, MAGIC, Op, find_record, plain_records, record_at
 from mavnav.logs.formats.source import Source
 from mavnav.logs.read_report import ReadReport
@@ -32,7 +32,7 @@ _HOP_BYTES = 1 << 12
 
 
 class Summary(NamedTuple):
-    """What the summary repeats: channels, and whether there are chunks; ``sound`` where nothing speaks against it."""
+    """Channels of the summary, and whether it lists chunks; ``sound`` unless its CRC or its offset is wrong."""
 
     channels: dict[int, Channel]
     chunked: bool = False
@@ -40,48 +40,48 @@ class Summary(NamedTuple):
 
 
 def read_summary(source: Source, report: ReadReport) -> Summary:
-    """Return the content of the summary: needed only where the chunk that declares the channels is damaged.
+    """Return the content of the summary, which is needed only if the chunk that declares the channels is damaged.
 
-    Where the footer is lost, or its offset is wrong, the summary is what stands behind the end of the data.
+    If the footer is lost or its offset is wrong, the summary is searched for after the end of the data.
     """
     footer_at = source.size - len(MAGIC) - HEAD.size - _FOOTER_BYTES
     record = record_at(source, footer_at) if footer_at > 0 else None
     if record is None or record.opcode != Op.FOOTER:
-        return _searched(source)
+        return _search_summary(source)
     footer = source.read(record.start, _FOOTER_BYTES)
     start, _, crc = struct.unpack("<QQI", footer)
     if start == 0:
         return Summary({})
     first = record_at(source, start) if start < footer_at <= start + MAX_CHUNK_BYTES else None
     if first is None or first.opcode not in _KINDS:  # bytes were lost or gained before it
-        return _searched(source)
+        return _search_summary(source)
     summary = source.read(start, footer_at - start)
     guarded = summary + source.read(footer_at, HEAD.size + _FOOTER_BYTES - 4)
     if crc and zlib.crc32(guarded) != crc:
         report.damage("the CRC of the summary does not match; it is not needed", f"byte {start}")
-        return _told(summary)._replace(sound=False)
-    return _told(summary)
+        return _parse_summary(summary)._replace(sound=False)
+    return _parse_summary(summary)
 
 
-def _searched(source: Source) -> Summary:
-    """Return what is written behind the last end of the data, or, where there is none, in the last MiB."""
+def _search_summary(source: Source) -> Summary:
+    """Return the summary found after the last end-of-data record, or, if there is none, in the last MiB."""
     end = _last_data_end(source, MAX_CHUNK_BYTES)
     start = max(source.size - _BLOCK_BYTES, 0) if end is None else end
-    return _told(source.read(start, MAX_CHUNK_BYTES))._replace(sound=False)
+    return _parse_summary(source.read(start, MAX_CHUNK_BYTES))._replace(sound=False)
 
 
-def _told(summary: bytes) -> Summary:
+def _parse_summary(summary: bytes) -> Summary:
     state = State(ReadReport())
     for opcode, content in _records(summary):
         if opcode in (Op.SCHEMA, Op.CHANNEL):
-            take(opcode, content, "summary", state)
+            apply_record(opcode, content, "summary", state)
         elif opcode == Op.CHUNK_INDEX:
             state.chunked |= any(content[_CHUNK_LENGTH])
     return Summary(state.channels, state.chunked, sound=True)
 
 
 def _records(summary: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield opcode and content of the records; behind bytes that are none, go on at the next."""
+    """Yield opcode and content of the records; after bytes that are no record, continue at the next one."""
     source, offset = Source(BytesIO(summary), len(summary)), 0
     while offset < source.size:
         behind = offset
@@ -94,19 +94,19 @@ def _records(summary: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 class DataSection(NamedTuple):
-    """What is known of the data: whether they have chunks, and whether their CRC matches, None where there is none."""
+    """Whether the data section has chunks, and whether its CRC matches; None if it has no CRC."""
 
     chunked: bool
     crc_matches: bool | None
 
 
 def read_data_section(source: Source, start: int, report: ReadReport) -> DataSection:
-    """Check the CRC of the data section that begins with the magic at ``start``; note where it does not match.
+    """Check the CRC of the data section that begins with the magic at ``start``; report a mismatch.
 
-    It has none where it lost its end.
+    A data section that lost its end has no CRC.
     """
     opcodes, end = set[int](), None
-    for opcode, offset in _hops(source, start + len(MAGIC)):
+    for opcode, offset in _record_heads(source, start + len(MAGIC)):
         opcodes.add(opcode)
         if opcode == Op.DATA_END:
             end = offset
@@ -123,8 +123,8 @@ def read_data_section(source: Source, start: int, report: ReadReport) -> DataSec
     return DataSection(chunked, False)
 
 
-def _hops(source: Source, offset: int) -> Iterator[tuple[int, int]]:
-    """Yield opcode and offset of records, up to the first that cannot be one; fast, as there may be millions."""
+def _record_heads(source: Source, offset: int) -> Iterator[tuple[int, int]]:
+    """Yield opcode and offset of records, up to the first invalid one; fast, because there may be millions."""
     block, base = b"", offset
     while True:
         if offset + HEAD.size > base + len(block):
@@ -139,7 +139,7 @@ def _hops(source: Source, offset: int) -> Iterator[tuple[int, int]]:
 
 
 def _last_data_end(source: Source, reach_bytes: int, start: int = 0) -> int | None:
-    """Return where the last record stands that looks like the end of the data, in so many bytes before the end."""
+    """Return the offset of the last end-of-data record in the last ``reach_bytes`` bytes; None if there is none."""
     behind = source.size
     while behind > max(source.size - reach_bytes, start):
         tail_at = max(behind - _BLOCK_BYTES, start)

@@ -1,9 +1,9 @@
-"""ROS 1 bags, formats 2.0 and 1.2, read from front to back, so that no index is needed.
+"""Reader of ROS 1 bags, formats 2.0 and 1.2; reads from front to back, so that no index is needed.
 
 Formats: http://wiki.ros.org/Bags/Format/2.0, and 1.2, which has no chunks and has topic and type in every message. A
 bag is a magic line and records of ``header length u32, header, data length u32, data``; a header is fields of ``length
-u32, name=value``. A chunk's data are records again. The records of an uncompressed chunk are read as if they stood in
-the file itself: so nothing depends on the chunk's length, and memory does not grow with it.
+u32, name=value``. The data of a chunk are records too. The records of an uncompressed chunk are read as records of the
+file: the length of the chunk is not needed, and memory use does not grow with it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from mavnav.logs.formats.rosbag1_records import (
     sound_records,
 )
 from mavnav.logs.formats.source import Source
-from mavnav.logs.formats.untyped import channel_of, is_vague, typed
+from mavnav.logs.formats.untyped import channel_of, lacks_type, with_detected_type
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import Channel, RawMessage, Schema, ros_type
 
@@ -48,7 +48,7 @@ class _State:
     channels: dict[int, Channel] = field(default_factory=dict)
     spare: dict[int, Channel] = field(default_factory=dict)
     search: Callable[[], dict[int, Channel]] | None = None
-    strangers: set[int] = field(default_factory=set)
+    undeclared: set[int] = field(default_factory=set)
     messages: int = 0
     declared: int = 0
 
@@ -56,9 +56,9 @@ class _State:
 def read_rosbag1(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     """Yield the messages of a ROS 1 bag, in the order of the file, in constant memory.
 
-    What cannot be read is left out and noted. A message counts as whole only if a sound record, or the end,
-    follows right behind it: in a bag that lost bytes, a message that spans the loss would decode to wrong values. What
-    is read of a chunk that does not decompress to its end is suspect.
+    Unreadable data are reported and left out. A message is complete only if a valid record or the end follows directly:
+    in a bag that lost bytes, a message across the loss would decode to wrong values. Messages of a chunk that does not
+    decompress to its end are marked as suspect.
     """
     with path.open("rb") as file:
         source = Source(file, path.stat().st_size)
@@ -80,7 +80,7 @@ def read_rosbag1(path: Path, report: ReadReport) -> Iterator[RawMessage]:
 
 
 def _begin(source: Source, report: ReadReport) -> int:
-    """Return where the records begin: behind the magic line, which may be broken or have other bytes before it."""
+    """Return the offset after the magic line, which may be damaged or have other bytes before it."""
     head = source.read(0, _SEARCH_BYTES)
     for magic in (MAGIC, OLD_MAGIC):
         at = head.find(magic)
@@ -93,7 +93,7 @@ def _begin(source: Source, report: ReadReport) -> int:
 
 
 def _index_connections(source: Source) -> dict[int, Channel]:
-    """Return the connections that the index repeats: needed only where the chunk that declares them is damaged."""
+    """Return the connections of the index, which are needed only if the chunk that declares them is damaged."""
     spare = _State(ReadReport())
     bag = parse_header(source, len(MAGIC))
     index_at = _index_pos(bag) if bag else 0
@@ -106,7 +106,7 @@ def _index_connections(source: Source) -> dict[int, Channel]:
 
 
 def _all_connections(source: Source, begin: int) -> dict[int, Channel]:
-    """Return the connections that any record of the file declares: the index may be there, but not where it should."""
+    """Return the connections of all records of the file, because the index may not be where the header expects it."""
     spare = _State(ReadReport())
     for record in sound_records(source, begin, spare.report):
         if record.opcode == Op.CONNECTION:
@@ -133,7 +133,7 @@ def _chunk_messages(source: Source, record: Record, state: _State) -> Iterator[R
     inner = Source(BytesIO(data), len(data), f"{where}, ", state.allowance)
     state.allowance.begin_chunk()
     for inner_record in sound_records(inner, 0, state.report):
-        if not state.allowance.takes_record(RECORD_COST):
+        if not state.allowance.spend_record(RECORD_COST):
             state.report.damage(TOO_MANY, inner.where(inner_record.start))
             return
         for message in _take(inner, inner_record, state):
@@ -141,7 +141,7 @@ def _chunk_messages(source: Source, record: Record, state: _State) -> Iterator[R
 
 
 def _take(source: Source, record: Record, state: _State) -> Iterator[RawMessage]:
-    """Yield the message, or take in the connection; other records contain nothing that is needed."""
+    """Yield the message of a record; connections and counts of the index update the state."""
     try:
         if record.opcode == Op.MESSAGE:
             yield from _message(source, record, state)
@@ -172,13 +172,13 @@ def _message(source: Source, record: Record, state: _State) -> Iterator[RawMessa
     state.messages += 1
     data = source.read(record.start, min(record.end - record.start, MAX_CHUNK_BYTES))
     channel = _old_channel(record, state) if b"topic" in record.fields else _channel(record, state)
-    if channel is not None and is_vague(channel) and b"conn" in record.fields:
-        channel = typed(channel, data, source.where(record.start), state.report)
+    if channel is not None and lacks_type(channel) and b"conn" in record.fields:
+        channel = with_detected_type(channel, data, source.where(record.start), state.report)
         state.channels[U32.unpack(record.fields[b"conn"])[0]] = channel
     if channel is not None:
         yield RawMessage(channel, _time_ns(record), data, record.suspect)
     else:
-        yield from _stranger(source, record, data, state)
+        yield from _undeclared_message(source, record, data, state)
 
 
 def _time_ns(record: Record) -> int:
@@ -188,13 +188,13 @@ def _time_ns(record: Record) -> int:
 
 
 def _old_channel(record: Record, state: _State) -> Channel:
-    """Return the channel that a message of format 1.2 names itself."""
+    """Return the channel of a message of format 1.2, whose header has topic and type."""
     topic, kind = (record.fields[name].decode(errors="replace") for name in (b"topic", b"type"))
     return state.report.declare(Channel(topic, ros_type(kind), "ros1"))
 
 
 def _channel(record: Record, state: _State) -> Channel | None:
-    """Return the channel of a message's connection, as declared or by the index."""
+    """Return the channel of a message's connection: as declared, else from the index or a search of the whole file."""
     (number,) = U32.unpack(record.fields[b"conn"])
     if number not in state.channels and number not in state.spare and state.search:
         state.spare, state.search = state.search() | state.spare, None
@@ -203,14 +203,14 @@ def _channel(record: Record, state: _State) -> Channel | None:
     return state.channels.get(number)
 
 
-def _stranger(source: Source, record: Record, data: bytes, state: _State) -> Iterator[RawMessage]:
-    """Yield a message of an undeclared connection as suspect, if it is a scan by its bytes."""
+def _undeclared_message(source: Source, record: Record, data: bytes, state: _State) -> Iterator[RawMessage]:
+    """Yield a message of an undeclared connection, marked as suspect, if its bytes are a LaserScan."""
     (number,) = U32.unpack(record.fields[b"conn"])
     channel = channel_of(data, f"/connection_{number}", state.report)
-    if number not in state.strangers:
-        state.strangers.add(number)
-        fate = f"scans by their bytes, and taken for {channel.topic}" if channel else "left out"
-        text = f"messages of connection {number}, which is declared nowhere before, are {fate}"
+    if number not in state.undeclared:
+        state.undeclared.add(number)
+        outcome = f"scans by their bytes, and taken for {channel.topic}" if channel else "left out"
+        text = f"messages of connection {number}, which is declared nowhere before, are {outcome}"
         state.report.damage(text, source.where(record.start))
     if channel is not None:
         yield RawMessage(channel, _time_ns(record), data, suspect=True)

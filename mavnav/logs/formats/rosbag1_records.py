@@ -1,4 +1,4 @@
-"""Records of a ROS 1 bag: their headers, and how reading goes on behind bytes that are none.
+"""Records of a ROS 1 bag: parsing of their headers, and the search for the next record after damage.
 
 A record is ``header length u32, header, data length u32, data``; a header is fields of ``length u32, name=value``
 (http://wiki.ros.org/Bags/Format/2.0).
@@ -22,7 +22,7 @@ _USUAL_HEADER_BYTES = 256
 _REACH_BYTES = 256
 _BLOCK_BYTES = 1 << 20
 RECORD_COST = 4
-"""Records of this format, or what may be their heads, count as so many."""
+"""Cost of a record of this format, or of a candidate for one, in the unit of ``Allowance.spend_record``."""
 U32: Final = struct.Struct("<I")
 
 
@@ -42,9 +42,9 @@ _OPCODES = frozenset(Op)
 
 
 class Record(NamedTuple):
-    """A record whose header is sound. ``start`` is where its data begin, ``end`` where they should end.
+    """A record with a valid header, and data from ``start`` to ``end`` by its length.
 
-    It is ``suspect`` where no sound record follows.
+    It is ``suspect`` if no valid record follows.
     """
 
     opcode: int
@@ -55,12 +55,12 @@ class Record(NamedTuple):
 
 
 def is_flat(record: Record) -> bool:
-    """Tell whether a record is a chunk that is not compressed: its records are read as if they stood in the file."""
+    """Return whether a record is an uncompressed chunk, whose records are read as records of the file."""
     return record.opcode == Op.CHUNK and record.fields.get(b"compression", b"none") == b"none"
 
 
 def sound_records(source: Source, offset: int, report: ReadReport) -> Iterator[Record]:
-    """Yield the records that are whole; behind a loss, go on at the next sound header."""
+    """Yield the complete records; after lost bytes, continue at the next valid header."""
     pending: Record | None = None
     while offset < source.size or (pending and offset > source.size):
         record = parse_header(source, offset)
@@ -68,7 +68,7 @@ def sound_records(source: Source, offset: int, report: ReadReport) -> Iterator[R
             found = _find_header(source, (pending.start if pending else offset) + 1)
             if pending and _is_whole(source, pending, found):
                 yield _clipped(source, pending, found)
-            _tell_loss(source, pending, offset, found, report)
+            _report_loss(source, pending, offset, found, report)
             pending = None
             if found is None:
                 return
@@ -83,29 +83,30 @@ def sound_records(source: Source, offset: int, report: ReadReport) -> Iterator[R
 
 
 def _clipped(source: Source, pending: Record, found: int | None) -> Record:
-    """Let a compressed chunk reach to the next sound header, because its length may lie."""
+    """Extend a compressed chunk to the next valid header, because its length may be wrong."""
     end = pending.end if pending.opcode != Op.CHUNK else source.size if found is None else found
     return pending._replace(end=end, suspect=True)
 
 
-def _tell_loss(source: Source, pending: Record | None, offset: int, found: int | None, report: ReadReport) -> None:
-    """Tell which bytes are lost, or whose length lies; ``offset`` is where a header should stand."""
+def _report_loss(source: Source, pending: Record | None, offset: int, found: int | None, report: ReadReport) -> None:
+    """Report lost bytes or a wrong length; ``offset`` is where a header is expected."""
     upto = source.size if found is None else found
     if offset > source.size and found is None and pending:
         text, at = "the last record is cut by the end", pending.start
     elif pending and not _is_whole(source, pending, found):
         text, at = f"{upto - pending.start} bytes are no record", pending.start
     elif offset >= upto and pending:
-        text, at = "the length of a record lies", pending.start
+        text, at = "the length of a record is wrong", pending.start
     else:
         text, at = f"{upto - offset} bytes are no record", offset
     report.damage(text, source.where(at))
 
 
 def _is_whole(source: Source, pending: Record, found: int | None) -> bool:
-    """Tell whether a record before bytes that are no header lost none of its own.
+    """Return whether a record is complete, if no header follows it.
 
-    It did, if the next sound header stands within the length that it claims. A compressed chunk is asked itself.
+    It is not if the next valid header is within its declared length. A compressed chunk always counts as complete,
+    because its decompression shows a loss.
     """
     if pending.opcode == Op.CHUNK:
         return True
@@ -116,7 +117,7 @@ def _is_whole(source: Source, pending: Record, found: int | None) -> bool:
 
 
 def parse_header(source: Source, offset: int) -> Record | None:
-    """Parse the record header at an offset; None where none is."""
+    """Parse the record header at an offset; None if there is none."""
     block = source.read(offset, _USUAL_HEADER_BYTES)
     if len(block) < 4:
         return None
@@ -148,11 +149,11 @@ def parse_fields(header: bytes) -> dict[bytes, bytes] | None:
 
 
 def _find_header(source: Source, offset: int) -> int | None:
-    """Return the offset of the next sound header; found by its ``op`` field, which every header has."""
+    """Return the offset of the next valid header, found by the ``op`` field that every header has; None if none."""
     while offset < source.size:
         block = source.read(offset, _BLOCK_BYTES)
         for at in _candidates(block):
-            if not source.allowance.takes_record(RECORD_COST):
+            if not source.allowance.spend_record(RECORD_COST):
                 return None
             record = parse_header(source, offset + at)
             if record is not None and _is_followed(source, record):
@@ -165,12 +166,12 @@ def _find_header(source: Source, offset: int) -> int | None:
 
 
 def _is_followed(source: Source, record: Record) -> bool:
-    """Tell whether a header is one of the bag's, and none that shows through in compressed data."""
+    """Return whether a header belongs to the bag, rather than being bytes in compressed data that look like one."""
     return record.opcode == Op.CHUNK or record.end == source.size or parse_header(source, record.end) is not None
 
 
 def _candidates(block: bytes) -> Iterator[int]:
-    """Yield, each once, the places shortly before an ``op`` field where a header of fields may begin."""
+    """Yield the offsets in the 256 bytes before an ``op`` field where a header may begin, each once."""
     tried, op_at = 0, block.find(OP_FIELD)
     while op_at >= 0:
         for at in range(max(tried, op_at - _REACH_BYTES), op_at - 3):

@@ -1,4 +1,4 @@
-"""ROS 2 bag folders: which files belong to the bag, and in which order (REP-2005, rosbag2's metadata.yaml)."""
+"""ROS 2 bag folders: the files of a bag and their order (REP-2005, metadata.yaml of rosbag2)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MAX_DEPTH = 20
 
 @dataclass(frozen=True, slots=True)
 class Metadata:
-    """What metadata.yaml claims: the storage files, and the number of messages, None where it is not given."""
+    """Storage files and number of messages in metadata.yaml; the number is None if it is not given."""
 
     names: tuple[str, ...]
     messages: int | None
@@ -30,15 +30,15 @@ class Metadata:
 def storage_files(
     folder: Path, report: ReadReport, is_storage: Callable[[Path], bool], metadata: Metadata | None
 ) -> list[Path]:
-    """Return the storage files of a bag: those that metadata.yaml lists, else all that are found, by number.
+    """Return the storage files of a bag: those that metadata.yaml lists, else all files found, by number.
 
-    Names and links that lead out of the folder are not followed. Listed files that are missing are damage. Found ones
-    that are not listed are read if their name says that they are parts of the same bag, as after a crash.
+    Names and links that lead out of the folder are not followed. Missing listed files are reported as damage. After a
+    crash files may be unlisted: they are read if their names mark them as parts of the same bag.
 
     Raises
     ------
     UsageError
-        The folder holds several logs, and nothing says that they are parts of one bag.
+        The folder holds several logs that are not parts of one bag.
     """
     found = _found(folder, report, is_storage)
     names = metadata.names if metadata else ()
@@ -46,21 +46,21 @@ def storage_files(
     listed = list(dict.fromkeys(inside))
     if len(set(names)) < len(names) or len(listed) < len(inside):
         report.warn("metadata.yaml lists a file more than once; it was read once")
-    strangers = [file for file in found if file not in listed]
-    parts = [file for file in strangers if not listed or _family(file) in set(map(_family, listed))]
-    if len({_family(file) for file in parts}) > 1:
+    unlisted = [file for file in found if file not in listed]
+    parts = [file for file in unlisted if not listed or _name_stem(file) in set(map(_name_stem, listed))]
+    if len({_name_stem(file) for file in parts}) > 1:
         names_found = ", ".join(file.name for file in found[:5]) + (", ..." if len(found) > 5 else "")
         raise UsageError(f"{folder}: {len(found)} logs that are no parts of one bag ({names_found}); name one of them")
-    for file in strangers if metadata else ():
-        fate = "was read too" if file in parts else "was not read"
-        report.warn(f"{file.name} lies in the folder, but metadata.yaml does not list it; it {fate}")
+    for file in unlisted if metadata else ():
+        outcome = "was read too" if file in parts else "was not read"
+        report.warn(f"{file.name} lies in the folder, but metadata.yaml does not list it; it {outcome}")
     return listed + parts
 
 
 def _found(folder: Path, report: ReadReport, is_storage: Callable[[Path], bool]) -> list[Path]:
     """Return the storage files of a folder by number; links that lead out of it are reported."""
     files = []
-    for file in sorted(folder.iterdir(), key=_natural):
+    for file in sorted(folder.iterdir(), key=_natural_key):
         if file.is_file() and not file.resolve().is_relative_to(folder.resolve()):
             report.damage(f"{file.name!r} is a link that leads out of the folder; it is not read", folder.name)
         elif is_storage(file):
@@ -68,21 +68,21 @@ def _found(folder: Path, report: ReadReport, is_storage: Callable[[Path], bool])
     return files
 
 
-def _natural(path: Path) -> list[tuple[bool, int, str]]:
-    """Sort x_2 before x_10."""
+def _natural_key(path: Path) -> list[tuple[bool, int, str]]:
+    """Return the sort key that puts x_2 before x_10."""
     return [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in re.split(r"(\d+)", path.name)]
 
 
-def _family(path: Path) -> str:
-    """Return what the names of a bag's parts have in common: ``x`` of ``x_2.db3.zstd``."""
+def _name_stem(path: Path) -> str:
+    """Return the common stem of the names of a bag's parts: ``x`` of ``x_2.db3.zstd``."""
     return re.sub(r"(_\d+)?(\.(mcap|db3|bag|active|zstd|zst))*$", "", path.name)
 
 
 def _inside(folder: Path, name: str, report: ReadReport) -> Path | None:
-    """Return the file of a listed name; None, and reported, where it leads out of the folder or is missing."""
+    """Return the file of a listed name; report it and return None if it leads out of the folder or is missing."""
     try:
         return _listed_file(folder, name, report)
-    except (OSError, ValueError):  # too long, or with a zero in it
+    except (OSError, ValueError):  # too long, or with a null byte
         report.damage(f"metadata.yaml lists {name[:80]!r}, which cannot be a file's name", METADATA)
         return None
 
@@ -91,7 +91,7 @@ def _listed_file(folder: Path, name: str, report: ReadReport) -> Path | None:
     if not (folder / name).resolve().is_relative_to(folder.resolve()):
         report.damage(f"metadata.yaml lists {name!r}, which leads out of the folder; it is not read", METADATA)
         return None
-    # Before version 4 names began with the folder's; and who unpacks a file by hand leaves the list as it was.
+    # Before version 4 names began with the folder; a file that was decompressed by hand is listed with its old suffix.
     base = folder / (folder / name).name
     for path in (folder / name, base, base.with_name(base.name + ".zstd"), base.with_name(base.stem)):
         if path.is_file():
@@ -101,9 +101,9 @@ def _listed_file(folder: Path, name: str, report: ReadReport) -> Path | None:
 
 
 def read_metadata(folder: Path, report: ReadReport) -> Metadata | None:
-    """Read metadata.yaml; None, and reported, where it is missing or broken.
+    """Read metadata.yaml; report it and return None if it is missing or cannot be read.
 
-    Nothing is built from it but names and numbers: tags are never run, aliases never expanded.
+    Only plain values are built from it: tags are not constructed and aliases are not expanded.
     """
     import yaml  # noqa: PLC0415
 
@@ -121,7 +121,7 @@ def read_metadata(folder: Path, report: ReadReport) -> Metadata | None:
         return None
 
 
-def _metadata(tree: Any) -> Metadata:  # noqa: ANN401  (whatever YAML holds)
+def _metadata(tree: Any) -> Metadata:  # noqa: ANN401  (any YAML value)
     bag = tree["rosbag2_bagfile_information"]
     names = bag["relative_file_paths"]
     if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
@@ -131,18 +131,21 @@ def _metadata(tree: Any) -> Metadata:  # noqa: ANN401  (whatever YAML holds)
 
 
 def _plain_tree(text: bytes, report: ReadReport) -> Any:  # noqa: ANN401
-    """Build dictionaries, lists and words of YAML without tags and aliases; raises ValueError for what is hostile."""
+    """Build dictionaries, lists and strings of YAML.
+
+    Raises ValueError for large or deeply nested input, and YAMLError for aliases and Python tags.
+    """
     import yaml  # noqa: PLC0415
 
     if len(text) > _MAX_METADATA_BYTES:
         raise ValueError(f"it is larger than {_MAX_METADATA_BYTES} bytes")
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    _refuse_tricks(yaml.parse(text, loader))
+    _refuse_tags_and_aliases(yaml.parse(text, loader))
     root = yaml.compose(text, loader)
     return _plain(root, report)
 
 
-def _refuse_tricks(events: Iterable[Any]) -> None:
+def _refuse_tags_and_aliases(events: Iterable[Any]) -> None:
     import yaml  # noqa: PLC0415
 
     depth = 0
@@ -173,7 +176,7 @@ def _plain(node: Any, report: ReadReport) -> Any:  # noqa: ANN401
 
 
 def compare_count(metadata: Metadata, messages: int, report: ReadReport) -> None:
-    """Tell where metadata.yaml counts other messages than were read."""
+    """Report a difference between the number of messages in metadata.yaml and the number read."""
     if metadata.messages is None or metadata.messages == messages:
         return
     text = f"metadata.yaml counts {metadata.messages} messages, {messages} were read"

@@ -12,9 +12,9 @@ from mavnav.logs.formats.decompress import Allowance
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A run of records.
+    """A sequence of records in a file or in memory.
 
-    ``name`` goes before a place when it is reported to a person; the ``allowance`` limits the search for records.
+    ``name`` is the prefix of positions in messages; the ``allowance`` limits the search for records.
     """
 
     file: IO[bytes]
@@ -28,7 +28,7 @@ class Source:
         return self.file.read(min(count, max(self.size - offset, 0)))
 
     def next_data(self, offset: int) -> int:
-        """Return where the next bytes lie that the file system keeps; what it does not keep are zeros."""
+        """Return the offset of the next data after a hole of a sparse file; ``offset`` itself if not in a hole."""
         try:
             descriptor = self.file.fileno()
         except OSError:
@@ -39,8 +39,8 @@ class Source:
         except OSError as error:
             return self.size if error.errno == errno.ENXIO else offset
         finally:
-            os.lseek(descriptor, here, os.SEEK_SET)  # the buffer of the file does not know
+            os.lseek(descriptor, here, os.SEEK_SET)  # the buffered file expects its old position
 
     def where(self, offset: int) -> str:
-        """Name a place for a person."""
+        """Return the text of a position for messages."""
         return f"{self.name}byte {offset}"

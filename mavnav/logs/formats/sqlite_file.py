@@ -1,7 +1,7 @@
-"""ROS 2 sqlite3 storage (``.db3``): tables ``topics`` and ``messages``, read in the order of the rows.
+"""Reader of ROS 2 sqlite3 storage (``.db3``): tables ``topics`` and ``messages``, in the order of the rows.
 
-Layout: rosbag2_storage_sqlite3. The file is opened read-only and immutable, so that nothing is written beside it. What
-sqlite cannot reach is read from the pages themselves.
+Layout: rosbag2_storage_sqlite3. The file is opened read-only and immutable, so that sqlite writes no file next to it.
+Rows that sqlite cannot reach are read directly from the pages.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from urllib.parse import quote
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
 from mavnav.logs.formats.source import Source
 from mavnav.logs.formats.sqlite_pages import page_size, rows
-from mavnav.logs.formats.untyped import channel_of, is_vague, typed
+from mavnav.logs.formats.untyped import channel_of, lacks_type, with_detected_type
 from mavnav.logs.records import Channel, RawMessage, ros_type
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ _FRAME_HEAD_BYTES = 24
 
 @dataclass
 class _State:
-    """What has been read: channels, and in ``missing`` the row numbers that sqlite did not give."""
+    """Channels read so far, and in ``missing`` the row numbers that sqlite did not return."""
 
     path: Path
     report: ReadReport
@@ -53,8 +53,8 @@ class _State:
     messages: int = 0
     last: int = 0
 
-    def passed(self, number: int) -> None:
-        """Note the next row's number, and what is missing before it."""
+    def count_row(self, number: int) -> None:
+        """Count the next row, and record the row numbers missing before it."""
         if number > self.last + 1:
             self.missing.append(range(self.last + 1, number))
         self.last = number
@@ -64,10 +64,10 @@ class _State:
 def read_sqlite(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     """Yield the messages of a .db3 file, in the order in which they were written, in constant memory.
 
-    Rows are read without the index on their times. Where sqlite gives up, or row numbers are missing, the remaining
-    rows are looked for in the pages; what is lost is noted.
+    Rows are read without the index on their times. If sqlite fails, or row numbers are missing, the remaining rows are
+    searched for in the pages. Losses are reported.
     """
-    with _whole(path, report) as whole:
+    with _readable_file(path, report) as whole:
         state = _State(path, report)
         try:
             yield from _rows(whole, state)
@@ -75,7 +75,7 @@ def read_sqlite(path: Path, report: ReadReport) -> Iterator[RawMessage]:
             report.damage(f"sqlite cannot read on: {error}", f"{path.name}, after {state.messages} messages")
             state.missing.append(range(state.last + 1, _NO_END))
         if state.missing:
-            yield from _rescued(whole, state)
+            yield from _recovered(whole, state)
 
 
 def _connect(path: Path) -> sqlite3.Connection:
@@ -97,12 +97,12 @@ def _rows(path: Path, state: _State) -> Iterator[RawMessage]:
         for number, topic_id, log_ns, data in connection.execute(_MESSAGES):
             if number <= state.last:
                 raise sqlite3.DatabaseError(f"row {number} comes after row {state.last}; its pages form a loop")
-            state.passed(number)
+            state.count_row(number)
             yield from _message(topic_id, log_ns, data, state)
 
 
 def _declare(row: tuple[object, ...], state: _State) -> None:
-    """Take in a topic; one without a name is none."""
+    """Declare the channel of a topic; report a topic without a name."""
     number, name, kind, encoding = row
     if isinstance(number, int) and isinstance(name, str):
         kind, encoding = ("" if text is None else str(text) for text in (kind, encoding))
@@ -117,8 +117,8 @@ def _message(topic_id: object, log_ns: object, data: object, state: _State) -> I
     suspect = channel is None
     if isinstance(data, bytes) and channel is None:
         channel = channel_of(data, f"/topic_{topic_id}", state.report)
-    elif isinstance(data, bytes) and channel is not None and is_vague(channel):
-        channel = state.channels[number] = typed(channel, data, state.path.name, state.report)
+    elif isinstance(data, bytes) and channel is not None and lacks_type(channel):
+        channel = state.channels[number] = with_detected_type(channel, data, state.path.name, state.report)
     if suspect or not isinstance(log_ns, int) or not isinstance(data, bytes):
         state.report.damage("a message row is broken, or of an undeclared topic", state.path.name)
     if channel is not None and isinstance(log_ns, int) and isinstance(data, bytes):
@@ -126,12 +126,12 @@ def _message(topic_id: object, log_ns: object, data: object, state: _State) -> I
         yield RawMessage(channel, log_ns, data, suspect)
 
 
-def _rescued(path: Path, state: _State) -> Iterator[RawMessage]:
-    """Yield the missing rows that the pages still hold."""
+def _recovered(path: Path, state: _State) -> Iterator[RawMessage]:
+    """Yield the messages of missing rows that are found in the pages, marked as suspect."""
     with path.open("rb") as file:
         source = Source(file, path.stat().st_size)
         if not state.channels:
-            _rescue_channels(source, state)
+            _recover_channels(source, state)
         found, seen = 0, set()
         for number, values in rows(source):
             if isinstance(values[3], bytes) and number not in seen and _is_missing(number, state):
@@ -150,19 +150,19 @@ def _is_missing(number: int, state: _State) -> bool:
     return any(number in gap for gap in state.missing)
 
 
-def _rescue_channels(source: Source, state: _State) -> None:
+def _recover_channels(source: Source, state: _State) -> None:
     for number, (_, name, kind, encoding, *_) in rows(source):
         if isinstance(encoding, str) and "/" in str(kind):
             state.channels[number] = state.report.declare(Channel(str(name), ros_type(str(kind)), encoding))
 
 
 @contextmanager
-def _whole(path: Path, report: ReadReport) -> Iterator[Path]:
-    """Yield a path that sqlite agrees to open.
+def _readable_file(path: Path, report: ReadReport) -> Iterator[Path]:
+    """Yield the path of the file, or of a repaired temporary copy, that sqlite can open.
 
-    It refuses a cut file as a whole, because the header counts more pages than there are: a copy whose header counts
-    the truth lets the whole pages be read, and a row that reaches into the lost ones is an error, not zeros.
-    Rows still in a write-ahead log are read from a copy as well, and a transaction that was begun is rolled back.
+    sqlite refuses a cut file, because its header counts more pages than there are. In the copy the header has the
+    correct number: complete pages can be read, and a row that reaches into lost pages is an error instead of zeros.
+    Rows in a write-ahead log are read from a copy as well, and an unfinished transaction is rolled back.
     """
     journals = [journal for suffix in _JOURNALS if _has_content(journal := path.with_name(path.name + suffix))]
     sound = not journals and _needs_no_copy(path)
@@ -172,9 +172,9 @@ def _whole(path: Path, report: ReadReport) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="mavnav-") as folder:
         copy = Path(folder) / path.name
         shutil.copyfile(path, copy)
-        _mend_magic(copy, report)
+        _repair_magic(copy, report)
         for journal in journals:
-            _take_in(copy, journal, report)
+            _apply_journal(copy, journal, report)
         _keep_whole_pages(copy, report)
         yield copy
 
@@ -194,7 +194,7 @@ def _pages(head: bytes) -> int:
     return int.from_bytes(head[_COUNT_AT : _COUNT_AT + 4], "big")
 
 
-def _mend_magic(copy: Path, report: ReadReport) -> None:
+def _repair_magic(copy: Path, report: ReadReport) -> None:
     with copy.open("r+b") as file:
         if file.read(len(MAGIC)) != MAGIC:
             report.damage("the file does not begin with the magic of sqlite", copy.name)
@@ -202,8 +202,8 @@ def _mend_magic(copy: Path, report: ReadReport) -> None:
             file.write(MAGIC)
 
 
-def _take_in(copy: Path, journal: Path, report: ReadReport) -> None:
-    """Let sqlite take in what a recorder that did not close the file left beside it."""
+def _apply_journal(copy: Path, journal: Path, report: ReadReport) -> None:
+    """Apply a write-ahead log or rollback journal, left by a recorder that did not close the file, to the copy."""
     shutil.copyfile(journal, copy.parent / journal.name)
     try:
         with closing(sqlite3.connect(copy)) as connection:
@@ -221,9 +221,9 @@ def _take_in(copy: Path, journal: Path, report: ReadReport) -> None:
 
 
 def _frames(wal: Path) -> int:
-    """Return the number of pages, whole or cut, in a write-ahead log; 0 for another file (fileformat.html, 4).
+    """Return the number of pages, complete or cut, in a write-ahead log; 0 for another file (fileformat.html, 4).
 
-    Frames of an earlier turn of the log have other salts than its header.
+    Frames that remain from before the last reset of the log have other salts than its header, and are not counted.
     """
     with wal.open("rb") as file:
         head = file.read(_WAL_HEAD_BYTES)

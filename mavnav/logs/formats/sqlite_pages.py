@@ -1,8 +1,8 @@
-"""Rows of a sqlite file read from its leaf pages, without the tree above them: for files that sqlite gives up on.
+"""Rows of a sqlite file read from its leaf pages, without the tree above them: for files that sqlite cannot read.
 
-Format: https://sqlite.org/fileformat.html, 1.6 (b-tree pages) and 2.1 (records). The tables of a ROS 2 bag are known by
-the shape of their rows: a message is (NULL, integer, integer, blob), a topic (NULL, text, text, text, ...), because a
-column that is the row's number is stored as NULL.
+Format: https://sqlite.org/fileformat.html, 1.6 (b-tree pages) and 2.1 (records). The tables of a ROS 2 bag are
+recognized by the types of their columns: a message is (NULL, integer, integer, blob), a topic (NULL, text, text, text,
+...), because a column that is the row number is stored as NULL.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 _LEAF = 0x0D
 _FILE_HEADER_BYTES = 100
 _INTEGER_BYTES = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
-_MOST_COLUMNS = 16
+_MAX_COLUMNS = 16
 
 Value = int | bytes | str | None
 
 
 class Row(NamedTuple):
-    """A row: its number, and its columns."""
+    """A row: its number, and the values of its columns."""
 
     number: int
     values: tuple[Value, ...]
@@ -34,7 +34,7 @@ class Row(NamedTuple):
 def rows(source: Source) -> Iterator[Row]:
     """Yield the rows of messages and topics, in the order of the pages; rows that reach into lost pages are left out.
 
-    Only the page size is trusted; where that is none of sqlite's, 4096 bytes are taken.
+    Of the file header only the page layout is used; a page size that sqlite does not allow is replaced by 4096 bytes.
     """
     head = source.read(0, _FILE_HEADER_BYTES)
     page_bytes = page_size(head)
@@ -45,7 +45,7 @@ def rows(source: Source) -> Iterator[Row]:
 
 
 def page_size(head: bytes) -> int:
-    """Return the page size in a file's header (1.3.2)."""
+    """Return the page size in a file's header (1.3.2), in bytes; 4096 if it is invalid."""
     size = int.from_bytes(head[16:18], "big")
     size = 65536 if size == 1 else size
     return size if size >= 512 and size.bit_count() == 1 else 4096
@@ -62,14 +62,14 @@ def _rows_of(source: Source, page: bytes, start: int, usable: int) -> Iterator[R
 
 
 def _cell(source: Source, page: bytes, offset: int, usable: int) -> Row | None:
-    """Read the cell at an offset; None where it is cut, or of another table."""
+    """Read the cell at an offset; None if it is cut or belongs to another table."""
     try:
         length, offset = _varint(page, offset)
         number, offset = _varint(page, offset)
     except IndexError:
         return None
     local = _local_bytes(length, usable)
-    if not 4 <= length <= MAX_CHUNK_BYTES or offset + local > len(page) or not _is_ours(page[offset : offset + local]):
+    if not 4 <= length <= MAX_CHUNK_BYTES or offset + local > len(page) or not _is_known(page[offset : offset + local]):
         return None
     payload = page[offset : offset + local]
     if local < length:
@@ -79,7 +79,7 @@ def _cell(source: Source, page: bytes, offset: int, usable: int) -> Row | None:
 
 
 def _varint(data: bytes, offset: int) -> tuple[int, int]:
-    """Read a big-endian number of 7 bits a byte, 8 in the ninth; return it and the offset behind it."""
+    """Read a big-endian number of 7 bits per byte, 8 in the ninth; return it and the offset after it."""
     value = 0
     for count in range(9):
         byte = data[offset + count]
@@ -92,7 +92,7 @@ def _varint(data: bytes, offset: int) -> tuple[int, int]:
 
 
 def _local_bytes(length: int, usable: int) -> int:
-    """Return how much of a payload lies in the leaf itself (1.6)."""
+    """Return the number of bytes of a payload that are stored in the leaf itself (1.6)."""
     if length <= usable - 35:
         return length
     least = (usable - 12) * 32 // 255 - 23
@@ -101,7 +101,7 @@ def _local_bytes(length: int, usable: int) -> int:
 
 
 def _overflow(source: Source, page: bytes, pointer: int, payload: bytes, length: int, usable: int) -> bytes:
-    """Follow the chain of overflow pages; what is returned is short where it breaks."""
+    """Return the payload with its overflow pages; shorter than ``length`` if the chain of pages breaks."""
     pieces, missing = [payload], length - len(payload)
     following = int.from_bytes(page[pointer : pointer + 4], "big")
     while missing > 0 and following > 0:
@@ -116,11 +116,11 @@ def _overflow(source: Source, page: bytes, pointer: int, payload: bytes, length:
 
 
 def _types(payload: bytes) -> tuple[list[int], int] | None:
-    """Return the serial types of a record's columns and the offset of their values; None where they are none."""
+    """Return the serial types of a record's columns and the offset of their values; None if they are invalid."""
     try:
         end, offset = _varint(payload, 0)
         types: list[int] = []
-        while offset < end and len(types) <= _MOST_COLUMNS:
+        while offset < end and len(types) <= _MAX_COLUMNS:
             kind, offset = _varint(payload, offset)
             types.append(kind)
     except IndexError:
@@ -128,8 +128,8 @@ def _types(payload: bytes) -> tuple[list[int], int] | None:
     return (types, end) if offset == end else None
 
 
-def _is_ours(payload: bytes) -> bool:
-    """Tell by the types of the columns whether a record is a message or a topic."""
+def _is_known(payload: bytes) -> bool:
+    """Return whether a record is a message or a topic by the types of its columns."""
     found = _types(payload)
     if found is None or len(found[0]) < 4 or found[0][0] != 0:
         return False
@@ -143,7 +143,7 @@ def _is_blob(kind: int) -> bool:
 
 
 def _record(payload: bytes) -> tuple[Value, ...] | None:
-    """Read the columns of a record; None where their lengths do not add up to its own."""
+    """Read the columns of a record; None if their lengths do not add up to the length of the record."""
     found = _types(payload)
     if found is None:
         return None

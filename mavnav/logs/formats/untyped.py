@@ -1,7 +1,6 @@
-"""Recognising a scan by its bytes alone, where the record that names its type is lost.
+"""Recognition of a LaserScan by its bytes, for messages whose type is lost.
 
-A LaserScan contains the lengths of its parts and has seven numbers within narrow bounds, so that hardly anything else
-passes.
+A LaserScan contains the lengths of its fields and seven numbers within narrow bounds, so false positives are rare.
 """
 
 from __future__ import annotations
@@ -23,9 +22,9 @@ ENCODINGS = ("cdr", "ros1")
 
 
 def channel_of(data: bytes, name: str, report: ReadReport) -> Channel | None:
-    """Return the channel of a message on one that is declared nowhere; None unless it is a scan by its bytes.
+    """Return a channel for a message of an undeclared channel; None unless the bytes are a LaserScan.
 
-    It is taken for one of the only scan channel that is known, else for one of a channel of this ``name``.
+    This is the scan channel of the log if there is exactly one, else a new channel called ``name``.
     """
     encoding = laser_encoding(data)
     known = report.only(SCAN)
@@ -34,10 +33,10 @@ def channel_of(data: bytes, name: str, report: ReadReport) -> Channel | None:
     return known or report.declare(Channel(name, SCAN, encoding))
 
 
-def typed(channel: Channel, data: bytes, where: str, report: ReadReport) -> Channel:
-    """Return the channel with the type and encoding that a message of it turns out to have, reported as damage.
+def with_detected_type(channel: Channel, data: bytes, where: str, report: ReadReport) -> Channel:
+    """Return the channel with the type and encoding detected from the bytes of a message, and report it as damage.
 
-    Only of one that ``is_vague``.
+    Call it only for a channel that ``lacks_type``. Returns the channel unchanged if the bytes are no LaserScan.
     """
     encoding = laser_encoding(data)
     if encoding is None:
@@ -47,21 +46,21 @@ def typed(channel: Channel, data: bytes, where: str, report: ReadReport) -> Chan
     return report.declare(Channel(channel.topic, SCAN, encoding))
 
 
-def is_vague(channel: Channel) -> bool:
-    """Tell whether a channel does not say what its messages are, or in an encoding that no scan has."""
+def lacks_type(channel: Channel) -> bool:
+    """Return whether a channel has no message type, or is of type LaserScan with an unknown encoding."""
     return not channel.type or (channel.type == SCAN and channel.encoding not in ENCODINGS)
 
 
 def laser_encoding(data: bytes) -> str | None:
-    """Return the encoding (``cdr`` or ``ros1``) by which the bytes are a sensor_msgs/LaserScan; None if by neither."""
+    """Return the encoding (``cdr`` or ``ros1``) in which the bytes are a sensor_msgs/LaserScan; None if in neither."""
     for encoding in ENCODINGS:
         scan = laser_of(data, encoding)
-        if scan is not None and _is_likely(scan):
+        if scan is not None and _is_plausible(scan):
             return encoding
     return None
 
 
-def _is_likely(scan: LaserMessage) -> bool:
+def _is_plausible(scan: LaserMessage) -> bool:
     named = len(scan.frame_id) <= _MAX_FRAME and scan.frame_id.isascii() and scan.frame_id.isprintable()
     ends = (scan.angle_min_rad, scan.last_angle_rad or 0.0)
     angles = all(isfinite(angle) and abs(angle) <= 2 * tau for angle in ends)

@@ -1,7 +1,8 @@
 """Messages of CARMEN logs: lines of text.
 
-``FLASER`` and ``RLASER`` are a front and a rear laser that cover half a turn. ``RAWLASERn`` and ``ROBOTLASERn`` name
-the geometry; both are of CARMEN's laser and robot modules (logger.h, readlog.c describe the order of the words).
+``FLASER`` and ``RLASER`` are a front and a rear laser that cover half a turn. Lines of ``RAWLASERn`` and
+``ROBOTLASERn``, from CARMEN's laser and robot modules, contain the geometry. The order of the words is described in
+logger.h and readlog.c.
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ if TYPE_CHECKING:
 
 ENCODING: Final = "carmen"
 _HALF_TURN_DEG: Final = 180.0
-_NAMED_GEOMETRY: Final = 8
-"""Words of the geometry of a RAWLASER or ROBOTLASER line, up to the number of ranges."""
+_GEOMETRY_WORDS: Final = 8
+"""Index of the last word before the number of ranges in a RAWLASER or ROBOTLASER line."""
 
 
 class LaserLine(NamedTuple):
-    """A line of a laser: ``ranges_m`` as written (float32), poses where the line has them.
+    """A laser line: ``ranges_m`` as written (float32), and the poses in the line, None if it has none.
 
-    ``geometry`` is the first angle and the step between beams, rad, and the greatest range, m; None where the line does
-    not name it.
+    ``geometry`` is the first angle and the step between beams, rad, and the maximum range, m; None if the line does not
+    contain it.
     """
 
     kind: str
@@ -44,13 +45,13 @@ class LaserLine(NamedTuple):
 
 
 def laser_of(words: Sequence[bytes]) -> LaserLine:
-    """Read the line of a laser; raises ValueError or IndexError if it is none."""
+    """Parse a laser line; raises ValueError or IndexError if it is none."""
     kind, geometry = words[0].decode("ascii"), None
     if kind in ("FLASER", "RLASER"):
         at, poses = 2, 2
     else:
-        start_rad, _, step_rad, farthest_m = (float(word) for word in words[2:6])
-        geometry, at, poses = (start_rad, step_rad, farthest_m), _NAMED_GEOMETRY + 1, 2 * kind.startswith("ROBOT")
+        start_rad, _, step_rad, max_range_m = (float(word) for word in words[2:6])
+        geometry, at, poses = (start_rad, step_rad, max_range_m), _GEOMETRY_WORDS + 1, 2 * kind.startswith("ROBOT")
     count = int(words[at - 1])
     end = at + count
     if count < 0 or len(words) < end:
@@ -65,13 +66,13 @@ def laser_of(words: Sequence[bytes]) -> LaserLine:
 
 
 def pose_of(words: Sequence[bytes]) -> Pose:
-    """Read x, y (m) and yaw (rad); raises ValueError."""
+    """Parse x, y (m) and yaw (rad); raises ValueError."""
     x_m, y_m, yaw_rad = (float(word) for word in words)
     return Pose(x_m, y_m, yaw_rad)
 
 
 def stamp_ns(word: bytes) -> int:
-    """Read a time in seconds without loss; raises ValueError."""
+    """Parse a time in seconds without rounding; raises ValueError."""
     whole, _, digits = word.decode("ascii").partition(".")
     if not (whole + digits).isdigit():
         return round(float(word) * 1e9)
@@ -84,10 +85,10 @@ def pose_line(parent: str, child: str, pose: Pose, at_ns: int) -> bytes:
 
 
 def scan_decoder(channel: Channel) -> Callable[[bytes], LaserMessage]:
-    """Return the decoder of a laser's lines; it raises DecodeError.
+    """Return the decoder of laser lines; it raises DecodeError.
 
-    The channel's schema holds frame, greatest range (m) and step between beams (degrees) of the log's parameters, NaN
-    where they are unknown.
+    The schema of the channel contains the frame, and the maximum range (m) and the step between beams (degrees) from
+    the parameters of the log, NaN if unknown.
     """
     frame, *numbers = channel.schema.data.decode().split()
     range_max_m, step_deg = (float(word) for word in numbers)
@@ -98,7 +99,7 @@ def scan_decoder(channel: Channel) -> Callable[[bytes], LaserMessage]:
         except (ValueError, IndexError) as error:
             raise DecodeError(f"no line of a laser ({error})") from error
         count = len(line.ranges_m)
-        start_rad, step_rad, farthest_m = line.geometry or (-pi / 2, _step_rad(count, step_deg), range_max_m)
+        start_rad, step_rad, max_range_m = line.geometry or (-pi / 2, _step_rad(count, step_deg), range_max_m)
         return LaserMessage(
             stamp_ns=line.stamp_ns,
             frame_id=frame,
@@ -106,18 +107,18 @@ def scan_decoder(channel: Channel) -> Callable[[bytes], LaserMessage]:
             angle_step_rad=float(np.float32(step_rad)),
             last_angle_rad=None,
             range_min_m=0.0,
-            range_max_m=farthest_m if isfinite(farthest_m) else inf,
+            range_max_m=max_range_m if isfinite(max_range_m) else inf,
             time_increment_s=0.0,
             scan_time_s=0.0,
             ranges_m=line.ranges_m,
-            has_limits=isfinite(farthest_m),
+            has_limits=isfinite(max_range_m),
         )
 
     return decode
 
 
 def _step_rad(beams: int, step_deg: float) -> float:
-    """Return the angle between beams over half a turn: with a beam at either end if their number is odd."""
+    """Return the angle between beams over half a turn; an odd number of beams has one at either end."""
     if isfinite(step_deg) and abs(beams * step_deg - _HALF_TURN_DEG) <= 1.5 * step_deg:
         return step_deg * DEG
     return _HALF_TURN_DEG * DEG / max(beams - beams % 2, 1)
@@ -129,7 +130,7 @@ def pose_decoder(_channel: Channel) -> Callable[[bytes], list[TransformMessage]]
 
 
 def decode_pose(data: bytes) -> list[TransformMessage]:
-    """Read an ODOM line, or one of `pose_line`; raises DecodeError."""
+    """Decode an ODOM line, or a line written by `pose_line`; raises DecodeError."""
     try:
         words = data.split()
         if words[0] == b"ODOM":

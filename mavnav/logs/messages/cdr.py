@@ -1,7 +1,7 @@
-"""The messages that hold something of every scan, written as CDR by their layout: quicker than from an object a field.
+"""Writers of frequent messages that build the CDR bytes directly: faster than serializing objects.
 
-The bytes are those of ``ros.cdr``. Strings are UTF-8 with a final zero, numbers little-endian, each at a multiple of
-its own size behind the four bytes of the encoding.
+The bytes equal those of ``ros.cdr``. Strings are UTF-8 with a final null byte; numbers are little-endian and aligned to
+their own size, counted from the end of the 4-byte encapsulation header.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _SCAN: Final = struct.Struct("<7fI")
 
 
 def _text(at: int, text: str, then: int) -> bytes:
-    """Write a string that begins ``at`` a multiple of 4, filled up so that numbers of ``then`` bytes may follow."""
+    """Return a string at offset ``at``, a multiple of 4, padded so that a number of ``then`` bytes can follow."""
     raw = text.encode() + b"\0"
     data = _COUNT.pack(len(raw)) + raw
     return data + b"\0" * (-(at + len(data)) % then)
@@ -44,20 +44,20 @@ def _stamp(stamp_ns: int) -> bytes:
 
 
 def transforms(parent: str, child: str) -> Callable[[int, Pose], bytes]:
-    """Return what writes a TFMessage of one transform, by stamp and ``parent_T_child``."""
+    """Return the function that serializes a TFMessage of one transform from stamp (ns) and ``parent_T_child``."""
     one, outer = _COUNT.pack(1), _text(12, parent, 4)
     inner = _text(12 + len(outer), child, 8)
     return lambda stamp_ns, pose: b"".join((_LITTLE_ENDIAN, one, _stamp(stamp_ns), outer, inner, _pose(pose)))
 
 
 def poses(frame: str) -> Callable[[int, Pose], bytes]:
-    """Return what writes a PoseStamped, by stamp and pose."""
+    """Return the function that serializes a PoseStamped from stamp (ns) and pose."""
     name = _text(8, frame, 8)
     return lambda stamp_ns, pose: b"".join((_LITTLE_ENDIAN, _stamp(stamp_ns), name, _pose(pose)))
 
 
 def scans(frame: str) -> Callable[[Scan], bytes]:
-    """Return what writes a LaserScan, NaN where there is no valid return; no intensities."""
+    """Return the function that serializes a LaserScan, NaN where there is no valid return; no intensities."""
     name, none = _text(8, frame, 4), _COUNT.pack(0)
 
     def write(scan: Scan) -> bytes:
@@ -74,11 +74,11 @@ def scans(frame: str) -> Callable[[Scan], bytes]:
 
 
 def path(stamp_ns: int, frame: str, stamps_ns: NDArray[np.int64], xyyaw: NDArray[np.float64]) -> bytes:
-    """Write a Path of poses (n, 3), m and rad, with stamps (n,), all in one frame."""
+    """Serialize a Path of poses (n, 3), m and rad, with stamps (n,), ns, all in one frame."""
     head = _stamp(stamp_ns) + _text(8, frame, 4) + _COUNT.pack(len(stamps_ns))
     if not len(stamps_ns):
         return _LITTLE_ENDIAN + head
-    # Each begins where the one before ends, at a multiple of 8; only the first may begin in between.
+    # Each pose begins where the one before ends, at a multiple of 8; only the first may need other padding.
     first, name = _text(len(head) + 8, frame, 8), _text(8, frame, 8)
     rows = np.zeros(len(stamps_ns), [("s", "<i4"), ("ns", "<u4"), ("name", f"V{len(name)}"), ("pose", "<f8", 7)])
     rows["s"], rows["ns"] = np.divmod(stamps_ns, 1_000_000_000)
@@ -92,7 +92,7 @@ def path(stamp_ns: int, frame: str, stamps_ns: NDArray[np.int64], xyyaw: NDArray
 def occupancy_grid(
     stamp_ns: int, frame: str, cells: NDArray[np.int8], cell_m: float, origin_xy_m: tuple[float, float]
 ) -> bytes:
-    """Write an OccupancyGrid of ``cells`` (rows, cols), whose cell [0, 0] has its corner at ``origin_xy_m``."""
+    """Serialize an OccupancyGrid of ``cells`` (rows, cols), whose cell [0, 0] has its corner at ``origin_xy_m``."""
     rows, cols = cells.shape
     stamp = _stamp(stamp_ns)
     head = stamp + _text(8, frame, 4) + stamp + struct.pack("<fII", cell_m, cols, rows)

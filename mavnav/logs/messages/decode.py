@@ -1,7 +1,6 @@
-"""Decoding messages by encoding and type: a dict from both to a function from bytes to a record.
+"""Decoders of messages, selected by encoding and type.
 
-ROS messages are decoded by the standard definitions, whatever schema text the log holds: ros2msg and ros2idl mean
-the same.
+ROS messages are decoded by the standard definitions; the schema text in the log, ros2msg or ros2idl, is not used.
 """
 
 from __future__ import annotations
@@ -25,11 +24,11 @@ ROS_ENCODINGS = ("cdr", "ros1")
 
 
 def decoder(channel: Channel, *, poses: bool = False, topic: str | None = None) -> Callable[[bytes], Any] | None:
-    """Return the function that decodes a channel's messages; None for kinds that mavnav has no use for.
+    """Return the function that decodes a channel's messages; None for types that mavnav does not use.
 
-    It returns a LaserMessage, an ImuMessage, or a list of TransformMessage for odometry and transforms, and raises
-    DecodeError. With ``poses`` there is a use for single poses and transforms, too; with the ``topic`` that is asked
-    for, for scans in other messages.
+    The function returns a LaserMessage, an ImuMessage, or a list of TransformMessage for odometry and transforms, and
+    raises DecodeError. With ``poses``, single poses and transforms are decoded too. A requested ``topic`` adds scans in
+    messages of other types.
     """
     kind, part = (channel.encoding, channel.type), part_of(channel, topic)
     if part is not None and channel.encoding in ROS_ENCODINGS:
@@ -58,12 +57,15 @@ def _other_scans(channel: Channel, part: str) -> Callable[[bytes], LaserMessage]
 
 
 def scan_topics(topic: str) -> list[str]:
-    """Split the topics whose scans are merged: names joined by commas, which no ROS name holds."""
+    """Split the names of topics whose scans are merged, joined by commas; no ROS name contains a comma."""
     return [name for name in topic.split(",") if name]
 
 
 def scan_topic(channel: Channel, topic: str | None) -> str | None:
-    """Return which of the topics asked for has its scans in a channel, None if none; None asks for any LaserScan."""
+    """Return the requested topic whose scans a channel contains, None if there is none.
+
+    If ``topic`` is None, any channel with LaserScans is accepted.
+    """
     if topic is None:
         return channel.topic if is_laser(channel) else None
     other = channel.encoding in ROS_ENCODINGS
@@ -76,7 +78,7 @@ def scan_topic(channel: Channel, topic: str | None) -> str | None:
 
 
 def is_laser(channel: Channel) -> bool:
-    """Tell whether a channel holds scans that can be decoded."""
+    """Return whether a channel contains scans that can be decoded."""
     return channel.type in LASER_TYPES and (channel.encoding, channel.type) in DECODERS
 
 
@@ -84,7 +86,7 @@ def _deserialized(data: bytes, encoding: str, type_name: str) -> Any:  # noqa: A
     """Decode a message by its standard definition; raises DecodeError."""
     from rosbags.serde import SerdeError  # noqa: PLC0415
 
-    from mavnav.logs.messages import ros  # noqa: PLC0415  its type stores take some 0.1 s to load
+    from mavnav.logs.messages import ros  # noqa: PLC0415  its type stores take about 0.1 s to load
 
     try:
         if encoding == "cdr":
@@ -136,8 +138,8 @@ def _odometry(message: Any) -> list[TransformMessage]:  # noqa: ANN401
 def _imu(message: Any) -> ImuMessage:  # noqa: ANN401
     q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
     covariance = [0.0] * 9
-    told = (q.x, q.y, q.z, q.w, *message.orientation_covariance, w.x, w.y, w.z, *covariance, a.x, a.y, a.z)
-    return imu_message(_stamp_ns(message.header.stamp), told)
+    values = (q.x, q.y, q.z, q.w, *message.orientation_covariance, w.x, w.y, w.z, *covariance, a.x, a.y, a.z)
+    return imu_message(_stamp_ns(message.header.stamp), values)
 
 
 def _transforms(message: Any) -> list[TransformMessage]:  # noqa: ANN401
@@ -166,7 +168,7 @@ def _one_transform(message: Any) -> list[TransformMessage]:  # noqa: ANN401
 
 
 def _no_layout(_data: bytes, _encoding: str) -> None:
-    """Leave a message to its definition."""
+    """Return None, so that the message is decoded by its definition."""
 
 
 def _foxglove_json(channel: Channel) -> Callable[[bytes], LaserMessage]:

@@ -1,4 +1,4 @@
-"""Names of message types, and the standard definitions of those that mavnav writes; others are looked up by ``ros``."""
+"""Names of message types, and the standard definitions of those that mavnav writes; ``ros`` has the others."""
 
 from __future__ import annotations
 
@@ -69,11 +69,11 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
     ),
     "visualization_msgs/MarkerArray": ("visualization_msgs/Marker[] markers",),
 }  # fmt: skip
-"""Type, without its ``msg``, -> fields."""
+"""Name of a type without ``msg`` -> its fields."""
 
 
 def definition(msgtype: str) -> str:
-    """Return the definition of one of these types with all that it contains (MCAP's ``ros2msg``)."""
+    """Return the definition of a type of ``FIELDS`` with the types that it contains (MCAP's ``ros2msg``)."""
     first, *others = _contained(msgtype.replace("/msg/", "/"))
     line = "=" * 80
     return _text(first) + "".join(f"{line}\nMSG: {name}\n{_text(name)}" for name in others)
@@ -84,7 +84,7 @@ def _text(name: str) -> str:
 
 
 def _contained(name: str) -> list[str]:
-    """Return a type and those of its fields, each once, in the order in which they are met."""
+    """Return a type and, recursively, the types of its fields, each once, in depth-first order."""
     found = {name: None}
     for field in FIELDS[name]:
         kind = field.partition(" ")[0].partition("[")[0]

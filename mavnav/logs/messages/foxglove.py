@@ -1,6 +1,6 @@
 """foxglove.LaserScan as protobuf and as JSON (https://docs.foxglove.dev/docs/visualization/message-schemas/laser-scan).
 
-``end_angle`` is the bearing of the last point, and there are no range limits.
+``end_angle`` is the bearing of the last point. The message has no range limits.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _NAN = float("nan")
 _MAX_JSON_BYTES = 8 << 20
-"""Larger than any scan in JSON; what is built of it takes many times as much memory."""
+"""Maximum size of a scan in JSON, in bytes, above that of any real scan; the parsed objects take many times as much."""
 
 _MAX_DESCRIPTOR_BYTES = 1 << 20
 _NUMBER, _XYZ = ("double", "float"), dict.fromkeys("xyz", ("double", "float"))
@@ -35,7 +35,7 @@ _SCAN: _Kinds = {
     "end_angle": _NUMBER,
     "ranges": ("repeated double", "repeated float"),
 }
-"""Field that is read -> the types that it may have, or the fields of its message."""
+"""Field that is read -> its allowed types, or the fields of its message."""
 
 
 def json_decoder(_channel: Channel) -> Callable[[bytes], LaserMessage]:
@@ -61,7 +61,7 @@ def json_decoder(_channel: Channel) -> Callable[[bytes], LaserMessage]:
 
 
 def _floats(values: list[Any]) -> NDArray[np.float64]:
-    """Turn JSON numbers into floats; null and "NaN", "Infinity" as the writers of JSON spell what it lacks."""
+    """Convert JSON numbers to float64; null is NaN, and "NaN" and "Infinity" are accepted as strings."""
     return np.array([_NAN if value is None else float(value) for value in values], dtype=np.float64)
 
 
@@ -71,7 +71,7 @@ def _is_identity_json(pose: dict[str, Any]) -> bool:
 
 
 def protobuf_decoder(channel: Channel) -> Callable[[bytes], LaserMessage]:
-    """Return the decoder of a protobuf channel, made from the descriptor in the log; both raise DecodeError."""
+    """Return the decoder of a protobuf channel, built from the descriptor in the log; both raise DecodeError."""
     from google.protobuf.message import DecodeError as ProtobufError  # noqa: PLC0415
 
     message_class = _message_class(channel)
@@ -112,7 +112,7 @@ def _message_class(channel: Channel) -> Any:  # noqa: ANN401  (generated at run 
 
 
 def _check_fields(descriptor: Any, wanted: _Kinds, above: str) -> None:  # noqa: ANN401
-    """Raise TypeError with the name of the field that is missing or of a type that cannot be read."""
+    """Raise TypeError with the name of a field that is missing or has an unsupported type."""
     for name, kinds in wanted.items():
         kind, field = _kind(descriptor, name), f"field {above}{name}"
         if not isinstance(kinds, dict):

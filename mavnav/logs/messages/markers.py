@@ -1,4 +1,4 @@
-"""visualization_msgs/MarkerArray, written as CDR by its layout: lines and texts in the plane."""
+"""Writer of visualization_msgs/MarkerArray that builds the CDR bytes directly: lines and texts in the plane."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LINE_STRIP, LINE_LIST, TEXT = 4, 5, 9
-"""Of the types of visualization_msgs/Marker."""
+"""Types of visualization_msgs/Marker that are written."""
 
 _LITTLE_ENDIAN: Final = b"\0\1\0\0"
 
 
 class Marker(NamedTuple):
-    """A sign on the map: ``points`` (n, 2), m, of lines of ``width_m``; a ``text`` that is as high at the first point.
+    """A marker: lines through ``points`` (n, 2), m, with ``width_m``; or a ``text`` of this height at the first point.
 
     ``group`` and ``number`` identify it; ``rgba`` are from 0 to 1.
     """
@@ -34,7 +34,7 @@ class Marker(NamedTuple):
 
 
 def marker_array(stamp_ns: int, frame: str, markers: Sequence[Marker]) -> bytes:
-    """Write markers of one frame; the bytes are those of ``ros.cdr``."""
+    """Serialize markers of one frame; the bytes equal those of ``ros.cdr``."""
     out = _Writer()
     out.put("I", len(markers))
     for marker in markers:
@@ -68,13 +68,13 @@ def _write(out: _Writer, stamp_ns: int, frame: str, marker: Marker) -> None:
 
 
 class _Writer:
-    """Fields of CDR, each at a multiple of its own size."""
+    """Writer of CDR fields, each aligned to its own size."""
 
     def __init__(self) -> None:
         self.data = bytearray()
 
     def put(self, kinds: str, *values: object) -> None:
-        """Append numbers that begin at a multiple of the size of the first of them."""
+        """Append numbers, aligned to the size of the first one."""
         size = struct.calcsize(kinds.lstrip("0123456789")[0])
         self.data += b"\0" * (-len(self.data) % size) + struct.pack(f"<{kinds}", *values)
 

@@ -1,7 +1,7 @@
-"""Scans in messages that are no LaserScan: several echoes a beam (REP-138), and points of a planar laser or of a layer.
+"""Scans in messages that are no LaserScan: multi-echo scans (REP-138), and point clouds of which one layer is a scan.
 
-Such a topic is read where it is asked for, or where the log has no other scans. A part of its name that follows a slash
-says which scan of the message is meant: ``/echoes/last``, ``/points/ring_7``, ``/points/z_-0.1_0.3``.
+Such a topic is read if it is requested, or if the log has no other scans. A suffix of its name selects one scan of the
+message: ``/echoes/last``, ``/points/ring_7``, ``/points/z_-0.1_0.3``.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ _PARTS: Final = {
     CLOUD: re.compile(r"ring_\d{1,4}|z_-?\d+(?:\.\d+)?_-?\d+(?:\.\d+)?"),
 }
 _KINDS: Final = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-_LAYER_M: Final = 0.1
-_FINEST_RAD, _COARSEST_RAD = 0.05 * pi / 180, 5 * pi / 180
-_USUAL_RAD: Final = 0.25 * pi / 180
-_SAME_RAD: Final = 1e-6
+_LAYER_HALF_M: Final = 0.1
+_MIN_STEP_RAD, _MAX_STEP_RAD = 0.05 * pi / 180, 5 * pi / 180
+_DEFAULT_STEP_RAD: Final = 0.25 * pi / 180
+_ROUNDING: Final = 1e-6
 
 
 def part_of(channel: Channel, topic: str | None) -> str | None:
-    """Return which scan of a channel's messages a topic asks for, empty for the usual one; None if for none."""
+    """Return the suffix of a topic that selects a scan of a channel, empty for the default, None for another topic."""
     if topic is None or channel.type not in OTHER_TYPES:
         return None
     if topic == channel.topic:
@@ -50,10 +50,10 @@ def part_of(channel: Channel, topic: str | None) -> str | None:
 
 
 def other_scan(message: Any, message_type: str, part: str, state: dict[str, Any]) -> LaserMessage:  # noqa: ANN401
-    """Turn a deserialised message into a scan.
+    """Convert a deserialized message to a scan.
 
-    ``state`` is kept from message to message: the layer and the bearings of a cloud are those of its first message.
-    Raises DecodeError where there is no scan in the message.
+    ``state`` is kept between messages: the first message of a point cloud decides on its layer and bearings. Raises
+    DecodeError if the message contains no scan.
     """
     try:
         return _echo(message, part) if message_type == MULTI_ECHO else _layer(message, part, state)
@@ -90,8 +90,8 @@ def _layer(message: Any, part: str, state: dict[str, Any]) -> LaserMessage:  # n
     points = _points(message)
     if "pick" not in state:
         state["pick"] = _picker(points, part)
-    taken = state["pick"](points) & np.isfinite(points["x"]) & np.isfinite(points["y"])
-    x, y = points["x"][taken], points["y"][taken]
+    used = state["pick"](points) & np.isfinite(points["x"]) & np.isfinite(points["y"])
+    x, y = points["x"][used], points["y"][used]
     bearing_rad, range_m = np.arctan2(y, x), np.hypot(x, y)
     if "bearings" not in state:
         if not len(x):
@@ -125,7 +125,10 @@ def _points(message: Any) -> dict[str, Array]:  # noqa: ANN401
 
 
 def _picker(points: dict[str, Array], part: str) -> Pick:
-    """Return what selects the points of the wanted layer: a ring, heights, or by default the most level ring."""
+    """Return the function that selects the points of a layer: a ring, a height interval, or the most level ring.
+
+    The default is the most level ring, or, without rings, heights of at most 0.1 m above and below the sensor.
+    """
     if part.startswith("z_"):
         _, low, high = part.split("_")
         return partial(_between, low_m=float(low), high_m=float(high))
@@ -135,7 +138,7 @@ def _picker(points: dict[str, Array], part: str) -> Pick:
         level = np.abs(np.arctan2(points["z"], np.hypot(points["x"], points["y"])))
         slopes = [np.nanmedian(level[points["ring"] == ring]) for ring in rings]
         return partial(_in_ring, ring=int(rings[int(np.argmin(slopes))]))
-    return partial(_between, low_m=-_LAYER_M, high_m=_LAYER_M)
+    return partial(_between, low_m=-_LAYER_HALF_M, high_m=_LAYER_HALF_M)
 
 
 def _between(points: dict[str, Array], low_m: float, high_m: float) -> NDArray[np.bool_]:
@@ -149,20 +152,20 @@ def _in_ring(points: dict[str, Array], ring: int) -> NDArray[np.bool_]:
 
 
 def _bearings(bearing_rad: Array) -> tuple[float, float, int]:
-    """Return the first bearing and the step, rad, and the number of beams of a turn that these bearings lie on.
+    """Return the first bearing and the step, rad, and the number of beams of a full turn that fit these bearings.
 
-    The step is the usual distance of neighbours, if there is one; else a quarter of a degree.
+    The step is the typical distance between neighbors if most distances are multiples of it, else 0.25 degrees.
     """
     apart = np.diff(np.sort(bearing_rad))
-    apart = apart[apart > _FINEST_RAD / 2]
-    step_rad = float(np.median(apart)) if len(apart) else _USUAL_RAD
+    apart = apart[apart > _MIN_STEP_RAD / 2]
+    step_rad = float(np.median(apart)) if len(apart) else _DEFAULT_STEP_RAD
     whole = np.round(apart / step_rad)
     regular = np.abs(apart - whole * step_rad) < 0.2 * step_rad
-    if len(apart) and regular.mean() > 0.8 and _FINEST_RAD <= step_rad <= _COARSEST_RAD:
+    if len(apart) and regular.mean() > 0.8 and _MIN_STEP_RAD <= step_rad <= _MAX_STEP_RAD:
         step_rad = float(apart[regular].sum() / whole[regular].sum())
     else:
-        step_rad = _USUAL_RAD
-    beams = int(2 * pi / step_rad + _SAME_RAD)
+        step_rad = _DEFAULT_STEP_RAD
+    beams = int(2 * pi / step_rad + _ROUNDING)
     phase = np.exp(2j * pi * bearing_rad / step_rad).mean()
     first_rad = float(np.angle(phase)) / (2 * pi) * step_rad - (beams // 2) * step_rad
     return first_rad, step_rad, beams

@@ -1,4 +1,4 @@
-"""The content of the messages of interest, whatever encoding they came in."""
+"""Decoded messages, independent of their encoding."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ if TYPE_CHECKING:
 
 
 class DecodeError(Exception):
-    """A message is not what its channel says."""
+    """The bytes of a message do not fit the type of its channel."""
 
 
 class LaserMessage(NamedTuple):
-    """A scan message, uncleaned: lengths in m, angles in rad, ``ranges_m`` of any float type, shape (beams,).
+    """A scan message before cleaning: lengths in m, angles in rad, ``ranges_m`` of any float type, shape (beams,).
 
-    ``last_angle_rad`` is None where the message does not have it. Limits are NaN where there are none.
+    ``last_angle_rad`` is None if the message does not contain it. Range limits are NaN if there are none.
     """
 
     stamp_ns: int
@@ -33,10 +33,10 @@ class LaserMessage(NamedTuple):
 
 
 class ImuMessage(NamedTuple):
-    """What an inertial sensor measured, in its own frame.
+    """Measurements of an inertial sensor, in its own frame.
 
     Angular velocity in rad/s, acceleration in m/s2 (up at rest), and the orientation ``xyzw`` in a frame with z up,
-    None where the message says that there is none.
+    None if the message has no orientation.
     """
 
     stamp_ns: int

@@ -1,4 +1,4 @@
-"""ROS messages to write: built from plain values, serialised as CDR (ROS 2) or for ROS 1."""
+"""ROS messages built from plain values, and their serialization as CDR (ROS 2) or for ROS 1."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ def types_ros2() -> Any:  # noqa: ANN401  rosbags' types are made at run time
 
 @cache
 def types_ros1() -> Any:  # noqa: ANN401
-    """Return the type store of ROS 1, with the transforms that it lacks."""
+    """Return the type store of ROS 1, extended by TFMessage, which rosbags does not define for it."""
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
     return store
 
 
 def definition(msgtype: str) -> str:
-    """Return the message definition with all that it contains (MCAP's ``ros2msg``)."""
+    """Return the definition of a message type with the types that it contains (MCAP's ``ros2msg``)."""
     text, _ = types_ros2().generate_msgdef(msgtype, ros_version=2)
     return str(text)
 
 
 def cdr(message: Any) -> bytes:  # noqa: ANN401
-    """Serialise a message for ROS 2."""
+    """Serialize a message for ROS 2."""
     return bytes(types_ros2().serialize_cdr(message, message.__msgtype__))
 
 
 def ros1(message: Any) -> bytes:  # noqa: ANN401
-    """Serialise a message for ROS 1; the sequence number, which ROS 2 does not have, is 0."""
+    """Serialize a message for ROS 1; the sequence number, which ROS 2 does not have, is 0."""
     return bytes(types_ros2().cdr_to_ros1(cdr(message), message.__msgtype__))
 
 

@@ -1,4 +1,4 @@
-"""Messages of CARMEN logs as ROS 2 messages (CDR)."""
+"""Conversion of messages of CARMEN logs to ROS 2 messages (CDR)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def carmen_to_cdr(channel: Channel) -> Callable[[bytes], bytes]:
-    """Return the translation of a channel's lines to messages of its type; it raises DecodeError."""
+    """Return the function that converts a line of a channel to a message of its type; it raises DecodeError."""
     if channel.type == SCAN:
         scan = scan_decoder(channel)
         return lambda line: ros.cdr(_scan(scan(line)))

@@ -1,7 +1,7 @@
-"""Containers to write logs to: MCAP and ROS 2 bag folders (CDR), ROS 1 bags.
+"""Writers of log containers: MCAP and ROS 2 bag folders (CDR), ROS 1 bags.
 
-Each is a context manager that gives a function ``put(topic, stamp_ns, message)``, in constant memory. Nothing in the
-files depends on the clock: the time of recording is the one that is passed in, so that equal messages give equal bytes.
+Each is a context manager that yields a function ``put(topic, stamp_ns, message)`` and needs constant memory. The time
+of recording is ``stamp_ns``, not the clock, so that equal messages give equal bytes.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def write_mcap(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
 
 @contextmanager
 def write_bag1(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
-    """Write a ROS 1 bag, chunks compressed with bz2: the codec whose output does not change with its version."""
+    """Write a ROS 1 bag, chunks compressed with bz2, whose output does not depend on the version of the library."""
     writer = Bag1Writer(path)
     writer.set_compression(Bag1Writer.CompressionFormat.BZ2)
     with writer:
@@ -81,7 +81,7 @@ def write_bag1(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
 
 @contextmanager
 def write_bag2(path: Path, channels: Mapping[str, Channel]) -> Iterator[Put]:
-    """Write the folder of a ROS 2 bag: sqlite3 storage and metadata.yaml. Raises OSError for what sqlite refuses."""
+    """Write the folder of a ROS 2 bag: sqlite3 storage and metadata.yaml. Raises OSError for errors of sqlite."""
     writer = Bag2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
     try:
         with writer:
@@ -105,4 +105,4 @@ CONTAINERS: Final[dict[str, Callable[[Path, Mapping[str, Channel]], AbstractCont
     ".bag": write_bag1,
     "": write_bag2,
 }
-"""Suffix of a log's name -> its writer; a name without one is the folder of a ROS 2 bag."""
+"""Suffix of a log's name -> its writer; a name without a suffix is the folder of a ROS 2 bag."""

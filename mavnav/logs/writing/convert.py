@@ -1,4 +1,4 @@
-"""Whatever can be read of a log, written as a sound, indexed MCAP: ROS 1 messages as ROS 2 where both know the type."""
+"""Conversion of a log, damaged or not, to an indexed MCAP file; ROS 1 messages of types known to ROS 2 become CDR."""
 
 from __future__ import annotations
 
@@ -26,13 +26,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
-_LATEST_NS = (1 << 63) - 1
+    _Translation = tuple[Channel, Callable[[bytes], bytes], Callable[[bytes], Any]]
+
+_MAX_STAMP_NS = (1 << 63) - 1
 _ROS1_ONLY = {TF_ROS1: TF}
 
 
 @dataclass(frozen=True)
 class Conversion:
-    """What was written: topics with the number of messages; what was left out by reason; what was odd on the way."""
+    """Result of a conversion: written topics, numbers of left-out messages by reason, and damage of the source."""
 
     topics: tuple[Topic, ...]
     left_out: dict[str, int]
@@ -53,19 +55,19 @@ def convert_log(
     force: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Conversion:
-    """Write a log anew as MCAP; it is opened again and compared before it gets its name.
+    """Write a log as MCAP; the new file is read back and compared before it is renamed to ``target``.
 
-    Messages whose type is known and that do not decode are left out, and with ``strict`` those from where a checksum
-    does not match. Messages of types that are not known are copied as they are.
+    Messages of a known type that do not decode are left out, and with ``strict`` also suspect messages, such as those
+    of a chunk whose checksum does not match. Messages of unknown types are copied unchanged.
 
     Raises
     ------
     UsageError
-        No such log, one that the system cannot read, or a target that is no ``.mcap`` or is the log itself.
+        The log does not exist or cannot be opened, or the target does not end in ``.mcap`` or is the log itself.
     NoScansError
-        Nothing in the log can be read.
+        No message of the log can be read.
     OutputError
-        The target exists (and ``force`` does not say to replace it), or cannot be written.
+        The target exists and ``force`` is false, or it cannot be written.
     """
     _check(source, target, force=force)
     report = ReadReport()
@@ -102,7 +104,7 @@ def _first(report: ReadReport, source: Path) -> str:
 
 @dataclass
 class _Writing:
-    """The state of a conversion: for every channel of the source its number in the target and its translation."""
+    """State of a conversion: for every channel of the source its number in the target and its translation."""
 
     strict: bool
     report: ReadReport
@@ -110,18 +112,18 @@ class _Writing:
     counts: Counter[Channel] = field(default_factory=Counter)
     numbers: dict[Channel, int] = field(default_factory=dict)
     schemas: dict[Schema, int] = field(default_factory=dict)
-    ways: dict[Channel, tuple[Channel, Callable[[bytes], bytes], Callable[[bytes], Any]]] = field(default_factory=dict)
+    translations: dict[Channel, _Translation] = field(default_factory=dict)
 
     def put(self, writer: Any, message: RawMessage) -> None:  # noqa: ANN401  (mcap is untyped here)
-        """Write a message, or count why not."""
+        """Write a message, or count it as left out."""
         if self.strict and message.suspect:
             self.left_out["suspect"] += 1
             return
         try:
             data = unpack_message(message.data)
-            if message.channel not in self.ways:
-                self.ways[message.channel] = _way(message.channel, data)
-            channel, translate, check = self.ways[message.channel]
+            if message.channel not in self.translations:
+                self.translations[message.channel] = _translation(message.channel, data)
+            channel, translate, check = self.translations[message.channel]
             check(data)
             data = translate(data)
         except (DecodeError, DecompressError) as error:
@@ -131,7 +133,7 @@ class _Writing:
         number = self.numbers.get(channel)
         if number is None:
             number = self.numbers[channel] = self._register(writer, channel)
-        log_ns = min(max(message.log_ns, 0), _LATEST_NS)
+        log_ns = min(max(message.log_ns, 0), _MAX_STAMP_NS)
         writer.add_message(number, log_ns, data, log_ns)
         self.counts[channel] += 1
 
@@ -144,7 +146,7 @@ class _Writing:
         return int(writer.register_channel(channel.topic, channel.encoding, self.schemas.get(schema, 0), metadata))
 
     def topics(self) -> tuple[Topic, ...]:
-        """Return what was written."""
+        """Return the written topics with their numbers of messages."""
         return tuple(
             Topic(c.topic, c.type, c.encoding, n)
             for c, n in sorted(self.counts.items(), key=lambda item: (item[0].topic, item[0].type))
@@ -168,7 +170,7 @@ def _write(source: Path, partial: Path, writing: _Writing, progress: Callable[[i
 
 
 def _read(source: Path, report: ReadReport) -> Iterator[RawMessage]:
-    """Yield the messages of the source; an error of the system in here is not one of the target."""
+    """Yield the messages of the source; an OSError here is reported as one of the source, not of the target."""
     try:
         if detect.sniff(source) == detect.UNKNOWN:
             raise NoScansError(f"{source}: {detect.refusal(source)}")
@@ -177,24 +179,24 @@ def _read(source: Path, report: ReadReport) -> Iterator[RawMessage]:
         raise unreadable(source, error) from error
 
 
-def _way(channel: Channel, data: bytes) -> tuple[Channel, Callable[[bytes], bytes], Callable[[bytes], Any]]:
-    """Return the channel to write, how its messages are translated, and what fails for those that do not decode."""
+def _translation(channel: Channel, data: bytes) -> _Translation:
+    """Return the channel to write, the function that translates its messages, and one that raises DecodeError."""
     check = decoder(channel) or _nothing
     name = _ROS1_ONLY.get(channel.type, channel.type)
-    if channel.encoding == "ros1" and _translates(name, data):
+    if channel.encoding == "ros1" and _is_translatable(name, data):
         return _ros2(channel.topic, name), lambda message: _to_cdr(message, name), check
     if channel.encoding == ENCODING:
         return _ros2(channel.topic, channel.type), carmen_to_cdr(channel), check
     if channel.encoding == "cdr" and not channel.schema.data and name in ros.types_ros2().types:
-        return _ros2(channel.topic, name), _same, check
-    return channel, _same, check
+        return _ros2(channel.topic, name), _identity, check
+    return channel, _identity, check
 
 
 def _ros2(topic: str, name: str) -> Channel:
     return Channel(topic, name, "cdr", Schema(name, "ros2msg", ros.definition(name).encode()))
 
 
-def _translates(name: str, data: bytes) -> bool:
+def _is_translatable(name: str, data: bytes) -> bool:
     if name not in ros.types_ros2().types:
         return False
     try:
@@ -213,7 +215,7 @@ def _to_cdr(data: bytes, name: str) -> bytes:
         raise DecodeError(str(error)) from error
 
 
-def _same(data: bytes) -> bytes:
+def _identity(data: bytes) -> bytes:
     return data
 
 
@@ -222,7 +224,7 @@ def _nothing(_data: bytes) -> None:
 
 
 def _compare(partial: Path, target: Path, topics: tuple[Topic, ...]) -> None:
-    """Open the new file, by its messages and by its index; raises OutputError where it is not what was written."""
+    """Compare the new file, its messages and its index, with what was written; raises OutputError if they differ."""
     from mcap.reader import make_reader  # noqa: PLC0415
 
     report, counts = ReadReport(), Counter[str]()

@@ -1,6 +1,6 @@
-"""Writing MCAP: messages in chunks that are compressed with zstd, each with its index, and the summary at the end.
+"""Writer of MCAP: messages in chunks compressed with zstd, each with its index, and the summary at the end.
 
-Nothing depends on the clock: equal messages give equal bytes.
+The output does not depend on the clock: equal messages give equal bytes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 CHUNK_BYTES: Final = 128 * 1024
-"""A file that is cut keeps all chunks before the cut, some four seconds of scans each."""
+"""Size of a chunk before compression, in bytes, about 4 s of scans; a cut file loses no chunk before the cut."""
 
 _QOS: Final = """\
 - history: keep_last
@@ -41,7 +41,7 @@ class Channel:
 
 
 def qos_text(channel: Channel) -> str:
-    """Return the quality of service of a channel as rosbag2 writes it into the metadata."""
+    """Return the quality of service of a channel in the format of rosbag2's metadata."""
     return _QOS.format(
         depth=1 if channel.latched else 10, durability="transient_local" if channel.latched else "volatile"
     )
@@ -49,7 +49,7 @@ def qos_text(channel: Channel) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """A file inside of an MCAP file, with its media type."""
+    """A file attached to an MCAP file, with its media type."""
 
     name: str
     media_type: str
@@ -58,7 +58,7 @@ class Attachment:
 
 @dataclass(frozen=True, slots=True)
 class Extras:
-    """What an MCAP file holds besides messages: metadata records by name, and attachments of one time, ns."""
+    """Content of an MCAP file besides messages: metadata records by name, and attachments with one stamp, ns."""
 
     stamp_ns: int = 0
     metadata: Mapping[str, dict[str, str]] = field(default_factory=dict)
@@ -72,12 +72,12 @@ NO_EXTRAS: Final = Extras()
 def write_serialized(
     path: Path, channels: Mapping[str, Channel], chunk_bytes: int = CHUNK_BYTES, extras: Extras = NO_EXTRAS
 ) -> Iterator[Callable[[str, int, bytes], None]]:
-    """Write an MCAP file of ROS 2 messages with their definitions; gives ``put(topic, stamp_ns, message)``.
+    """Write an MCAP file of ROS 2 messages with their definitions; yields ``put(topic, stamp_ns, message)``.
 
-    Messages are serialised as CDR already; their time of recording is the stamp that comes with them, in ns. A chunk is
-    closed when it holds ``chunk_bytes`` or more. The extras come first.
+    Messages are bytes in CDR; ``stamp_ns`` is their time of recording. A chunk is closed when it holds ``chunk_bytes``
+    or more. The extras are written first.
     """
-    from mcap.writer import Writer  # noqa: PLC0415  few who read this file's other names write
+    from mcap.writer import Writer  # noqa: PLC0415  most importers of this module do not write
 
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=chunk_bytes)

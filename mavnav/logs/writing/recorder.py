@@ -1,16 +1,16 @@
-"""Recording: what a vehicle sees, believes of its motion and truly does, as a log that any reader of logs takes.
+"""Recording of a drive - scans, odometry and ground truth - as a log in standard message types.
 
 =================  ==========================  ====================================================================
 topic              type                        what
 =================  ==========================  ====================================================================
-``/scan``          sensor_msgs/LaserScan       frame ``laser``; 0.0 where there is no return, as a URG reports it
+``/scan``          sensor_msgs/LaserScan       frame ``laser``; 0.0 where there is no return, as in a URG's scans
 ``/odom``          nav_msgs/Odometry           ``odom`` -> ``base_link``; velocities and covariances are unknown
 ``/ground_truth``  geometry_msgs/PoseStamped   the base in the frame ``world``
 ``/tf``            tf2_msgs/TFMessage          ``odom`` -> ``base_link``, with every ``/odom``
 ``/tf_static``     tf2_msgs/TFMessage          ``base_link`` -> ``laser``, once, before everything else
 =================  ==========================  ====================================================================
 
-The truth is no Odometry and not in ``/tf``: nothing that looks for odometry can take it by mistake.
+The ground truth is no Odometry message and not in ``/tf``, so that no reader mistakes it for odometry.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ WORLD, ODOM, BASE, LASER = "world", "odom", "base_link", "laser"
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A drive to be recorded: scans, odometry and truth of the base, and where the laser sits on it.
+    """A drive to be recorded: scans, odometry and ground truth of the base, and the pose of the laser on the base.
 
-    Trajectories are empty where there is none; stamps of all three are of one clock.
+    A missing trajectory is empty; the stamps of all three are of one clock.
     """
 
     scans: Sequence[Scan]
@@ -62,7 +62,7 @@ class Recording:
 
 @dataclass(slots=True)
 class Recorder:
-    """A log being written, message by message, in the order of their stamps; made by ``recorder``."""
+    """Writer of a log, message by message, in the order of their stamps; created by ``recorder``."""
 
     put: Callable[[str, int, Any], None]
     base_T_laser: Pose
@@ -86,7 +86,7 @@ class Recorder:
         self.put("/ground_truth", stamp_ns, ros.pose_stamped(stamp_ns, WORLD, world_T_base))
 
     def _begin(self, stamp_ns: int) -> None:
-        """Tell the mounting once, at the first stamp."""
+        """Write the mounting of the laser once, at the first stamp."""
         if not self._begun:
             self._begun = True
             link = (stamp_ns, BASE, LASER, self.base_T_laser)
@@ -95,16 +95,16 @@ class Recorder:
 
 @contextmanager
 def recorder(path: Path, base_T_laser: Pose | None = None, *, force: bool = False) -> Iterator[Recorder]:
-    """Give a Recorder; the log appears under its name, complete, when the block ends well.
+    """Yield a Recorder; the complete log is renamed to ``path`` when the block ends without an exception.
 
-    The name decides the format: ``.mcap``, ``.bag`` (ROS 1), or a folder (ROS 2 bag). Equal calls write equal bytes.
+    The suffix decides the format: ``.mcap``, ``.bag`` (ROS 1), or a folder (ROS 2 bag). Equal calls write equal bytes.
 
     Raises
     ------
     UsageError
-        Another suffix.
+        The suffix is another one.
     OutputError
-        The target exists (and ``force`` does not say to replace it), is no log of this kind, or cannot be written.
+        The target exists and ``force`` is false, is no log of this kind, or cannot be written.
     """
     check_recording(path, force=force)
     try:
@@ -118,7 +118,7 @@ def recorder(path: Path, base_T_laser: Pose | None = None, *, force: bool = Fals
 
 
 def check_recording(path: Path, *, force: bool) -> None:
-    """Raise what ``recorder`` would raise for this name; cheap enough to ask before the work begins."""
+    """Raise the errors of ``recorder`` for this path before any work is done."""
     if path.suffix not in CONTAINERS:
         raise UsageError(
             f"{path}: no format of this name can be recorded; end it in .mcap or .bag (ROS 1), "
@@ -133,13 +133,13 @@ def check_recording(path: Path, *, force: bool) -> None:
 
 
 def _check_folder(path: Path) -> None:
-    """Refuse folders that are no ROS 2 bag."""
+    """Raise OutputError for a folder that is no ROS 2 bag."""
     if path.suffix or (any(path.iterdir()) and not (path / METADATA).is_file()):
         raise OutputError(f"{path} is a folder, but no ROS 2 bag; choose another name for the recording")
 
 
 def record(recording: Recording, path: Path, *, force: bool = False) -> None:
-    """Write a whole recording in the order of time; of one stamp, truth and odometry come before the scan."""
+    """Write a recording in the order of time; at equal stamps, ground truth and odometry come before the scan."""
     r = recording
     with recorder(path, r.base_T_laser, force=force) as log:
         truth = ((stamp, log.truth, (stamp, pose)) for stamp, pose in _poses(r.world_T_base))

@@ -1,4 +1,4 @@
-"""Where maps of the same log differ most: the places for close-ups (after the paper's Figure 8)."""
+"""Selection of close-ups: the squares where maps of the same log differ most (after the paper's Figure 8)."""
 
 from __future__ import annotations
 
@@ -16,43 +16,43 @@ if TYPE_CHECKING:
 
     from mavnav.mapping.occupancy_grid import Grid
 
-PLACES: Final = 3
+MAX_CLOSEUPS: Final = 3
 MIN_HITS: Final = 2
-"""Single hits are strays as often as walls."""
+"""Minimum number of hits of a wall cell; single hits are outliers as often as walls."""
 
 TOLERANCE_CELLS: Final = 2.0
-"""A wall moved by no more is the same wall, if there are greater differences to show."""
+"""Displacement of a wall that is ignored if there are larger differences, in cells."""
 
-MOST_M: Final = 0.5
-"""A wall that is missing altogether counts no more than one this far away."""
+MAX_DISTANCE_M: Final = 0.5
+"""Upper bound on the displacement of a wall, also used for a wall that is missing."""
 
-SIDE_SHARE, LEAST_SIDE_M, MOST_SIDE_M = 0.12, 0.8, 4.0
-LEAST_CELLS: Final = 6.0
-"""Fewer cells of difference in a close-up (of one cell each) are noise."""
+SIDE_SHARE, MIN_SIDE_M, MAX_SIDE_M = 0.12, 0.8, 4.0
+MIN_CELLS: Final = 6.0
+"""Minimum sum of the displacements in a close-up, in cells; smaller sums are noise."""
 
 
 def differing_places(grids: Sequence[Grid], window: Window) -> list[Window]:
     """Return squares where the walls of maps in one frame differ most, the worst first; none for a single map.
 
-    A wall cell counts by its distance to the nearest wall of the map that misses it most, beyond a tolerance.
+    The difference at a wall cell is the largest distance, over all maps, to the map's nearest wall, minus a tolerance.
     """
     if len(grids) < 2:
         return []
     cell_m = max(g.cell_m for g in grids)
-    walls = [on_lattice(g, window, cell_m) for g in grids]
+    walls = [wall_cells(g, window, cell_m) for g in grids]
     gap = np.max([distance_transform_edt(~w) if w.any() else np.full(w.shape, np.inf) for w in walls], axis=0)
     seen = np.any(walls, axis=0)
-    side_m = float(np.clip(SIDE_SHARE * max(window.size_m), LEAST_SIDE_M, MOST_SIDE_M))
+    side_m = float(np.clip(SIDE_SHARE * max(window.size_m), MIN_SIDE_M, MAX_SIDE_M))
     for tolerance in (TOLERANCE_CELLS, 0.0):
-        difference = np.where(seen, np.clip(gap - tolerance, 0.0, max(MOST_M / cell_m, 1.0)), 0.0)
+        difference = np.where(seen, np.clip(gap - tolerance, 0.0, max(MAX_DISTANCE_M / cell_m, 1.0)), 0.0)
         places = peaks(difference, max(3, round(side_m / cell_m)))
         if places:
             return [_square(row, col, side_m, window, cell_m) for row, col in places]
     return []
 
 
-def on_lattice(grid: Grid, window: Window, cell_m: float) -> NDArray[np.bool_]:
-    """Tell which cells of a lattice over the window hold a wall of the map; row 0 at the least y."""
+def wall_cells(grid: Grid, window: Window, cell_m: float) -> NDArray[np.bool_]:
+    """Return which cells (rows, cols) of a grid over the window contain a wall of the map; row 0 at the minimum y."""
     cols, rows = (max(1, int(np.ceil(length / cell_m))) for length in window.size_m)
     row, col = np.nonzero(grid.hits >= MIN_HITS)
     middle = (np.column_stack((col, row)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
@@ -64,12 +64,12 @@ def on_lattice(grid: Grid, window: Window, cell_m: float) -> NDArray[np.bool_]:
 
 
 def peaks(difference: NDArray[np.float64], side_cells: int) -> list[tuple[int, int]]:
-    """Return the middles (row, col) of up to `PLACES` squares that hold the most, none overlapping another."""
+    """Return the centers (row, col) of up to `MAX_CLOSEUPS` squares with the largest sums, without overlap."""
     left, found = difference.copy(), []
-    for _ in range(PLACES):
-        held = uniform_filter(left, side_cells, mode="constant") * side_cells**2
-        best = divmod(int(np.argmax(held)), held.shape[1])
-        if held[best] < LEAST_CELLS:
+    for _ in range(MAX_CLOSEUPS):
+        content = uniform_filter(left, side_cells, mode="constant") * side_cells**2
+        best = divmod(int(np.argmax(content)), content.shape[1])
+        if content[best] < MIN_CELLS:
             break
         row, col = _centred(left, best, side_cells)
         found.append((row, col))
@@ -82,15 +82,15 @@ def _around(middle: int, reach: int) -> slice:
 
 
 def _centred(difference: NDArray[np.float64], at: tuple[int, int], side_cells: int) -> tuple[int, int]:
-    """Move a square to the middle of what it holds: many squares hold the same."""
+    """Center a square on the weighted mean of its differences, because many squares have the same sum."""
     rows, cols = (_around(k, side_cells // 2) for k in at)
-    held = difference[rows, cols]
-    middle = np.indices(held.shape).reshape(2, -1) @ held.ravel() / held.sum()
+    content = difference[rows, cols]
+    middle = np.indices(content.shape).reshape(2, -1) @ content.ravel() / content.sum()
     return round(rows.start + float(middle[0])), round(cols.start + float(middle[1]))
 
 
 def _square(row: int, col: int, side_m: float, window: Window, cell_m: float) -> Window:
-    """Frame a place, moved into the window where it fits."""
+    """Return the square around a cell, moved into the window if it fits."""
     ends = ((window.x0_m, window.x1_m, col), (window.y0_m, window.y1_m, row))
     half = side_m / 2
     x, y = (

@@ -1,4 +1,4 @@
-"""The summary table: what is measured of each run, which run is best at it, and what that costs."""
+"""The summary table: the metrics of each run, the best runs of each metric, and the relative cost."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
-    """A field of the table: the text, and whether it is the best of its column."""
+class Field:
+    """A field of the table: its text, and whether it is the best of its column."""
 
     text: str
     best: bool
@@ -23,32 +23,35 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A run in the table; ``price`` its evaluations and time as multiples of the coarsest grid's, None if not known."""
+    """A run in the table; ``relative_costs`` are its evaluations and CPU time over those of the coarsest grid, or None.
+
+    ``why_not`` is the reason why its map is not compared, empty if it is.
+    """
 
     name: str
-    fields: tuple[Shown, ...]
-    price: tuple[float | None, float | None]
+    fields: tuple[Field, ...]
+    relative_costs: tuple[float | None, float | None]
     why_not: str
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """The runs of one log by the columns that any of them has."""
+    """The runs of one log, with the columns for which any of them has a value."""
 
     columns: tuple[Quantity, ...]
     rows: tuple[Row, ...]
 
 
 def table(entries: Sequence[Entry]) -> Table:
-    """Set the runs of one log side by side."""
+    """Return the table of the runs of one log."""
     runs = [e.document for e in entries]
     columns = tuple(c for c in QUANTITIES if any(c.of(run) is not None for run in runs))
     best = {c: winners(c, runs) for c in columns}
     rows = tuple(
         Row(
             e.name,
-            tuple(Shown(text(c.of(e.document), c.digits), k in best[c]) for c in columns),
-            (times_the_coarsest(entries, e), times_the_coarsest(entries, e, "timing.cpu_s")),
+            tuple(Field(text(c.of(e.document), c.digits), k in best[c]) for c in columns),
+            (relative_cost(entries, e), relative_cost(entries, e, "timing.cpu_s")),
             why_not_meaningful(e.document),
         )
         for k, e in enumerate(entries)
@@ -56,17 +59,17 @@ def table(entries: Sequence[Entry]) -> Table:
     return Table(columns, rows)
 
 
-NOTHING: Final = "\u2013"
-"""What the page shows for a value that is not known."""
+MISSING: Final = "\u2013"
+"""Text for an unknown value."""
 
 
 def text(value: float | None, digits: int) -> str:
-    """Write a number with its digits, thousands apart."""
-    return NOTHING if value is None else f"{value:,.{digits}f}".replace(",", "\u202f")
+    """Format a number with ``digits`` decimals and thin spaces between thousands."""
+    return MISSING if value is None else f"{value:,.{digits}f}".replace(",", "\u202f")
 
 
 def fineness(entry: Entry) -> int:
-    """Return the points of a run's search grid, 0 where it does not say."""
+    """Return the number of grid points plus yaw samples of a run's search grid, 0 if unknown."""
     try:
         across, along = str(entry.document.get("grid")).split("x")
         return int(across) * int(along) + int(entry.document.get("azimuth") or 0)
@@ -80,9 +83,9 @@ def coarsest(entries: Sequence[Entry], like: Entry) -> Entry:
     return min(same, key=fineness)
 
 
-def times_the_coarsest(
+def relative_cost(
     entries: Sequence[Entry], entry: Entry, key: str = "search.evaluations_per_scan.mean"
 ) -> float | None:
-    """Return what a run took, its evaluations a match, as a multiple of what the coarsest grid of its method did."""
+    """Return a cost of a run, by default its evaluations per match, over that of the coarsest grid of its method."""
     least, own = number(coarsest(entries, entry).document, key), number(entry.document, key)
     return None if not least or own is None else float(own / least)

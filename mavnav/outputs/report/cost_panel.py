@@ -1,4 +1,4 @@
-"""What the matches of a run cost over time, which scans were rejected, and where the track was lost."""
+"""The cost panel: cost of the matches of a run over time, rejected scans, and intervals without a track."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ COST: Final = Line("#2f6690", "cost", partial(stroke, width_pt=1.0))
 REJECTED: Final = Mark(GOAL_RED, "rejected scan", partial(cross, size_pt=4.0, width_pt=1.0))
 THRESHOLD: Final = Line(MUTED, "acceptance threshold", dashed)
 LOST: Final = Line("#f2c4c0", "track lost", lambda on, points: on.line(points, fill=255, width=34))
-LEAST_MM2: Final = 0.1
-"""Costs below are drawn at it: the first scan of a map costs nothing, and a logarithmic scale has no zero."""
-LOW_SHARE: Final = 0.02
-"""So many of the costs may lie below the scale's end."""
+MIN_COST_MM2: Final = 0.1
+"""Minimum drawn cost, in mm2: the first scan of a map has cost 0, which a logarithmic scale cannot show."""
+BELOW_SCALE_SHARE: Final = 0.02
+"""Share of the costs that may be below the lower end of the scale."""
 SHORT_SCALE: Final = 100.0
-"""Ratio of largest to least cost; a shorter scale may hold a single power of ten."""
-MOST_POWERS: Final = 7
-"""That are named."""
+"""Ratio of largest to smallest cost under which a scale is short: it may contain only one power of ten."""
+MAX_POWERS: Final = 7
+"""Maximum number of powers of ten with a label."""
 
 
 def cost_panels(entries: Sequence[Entry]) -> list[Image]:
     """Draw the cost over time for each run, all on the same scale."""
-    costs = np.concatenate([e.scans.cost_mm2[e.scans.cost_mm2 > LEAST_MM2] for e in entries])
+    costs = np.concatenate([e.scans.cost_mm2[e.scans.cost_mm2 > MIN_COST_MM2] for e in entries])
     thresholds = [e.scans.threshold_mm2[np.isfinite(e.scans.threshold_mm2)].max(initial=0.0) for e in entries]
-    low = float(np.quantile(costs, LOW_SHARE)) if costs.size else 1.0
+    low = float(np.quantile(costs, BELOW_SCALE_SHARE)) if costs.size else 1.0
     limits = (0.5 * low, 2.0 * max([float(costs.max(initial=10.0 * low)), *map(float, thresholds)]))
     end_s = max(float(e.scans.time_s.max(initial=0.1)) for e in entries)
     return [_panel(e, limits, end_s) for e in entries]
@@ -50,14 +50,14 @@ def cost_panels(entries: Sequence[Entry]) -> list[Image]:
 
 def _panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
     axes = chart(entry.name, (0.0, end_s, log10(limits[0]), log10(limits[1])), ("time [s]", "cost [mm²]"), 80)
-    cost = np.maximum(entry.scans.cost_mm2, LEAST_MM2)
+    cost = np.maximum(entry.scans.cost_mm2, MIN_COST_MM2)
     marks = _draw_scans(axes, entry, cost)
     axes.borders()
     axes.ticks(labelled(ticks(0.0, end_s)), [(log10(value), label) for value, label in named_costs(*limits)])
     axes.ticks(y=[(log10(value), "") for value in between_powers(*limits)], length=3)
     known = cost[np.isfinite(cost)]
     low = len(known) > 0 and float(np.median(known)) < sqrt(limits[0] * limits[1])
-    _draw_legend(axes, marks, axes.box[1] + 18 if low else axes.box[3] - 18)  # where the curve is not
+    _draw_legend(axes, marks, axes.box[1] + 18 if low else axes.box[3] - 18)  # away from the curve
     return axes.canvas.image
 
 
@@ -68,14 +68,14 @@ def _draw_scans(axes: Axes, entry: Entry, cost: NDArray[np.float64]) -> list[Mar
     lost = _draw_lost(axes, entry)
     axes.lines(COST, [points])
     axes.mark(REJECTED, points[shown])
-    threshold = np.log10(np.maximum(scans.threshold_mm2, LEAST_MM2))
+    threshold = np.log10(np.maximum(scans.threshold_mm2, MIN_COST_MM2))
     axes.lines(THRESHOLD, [np.column_stack((scans.time_s, threshold))])
     drawn = (lost, True, shown.any(), np.isfinite(threshold).any())
     return list(compress((LOST, COST, REJECTED, THRESHOLD), drawn))
 
 
 def _draw_legend(axes: Axes, marks: list[Mark | Line], y: int) -> None:
-    """Name the marks on the right; what is below shines through."""
+    """Draw the legend on the right, on a translucent background."""
     right, width = axes.box[2] - 6, ceil(legend_width(marks, LEGEND_PT))
     box = (right - width, y - 13, right, y + 13)
     axes.canvas.smooth(box, "#ffffff", lambda on: on.rectangle((0, 0, width * SMOOTH, 26 * SMOOTH), fill=204))
@@ -83,16 +83,16 @@ def _draw_legend(axes: Axes, marks: list[Mark | Line], y: int) -> None:
 
 
 def named_costs(low: float, high: float) -> list[tuple[float, str]]:
-    """Return the ticks with labels: powers of ten, and on a short scale 2 and 5 times them as well."""
+    """Return the ticks with labels: powers of ten, and on a short scale also 2 and 5 times these."""
     factors = (1, 2, 5) if high < SHORT_SCALE * low else (1,)
     powers = range(floor(log10(low)), floor(log10(high)) + 1)
-    every = ceil(len(powers) / MOST_POWERS)
+    every = ceil(len(powers) / MAX_POWERS)
     values = [factor * 10.0**k for k in powers if k % every == 0 for factor in factors]
     return [(v, f"{v:g}" if v < 1e5 else f"{v:.0e}".replace("e+0", "e")) for v in values if low <= v <= high]
 
 
 def between_powers(low: float, high: float) -> list[float]:
-    """Return the values of a single digit between the powers of ten, for ticks without a label."""
+    """Return the values with one significant digit between the powers of ten, for ticks without a label."""
     powers = range(floor(log10(low)), ceil(log10(high)))
     return [value for k in powers for digit in range(2, 10) if low <= (value := digit * 10.0**k) <= high]
 
@@ -102,7 +102,7 @@ def _intervals(entry: Entry) -> list[dict[str, Any]]:
 
 
 def rejected(entry: Entry) -> NDArray[np.bool_]:
-    """Return which scans (n,) have no pose, except where the track was lost."""
+    """Return which scans (n,) have no pose, without those in intervals of lost tracking."""
     scans = entry.scans
     lost = np.zeros(len(scans.time_s), np.bool_)
     for interval in _intervals(entry):
@@ -111,7 +111,7 @@ def rejected(entry: Entry) -> NDArray[np.bool_]:
 
 
 def _draw_lost(axes: Axes, entry: Entry) -> bool:
-    """Shade where no scan has a pose, one scan wide at least; return whether there are such intervals."""
+    """Shade the intervals of lost tracking, at least one scan wide; return whether there are any."""
     period_s = float(np.median(np.diff(entry.scans.time_s))) if len(entry.scans.time_s) > 1 else 0.1
     left, top, right, bottom = axes.box
     for interval in _intervals(entry):

@@ -1,11 +1,11 @@
-"""What stands below the pictures: settings, versions, inputs, warnings, damage, ghost walls."""
+"""The details of a report: settings, versions, inputs, warnings, damage, ghost walls."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.outputs.report.columns import NOTHING, text
+from mavnav.outputs.report.columns import MISSING, text
 from mavnav.outputs.report.map_panel import ghosts
 
 if TYPE_CHECKING:
@@ -13,26 +13,26 @@ if TYPE_CHECKING:
 
     from mavnav.outputs.report.entry import Entry
 
-MOST_GHOSTS: Final = 20
+MAX_GHOSTS: Final = 20
 METHODS: Final = ("paper", "robust")
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Effective settings by their dotted keys: those that all runs share, and those that differ, one value a run."""
+    """Effective settings by dotted key: those common to all runs, and those that differ, with one value per run."""
 
     common: list[tuple[str, str]]
     differing: list[tuple[str, list[str]]]
 
 
 def settings(entries: Sequence[Entry]) -> Settings:
-    """Compare the configurations of runs; sections of methods that none of them used are left out."""
+    """Compare the configurations of runs, without the sections of methods that no run used."""
     used = {e.document.get("method") for e in entries}
     flat = [dict(_flat(e.document.get("config") or {})) for e in entries]
     keys = [
         key for key in dict.fromkeys(k for f in flat for k in f) if key.partition(".")[0] not in set(METHODS) - used
     ]
-    rows = [(key, [f.get(key, NOTHING) for f in flat]) for key in keys]
+    rows = [(key, [f.get(key, MISSING) for f in flat]) for key in keys]
     return Settings(
         common=[(key, values[0]) for key, values in rows if len(set(values)) == 1],
         differing=[(key, values) for key, values in rows if len(set(values)) > 1],
@@ -48,14 +48,14 @@ def _flat(section: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str]
 
 
 def inputs(entries: Sequence[Entry]) -> list[tuple[str, str]]:
-    """Describe the log that the runs have in common, by the first of them."""
+    """Return names and values of the log that the runs have in common, from the first of them."""
     found = entries[0].document.get("input") or {}
     wanted = ("path", "format", "topic", "frame_id", "duration_s", "size_bytes", "sha256")
     return [(key, str(found[key])) for key in wanted if found.get(key) is not None]
 
 
 def versions(entries: Sequence[Entry]) -> list[tuple[str, str]]:
-    """Return what made the runs; several versions of one thing are all named."""
+    """Return the software of the runs with all versions of each."""
     made = [_made_by(e.document) for e in entries]
     names = dict.fromkeys(name for one in made for name in one)
     return [(name, ", ".join(dict.fromkeys(str(one.get(name)) for one in made))) for name in names]
@@ -67,18 +67,18 @@ def _made_by(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def commands(entries: Sequence[Entry]) -> list[tuple[str, str]]:
-    """Return (run, command line that repeats it) of the runs that have one."""
+    """Return pairs of a run and the command line that repeats it, for the runs that have one."""
     found = [(entry.name, (entry.document.get("provenance") or {}).get("again")) for entry in entries]
     return [(name, str(line)) for name, line in found if line]
 
 
 def notes(entries: Sequence[Entry]) -> list[tuple[str, str]]:
-    """Return (run, text) of each warning and each damage; what all runs say is said once."""
-    said: dict[str, list[str]] = {}
+    """Return pairs of runs and the text of a warning or damage; equal texts of several runs are merged."""
+    found: dict[str, list[str]] = {}
     for entry in entries:
         for line in _lines(entry.document):
-            said.setdefault(line, []).append(entry.name)
-    return [("all runs" if 1 < len(who) == len(entries) else ", ".join(who), line) for line, who in said.items()]
+            found.setdefault(line, []).append(entry.name)
+    return [("all runs" if 1 < len(runs) == len(entries) else ", ".join(runs), line) for line, runs in found.items()]
 
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:
@@ -93,5 +93,5 @@ def ghost_rows(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
     return [
         (entry.name, *(text(place.get(key), digits) for key, digits in keys))
         for entry in entries
-        for place in sorted(ghosts(entry), key=lambda p: -p["length_m"])[:MOST_GHOSTS]
+        for place in sorted(ghosts(entry), key=lambda p: -p["length_m"])[:MAX_GHOSTS]
     ]

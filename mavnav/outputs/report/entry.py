@@ -1,4 +1,4 @@
-"""What the page knows of a run: its document, its map, its scans, and the true walls where they are known."""
+"""The data of a run for the report: its document, map, scans, and the true walls if they are known."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ FAILED: Final = "failed"
 
 @dataclass(frozen=True, slots=True)
 class Scans:
-    """The scans of a run in their order, one an entry.
+    """The scans of a run in their order; arrays of shape (n,), except ``xy_m`` (n, 2).
 
-    ``time_s`` from the first scan on, ``cost_mm2`` of the match and ``threshold_mm2`` up to which it is accepted (NaN
-    without one), ``xy_m`` (n, 2) and ``yaw_rad`` in the map frame (NaN where the scan has no pose), ``tracked``, and
-    ``error_m`` of the position (NaN without a truth).
+    ``time_s`` counts from the first scan. ``cost_mm2`` is the cost of the match, and ``threshold_mm2`` its acceptance
+    threshold (NaN without one). ``xy_m`` and ``yaw_rad`` are in the map frame (NaN for a scan without a pose).
+    ``error_m`` is the position error (NaN without ground truth).
     """
 
     time_s: NDArray[np.float64]
@@ -49,7 +49,7 @@ class Scans:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A finished run on the page; ``true_walls`` are lines (k, 2) in the map frame, m, empty where not known."""
+    """A finished run on the page; ``true_walls`` are lines (k, 2) in the map frame, m, empty if unknown."""
 
     log: str
     name: str
@@ -62,7 +62,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """A run that gave nothing to show, and why."""
+    """A run without a result, and the reason."""
 
     log: str
     name: str
@@ -70,12 +70,12 @@ class Failure:
 
 
 def name_of(cell: dict[str, Any]) -> str:
-    """Name a run within its log: the method and the search grid, the azimuths first as the paper does."""
+    """Return the name of a run within its log: method, yaw samples and search grid, in the paper's order."""
     return f"{cell.get('method')} {cell.get('azimuth')}/{cell.get('grid')}"
 
 
 def load(cell: dict[str, Any], base: Path) -> Entry | Failure:
-    """Read the run of a comparison's cell; a directory that cannot be read is a failure of that run alone."""
+    """Read the run of a cell of comparison.json; a directory that cannot be read gives a `Failure` of this run."""
     log, name = str(cell.get("log")), name_of(cell)
     if cell.get("status") == FAILED or not cell.get("directory"):
         return Failure(log, name, str(cell.get("error") or f"exit code {cell.get('exit_code')}"))
@@ -111,7 +111,7 @@ def _scans(path: Path) -> Scans:
 
 
 def _column(rows: list[dict[str, str]], name: str) -> NDArray[np.float64]:
-    """Return a column of the table; an empty field is NaN, as is a column that an older version did not write."""
+    """Return a column of the table; an empty field is NaN, and so are all fields of a missing column."""
     return np.array([float(row.get(name) or "nan") for row in rows], np.float64)
 
 

@@ -1,4 +1,4 @@
-"""The sentence on top: which grid is best, by how much, and what it costs; no more than the numbers bear."""
+"""The headline of a report: which grid is best, by how much, and at which cost, as far as the metrics support it."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ P95: Final = NAMED["wall_thickness.spread.p95_mm"]
 TIME: Final = NAMED["timing.cpu_s"]
 
 SMALL_SHARE: Final = 0.03
-"""Maps that differ by less in every measure are as good as equal."""
+"""Relative difference of a metric below which, if it holds for all metrics, maps count as equally good."""
 
 
 def headline(entries: Sequence[Entry]) -> str:
-    """Say in a sentence or two what came out for the runs of one log."""
+    """Return the result of the runs of one log in one or two sentences."""
     if not entries:
         return "No run gave a map: each failed, for the reason below."
     if len(entries) == 1:
@@ -64,7 +64,7 @@ def _ghosts(entry: Entry) -> str:
 
 
 def _of_many(sound: Sequence[Entry]) -> str:
-    """Name the run that is best at most measures, if there is one."""
+    """Return the sentence for several maps: the run that is best by most metrics, if there is one."""
     won = {q.title: winners(q, [e.document for e in sound]) for q in QUALITY}
     contested = [title for title, best in won.items() if best]
     if not contested:
@@ -83,11 +83,11 @@ def _of_many(sound: Sequence[Entry]) -> str:
         return f"No run stands out: {names} are each best at {max(score)} {of}{_fewest_evaluations(sound)}."
     measures = _list([title for title in contested if leaders[0] in won[title]])
     lead = "by the one measure that differs" if len(contested) == 1 else f"best at {max(score)} {of}"
-    return f"{best.name} gives the best map, {lead} ({measures}){_thinner(sound, best)}. {_cost(sound, best)}".rstrip()
+    return f"{best.name} gives the best map, {lead} ({measures}){_walls(sound, best)}. {_cost(sound, best)}".rstrip()
 
 
 def _spread(sound: Sequence[Entry], quantity: Quantity) -> float:
-    """Return by what share of the greatest value of a measure the runs differ."""
+    """Return the range of a metric over the runs, relative to its largest absolute value."""
     values = [v for e in sound if (v := quantity.of(e.document)) is not None]
     return (max(values) - min(values)) / max(*map(abs, values), 1e-12)
 
@@ -96,8 +96,8 @@ def _list(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def _thinner(sound: Sequence[Entry], best: Entry) -> str:
-    """Compare its walls with those of the coarsest grid of its method, and call small differences small."""
+def _walls(sound: Sequence[Entry], best: Entry) -> str:
+    """Return the comparison of a run's wall thickness with that of the coarsest grid of its method; may be empty."""
     coarse = columns.coarsest(sound, best)
     ours, theirs = P95.of(best.document), P95.of(coarse.document)
     if coarse is best or ours is None or theirs is None:
@@ -109,7 +109,7 @@ def _thinner(sound: Sequence[Entry], best: Entry) -> str:
 
 
 def _cost(sound: Sequence[Entry], best: Entry) -> str:
-    times, coarse = columns.times_the_coarsest(sound, best), columns.coarsest(sound, best)
+    times, coarse = columns.relative_cost(sound, best), columns.coarsest(sound, best)
     if coarse is best:
         finer = sum(e.document.get("method") == best.document.get("method") for e in sound) > 1
         return "It has the coarsest grid of its method: a finer one does not pay here." if finer else ""

@@ -1,4 +1,4 @@
-"""The map of a run as a panel: hits, path, true walls dashed (paper, Figure 7), ghost walls circled."""
+"""The map panel: hits, path, dashed true walls (paper, Figure 7), and rings around ghost walls."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ if TYPE_CHECKING:
 PATH: Final = Line(POSE_MAGENTA, "path of the laser", partial(stroke, width_pt=1.0, opacity=0.75))
 RING: Final = Line(GOAL_RED, "", partial(stroke, width_pt=1.6))
 GHOST: Final = Mark(GOAL_RED, "ghost wall", partial(circle, size_pt=11.0, width_pt=1.6))
-LEAST_CIRCLE_SHARE: Final = 0.05
-"""A ghost's circle is at least so long, of the window's longer side: one of 0.3 m is to be seen on a map of 50 m."""
+MIN_RING_SHARE: Final = 0.05
+"""Minimum length of the ring around a ghost wall, as a share of the window's longer side, so that it is visible."""
 
 LONGEST_IN, WIDE_IN, CLOSEUP_IN = 5.0, 9.0, 2.6
-LEAST_SHARE: Final = 0.25
-"""Of the shorter side of a map to the longer."""
+MIN_ASPECT: Final = 0.25
+"""Minimum ratio of the shorter to the longer side of a map panel."""
 LETTER, LINE = 24, 30
 """Side of a letter's square, and height of a line in the legend, in pixels."""
 WIDE, TALL = 2.2, 1.4
-"""From these ratios of the longer side to the other on a map gets a row of its own, or less room than others."""
+"""Ratio of width to height above which a map is wide, and of height to width above which it is tall."""
 
 
 def common_window(entries: Sequence[Entry]) -> Window:
-    """Frame the maps of all runs, their paths and the true walls."""
+    """Return the window that contains the maps of all runs, their paths and the true walls."""
     windows = [window_of(e.grid, _framed(e)) for e in entries]
     return Window(
         min(w.x0_m for w in windows),
@@ -58,7 +58,7 @@ def _framed(entry: Entry) -> Any:  # noqa: ANN401  numpy's stack of arrays
 
 
 def shape(window: Window) -> str:
-    """Name the shape of a map by what room it needs on a page: wide, tall, or neither (empty)."""
+    """Return the shape of a map for the page layout: wide, tall, or neither (empty)."""
     width, height = window.size_m
     return "wide" if width > WIDE * height else "tall" if height > TALL * width else ""
 
@@ -66,10 +66,10 @@ def shape(window: Window) -> str:
 def map_panel(
     entry: Entry, window: Window, top_hits: float, boxes: Sequence[tuple[str, Window]], *, ends: bool
 ) -> Image:
-    """Draw the map of a run; ``boxes`` are the close-ups, by letter; ``ends`` marks start and end of the path."""
-    longest_in, most = (WIDE_IN, 16) if shape(window) == "wide" else (LONGEST_IN, 11)
-    axes = _panel(entry.name, window.widened(LEAST_SHARE), longest_in)
-    draw_map(axes, entry, top_hits, most, boxes, ends=ends)
+    """Draw the map of a run with its close-ups ``boxes``, by letter; ``ends`` marks start and end of the path."""
+    longest_in, max_ticks = (WIDE_IN, 16) if shape(window) == "wide" else (LONGEST_IN, 11)
+    axes = _panel(entry.name, window.widened(MIN_ASPECT), longest_in)
+    draw_map(axes, entry, top_hits, max_ticks, boxes, ends=ends)
     return axes.canvas.image
 
 
@@ -89,12 +89,12 @@ def draw_map(
     axes: Axes,
     entry: Entry,
     top_hits: float,
-    most_ticks: int,
+    max_ticks: int,
     boxes: Sequence[tuple[str, Window]] = (),
     *,
     ends: bool = False,
 ) -> None:
-    """Draw what is known onto axes, with at most so many ticks along the longer side, and the ends of the path."""
+    """Draw map, path, walls and close-ups onto axes, with about ``max_ticks`` ticks along the longer side."""
     map_axes.draw_free(axes, entry.grid, occupancy(entry.grid))
     map_axes.draw_hits(axes, entry.grid, top_hits)
     axes.lines(map_axes.TRUE_WALL, entry.true_walls)
@@ -106,29 +106,29 @@ def draw_map(
     for letter, box in boxes:
         _draw_box(axes, letter, box)
     longest_m = max(axes.size)
-    axes.lines(RING, [_ring(place, LEAST_CIRCLE_SHARE * longest_m) for place in ghosts(entry)])
-    in_x, in_y = (round(most_ticks * side_m / longest_m) for side_m in axes.size)
+    axes.lines(RING, [_ring(place, MIN_RING_SHARE * longest_m) for place in ghosts(entry)])
+    in_x, in_y = (round(max_ticks * side_m / longest_m) for side_m in axes.size)
     map_axes.draw_axes(axes, (max(4, in_x), max(5, in_y)))
 
 
 def ghosts(entry: Entry) -> list[dict[str, float]]:
-    """Return where the ghost walls of a run are; none where they were not looked for."""
+    """Return the ghost walls of a run as in run.json; empty if they were not searched for."""
     quality = entry.document.get("map_quality") or {}
     places: list[dict[str, float]] = (quality.get("ghost_walls") or {}).get("places") or []
     return places
 
 
-def _ring(place: dict[str, float], least_m: float) -> NDArray[np.float64]:
-    """Ring a wall and its ghost by an ellipse, points (n, 2) in m."""
-    long_m = max(1.2 * place["length_m"], least_m)
-    short_m = max(3.0 * place["offset_mm"] * MM, 0.35 * long_m, 0.6 * least_m)
+def _ring(place: dict[str, float], min_m: float) -> NDArray[np.float64]:
+    """Return an ellipse around a wall and its ghost, points (n, 2) in m."""
+    long_m = max(1.2 * place["length_m"], min_m)
+    short_m = max(3.0 * place["offset_mm"] * MM, 0.35 * long_m, 0.6 * min_m)
     angle, yaw_rad = np.linspace(0.0, 2.0 * np.pi, 73), place["direction_deg"] * DEG
     points = np.column_stack((hypot(long_m, 0.5 * short_m) * np.cos(angle), short_m * np.sin(angle))) / 2.0
     return transform_points(Pose(place["x_m"], place["y_m"], yaw_rad), points)
 
 
 def _draw_box(axes: Axes, letter: str, box: Window) -> None:
-    """Draw the outline of a close-up with its letter at the upper left corner: inside, or beside a small one."""
+    """Draw the outline of a close-up with its letter at the upper left corner, left of it if the close-up is small."""
     corners = axes.to_canvas(np.array([[box.x0_m, box.y1_m], [box.x1_m, box.y0_m]]))
     (left, top), (right, bottom) = np.clip(corners, axes.box[:2], axes.box[2:]).round().astype(int).tolist()
     axes.canvas.draw.rectangle((left, top, right, bottom), outline=INK, width=2)
@@ -138,7 +138,7 @@ def _draw_box(axes: Axes, letter: str, box: Window) -> None:
 
 
 def legend_panel(top_hits: float, *, truth: bool, ghost: bool, ends: bool) -> Image:
-    """Draw the scale of hits that all maps share, and what the lines on them are."""
+    """Draw the color scale of hits that all maps share, and the legend of their lines."""
     canvas, box = panel((390, 21), "", (15, 40, 375, 36))
     axes = Axes.chart(canvas, box, (0.0, 1.0, 0.0, 1.0))
     canvas.gradient(box, map_axes.HIT_COLOURS)

@@ -1,4 +1,4 @@
-"""The motion of a run over time: position, heading, speed, and the error where the truth is known."""
+"""The motion panel: position, heading and speed over time, and the position error if the ground truth is known."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 HEIGHT, GAP = 120, 28
-"""Of each curve's axes, and between two of them, in pixels."""
+"""Height of the axes of each curve, and gap between two of them, in pixels."""
 
 CURVE: Final = Line("#2f6690", "", partial(stroke, width_pt=1.0))
-MOST_PERIODS: Final = 2.5
-"""Between scans farther apart there is no speed."""
+MAX_PERIODS: Final = 2.5
+"""Maximum time between poses for which a speed is computed, in scan periods."""
 
 
 class Curve(NamedTuple):
-    """What is drawn over time: its name with the unit, and a value (n,) for each scan, NaN where there is none."""
+    """A curve over time: its name with the unit, and a value (n,) for each scan, NaN if there is none."""
 
     name: str
     values: Floats
@@ -59,13 +59,13 @@ def speeds(time_s: Floats, xy_m: Floats) -> Floats:
         return out
     took_s = time_s[rows[2:]] - time_s[rows[:-2]]
     moved_m = np.hypot(*(xy_m[rows[2:]] - xy_m[rows[:-2]]).T)
-    near = took_s <= 2.0 * MOST_PERIODS * np.median(np.diff(time_s[rows]))
+    near = took_s <= 2.0 * MAX_PERIODS * np.median(np.diff(time_s[rows]))
     out[rows[1:-1]] = np.where(near, moved_m / took_s, np.nan)
     return out
 
 
 def motion_panel(entry: Entry) -> Image:
-    """Draw the curves of a run below one another, with one axis of time."""
+    """Draw the curves of a run below one another, with a common time axis."""
     shown, (left, top, right, bottom) = curves(entry), CHART_MARGINS
     height = len(shown) * (HEIGHT + GAP) - GAP
     canvas = Canvas.of(left + CHART[0] + right, top + height + bottom)
@@ -88,7 +88,7 @@ def _draw(axes: Axes, entry: Entry, curve: Curve, *, last: bool) -> None:
 
 
 def _limits(values: Floats) -> tuple[float, float]:
-    """Return the least and the largest value with a margin."""
+    """Return the smallest and the largest value with a margin."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
     margin = max(0.05 * (high - low), 1e-3)

@@ -1,4 +1,4 @@
-"""The page and the pictures beside it."""
+"""The page of a report, and its pictures as separate files."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ from mavnav.outputs.report.pictures import Pictures, draw
 if TYPE_CHECKING:
     from pathlib import Path
 
-PICTURE_BYTES: Final = 3_000_000
-"""All pictures of a page together; base64 makes a third more of them."""
+MAX_TOTAL_BYTES: Final = 3_000_000
+"""Maximum size of all pictures of a page, in bytes; base64 adds a third."""
 
-MOST_PICTURE_BYTES: Final = 250_000
+MAX_PICTURE_BYTES: Final = 250_000
+"""Maximum size of one picture of a page, in bytes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """The part of the page on one log: runs, failed ones, and what is said and drawn of them."""
+    """The section of the page on one log: its runs, failures, texts and pictures."""
 
     log: str
     headline: str
@@ -40,7 +41,7 @@ class Section:
 
 
 def single(document: dict[str, Any], directory: str = ".") -> dict[str, Any]:
-    """Return the comparison of one run, whose files lie in ``directory``, with nothing."""
+    """Return a comparison document with one run, whose files are in ``directory``."""
     cell = {
         "log": document["input"]["path"],
         "method": document["method"],
@@ -54,11 +55,11 @@ def single(document: dict[str, Any], directory: str = ".") -> dict[str, Any]:
 
 
 def write_report(comparison: dict[str, Any], directory: Path, path: Path) -> None:
-    """Write the page of a comparison to ``path``, and its pictures as PNG files beside it.
+    """Write the page of a comparison to ``path``, and its pictures as PNG files to the same folder.
 
-    ``comparison`` is the document of ``comparison.json``, or what `single` makes of a run's; the directories of its
-    cells are relative to ``directory``. The pictures are maps.png, closeups.png, thickness.png and cost.png; numbered
-    by log (maps_2.png) from the second log on. Raises OutputError where something cannot be written.
+    ``comparison`` is the document of ``comparison.json``, or the result of `single`; the directories of its cells are
+    relative to ``directory``. The pictures are maps.png, closeups.png, thickness.png, cost.png and motion.png, with a
+    number from the second log on (maps_2.png). Raises OutputError if a file cannot be written.
     """
     sections = _sections(comparison, directory)
     try:
@@ -99,7 +100,7 @@ def _write_pictures(section: Section, folder: Path, number: str) -> None:
 def _page(comparison: dict[str, Any], sections: list[Section]) -> str:
     templates = environment("mavnav.outputs.report")
     style = inlined(templates, "report.css")
-    most = min(MOST_PICTURE_BYTES, PICTURE_BYTES // max(1, sum(s.pictures.count for s in sections if s.pictures)))
+    max_bytes = min(MAX_PICTURE_BYTES, MAX_TOTAL_BYTES // max(1, sum(s.pictures.count for s in sections if s.pictures)))
     return templates.get_template("report.html").render(
         title=_title(sections),
         sections=sections,
@@ -108,7 +109,7 @@ def _page(comparison: dict[str, Any], sections: list[Section]) -> str:
         script=None,
         version=comparison.get("mavnav_version") or __version__,
         profile=comparison.get("profile"),
-        data_uri=partial(panels.data_uri, most_bytes=most),
+        data_uri=partial(panels.data_uri, max_bytes=max_bytes),
     )
 
 

@@ -1,4 +1,4 @@
-"""All pictures of the runs of one log: panels for the page, sheets of them for files."""
+"""All pictures of the runs of one log: panels for the page, and sheets of panels for files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from mavnav.outputs.map_axes import top_of_scale
 from mavnav.outputs.quantities import why_not_meaningful
-from mavnav.outputs.report.closeups import LEAST_SIDE_M, differing_places
+from mavnav.outputs.report.closeups import MIN_SIDE_M, differing_places
 from mavnav.outputs.report.cost_panel import cost_panels
 from mavnav.outputs.report.map_panel import (
     closeup_panel,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Closeup:
-    """A place that is shown larger, and its pictures by the names of the runs."""
+    """A close-up: its letter, center, side, and its pictures by the names of the runs."""
 
     letter: str
     x_m: float
@@ -44,9 +44,9 @@ class Closeup:
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """One panel a run of each kind, in the order of the runs; ``shape`` is that of the maps.
+    """The pictures of each kind, one panel per run in their order; ``shape`` is the shape of the maps.
 
-    ``motion`` over time is drawn of a single run alone.
+    ``motion`` is drawn only for a single run.
     """
 
     shape: str
@@ -59,11 +59,11 @@ class Pictures:
 
     @property
     def count(self) -> int:
-        """How many pictures the page holds."""
+        """Number of pictures on the page."""
         return 3 * len(self.maps) + 1 + (self.motion is not None) + sum(len(c.images) for c in self.closeups)
 
     def sheets(self) -> dict[str, Image]:
-        """Return the pictures that stand as files beside the page, by name."""
+        """Return the pictures that are also written as files, by name."""
         found = {
             "maps": stacked([sheet(self.maps, 1 if self.shape == "wide" else None), sheet([self.legend])]),
             "thickness": sheet(self.thickness),
@@ -79,7 +79,7 @@ class Pictures:
 def draw(entries: Sequence[Entry]) -> Pictures:
     """Draw the runs of one log, all at the same scale.
 
-    Maps that mean nothing are drawn as well, but decide neither the scale nor the close-ups, if there are others.
+    Maps that are not meaningful are drawn too, but affect neither scale nor close-ups, unless there are no others.
     """
     sound = [e for e in entries if not why_not_meaningful(e.document)] or entries
     window, top_hits = common_window(sound), top_of_scale(e.grid for e in sound)
@@ -100,9 +100,9 @@ def draw(entries: Sequence[Entry]) -> Pictures:
 
 
 def _ghost_places(entries: Sequence[Entry]) -> list[Window]:
-    """Frame the longest ghost walls of a single run, which has no other to differ from."""
+    """Return windows around the longest ghost walls, as close-ups of runs without differences."""
     worst = sorted((place for e in entries for place in ghosts(e)), key=lambda p: -p["length_m"])[:3]
-    halves = [(p, max(0.75 * p["length_m"], LEAST_SIDE_M / 2)) for p in worst]
+    halves = [(p, max(0.75 * p["length_m"], MIN_SIDE_M / 2)) for p in worst]
     return [Window(p["x_m"] - h, p["x_m"] + h, p["y_m"] - h, p["y_m"] + h) for p, h in halves]
 
 

@@ -1,4 +1,4 @@
-"""How thick the walls of a run are: metres of wall over thickness."""
+"""The thickness panel: histogram of the wall thickness of a run, in m of wall per bin."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ def thickness_panels(entries: Sequence[Entry]) -> list[Image]:
     widths = [e.cuts.width_m[np.isfinite(e.cuts.width_m)] / MM for e in entries]
     bins = max(6, ceil(max((w.max(initial=0.0) for w in widths), default=0.0) / BIN_MM))
     metres = [_metres(e, bins) for e in entries]
-    most_m = max(float(m.max(initial=0.0)) for m in metres)
-    return [_panel(e, m, most_m) for e, m in zip(entries, metres, strict=True)]
+    max_m = max(float(m.max(initial=0.0)) for m in metres)
+    return [_panel(e, m, max_m) for e, m in zip(entries, metres, strict=True)]
 
 
 def _metres(entry: Entry, bins: int) -> NDArray[np.float64]:
-    """Return the metres of wall by thickness, (bins,)."""
+    """Return the length of wall in each bin of thickness, (bins,), m."""
     measured = np.isfinite(entry.cuts.width_m)
     place = np.minimum(entry.cuts.width_m[measured] / (BIN_MM * MM), bins - 1).astype(np.intp)
     return np.bincount(place, entry.cuts.length_m[measured], bins).astype(np.float64)
 
 
-def _panel(entry: Entry, metres: NDArray[np.float64], most_m: float) -> Image:
-    limits = (0.0, len(metres) * BIN_MM, 0.0, max(most_m * 1.12, 0.1))
+def _panel(entry: Entry, metres: NDArray[np.float64], max_m: float) -> Image:
+    limits = (0.0, len(metres) * BIN_MM, 0.0, max(max_m * 1.12, 0.1))
     axes = chart(entry.name, limits, ("thickness [mm]", "wall [m]"), 60)
     left_mm = np.arange(len(metres)) * BIN_MM
     axes.bars(np.column_stack((left_mm + 0.05 * BIN_MM, left_mm + 0.95 * BIN_MM)), metres, BAR_COLOUR)
@@ -60,7 +60,7 @@ def _panel(entry: Entry, metres: NDArray[np.float64], most_m: float) -> Image:
 
 
 def _mark(axes: Axes, p95_mm: float) -> None:
-    """Draw a line at the p95 with its number on the side that has room."""
+    """Draw a line at the p95, with its value on the side with more space."""
     line = np.column_stack(((p95_mm, p95_mm), axes.limits[2:]))
     axes.lines(P95, [line])
     x, y = axes.to_canvas(line)[1]
