@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf, nan
 from pathlib import Path
 
@@ -13,9 +14,10 @@ from mavnav.errors import TopicError
 from mavnav.logs import Log, open_log
 from mavnav.logs.attitude import RecordedAttitude
 from mavnav.logs.ceiling import ceiling_height_m
-from mavnav.scan import Attitude, levelled
+from mavnav.pose import Pose
+from mavnav.scan import Attitude, Scan, levelled
 from support.log_files import IMU, ODOM, START_NS, TF, Message, laser, write_mcap
-from support.synthetic import DEG
+from support.synthetic import DEG, cast, room
 from support.tilted import SPEC, attitude_message, flight, furnished, quaternion, tilted_scan
 
 SCANS = 12
@@ -66,6 +68,19 @@ def test_attitudes_are_interpolated_for_every_beam() -> None:
     roll, pitch, height = found.at(np.array([0.0, 25e6, 50e6, 2e8]))
     np.testing.assert_allclose((roll, pitch, height), ([0, 0.05, 0.1, 0.2], [0.1] * 4, [1, 1.25, 1.5, 2]))
     assert found.known_at(np.array([-400_000_000, 0, 500_000_000, 700_000_000])).tolist() == [True, True, True, False]
+
+
+def test_every_beam_is_levelled_by_the_attitude_of_its_time() -> None:
+    """A laser that rolls during its sweep in an empty room: each beam is cast with an attitude of its own."""
+    spec, walls, pose = replace(SPEC, time_increment_s=0.1 / 240), room(6.0, 4.0), Pose(2.5, 1.8, 0.3)
+    rolls = 0.2 * np.arange(240) / 240
+    every = [tilted_scan(walls, np.full(4, 3.0), pose, Attitude(roll, 0.1, 1.5), spec)[0].ranges_m for roll in rolls]
+    scan = Scan(0, np.array([ranges[k] for k, ranges in enumerate(every)]), spec)
+    ends = (np.array([0, 10**8]), np.array([0.0, 0.2]), np.array([0.1, 0.1]), np.array([1.5, 1.5]))
+    flat = RecordedAttitude("/attitude", "pose", *ends).level(scan).ranges_m
+    off_m = np.abs(flat - cast(walls, (2.5, 1.8), spec.angles_rad + 0.3))
+    assert np.nanmedian(off_m) < 1e-4
+    assert np.nanquantile(off_m, 0.9) < 0.002  # but at the corners
 
 
 def test_an_imu_is_brought_to_the_frame_of_the_laser(tmp_path: Path) -> None:
