@@ -177,8 +177,11 @@ class RecordedAttitude:
 
     def at(self, late_ns: Floats) -> tuple[Floats, Floats, Floats]:
         """Interpolate roll, pitch, rad, and height, m, at times (m,) since the first attitude, ns."""
-        since_ns = self.stamps_ns - self.stamps_ns[0]
-        roll, pitch, height = (np.interp(late_ns, since_ns, v) for v in (self.roll_rad, self.pitch_rad, self.height_m))
+        begin_ns = int(self.stamps_ns[0])
+        first, last = np.searchsorted(self.stamps_ns, [begin_ns + int(late_ns.min()), begin_ns + int(late_ns.max())])
+        part = slice(max(int(first) - 1, 0), int(last) + 2)  # interpolation in all of a long log would take long
+        since_ns, values = self.stamps_ns[part] - begin_ns, (self.roll_rad, self.pitch_rad, self.height_m)
+        roll, pitch, height = (np.interp(late_ns, since_ns, v[part]) for v in values)
         return roll, pitch, height
 
     def height_at(self, stamp_ns: int) -> float:
