@@ -62,6 +62,16 @@ def transforms_of(data: bytes, encoding: str) -> list[TransformMessage] | None:
     return found if fields.ended else None
 
 
+def pose_of(data: bytes, encoding: str) -> list[TransformMessage] | None:
+    """Decode a geometry_msgs/PoseStamped in ``cdr`` or ``ros1``; None if the bytes are not exactly one."""
+    try:
+        fields = _Fields.of(data, encoding)
+        found = fields.transform(child=False)
+    except (struct.error, ValueError):
+        return None
+    return [found] if fields.ended else None
+
+
 def odometry_of(data: bytes, encoding: str) -> list[TransformMessage] | None:
     """Decode the pose of a nav_msgs/Odometry in ``cdr`` or ``ros1``; None if the bytes are not exactly one."""
     try:
@@ -78,20 +88,21 @@ def imu_of(data: bytes, encoding: str) -> ImuMessage | None:
     try:
         fields = _Fields.of(data, encoding)
         stamp_ns = fields.stamp_ns()
-        fields.text()
+        frame_id = fields.text()
         values = fields.doubles(37)
     except (struct.error, ValueError):
         return None
-    return imu_message(stamp_ns, values) if fields.ended else None
+    return imu_message(stamp_ns, frame_id, values) if fields.ended else None
 
 
-def imu_message(stamp_ns: int, values: tuple[float, ...]) -> ImuMessage:
+def imu_message(stamp_ns: int, frame_id: str, values: tuple[float, ...]) -> ImuMessage:
     """Return an ImuMessage of the 37 values of an Imu: quaternion, angular velocity and acceleration.
 
     Each is followed by its covariance of 9 values. A first covariance of -1 means that there is no orientation.
     """
     x, y, z, w = values[:4]
-    return ImuMessage(stamp_ns, None if values[4] == -1.0 else (x, y, z, w), values[13:16], values[25:28])  # type: ignore[arg-type]
+    orientation = None if values[4] == -1.0 else (x, y, z, w)
+    return ImuMessage(stamp_ns, orientation, values[13:16], values[25:28], frame_id)  # type: ignore[arg-type]
 
 
 @dataclass(slots=True)
@@ -131,13 +142,13 @@ class _Fields:
         self.offset += 8 * count
         return numbers
 
-    def transform(self) -> TransformMessage:
-        """Read a header, the child frame, and the pose of the child."""
+    def transform(self, *, child: bool = True) -> TransformMessage:
+        """Read a header, the child frame if there is one, and the pose of the child."""
         stamp_ns = self.stamp_ns()
-        parent, child = self.text(), self.text()
+        parent, name = self.text(), self.text() if child else ""
         x, y, z, *turn = self.doubles(7)
         qx, qy, qz, qw = turn
-        return TransformMessage(stamp_ns, parent, child, (x, y, z), (qx, qy, qz, qw))
+        return TransformMessage(stamp_ns, parent, name, (x, y, z), (qx, qy, qz, qw))
 
     def stamp_ns(self) -> int:
         """Read the stamp of a header, in ns."""
