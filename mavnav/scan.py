@@ -4,12 +4,36 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
+from math import inf, isfinite, tau
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+SAME_RAD: Final = 1e-5
+"""Bearings no farther apart are one: angles are stored with 24 bits."""
+
+JUMP_M, JUMP_SHARE = 0.1, 0.05
+"""Neighboring returns farther apart, in m and as a share of the range, are of two surfaces."""
+
+NEAR_M, NEAR_SHARE = 0.1, 0.02
+"""Returns of tilted beams no farther from floor or ceiling, in m and as a share of the range, are taken as its own."""
+
+
+class Attitude(NamedTuple):
+    """Tilt and height of the laser (REP-103 axes: x forward, y left, z up), rad and m above the floor.
+
+    A direction of the laser is ``Ry(pitch) Rx(roll)`` times itself in the level frame of the same heading; the yaw
+    belongs to the pose. ``height_m`` is NaN where it is not known.
+    """
+
+    roll_rad: float
+    pitch_rad: float
+    height_m: float
 
 
 @dataclass(frozen=True)
@@ -69,16 +93,21 @@ class Scan:
     ``ranges_m`` is (beams,) float64, read-only; NaN means no valid return, and nothing else is ever odd:
     every convention of a sensor or driver ends where logs are read. ``stamp_ns`` is the time of the first beam.
     ``times_s`` (beams,) are the times of the beams since then if several lasers were merged, else None: a steady sweep.
+    ``heights_m`` (beams,) are the heights of the returns above the floor if the scan was levelled, NaN where the range
+    is, else None.
     """
 
     stamp_ns: int
     ranges_m: NDArray[np.float64]
     spec: LaserSpec
     times_s: NDArray[np.float64] | None = None
+    heights_m: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        """Freeze the ranges."""
+        """Freeze ranges and heights."""
         self.ranges_m.flags.writeable = False
+        if self.heights_m is not None:
+            self.heights_m.flags.writeable = False
 
     @property
     def sweep_s(self) -> float:
@@ -104,3 +133,87 @@ class Scan:
         """Return the end points of the valid beams in the laser's frame, (n, 2) in metres."""
         good = np.isfinite(self.ranges_m)
         return self.ranges_m[good, None] * self.spec.directions[good]
+
+
+def levelled(scan: Scan, attitude: Attitude, ceiling_m: float = inf) -> Scan:
+    """Return a scan of a tilted laser projected to the horizontal plane, on the same even bearings.
+
+    Each return is taken for that of a vertical wall. It falls on the nearest bearing, of several the nearest counts,
+    and its range is that of its surface at this bearing. Without any tilt the ranges stay to the last bit. Returns of
+    tilted beams on the floor, or on the ceiling at ``ceiling_m``, are no walls: their ranges become NaN. ``heights_m``
+    stays None where the height of the laser is not known.
+    """
+    if attitude.roll_rad == attitude.pitch_rad == 0.0:
+        heights_m = np.where(np.isfinite(scan.ranges_m), attitude.height_m, np.nan)
+        return replace(scan, heights_m=heights_m if isfinite(attitude.height_m) else None)
+    roll_rad, pitch_rad, height_m = (np.full(scan.spec.beams, value) for value in attitude)
+    return levelled_by_beam(scan, roll_rad, pitch_rad, height_m, ceiling_m)
+
+
+def levelled_by_beam(scan: Scan, roll_rad: Floats, pitch_rad: Floats, height_m: Floats, ceiling_m: float) -> Scan:
+    """Return a levelled scan as `levelled` does, of a laser that moves during the sweep: all are (beams,)."""
+    x, y = (scan.ranges_m[:, None] * scan.spec.directions).T
+    sin_roll, cos_roll, sin_pitch, cos_pitch = np.sin(roll_rad), np.cos(roll_rad), np.sin(pitch_rad), np.cos(pitch_rad)
+    above_m = height_m + y * sin_roll * cos_pitch - x * sin_pitch
+    off_m = NEAR_M + NEAR_SHARE * scan.ranges_m
+    floor = above_m < np.minimum(off_m, 0.5 * height_m)
+    ceiling = above_m > np.maximum(ceiling_m - off_m, 0.5 * (height_m + ceiling_m))
+    x, y = x * cos_pitch + y * sin_roll * sin_pitch, y * cos_roll
+    x[floor | ceiling] = np.nan
+    beam, range_m, kept = on_bearings(x, y, scan.spec, scan.spec.angle_step_rad)
+    source = nearest_returns(beam, range_m, kept)
+    beam = beam[source]
+    ranges_m, heights_m = np.full(scan.spec.beams, np.nan), np.full(scan.spec.beams, np.nan)
+    ranges_m[beam], heights_m[beam] = range_m[source], above_m[source]
+    times_s = None
+    if scan.times_s is not None:
+        times_s = scan.times_s.copy()
+        times_s[beam] = scan.times_s[source]
+    known = bool(np.isfinite(height_m).all())
+    return replace(scan, ranges_m=ranges_m, times_s=times_s, heights_m=heights_m if known else None)
+
+
+def on_bearings(
+    x: Floats, y: Floats, spec: LaserSpec, step_rad: float
+) -> tuple[NDArray[np.intp], Floats, NDArray[np.bool_]]:
+    """Return for each point (n,), m, the beam of ``spec`` that is nearest, its range there, m, and whether it is one.
+
+    The range is that of its surface at the bearing of the beam. The points are in the order of their bearings, which
+    descend where ``step_rad`` is negative; they are NaN where there is no return.
+    """
+    bearing_rad, range_m = np.arctan2(y, x), np.hypot(x, y)
+    off = (bearing_rad - spec.angle_min_rad) / spec.angle_step_rad
+    turn = tau / abs(spec.angle_step_rad)
+    off = (off + 0.5) % turn - 0.5
+    beam = np.round(off)
+    aside_rad = (beam - off) * spec.angle_step_rad
+    moved_m = _at_bearing(x, y, range_m, bearing_rad + aside_rad, aside_rad * step_rad > 0.0)
+    range_m = np.where(np.abs(aside_rad) > SAME_RAD, moved_m, range_m)
+    kept = np.isfinite(range_m) & (beam < spec.beams)
+    return np.where(kept, beam, 0).astype(np.intp), range_m, kept
+
+
+def nearest_returns(beam: NDArray[np.intp], range_m: Floats, kept: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return which of the kept points, (n,) each, is the nearest of its beam: numbers (m,), one for each such beam."""
+    numbers = np.flatnonzero(kept)
+    nearest_last = numbers[np.argsort(-range_m[numbers], kind="stable")][::-1]
+    _, first = np.unique(beam[nearest_last], return_index=True)
+    return nearest_last[first]
+
+
+def _at_bearing(x: Floats, y: Floats, range_m: Floats, bearing_rad: Floats, ahead: NDArray[np.bool_]) -> Floats:
+    """Return where the line through each return and its neighbor on the same surface has these bearings, m.
+
+    ``ahead`` is the side on which the bearing lies: the neighbor there goes before the other. Without any the range
+    stays.
+    """
+    found, c, s = range_m, np.cos(bearing_rad), np.sin(bearing_rad)
+    apart_m = np.maximum(JUMP_M, JUMP_SHARE * range_m)
+    for side in (~ahead, ahead):
+        other = (np.arange(len(x)) + np.where(side, 1, -1)).clip(0, len(x) - 1)
+        along_x, along_y = x[other] - x, y[other] - y
+        with np.errstate(invalid="ignore", divide="ignore"):
+            moved_m = (x * along_y - y * along_x) / (c * along_y - s * along_x)
+        same = (np.hypot(along_x, along_y) <= apart_m) & (np.abs(moved_m - range_m) <= apart_m)
+        found = np.where(same, moved_m, found)
+    return found

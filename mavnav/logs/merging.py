@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from mavnav.scan import LaserSpec, Scan
+from mavnav.scan import LaserSpec, Scan, nearest_returns, on_bearings
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -25,12 +25,6 @@ FRAME: Final = "merged_lasers"
 
 SAME_PLACE_M, SAME_TIME_S = 1e-4, 1e-6
 """Lasers no farther from the base keep their bearings; beams whose times are no farther from a steady sweep are one."""
-
-SAME_RAD: Final = 1e-5
-"""Bearings no farther apart are one: angles are stored with 24 bits."""
-
-JUMP_M, JUMP_SHARE = 0.1, 0.05
-"""Neighboring returns farther apart, in m and as a share of the range, are of two surfaces."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +94,10 @@ def merged(parts: Sequence[tuple[Scan, Pose]], laser: LaserSpec) -> Scan:
     stamp_ns = parts[0][0].stamp_ns
     found = [_returns(scan, base_T_laser, laser, stamp_ns) for scan, base_T_laser in parts]
     beam, range_m, time_s = (np.concatenate(column) for column in zip(*found, strict=True))
+    nearest = nearest_returns(beam, range_m, np.ones(len(beam), np.bool_))
+    beam = beam[nearest]
     ranges_m, times_s = np.full(laser.beams, np.nan), np.zeros(laser.beams)
-    farthest_first = np.argsort(-range_m, kind="stable")
-    beam, range_m, time_s = beam[farthest_first], range_m[farthest_first], time_s[farthest_first]
-    ranges_m[beam], times_s[beam] = range_m, time_s
+    ranges_m[beam], times_s[beam] = range_m[nearest], time_s[nearest]
     steady_s = laser.time_increment_s * beam
     if np.abs(times_s[beam] - steady_s).max(initial=0.0) <= SAME_TIME_S:
         return Scan(stamp_ns, ranges_m, laser)
@@ -115,42 +109,16 @@ def _returns(
 ) -> tuple[NDArray[np.intp], Floats, Floats]:
     """Return for every return of a scan the virtual beam, its range, m, and its time since ``stamp_ns``, s."""
     x, y = _on_base(scan, base_T_laser)
-    bearing_rad, range_m = np.arctan2(y, x), np.hypot(x, y)
-    off = (bearing_rad - laser.angle_min_rad) / laser.angle_step_rad
-    turn = tau / abs(laser.angle_step_rad)
-    off = (off + 0.5) % turn - 0.5
-    beam = np.round(off)
-    aside_rad = (beam - off) * laser.angle_step_rad
-    moved_m = _at_bearing(x, y, range_m, bearing_rad + aside_rad, aside_rad * scan.spec.angle_step_rad > 0.0)
-    range_m = np.where(np.abs(aside_rad) > SAME_RAD, moved_m, range_m)
+    beam, range_m, kept = on_bearings(x, y, laser, scan.spec.angle_step_rad)
     since_s = (scan.stamp_ns - stamp_ns) * NS
     time_s: Floats = since_s + scan.spec.time_increment_s * np.arange(scan.spec.beams, dtype=np.float64)
-    kept = np.isfinite(range_m) & (beam < laser.beams)
-    return beam[kept].astype(np.intp), range_m[kept], time_s[kept]
+    return beam[kept], range_m[kept], time_s[kept]
 
 
 def _on_base(scan: Scan, base_T_laser: Pose) -> tuple[Floats, Floats]:
     c, s = np.cos(base_T_laser.yaw_rad), np.sin(base_T_laser.yaw_rad)
     x, y = (scan.ranges_m[:, None] * scan.spec.directions).T
     return base_T_laser.x_m + c * x - s * y, base_T_laser.y_m + s * x + c * y
-
-
-def _at_bearing(x: Floats, y: Floats, range_m: Floats, bearing_rad: Floats, ahead: NDArray[np.bool_]) -> Floats:
-    """Return where the line through each return and its neighbor on the same surface has these bearings, m.
-
-    ``ahead`` is the side on which the bearing lies: the neighbor there goes before the other. Without any the range
-    stays.
-    """
-    found, c, s = range_m, np.cos(bearing_rad), np.sin(bearing_rad)
-    apart_m = np.maximum(JUMP_M, JUMP_SHARE * range_m)
-    for side in (~ahead, ahead):
-        other = (np.arange(len(x)) + np.where(side, 1, -1)).clip(0, len(x) - 1)
-        along_x, along_y = x[other] - x, y[other] - y
-        with np.errstate(invalid="ignore", divide="ignore"):
-            moved_m = (x * along_y - y * along_x) / (c * along_y - s * along_x)
-        same = (np.hypot(along_x, along_y) <= apart_m) & (np.abs(moved_m - range_m) <= apart_m)
-        found = np.where(same, moved_m, found)
-    return found
 
 
 def merged_scans(lasers: Sequence[Mounted], streams: Sequence[Iterator[Scan]], laser: LaserSpec) -> Iterator[Scan]:
