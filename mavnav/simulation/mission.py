@@ -5,20 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import pairwise
+from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mavnav.pose import Pose, Trajectory
+from mavnav.scan import Attitude, levelled
+from mavnav.simulation.obstacles import Obstacles
 from mavnav.simulation.planner.potential_field import Command, Planner
-from mavnav.simulation.world import LaserModel, Scenario, World, laser_model, take_scan
+from mavnav.simulation.world import Body, LaserModel, Scenario, World, laser_model, take_scan
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.pipeline import finish
 from mavnav.slam.registry import make_method
 from mavnav.slam.steps import Steps
 from mavnav.slam.track import Track
 from mavnav.slam.tracker import track
-from mavnav.units import DEG, MM, NS
+from mavnav.units import DEG, MM, MS, NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -64,7 +67,7 @@ class Vehicle:
     """The true state, which only the world sees: poses of the base, and what the commands should have made of them.
 
     ``world_T_base`` and ``odom_T_base`` hold a pose for every scan, at ``stamps_ns``. A command takes
-    ``scans_a_command`` scans, at constant velocity.
+    ``scans_a_command`` scans, at constant velocity. ``body`` is the attitude of an aerial vehicle, None of another.
     """
 
     base_T_laser: Pose
@@ -72,6 +75,7 @@ class Vehicle:
     scans_a_command: int
     world_T_base: list[Pose]
     odom_T_base: list[Pose] = field(default_factory=lambda: [Pose()])
+    body: Body | None = None
 
     @property
     def stamps_ns(self) -> list[int]:
@@ -88,10 +92,14 @@ class Vehicle:
         wanted = Pose(command.dx_m, command.dy_m, command.dyaw_rad)
         done = Pose(wanted.x_m + noise.x_m, wanted.y_m + noise.y_m, wanted.yaw_rad + noise.yaw_rad)
         world_T_base, odom_T_base = self.world_T_base[-1], self.odom_T_base[-1]
+        if self.body:
+            self.body.command(command.dx_m, command.dy_m)
         for scan in range(1, self.scans_a_command + 1):
             share = scan / self.scans_a_command
             self.odom_T_base.append(odom_T_base @ self._moved(wanted, share))
             self.world_T_base.append(world_T_base @ self._moved(done, share))
+            if self.body:
+                self.body.step()
             yield
 
     def _moved(self, motion: Pose, share: float) -> Pose:
@@ -105,7 +113,8 @@ class Flight:
     """A finished mission: what SLAM made of it, the scans, and the truth.
 
     ``map_T_laser`` and ``odom_T_base`` hold the true pose and the commanded one for every scan; ``world_T_map`` is the
-    true first laser pose, where the map frame begins.
+    true first laser pose, where the map frame begins. ``tilts`` are the true attitudes of the laser at every scan,
+    ``attitudes`` the measured ones; both are empty of a vehicle that moves level.
     """
 
     scenario: Scenario
@@ -115,6 +124,8 @@ class Flight:
     map_T_laser: Trajectory
     odom_T_base: Trajectory
     world_T_map: Pose
+    tilts: tuple[Attitude, ...] = ()
+    attitudes: tuple[Attitude, ...] = ()
 
 
 def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -> Flight:
@@ -124,33 +135,43 @@ def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -
     """
     config, laser = scenario.slam, _laser(scenario)
     noise = np.random.default_rng([scenario.seed, 1])
-    vehicle = Vehicle(
-        scenario.base_T_laser, round(laser.spec.scan_time_s / NS), scenario.scans_a_command, [scenario.world_T_base]
-    )
+    vehicle = _vehicle(scenario, laser.spec.scan_time_s)
     pilot = Pilot(scenario)
     method = make_method(config)
     motion = Motion(laser.spec.scan_time_s, vehicle.odometry, method.expects_rest)
+    obstacles = Obstacles.of(scenario, method.grid)
     scans: list[Scan] = []
+    seen: list[Scan] = [] if scenario.levels_scans else scans
     steps = Steps()
     end = End.STEP_LIMIT
     executing: Iterator[None] = iter(())
-    for step in track(_scans(scenario, vehicle, scans), method, motion):
+    coming = _scans(scenario, vehicle, scans)
+    for step in track(_levelled(coming, scenario, vehicle, seen), method, motion):
         steps.append(step)
         if on_step:
             on_step("fly", len(steps))
+        obstacles.note(seen[-1], step)
         here = pilot.locate(step, vehicle.odometry(step.stamp_ns))
         if next(executing, DONE) is DONE:
-            decision = pilot.decide(step, here, method.grid)
+            decision = pilot.decide(step, here, obstacles.grid)
             if isinstance(decision, End):
                 end = decision
                 break
             executing = vehicle.execute(decision, _disturbance(scenario, noise, decision))
             next(executing)
-        if _closest_m(scenario.world, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
+        if _closest_m(scenario.obstacles, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
             end = End.COLLISION
             break
-    flown = Track(lambda: scans, config, motion, method, steps, on_step=on_step)
+    flown = Track(lambda: seen, config, motion, method, steps, on_step=on_step)
     return _landed(scenario, vehicle, scans, end, finish(flown))
+
+
+def _vehicle(scenario: Scenario, period_s: float) -> Vehicle:
+    """Return the vehicle where it begins."""
+    flight, command_s = scenario.flight, scenario.vehicle.command_ms * MS
+    body = Body(flight, period_s, command_s, scenario.seed) if flight else None
+    start, period_ns = scenario.world_T_base, round(period_s / NS)
+    return Vehicle(scenario.base_T_laser, period_ns, scenario.scans_a_command, [start], body=body)
 
 
 DONE = object()
@@ -208,8 +229,18 @@ def _scans(scenario: Scenario, vehicle: Vehicle, scans: list[Scan]) -> Iterator[
     while True:
         here = vehicle.world_T_base[-1] @ vehicle.base_T_laser
         pose = _sweeping(vehicle, here, laser.spec) if scenario.laser.moving else here
-        scans.append(take_scan(scenario.world, pose, laser, rng, vehicle.stamps_ns[-1]))
+        scans.append(take_scan(scenario.world, pose, laser, rng, vehicle.stamps_ns[-1], _tilt(scenario, vehicle)))
         yield scans[-1]
+
+
+def _levelled(scans: Iterator[Scan], scenario: Scenario, vehicle: Vehicle, seen: list[Scan]) -> Iterator[Scan]:
+    """Level the scans by the measured attitude, and keep them in ``seen``; without attitude they pass as they are."""
+    if vehicle.body is None or not scenario.levels_scans:
+        yield from scans
+        return
+    for scan in scans:
+        seen.append(levelled(scan, vehicle.body.measured[-1], scenario.ceiling_m or inf))
+        yield seen[-1]
 
 
 def _laser(scenario: Scenario) -> LaserModel:
@@ -220,7 +251,7 @@ def _laser(scenario: Scenario) -> LaserModel:
 
 def _sweeping(vehicle: Vehicle, here: Pose, spec: LaserSpec) -> Callable[[float], Pose]:
     """Return the laser's pose over a sweep, as the last step goes on: ``here`` is the pose at mid-sweep."""
-    period_s, mid_s = vehicle.period_ns * NS, 0.5 * (spec.beams - 1) * spec.time_increment_s
+    period_s, mid_s = vehicle.period_ns * NS, mid_sweep_s(spec)
     before = vehicle.world_T_base[-2:][0] @ vehicle.base_T_laser
     step = before.between(here)
 
@@ -229,6 +260,22 @@ def _sweeping(vehicle: Vehicle, here: Pose, spec: LaserSpec) -> Callable[[float]
         return here @ Pose(share * step.x_m, share * step.y_m, share * step.yaw_rad)
 
     return at
+
+
+def _tilt(scenario: Scenario, vehicle: Vehicle) -> Attitude | Callable[[float], Attitude] | None:
+    """Return the laser's attitude, of one that moves as a function of the time; None of a level vehicle."""
+    if vehicle.body is None:
+        return None
+    if not scenario.laser.moving:
+        return vehicle.body.true[-1]
+    period_s, mid_s = vehicle.period_ns * NS, mid_sweep_s(scenario.laser.spec)
+    before, here = np.array(vehicle.body.true[-2:])[[0, -1]]
+    return lambda seconds: Attitude(*(here + (seconds - mid_s) / period_s * (here - before)).tolist())
+
+
+def mid_sweep_s(spec: LaserSpec) -> float:
+    """Return the time from the first beam to the middle of the sweep."""
+    return 0.5 * (spec.beams - 1) * spec.time_increment_s
 
 
 def _disturbance(scenario: Scenario, rng: np.random.Generator, command: Command) -> Pose:
@@ -261,6 +308,8 @@ def _landed(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, o
     if end is End.GOAL and goal_distance_m > 2.0 * scenario.goal_radius_mm * MM:
         end = End.WRONG_PLACE
     base = Trajectory.of(list(range(len(world_T_base))), world_T_base)
-    mission = Mission(end, n, base.length_m, _closest_m(scenario.world, world_T_base), goal_distance_m)
+    mission = Mission(end, n, base.length_m, _closest_m(scenario.obstacles, world_T_base), goal_distance_m)
     odom = Trajectory.of(stamps, vehicle.odom_T_base[:n])
-    return Flight(scenario, outcome, mission, tuple(scans), truth, odom, world_T_map)
+    body = vehicle.body
+    tilts, attitudes = (tuple(body.true[:n]), tuple(body.measured[:n])) if body else ((), ())
+    return Flight(scenario, outcome, mission, tuple(scans), truth, odom, world_T_map, tilts, attitudes)

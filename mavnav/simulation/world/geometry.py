@@ -146,7 +146,8 @@ class World:
         """Return the distance of points (n, 2) to the nearest wall or bounded plate as seen from above, (n,) in m."""
         plates = self.plates[np.isfinite(self.plates[:, 2])]
         beside = _beside_plates(plates, xy_m[:, :1], xy_m[:, 1:]).min(axis=1, initial=np.inf)
-        return np.minimum(self.clearance_m(xy_m), np.maximum(beside, 0.0))
+        nearest: Array = np.minimum(self.clearance_m(xy_m), np.maximum(beside, 0.0))
+        return nearest
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:

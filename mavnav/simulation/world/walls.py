@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import inf
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import ConfigDict, Field, field_validator, model_validator
@@ -92,7 +92,7 @@ class Wall(Strict):
     @property
     def parts(self) -> tuple[Shape, ...]:
         """The simple shapes it is made of."""
-        return cast("tuple[Shape, ...]", next(iter(self._given().values())).parts())
+        return next(iter(self._given().values())).parts()
 
     @property
     def has_heights(self) -> bool:
@@ -114,7 +114,7 @@ def world_of(walls: Sequence[Wall], *, spatial: bool = False, ceiling_m: float |
 
 def _plates(parts: Sequence[Shape], ceiling_m: float | None) -> NDArray[np.float64]:
     """Return floor, ceiling, and tops and bottoms of solid shapes in between, (p, 7)."""
-    found = [(*EVERYWHERE, 0.0)] + ([] if ceiling_m is None else [(*EVERYWHERE, ceiling_m)])
+    found: list[tuple[float, ...]] = [(*EVERYWHERE, z_m) for z_m in (0.0, ceiling_m) if z_m is not None]
     for part in parts:
         plate, band = part.plate(), part.height_m
         if plate and band:
