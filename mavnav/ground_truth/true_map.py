@@ -44,10 +44,14 @@ def read_true_map(path: Path) -> TrueMap:
 
 
 def of_scenario(scenario: Scenario, world_T_map: Pose) -> TrueMap:
-    """Take the exact walls for the truth; ``world_T_map`` is the laser's first pose."""
-    walls = scenario.world.seen_from(world_T_map)
+    """Take the exact walls for the truth; ``world_T_map`` is the laser's first pose.
+
+    Of a scene with heights the walls are those in the slice at flight height; the distances of cells, which may be of
+    any height, are those to the nearest surface of all.
+    """
+    walls, every = scenario.obstacles.seen_from(world_T_map), scenario.world.seen_from(world_T_map)
     xy_m = np.concatenate((_on_segments(walls), _on_arcs(walls)))
-    return TrueMap(walls.clearance_m, xy_m, "start pose", walls.segments, walls.arcs)
+    return TrueMap(every.distance_m, xy_m, "start pose", walls.segments, walls.arcs)
 
 
 def _of_map(path: Path) -> TrueMap:

@@ -28,10 +28,10 @@ from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.replay import Progress, measured_map
 from mavnav.pose import Pose
 from mavnav.profiling import new_profile
-from mavnav.simulation.mission import Flight, fly
+from mavnav.simulation.mission import Flight, fly, mid_sweep_s
 from mavnav.simulation.world.laser import EDGE_M
 from mavnav.slam.registry import load_kernels
-from mavnav.units import DEG
+from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
     from mavnav.metrics.reference import Reference
@@ -135,13 +135,16 @@ def recorded(flight: Flight) -> Recording:
     base_T_laser = flight.scenario.base_T_laser
     laser_T_base = base_T_laser.inverse()
     world_T_base = flight.map_T_laser.seen_from(flight.world_T_map).compose(laser_T_base)
-    return Recording(flight.scans, flight.odom_T_base, world_T_base, base_T_laser)
+    spec = flight.scenario.laser.spec
+    mid_ns = round(mid_sweep_s(spec) / NS) if flight.scenario.laser.moving else 0
+    attitudes = [(scan.stamp_ns + mid_ns, a) for scan, a in zip(flight.scans, flight.attitudes, strict=False)]
+    return Recording(flight.scans, flight.odom_T_base, world_T_base, base_T_laser, attitudes)
 
 
 def _truth(flight: Flight) -> Truth:
     """Bring walls and goal to the map frame."""
     map_T_world = flight.world_T_map.inverse()
-    walls = flight.scenario.world.seen_from(flight.world_T_map)
+    walls = flight.scenario.obstacles.seen_from(flight.world_T_map)
     measured = flight.scenario.measured_walls
     sketch = measured.seen_from(flight.world_T_map) if measured else None
     x, y = flight.scenario.goals_xy_m[-1]
@@ -176,9 +179,24 @@ def _mission(request: SimulationRequest, flight: Flight) -> Mission:
         sha256=digest,
         size_bytes=size_bytes,
         scenario=flight.scenario.document(),
-        result=MissionResult(mission.reached, mission.end.value, **numbers),
+        result=MissionResult(mission.reached, mission.end.value, **numbers, **_attitude_numbers(flight)),
         errors=truth_errors(flight),
     )
+
+
+def _attitude_numbers(flight: Flight) -> dict[str, Any]:
+    """Return what run.json says of the tilt and the height of an aerial vehicle; nothing of another."""
+    aerial = flight.scenario.flight
+    if aerial is None:
+        return {}
+    roll_rad, pitch_rad, height_m = np.array(flight.tilts).T
+    tilt_rad = np.arccos(np.cos(roll_rad) * np.cos(pitch_rad))
+    return {
+        "flight_height_m": aerial.height_m,
+        "tilt_p95_deg": float(np.percentile(tilt_rad, 95)) / DEG,
+        "height_error_p95_m": float(np.percentile(np.abs(height_m - aerial.height_m), 95)),
+        "attitude_used": flight.scenario.levels_scans,
+    }
 
 
 def truth_errors(flight: Flight) -> TruthErrors:
@@ -218,7 +236,7 @@ def wall_distances_m(flight: Flight, estimate: Pose, truth: Pose) -> tuple[float
     The map is read like the laser reads the world, by the virtual scan. Of all beams that meet a wall away from edges
     the one with the median relative error is reported; NaN where the map has no wall at all.
     """
-    world, spec = flight.scenario.world, flight.scenario.laser.spec
+    world, spec = flight.scenario.obstacles, flight.scenario.laser.spec
     there = flight.world_T_map @ truth
     true_ranges, incidence_rad = world.cast((there.x_m, there.y_m), spec.angles_rad + there.yaw_rad)
     builder = GridBuilder.of(flight.slam.grid)

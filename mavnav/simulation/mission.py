@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.pose import Pose, Trajectory
-from mavnav.scan import Attitude, levelled
+from mavnav.scan import levelled_by_beam
 from mavnav.simulation.obstacles import Obstacles
 from mavnav.simulation.planner.potential_field import Command, Planner
 from mavnav.simulation.world import Body, LaserModel, Scenario, World, laser_model, take_scan
@@ -26,8 +26,10 @@ from mavnav.units import DEG, MM, MS, NS
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from numpy.typing import NDArray
+
     from mavnav.mapping.occupancy_grid import GridBuilder
-    from mavnav.scan import LaserSpec, Scan
+    from mavnav.scan import Attitude, LaserSpec, Scan
     from mavnav.slam.result import SlamResult
     from mavnav.slam.steps import Step
 
@@ -229,7 +231,8 @@ def _scans(scenario: Scenario, vehicle: Vehicle, scans: list[Scan]) -> Iterator[
     while True:
         here = vehicle.world_T_base[-1] @ vehicle.base_T_laser
         pose = _sweeping(vehicle, here, laser.spec) if scenario.laser.moving else here
-        scans.append(take_scan(scenario.world, pose, laser, rng, vehicle.stamps_ns[-1], _tilt(scenario, vehicle)))
+        tilts = _tilts(vehicle.body.true, laser.spec, vehicle.period_ns * NS) if vehicle.body else None
+        scans.append(take_scan(scenario.world, pose, laser, rng, vehicle.stamps_ns[-1], tilts))
         yield scans[-1]
 
 
@@ -238,8 +241,10 @@ def _levelled(scans: Iterator[Scan], scenario: Scenario, vehicle: Vehicle, seen:
     if vehicle.body is None or not scenario.levels_scans:
         yield from scans
         return
+    ceiling_m = scenario.ceiling_m or inf
     for scan in scans:
-        seen.append(levelled(scan, vehicle.body.measured[-1], scenario.ceiling_m or inf))
+        roll_rad, pitch_rad, height_m = _tilts(vehicle.body.measured, scan.spec, vehicle.period_ns * NS)
+        seen.append(levelled_by_beam(scan, roll_rad, pitch_rad, height_m, ceiling_m))
         yield seen[-1]
 
 
@@ -262,15 +267,11 @@ def _sweeping(vehicle: Vehicle, here: Pose, spec: LaserSpec) -> Callable[[float]
     return at
 
 
-def _tilt(scenario: Scenario, vehicle: Vehicle) -> Attitude | Callable[[float], Attitude] | None:
-    """Return the laser's attitude, of one that moves as a function of the time; None of a level vehicle."""
-    if vehicle.body is None:
-        return None
-    if not scenario.laser.moving:
-        return vehicle.body.true[-1]
-    period_s, mid_s = vehicle.period_ns * NS, mid_sweep_s(scenario.laser.spec)
-    before, here = np.array(vehicle.body.true[-2:])[[0, -1]]
-    return lambda seconds: Attitude(*(here + (seconds - mid_s) / period_s * (here - before)).tolist())
+def _tilts(attitudes: list[Attitude], spec: LaserSpec, period_s: float) -> NDArray[np.float64]:
+    """Return roll, pitch and height at each beam, (3, beams), as the last step goes on: the present is mid-sweep."""
+    late_s = spec.time_increment_s * np.arange(spec.beams) - mid_sweep_s(spec)
+    before, here = np.array(attitudes[-2:])[[0, -1], :, None]
+    return np.asarray(here + late_s / period_s * (here - before))
 
 
 def mid_sweep_s(spec: LaserSpec) -> float:

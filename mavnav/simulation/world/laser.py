@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mavnav.pose import Pose
-from mavnav.scan import Attitude, LaserSpec, Scan
+from mavnav.scan import LaserSpec, Scan
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def take_scan(
     laser: LaserModel,
     rng: np.random.Generator,
     stamp_ns: int,
-    tilt: Attitude | Callable[[float], Attitude] | None = None,
+    tilts: Array | None = None,
 ) -> Scan:
     """Take one scan.
 
@@ -97,14 +97,15 @@ def take_scan(
         world_T_laser: where the laser rests, or its pose as a function of the seconds since the first beam.
     stamp_ns
         Time of the first beam.
-    tilt
-        Attitude of the laser, or that as a function of the seconds; None for a level one, which meets all walls.
+    tilts
+        Roll (rad), pitch (rad) and height (m) of the laser at each beam, (3, beams); None for a level laser that meets
+        all walls, whatever their heights.
     """
     xy_m, yaw_rad = _where(motion, laser.spec)
-    if tilt is None:
+    if tilts is None:
         ranges_m, incidence_rad = world.cast(xy_m, laser.spec.angles_rad + yaw_rad)
     else:
-        roll_rad, pitch_rad, height_m = _tilts(tilt, laser.spec)
+        roll_rad, pitch_rad, height_m = tilts
         directions = tilted_directions(laser.spec.angles_rad, roll_rad, pitch_rad, yaw_rad)
         ranges_m, incidence_rad = world.cast_tilted(xy_m, height_m, directions)
     return Scan(stamp_ns, laser.read(ranges_m, incidence_rad, rng), laser.spec)
@@ -116,13 +117,6 @@ def _where(motion: Pose | Callable[[float], Pose], spec: LaserSpec) -> tuple[Arr
         return np.array((motion.x_m, motion.y_m)), np.array(motion.yaw_rad)
     poses = np.array([motion(k * spec.time_increment_s).as_array() for k in range(spec.beams)])
     return poses[:, :2], poses[:, 2]
-
-
-def _tilts(tilt: Attitude | Callable[[float], Attitude], spec: LaserSpec) -> Array:
-    """Roll, pitch and height of the laser at each of its beams, (3, n) or (3,)."""
-    if isinstance(tilt, Attitude):
-        return np.array(tilt)
-    return np.array([tilt(k * spec.time_increment_s) for k in range(spec.beams)]).T
 
 
 def tilted_directions(bearings_rad: Array, roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Array:
