@@ -124,7 +124,7 @@ def test_hovering_drifts_where_it_is_told_to() -> None:
 def test_a_vehicle_that_goes_blind_flies_on_for_some_commands_then_hovers(monkeypatch: pytest.MonkeyPatch) -> None:
     take = flying.take_scan
 
-    def fading(world: Any, pose: Any, laser: Any, rng: Any, stamp_ns: int) -> Scan:
+    def fading(world: Any, pose: Any, laser: Any, rng: Any, stamp_ns: int, _: None) -> Scan:
         scan = take(world, pose, laser, rng, stamp_ns)
         return scan if stamp_ns < START_NS + 1_150_000_000 else blank(scan)
 
@@ -161,7 +161,7 @@ def test_a_goal_that_only_the_estimate_reached_is_none(monkeypatch: pytest.Monke
         believed.append(believed[-1] @ wanted)
         return execute(self, command, Pose(-wanted.x_m, -wanted.y_m, -wanted.yaw_rad))
 
-    def forged(world: Any, _: Any, laser: Any, rng: Any, stamp_ns: int) -> Scan:
+    def forged(world: Any, _: Any, laser: Any, rng: Any, stamp_ns: int, __: None) -> Scan:
         return take(world, believed[-1], laser, rng, stamp_ns)
 
     monkeypatch.setattr(Vehicle, "execute", slipping)
