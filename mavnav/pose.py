@@ -191,6 +191,13 @@ class Rotation:
         return tilts_rad
 
 
+def ups_of_quaternions(xyzw: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the upward direction in the frame of a body, (n, 3), of its orientations (n, 4); NaN where it is none."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        x, y, z, w = (xyzw / np.linalg.norm(xyzw, axis=1, keepdims=True)).T
+        return np.column_stack((2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)))
+
+
 def yaw_of_quaternion(x: float, y: float, z: float, w: float) -> float:
     """Return the yaw (rad) of a quaternion, the rotation about z in Z-Y-X order (REP-103)."""
     return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

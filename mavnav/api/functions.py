@@ -54,6 +54,7 @@ def open_log(
     extrinsic: Sequence[float] | None = None,
     strict: bool = False,
     truth: str | None = None,
+    attitude: str = "auto",
 ) -> logs.Log:
     """Open a log: MCAP, ROS 1 bag, ROS 2 bag or CARMEN log. Iterate it for the scans, as often as needed.
 
@@ -73,6 +74,8 @@ def open_log(
         Leave out scans from where a checksum does not match.
     truth
         Topic of the ground truth, ``auto`` to find it by its name.
+    attitude
+        Tilt and height of the laser, by which the scans are levelled: ``auto``, ``off`` or a topic.
 
     Raises
     ------
@@ -88,6 +91,7 @@ def open_log(
         extrinsic=_pose(extrinsic),
         strict=strict,
         truth=truth,
+        attitude=attitude,
     )
 
 
@@ -102,6 +106,7 @@ def replay(
     online: bool = False,
     topic: str | None = None,
     odom: str | None = None,
+    attitude: str | None = None,
     start_s: float | None = None,
     end_s: float | None = None,
     extrinsic: Sequence[float] | None = None,
@@ -128,7 +133,7 @@ def replay(
         Configuration file or preset, and values over it by dotted key: ``{"robust.cell_mm": 25}``.
     online
         Causal mode: no loop closure, no final pass.
-    topic, odom, start_s, end_s, extrinsic, strict
+    topic, odom, attitude, start_s, end_s, extrinsic, strict
         As for `open_log`.
     map, start_pose
         Localize in this map (a map_server YAML file or a run), from about this pose, m, m, rad.
@@ -148,7 +153,8 @@ def replay(
     """
     from mavnav.pipelines.replay import ReplayRequest, replay_log  # noqa: PLC0415  heavy
 
-    chosen = _config(config, settings, method=method, grid=grid, azimuth=azimuth, odom=odom, online=online)
+    options = {"method": method, "grid": grid, "azimuth": azimuth, "odom": odom, "attitude": attitude}
+    chosen = _config(config, settings, **options, online=online)
     request = ReplayRequest(
         log=Path(log),
         directory=Path(directory or ""),

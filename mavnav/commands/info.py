@@ -103,6 +103,7 @@ def _topic(log: Log | None) -> dict[str, Any]:
         "cleaning": log.cleaning if log else {},
         "odometry": _odometry(log) if log else None,
         "imu": _imu(log) if log else None,
+        "attitude": _attitude(log) if log else None,
         "mounting": _mounting(log) if log else None,
     }
 
@@ -162,6 +163,13 @@ def _imu(log: Log) -> dict[str, Any] | None:
     return {"topic": log.imu.topic, "messages": len(found.stamps_ns), "rate_hz": (len(found.stamps_ns) - 1) / span_s}
 
 
+def _attitude(log: Log) -> dict[str, Any] | None:
+    from mavnav.outputs.document import plain
+    from mavnav.outputs.slices_section import attitude_source
+
+    return None if log.attitude is None else plain(attitude_source(log.attitude))
+
+
 def _odometry(log: Log) -> dict[str, Any] | None:
     if log.odometry is None:
         return None
@@ -213,6 +221,7 @@ def _rows(document: dict[str, Any]) -> list[tuple[str, str]]:
             *_health_rows(topic["health"]),
             ("odometry", _odometry_text(topic["odometry"])),
             *_imu_row(topic["imu"]),
+            *_attitude_row(topic["attitude"]),
             ("mounting", _mounting_text(topic["mounting"])),
         ]
     return [*rows, ("verdict", _verdict(document))]
@@ -269,6 +278,15 @@ def _odometry_text(odometry: dict[str, Any] | None) -> str:
 
 def _imu_row(imu: dict[str, Any] | None) -> list[tuple[str, str]]:
     return [] if imu is None else [("imu", f"{imu['topic']}, {imu['messages']} messages, {imu['rate_hz']:.0f} Hz")]
+
+
+def _attitude_row(attitude: dict[str, Any] | None) -> list[tuple[str, str]]:
+    if attitude is None:
+        return []
+    tilt = f"tilt {attitude['tilt_median_deg']:.1f} deg in the median, {attitude['tilt_max_deg']:.1f} deg at most"
+    low, high = attitude["height_min_m"], attitude["height_max_m"]
+    height = "height unknown" if low is None else f"height {low:.2f} to {high:.2f} m"
+    return [("attitude", f"{attitude['topic']}, {attitude['messages']} messages, {tilt}, {height}")]
 
 
 def _mounting_text(mounting: dict[str, Any] | None) -> str:

@@ -72,6 +72,14 @@ Odom = Annotated[
         autocompletion=completion.odometry_topics,
     ),
 ]
+Attitude = Annotated[
+    str | None,
+    input_option(
+        metavar="auto|TOPIC|off",
+        help="Tilt and height of the laser, to level the scans by (default auto).",
+        autocompletion=completion.words("auto", "off", "/attitude"),
+    ),
+]
 Strict = Annotated[bool, input_option("--strict", help="Drop scans whose checksum does not match.")]
 
 method_option = partial(search_option, "--method", metavar="robust|paper", autocompletion=completion.METHODS)
@@ -100,10 +108,10 @@ Outputs = Annotated[
     output_option(
         "--outputs",
         metavar="GROUP,...",
-        help="Write only these files: trajectory, map, metrics, pictures, mcap (default: these); report, svg, scale, "
-        "graph; all.",
+        help="Write only these files: trajectory, map, metrics, slices, pictures, mcap (default: these); report, svg, "
+        "scale, graph; all.",
         autocompletion=completion.words(
-            "trajectory", "map", "metrics", "pictures", "mcap", "report", "svg", "scale", "graph", "all"
+            "trajectory", "map", "metrics", "slices", "pictures", "mcap", "report", "svg", "scale", "graph", "all"
         ),
     ),
 ]

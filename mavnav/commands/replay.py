@@ -14,6 +14,7 @@ from mavnav.commands.gating import Gates, check_gates, gated_code, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
     Again,
+    Attitude,
     Azimuth,
     ConfigFile,
     End,
@@ -91,6 +92,7 @@ def replay(
     start: Start = None,
     end: End = None,
     odom: Odom = None,
+    attitude: Attitude = None,
     extrinsic: Extrinsic = None,
     strict: Strict = False,
     method: Method = None,
@@ -149,7 +151,7 @@ def replay(
 ) -> None:
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
     overrides = given_values(method=method, grid=grid, azimuth=azimuth, search=search, odom=odom)
-    overrides |= given_values(loop_closure=loop_closure, final_pass=False if online else None)
+    overrides |= given_values(attitude=attitude, loop_closure=loop_closure, final_pass=False if online else None)
     fields = {} if again is None else _repeated(context, again, log, directory)
     log = fields.get("log", log)
     if log is None:

@@ -266,6 +266,12 @@ class Config:
         },
     )
     odom: str = setting("auto", description="odometry used as motion prior: auto, off, or a topic")
+    attitude: str = setting(
+        "auto", description="tilt and height of the laser, by which scans are levelled: auto, off, or a topic"
+    )
+    slice_mm: float = setting(
+        300.0, ge=20, le=10_000, description="thickness of the maps by height, where the height of the laser is known"
+    )
     search: Literal["pruned", "exhaustive"] = setting(
         "pruned", description="exhaustive evaluates every pose of every grid and finds the same minimum"
     )

@@ -85,7 +85,7 @@ def _shield(
 
 
 @helper
-def _path(
+def path_cells(
     u0: float, v0: float, u1: float, v1: float, wide: float, steps: NDArray[np.float64], cells: NDArray[np.int32]
 ) -> int:
     """List the cells that a beam from (u0, v0) to (u1, v1), in cells, enters, its last one too; returns how many.
@@ -139,7 +139,7 @@ def add_scan(
     for k in range(len(xy_map_m)):
         row, col = int(np.floor(ends[k, 1])), int(np.floor(ends[k, 0]))
         flat[begin] += flat[begin] < MOST
-        for i in range(_path(u0, v0, ends[k, 0], ends[k, 1], float64(cols), steps, path)):
+        for i in range(path_cells(u0, v0, ends[k, 0], ends[k, 1], float64(cols), steps, path)):
             at = uint64(path[uint64(i)])
             if flat[at] < MOST:
                 flat[at] += 1

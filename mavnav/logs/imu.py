@@ -40,6 +40,7 @@ class ImuTrack:
     """The messages of a topic as they came: 56 bytes each."""
 
     topic: str
+    frame_id: str = ""
     header_ns: array[int] = field(default_factory=lambda: array("q"))
     log_ns: array[int] = field(default_factory=lambda: array("q"))
     numbers: array[float] = field(default_factory=lambda: array("f"))
@@ -95,6 +96,11 @@ def _unit(vectors: Floats) -> Floats:
     return vectors / np.maximum(lengths, 1e-9)
 
 
+def usual_topic(names: list[str]) -> str | None:
+    """Return which of several topics to use: the first of the usual names, or the only one; None if neither."""
+    return next((name for name in USUAL_NAMES if name in names), names[0] if len(names) == 1 else None)
+
+
 class ImuTracks:
     """All inertial sensors of a log, by topic."""
 
@@ -104,7 +110,7 @@ class ImuTracks:
     def add(self, topic: str, message: ImuMessage, log_ns: int) -> None:
         """Take in a message."""
         if topic not in self.topics:
-            self.topics[topic] = ImuTrack(topic)
+            self.topics[topic] = ImuTrack(topic, message.frame_id)
         self.topics[topic].add(message, log_ns)
 
     def choose(self, odom: str, stamp_source: str, half_sweep_ns: int, warn: Callable[[str], None]) -> Imu | None:
@@ -115,7 +121,7 @@ class ImuTracks:
         names = [name for name, track in self.topics.items() if len(track.header_ns)]
         if odom == "off" or not names:
             return None
-        usual = next((name for name in USUAL_NAMES if name in names), names[0] if len(names) == 1 else None)
+        usual = usual_topic(names)
         if usual is None:
             warn(f"several Imu topics, none is used: {', '.join(names)}")
             return None

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
 
 if TYPE_CHECKING:
     from mavnav.pose import Rotation, Trajectory
@@ -102,6 +104,10 @@ class Imu:
 
     topic: str
     rotation: Rotation
+
+    def levelled(self) -> Imu:
+        """Return the same without its tilt, of scans that were levelled."""
+        return replace(self, rotation=replace(self.rotation, tilt_rad=np.zeros(len(self.rotation.tilt_rad))))
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,17 +6,19 @@ import hashlib
 import os
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import isfinite
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from mavnav.errors import MavnavError, NoScansError, UsageError
+from mavnav.logs.attitude import AttitudeTracks
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.rosbag2 import METADATA
 from mavnav.logs.formats.source import Source
 from mavnav.logs.imu import ImuTracks
 from mavnav.logs.messages.decode import decoder, is_laser, scan_topic
-from mavnav.logs.messages.definitions import IMU, ODOMETRY
+from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.odometry import OdometryTracks
@@ -58,6 +60,7 @@ class Survey:
     odometry: OdometryTracks
     imus: ImuTracks
     truth: TruthTracks
+    attitudes: AttitudeTracks
     frames: FrameTree
     damage: tuple[Damage, ...]
     warnings: tuple[str, ...]
@@ -90,6 +93,7 @@ class _Pass:
     odometry: OdometryTracks = field(default_factory=OdometryTracks)
     imus: ImuTracks = field(default_factory=ImuTracks)
     truth: TruthTracks = field(default_factory=TruthTracks)
+    attitudes: AttitudeTracks = field(default_factory=AttitudeTracks)
     frames: FrameTree = field(default_factory=FrameTree)
 
     def take(self, message: RawMessage) -> None:
@@ -122,20 +126,23 @@ class _Pass:
         if is_laser(channel) and topic is None:
             return None
         try:
-            return decoder(channel, poses=self.truth.takes(channel) or self.odometry.takes(channel), topic=topic)
+            takers = (self.truth, self.odometry, self.attitudes)
+            return decoder(channel, poses=any(taker.takes(channel) for taker in takers), topic=topic)
         except DecodeError as error:
             self.report.damage(str(error), channel.topic)
             return None
 
     def _take_motion(self, message: RawMessage, decoded: Any) -> None:  # noqa: ANN401
         channel, log_ns = message.channel, message.log_ns
+        if self.attitudes.takes(channel):
+            self.attitudes.add(channel.topic, decoded[0], log_ns)
         if self.truth.takes(channel):
             self.truth.add(channel.topic, decoded[0], log_ns)
         elif channel.type == IMU:
             self.imus.add(channel.topic, decoded, log_ns)
         elif channel.type == ODOMETRY or self.odometry.takes(channel):
             self.odometry.add_odometry(channel.topic, decoded[0], log_ns)
-        else:
+        elif channel.type != POSE:
             static = channel.topic.endswith("tf_static")
             self.frames.add(decoded, static=static)
             if not static:
@@ -184,6 +191,7 @@ def survey(
     strict: bool = False,
     truth: str | None = None,
     odom: str = "auto",
+    attitude: str = "auto",
 ) -> Survey:
     """Read a log once, from front to back.
 
@@ -203,6 +211,8 @@ def survey(
         Read the ground truth of this topic, or with ``auto`` of topics that are named like one. It is no odometry then.
     odom
         Read poses of this topic as odometry, too, whatever their type.
+    attitude
+        Read tilt and height of the laser from this topic, ``auto`` from where there are any, or not, with ``off``.
 
     Raises
     ------
@@ -211,11 +221,12 @@ def survey(
         never raises: it stands in the survey.
     """
     _check(path, start_s, end_s)
-    found = _survey(path, topic, (start_s, end_s), progress, strict=strict, truth=truth, odom=odom)
+    again = partial(_survey, window_s=(start_s, end_s), strict=strict, truth=truth, odom=odom, attitude=attitude)
+    found = again(path, topic, progress=progress)
     others = [t.name for t in found.topics if t.type in OTHER_TYPES and t.count]
     if topic is not None or found.scans or len(others) != 1:
         return found
-    found = _survey(path, others[0], (start_s, end_s), progress, strict=strict, truth=truth, odom=odom)
+    found = again(path, others[0], progress=progress)
     text = f"the log has no LaserScan messages; the scans are taken from {others[0]}"
     return replace(found, warnings=(text, *found.warnings)) if found.scans else found
 
@@ -223,15 +234,17 @@ def survey(
 def _survey(
     path: Path,
     topic: str | None,
+    *,
     window_s: tuple[float | None, float | None],
     progress: Callable[[int, int], None] | None,
-    *,
     strict: bool,
     truth: str | None,
     odom: str,
+    attitude: str,
 ) -> Survey:
     report = ReadReport()
-    state = _Pass(topic, strict, report, odometry=OdometryTracks(odom), truth=TruthTracks(truth))
+    wanted = {"odometry": OdometryTracks(odom), "truth": TruthTracks(truth), "attitudes": AttitudeTracks(attitude)}
+    state = _Pass(topic, strict, report, **wanted)  # type: ignore[arg-type]
     try:
         name = detect.sniff(path)
         if name == detect.UNKNOWN:
@@ -252,6 +265,7 @@ def _survey(
         odometry=state.odometry,
         imus=state.imus,
         truth=state.truth,
+        attitudes=state.attitudes,
         frames=state.frames,
         damage=report.damages(),
         warnings=tuple(report.warnings),

@@ -19,6 +19,7 @@ from mavnav.outputs import run_json as model
 from mavnav.outputs import tracking_section as tracking
 from mavnav.outputs.addresses import public_address
 from mavnav.outputs.run import base_frame
+from mavnav.outputs.slices_section import attitude_source, map_slices
 from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
@@ -58,6 +59,7 @@ def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
         map_quality=run.measured.quality,
         reference=run.reference or ABSENT,
         map=_map(run),
+        slices=map_slices(run.slices.layers) if run.slices else ABSENT,
         mission=mission.result if mission else ABSENT,
         truth=mission.errors if mission else ABSENT,
         timing=_timing(run),
@@ -120,6 +122,7 @@ def _input(run: Run) -> model.Input:
         odometry=None if odometry is None else model.OdometrySource(odometry.topic, odometry.source),
         sensor=_sensor(log),
         truth=ABSENT if log.truth is None else model.RecordedTruthSource(log.truth.topic, log.truth.body_frame),
+        attitude=ABSENT if log.attitude is None else attitude_source(log.attitude),
         imu=ABSENT if log.imu is None else model.ImuSource(log.imu.topic, len(log.imu.rotation.stamps_ns)),
     )
 

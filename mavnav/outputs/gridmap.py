@@ -25,7 +25,7 @@ _PACKED: Final = 1
 """Of zlib's levels: a fifth of the time of 6, up to a fifth larger."""
 
 _YAML = """\
-image: map.pgm
+image: {image}
 mode: trinary
 resolution: {cell_m!r}
 origin: [{x_m!r}, {y_m!r}, 0.0]
@@ -69,11 +69,11 @@ def write_yaml(run: DrawnMap, path: Path) -> None:
     path.write_text(yaml_text(run), encoding="ascii")
 
 
-def yaml_text(run: DrawnMap) -> str:
-    """Return the description of `write_yaml`."""
+def yaml_text(run: DrawnMap, image: str = "map.pgm") -> str:
+    """Return the description of `write_yaml`; ``image`` is the file of the picture."""
     grid = run.known
     x_m, y_m = (float(v) for v in grid.origin_xy_m)
-    return _YAML.format(cell_m=float(grid.cell_m), x_m=x_m, y_m=y_m)
+    return _YAML.format(image=image, cell_m=float(grid.cell_m), x_m=x_m, y_m=y_m)
 
 
 def read_npz(path: Path) -> Grid:

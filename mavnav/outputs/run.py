@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.logs import Log
     from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.mapping.slices import Slices
     from mavnav.metrics.map_distance import TrueMap
     from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.metrics.reference import Reference
@@ -105,6 +106,7 @@ class Run:
     and ``true_map`` the one among them. ``stopped`` is the code of the signal that stopped
     the run before the log ended.
     ``localisation`` says where the laser was found in a given map.
+    ``slices`` is the map by height, None where heights are unknown, or hardly vary.
     ``address`` is where the log was fetched from, if it was; ``provenance`` says when and how the run was made.
     ``position_errors_m`` (n,) are those of the poses of the trajectory, NaN without a truth at that time; None without.
     """
@@ -123,6 +125,7 @@ class Run:
     localisation: Localisation | None = None
     address: str | None = None
     position_errors_m: NDArray[np.float64] | None = None
+    slices: Slices | None = None
 
     @property
     def name(self) -> str:

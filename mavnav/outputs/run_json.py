@@ -13,6 +13,7 @@ from mavnav.metrics.fields import Measured, absent, number, text
 from mavnav.metrics.map_quality import MapQuality
 from mavnav.metrics.reference import Reference
 from mavnav.metrics.wall_report import WallThicknessReport
+from mavnav.outputs.slices_section import AttitudeSource, MapSlice
 from mavnav.outputs.tracking_section import Tracking
 
 
@@ -80,6 +81,7 @@ class Input:
     sensor: Sensor
     truth: RecordedTruthSource = field(default_factory=absent)
     imu: ImuSource = field(default_factory=absent)
+    attitude: AttitudeSource = field(default_factory=absent)
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,6 +340,7 @@ class RunDocument:
     map_quality: MapQuality
     reference: Reference = field(default_factory=absent)
     map: Map
+    slices: list[MapSlice] = field(default_factory=absent, metadata=text("the maps by height, the lowest first"))
     mission: MissionResult = field(default_factory=absent)
     truth: TruthErrors = field(default_factory=absent)
     timing: TimingReport
@@ -361,6 +364,7 @@ METRICS: Final = (
     "map_quality",
     "reference",
     "map",
+    "slices",
     "mission",
     "truth",
 )

@@ -17,6 +17,7 @@ from mavnav.outputs.directory import RUN_FILE, check_directory, staged
 from mavnav.outputs.document import plain, run_document, to_json, write_metrics
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
 from mavnav.outputs.run import Run, Timing, Truth
+from mavnav.outputs.slices_files import slice_files, write_slice
 from mavnav.outputs.trajectory import (
     TRUE_WALLS_FILE,
     write_base_tum,
@@ -59,6 +60,7 @@ WRITERS: Final[dict[str, Callable[[Run, Path], None]]] = {
     "map.png": partial(_late, "map_picture"),
     "true_map.png": partial(_late, "mission_picture"),
     "wall_thickness.png": partial(_late, "wall_picture"),
+    "map_3d.png": partial(_late, "slices_picture"),
     "result.mcap": partial(_late, "replay_log"),
     "foxglove_layout.json": partial(_late, "foxglove_layout"),
     "metrics.json": write_metrics,
@@ -68,6 +70,7 @@ GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "trajectory": ("trajectory.tum", "trajectory_base.tum", "trajectory.csv", "truth.tum", TRUE_WALLS_FILE),
     "map": ("map.pgm", "map.yaml", "hits.npz"),
     "metrics": ("walls.csv", "metrics.json"),
+    "slices": ("map_3d.png",),
     "pictures": ("map.png", "true_map.png", "wall_thickness.png"),
     "mcap": ("result.mcap", "foxglove_layout.json"),
     "report": (REPORT_FILE,),
@@ -75,7 +78,7 @@ GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "scale": ("map_scale.png", "map_scale.yaml"),
     "graph": ("pose_graph.g2o",),
 }
-"""The files of a run by the names of ``--outputs``; run.json is always written."""
+"""The files of a run by the names of ``--outputs``; run.json is always written. Those of slices are named by height."""
 
 ALL: Final = "all"
 """The name of all groups."""
@@ -129,14 +132,16 @@ def _names(run: Run, groups: Collection[str] | None) -> list[str]:
     known["pose_graph.g2o"] = run.slam.loops.graph is not None
     known |= dict.fromkeys(("truth.tum", "true_map.png"), run.truth is not None)
     known[TRUE_WALLS_FILE] = run.true_walls is not None
-    return [name for name in WRITERS if name in wanted and known.get(name, True)]
+    known["map_3d.png"] = run.slices is not None
+    by_height = slice_files(run.slices.layers) if run.slices and "slices" in chosen else []
+    return [*(name for name in WRITERS if name in wanted and known.get(name, True)), *by_height]
 
 
 def _write(run: Run, path: Path) -> str:
     """Write one file to the disk and return its SHA-256."""
     with Stage("pictures" if path.suffix == ".png" else "outputs"):
         give_back()
-        WRITERS[path.name](run, path)
+        WRITERS.get(path.name, write_slice)(run, path)
         sync(path)
         with path.open("rb") as file:
             return file_digest(file, sha256).hexdigest()

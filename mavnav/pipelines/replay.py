@@ -17,7 +17,8 @@ from mavnav.ground_truth.references import check_times, compared, load_reference
 from mavnav.ground_truth.topics import truth_text
 from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import SUFFIXES
-from mavnav.mapping.occupancy_grid import measured_part
+from mavnav.mapping.occupancy_grid import known_part, measured_part
+from mavnav.mapping.slices import placed_with_heights, sliced
 from mavnav.memory import give_back
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
@@ -32,7 +33,7 @@ from mavnav.profiling import new_profile, timed
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.prior_map import prior_map_of
 from mavnav.slam.registry import LOCALIZERS, load_kernels, uses_odometry
-from mavnav.units import DEG
+from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.ground_truth.references import References
     from mavnav.logs import Log
+    from mavnav.mapping.slices import PlacedScan, Slices
     from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.outputs.run_json import Provenance
     from mavnav.pose import Pose
@@ -249,6 +251,7 @@ def _mapped(
     references = with_recorded_truth(given.references, log, outcome.begin_ns if given.known is None else None)
     measured = measured_map(outcome, log)
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
+    slices = map_slices_of(outcome, log, request.config)
     truth = references.truth
     run = Run(
         log=log,
@@ -263,6 +266,7 @@ def _mapped(
         localisation=None if given.known is None else localisation(request, outcome),
         address=request.address,
         provenance=given.provenance,
+        slices=slices,
     )
     progress("writing", 0, None)
     document = write_run(run, request.directory, force=request.force, report=request.report, groups=request.outputs)
@@ -278,6 +282,19 @@ def measured_map(outcome: SlamResult, log: Log) -> MeasuredMap:
     return measure_map(measured_part(outcome.grid), journey)
 
 
+@timed("slices")
+def map_slices_of(outcome: SlamResult, log: Log, config: Config) -> Slices | None:
+    """Cut the map of a run into slices by height; None where the height of the laser is not known, or hardly varies."""
+    attitude = log.attitude
+    if attitude is None or not attitude.has_heights:
+        return None
+
+    def placed() -> Iterator[PlacedScan]:
+        return placed_with_heights(log.scans(), outcome.trajectory, attitude.height_at)
+
+    return sliced(placed, known_part(outcome.grid), config.slice_mm * MM)
+
+
 def _open(request: ReplayRequest, progress: Progress) -> Log:
     """Survey the log; the paper's method never looks at odometry."""
     return open_log(
@@ -289,6 +306,7 @@ def _open(request: ReplayRequest, progress: Progress) -> Log:
         extrinsic=request.extrinsic,
         strict=request.strict,
         truth=request.truth_topic,
+        attitude=request.config.attitude,
         progress=lambda done, total: progress("reading", done, total),
     )
 

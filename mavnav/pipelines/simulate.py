@@ -25,7 +25,7 @@ from mavnav.outputs.provenance import Typed, provenance, utc_now
 from mavnav.outputs.run import Mission, Run, Timing, Truth, WallShapes
 from mavnav.outputs.run_json import MissionResult, TruthErrors
 from mavnav.outputs.writers import check_groups, write_run
-from mavnav.pipelines.replay import Progress, measured_map
+from mavnav.pipelines.replay import Progress, map_slices_of, measured_map
 from mavnav.pose import Pose
 from mavnav.profiling import new_profile
 from mavnav.simulation.mission import Flight, fly, mid_sweep_s
@@ -101,6 +101,7 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
             config=request.scenario.slam,
             slam=flight.slam,
             measured=measured_map(flight.slam, log),
+            slices=map_slices_of(flight.slam, log, request.scenario.slam),
             timing=timing,
             truth=(truth := _truth(flight)),
             position_errors_m=position_errors(flight.slam.trajectory, truth.map_T_laser, aligned=False),

@@ -32,8 +32,8 @@ def uses_odometry(config: Config) -> bool:
     return METHODS[config.method].uses_odometry
 
 
-RARE_KERNELS: Final = ("cost_floors", "free_cells", "lowest_poses")
-"""Modules that only loops and lost scans need: compiled in 5 s when the first one comes, or by `mavnav warmup`."""
+RARE_KERNELS: Final = ("cost_floors", "free_cells", "height_slices", "lowest_poses")
+"""Modules that only loops, lost scans and slices need: compiled in 5 s when one comes, or by `mavnav warmup`."""
 
 
 def load_kernels(config: Config, progress: Callable[[str, int, int | None], None]) -> None:

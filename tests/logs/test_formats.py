@@ -184,7 +184,7 @@ def test_what_the_survey_of_a_long_log_took_is_given_back(
 ) -> None:
     calls: list[None] = []
     monkeypatch.setattr("mavnav.logs.log.KEPT_BYTES", kept_bytes)
-    monkeypatch.setattr("mavnav.logs.log.trim", lambda: calls.append(None))
+    monkeypatch.setattr("mavnav.logs.opening.trim", lambda: calls.append(None))
     open_log(write_mcap(tmp_path / "a", drive()))
     assert len(calls) == given_back
 

@@ -32,7 +32,7 @@ def log_of(tmp_path: Path, *extra: Message, odom: str = "auto", **fields: object
 def test_a_message_is_read_by_layout_and_by_definition(ros: int) -> None:
     message = imu(3, xyzw=(0.1, 0.2, 0.3, 0.9), up=(1.0, 2.0, 9.0))
     encoding = "cdr" if ros == 2 else "ros1"
-    expected = ImuMessage(START_NS + 3 * STEP_NS, (0.1, 0.2, 0.3, 0.9), (0.0, 0.0, RATE), (1.0, 2.0, 9.0))
+    expected = ImuMessage(START_NS + 3 * STEP_NS, (0.1, 0.2, 0.3, 0.9), (0.0, 0.0, RATE), (1.0, 2.0, 9.0), "imu")
     data = serialized(message, ros)
     assert imu_of(data, encoding) == expected
     assert imu_of(data[:-8], encoding) is None

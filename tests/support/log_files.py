@@ -99,8 +99,9 @@ def build(message: Message, ros: int) -> Any:
 
 
 def _pose(types: dict[str, Any], fields: dict[str, Any]) -> Any:
-    position = types["geometry_msgs/msg/Point"](x=fields["x"], y=fields["y"], z=0.0)
-    return types["geometry_msgs/msg/Pose"](position=position, orientation=_yaw(types, fields["yaw"]))
+    position = types["geometry_msgs/msg/Point"](x=fields["x"], y=fields["y"], z=fields.get("z", 0.0))
+    turn = types["geometry_msgs/msg/Quaternion"](**fields["q"]) if "q" in fields else _yaw(types, fields["yaw"])
+    return types["geometry_msgs/msg/Pose"](position=position, orientation=turn)
 
 
 def _yaw(types: dict[str, Any], yaw: float) -> Any:

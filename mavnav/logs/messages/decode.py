@@ -137,7 +137,7 @@ def _imu(message: Any) -> ImuMessage:  # noqa: ANN401
     q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
     covariance = [0.0] * 9
     told = (q.x, q.y, q.z, q.w, *message.orientation_covariance, w.x, w.y, w.z, *covariance, a.x, a.y, a.z)
-    return imu_message(_stamp_ns(message.header.stamp), told)
+    return imu_message(_stamp_ns(message.header.stamp), message.header.frame_id, told)
 
 
 def _transforms(message: Any) -> list[TransformMessage]:  # noqa: ANN401

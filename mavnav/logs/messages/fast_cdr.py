@@ -78,20 +78,21 @@ def imu_of(data: bytes, encoding: str) -> ImuMessage | None:
     try:
         fields = _Fields.of(data, encoding)
         stamp_ns = fields.stamp_ns()
-        fields.text()
+        frame_id = fields.text()
         told = fields.doubles(37)
     except (struct.error, ValueError):
         return None
-    return imu_message(stamp_ns, told) if fields.ended else None
+    return imu_message(stamp_ns, frame_id, told) if fields.ended else None
 
 
-def imu_message(stamp_ns: int, told: tuple[float, ...]) -> ImuMessage:
+def imu_message(stamp_ns: int, frame_id: str, told: tuple[float, ...]) -> ImuMessage:
     """Return what the numbers of an Imu say: a quaternion and three vectors, of 4, 3 and 3, each before 9 covariances.
 
     A covariance that begins with -1 stands for no orientation.
     """
     x, y, z, w = told[:4]
-    return ImuMessage(stamp_ns, None if told[4] == -1.0 else (x, y, z, w), told[13:16], told[25:28])  # type: ignore[arg-type]
+    orientation = None if told[4] == -1.0 else (x, y, z, w)
+    return ImuMessage(stamp_ns, orientation, told[13:16], told[25:28], frame_id)  # type: ignore[arg-type]
 
 
 @dataclass(slots=True)

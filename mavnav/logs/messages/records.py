@@ -43,6 +43,7 @@ class ImuMessage(NamedTuple):
     xyzw: tuple[float, float, float, float] | None
     angular_velocity_rad_s: tuple[float, float, float]
     acceleration_m_s2: tuple[float, float, float]
+    frame_id: str = ""
 
 
 class TransformMessage(NamedTuple):

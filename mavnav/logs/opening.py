@@ -1,0 +1,258 @@
+"""Opening a log: a survey of it, and the choice of scan topic, mounting, odometry and attitude."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Literal
+
+from mavnav.errors import NoScansError, TopicError
+from mavnav.logs.attitude import AttitudeTracks, laser_attitude
+from mavnav.logs.log import Log
+from mavnav.logs.merging import FRAME, partners, virtual_laser
+from mavnav.logs.messages.decode import scan_topics
+from mavnav.logs.odometry import jump
+from mavnav.logs.preprocessing import KINDS
+from mavnav.logs.records import Imu, Odometry, ScanCounts
+from mavnav.logs.stamps import period_and_gaps
+from mavnav.logs.survey import Survey, survey
+from mavnav.logs.topic_choice import chosen_topic, no_usable
+from mavnav.logs.transforms import BASE_FRAMES, mounting
+from mavnav.logs.truth import laser_truth
+from mavnav.memory import trim
+from mavnav.pose import Pose
+from mavnav.units import NS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+def open_log(
+    path: Path,
+    *,
+    topic: str | None = None,
+    odom: str = "auto",
+    start_s: float | None = None,
+    end_s: float | None = None,
+    extrinsic: Pose | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    strict: bool = False,
+    truth: str | None = None,
+    attitude: str = "auto",
+) -> Log:
+    """Survey a log and choose what to use of it.
+
+    Parameters
+    ----------
+    path
+        A file, or the folder of a ROS 2 bag; the content decides the format, not the name.
+    topic
+        The scan topic, by default the only one; several, joined by commas, are merged by their mountings.
+    odom
+        ``auto``, ``off``, or a topic.
+    start_s, end_s
+        Window of the scans to use, in seconds from the first usable scan.
+    extrinsic
+        ``base_T_laser``, in place of the log's.
+    progress
+        Called now and then with the bytes done and in all.
+    strict
+        Leave out scans from where a checksum does not match.
+    truth
+        The topic of the ground truth, ``auto`` to find it by its name, None to leave it out.
+    attitude
+        Tilt and height of the laser, by which scans are levelled: ``auto``, ``off``, or a topic.
+
+    Raises
+    ------
+    UsageError
+        No such file, or an empty window.
+    TopicError
+        Several scan topics to choose from, or no such topic; no ground truth, or several; no attitude.
+    NoScansError
+        No log, or no usable scan in it.
+    """
+    window = partial(survey, path, start_s=start_s, end_s=end_s)
+    found = window(topic=topic, progress=progress, strict=strict, truth=truth, odom=odom, attitude=attitude)
+    log = choose(found, topic=topic, odom=odom, extrinsic=extrinsic)
+    del found
+    if not log.is_short:
+        trim()
+    return log
+
+
+def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extrinsic: Pose | None = None) -> Log:
+    """Choose topic, odometry and mounting of a surveyed log; raises TopicError and NoScansError.
+
+    Several topics, joined by commas, are merged by their mountings.
+    """
+    if topic is not None and topic not in found.scans and len(names := scan_topics(topic)) > 1:
+        return _merged_log(found, names, odom, extrinsic)
+    name = chosen_topic(found, topic)
+    scans = found.scans[name]
+    if scans.doubt:
+        raise NoScansError(f"{found.path}: {name}: {scans.doubt}")
+    timeline = scans.timeline(found.window_s)
+    if timeline.first is None:
+        raise NoScansError(no_usable(found, name, scans, timeline))
+    sensor, frame_id = timeline.first
+    period_s, gaps = period_and_gaps(timeline.stamps_ns)
+    skipped = dict(sorted((scans.refused + timeline.skipped).items()))
+    log = Log(
+        path=found.path,
+        format=found.format,
+        size_bytes=found.size_bytes,
+        sha256=found.sha256,
+        topics=found.topics,
+        topic=name,
+        frame_id=frame_id,
+        sensor=sensor,
+        counts=ScanCounts(scans.total, len(timeline.order), skipped, timeline.suspect),
+        cleaning=dict(zip(KINDS, timeline.cleaning.tolist(), strict=True)),
+        first_ns=int(timeline.stamps_ns[0]),
+        last_ns=int(timeline.stamps_ns[-1]),
+        period_s=period_s,
+        gaps=gaps,
+        stamp_source=timeline.source,
+        window_s=found.window_s,
+        base_T_laser=None,
+        mounting_source=None,
+        base_frame=None,
+        upside_down=False,
+        odometry=None,
+        imu=None,
+        attitude=None,
+        truth=None,
+        damage=found.damage,
+        warnings=found.warnings,
+        strict=found.strict,
+        _order=timeline.order,
+        _stamps_ns=timeline.stamps_ns,
+        _ranges=scans.ranges,
+    )
+    return _with_motion(log, found, odom, extrinsic)
+
+
+def _merged_log(found: Survey, topics: list[str], odom: str, extrinsic: Pose | None) -> Log:
+    """Merge the scans of several lasers; raises TopicError where a mounting is not known."""
+    if extrinsic is not None:
+        raise TopicError("--extrinsic is the pose of one laser; several --topic are merged by /tf_static")
+    if found.attitudes.named:
+        raise TopicError("--attitude is that of one laser; several --topic are merged as they are: name one of them")
+    found = replace(found, attitudes=AttitudeTracks("off"))
+    logs = tuple(choose(found, topic=topic, odom=odom) for topic in topics)
+    first, bases = logs[0], {log.base_frame for log in logs}
+    unmounted = [log.topic for log in logs if log.base_T_laser is None]
+    if unmounted or len(bases) > 1:
+        of = unmounted[0] if unmounted else first.topic
+        text = f"{found.path}: topics are merged by their mountings on one base, and that of {of} is not known"
+        raise TopicError(f"{text}; record /tf_static, or choose one --topic")
+    log = replace(
+        first,
+        topic=",".join(topics),
+        frame_id=FRAME,
+        sensor=virtual_laser([log.mounted for log in logs]),
+        cleaning={kind: sum(log.cleaning[kind] for log in logs) for kind in first.cleaning},
+        upside_down=False,
+        warnings=(),
+        _ranges=None,
+        _merged=logs,
+        _kept=[],
+    )
+    warnings = [*(text for log in logs for text in log.warnings), *_unpaired(logs)]
+    log = _with_motion(log, found, odom, Pose())
+    return replace(
+        log, base_frame=first.base_frame, mounting_source="tf_static", warnings=tuple(dict.fromkeys(warnings))
+    )
+
+
+def _unpaired(lasers: Sequence[Log]) -> list[str]:
+    """Return a line for every merged laser of which scans are left out, for none of the first is as near."""
+    mounted = [log.mounted for log in lasers]
+    used = [int((partners(mounted[0].stamps_ns, m.stamps_ns) >= 0).sum()) for m in mounted[1:]]
+    return [
+        f"{log.topic}: {len(log) - n} of {len(log)} scans are not merged: no scan of {lasers[0].topic} is near in time"
+        for log, n in zip(lasers[1:], used, strict=True)
+        if n < len(log)
+    ]
+
+
+def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> Log:
+    """Add mounting and odometry, and what there is to warn about time."""
+    warnings = list(log.warnings)
+    if log.stamp_source == "log":
+        warnings.append(f"{log.topic}: the scans' own stamps are unusable; the times of recording are used")
+    for reason, count in log.counts.skipped.items():
+        if reason != "outside_window":
+            warnings.append(f"{log.topic}: {count} of {log.counts.total} scans skipped: {reason.replace('_', ' ')}")
+    track = found.odometry.choose(odom, warnings.append)
+    bases = [track.base_frame] if track and track.base_frame else list(BASE_FRAMES)
+    mounted = mounting(found.frames, log.frame_id, bases, warnings.append)
+    base_frame, base_T_laser, upside_down = mounted or (bases[0] if track else None, None, False)
+    if upside_down:
+        done = (
+            "used as recorded, as --extrinsic knows the plane alone"
+            if extrinsic
+            else "turned over (not with --extrinsic x,y,yaw)"
+        )
+        warnings.append(
+            f"the transforms say that the laser ({log.frame_id}) is mounted upside down; its scans are {done}"
+        )
+    base_T_laser = extrinsic or base_T_laser
+    source: Literal["tf_static", "option"] | None = "tf_static" if mounted else None
+    odometry = None
+    odom_T_base = track.trajectory(log.stamp_source) if track else None
+    if track and odom_T_base and not _meet(odom_T_base.stamps_ns, log):
+        warnings.append(f"{track.topic}: odometry and scans share no time; it is not used, check its clock")
+    elif track and odom_T_base and (text := jump(odom_T_base)):
+        warnings.append(f"{track.topic}: the odometry {text}; it is not used, check it or write --odom off")
+    elif track and odom_T_base:
+        if base_T_laser is None:
+            text = f"no transform from {base_frame!r} to {log.frame_id!r}; the odometry is taken as the laser's own"
+            warnings.append(f"{text} (give the mounting with --extrinsic x,y,yaw)")
+        odometry = Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()))
+    upside_down = upside_down and extrinsic is None
+    attitude = laser_attitude(
+        found.attitudes.sources(found.imus, found.topics),
+        found.frames,
+        log.frame_id,
+        log.mounted.stamps_ns,
+        log.stamp_source,
+        named=found.attitudes.named,
+        upside_down=upside_down,
+        warn=warnings.append,
+    )
+    imu = _imu(log, found, odom, warnings.append)
+    known = found.truth.choose(found.topics)
+    sources = (log.stamp_source, log.frame_id, found.frames, base_T_laser, extrinsic, warnings.append)
+    return replace(
+        log,
+        truth=laser_truth(known, *sources) if known else None,
+        base_T_laser=base_T_laser,
+        mounting_source="option" if extrinsic else source,
+        base_frame=base_frame,
+        upside_down=upside_down,
+        odometry=odometry,
+        imu=imu.levelled() if imu and attitude else imu,
+        attitude=attitude,
+        warnings=tuple(warnings),
+    )
+
+
+def _imu(log: Log, found: Survey, odom: str, warn: Callable[[str], None]) -> Imu | None:
+    """Return the inertial sensor of a log, seen at mid-sweep; None without one."""
+    half_sweep_ns = round(0.5 * abs(log.sensor.time_increment_s) * log.sensor.beams / NS)
+    imu = found.imus.choose(odom, log.stamp_source, half_sweep_ns, warn)
+    if imu and not _meet(imu.rotation.stamps_ns, log):
+        warn(f"{imu.topic}: inertial sensor and scans share no time; it is not used, check its clock")
+        return None
+    return imu
+
+
+def _meet(stamps_ns: NDArray[np.int64], log: Log) -> bool:
+    """Tell whether some time between the first stamp and the last is one of the log's scans."""
+    return len(stamps_ns) > 0 and bool(stamps_ns[0] <= log.last_ns and stamps_ns[-1] >= log.first_ns)

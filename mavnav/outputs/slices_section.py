@@ -1,0 +1,78 @@
+"""Attitude and slices in run.json: what the scans were levelled by, and the maps by height."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mavnav.logs.attitude import RecordedAttitude
+from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
+from mavnav.mapping.slices import Slice, slice_name
+from mavnav.metrics.fields import Measured, number, text
+from mavnav.metrics.wall_report import PAPER_MIN_HITS, WallThicknessReport, wall_report
+from mavnav.metrics.wall_thickness import wall_sections
+from mavnav.units import DEG
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeSource:
+    """What the scans were levelled by: roll, pitch and, if known, height of the laser."""
+
+    topic: str = field(metadata=text("topic of the attitude"))
+    source: str = field(metadata=text("pose: PoseStamped; odom: Odometry; imu: Imu, without height"))
+    messages: int = field(metadata=number("attitudes that are used"))
+    tilt_median_deg: Measured = field(metadata=number("half of the time the laser tilts less"))
+    tilt_max_deg: Measured = field(metadata=number("largest tilt of the laser"))
+    height_min_m: Measured = field(metadata=number("least height of the laser above the floor, null if unknown"))
+    height_max_m: Measured = field(metadata=number("greatest height of the laser above the floor, null if unknown"))
+    ceiling_m: Measured = field(metadata=number("height of the ceiling, null if none was found"))
+
+
+@dataclass(frozen=True, slots=True)
+class MapSlice:
+    """The map of what was hit between two heights above the floor."""
+
+    map: str = field(metadata=text("file of the map, as map_server describes it"))
+    middle_m: float = field(metadata=number("height of its middle above the floor"))
+    from_m: float = field(metadata=number("height at which it begins"))
+    to_m: float = field(metadata=number("height at which it ends"))
+    hits: int = field(metadata=number("hits of all cells"))
+    occupied: int = field(metadata=number("occupied cells"))
+    free: int = field(metadata=number("free cells"))
+    wall_thickness: WallThicknessReport
+
+
+def attitude_source(attitude: RecordedAttitude) -> AttitudeSource:
+    """Describe what the scans were levelled by."""
+    tilts_deg, heights_m = attitude.tilt_rad / DEG, attitude.height_m
+    known = attitude.has_heights
+    return AttitudeSource(
+        topic=attitude.topic,
+        source=attitude.source,
+        messages=len(attitude.stamps_ns),
+        tilt_median_deg=float(np.median(tilts_deg)),
+        tilt_max_deg=float(tilts_deg.max()),
+        height_min_m=float(heights_m.min()) if known else np.nan,
+        height_max_m=float(heights_m.max()) if known else np.nan,
+        ceiling_m=attitude.ceiling_m,
+    )
+
+
+def map_slices(slices: tuple[Slice, ...]) -> list[MapSlice]:
+    """Describe the slices, and measure their walls."""
+    return [_map_slice(each) for each in slices]
+
+
+def _map_slice(found: Slice) -> MapSlice:
+    grid, cells = found.grid, occupancy(found.grid)
+    sections = {PAPER_MIN_HITS: wall_sections(grid.hits, grid.cell_m, PAPER_MIN_HITS)}
+    published = wall_sections((cells == OCCUPIED).astype(np.uint16), grid.cell_m, 1)
+    return MapSlice(
+        map=f"{slice_name(found)}.yaml",
+        middle_m=found.middle_m,
+        from_m=found.from_m,
+        to_m=found.to_m,
+        hits=int(grid.hits.sum(dtype=np.int64)),
+        occupied=int((cells == OCCUPIED).sum()),
+        free=int((cells == 0).sum()),
+        wall_thickness=wall_report(sections, published, None, grid.cell_m),
+    )
