@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from hashlib import sha256
+from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
@@ -34,6 +35,7 @@ from mavnav.slam.registry import load_kernels
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
+    from mavnav.logs import Log
     from mavnav.metrics.reference import Reference
     from mavnav.simulation.world import Scenario
 
@@ -95,7 +97,7 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
     with TemporaryDirectory(prefix="mavnav-") as folder:
         kept = Path(folder) / f"{request.scenario.name}.mcap"
         record(recording, kept)
-        log = open_log(kept)
+        log = _opened(kept, request.scenario)
         run = Run(
             log=log,
             config=request.scenario.slam,
@@ -115,6 +117,14 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
         if request.animation:
             animate(run, request.animation, force=request.force)
     return run, document
+
+
+def _opened(path: Path, scenario: Scenario) -> Log:
+    """Open the recording of a mission; its scans are levelled as they were in flight."""
+    log = open_log(path, attitude=scenario.slam.attitude)
+    if log.attitude is None:
+        return log
+    return replace(log, attitude=replace(log.attitude, ceiling_m=scenario.ceiling_m or inf))
 
 
 def check_outputs(request: SimulationRequest) -> None:

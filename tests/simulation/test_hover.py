@@ -36,7 +36,7 @@ def flown(*settings: str) -> Flight:
 
 
 def test_the_attitude_makes_a_mission_as_exact_as_a_level_one() -> None:
-    used, ignored = flown(*TILTED), flown(*TILTED, "attitude=off")
+    used, ignored = flown(*TILTED), flown(*TILTED, "slam.attitude=off")
     assert used.mission.reached
     assert truth_errors(used).ate_rmse_m < 0.012
     assert truth_errors(ignored).ate_rmse_m > 2 * truth_errors(used).ate_rmse_m

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from mavnav.scan import LaserSpec
     from mavnav.simulation.world.geometry import World
 
-AERIAL = ("flight", "ceiling_m", "attitude")
+AERIAL = ("flight", "ceiling_m")
 """The keys that only a vehicle with a section ``flight`` has."""
 
 LaserName = Literal["urg-04lx", "utm-30lx", "ust-10lx", "lds-01"]
@@ -130,9 +130,6 @@ class Scenario(Strict):
     laser: LaserConfig = Field(LaserConfig(), description="sensor: its name, or a section")
     vehicle: VehicleConfig = Field(VehicleConfig(), description="vehicle")
     flight: FlightConfig | None = Field(None, description="height and tilt of an aerial vehicle; null: it moves level")
-    attitude: Literal["auto", "off"] = Field(
-        "auto", description="auto: scans are levelled by the measured attitude; off: they are taken as level"
-    )
     recovery: RecoveryConfig = Field(RecoveryConfig(), description="what happens after a rejected scan")
     planner: PlannerConfig = Field(PlannerConfig(), description="path planning")
     slam: Config = Field(Config(), description="method, grid, azimuth and what else configures a replay")
@@ -171,7 +168,7 @@ class Scenario(Strict):
     @property
     def levels_scans(self) -> bool:
         """Whether the measured attitude is used."""
-        return self.flight is not None and self.attitude == "auto"
+        return self.flight is not None and self.slam.attitude != "off"
 
     @cached_property
     def measured_walls(self) -> World | None:

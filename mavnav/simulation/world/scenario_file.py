@@ -95,6 +95,8 @@ def _problems(scenario: Scenario) -> Iterator[tuple[Key, str]]:
 def _height_problems(scenario: Scenario) -> Iterator[tuple[Key, str]]:
     """Check the heights: those of walls need a vehicle with one, which must fit between floor and ceiling."""
     flight, ceiling_m = scenario.flight, scenario.ceiling_m
+    if scenario.slam.attitude not in ("auto", "off"):
+        yield ("slam", "attitude"), f"is {scenario.slam.attitude!r}, a mission has one sensor; write auto or off"
     if flight is None:
         for number, wall in enumerate(scenario.walls):
             if wall.has_heights:

@@ -228,6 +228,7 @@ def test_the_schema_is_json_and_its_references_hold() -> None:
         ("start: ", "ceiling_m: 2\nstart: ", 6, "ceiling_m needs a vehicle with a height; give flight.height_m"),
         ("start: ", "flight: {height_m: 0.1}\nstart: ", 6, "flight reaches from -0.1 to 0.3 m, into the floor; change"),
         ("start: ", "ceiling_m: 2\nflight: {height_m: 1.9}\nstart: ", 7, "flight reaches from 1.7 to 2.1 m, into the"),
+        ("start: ", "slam: {attitude: /imu}\nstart: ", 6, "slam.attitude is '/imu', a mission has one sensor; wr"),
         ("start: ", "flight: {tilt_noise_deg: -1}\nstart: ", 6, "flight.tilt_noise_deg is -1, it should be greater"),
         ("  - box: {", "  - table: {top_m: [1, 1], ", 3, "walls.1.table.top_m is [1, 1], it has 1 m at its bottom"),
         ("  - circle: {", "  - opening: {points_m: [[0, 0]], open_m: [0, 2]}\n  - circle: {", 4, "1 is missing"),
