@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from mavnav.errors import NoScansError, TopicError
 from mavnav.logs.attitude import AttitudeTracks, laser_attitude
+from mavnav.logs.ceiling import with_ceiling
 from mavnav.logs.log import Log
 from mavnav.logs.merging import FRAME, partners, virtual_laser
 from mavnav.logs.messages.decode import scan_topics
@@ -229,7 +230,7 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
     imu = _imu(log, found, odom, warnings.append)
     known = found.truth.choose(found.topics)
     sources = (log.stamp_source, log.frame_id, found.frames, base_T_laser, extrinsic, warnings.append)
-    return replace(
+    log = replace(
         log,
         truth=laser_truth(known, *sources) if known else None,
         base_T_laser=base_T_laser,
@@ -238,9 +239,9 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
         upside_down=upside_down,
         odometry=odometry,
         imu=imu.levelled() if imu and attitude else imu,
-        attitude=attitude,
         warnings=tuple(warnings),
     )
+    return log if attitude is None else replace(log, attitude=with_ceiling(attitude, log), _kept=[])
 
 
 def _imu(log: Log, found: Survey, odom: str, warn: Callable[[str], None]) -> Imu | None:

@@ -129,10 +129,15 @@ def _corners(blocks: _Blocks) -> tuple[Floats, Floats]:
 
 
 def _framed(blocks: _Blocks) -> tuple[_View, tuple[int, int]]:
-    """Fit floor and columns into the enlarged picture; return its size too."""
-    x, y = _corners(blocks)
-    ends = np.array([(a, b, c) for a in x[[0, -1]] for b in y[[0, -1]] for c in (0.0, blocks.levels_m[-1])])
-    u, v = _projected(ends)
+    """Fit what is known into the enlarged picture; return its size too."""
+    (x, y), (row, col) = _corners(blocks), np.nonzero(blocks.free | blocks.walls.any(axis=0))
+    ends = [
+        (x[col + a], y[row + b], np.full(len(row), z))
+        for a in (0, 1)
+        for b in (0, 1)
+        for z in (0.0, blocks.levels_m[-1])
+    ]
+    u, v = _projected(np.concatenate([np.column_stack(end) for end in ends]))
     per_m = SMOOTH * LONGEST_PIXELS / max(float(np.ptp(u)), float(np.ptp(v)))
     width, height = (int(np.ptp(w) * per_m) // SMOOTH * SMOOTH + SMOOTH for w in (u, v))
     return _View(per_m, float(u.min()), float(v.max())), (width, height)
@@ -150,16 +155,21 @@ def _draw_floor(draw: Any, view: _View, blocks: _Blocks) -> None:  # noqa: ANN40
                 [(x[c], y[r], 0.0) for c, r in ((start, row), (stop, row), (stop, row + 1), (start, row + 1))],
                 rgb_of(FREE_GREY),
             )
-    for a, b in _metre_lines(x, y):
+    for a, b in _meter_lines(x, y, blocks.free):
         draw.line([tuple(p) for p in view(np.array((a, b)))], fill=rgb_of("#dfe3e8"), width=SMOOTH)
 
 
-def _metre_lines(x: Floats, y: Floats) -> Iterator[tuple[tuple[float, float, float], tuple[float, float, float]]]:
+def _meter_lines(x: Floats, y: Floats, free: NDArray[np.bool_]) -> Iterator[tuple[tuple[float, float, float], ...]]:
+    """Yield lines across the floor (rows, cols) at round coordinates, from its first block to its last."""
     step_m = 1.0 if max(np.ptp(x), np.ptp(y)) < 40.0 else 10.0
     for at in np.arange(np.ceil(x[0] / step_m) * step_m, x[-1], step_m):
-        yield (at, y[0], 0.0), (at, y[-1], 0.0)
+        rows = np.flatnonzero(free[:, min(int((at - x[0]) / (x[1] - x[0])), len(x) - 2)])
+        if len(rows):
+            yield (at, y[rows[0]], 0.0), (at, y[rows[-1] + 1], 0.0)
     for at in np.arange(np.ceil(y[0] / step_m) * step_m, y[-1], step_m):
-        yield (x[0], at, 0.0), (x[-1], at, 0.0)
+        cols = np.flatnonzero(free[min(int((at - y[0]) / (y[1] - y[0])), len(y) - 2)])
+        if len(cols):
+            yield (x[cols[0]], at, 0.0), (x[cols[-1] + 1], at, 0.0)
 
 
 def _draw_columns(draw: Any, view: _View, blocks: _Blocks) -> None:  # noqa: ANN401  Pillow's
