@@ -20,13 +20,23 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from mavnav.ground_truth.true_map import points_on
+from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
+from mavnav.mapping.slices import Slice
+from mavnav.outputs.run import Run
 from mavnav.pipelines.simulate import SimulationRequest, simulate_mission
-from mavnav.simulation.world import load_scenario
+from mavnav.pose import transform_points
+from mavnav.simulation.mission import Flight, fly
+from mavnav.simulation.world import World, load_scenario
+from mavnav.simulation.world.laser import tilted_directions
 from mavnav.simulation.world.scenario_file import scenario_path
 
 LEVEL: Final = ("flight.tilt_noise_deg=0", "flight.max_tilt_deg=0", "flight.height_noise_mm=0")
 REPEATS: Final = 5
+NEAR_M, EDGE_M = 0.1, 0.05
+"""A true cell is found, an occupied one right, within the first; heights are compared with the second as margin."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +56,11 @@ def cases() -> list[Case]:
     return found
 
 
-def flown(scenario: str, settings: tuple[str, ...], seed: int, folder: Path) -> dict[str, Any]:
-    """Fly a mission, write its numbers and slices, and return run.json."""
+def flown(scenario: str, settings: tuple[str, ...], seed: int, folder: Path) -> tuple[Run, dict[str, Any]]:
+    """Fly a mission, write its numbers, and return the run with run.json."""
     chosen = load_scenario(scenario, settings, {"seed": seed})
-    request = SimulationRequest(chosen, scenario_path(scenario), folder, force=True, outputs=("metrics", "map"))
-    return simulate_mission(request, lambda *_: None, 0.0)[1]
+    request = SimulationRequest(chosen, scenario_path(scenario), folder, force=True, outputs=("metrics",))
+    return simulate_mission(request, lambda *_: None, 0.0)
 
 
 def row(documents: list[dict[str, Any]]) -> str:
@@ -75,11 +85,66 @@ def table(scenario: str, seeds: int, folder: Path) -> None:
     print(f"| {' | '.join(names)} | clearance, m | CPU, s |")
     print("|---|---|---|---|---|---|---|")
     for case in cases():
-        documents = [flown(scenario, case.settings, seed, folder / "run") for seed in range(seeds)]
+        documents = [flown(scenario, case.settings, seed, folder / "run")[1] for seed in range(seeds)]
         print(f"| {case.name} | {row(documents)} |", flush=True)
         for seed, document in enumerate(documents):
             if not document["mission"]["reached"]:
                 print(f"    seed {seed}: {document['mission']['reason']}", flush=True)
+
+
+def beam_ends(flight: Flight) -> np.ndarray:
+    """Return where the beams of a mission truly ended, (n, 3): x, y in the map frame and the height, m."""
+    spec, world, found = flight.scenario.laser.spec, flight.scenario.world, []
+    poses = flight.map_T_laser.seen_from(flight.world_T_map).xyyaw
+    for (x, y, yaw), (roll, pitch, height), scan in zip(poses, flight.tilts, flight.scans, strict=True):
+        directions = tilted_directions(spec.angles_rad, roll, pitch, yaw)
+        ranges, _ = world.cast_tilted((x, y), height, directions)
+        ends = np.array((x, y, height)) + ranges[:, None] * directions
+        found.append(ends[np.isfinite(scan.ranges_m) & (ranges < spec.range_max_m)])
+    ends = np.concatenate(found)
+    return np.column_stack((transform_points(flight.world_T_map.inverse(), ends[:, :2]), ends[:, 2]))
+
+
+def surfaces(world: World, low_m: float, high_m: float) -> World:
+    """Return what of a world lies between two heights, level surfaces as well."""
+    walls, z = world.slice(low_m, high_m), world.plates[:, 6]
+    return World(walls.segments, walls.arcs, plates=world.plates[(z > low_m) & (z < high_m)])
+
+
+def compared(layer: Slice, world: World, ends: np.ndarray) -> tuple[int, ...]:
+    """Count true wall cells and how many are found, those that beams met and how many are found, occupied and false."""
+    grid = layer.grid
+    occupied = (np.argwhere(occupancy(grid) == OCCUPIED)[:, ::-1] + 0.5) * grid.cell_m + grid.origin_xy_m
+    true = cells_of(points_on(world.slice(layer.from_m, layer.to_m)), grid.cell_m)
+    near = cKDTree(occupied)
+    met = ends[(ends[:, 2] > layer.from_m) & (ends[:, 2] < layer.to_m), :2]
+    seen = cKDTree(met).query(true)[0] < grid.cell_m
+    found = near.query(true)[0] < NEAR_M
+    off_m = surfaces(world, layer.from_m - EDGE_M, layer.to_m + EDGE_M).distance_m(occupied)
+    return len(true), found.sum(), seen.sum(), (seen & found).sum(), len(occupied), (off_m > NEAR_M).sum()
+
+
+def cells_of(xy_m: np.ndarray, cell_m: float) -> np.ndarray:
+    """Return the middles of the cells that points lie in, each once."""
+    return (np.unique(np.floor(xy_m / cell_m), axis=0) + 0.5) * cell_m
+
+
+def slices(scenario: str, seeds: int, folder: Path) -> None:
+    """Print how much of the true walls is in each slice, and how much in it is no wall, over all seeds."""
+    print("\n| slice, m | true wall cells | found | met by beams | found of these | occupied cells | false |")
+    print("|---|---|---|---|---|---|---|")
+    counts: dict[tuple[float, float], np.ndarray] = {}
+    for seed in range(seeds):
+        settings = cases()[3].settings
+        flight = fly(load_scenario(scenario, settings, {"seed": seed}))
+        run, _ = flown(scenario, settings, seed, folder / "run")
+        ends, world = beam_ends(flight), flight.scenario.world.seen_from(flight.world_T_map)
+        for layer in run.slices.layers if run.slices else ():
+            key = (layer.from_m, layer.to_m)
+            counts[key] = counts.get(key, np.zeros(6)) + compared(layer, world, ends)
+    for (low_m, high_m), (true, found, seen, seen_found, occupied, false) in sorted(counts.items()):
+        shares = f"{found / true:.0%} | {seen / seeds:.0f} | {seen_found / seen:.1%} | {occupied / seeds:.0f}"
+        print(f"| {low_m:.2f} to {high_m:.2f} | {true / seeds:.0f} | {shares} | {false / occupied:.1%} |")
 
 
 def costs(scenario: str, folder: Path) -> Iterator[str]:
@@ -111,6 +176,7 @@ def main() -> None:
     arguments = parser.parse_args()
     with TemporaryDirectory() as folder:
         table(arguments.scenario, arguments.seeds, Path(folder))
+        slices(arguments.scenario, arguments.seeds, Path(folder))
         print("\n| roll and pitch | CPU of the command, s | memory, MB |\n|---|---|---|")
         for line in costs(arguments.scenario, Path(folder)):
             print(line, flush=True)

@@ -124,7 +124,7 @@ def _opened(path: Path, scenario: Scenario) -> Log:
     log = open_log(path, attitude=scenario.slam.attitude)
     if log.attitude is None:
         return log
-    return replace(log, attitude=replace(log.attitude, ceiling_m=scenario.ceiling_m or inf))
+    return replace(log, attitude=replace(log.attitude, ceiling_m=scenario.ceiling_m or inf), _kept=[])
 
 
 def check_outputs(request: SimulationRequest) -> None:

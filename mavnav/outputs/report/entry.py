@@ -14,7 +14,7 @@ from mavnav.outputs import wall_table
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.gridmap import read_npz
 from mavnav.outputs.run import Truth
-from mavnav.outputs.trajectory import TRUE_WALLS_FILE
+from mavnav.outputs.trajectory import ATTITUDE_COLUMNS, TRUE_WALLS_FILE
 from mavnav.outputs.viewport import wall_lines
 from mavnav.pose import Trajectory
 
@@ -34,8 +34,8 @@ class Scans:
     """The scans of a run in their order, one an entry.
 
     ``time_s`` from the first scan on, ``cost_mm2`` of the match and ``threshold_mm2`` up to which it is accepted (NaN
-    without one), ``xy_m`` (n, 2) and ``yaw_rad`` in the map frame (NaN where the scan has no pose), ``tracked``, and
-    ``error_m`` of the position (NaN without a truth).
+    without one), ``xy_m`` (n, 2) and ``yaw_rad`` in the map frame (NaN where the scan has no pose), ``tracked``,
+    ``error_m`` of the position (NaN without a truth), and ``roll_pitch_height`` (n, 3) in rad and m (NaN if unknown).
     """
 
     time_s: NDArray[np.float64]
@@ -45,6 +45,7 @@ class Scans:
     tracked: NDArray[np.bool_]
     yaw_rad: NDArray[np.float64]
     error_m: NDArray[np.float64]
+    roll_pitch_height: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +108,7 @@ def _scans(path: Path) -> Scans:
         tracked=_column(rows, "tracked") > 0,
         yaw_rad=_column(rows, "yaw_rad"),
         error_m=_column(rows, "position_error_m"),
+        roll_pitch_height=np.column_stack([_column(rows, name) for name in ATTITUDE_COLUMNS]),
     )
 
 
