@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from math import inf, isfinite, tau
+from math import inf, tau
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -143,15 +143,16 @@ def levelled(scan: Scan, attitude: Attitude, ceiling_m: float = inf) -> Scan:
     tilted beams on the floor, or on the ceiling at ``ceiling_m``, are no walls: their ranges become NaN. ``heights_m``
     stays None where the height of the laser is not known.
     """
-    if attitude.roll_rad == attitude.pitch_rad == 0.0:
-        heights_m = np.where(np.isfinite(scan.ranges_m), attitude.height_m, np.nan)
-        return replace(scan, heights_m=heights_m if isfinite(attitude.height_m) else None)
     roll_rad, pitch_rad, height_m = (np.full(scan.spec.beams, value) for value in attitude)
     return levelled_by_beam(scan, roll_rad, pitch_rad, height_m, ceiling_m)
 
 
 def levelled_by_beam(scan: Scan, roll_rad: Floats, pitch_rad: Floats, height_m: Floats, ceiling_m: float) -> Scan:
     """Return a levelled scan as `levelled` does, of a laser that moves during the sweep: all are (beams,)."""
+    known = bool(np.isfinite(height_m).all())
+    if not (roll_rad.any() or pitch_rad.any()):
+        heights_m = np.where(np.isfinite(scan.ranges_m), height_m, np.nan)
+        return replace(scan, heights_m=heights_m if known else None)
     x, y = (scan.ranges_m[:, None] * scan.spec.directions).T
     sin_roll, cos_roll, sin_pitch, cos_pitch = np.sin(roll_rad), np.cos(roll_rad), np.sin(pitch_rad), np.cos(pitch_rad)
     above_m = height_m + y * sin_roll * cos_pitch - x * sin_pitch
@@ -169,7 +170,6 @@ def levelled_by_beam(scan: Scan, roll_rad: Floats, pitch_rad: Floats, height_m: 
     if scan.times_s is not None:
         times_s = scan.times_s.copy()
         times_s[beam] = scan.times_s[source]
-    known = bool(np.isfinite(height_m).all())
     return replace(scan, ranges_m=ranges_m, times_s=times_s, heights_m=heights_m if known else None)
 
 

@@ -23,11 +23,16 @@ MOST_SCANS: Final = 3000
 """The ceiling is sought in the first so many scans."""
 
 LEAST_TILT_RAD: Final = 2 * DEG
-BIN_M, WIDE = 0.05, 4
-"""Heights are counted in bins of the first size; a ceiling fills no more of them than the second."""
+HIGHEST_M: Final = 100.0
+BIN_M: Final = 0.05
+WIDTHS: Final = (1, 2, 4)
+"""Heights are counted in bins of this size, of which a ceiling fills so many, by the noise of the attitude."""
 
-LEAST_RETURNS, TIMES_BELOW, SHARE_ABOVE = 100, 3.0, 0.05
-"""A ceiling has so many returns, so many times those of as many bins below, and at most that share of them above."""
+LEAST_RETURNS, TIMES_BELOW, BELOW, SHARE_ABOVE = 100, 2.0, 6, 0.05
+"""A ceiling has so many returns, so many times as dense as in the next bins below, and that share of them above."""
+
+LEAST_SPREAD_RAD: Final = 1.5 * DEG
+"""Standard deviation of the tilts that show it: at one tilt a wall is met at one height, too."""
 
 
 def with_ceiling(attitude: RecordedAttitude, scans: Iterable[Scan]) -> RecordedAttitude:
@@ -37,25 +42,35 @@ def with_ceiling(attitude: RecordedAttitude, scans: Iterable[Scan]) -> RecordedA
 
 def ceiling_height_m(scans: Iterable[Scan], attitude: RecordedAttitude) -> float:
     """Return the height of the ceiling above the floor, m, from scans that are not levelled; inf if none is seen."""
-    if attitude.tilt_rad.max() < LEAST_TILT_RAD:
+    if attitude.tilt_rad.max() < LEAST_TILT_RAD or attitude.height_m.max() > HIGHEST_M:
         return inf
-    found = [_heights_above(scan, attitude) for scan in islice(scans, MOST_SCANS)]
-    heights_m = np.concatenate(found) if found else np.zeros(0)
+    found = [_above(scan, attitude) for scan in islice(scans, MOST_SCANS)]
+    heights_m, tilts_rad = np.concatenate([np.zeros((0, 2)), *found]).T
     counts = np.bincount((heights_m / BIN_M).astype(np.int64))
-    sums = np.convolve(counts, np.ones(WIDE, np.int64))[: len(counts)]  # of the bins that end with each
-    for last in range(len(counts) - 1, 2 * WIDE, -1):
-        least = max(LEAST_RETURNS, TIMES_BELOW * sums[last - WIDE - 1])
-        if sums[last] >= least and sums[last] == sums[last - 2 : last + 3].max():
-            if counts[last + 1 :].sum() > SHARE_ABOVE * sums[last]:
-                return inf
-            bins = np.arange(last - WIDE + 1, last + 1)
-            return float(BIN_M * ((bins + 0.5) @ counts[bins]) / sums[last])
+    for width in WIDTHS:
+        peak = _peak(counts, width)
+        if peak:
+            within = np.abs(heights_m / BIN_M - peak + 0.5 * width) <= 0.5 * width
+            return float(heights_m[within].mean()) if tilts_rad[within].std() >= LEAST_SPREAD_RAD else inf
     return inf
 
 
-def _heights_above(scan: Scan, attitude: RecordedAttitude) -> NDArray[np.float64]:
-    """Return the heights of the returns that lie above the laser, (n,), m."""
+def _peak(counts: NDArray[np.int64], width: int) -> int:
+    """Return the end of the highest bins, of a width, that may be a ceiling; 0 if there are none."""
+    for end in range(len(counts), BELOW + width - 1, -1):
+        here, above = int(counts[end - width : end].sum()), int(counts[end:].sum())
+        below = counts[end - width - BELOW : end - width].mean() * width
+        if above > SHARE_ABOVE * max(here, LEAST_RETURNS):
+            return 0
+        if here >= LEAST_RETURNS and here >= TIMES_BELOW * below:
+            return end
+    return 0
+
+
+def _above(scan: Scan, attitude: RecordedAttitude) -> NDArray[np.float64]:
+    """Return height, m, and tilt, rad, of the returns that lie above the laser, (n, 2)."""
     roll, pitch, height = (v[0] for v in attitude.at(np.array([float(scan.stamp_ns - int(attitude.stamps_ns[0]))])))
     up = np.array([-np.sin(pitch), np.sin(roll) * np.cos(pitch)])
     rise_m = scan.points() @ up
-    return np.asarray(height + rise_m[rise_m > 2 * BIN_M])
+    heights_m = height + rise_m[rise_m > 2 * BIN_M]
+    return np.column_stack((heights_m, np.full(len(heights_m), np.hypot(*up))))

@@ -70,13 +70,13 @@ GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "trajectory": ("trajectory.tum", "trajectory_base.tum", "trajectory.csv", "truth.tum", TRUE_WALLS_FILE),
     "map": ("map.pgm", "map.yaml", "hits.npz"),
     "metrics": ("walls.csv", "metrics.json"),
-    "slices": ("map_3d.png",),
     "pictures": ("map.png", "true_map.png", "wall_thickness.png"),
     "mcap": ("result.mcap", "foxglove_layout.json"),
     "report": (REPORT_FILE,),
     "svg": ("map.svg",),
     "scale": ("map_scale.png", "map_scale.yaml"),
     "graph": ("pose_graph.g2o",),
+    "slices": ("map_3d.png",),
 }
 """The files of a run by the names of ``--outputs``; run.json is always written. Those of slices are named by height."""
 

@@ -47,6 +47,7 @@ class FabricatedLog:
     base_frame: str | None = "base_footprint"
     odometry: Odometry | None = None
     imu: None = None
+    attitude: None = None
     truth: None = None
     damage: tuple[Damage, ...] = ()
     warnings: tuple[str, ...] = ("a warning",)

@@ -21,7 +21,7 @@ from mavnav.outputs.run_json import METRICS, RunDocument
 from mavnav.outputs.schema import described, run_keys, run_schema
 from mavnav.slam.steps import LostInterval
 
-OPTIONAL = {"scenario", "localisation", "reference", "mission", "truth"}
+OPTIONAL = {"slices", "scenario", "localisation", "reference", "mission", "truth"}
 TYPES = {
     "object": dict, "array": list, "string": str, "boolean": bool, "null": type(None), "integer": int,
     "number": (int, float),

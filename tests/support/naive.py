@@ -465,3 +465,25 @@ def conflicts(xy_map_m, laser_xy_m, lattice, hits, passes, wall=4, free=3, reach
                and hits[at] >= max(wall, passes[at])]  # fmt: skip
         count += bool(in_the_open or met)
     return count
+
+
+def add_to_slices(
+    points: np.ndarray, laser: np.ndarray, lattice: np.ndarray, levels: np.ndarray, hits: np.ndarray, passes: np.ndarray
+) -> None:
+    """Cut each beam where it enters a cell or a slice, and count the middle of each piece."""
+    corner, edge = np.array([*lattice[:2], levels[0]]), np.array([lattice[2], lattice[2], levels[1]])
+    for point in points:
+        a, b = (laser - corner) / edge, (point - corner) / edge
+        cuts = [0.0, 1.0]
+        for start, end in zip(a, b, strict=True):
+            between = np.arange(np.ceil(min(start, end)), np.floor(max(start, end)) + 1)
+            cuts += ((between - start) / (end - start)).tolist()
+        cuts = sorted(cuts)
+        for t in (np.array(cuts[:-1]) + cuts[1:]) / 2:
+            col, row, layer = np.floor(a + t * (b - a)).astype(int)
+            if 0 <= layer < len(hits):
+                passes[layer, row, col] += 1
+        col, row, layer = np.floor(b).astype(int)
+        if 0 <= layer < len(hits):
+            passes[layer, row, col] -= 1
+            hits[layer, row, col] += 1

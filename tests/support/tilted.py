@@ -28,9 +28,13 @@ def directions_3d(spec: LaserSpec, yaw_rad: float, attitude: Attitude) -> NDArra
 
 
 def cast_3d(
-    walls: Segments, tops_m: NDArray[np.float64], origin: tuple[float, float, float], directions: NDArray[np.float64]
+    walls: Segments,
+    tops_m: NDArray[np.float64],
+    origin: tuple[float, float, float],
+    directions: NDArray[np.float64],
+    ceiling_m: float = inf,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the length of each ray and the number of the wall that it meets, `FLOOR`, or `NOTHING` with inf.
+    """Return the length of each ray and the number of the wall that it meets, `FLOOR` (or ceiling), or `NOTHING`: inf.
 
     Walls (n, 4) stand on the floor at height 0 and end at ``tops_m`` (n,).
     """
@@ -40,7 +44,7 @@ def cast_3d(
         along, share = (ax * wy - ay * wx) / (dx * wy - dy * wx), (ax * dy - ay * dx) / (dx * wy - dy * wx)
         height = oz + along * dz
         met = (along > 1e-9) & (share >= 0) & (share <= 1) & (height >= 0) & (height <= tops_m)
-        floor = np.where(dz < 0.0, -oz / dz, inf)
+        floor = np.where(dz < 0.0, -oz / dz, np.where(dz > 0.0, (ceiling_m - oz) / dz, inf))
     lengths = np.column_stack((np.where(met, along, inf), floor))
     nearest = lengths.argmin(axis=1)
     ranges = lengths[np.arange(len(lengths)), nearest]
@@ -48,13 +52,18 @@ def cast_3d(
 
 
 def tilted_scan(
-    walls: Segments, tops_m: NDArray[np.float64], pose: Pose, attitude: Attitude, spec: LaserSpec, stamp_ns: int = 0
+    walls: Segments,
+    tops_m: NDArray[np.float64],
+    pose: Pose,
+    attitude: Attitude,
+    spec: LaserSpec,
+    ceiling_m: float = inf,
 ) -> tuple[Scan, NDArray[np.int64]]:
     """Return what a laser measures that stands still at a pose, and what each beam met."""
     origin = (pose.x_m, pose.y_m, attitude.height_m)
-    ranges, hits = cast_3d(walls, tops_m, origin, directions_3d(spec, pose.yaw_rad, attitude))
+    ranges, hits = cast_3d(walls, tops_m, origin, directions_3d(spec, pose.yaw_rad, attitude), ceiling_m)
     valid = (ranges >= spec.range_min_m) & (ranges <= spec.range_max_m)
-    return Scan(stamp_ns, np.where(valid, ranges, np.nan), spec), hits
+    return Scan(0, np.where(valid, ranges, np.nan), spec), hits
 
 
 @dataclass(frozen=True)

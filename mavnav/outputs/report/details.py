@@ -87,6 +87,20 @@ def _lines(document: dict[str, Any]) -> Iterator[str]:
         yield f"damage: {damage.get('what')}, {damage.get('where')}"
 
 
+def slice_rows(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
+    """Return run, heights, occupied cells, and median and p95 of the wall thickness of each slice, and its length."""
+    return [
+        (entry.name, f"{found['from_m']:.2f} to {found['to_m']:.2f}", text(found["occupied"], 0), *_thickness(found))
+        for entry in entries
+        for found in entry.document.get("slices") or []
+    ]
+
+
+def _thickness(found: dict[str, Any]) -> list[str]:
+    walls = found["wall_thickness"].get("2") or {}
+    return [text(walls.get(key), digits) for key, digits in (("median_mm", 0), ("p95_mm", 0), ("length_m", 1))]
+
+
 def ghost_rows(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
     """Return run, x, y, direction, length and offset of each ghost wall, as text; the longest of each run first."""
     keys = (("x_m", 2), ("y_m", 2), ("direction_deg", 0), ("length_m", 2), ("offset_mm", 0))

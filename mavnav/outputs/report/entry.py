@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from PIL import Image
 
 from mavnav.config.named_files import read_json
 from mavnav.outputs import wall_table
@@ -50,7 +51,10 @@ class Scans:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A finished run on the page; ``true_walls`` are lines (k, 2) in the map frame, m, empty where not known."""
+    """A finished run on the page; ``true_walls`` are lines (k, 2) in the map frame, m, empty where not known.
+
+    ``view_3d`` is the picture of the slices by height, None without.
+    """
 
     log: str
     name: str
@@ -59,6 +63,7 @@ class Entry:
     scans: Scans
     cuts: WallCuts
     true_walls: list[NDArray[np.float64]]
+    view_3d: Image.Image | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +96,7 @@ def load(cell: dict[str, Any], base: Path) -> Entry | Failure:
             scans=_scans(folder / "trajectory.csv"),
             cuts=wall_table.read(folder / wall_table.WALLS_FILE),
             true_walls=_true_walls(folder),
+            view_3d=_view_3d(folder / "map_3d.png"),
         )
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         return Failure(log, name, f"its run directory {cell['directory']} cannot be read ({type(error).__name__})")
@@ -115,6 +121,13 @@ def _scans(path: Path) -> Scans:
 def _column(rows: list[dict[str, str]], name: str) -> NDArray[np.float64]:
     """Return a column of the table; an empty field is NaN, as is a column that an older version did not write."""
     return np.array([float(row.get(name) or "nan") for row in rows], np.float64)
+
+
+def _view_3d(path: Path) -> Image.Image | None:
+    if not path.is_file():
+        return None
+    with Image.open(path) as picture:
+        return picture.convert("RGB")
 
 
 def _true_walls(folder: Path) -> list[NDArray[np.float64]]:

@@ -46,7 +46,7 @@ class Closeup:
 class Pictures:
     """One panel a run of each kind, in the order of the runs; ``shape`` is that of the maps.
 
-    ``motion`` over time is drawn of a single run alone.
+    ``motion`` over time is drawn of a single run alone; ``views_3d`` are of the runs that have slices.
     """
 
     shape: str
@@ -56,11 +56,18 @@ class Pictures:
     thickness: list[Image]
     cost: list[Image]
     motion: Image | None
+    views_3d: list[Image]
 
     @property
     def count(self) -> int:
         """How many pictures the page holds."""
-        return 3 * len(self.maps) + 1 + (self.motion is not None) + sum(len(c.images) for c in self.closeups)
+        return (
+            3 * len(self.maps)
+            + 1
+            + (self.motion is not None)
+            + len(self.views_3d)
+            + sum(len(c.images) for c in self.closeups)
+        )
 
     def sheets(self) -> dict[str, Image]:
         """Return the pictures that stand as files beside the page, by name."""
@@ -96,6 +103,7 @@ def draw(entries: Sequence[Entry]) -> Pictures:
         thickness=thickness_panels(entries),
         cost=cost_panels(entries),
         motion=motion_panel(entries[0]) if alone else None,
+        views_3d=[e.view_3d for e in entries if e.view_3d],
     )
 
 
