@@ -13,6 +13,7 @@ from mavnav.commands import signals
 from mavnav.commands.batch_rows import print_verdict, row_printer
 from mavnav.commands.gating import Gates
 from mavnav.commands.options import (
+    Attitude,
     ConfigFile,
     End,
     Extrinsic,
@@ -77,6 +78,7 @@ def batch(
     start: Start = None,
     end: End = None,
     odom: Odom = None,
+    attitude: Attitude = None,
     extrinsic: Extrinsic = None,
     strict: Strict = False,
     schema: Annotated[bool, schema_option(help="Print the JSON Schema of manifests.")] = False,
@@ -172,7 +174,7 @@ def batch(
             azimuths=azimuths or (),
             config=config,
             sets=sets or (),
-            options=given_values(odom=odom, final_pass=False if online else None),
+            options=given_values(odom=odom, attitude=attitude, final_pass=False if online else None),
             reading=given_values(topic=joined_topics(topic), extrinsic=parse_pose(extrinsic), strict=strict or None)
             | given_window(start, end),
             gates=gates or (),

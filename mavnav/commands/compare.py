@@ -11,6 +11,7 @@ from mavnav.commands.comparison_table import print_comparison
 from mavnav.commands.gating import Gates, gates_of
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
+    Attitude,
     ConfigFile,
     End,
     Extrinsic,
@@ -68,6 +69,7 @@ def compare(
     start: Start = None,
     end: End = None,
     odom: Odom = None,
+    attitude: Attitude = None,
     extrinsic: Extrinsic = None,
     methods: Methods = None,
     grids: Annotated[
@@ -99,7 +101,7 @@ def compare(
 
     Finished replays are reused; a replay that fails does not stop the others.
     """
-    overrides = given_values(odom=odom, final_pass=False if online else None)
+    overrides = given_values(odom=odom, attitude=attitude, final_pass=False if online else None)
     reading = given_values(topic=joined_topics(topic), extrinsic=parse_pose(extrinsic)) | given_window(start, end)
     reading |= given_values(truth=truth, truth_map=truth_map, relations=relations)  # of truth the text: file or topic
     for log in logs or []:

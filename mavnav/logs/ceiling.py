@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.logs.attitude import RecordedAttitude
+    from mavnav.logs.levelling import RecordedAttitude
     from mavnav.scan import Scan
 
 MOST_SCANS: Final = 3000

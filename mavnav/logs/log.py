@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from mavnav.logs.attitude import RecordedAttitude
+    from mavnav.logs.levelling import RecordedAttitude
     from mavnav.logs.messages.records import LaserMessage
     from mavnav.logs.records import Damage, Gap, Imu, Odometry, RecordedTruth, ScanCounts, Topic
 

@@ -7,8 +7,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 from mavnav.errors import NoScansError, TopicError
-from mavnav.logs.attitude import AttitudeTracks, laser_attitude
+from mavnav.logs.attitude import AttitudeTracks
 from mavnav.logs.ceiling import with_ceiling
+from mavnav.logs.levelling import laser_attitude
 from mavnav.logs.log import Log
 from mavnav.logs.merging import FRAME, partners, virtual_laser
 from mavnav.logs.messages.decode import scan_topics

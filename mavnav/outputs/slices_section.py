@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mavnav.logs.attitude import RecordedAttitude
+from mavnav.logs.levelling import RecordedAttitude
 from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
 from mavnav.mapping.slices import Slice, slice_name
 from mavnav.metrics.fields import Measured, number, text
