@@ -130,8 +130,10 @@ def cells_of(xy_m: np.ndarray, cell_m: float) -> np.ndarray:
 
 
 def slices(scenario: str, seeds: int, folder: Path) -> None:
-    """Print how much of the true walls is in each slice, and how much in it is no wall, over all seeds."""
-    print("\n| slice, m | true wall cells | found | met by beams | found of these | occupied cells | false |")
+    """Print how much of the true walls is in each slice, and how much is false; means of the missions that have it."""
+    print(
+        "\n| slice, m (missions) | true wall cells | found | met by beams | found of these | occupied cells | false |"
+    )
     print("|---|---|---|---|---|---|---|")
     counts: dict[tuple[float, float], np.ndarray] = {}
     for seed in range(seeds):
@@ -141,10 +143,10 @@ def slices(scenario: str, seeds: int, folder: Path) -> None:
         ends, world = beam_ends(flight), flight.scenario.world.seen_from(flight.world_T_map)
         for layer in run.slices.layers if run.slices else ():
             key = (layer.from_m, layer.to_m)
-            counts[key] = counts.get(key, np.zeros(6)) + compared(layer, world, ends)
-    for (low_m, high_m), (true, found, seen, seen_found, occupied, false) in sorted(counts.items()):
-        shares = f"{found / true:.0%} | {seen / seeds:.0f} | {seen_found / seen:.1%} | {occupied / seeds:.0f}"
-        print(f"| {low_m:.2f} to {high_m:.2f} | {true / seeds:.0f} | {shares} | {false / occupied:.1%} |")
+            counts[key] = counts.get(key, np.zeros(7)) + np.array([*compared(layer, world, ends), 1])
+    for (low_m, high_m), (true, found, seen, seen_found, occupied, false, n) in sorted(counts.items()):
+        shares = f"{found / true:.0%} | {seen / n:.0f} | {seen_found / seen:.1%} | {occupied / n:.0f}"
+        print(f"| {low_m:.2f} to {high_m:.2f} ({n:.0f}) | {true / n:.0f} | {shares} | {false / occupied:.1%} |")
 
 
 def costs(scenario: str, folder: Path) -> Iterator[str]:

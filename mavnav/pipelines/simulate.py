@@ -29,7 +29,8 @@ from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.replay import Progress, map_slices_of, measured_map
 from mavnav.pose import Pose
 from mavnav.profiling import new_profile
-from mavnav.simulation.mission import Flight, fly, mid_sweep_s
+from mavnav.simulation.mission import Flight, fly
+from mavnav.simulation.vehicle import mid_sweep_s
 from mavnav.simulation.world.laser import EDGE_M
 from mavnav.slam.registry import load_kernels
 from mavnav.units import DEG, NS
