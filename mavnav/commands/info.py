@@ -221,7 +221,7 @@ def _rows(document: dict[str, Any]) -> list[tuple[str, str]]:
             *_health_rows(topic["health"]),
             ("odometry", _odometry_text(topic["odometry"])),
             *_imu_row(topic["imu"]),
-            *_attitude_row(topic["attitude"]),
+            ("attitude", _attitude_text(topic["attitude"])),
             ("mounting", _mounting_text(topic["mounting"])),
         ]
     return [*rows, ("verdict", _verdict(document))]
@@ -280,13 +280,13 @@ def _imu_row(imu: dict[str, Any] | None) -> list[tuple[str, str]]:
     return [] if imu is None else [("imu", f"{imu['topic']}, {imu['messages']} messages, {imu['rate_hz']:.0f} Hz")]
 
 
-def _attitude_row(attitude: dict[str, Any] | None) -> list[tuple[str, str]]:
+def _attitude_text(attitude: dict[str, Any] | None) -> str:
     if attitude is None:
-        return []
+        return "none"
     tilt = f"tilt {attitude['tilt_median_deg']:.1f} deg in the median, {attitude['tilt_max_deg']:.1f} deg at most"
     low, high = attitude["height_min_m"], attitude["height_max_m"]
     height = "height unknown" if low is None else f"height {low:.2f} to {high:.2f} m"
-    return [("attitude", f"{attitude['topic']}, {attitude['messages']} messages, {tilt}, {height}")]
+    return f"{attitude['topic']}, {attitude['messages']} messages, {tilt}, {height}"
 
 
 def _mounting_text(mounting: dict[str, Any] | None) -> str:

@@ -270,7 +270,7 @@ class Config:
         "auto", description="tilt and height of the laser, by which scans are levelled: auto, off, or a topic"
     )
     slice_mm: float = setting(
-        300.0, ge=20, le=10_000, description="thickness of the maps by height, where the height of the laser is known"
+        300.0, ge=50, le=10_000, description="thickness of the maps by height, where the height of the laser is known"
     )
     search: Literal["pruned", "exhaustive"] = setting(
         "pruned", description="exhaustive evaluates every pose of every grid and finds the same minimum"

@@ -193,7 +193,8 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
             warnings.append(f"{log.topic}: {count} of {log.counts.total} scans skipped: {reason.replace('_', ' ')}")
     track = found.odometry.choose(odom, warnings.append)
     bases = [track.base_frame] if track and track.base_frame else list(BASE_FRAMES)
-    mounted = mounting(found.frames, log.frame_id, bases, warnings.append)
+    place, of_mounting = len(warnings), list[str]()
+    mounted = mounting(found.frames, log.frame_id, bases, of_mounting.append)
     base_frame, base_T_laser, upside_down = mounted or (bases[0] if track else None, None, False)
     if upside_down:
         done = (
@@ -228,6 +229,8 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
         upside_down=upside_down,
         warn=warnings.append,
     )
+    if attitude is None:  # else a tilted mounting is levelled as well
+        warnings[place:place] = of_mounting
     imu = _imu(log, found, odom, warnings.append)
     known = found.truth.choose(found.topics)
     sources = (log.stamp_source, log.frame_id, found.frames, base_T_laser, extrinsic, warnings.append)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 LEAST_SHARE: Final = 0.01
 """Slices with a smaller share of the hits are left out."""
 
-MOST_SLICES: Final = 40
+MOST_SLICES: Final = 100
 MOST_BYTES: Final = 1 << 30
 """Memory for the counts of all slices; the highest are left out where they take more."""
 
@@ -93,9 +93,9 @@ def sliced(placed: Callable[[], Iterable[PlacedScan]], area: Grid, slice_m: floa
         path.append(scan.laser_xyz_m)
     totals = hits.sum(axis=(1, 2), dtype=np.int64)
     layers = tuple(
-        Slice(k * slice_m, (k - 0.5) * slice_m, (k + 0.5) * slice_m, _grid(area, hits[k - 1], passes[k - 1]))
-        for k in range(1, count + 1)
-        if totals[k - 1] >= max(LEAST_SHARE * totals.sum(), 1)
+        Slice(k * slice_m, (k - 0.5) * slice_m, (k + 0.5) * slice_m, Grid(area.cell_m, area.origin_xy_m, *counts))
+        for k, (*counts, total) in enumerate(zip(hits, passes, totals, strict=True), 1)
+        if total >= max(LEAST_SHARE * totals.sum(), 1)
     )
     return Slices(layers, np.array(path)) if len(layers) > 1 else None
 
@@ -104,7 +104,3 @@ def _highest(placed: Iterable[PlacedScan], slice_m: float) -> int:
     """Return the number of the highest slice with a hit; the middle of slice k is k times the thickness high."""
     top_m = max((scan.xyz_map_m[:, 2].max(initial=-inf) for scan in placed), default=-inf)
     return int(np.floor(top_m / slice_m + 0.5)) if np.isfinite(top_m) else 0
-
-
-def _grid(area: Grid, hits: NDArray[np.uint16], passes: NDArray[np.uint16]) -> Grid:
-    return Grid(area.cell_m, area.origin_xy_m, hits, passes)

@@ -73,10 +73,10 @@ GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "pictures": ("map.png", "true_map.png", "wall_thickness.png"),
     "mcap": ("result.mcap", "foxglove_layout.json"),
     "report": (REPORT_FILE,),
+    "slices": ("map_3d.png",),
     "svg": ("map.svg",),
     "scale": ("map_scale.png", "map_scale.yaml"),
     "graph": ("pose_graph.g2o",),
-    "slices": ("map_3d.png",),
 }
 """The files of a run by the names of ``--outputs``; run.json is always written. Those of slices are named by height."""
 

@@ -29,7 +29,7 @@ from mavnav.outputs.run import Run, Timing
 from mavnav.outputs.run_json import FoundPose, GivenPose, Localisation, Options, StartPose
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
-from mavnav.profiling import new_profile, timed
+from mavnav.profiling import Stage, new_profile, timed
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.prior_map import prior_map_of
 from mavnav.slam.registry import LOCALIZERS, load_kernels, uses_odometry
@@ -282,7 +282,6 @@ def measured_map(outcome: SlamResult, log: Log) -> MeasuredMap:
     return measure_map(measured_part(outcome.grid), journey)
 
 
-@timed("slices")
 def map_slices_of(outcome: SlamResult, log: Log, config: Config) -> Slices | None:
     """Cut the map of a run into slices by height; None where the height of the laser is not known, or hardly varies."""
     attitude = log.attitude
@@ -292,7 +291,8 @@ def map_slices_of(outcome: SlamResult, log: Log, config: Config) -> Slices | Non
     def placed() -> Iterator[PlacedScan]:
         return placed_with_heights(log.scans(), outcome.trajectory, attitude.height_at)
 
-    return sliced(placed, known_part(outcome.grid), config.slice_mm * MM)
+    with Stage("slices"):
+        return sliced(placed, known_part(outcome.grid), config.slice_mm * MM)
 
 
 def _open(request: ReplayRequest, progress: Progress) -> Log:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages import carmen
 from mavnav.logs.messages.definitions import FOXGLOVE_SCAN, IMU, ODOMETRY, POSE, SCAN, TF, TF_ROS1, TRANSFORM
-from mavnav.logs.messages.fast_cdr import imu_message, imu_of, laser_of, odometry_of, transforms_of
+from mavnav.logs.messages.fast_cdr import imu_message, imu_of, laser_of, odometry_of, pose_of, transforms_of
 from mavnav.logs.messages.other_scans import other_scan, part_of
 from mavnav.logs.messages.records import DecodeError, ImuMessage, LaserMessage, TransformMessage
 
@@ -196,7 +196,7 @@ DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
     (carmen.ENCODING, TF): carmen.pose_decoder,
 }
 POSE_DECODERS: dict[tuple[str, str], Callable[[Channel], Callable[[bytes], Any]]] = {
-    (encoding, name): _ros(_no_layout, convert, name)
-    for name, convert in ((POSE, _pose), (TRANSFORM, _one_transform))
+    (encoding, name): _ros(by_layout, convert, name)
+    for name, by_layout, convert in ((POSE, pose_of, _pose), (TRANSFORM, _no_layout, _one_transform))
     for encoding in ROS_ENCODINGS
 } | {(carmen.ENCODING, TRANSFORM): carmen.pose_decoder}

@@ -62,6 +62,16 @@ def transforms_of(data: bytes, encoding: str) -> list[TransformMessage] | None:
     return found if fields.ended else None
 
 
+def pose_of(data: bytes, encoding: str) -> list[TransformMessage] | None:
+    """Read a geometry_msgs/PoseStamped of ``cdr`` or ``ros1``; None where the bytes are not plainly one."""
+    try:
+        fields = _Fields.of(data, encoding)
+        found = fields.transform(child=False)
+    except (struct.error, ValueError):
+        return None
+    return [found] if fields.ended else None
+
+
 def odometry_of(data: bytes, encoding: str) -> list[TransformMessage] | None:
     """Read the pose of a nav_msgs/Odometry of ``cdr`` or ``ros1``; None where the bytes are not plainly one."""
     try:
@@ -132,13 +142,13 @@ class _Fields:
         self.offset += 8 * count
         return numbers
 
-    def transform(self) -> TransformMessage:
-        """Read a header, the frame of the child, and its pose."""
+    def transform(self, *, child: bool = True) -> TransformMessage:
+        """Read a header, the frame of the child if there is one, and its pose."""
         stamp_ns = self.stamp_ns()
-        parent, child = self.text(), self.text()
+        parent, name = self.text(), self.text() if child else ""
         x, y, z, *turn = self.doubles(7)
         qx, qy, qz, qw = turn
-        return TransformMessage(stamp_ns, parent, child, (x, y, z), (qx, qy, qz, qw))
+        return TransformMessage(stamp_ns, parent, name, (x, y, z), (qx, qy, qz, qw))
 
     def stamp_ns(self) -> int:
         """Read the beginning of a header."""
