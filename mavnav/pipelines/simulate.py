@@ -167,6 +167,7 @@ def _truth(flight: Flight) -> Truth:
         arcs_map=walls.arcs,
         goal_xy_map_m=(goal.x_m, goal.y_m),
         measured_by_hand=WallShapes(sketch.segments, sketch.arcs) if sketch else None,
+        slice_m=flight.scenario.flight.slice_m if flight.scenario.flight else None,
     )
 
 
