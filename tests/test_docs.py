@@ -142,10 +142,10 @@ def commands() -> list[Any]:
     return [*top, *program().commands["config"].commands.values()]
 
 
-def test_the_scenario_of_its_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("number", [0, 1])
+def test_the_scenarios_of_their_page_run(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    (scenario,) = blocks("scenarios.md", "yaml")
-    (tmp_path / "room.yaml").write_text(scenario)
+    (tmp_path / "room.yaml").write_text(blocks("scenarios.md", "yaml")[number])
     assert run(["simulate", "room.yaml", "-q", "-o", "room", "--outputs", "trajectory"]) == 0
 
 

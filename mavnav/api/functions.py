@@ -183,6 +183,7 @@ def simulate(
     *,
     seed: int | None = None,
     planner: str | None = None,
+    attitude: str | None = None,
     method: str | None = None,
     grid: str | None = None,
     azimuth: int | None = None,
@@ -202,6 +203,8 @@ def simulate(
         YAML file, or the name of a shipped scenario.
     seed, planner
         Seed of all random numbers; planning technique.
+    attitude
+        Whether scans of a vehicle that tilts are levelled by its measured attitude: ``auto`` or ``off``.
     method, grid, azimuth, config
         As for `replay`.
     settings
@@ -221,7 +224,7 @@ def simulate(
     from mavnav.simulation.world.scenario_file import scenario_path  # noqa: PLC0415
 
     options = {"slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth}
-    options |= {"seed": seed, "planner.technique": planner}
+    options |= {"seed": seed, "planner.technique": planner, "slam.attitude": attitude}
     chosen = load_scenario(scenario, sets_of(settings), options, config)
     path = scenario_path(scenario)
 

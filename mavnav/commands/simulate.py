@@ -55,6 +55,8 @@ mavnav simulate u_trap --planner field
 
 mavnav simulate corner --method paper
 
+mavnav simulate hover --attitude off
+
 mavnav simulate corridor --record flight.mcap && mavnav replay flight.mcap
 
 mavnav simulate --again runs/corner-robust-20-10x10 -o runs/repeated
@@ -85,6 +87,14 @@ def simulate(
             metavar="NAME",
             help="wavefront, field, wall_following or virtual_obstacles (default the scenario's).",
             autocompletion=completion.words("wavefront", "field", "wall_following", "virtual_obstacles"),
+        ),
+    ] = None,
+    attitude: Annotated[
+        str | None,
+        input_option(
+            metavar="auto|off",
+            help="Level the scans of a vehicle that tilts by its measured attitude (default auto).",
+            autocompletion=completion.words("auto", "off"),
         ),
     ] = None,
     list_: Annotated[bool, input_option("--list", help="List the shipped scenarios.")] = False,
@@ -119,12 +129,9 @@ def simulate(
         raise UsageError("no scenario; name a YAML file or one of 'mavnav simulate --list'")
     bounds, written = gates_of(gates), output_values(outputs, report=report, preview=preview)
     fields = {} if again is None else _repeated(context, again, directory)
-    chosen = fields.get("scenario") or _load(
-        str(scenario),
-        sets or (),
-        config,
-        {"seed": seed, "slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth, "planner.technique": planner},
-    )
+    options: dict[str, object] = {"seed": seed, "slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth}
+    options |= {"planner.technique": planner, "slam.attitude": attitude}
+    chosen = fields.get("scenario") or _load(str(scenario), sets or (), config, options)
     check_gates(bounds, "mission", "truth", "reference")
     with reporting(quiet=quiet, stages=MISSION) as progress:
         started_s = perf_counter()

@@ -44,10 +44,13 @@ def read_true_map(path: Path) -> TrueMap:
 
 
 def of_scenario(scenario: Scenario, world_T_map: Pose) -> TrueMap:
-    """Return the exact walls of a scenario; ``world_T_map`` is the laser's first pose."""
-    walls = scenario.world.seen_from(world_T_map)
-    xy_m = np.concatenate((_on_segments(walls), _on_arcs(walls)))
-    return TrueMap(walls.clearance_m, xy_m, "start pose", walls.segments, walls.arcs)
+    """Return the exact walls of a scenario; ``world_T_map`` is the laser's first pose.
+
+    If the scene has heights, the walls are those in the slice at flight height. Distances are to the nearest surface at
+    any height, because a cell may be at any height.
+    """
+    walls, every = scenario.obstacles.seen_from(world_T_map), scenario.world.seen_from(world_T_map)
+    return TrueMap(every.distance_m, points_on(walls), "start pose", walls.segments, walls.arcs)
 
 
 def _of_map(path: Path) -> TrueMap:
@@ -58,6 +61,11 @@ def _of_map(path: Path) -> TrueMap:
         raise UsageError(f"{path} has no occupied cell; name a map with walls")
     tree: Any = cKDTree(xy_m)
     return TrueMap(lambda points: tree.query(points)[0], xy_m, "same frame")
+
+
+def points_on(world: World) -> NDArray[np.float64]:
+    """Return points all along the walls, `SPACING_M` apart, (n, 2) in the frame of the world."""
+    return np.concatenate((_on_segments(world), _on_arcs(world)))
 
 
 def _on_segments(world: World) -> NDArray[np.float64]:

@@ -18,7 +18,7 @@ from mavnav.outputs.map_picture import framed
 from mavnav.outputs.replay_log import placed_scans
 from mavnav.outputs.viewport import GOAL_RED, POSE_MAGENTA, START_BLUE, Window, wall_lines, window_of
 from mavnav.pose import transform_points
-from mavnav.units import NS
+from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -143,9 +143,19 @@ def _frame(run: Run, canvas: _Canvas, poses: list[tuple[int, Pose]]) -> Image.Im
         _draw_truth(draw, canvas, run.truth, poses[-1][0] if poses else 0)
     _draw_path(draw, canvas, [pose for _, pose in poses])
     since_s = (poses[-1][0] - run.log.first_ns) * NS if poses else 0.0
-    text = f"{run.name}   {since_s:.1f} s   {len(poses)} of {len(run.slam.steps)} scans"
+    text = f"{run.name}   {since_s:.1f} s   {len(poses)} of {len(run.slam.steps)} scans{_attitude(run, poses)}"
     draw.text((6, image.height - CAPTION_PIXELS + 4), text, fill=_TEXT, font=ImageFont.load_default(12))
     return image
+
+
+def _attitude(run: Run, poses: list[tuple[int, Pose]]) -> str:
+    """Return the attitude of the last scan for the caption; nothing where the log has none."""
+    if run.log.attitude is None or not poses:
+        return ""
+    late_ns = np.array([float(poses[-1][0] - int(run.log.attitude.stamps_ns[0]))])
+    roll_rad, pitch_rad, height_m = (float(values[0]) for values in run.log.attitude.at(late_ns))
+    height = f"   {height_m:.2f} m high" if np.isfinite(height_m) else ""
+    return f"   roll {roll_rad / DEG:+.0f}, pitch {pitch_rad / DEG:+.0f} deg{height}"
 
 
 def _draw_truth(draw: ImageDraw.ImageDraw, canvas: _Canvas, truth: Truth, now_ns: int) -> None:

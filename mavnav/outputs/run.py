@@ -73,7 +73,8 @@ class Truth:
 
     ``map_T_laser`` are the true poses; ``segments_map`` (n, 4) the straight walls, x1, y1, x2, y2 in m;
     ``arcs_map`` (m, 5) the curved ones: centre x, y and radius in m, start and sweep in rad, counter-clockwise.
-    ``measured_by_hand`` are the walls as people measured them, where the scenario has them.
+    ``measured_by_hand`` are the walls as people measured them, where the scenario has them. ``slice_m`` are the heights
+    between which the walls lie, at which an aerial vehicle flies; None where walls have no heights.
     """
 
     map_T_laser: Trajectory
@@ -81,6 +82,7 @@ class Truth:
     arcs_map: NDArray[np.float64]
     goal_xy_map_m: tuple[float, float]
     measured_by_hand: WallShapes | None = None
+    slice_m: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

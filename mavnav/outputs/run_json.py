@@ -198,6 +198,16 @@ class MissionResult:
     path_length_m: float = field(metadata=number("length of the true path"))
     min_clearance_m: Measured = field(metadata=number("least distance from a wall"))
     goal_distance_m: Measured = field(metadata=number("distance from the goal at the end"))
+    flight_height_m: float = field(default_factory=absent, metadata=number("commanded height of the laser"))
+    tilt_p95_deg: float = field(
+        default_factory=absent, metadata=number("true tilt of the laser, 95th percentile over the scans")
+    )
+    height_error_p95_m: float = field(
+        default_factory=absent, metadata=number("distance from the commanded height, 95th percentile over the scans")
+    )
+    attitude_used: bool = field(
+        default_factory=absent, metadata=text("whether scans were levelled by the measured attitude")
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,9 @@ COLUMNS = (
     "position_error_m",
 )  # fmt: skip
 
+ATTITUDE_COLUMNS: Final = ("roll_rad", "pitch_rad", "height_m")
+"""Further columns of logs with an attitude."""
+
 UNKNOWN: Final = (nan,) * 6
 TRUE_WALLS_FILE: Final = "true_walls.json"
 
@@ -84,7 +87,8 @@ def write_csv(run: Run, path: Path) -> None:
     """Write a row for every scan that was matched; one that was not tracked has no pose.
 
     ``doubtful`` is 1 for scans of a reason to doubt the track, if the doubt is high. The covariance of the pose is in
-    the map frame; empty where it is not known. So is the position error without a truth.
+    the map frame; empty where it is not known. So is the position error without a truth. Logs with an attitude have
+    that of every scan as well.
     """
     trajectory, errors_m = run.slam.trajectory, run.position_errors_m
     values = trajectory.xyyaw if errors_m is None else np.column_stack((trajectory.xyyaw, errors_m))
@@ -95,10 +99,21 @@ def write_csv(run: Run, path: Path) -> None:
     columns.append(run.slam.doubtful(run.slam.steps.column("stamp_ns")).astype(int).tolist())
     covariances = run.slam.covariances
     columns.append([()] * len(run.slam.steps) if covariances is None else covariances.tolist())
+    tilts, names = _attitudes(run), () if run.log.attitude is None else ATTITUDE_COLUMNS
     with path.open("w", encoding="ascii", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(COLUMNS)
-        rows.writerows(_csv_row(row, poses.get(row[1])) for row in zip(*columns, strict=True))
+        rows.writerow((*COLUMNS, *names))
+        rows.writerows((*_csv_row(row, poses.get(row[1])), *next(tilts)) for row in zip(*columns, strict=True))
+
+
+def _attitudes(run: Run) -> Iterator[tuple[str, ...]]:
+    """Yield the fields of a scan's attitude for each scan; none where the log has none."""
+    attitude, stamps_ns = run.log.attitude, run.slam.steps.column("stamp_ns")
+    if attitude is None:
+        yield from ((),) * len(stamps_ns)
+        return
+    for values in np.column_stack(attitude.at((stamps_ns - attitude.stamps_ns[0]).astype(np.float64))).tolist():
+        yield tuple(f"{value:.6f}" if isfinite(value) else "" for value in values)
 
 
 def _csv_row(row: tuple[Any, ...], placed: list[float] | None) -> tuple[object, ...]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from hashlib import sha256
+from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
@@ -29,11 +30,13 @@ from mavnav.pipelines.replay import Progress, map_slices_of, measured_map
 from mavnav.pose import Pose
 from mavnav.profiling import new_profile
 from mavnav.simulation.mission import Flight, fly
+from mavnav.simulation.vehicle import mid_sweep_s
 from mavnav.simulation.world.laser import EDGE_M
 from mavnav.slam.registry import load_kernels
-from mavnav.units import DEG
+from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
+    from mavnav.logs import Log
     from mavnav.metrics.reference import Reference
     from mavnav.simulation.world import Scenario
 
@@ -95,7 +98,7 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
     with TemporaryDirectory(prefix="mavnav-") as folder:
         kept = Path(folder) / f"{request.scenario.name}.mcap"
         record(recording, kept)
-        log = open_log(kept)
+        log = _opened(kept, request.scenario)
         run = Run(
             log=log,
             config=request.scenario.slam,
@@ -117,6 +120,14 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
     return run, document
 
 
+def _opened(path: Path, scenario: Scenario) -> Log:
+    """Open the recording of a mission; its scans are levelled as they were in flight."""
+    log = open_log(path, attitude=scenario.slam.attitude)
+    if log.attitude is None:
+        return log
+    return replace(log, attitude=replace(log.attitude, ceiling_m=scenario.ceiling_m or inf), _kept=[])
+
+
 def check_outputs(request: SimulationRequest) -> None:
     """Raise OutputError or UsageError for what could not be written at the end."""
     places = [p.resolve() for p in (request.directory, request.recording, request.animation) if p]
@@ -136,13 +147,16 @@ def recorded(flight: Flight) -> Recording:
     base_T_laser = flight.scenario.base_T_laser
     laser_T_base = base_T_laser.inverse()
     world_T_base = flight.map_T_laser.seen_from(flight.world_T_map).compose(laser_T_base)
-    return Recording(flight.scans, flight.odom_T_base, world_T_base, base_T_laser)
+    spec = flight.scenario.laser.spec
+    mid_ns = round(mid_sweep_s(spec) / NS) if flight.scenario.laser.moving else 0
+    attitudes = [(scan.stamp_ns + mid_ns, a) for scan, a in zip(flight.scans, flight.attitudes, strict=False)]
+    return Recording(flight.scans, flight.odom_T_base, world_T_base, base_T_laser, attitudes)
 
 
 def _truth(flight: Flight) -> Truth:
     """Bring walls and goal to the map frame."""
     map_T_world = flight.world_T_map.inverse()
-    walls = flight.scenario.world.seen_from(flight.world_T_map)
+    walls = flight.scenario.obstacles.seen_from(flight.world_T_map)
     measured = flight.scenario.measured_walls
     sketch = measured.seen_from(flight.world_T_map) if measured else None
     x, y = flight.scenario.goals_xy_m[-1]
@@ -153,6 +167,7 @@ def _truth(flight: Flight) -> Truth:
         arcs_map=walls.arcs,
         goal_xy_map_m=(goal.x_m, goal.y_m),
         measured_by_hand=WallShapes(sketch.segments, sketch.arcs) if sketch else None,
+        slice_m=flight.scenario.flight.slice_m if flight.scenario.flight else None,
     )
 
 
@@ -177,9 +192,24 @@ def _mission(request: SimulationRequest, flight: Flight) -> Mission:
         sha256=digest,
         size_bytes=size_bytes,
         scenario=flight.scenario.document(),
-        result=MissionResult(mission.reached, mission.end.value, **numbers),
+        result=MissionResult(mission.reached, mission.end.value, **numbers, **_attitude_numbers(flight)),
         errors=truth_errors(flight),
     )
+
+
+def _attitude_numbers(flight: Flight) -> dict[str, Any]:
+    """Return what run.json says of the tilt and the height of an aerial vehicle; nothing of another."""
+    aerial = flight.scenario.flight
+    if aerial is None:
+        return {}
+    roll_rad, pitch_rad, height_m = np.array(flight.tilts).T
+    tilt_rad = np.arccos(np.cos(roll_rad) * np.cos(pitch_rad))
+    return {
+        "flight_height_m": aerial.height_m,
+        "tilt_p95_deg": float(np.percentile(tilt_rad, 95)) / DEG,
+        "height_error_p95_m": float(np.percentile(np.abs(height_m - aerial.height_m), 95)),
+        "attitude_used": flight.scenario.levels_scans,
+    }
 
 
 def truth_errors(flight: Flight) -> TruthErrors:
@@ -219,7 +249,7 @@ def wall_distances_m(flight: Flight, estimate: Pose, truth: Pose) -> tuple[float
     The map is read like the laser reads the world, by the virtual scan. Of all beams that meet a wall away from edges
     the one with the median relative error is reported; NaN where the map has no wall at all.
     """
-    world, spec = flight.scenario.world, flight.scenario.laser.spec
+    world, spec = flight.scenario.obstacles, flight.scenario.laser.spec
     there = flight.world_T_map @ truth
     true_ranges, incidence_rad = world.cast((there.x_m, there.y_m), spec.angles_rad + there.yaw_rad)
     builder = GridBuilder.of(flight.slam.grid)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
+from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mavnav.pose import Pose, Trajectory
+from mavnav.scan import levelled_by_beam
+from mavnav.simulation.obstacles import Obstacles
 from mavnav.simulation.planner.potential_field import Command, Planner
+from mavnav.simulation.vehicle import disturbance, sweeping, tilts_over, vehicle_of
 from mavnav.simulation.world import LaserModel, Scenario, World, laser_model, take_scan
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.pipeline import finish
@@ -18,18 +22,16 @@ from mavnav.slam.registry import make_method
 from mavnav.slam.steps import Steps
 from mavnav.slam.track import Track
 from mavnav.slam.tracker import track
-from mavnav.units import DEG, MM, NS
+from mavnav.units import MM, NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from mavnav.mapping.occupancy_grid import GridBuilder
-    from mavnav.scan import LaserSpec, Scan
+    from mavnav.scan import Attitude, Scan
+    from mavnav.simulation.vehicle import Vehicle
     from mavnav.slam.result import SlamResult
     from mavnav.slam.steps import Step
-
-START_NS = 1_700_000_000_000_000_000
-"""Stamp of the first scan, the same for every mission."""
 
 
 class End(StrEnum):
@@ -59,53 +61,13 @@ class Mission:
         return self.end is End.GOAL
 
 
-@dataclass(slots=True)
-class Vehicle:
-    """The true state, which only the world sees: poses of the base, and what the commands should have made of them.
-
-    ``world_T_base`` and ``odom_T_base`` hold a pose for every scan, at ``stamps_ns``. A command takes
-    ``scans_a_command`` scans, at constant velocity.
-    """
-
-    base_T_laser: Pose
-    period_ns: int
-    scans_a_command: int
-    world_T_base: list[Pose]
-    odom_T_base: list[Pose] = field(default_factory=lambda: [Pose()])
-
-    @property
-    def stamps_ns(self) -> list[int]:
-        """Stamps of the scans so far."""
-        return [START_NS + k * self.period_ns for k in range(len(self.world_T_base))]
-
-    def odometry(self, stamp_ns: int) -> Pose | None:
-        """Return odom_T_laser at the stamp of a scan: the commands so far, as if they had been executed exactly."""
-        k = (stamp_ns - START_NS) // self.period_ns
-        return self.odom_T_base[k] @ self.base_T_laser if 0 <= k < len(self.odom_T_base) else None
-
-    def execute(self, command: Command, noise: Pose) -> Iterator[None]:
-        """Move by a command of the laser's frame, and by its error (paper, "Maneuver Performance"), scan by scan."""
-        wanted = Pose(command.dx_m, command.dy_m, command.dyaw_rad)
-        done = Pose(wanted.x_m + noise.x_m, wanted.y_m + noise.y_m, wanted.yaw_rad + noise.yaw_rad)
-        world_T_base, odom_T_base = self.world_T_base[-1], self.odom_T_base[-1]
-        for scan in range(1, self.scans_a_command + 1):
-            share = scan / self.scans_a_command
-            self.odom_T_base.append(odom_T_base @ self._moved(wanted, share))
-            self.world_T_base.append(world_T_base @ self._moved(done, share))
-            yield
-
-    def _moved(self, motion: Pose, share: float) -> Pose:
-        """Return the base's part of a motion of the laser."""
-        part = Pose(share * motion.x_m, share * motion.y_m, share * motion.yaw_rad)
-        return self.base_T_laser @ part @ self.base_T_laser.inverse()
-
-
 @dataclass(frozen=True, slots=True)
 class Flight:
     """A finished mission: what SLAM made of it, the scans, and the truth.
 
     ``map_T_laser`` and ``odom_T_base`` hold the true pose and the commanded one for every scan; ``world_T_map`` is the
-    true first laser pose, where the map frame begins.
+    true first laser pose, where the map frame begins. ``tilts`` are the true attitudes of the laser at every scan,
+    ``attitudes`` the measured ones; both are empty of a vehicle that moves level.
     """
 
     scenario: Scenario
@@ -115,6 +77,8 @@ class Flight:
     map_T_laser: Trajectory
     odom_T_base: Trajectory
     world_T_map: Pose
+    tilts: tuple[Attitude, ...] = ()
+    attitudes: tuple[Attitude, ...] = ()
 
 
 def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -> Flight:
@@ -124,32 +88,34 @@ def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -
     """
     config, laser = scenario.slam, _laser(scenario)
     noise = np.random.default_rng([scenario.seed, 1])
-    vehicle = Vehicle(
-        scenario.base_T_laser, round(laser.spec.scan_time_s / NS), scenario.scans_a_command, [scenario.world_T_base]
-    )
+    vehicle = vehicle_of(scenario, laser.spec.scan_time_s)
     pilot = Pilot(scenario)
     method = make_method(config)
     motion = Motion(laser.spec.scan_time_s, vehicle.odometry, method.expects_rest)
+    obstacles = Obstacles.of(scenario, method.grid)
     scans: list[Scan] = []
+    seen: list[Scan] = [] if scenario.levels_scans else scans
     steps = Steps()
     end = End.STEP_LIMIT
     executing: Iterator[None] = iter(())
-    for step in track(_scans(scenario, vehicle, scans), method, motion):
+    coming = _scans(scenario, vehicle, scans)
+    for step in track(_levelled(coming, scenario, vehicle, seen), method, motion):
         steps.append(step)
         if on_step:
             on_step("fly", len(steps))
+        obstacles.note(seen[-1], step)
         here = pilot.locate(step, vehicle.odometry(step.stamp_ns))
         if next(executing, DONE) is DONE:
-            decision = pilot.decide(step, here, method.grid)
+            decision = pilot.decide(step, here, obstacles.grid)
             if isinstance(decision, End):
                 end = decision
                 break
-            executing = vehicle.execute(decision, _disturbance(scenario, noise, decision))
+            executing = vehicle.execute(decision, disturbance(scenario, noise, decision))
             next(executing)
-        if _closest_m(scenario.world, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
+        if _closest_m(scenario.obstacles, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
             end = End.COLLISION
             break
-    flown = Track(lambda: scans, config, motion, method, steps, on_step=on_step)
+    flown = Track(lambda: seen, config, motion, method, steps, on_step=on_step)
     return _landed(scenario, vehicle, scans, end, finish(flown))
 
 
@@ -207,37 +173,28 @@ def _scans(scenario: Scenario, vehicle: Vehicle, scans: list[Scan]) -> Iterator[
     laser, rng = _laser(scenario), np.random.default_rng([scenario.seed, 0])
     while True:
         here = vehicle.world_T_base[-1] @ vehicle.base_T_laser
-        pose = _sweeping(vehicle, here, laser.spec) if scenario.laser.moving else here
-        scans.append(take_scan(scenario.world, pose, laser, rng, vehicle.stamps_ns[-1]))
+        pose = sweeping(vehicle, here, laser.spec) if scenario.laser.moving else here
+        tilts = tilts_over(vehicle.body.true, laser.spec, vehicle.period_ns * NS) if vehicle.body else None
+        scans.append(take_scan(scenario.world, pose, laser, rng, vehicle.stamps_ns[-1], tilts))
         yield scans[-1]
+
+
+def _levelled(scans: Iterator[Scan], scenario: Scenario, vehicle: Vehicle, seen: list[Scan]) -> Iterator[Scan]:
+    """Level the scans by the measured attitude, and keep them in ``seen``; without attitude they pass as they are."""
+    if vehicle.body is None or not scenario.levels_scans:
+        yield from scans
+        return
+    ceiling_m = scenario.ceiling_m or inf
+    for scan in scans:
+        roll_rad, pitch_rad, height_m = tilts_over(vehicle.body.measured, scan.spec, vehicle.period_ns * NS)
+        seen.append(levelled_by_beam(scan, roll_rad, pitch_rad, height_m, ceiling_m))
+        yield seen[-1]
 
 
 def _laser(scenario: Scenario) -> LaserModel:
     """Return the sensor; where the vehicle rests during a sweep all beams are of one time."""
     laser = laser_model(scenario)
     return laser if scenario.laser.moving else replace(laser, spec=replace(laser.spec, time_increment_s=0.0))
-
-
-def _sweeping(vehicle: Vehicle, here: Pose, spec: LaserSpec) -> Callable[[float], Pose]:
-    """Return the laser's pose over a sweep, as the last step goes on: ``here`` is the pose at mid-sweep."""
-    period_s, mid_s = vehicle.period_ns * NS, 0.5 * (spec.beams - 1) * spec.time_increment_s
-    before = vehicle.world_T_base[-2:][0] @ vehicle.base_T_laser
-    step = before.between(here)
-
-    def at(seconds: float) -> Pose:
-        share = (seconds - mid_s) / period_s
-        return here @ Pose(share * step.x_m, share * step.y_m, share * step.yaw_rad)
-
-    return at
-
-
-def _disturbance(scenario: Scenario, rng: np.random.Generator, command: Command) -> Pose:
-    """Draw the error of a command; one to hover has none unless ``hover_noise`` is set."""
-    vehicle = scenario.vehicle
-    x, y, yaw = rng.standard_normal(3)
-    if command == Command() and not scenario.recovery.hover_noise:
-        return Pose()
-    return Pose(x * vehicle.noise_xy_mm * MM, y * vehicle.noise_xy_mm * MM, yaw * vehicle.noise_yaw_deg * DEG)
 
 
 def _closest_m(world: World, poses: list[Pose]) -> float:
@@ -261,6 +218,8 @@ def _landed(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, o
     if end is End.GOAL and goal_distance_m > 2.0 * scenario.goal_radius_mm * MM:
         end = End.WRONG_PLACE
     base = Trajectory.of(list(range(len(world_T_base))), world_T_base)
-    mission = Mission(end, n, base.length_m, _closest_m(scenario.world, world_T_base), goal_distance_m)
+    mission = Mission(end, n, base.length_m, _closest_m(scenario.obstacles, world_T_base), goal_distance_m)
     odom = Trajectory.of(stamps, vehicle.odom_T_base[:n])
-    return Flight(scenario, outcome, mission, tuple(scans), truth, odom, world_T_map)
+    body = vehicle.body
+    tilts, attitudes = (tuple(body.true[:n]), tuple(body.measured[:n])) if body else ((), ())
+    return Flight(scenario, outcome, mission, tuple(scans), truth, odom, world_T_map, tilts, attitudes)

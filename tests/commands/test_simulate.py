@@ -244,7 +244,8 @@ def test_list_shows_the_scenarios(mavnav: Callable) -> None:
     code, out, err = mavnav("simulate", "--list")
     assert (code, err) == (0, "")
     names = [line.split()[0] for line in out.splitlines()]
-    assert names == ["complex", "complex-paper", "corner", "corner-paper", "corridor", "curved", "loop", "u_trap"]
+    shipped = ["complex", "complex-paper", "corner", "corner-paper", "corridor", "curved", "hover", "loop", "u_trap"]
+    assert names == shipped
 
 
 def test_the_schema_is_json(mavnav: Callable) -> None:

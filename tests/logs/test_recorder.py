@@ -17,7 +17,7 @@ from mavnav.logs import open_log
 from mavnav.logs.writing import containers, recorder
 from mavnav.logs.writing.recorder import Recording, check_recording
 from mavnav.pose import Pose, Trajectory, yaw_of_quaternion
-from mavnav.scan import Scan
+from mavnav.scan import Attitude, Scan
 from support.synthetic import LDS_01, URG_04LX, along, drifting_odometry, furnished_rooms, record
 
 BASE_T_LASER = Pose(0.06, -0.02, 0.1)
@@ -47,6 +47,19 @@ def contents(path):
 def assert_same_poses(a: Trajectory, b: Trajectory) -> None:
     np.testing.assert_array_equal(a.stamps_ns, b.stamps_ns)
     np.testing.assert_allclose(a.xyyaw, b.xyyaw, rtol=0, atol=1e-15 * 8)  # the yaw goes through a quaternion
+
+
+@FORMATS
+def test_an_attitude_is_read_back(drive, form, name, tmp_path):
+    attitudes = [
+        (s.stamp_ns, Attitude(0.1 - 0.02 * k, 0.05 * k - 0.1, 1.0 + 0.01 * k)) for k, s in enumerate(drive.scans)
+    ]
+    recorder.record(replace(drive, attitudes=attitudes[:8], scans=drive.scans[:8]), tmp_path / name)
+    found = open_log(tmp_path / name).attitude
+    assert found.topic == "/attitude"
+    read = np.column_stack((found.roll_rad, found.pitch_rad, found.height_m))
+    np.testing.assert_allclose(read, [attitude for _, attitude in attitudes[:8]], atol=1e-6)
+    np.testing.assert_array_equal(found.stamps_ns, [stamp_ns for stamp_ns, _ in attitudes[:8]])
 
 
 @FORMATS

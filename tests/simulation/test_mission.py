@@ -13,8 +13,9 @@ from mavnav.pipelines.simulate import truth_errors
 from mavnav.pose import Pose, transform_points
 from mavnav.scan import Scan
 from mavnav.simulation import mission as flying
-from mavnav.simulation.mission import START_NS, End, Flight, Vehicle, fly
+from mavnav.simulation.mission import End, Flight, fly
 from mavnav.simulation.planner.potential_field import Command, Planner
+from mavnav.simulation.vehicle import START_NS, Vehicle, disturbance, sweeping
 from mavnav.simulation.world import Scenario, load_scenario
 from mavnav.units import DEG
 
@@ -93,7 +94,7 @@ def test_a_vehicle_out_of_control_collides() -> None:
 def test_a_wall_between_two_scans_is_hit(monkeypatch: pytest.MonkeyPatch) -> None:
     """The vehicle jumps through the wall of the trap: both ends of the step are in the open."""
     scenario = load_scenario("u_trap", ["goal_m=[4.6, 2.2]", "start.x_m=1.6"], dict(CLEAN))
-    monkeypatch.setattr(flying, "_disturbance", lambda *_: Pose(2.5, 0.0, 0.0))
+    monkeypatch.setattr(flying, "disturbance", lambda *_: Pose(2.5, 0.0, 0.0))
     mission = fly(scenario).mission
     assert (mission.end, mission.steps) == (End.COLLISION, 1)
     assert mission.path_length_m > 2.4
@@ -124,7 +125,7 @@ def test_hovering_drifts_where_it_is_told_to() -> None:
 def test_a_vehicle_that_goes_blind_flies_on_for_some_commands_then_hovers(monkeypatch: pytest.MonkeyPatch) -> None:
     take = flying.take_scan
 
-    def fading(world: Any, pose: Any, laser: Any, rng: Any, stamp_ns: int) -> Scan:
+    def fading(world: Any, pose: Any, laser: Any, rng: Any, stamp_ns: int, _: None) -> Scan:
         scan = take(world, pose, laser, rng, stamp_ns)
         return scan if stamp_ns < START_NS + 1_150_000_000 else blank(scan)
 
@@ -161,7 +162,7 @@ def test_a_goal_that_only_the_estimate_reached_is_none(monkeypatch: pytest.Monke
         believed.append(believed[-1] @ wanted)
         return execute(self, command, Pose(-wanted.x_m, -wanted.y_m, -wanted.yaw_rad))
 
-    def forged(world: Any, _: Any, laser: Any, rng: Any, stamp_ns: int) -> Scan:
+    def forged(world: Any, _: Any, laser: Any, rng: Any, stamp_ns: int, __: None) -> Scan:
         return take(world, believed[-1], laser, rng, stamp_ns)
 
     monkeypatch.setattr(Vehicle, "execute", slipping)
@@ -199,7 +200,7 @@ def test_noise_is_what_the_scenario_says() -> None:
     rng = np.random.default_rng(0)
     scenario = load_scenario("corner", (), {"vehicle.noise_xy_mm": 30, "vehicle.noise_yaw_deg": 2})
     ahead = Command(0.1, 0.0, 0.0)
-    drawn = np.array([flying._disturbance(scenario, rng, ahead).as_array() for _ in range(4000)])
+    drawn = np.array([disturbance(scenario, rng, ahead).as_array() for _ in range(4000)])
     np.testing.assert_allclose(drawn.std(axis=0), [0.03, 0.03, 2 * DEG], rtol=0.04)
     assert abs(np.corrcoef(drawn.T)[np.triu_indices(3, 1)]).max() < 0.06
 
@@ -283,12 +284,12 @@ def test_sweeps_lie_around_the_true_pose() -> None:
     scenario = load_scenario("corner", (), {"laser.moving": True})
     spec = scenario.laser.spec
     vehicle = Vehicle(Pose(), 100_000_000, 1, [Pose(1.0, 0.7, 0.0), Pose(1.1, 0.7, 0.2)])
-    at = flying._sweeping(vehicle, vehicle.world_T_base[-1], spec)
+    at = sweeping(vehicle, vehicle.world_T_base[-1], spec)
     middle_s = 340 * spec.time_increment_s
     np.testing.assert_allclose(at(middle_s).as_array(), [1.1, 0.7, 0.2], atol=1e-12)
     assert at(0.0).yaw_rad == pytest.approx(0.2 - 0.2 * 340 / 1024)
     assert at(2 * middle_s).yaw_rad == pytest.approx(0.2 + 0.2 * 340 / 1024)
-    first = flying._sweeping(Vehicle(Pose(), 100_000_000, 1, [Pose(2.0, 0.0, 1.0)]), Pose(2.0, 0.0, 1.0), spec)
+    first = sweeping(Vehicle(Pose(), 100_000_000, 1, [Pose(2.0, 0.0, 1.0)]), Pose(2.0, 0.0, 1.0), spec)
     assert first(0.0) == first(0.06) == Pose(2.0, 0.0, 1.0)
 
 

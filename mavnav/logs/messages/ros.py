@@ -13,7 +13,7 @@ from mavnav.logs.messages.definitions import ODOMETRY, POSE, SCAN, TF
 
 if TYPE_CHECKING:
     from mavnav.pose import Pose
-    from mavnav.scan import Scan
+    from mavnav.scan import Attitude, Scan
 
 
 @cache
@@ -77,6 +77,14 @@ def transform(stamp_ns: int, parent: str, child: str, parent_T_child: Pose) -> A
 def pose_stamped(stamp_ns: int, frame: str, pose: Pose) -> Any:  # noqa: ANN401
     """Return a PoseStamped."""
     return _new(POSE, _header(stamp_ns, frame), _pose(pose))
+
+
+def attitude(stamp_ns: int, frame: str, attitude: Attitude) -> Any:  # noqa: ANN401
+    """Return a PoseStamped of roll, pitch and height: the orientation ``Ry(pitch) Rx(roll)``, x = y = 0."""
+    (a, c), (b, d) = ((sin(angle / 2.0), cos(angle / 2.0)) for angle in attitude[:2])
+    turn = _new("geometry_msgs/msg/Quaternion", a * d, c * b, -a * b, c * d)
+    point = _new("geometry_msgs/msg/Point", 0.0, 0.0, attitude.height_m)
+    return _new(POSE, _header(stamp_ns, frame), _new("geometry_msgs/msg/Pose", point, turn))
 
 
 def odometry(stamp_ns: int, parent: str, child: str, parent_T_child: Pose) -> Any:  # noqa: ANN401

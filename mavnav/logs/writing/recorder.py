@@ -6,6 +6,7 @@ topic              type                        what
 ``/scan``          sensor_msgs/LaserScan       frame ``laser``; 0.0 where there is no return, as in a URG's scans
 ``/odom``          nav_msgs/Odometry           ``odom`` -> ``base_link``; velocities and covariances are unknown
 ``/ground_truth``  geometry_msgs/PoseStamped   the base in the frame ``world``
+``/attitude``      geometry_msgs/PoseStamped   roll, pitch and height of the laser, x = y = 0; of aerial vehicles alone
 ``/tf``            tf2_msgs/TFMessage          ``odom`` -> ``base_link``, with every ``/odom``
 ``/tf_static``     tf2_msgs/TFMessage          ``base_link`` -> ``laser``, once, before everything else
 =================  ==========================  ====================================================================
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.pose import Trajectory
-    from mavnav.scan import Scan
+    from mavnav.scan import Attitude, Scan
 
 CHANNELS: Final = {
     "/tf_static": Channel(definitions.TF, latched=True),
@@ -43,6 +44,7 @@ CHANNELS: Final = {
     "/ground_truth": Channel(definitions.POSE),
     "/scan": Channel(definitions.SCAN),
 }
+ATTITUDE: Final = {"/attitude": Channel(definitions.POSE)}
 NO_RETURN_M: Final = 0.0
 WORLD, ODOM, BASE, LASER = "world", "odom", "base_link", "laser"
 
@@ -51,13 +53,15 @@ WORLD, ODOM, BASE, LASER = "world", "odom", "base_link", "laser"
 class Recording:
     """A drive to be recorded: scans, odometry and ground truth of the base, and the pose of the laser on the base.
 
-    A missing trajectory is empty; the stamps of all three are of one clock.
+    A missing trajectory is empty. ``attitudes`` are the measured attitudes of the laser with their stamps, ns. All
+    stamps are of one clock.
     """
 
     scans: Sequence[Scan]
     odom_T_base: Trajectory
     world_T_base: Trajectory
     base_T_laser: Pose = field(default_factory=Pose)
+    attitudes: Sequence[tuple[int, Attitude]] = ()
 
 
 @dataclass(slots=True)
@@ -85,6 +89,11 @@ class Recorder:
         self._begin(stamp_ns)
         self.put("/ground_truth", stamp_ns, ros.pose_stamped(stamp_ns, WORLD, world_T_base))
 
+    def attitude(self, stamp_ns: int, attitude: Attitude) -> None:
+        """Record what is measured of the laser's tilt and height; the recorder must have been made for it."""
+        self._begin(stamp_ns)
+        self.put("/attitude", stamp_ns, ros.attitude(stamp_ns, WORLD, attitude))
+
     def _begin(self, stamp_ns: int) -> None:
         """Write the mounting of the laser once, at the first stamp."""
         if not self._begun:
@@ -94,10 +103,13 @@ class Recorder:
 
 
 @contextmanager
-def recorder(path: Path, base_T_laser: Pose | None = None, *, force: bool = False) -> Iterator[Recorder]:
+def recorder(
+    path: Path, base_T_laser: Pose | None = None, *, force: bool = False, tilts: bool = False
+) -> Iterator[Recorder]:
     """Yield a Recorder; the complete log is renamed to ``path`` when the block ends without an exception.
 
     The suffix decides the format: ``.mcap``, ``.bag`` (ROS 1), or a folder (ROS 2 bag). Equal calls write equal bytes.
+    With ``tilts`` the log has a topic for attitudes.
 
     Raises
     ------
@@ -107,8 +119,9 @@ def recorder(path: Path, base_T_laser: Pose | None = None, *, force: bool = Fals
         The target exists and ``force`` is false, is no log of this kind, or cannot be written.
     """
     check_recording(path, force=force)
+    channels = CHANNELS | (ATTITUDE if tilts else {})
     try:
-        with beside(path, exclusive=not force) as partial, CONTAINERS[path.suffix](partial, CHANNELS) as put:
+        with beside(path, exclusive=not force) as partial, CONTAINERS[path.suffix](partial, channels) as put:
             yield Recorder(put, base_T_laser or Pose())
     except FileExistsError as error:
         raise OutputError(f"{path} exists; choose another name for the recording, or --force to replace it") from error
@@ -139,13 +152,14 @@ def _check_folder(path: Path) -> None:
 
 
 def record(recording: Recording, path: Path, *, force: bool = False) -> None:
-    """Write a recording in the order of time; at equal stamps, ground truth and odometry come before the scan."""
+    """Write a recording in the order of time; at equal stamps the scan comes last."""
     r = recording
-    with recorder(path, r.base_T_laser, force=force) as log:
+    with recorder(path, r.base_T_laser, force=force, tilts=bool(r.attitudes)) as log:
         truth = ((stamp, log.truth, (stamp, pose)) for stamp, pose in _poses(r.world_T_base))
         odometry = ((stamp, log.odometry, (stamp, pose)) for stamp, pose in _poses(r.odom_T_base))
+        attitudes = ((stamp, log.attitude, (stamp, attitude)) for stamp, attitude in r.attitudes)
         scans = ((scan.stamp_ns, log.scan, (scan,)) for scan in r.scans)
-        streams: list[Iterable[tuple[int, Callable[..., None], tuple[Any, ...]]]] = [truth, odometry, scans]
+        streams: list[Iterable[tuple[int, Callable[..., None], tuple[Any, ...]]]] = [truth, odometry, attitudes, scans]
         for _, write, what in merge(*streams, key=itemgetter(0)):
             write(*what)
 

@@ -15,7 +15,7 @@ from mavnav.outputs import wall_table
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.gridmap import read_npz
 from mavnav.outputs.run import Truth
-from mavnav.outputs.trajectory import TRUE_WALLS_FILE
+from mavnav.outputs.trajectory import ATTITUDE_COLUMNS, TRUE_WALLS_FILE
 from mavnav.outputs.viewport import wall_lines
 from mavnav.pose import Trajectory
 
@@ -32,11 +32,12 @@ FAILED: Final = "failed"
 
 @dataclass(frozen=True, slots=True)
 class Scans:
-    """The scans of a run in their order; arrays of shape (n,), except ``xy_m`` (n, 2).
+    """The scans of a run in their order; arrays of shape (n,), unless stated; ``xy_m`` is (n, 2).
 
     ``time_s`` counts from the first scan. ``cost_mm2`` is the cost of the match, and ``threshold_mm2`` its acceptance
     threshold (NaN without one). ``xy_m`` and ``yaw_rad`` are in the map frame (NaN for a scan without a pose).
-    ``error_m`` is the position error (NaN without ground truth).
+    ``error_m`` is the position error (NaN without ground truth). ``roll_pitch_height`` is (n, 3), rad and m (NaN if
+    unknown).
     """
 
     time_s: NDArray[np.float64]
@@ -46,6 +47,7 @@ class Scans:
     tracked: NDArray[np.bool_]
     yaw_rad: NDArray[np.float64]
     error_m: NDArray[np.float64]
+    roll_pitch_height: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +115,7 @@ def _scans(path: Path) -> Scans:
         tracked=_column(rows, "tracked") > 0,
         yaw_rad=_column(rows, "yaw_rad"),
         error_m=_column(rows, "position_error_m"),
+        roll_pitch_height=np.column_stack([_column(rows, name) for name in ATTITUDE_COLUMNS]),
     )
 
 

@@ -1,4 +1,4 @@
-"""The motion panel: position, heading and speed over time, and the position error if the ground truth is known."""
+"""The motion panel: position, heading and speed over time; position error and attitude if they are known."""
 
 from __future__ import annotations
 
@@ -47,8 +47,14 @@ def curves(entry: Entry) -> list[Curve]:
         Curve("yaw [deg]", yaw / DEG),
         Curve("speed [m/s]", speeds(scans.time_s, scans.xy_m)),
     ]
-    error = [Curve("error [mm]", scans.error_m / MM)] if np.isfinite(scans.error_m).any() else []
-    return found + error
+    roll, pitch, height_m = scans.roll_pitch_height.T
+    more = [
+        Curve("error [mm]", scans.error_m / MM),
+        Curve("roll [deg]", roll / DEG),
+        Curve("pitch [deg]", pitch / DEG),
+        Curve("height [m]", height_m),
+    ]
+    return found + [curve for curve in more if np.isfinite(curve.values).any()]
 
 
 def speeds(time_s: Floats, xy_m: Floats) -> Floats:

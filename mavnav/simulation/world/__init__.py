@@ -1,5 +1,6 @@
 """The world of a simulation: a scenario's walls and a laser that sees them; the planner does not know it."""
 
+from mavnav.simulation.world.flight import Body
 from mavnav.simulation.world.geometry import World
 from mavnav.simulation.world.laser import LASERS, LaserModel, take_scan
 from mavnav.simulation.world.scenario import Scenario, laser_model
@@ -7,6 +8,7 @@ from mavnav.simulation.world.scenario_file import load_scenario, scenario_schema
 
 __all__ = [
     "LASERS",
+    "Body",
     "LaserModel",
     "Scenario",
     "World",

@@ -1,8 +1,9 @@
-"""Walls as exact geometry: what a ray meets, and how far the nearest wall is."""
+"""Walls and level surfaces as exact geometry: what a ray meets, and how far the nearest wall is."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -25,22 +26,27 @@ class World:
     """Walls of no thickness in the world frame, seen from both sides.
 
     ``segments`` (n, 4): x1, y1, x2, y2 in metres. ``arcs`` (m, 5): x and y of the centre, radius (m), start (rad) and
-    sweep (rad, its sign is the sense). Both read-only.
+    sweep (rad, its sign is the sense). ``heights_m`` (n + m, 2): lowest and highest point of each, segments first;
+    empty where all walls reach from the floor to above everything. ``plates`` (p, 7): level surfaces, floor and
+    ceiling among them: x and y of the centre, length, width (m), yaw (rad), a margin around that rectangle, height (m).
+    A disc is all margin; floor and ceiling have no end. All read-only.
     """
 
     segments: Array
     arcs: Array
+    heights_m: Array = field(default_factory=partial(np.empty, (0, 2)))
+    plates: Array = field(default_factory=partial(np.empty, (0, 7)))
 
     def __post_init__(self) -> None:
         """Check the shapes and freeze the arrays."""
         if self.segments.ndim != 2 or self.segments.shape[1] != 4 or self.arcs.ndim != 2 or self.arcs.shape[1] != 5:
             msg = f"shapes {self.segments.shape} and {self.arcs.shape} are no world"
             raise ValueError(msg)
-        self.segments.flags.writeable = False
-        self.arcs.flags.writeable = False
+        for array in (self.segments, self.arcs, self.heights_m, self.plates):
+            array.flags.writeable = False
 
     def cast(self, xy_m: Array | tuple[float, float], bearings_rad: Array) -> tuple[Array, Array]:
-        """Follow rays to the nearest wall.
+        """Follow level rays to the nearest wall; all walls are taken to stand at their height.
 
         Parameters
         ----------
@@ -55,9 +61,40 @@ class World:
             (n,) each: the distance, and the angle between ray and wall's normal, 0 to pi/2; inf and NaN where there is
             no wall.
         """
-        x, y = np.broadcast_to(np.asarray(xy_m, dtype=np.float64), (len(bearings_rad), 2)).T[:, :, None]
-        dx, dy = np.cos(bearings_rad)[:, None], np.sin(bearings_rad)[:, None]
-        ranges = np.hstack((_meet_segments(self.segments, x, y, dx, dy), *_meet_arcs(self.arcs, x, y, dx, dy)))
+        rays = _rays(xy_m, bearings_rad)
+        ranges = self._meet(*rays)
+        return self._first(ranges, *rays)
+
+    def cast_tilted(
+        self, xy_m: Array | tuple[float, float], height_m: Array | float, directions: Array
+    ) -> tuple[Array, Array]:
+        """Follow rays in space to the nearest wall that stands at their height there, or to the nearest plate.
+
+        ``directions`` (n, 3) are of length 1, none of them upright; ``height_m``, () or (n,), is where the rays begin.
+        Returns ranges along the rays and incidences as `cast` does.
+        """
+        level = np.hypot(directions[:, 0], directions[:, 1])
+        rays = _rays(xy_m, np.arctan2(directions[:, 1], directions[:, 0]))
+        from_m, rise = np.broadcast_to(height_m, len(level))[:, None], (directions[:, 2] / level)[:, None]
+        ranges = self._meet(*rays)
+        if len(self.heights_m):
+            n = len(self.segments)
+            low, high = np.vstack((self.heights_m, self.heights_m[n:])).T
+            with np.errstate(invalid="ignore"):  # inf * 0: a level ray that meets nothing
+                at_m = from_m + ranges * rise
+            ranges[(at_m < low) | (at_m > high)] = np.inf
+        walls_m, incidence_rad = self._first(ranges, *rays)
+        plates_m = _meet_plates(self.plates, *rays, from_m, rise)
+        on_plate = plates_m < walls_m
+        cosine = np.where(on_plate, np.abs(directions[:, 2]), np.cos(incidence_rad) * level)
+        return np.minimum(walls_m, plates_m) / level, np.arccos(np.minimum(cosine, 1.0))
+
+    def _meet(self, x: Array, y: Array, dx: Array, dy: Array) -> Array:
+        """Return the ranges of n rays to all walls, (n, segments + 2 arcs): near sides of the arcs, then far sides."""
+        return np.hstack((_meet_segments(self.segments, x, y, dx, dy), *_meet_arcs(self.arcs, x, y, dx, dy)))
+
+    def _first(self, ranges: Array, x: Array, y: Array, dx: Array, dy: Array) -> tuple[Array, Array]:
+        """Return the least range of each ray, (n,), and its angle to the normal of that wall."""
         nearest = ranges.argmin(axis=1)
         ranges = np.take_along_axis(ranges, nearest[:, None], 1)
         with np.errstate(invalid="ignore"):  # inf * 0: a ray along an axis that meets nothing
@@ -91,8 +128,26 @@ class World:
         frame_T_world = world_T_frame.inverse()
         ends = transform_points(frame_T_world, self.segments.reshape(-1, 2)).reshape(-1, 4)
         centres = transform_points(frame_T_world, self.arcs[:, :2])
-        starts_rad = self.arcs[:, 3] + frame_T_world.yaw_rad
-        return World(ends, np.column_stack((centres, self.arcs[:, 2], starts_rad, self.arcs[:, 4])))
+        arcs = np.column_stack((centres, self.arcs[:, 2], self.arcs[:, 3] + frame_T_world.yaw_rad, self.arcs[:, 4]))
+        plates = self.plates.copy()
+        plates[:, :2] = transform_points(frame_T_world, plates[:, :2])
+        plates[:, 4] += frame_T_world.yaw_rad
+        return World(ends, arcs, self.heights_m, plates)
+
+    def slice(self, low_m: float, high_m: float) -> World:
+        """Return the walls that reach into a slice of height, as walls from the floor to above everything."""
+        if not len(self.heights_m):
+            return World(self.segments, self.arcs)
+        met = (self.heights_m[:, 0] < high_m) & (self.heights_m[:, 1] > low_m)
+        n = len(self.segments)
+        return World(self.segments[met[:n]], self.arcs[met[n:]])
+
+    def distance_m(self, xy_m: Array) -> Array:
+        """Return the distance of points (n, 2) to the nearest wall or bounded plate as seen from above, (n,) in m."""
+        plates = self.plates[np.isfinite(self.plates[:, 2])]
+        beside = _beside_plates(plates, xy_m[:, :1], xy_m[:, 1:]).min(axis=1, initial=np.inf)
+        nearest: Array = np.minimum(self.clearance_m(xy_m), np.maximum(beside, 0.0))
+        return nearest
 
     @property
     def bounds_m(self) -> tuple[float, float, float, float]:
@@ -108,6 +163,31 @@ def _extremes(arc: Array) -> Array:
     quarters = np.arange(4) * np.pi / 2
     bearings = np.concatenate(((start, start + sweep), quarters[_on_arc(quarters, start, sweep)]))
     return np.column_stack((cx + radius * np.cos(bearings), cy + radius * np.sin(bearings)))
+
+
+def _rays(xy_m: Array | tuple[float, float], bearings_rad: Array) -> tuple[Array, Array, Array, Array]:
+    """Return beginnings x, y and directions dx, dy of level rays, (n, 1) each."""
+    x, y = np.broadcast_to(np.asarray(xy_m, dtype=np.float64), (len(bearings_rad), 2)).T[:, :, None]
+    return x, y, np.cos(bearings_rad)[:, None], np.sin(bearings_rad)[:, None]
+
+
+def _meet_plates(plates: Array, x: Array, y: Array, dx: Array, dy: Array, from_m: Array, rise: Array) -> Array:
+    """Return the level ranges of n rays to the nearest of p plates, (n,); inf where they miss all."""
+    with np.errstate(divide="ignore", invalid="ignore"):  # a level ray meets none
+        r = (plates[:, 6] - from_m) / rise
+        beside = _beside_plates(plates, x + r * dx, y + r * dy)
+    nearest: Array = np.where((r > 0.0) & np.isfinite(r) & (beside <= 0.0), r, np.inf).min(axis=1, initial=np.inf)
+    return nearest
+
+
+def _beside_plates(plates: Array, x: Array, y: Array) -> Array:
+    """Distances of points, (n, 1) or (n, p), from the edges of p plates as seen from above, (n, p); inside negative."""
+    cx, cy, length, width, yaw, margin, _ = plates.T
+    c, s = np.cos(yaw), np.sin(yaw)
+    u, v = np.abs(c * (x - cx) + s * (y - cy)), np.abs(c * (y - cy) - s * (x - cx))
+    u, v = u - 0.5 * length, v - 0.5 * width
+    beside: Array = np.hypot(np.maximum(u, 0.0), np.maximum(v, 0.0)) + np.minimum(np.maximum(u, v), 0.0) - margin
+    return beside
 
 
 def _meet_segments(segments: Array, x: Array, y: Array, dx: Array, dy: Array) -> Array:

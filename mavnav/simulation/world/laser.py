@@ -82,7 +82,12 @@ def _mixed(ranges_m: Array, share: Array) -> Array:
 
 
 def take_scan(
-    world: World, motion: Pose | Callable[[float], Pose], laser: LaserModel, rng: np.random.Generator, stamp_ns: int
+    world: World,
+    motion: Pose | Callable[[float], Pose],
+    laser: LaserModel,
+    rng: np.random.Generator,
+    stamp_ns: int,
+    tilts: Array | None = None,
 ) -> Scan:
     """Take one scan.
 
@@ -92,9 +97,17 @@ def take_scan(
         world_T_laser: where the laser rests, or its pose as a function of the seconds since the first beam.
     stamp_ns
         Time of the first beam.
+    tilts
+        Roll (rad), pitch (rad) and height (m) of the laser at each beam, (3, beams); None for a level laser that meets
+        all walls, whatever their heights.
     """
     xy_m, yaw_rad = _where(motion, laser.spec)
-    ranges_m, incidence_rad = world.cast(xy_m, laser.spec.angles_rad + yaw_rad)
+    if tilts is None:
+        ranges_m, incidence_rad = world.cast(xy_m, laser.spec.angles_rad + yaw_rad)
+    else:
+        roll_rad, pitch_rad, height_m = tilts
+        directions = tilted_directions(laser.spec.angles_rad, roll_rad, pitch_rad, yaw_rad)
+        ranges_m, incidence_rad = world.cast_tilted(xy_m, height_m, directions)
     return Scan(stamp_ns, laser.read(ranges_m, incidence_rad, rng), laser.spec)
 
 
@@ -104,3 +117,13 @@ def _where(motion: Pose | Callable[[float], Pose], spec: LaserSpec) -> tuple[Arr
         return np.array((motion.x_m, motion.y_m)), np.array(motion.yaw_rad)
     poses = np.array([motion(k * spec.time_increment_s).as_array() for k in range(spec.beams)])
     return poses[:, :2], poses[:, 2]
+
+
+def tilted_directions(bearings_rad: Array, roll_rad: Array, pitch_rad: Array, yaw_rad: Array) -> Array:
+    """Return unit vectors ``Rz(yaw) Ry(pitch) Rx(roll)`` times those at bearings (n,) of the laser's plane, (n, 3)."""
+    along, aside = np.cos(bearings_rad), np.sin(bearings_rad)
+    x = along * np.cos(pitch_rad) + aside * np.sin(roll_rad) * np.sin(pitch_rad)
+    y = aside * np.cos(roll_rad)
+    z = aside * np.sin(roll_rad) * np.cos(pitch_rad) - along * np.sin(pitch_rad)
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.column_stack((c * x - s * y, s * x + c * y, z))

@@ -17,13 +17,18 @@ from mavnav.config.models import Config
 from mavnav.config.planner import PlannerConfig
 from mavnav.config.strict import Strict
 from mavnav.pose import Pose
+from mavnav.simulation.world.flight import FlightConfig  # noqa: TC001  pydantic reads it
 from mavnav.simulation.world.laser import LASERS, LaserModel
-from mavnav.simulation.world.shapes import XY, Metre, Wall, world_of
+from mavnav.simulation.world.shapes import XY, Metre  # noqa: TC001  pydantic reads them
+from mavnav.simulation.world.walls import Wall, world_of
 from mavnav.units import DEG, MM, MS
 
 if TYPE_CHECKING:
     from mavnav.scan import LaserSpec
     from mavnav.simulation.world.geometry import World
+
+AERIAL = ("flight", "ceiling_m")
+"""The keys that only a vehicle with a section ``flight`` has."""
 
 LaserName = Literal["urg-04lx", "utm-30lx", "ust-10lx", "lds-01"]
 
@@ -112,8 +117,9 @@ class Scenario(Strict):
     name: str = Field("", description="name of the mission; that of the file where it is not given")
     about: str = Field("", description="one line about the scenario")
     walls: tuple[Wall, ...] = Field(
-        description="shapes: polyline, box, circle or arc", json_schema_extra={"minItems": 1}
+        description="shapes: polyline, box, circle, arc, table or opening", json_schema_extra={"minItems": 1}
     )
+    ceiling_m: float | None = Field(None, gt=0, le=1000, description="height of the ceiling above the floor, or null")
     measured: tuple[Wall, ...] = Field((), description="walls as measured by hand, drawn over the map")
     start: Start = Field(description="pose of the vehicle's base at the start: x_m, y_m, yaw_deg")
     goal_m: XY = Field(description="position to reach, [x, y]")
@@ -123,6 +129,7 @@ class Scenario(Strict):
     seed: int = Field(0, ge=0, le=2**63, description="seed of all random numbers")
     laser: LaserConfig = Field(LaserConfig(), description="sensor: its name, or a section")
     vehicle: VehicleConfig = Field(VehicleConfig(), description="vehicle")
+    flight: FlightConfig | None = Field(None, description="height and tilt of an aerial vehicle; null: it moves level")
     recovery: RecoveryConfig = Field(RecoveryConfig(), description="what happens after a rejected scan")
     planner: PlannerConfig = Field(PlannerConfig(), description="path planning")
     slam: Config = Field(Config(), description="method, grid, azimuth and what else configures a replay")
@@ -151,7 +158,17 @@ class Scenario(Strict):
     @cached_property
     def world(self) -> World:
         """The walls as geometry."""
-        return world_of(self.walls)
+        return world_of(self.walls, spatial=self.flight is not None, ceiling_m=self.ceiling_m)
+
+    @cached_property
+    def obstacles(self) -> World:
+        """The walls that the vehicle can meet: those in the slice at flight height."""
+        return self.world.slice(*self.flight.slice_m) if self.flight else self.world
+
+    @property
+    def levels_scans(self) -> bool:
+        """Whether the measured attitude is used."""
+        return self.flight is not None and self.slam.attitude != "off"
 
     @cached_property
     def measured_walls(self) -> World | None:
@@ -185,7 +202,8 @@ class Scenario(Strict):
             name: [wall.model_dump(mode="json", exclude_none=True) for wall in walls]
             for name, walls in (("walls", self.walls), ("measured", self.measured))
         }
-        return {**self.model_dump(mode="json"), **shapes, "slam": self.slam.document()}
+        left_out = () if self.flight else AERIAL
+        return {**self.model_dump(mode="json", exclude={*left_out}), **shapes, "slam": self.slam.document()}
 
 
 def laser_model(scenario: Scenario) -> LaserModel:

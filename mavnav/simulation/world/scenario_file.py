@@ -18,7 +18,8 @@ from mavnav.units import MM
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from mavnav.simulation.world.shapes import XY, Wall
+    from mavnav.simulation.world.shapes import XY, Shape
+    from mavnav.simulation.world.walls import Wall
 
 STANDS_OUT_M = 0.5
 """How far other walls may stand out of the world's outline: a column in a wall, a porch."""
@@ -82,12 +83,30 @@ def _problems(scenario: Scenario) -> Iterator[tuple[Key, str]]:
     """Check the geometry: return each wrong key, and what is wrong with it."""
     if scenario.laser.spec.range_min_m >= scenario.laser.spec.range_max_m:
         yield ("laser",), "has a least range that is not below its greatest; raise range_max_mm or lower range_min_mm"
+    yield from _height_problems(scenario)
     places: dict[Key, XY] = {("start",): (scenario.start.x_m, scenario.start.y_m), ("goal_m",): scenario.goal_m}
     places |= {("via_m", str(k)): xy_m for k, xy_m in enumerate(scenario.via_m)}
     for key, xy_m in places.items():
         problem = _misplaced(scenario, xy_m)
         if problem:
             yield key, f"[{xy_m[0]:g}, {xy_m[1]:g}] {problem}"
+
+
+def _height_problems(scenario: Scenario) -> Iterator[tuple[Key, str]]:
+    """Check the heights: those of walls need a vehicle with one, which must fit between floor and ceiling."""
+    flight, ceiling_m = scenario.flight, scenario.ceiling_m
+    if scenario.slam.attitude not in ("auto", "off"):
+        yield ("slam", "attitude"), f"is {scenario.slam.attitude!r}, a mission has one sensor; write auto or off"
+    if flight is None:
+        for number, wall in enumerate(scenario.walls):
+            if wall.has_heights:
+                yield ("walls", str(number), wall.kind), "has heights; give the vehicle one too, as flight.height_m"
+        if ceiling_m is not None:
+            yield ("ceiling_m",), "needs a vehicle with a height; give flight.height_m"
+    elif flight.slice_m[0] < 0.0 or flight.slice_m[1] > (ceiling_m or flight.slice_m[1]):
+        low_m, high_m = flight.slice_m
+        within = "the floor" if low_m < 0.0 else f"the ceiling at {ceiling_m:g} m"
+        yield ("flight",), f"reaches from {low_m:g} to {high_m:g} m, into {within}; change height_m or slice_mm"
 
 
 def _misplaced(scenario: Scenario, xy_m: XY) -> str:
@@ -97,16 +116,24 @@ def _misplaced(scenario: Scenario, xy_m: XY) -> str:
     """
     around = _outline(scenario)
     left, low, right, top = scenario.world.bounds_m
-    if not (left <= xy_m[0] <= right and low <= xy_m[1] <= top) or (around and not around.shape.contains(xy_m)):
+    if not (left <= xy_m[0] <= right and low <= xy_m[1] <= top) or (around and not around.parts[0].contains(xy_m)):
         return f"lies outside the world; move it into x {left:g} to {right:g}, y {low:g} to {top:g}, within the walls"
     for number, wall in enumerate(scenario.walls):
-        if wall is not around and wall.shape.contains(xy_m):
+        if wall is not around and any(part.contains(xy_m) for part in wall.parts if _is_met(part, scenario)):
             return f"lies inside a wall (walls.{number}.{wall.kind}); move it into the open"
     need = scenario.vehicle.radius_mm * MM
-    clearance = float(scenario.world.clearance_m(np.array([xy_m]))[0])
+    clearance = float(scenario.obstacles.clearance_m(np.array([xy_m]))[0])
     if clearance < need:
         return f"is {clearance / MM:.0f} mm from a wall, the vehicle's radius is {need / MM:g} mm; move it away"
     return ""
+
+
+def _is_met(part: Shape, scenario: Scenario) -> bool:
+    """Return whether a shape reaches into the slice at flight height."""
+    if scenario.flight is None or part.height_m is None:
+        return True
+    low_m, high_m = scenario.flight.slice_m
+    return part.height_m[0] < high_m and part.height_m[1] > low_m
 
 
 def _outline(scenario: Scenario) -> Wall | None:

@@ -1,30 +1,41 @@
-"""Shapes that walls are written with, and the segments and arcs they stand for. World frame, metres and degrees."""
+"""Simple shapes that walls are written with, and their segments, arcs and plates. World frame, metres and degrees."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Protocol
+from typing import TYPE_CHECKING, Annotated, Protocol, Self
 
 import numpy as np
-from pydantic import ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator
 
 from mavnav.config.strict import Strict
-from mavnav.simulation.world.geometry import World
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
 
 Metre = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 Length = Annotated[float, Field(gt=0.0, le=1000.0)]
+Height = Annotated[float, Field(ge=0.0, le=1000.0)]
 XY = tuple[Metre, Metre]
+Band = tuple[Height, Height]
+
+
+def in_order(band: Band | None) -> Band | None:
+    """Return heights as they are; raise ValueError if the first is not the lower one."""
+    if band and band[0] >= band[1]:
+        msg = f"has {band[0]:g} m at its bottom and {band[1]:g} m at its top; give the lower height first"
+        raise ValueError(msg)
+    return band
 
 
 class Shape(Protocol):
-    """What every shape has."""
+    """What every simple shape has."""
+
+    @property
+    def height_m(self) -> Band | None:
+        """Its lowest and highest point; None from the floor to above everything."""
 
     def segments(self) -> Array:
         """Return the straight walls, (n, 4) in metres."""
@@ -32,11 +43,32 @@ class Shape(Protocol):
     def arcs(self) -> Array:
         """Return the round walls, (m, 5): centre (m), radius (m), start and sweep (rad)."""
 
+    def plate(self) -> tuple[float, ...] | None:
+        """Return what its top and bottom are, less their height: the first six numbers of `World.plates`, or None."""
+
     def contains(self, xy_m: XY) -> bool:
         """Return whether the shape is closed and a point lies inside."""
 
 
-class Polyline(Strict):
+class Simple(Strict):
+    """What the simple shapes have in common."""
+
+    height_m: Band | None = Field(
+        None, description="lowest and highest point above the floor, [low, high]; null: from the floor to above all"
+    )
+
+    _in_order = field_validator("height_m")(in_order)
+
+    def parts(self) -> tuple[Self, ...]:
+        """Return the shape itself."""
+        return (self,)
+
+    def plate(self) -> tuple[float, ...] | None:
+        """Return None: there is neither a top nor a bottom."""
+        return None
+
+
+class Polyline(Simple):
     """Points joined by walls."""
 
     points_m: tuple[XY, ...] = Field(description="corners, [[x, y], ...], two at least")
@@ -70,7 +102,7 @@ class Polyline(Strict):
         return bool(np.count_nonzero(spans & (crossing_x > xy_m[0])) % 2)
 
 
-class Box(Strict):
+class Box(Simple):
     """A solid rectangle."""
 
     center_m: XY = Field(description="centre, [x, y]")
@@ -91,12 +123,16 @@ class Box(Strict):
         """Return none, (0, 5)."""
         return np.empty((0, 5))
 
+    def plate(self) -> tuple[float, ...] | None:
+        """Return the rectangle."""
+        return (*self.center_m, *self.size_m, self.yaw_deg * DEG, 0.0)
+
     def contains(self, xy_m: XY) -> bool:
         """Return whether a point lies inside."""
         return self._outline().contains(xy_m)
 
 
-class Arc(Strict):
+class Arc(Simple):
     """A round wall that one can stand on both sides of; a sweep of 360 makes a round room."""
 
     center_m: XY = Field(description="centre, [x, y]")
@@ -117,7 +153,7 @@ class Arc(Strict):
         return False
 
 
-class Circle(Strict):
+class Circle(Simple):
     """A solid, round column."""
 
     center_m: XY = Field(description="centre, [x, y]")
@@ -131,45 +167,10 @@ class Circle(Strict):
         """Return the whole turn, (1, 5)."""
         return np.array([(*self.center_m, self.radius_m, 0.0, 2.0 * np.pi)])
 
+    def plate(self) -> tuple[float, ...] | None:
+        """Return the disc."""
+        return (*self.center_m, 0.0, 0.0, 0.0, self.radius_m)
+
     def contains(self, xy_m: XY) -> bool:
         """Return whether a point lies inside."""
         return bool(np.hypot(xy_m[0] - self.center_m[0], xy_m[1] - self.center_m[1]) < self.radius_m)
-
-
-class Wall(Strict):
-    """One entry of ``walls``: the name of a shape, and the shape."""
-
-    model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
-
-    polyline: Polyline | None = Field(None, description="points joined by walls")
-    box: Box | None = Field(None, description="solid rectangle")
-    circle: Circle | None = Field(None, description="solid column")
-    arc: Arc | None = Field(None, description="round wall")
-
-    @model_validator(mode="after")
-    def _one_shape(self) -> Wall:
-        if len(self._given()) != 1:
-            msg = "must be one shape: polyline, box, circle or arc"
-            raise ValueError(msg)
-        return self
-
-    def _given(self) -> dict[str, Shape]:
-        named = {"polyline": self.polyline, "box": self.box, "circle": self.circle, "arc": self.arc}
-        return {name: shape for name, shape in named.items() if shape is not None}
-
-    @property
-    def kind(self) -> str:
-        """Name of the shape."""
-        return next(iter(self._given()))
-
-    @property
-    def shape(self) -> Shape:
-        """The shape itself."""
-        return next(iter(self._given().values()))
-
-
-def world_of(walls: Sequence[Wall]) -> World:
-    """Build the world of some walls."""
-    segments = [wall.shape.segments() for wall in walls]
-    arcs = [wall.shape.arcs() for wall in walls]
-    return World(np.vstack([np.empty((0, 4)), *segments]), np.vstack([np.empty((0, 5)), *arcs]))

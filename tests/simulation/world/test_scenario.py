@@ -37,7 +37,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 def shipped() -> list[str]:
-    return ["complex", "complex-paper", "corner", "corner-paper", "corridor", "curved", "loop", "u_trap"]
+    return ["complex", "complex-paper", "corner", "corner-paper", "corridor", "curved", "hover", "loop", "u_trap"]
 
 
 # ---- shipped ---------------------------------------------------------------------------------------------------------
@@ -67,7 +67,9 @@ def test_the_vehicle_fits_from_the_start_to_every_goal(name: str) -> None:
     left, low, right, top = scenario.world.bounds_m
     x, y = np.arange(left, right, 0.1), np.arange(low, top, 0.1)
     xy = np.stack(np.meshgrid(x, y), axis=-1)
-    free = scenario.world.clearance_m(xy.reshape(-1, 2)).reshape(xy.shape[:2]) > scenario.vehicle.radius_mm * MM + 0.1
+    free = (
+        scenario.obstacles.clearance_m(xy.reshape(-1, 2)).reshape(xy.shape[:2]) > scenario.vehicle.radius_mm * MM + 0.1
+    )
     regions, _ = ndimage.label(free, np.ones((3, 3)))
     places = [(scenario.start.x_m, scenario.start.y_m), *scenario.goals_xy_m]
     found = {regions[round((py - low) / 0.1), round((px - left) / 0.1)] for px, py in places}
@@ -220,6 +222,16 @@ def test_the_schema_is_json_and_its_references_hold() -> None:
         ("start: ", "slam: {grid: 5}\nstart: ", 6, "grid '5' is not of the form NxM"),
         ("start: ", "slam: {grid: 5x}\nstart: ", 6, "grid '5x' is not of the form NxM"),
         ("start: ", "slam:\n  robust: {cel_mm: 5}\nstart: ", 7, "robust.cel_mm; did you mean slam.robust.cell_mm?"),
+        ("0.3}", "0.3, height_m: [2, 1]}", 4, "walls.2.circle.height_m is [2, 1], it has 2 m at its bottom and 1 m at"),
+        ("0.3}", "0.3, height_m: [-1, 1]}", 4, "walls.2.circle.height_m.0 is -1, it should be greater than or equal"),
+        ("0.3}", "0.3, height_m: [0, 1]}", 4, "walls.2.circle has heights; give the vehicle one too, as"),
+        ("start: ", "ceiling_m: 2\nstart: ", 6, "ceiling_m needs a vehicle with a height; give flight.height_m"),
+        ("start: ", "flight: {height_m: 0.1}\nstart: ", 6, "flight reaches from -0.1 to 0.3 m, into the floor; change"),
+        ("start: ", "ceiling_m: 2\nflight: {height_m: 1.9}\nstart: ", 7, "flight reaches from 1.7 to 2.1 m, into the"),
+        ("start: ", "slam: {attitude: /imu}\nstart: ", 6, "slam.attitude is '/imu', a mission has one sensor; wr"),
+        ("start: ", "flight: {tilt_noise_deg: -1}\nstart: ", 6, "flight.tilt_noise_deg is -1, it should be greater"),
+        ("  - box: {", "  - table: {top_m: [1, 1], ", 3, "walls.1.table.top_m is [1, 1], it has 1 m at its bottom"),
+        ("  - circle: {", "  - opening: {points_m: [[0, 0]], open_m: [0, 2]}\n  - circle: {", 4, "1 is missing"),
         ("start: ", "name: a/b\nstart: ", 6, "name is 'a/b', it should be a name for files, without slashes"),
         ("start: ", "name: \"a\\nb\"\nstart: ", 6, "name is 'a\\nb', it should be a name for files"),
         ("start: ", "planner: {techniqe: field}\nstart: ", 6, "planner.techniqe; did you mean planner.technique?"),
@@ -264,6 +276,14 @@ def test_errors_of_options_name_the_option(tmp_path: Path) -> None:
         load_scenario(path, [], {"seed": -1})
     with pytest.raises(ConfigError, match=r"no such file; .* scenario: complex, complex-paper"):
         load_scenario("korner.yaml")
+
+
+def test_places_are_checked_at_flight_height(tmp_path: Path) -> None:
+    text = GOOD.replace("radius_m: 0.3", "radius_m: 0.3, height_m: [0, 0.8]") + "flight: {height_m: 1.2}\n"
+    above = load_scenario(written(tmp_path, text.replace("goal_m: [5, 3]", "goal_m: [5.1, 1]")))
+    assert above.goal_m == (5.1, 1)
+    with pytest.raises(ConfigError, match=r"goal_m \[5.1, 1\] lies inside a wall \(walls.2.circle\)"):
+        load_scenario(written(tmp_path, text), ["goal_m=[5.1, 1]", "flight.height_m=0.6"])
 
 
 def test_a_world_without_a_closed_outline_ends_at_its_bounds() -> None:

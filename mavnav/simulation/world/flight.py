@@ -1,0 +1,89 @@
+"""What an aerial vehicle does besides moving in the plane: its height, its tilt, and the sensor of both."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Final
+
+import numpy as np
+from pydantic import Field
+
+from mavnav.config.strict import Strict
+from mavnav.scan import Attitude
+from mavnav.units import DEG, MM, MS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+Tilt = Annotated[float, Field(ge=0.0, le=20.0)]
+
+GRAVITY_M_S2: Final = 9.81
+
+
+class FlightConfig(Strict):
+    """Flight of an aerial vehicle; without this section it moves level, in the plane of its laser."""
+
+    height_m: float = Field(1.2, gt=0, le=1000, description="commanded height of the laser above the floor")
+    slice_mm: float = Field(
+        400.0, gt=0, le=5000, description="height of the slice around it in which walls are obstacles to the vehicle"
+    )
+    tilt_noise_deg: Tilt = Field(2.0, description="standard deviation of roll and of pitch in steady flight")
+    height_noise_mm: float = Field(20.0, ge=0, le=500, description="standard deviation of the height")
+    correlation_ms: float = Field(
+        300.0, gt=0, le=60_000, description="time in which both fall to 1/e of what they were"
+    )
+    max_tilt_deg: Tilt = Field(5.0, description="largest tilt to accelerate; 0: none")
+    response_ms: float = Field(200.0, gt=0, le=60_000, description="time constant in which the tilt follows a command")
+    sensor_tilt_deg: Tilt = Field(0.5, description="standard deviation of measured roll and pitch")
+    sensor_height_mm: float = Field(10.0, ge=0, le=500, description="standard deviation of the measured height")
+
+    @property
+    def slice_m(self) -> tuple[float, float]:
+        """Lower and upper end of the slice in which walls are obstacles."""
+        return self.height_m - 0.5 * self.slice_mm * MM, self.height_m + 0.5 * self.slice_mm * MM
+
+
+class Body:
+    """The true attitude of the laser and what the sensor measures of it, scan by scan; read-only lists from outside.
+
+    Roll and pitch are the tilt of the commanded accelerations and a correlated noise; the height is the commanded one
+    and such a noise.
+    """
+
+    def __init__(self, config: FlightConfig, period_s: float, command_s: float, seed: int) -> None:
+        """Begin in level flight with a first attitude: ``seed`` decides all."""
+        self._config, self._command_s = config, command_s
+        self._noise, self._sensor = (np.random.default_rng([seed, stream]) for stream in (3, 4))
+        self._kept = float(np.exp(-period_s / (config.correlation_ms * MS)))
+        self._follow = 1.0 - float(np.exp(-period_s / (config.response_ms * MS)))
+        self._sigmas = np.array([*[config.tilt_noise_deg * DEG] * 2, config.height_noise_mm * MM])
+        self._off = self._sigmas * self._noise.standard_normal(3)
+        self._velocity_m_s, self._wanted, self._tilt = np.zeros(2), np.zeros(2), np.zeros(2)
+        self.true: list[Attitude] = []
+        self.measured: list[Attitude] = []
+        self._note()
+
+    def command(self, dx_m: float, dy_m: float) -> None:
+        """Take a command of the laser's frame: the vehicle tilts towards where it accelerates to."""
+        velocity_m_s = np.array((dx_m, dy_m)) / self._command_s
+        x, y = (velocity_m_s - self._velocity_m_s) / self._command_s
+        most = self._config.max_tilt_deg * DEG
+        self._wanted = np.clip(np.arctan2([-y, x], GRAVITY_M_S2), -most, most)
+        self._velocity_m_s = velocity_m_s
+
+    def step(self) -> None:
+        """Go on to the next scan."""
+        fresh = self._noise.standard_normal(3) * np.sqrt(1.0 - self._kept**2)
+        self._off = self._kept * self._off + self._sigmas * fresh
+        self._tilt = self._tilt + self._follow * (self._wanted - self._tilt)
+        self._note()
+
+    def _note(self) -> None:
+        c = self._config
+        true = np.array([*self._tilt, c.height_m]) + self._off
+        noise = np.array([*[c.sensor_tilt_deg * DEG] * 2, c.sensor_height_mm * MM])
+        self.true.append(_attitude(true))
+        self.measured.append(_attitude(true + noise * self._sensor.standard_normal(3)))
+
+
+def _attitude(values: NDArray[np.float64]) -> Attitude:
+    return Attitude(*values.tolist())
