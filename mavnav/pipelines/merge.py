@@ -22,7 +22,8 @@ from mavnav.outputs.document import to_json
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
 from mavnav.outputs.trajectory import tum_lines
 from mavnav.pipelines.replay import ReplayRequest, log_name, replay_log
-from mavnav.slam.joining.group import Join, grown
+from mavnav.slam.joining.group import Join
+from mavnav.slam.joining.growth import grown
 from mavnav.slam.joining.merged_map import merged_map, trajectories
 from mavnav.slam.joining.session import make_session
 from mavnav.slam.registry import load_kernels

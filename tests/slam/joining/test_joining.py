@@ -9,7 +9,9 @@ import pytest
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose
-from mavnav.slam.joining.group import contradicting, group_of, grown, own_edges
+from mavnav.slam.joining.closures import contradicting
+from mavnav.slam.joining.group import group_of, own_edges
+from mavnav.slam.joining.growth import grown
 from mavnav.slam.joining.merged_map import merged_map, trajectories
 from mavnav.slam.joining.session import Session, make_session
 from mavnav.slam.loop_closure.key_frames import Part
@@ -77,9 +79,9 @@ def test_key_frames_in_the_wrong_place_contradict_the_map(sessions) -> None:
 def test_a_session_that_came_back_is_held_together(sessions) -> None:
     """Besides the edges of the path there are some between key frames that lie near after a long path."""
     keys = sessions["hall"].keys
-    assert len(list(own_edges(keys, 0))) == len(keys) - 1
+    assert len(list(own_edges(sessions["hall"], 0))) == len(keys) - 1
     back = [replace(key, path_m=key.path_m + 20.0) for key in keys]
-    edges = list(own_edges([*keys, *back], 5))
+    edges = list(own_edges(replace(sessions["hall"], keys=(*keys, *back)), 5))
     assert len(edges) == 2 * len(keys) - 1 + len(keys)
     assert min(edge.start for edge in edges) == 5
     assert group_of(sessions["hall"]).owner(0) == 0

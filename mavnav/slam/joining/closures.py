@@ -1,0 +1,169 @@
+"""Closures between a session and a group: they are searched as for loops, key frame by key frame.
+
+Some must agree, at several places, and hardly any key frame may contradict the map of the group.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.slam.joining.group import APART_M, Group, own_edges
+from mavnav.slam.joining.witnesses import evenly
+from mavnav.slam.loop_closure.closure import Closure, agree
+from mavnav.slam.loop_closure.detection import (
+    SIGHT_M,
+    consistent,
+    track_confirmed,
+)
+from mavnav.slam.loop_closure.key_frames import KEY_M, KeyFrame
+from mavnav.slam.loop_closure.matching import find_closure
+from mavnav.slam.loop_closure.pose_graph import Edge, optimized
+from mavnav.slam.relocalization import judged
+from mavnav.slam.scan_matching import no_match
+from mavnav.units import DEG, NS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mavnav.config.models import Config
+    from mavnav.pose import Pose
+    from mavnav.slam.joining.group import Join
+    from mavnav.slam.joining.group_map import GroupMap
+    from mavnav.slam.joining.session import Session
+    from mavnav.slam.loop_closure.key_frames import Part
+
+LEAST_CLOSURES, LEAST_AT_END = 4, 3
+"""So many closures that agree make a join; so many where a session begins soon after another one ended, at its end."""
+
+PLACES = 3
+"""Closures that agree must be of so many stretches of ``KEY_M`` of the path: few of one place may all be wrong."""
+
+SOON_S = 5.0
+"""Time between two parts of one recording."""
+
+BOUND = (0.6, 6 * DEG)
+"""Closures are searched within this of where the witnesses place a key frame, m and rad."""
+
+MOST_SEARCHED = 60
+"""Closures are searched for so many key frames of a session at most: first for those near to key frames of the group,
+then for others, evenly along its path."""
+
+ROUNDS = 2
+"""Closures are searched again from the poses that follow from the first ones, unless those are small corrections."""
+
+CONTRADICTED, MOST_CONTRADICTING = 0.15, 0.1
+"""Share of visibility conflicts at which a key frame contradicts the map of the group; largest share of such ones: 0
+where five simulated sessions of one floor join, 0.3 and more where two of rooms alike would."""
+
+
+def continued(
+    group: Group, session: Session, here: GroupMap, join: Join, pause_s: float, config: Config
+) -> tuple[Group | None, Join]:
+    """Join a session where one of the group ended shortly before; None, and ``join``, if it does not fit there."""
+    ends_ns = [int(member.map_T_laser.stamps_ns[-1]) for member in group.sessions]
+    pauses_s = [(int(session.map_T_laser.stamps_ns[0]) - end_ns) * NS for end_ns in ends_ns]
+    left_s, number = min((p, k) for k, p in enumerate([*pauses_s, np.inf]) if p > 0.0)
+    if left_s > pause_s or number == len(ends_ns):
+        return None, join
+    member, last = group.sessions[number], group.keys_of(number)[-1]
+    end = last.map_T_laser @ member.keys[-1].map_T_laser.between(member.map_T_laser[len(member.map_T_laser) - 1])
+    least = LEAST_AT_END if left_s <= SOON_S else LEAST_CLOSURES
+    place, at_end = end @ session.map_T_laser[0].inverse(), join._replace(why="", after=member.name)
+    larger, result = joined(group, session, place, here, at_end, config, least)
+    return larger, (result if larger else join)
+
+
+def joined(
+    group: Group,
+    session: Session,
+    group_T_session: Pose,
+    here: GroupMap,
+    join: Join,
+    config: Config,
+    least: int = LEAST_CLOSURES,
+) -> tuple[Group | None, Join]:
+    """Search closures between a group and a session, and solve the pose graph of all; None if they do not convince."""
+    first, offset_m = len(group.keys), len(group.sessions) * APART_M
+    placed = ((key, group_T_session @ key.map_T_laser) for key in session.keys)
+    new = [replace(key, map_T_laser=pose, path_m=key.path_m + offset_m) for key, pose in placed]
+    edges = [*group.edges, *own_edges(session, first)]
+    keys, closures, tested = closed([*group.keys, *new], first, edges, here, config, least)
+    join = join._replace(tested=len(tested), closures=len(closures))
+    if len(closures) < least:
+        return None, join._replace(why="too few closures agree")
+    join = join._replace(contradicting=contradicting([keys[k] for k in tested], here.part))
+    if join.contradicting > MOST_CONTRADICTING * len(tested):
+        return None, join._replace(why="too many of its scans contradict the others' map")
+    residual_m, residual_rad = residuals(closures, keys)
+    to = [group.sessions[group.owner(closure.start)].name for closure in closures]
+    join = join._replace(
+        residual_m=residual_m,
+        residual_rad=residual_rad,
+        joined_to=tuple((name, to.count(name)) for name in dict.fromkeys(to)),
+    )
+    members = (*group.sessions, session)
+    return Group(members, tuple(keys), (*edges, *map(_edge, closures)), (*group.joins, join)), join
+
+
+def closed(
+    keys: list[KeyFrame], first: int, edges: list[Edge], here: GroupMap, config: Config, least: int = LEAST_CLOSURES
+) -> tuple[list[KeyFrame], list[Closure], list[int]]:
+    """Close key frames from number ``first`` on with those before; return all at the poses that follow.
+
+    ``here`` is the map of those before. The closures that agree are returned too, and the numbers of the key frames
+    that were searched.
+    """
+    moved, closures, tested = keys, list[Closure](), list[int]()
+    for _ in range(ROUNDS):
+        here, numbers = here.grown(moved[:first]), searched(moved, first, config)
+        found = [find_closure(moved, k, here.part, here.seen, BOUND, config) for k in numbers]
+        agreed_on = supported(consistent([closure for closure in found if closure], moved, moved), moved)
+        if len(agreed_on) < max(len(closures), least):
+            return moved, closures or agreed_on, tested or numbers
+        closures, tested = agreed_on, numbers
+        small = track_confirmed([closure.correction(moved) for closure in closures])
+        poses = optimized([key.map_T_laser for key in keys], [*edges, *map(_edge, closures)])
+        moved = [replace(key, map_T_laser=pose) for key, pose in zip(keys, poses, strict=True)]
+        if small:
+            break
+    return moved, closures, tested
+
+
+def supported(closures: list[Closure], keys: Sequence[KeyFrame]) -> list[Closure]:
+    """Keep the closures with which others agree, enough of them at other places of the path."""
+    kept = [
+        a
+        for a in closures
+        if len({keys[b.end].path_m // KEY_M for b in closures if b is a or agree(a, b, keys)}) >= PLACES
+    ]
+    return kept if len(kept) == len(closures) else supported(kept, keys)
+
+
+def _edge(closure: Closure) -> Edge:
+    return Edge(closure.start, closure.end, closure.start_T_end, closure.sqrt_information)
+
+
+def residuals(closures: Sequence[Closure], keys: Sequence[KeyFrame]) -> tuple[float, float]:
+    """Return the RMS of the corrections that closures still ask for, m and rad."""
+    left = np.array([closure.correction(keys) for closure in closures])
+    return float(np.sqrt((left[:, :2] ** 2).sum(axis=1).mean())), float(np.sqrt((left[:, 2] ** 2).mean()))
+
+
+def searched(keys: Sequence[KeyFrame], first: int, config: Config) -> list[int]:
+    """Choose the key frames from number ``first`` on that are searched, and held against the map."""
+    xy_m = np.array([key.map_T_laser[:2] for key in keys])
+    usable = [k for k in range(first, len(keys)) if len(keys[k].points) >= config.robust.min_points]
+    near = [k for k in usable if (np.hypot(*(xy_m[:first] - xy_m[k]).T) <= SIGHT_M).any()]
+    chosen = [near[k] for k in evenly(len(near), MOST_SEARCHED)] if near else []
+    others = [k for k in usable if k not in near]
+    chosen += [others[k] for k in evenly(len(others), MOST_SEARCHED - len(chosen))] if others else []
+    return sorted(chosen)
+
+
+def contradicting(keys: Sequence[KeyFrame], part: Part) -> int:
+    """Count the key frames that see through walls of a map, or walls where it is free."""
+    matches = (judged(no_match(key.map_T_laser), key.points, part.lines, part.grid) for key in keys)
+    return sum(match.conflicts > CONTRADICTED for match in matches)
