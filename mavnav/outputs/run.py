@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.metrics.reference import Reference
     from mavnav.metrics.wall_report import WallThicknessReport
+    from mavnav.outputs.continued_section import Continued
     from mavnav.outputs.run_json import Localisation, MissionResult, Provenance, TruthErrors
     from mavnav.pose import Trajectory
+    from mavnav.slam.joining.session import Session
     from mavnav.slam.result import SlamResult
 
 
@@ -104,7 +106,8 @@ class Run:
     A mission of the simulator knows the truth besides. ``reference`` is the comparison with references,
     and ``true_map`` the one among them. ``stopped`` is the code of the signal that stopped
     the run before the log ended.
-    ``localisation`` says where the laser was found in a given map.
+    ``localisation`` says where the laser was found in a given map. ``continued`` says which run was continued, and
+    ``earlier`` are its sessions, in the map frame.
     ``address`` is where the log was fetched from, if it was; ``provenance`` says when and how the run was made.
     ``position_errors_m`` (n,) are those of the poses of the trajectory, NaN without a truth at that time; None without.
     """
@@ -123,6 +126,8 @@ class Run:
     localisation: Localisation | None = None
     address: str | None = None
     position_errors_m: NDArray[np.float64] | None = None
+    continued: Continued | None = None
+    earlier: tuple[Session, ...] = ()
 
     @property
     def name(self) -> str:
@@ -166,7 +171,7 @@ class Run:
         """How the run ended: a stop outweighs lost for good, that a failed mission or a damaged input."""
         if self.stopped is not None:
             return self.stopped
-        if self.slam.lost_for_good:
+        if self.slam.lost_for_good or (self.continued and not self.continued.joined):
             return ExitCode.TRACKING_LOST
         if self.mission and not self.mission.result.reached:
             return ExitCode.GATE_FAILED

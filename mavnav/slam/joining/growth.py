@@ -51,9 +51,14 @@ def repeated(sessions: Sequence[Session]) -> Iterator[tuple[str, str]]:
     longest = sorted(sessions, key=lambda session: -len(session.scan_hashes))
     for k, session in enumerate(longest):
         for other in longest[:k]:
-            if len(session.scan_hashes & other.scan_hashes) > MOST_ALIKE * len(session.scan_hashes):
+            if alike(session, other):
                 yield session.name, other.name
                 break
+
+
+def alike(session: Session, other: Session) -> bool:
+    """Return whether most scans of a session are those of another one."""
+    return len(session.scan_hashes & other.scan_hashes) > MOST_ALIKE * len(session.scan_hashes)
 
 
 def _left_out(name: str, group: list[str]) -> Join:

@@ -42,13 +42,18 @@ def merged_map(
     """Draw the map of all sessions, and return it with the trajectories as matched against it.
 
     ``placed`` are the poses of each session, map_T_laser. What did not stay where it was seen is no part of the map.
+    Sessions whose track is doubtful are matched against the map of the others too, these not against theirs.
     """
-    method = Robust(config)
-    for done, (scan, motion) in enumerate(_all_scans(sessions, placed), start=1):
-        method.insert(scan, motion.map_T_laser, motion)
-        on_step("draw map", done)
-    method.remove_dynamic_cells()
-    refined_poses = [_refined(session, poses, method) for session, poses in zip(sessions, placed, strict=True)]
+    method, refined_poses, done = Robust(config), list(placed), 0
+    for doubtful in sorted({session.doubtful for session in sessions}):
+        numbers = [k for k, session in enumerate(sessions) if session.doubtful == doubtful]
+        for scan, motion in _all_scans([sessions[k] for k in numbers], [placed[k] for k in numbers]):
+            method.insert(scan, motion.map_T_laser, motion)
+            done += 1
+            on_step("draw map", done)
+        method.remove_dynamic_cells()
+        for k in numbers:
+            refined_poses[k] = _refined(sessions[k], placed[k], method)
     grid = GridBuilder(method.grid.cell_m)
     for done, (scan, motion) in enumerate(_all_scans(sessions, refined_poses), start=1):
         grid.insert(motion.map_T_laser, *method.placed_points(scan, motion.map_T_laser, motion))
