@@ -13,7 +13,6 @@ from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.continued_section import Continued, EarlierSession
 from mavnav.outputs.sessions import evidence, recording_file, trajectory_file
 from mavnav.pipelines.sessions import finished_run
-from mavnav.pose import Pose
 from mavnav.slam.covariance import turned
 from mavnav.slam.joining.group import Join, group_in_frame
 from mavnav.slam.joining.growth import alike, extended
@@ -107,10 +106,14 @@ def continued_run(
     group, join = _joined(session, earlier, config, progress)
     if group is None:
         return Continuation(outcome, section(run, join, ()))
-    placed = trajectories(group, Pose())
+    placed = trajectories(group)
     total = sum(map(len, placed))
     grid, poses = merged_map(
-        group.sessions, placed, config, lambda phase, done: progress(f"both: {phase}", done, total)
+        group.sessions,
+        placed,
+        config,
+        range(len(earlier)),
+        lambda phase, done: progress(f"both: {phase}", done, total),
     )
     moved = [replace(member, map_T_laser=path) for member, path in zip(group.sessions, poses, strict=True)]
     return Continuation(in_map(outcome, moved[-1], grid), section(run, join, moved[:-1]), tuple(moved[:-1]))

@@ -96,10 +96,10 @@ def merge(request: MergeRequest, progress: Progress) -> dict[str, Any]:
             raise NoScansError("none of the logs and runs has a tracked scan; examine them with mavnav info")
         load_kernels(request.config, progress)
         group, refused = grown(sessions, request.config, lambda name: progress(f"joining {name}", 0, None))
-        placed = trajectories(group, _map_T_group(group, sessions))
+        placed, framing = trajectories(group), [_first(group, sessions)]
         total = sum(map(len, placed))
         grid, poses = merged_map(
-            group.sessions, placed, request.config, lambda phase, done: progress(phase, done, total)
+            group.sessions, placed, request.config, framing, lambda phase, done: progress(phase, done, total)
         )
         drawn = MergedMap(known_part(grid))
         members = [replace(session, map_T_laser=path) for session, path in zip(group.sessions, poses, strict=True)]
@@ -171,12 +171,10 @@ def _read(name: str, run: FinishedRun, config: Config) -> Session:
         raise UsageError(f"{where} is no whole run: {error}; make it again with mavnav replay --force") from error
 
 
-def _map_T_group(group: Group, sessions: list[Session]) -> Pose:
-    """Return the group's frame in that of the session that was named first."""
+def _first(group: Group, sessions: list[Session]) -> int:
+    """Return the number in a group of the session that was named first."""
     inside = [session.name for session in group.sessions]
-    first = next(session for session in sessions if session.name in inside)
-    key = group.keys_of(inside.index(first.name))[0]
-    return first.keys[0].map_T_laser @ key.map_T_laser.inverse()
+    return next(inside.index(session.name) for session in sessions if session.name in inside)
 
 
 def _write(request: MergeRequest, drawn: MergedMap, members: list[Session], document: dict[str, Any]) -> dict[str, Any]:
