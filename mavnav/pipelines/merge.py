@@ -25,7 +25,7 @@ from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pipelines.sessions import MERGE_FILE, FinishedRun, finished_run
 from mavnav.slam.joining.group import Join
 from mavnav.slam.joining.growth import grown
-from mavnav.slam.joining.merged_map import merged_map, trajectories
+from mavnav.slam.joining.merged_map import frame_of, merged_map, trajectories
 from mavnav.slam.registry import load_kernels
 from mavnav.units import DEG
 
@@ -224,7 +224,7 @@ def _row(given: Input, join: Join, paths: dict[str, Trajectory]) -> dict[str, An
         "why": join.why or None,
         "trajectory": trajectory_file(given.name) if joined else None,
         "recording": recording_file(given.name) if joined else None,
-        "map_T_session": _pose(paths[given.name][0] @ own[0].inverse()) if own and joined else None,
+        "map_T_session": _pose(frame_of([own], [paths[given.name]])) if own and joined else None,
         **found,
         "tracking": {key: run["tracking"].get(key) for key in TRACKING} if run else None,
         "damage": run.get("damage", []),

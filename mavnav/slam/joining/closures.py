@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.pose import Pose
 from mavnav.slam.joining.group import APART_M, Group, own_edges
 from mavnav.slam.joining.witnesses import evenly
 from mavnav.slam.loop_closure.closure import Closure, agree
@@ -26,10 +27,9 @@ from mavnav.slam.scan_matching import no_match
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from mavnav.config.models import Config
-    from mavnav.pose import Pose
     from mavnav.slam.joining.group import Join
     from mavnav.slam.joining.group_map import GroupMap
     from mavnav.slam.joining.session import Session
@@ -90,7 +90,8 @@ def joined(
     placed = ((key, group_T_session @ key.map_T_laser) for key in session.keys)
     new = [replace(key, map_T_laser=pose, path_m=key.path_m + offset_m) for key, pose in placed]
     edges = [*group.edges, *own_edges(session, first)]
-    keys, closures, tested = closed([*group.keys, *new], first, edges, here, config, least)
+    solve = held if session.doubtful else whole
+    keys, closures, tested = closed([*group.keys, *new], first, edges, here, config, least, solve)
     join = join._replace(tested=len(tested), closures=len(closures))
     if len(closures) < least:
         return None, join._replace(why="too few closures agree")
@@ -109,7 +110,13 @@ def joined(
 
 
 def closed(
-    keys: list[KeyFrame], first: int, edges: list[Edge], here: GroupMap, config: Config, least: int = LEAST_CLOSURES
+    keys: list[KeyFrame],
+    first: int,
+    edges: list[Edge],
+    here: GroupMap,
+    config: Config,
+    least: int,
+    solve: Callable[[list[KeyFrame], int, list[Edge], list[Closure]], list[Pose]],
 ) -> tuple[list[KeyFrame], list[Closure], list[int]]:
     """Close key frames from number ``first`` on with those before; return all at the poses that follow.
 
@@ -125,11 +132,28 @@ def closed(
             return moved, closures or agreed_on, tested or numbers
         closures, tested = agreed_on, numbers
         small = track_confirmed([closure.correction(moved) for closure in closures])
-        poses = optimized([key.map_T_laser for key in keys], [*edges, *map(_edge, closures)])
+        poses = solve(keys, first, edges, closures)
         moved = [replace(key, map_T_laser=pose) for key, pose in zip(keys, poses, strict=True)]
         if small:
             break
     return moved, closures, tested
+
+
+def whole(keys: list[KeyFrame], _first: int, edges: list[Edge], closures: list[Closure]) -> list[Pose]:
+    """Return the poses of all key frames that fit edges and closures best."""
+    return optimized([key.map_T_laser for key in keys], [*edges, *map(_edge, closures)])
+
+
+def held(keys: list[KeyFrame], first: int, edges: list[Edge], closures: list[Closure]) -> list[Pose]:
+    """Return the same with all key frames before number ``first`` where they are: closures measure from the frame."""
+    poses, own = [key.map_T_laser for key in keys], [edge for edge in edges if edge.start >= first]
+    ties = [replace(edge, start=edge.start - first + 1, end=edge.end - first + 1) for edge in own]
+    for closure in closures:
+        start, turn = poses[closure.start], np.eye(3)
+        c, s = np.cos(start.yaw_rad), np.sin(start.yaw_rad)
+        turn[:2, :2] = (c, s), (-s, c)
+        ties.append(Edge(0, closure.end - first + 1, start @ closure.start_T_end, closure.sqrt_information @ turn))
+    return [*poses[:first], *optimized([Pose(), *poses[first:]], ties)[1:]]
 
 
 def supported(closures: list[Closure], keys: Sequence[KeyFrame]) -> list[Closure]:

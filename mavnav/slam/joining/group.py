@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from mavnav.slam.joining.session import Session
 
-DOUBTFUL = 10.0
+DOUBTFUL = 3.0
 """The path of a session whose own track is doubtful has standard deviations so many times as large: it is bent to fit
 the others, and does not bend them."""
 

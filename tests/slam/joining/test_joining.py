@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavnav.config.models import Config
-from mavnav.pose import Pose
+from mavnav.pose import Pose, Trajectory
 from mavnav.slam.joining.closures import contradicting
 from mavnav.slam.joining.group import group_of, own_edges
 from mavnav.slam.joining.growth import grown
@@ -48,6 +48,21 @@ def test_overlapping_sessions_are_joined_to_one_map(tours, sessions) -> None:
         members = zip(group.sessions, poses, strict=True)
         assert max(errors_m(path, tours[member.name], world_T_group) for member, path in members) < 0.03
     assert np.count_nonzero(grid.hits) > 500
+
+
+def test_a_doubtful_track_bends_no_other(tours, sessions) -> None:
+    """It is 0.3 m off at its end, where it must fit the others."""
+    back = tours["back"].map_T_laser
+    bent = Trajectory(back.stamps_ns, back.xyyaw + np.linspace(0, 1, len(back))[:, None] * (0.2, 0.2, 0.05))
+    doubtful = make_session("back", lambda: tours["back"].scans, bent, CONFIG, doubtful=True)
+    group, refused = grown([doubtful, sessions["both"], sessions["hall"]], CONFIG, silent)
+    assert refused == []
+    assert [s.name for s in group.sessions[1:]][-1] == "back"
+    alone, _ = grown([sessions["both"], sessions["hall"]], CONFIG, silent)
+    for path, before in zip(trajectories(group), trajectories(alone), strict=False):
+        np.testing.assert_array_equal(path.xyyaw, before.xyyaw)
+    world_T_group = tours[group.sessions[0].name].world_T_laser[0]
+    assert errors_m(trajectories(group)[-1], tours["back"], world_T_group) < 0.1
 
 
 def test_another_building_does_not_join(sessions) -> None:
