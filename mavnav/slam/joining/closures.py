@@ -47,7 +47,7 @@ SOON_S = 5.0
 BOUND = (0.6, 6 * DEG)
 """Closures are searched within this of where the witnesses place a key frame, m and rad."""
 
-MOST_SEARCHED = 60
+MOST_SEARCHED = 40
 """Closures are searched for so many key frames of a session at most: first for those near to key frames of the group,
 then for others, evenly along its path."""
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.slam.loop_closure.key_frames import Part, Visibility
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -14,8 +15,8 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.slam.loop_closure.key_frames import KeyFrame
 
-STILL = 0.003
-"""A map stays where no key frame moved farther, m, nor turned farther, rad."""
+STILL_M, STILL_RAD = 0.01, 0.2 * DEG
+"""A map stays where no key frame moved nor turned farther: that is less than a cell."""
 
 
 class GroupMap:
@@ -34,7 +35,7 @@ class GroupMap:
         poses = (np.array([key.map_T_laser for key in some]) for some in (self.keys, keys[:count]))
         off = np.abs(np.subtract(*poses))
         off[:, 2] = np.minimum(off[:, 2], 2.0 * np.pi - off[:, 2])
-        if off.max(initial=0.0) > STILL:
+        if (off > (STILL_M, STILL_M, STILL_RAD)).any():
             return GroupMap(keys, self.config)
         self.keys.extend(keys[count:])
         self.part.grow(self.keys, len(keys))

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 WITNESSES, IN_TURN = 24, 3
 """So many key frames of a session, evenly along its path, are searched in the whole map of a group, a third at once."""
 
-ENOUGH, ENOUGH_SHARE = 6, 0.8
+ENOUGH, ENOUGH_SHARE = 4, 0.8
 """No more are searched once so many agree, and so large a share of those that fit in one place."""
 
 FEW, AROUND_M = 6, 1.5
