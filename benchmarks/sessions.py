@@ -15,6 +15,7 @@ import json
 import os
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -251,6 +252,28 @@ def cut(path: Path, parts: int, gap_s: float) -> None:
             paths = [folder / "merged" / row["trajectory"] for row in document["sessions"] if row["joined"]]
             print(f"  merged: {compared(folder / 'merged', paths, folder / 'whole')}")
             print(f"  closures {[row['closures'] for row in document['sessions']]}")
+        continued(path, [*pairwise(edges)], folder, runs[0], used)
+
+
+def continued(path: Path, windows: list[tuple[float, float]], folder: Path, run: Path, replays: list[Used]) -> None:
+    """Continue the run of the first part with one part after another, and compare the last run with the whole."""
+    before = {file.name: file.read_bytes() for file in run.iterdir()}
+    used, last = [], run
+    for k, (start_s, end_s) in enumerate(windows[1:], start=1):
+        following = folder / f"continued{k}"
+        window = ("--start", start_s, *(("--end", end_s) if k + 1 < len(windows) else ()))
+        used.append(mavnav("replay", path, *window, "--continue", last, "-o", following))
+        last = following
+    if any(each.code not in {0, 3} for each in used):
+        print(f"  continued: exit codes {[each.code for each in used]}, {used[-1].text}")
+        return
+    paths = [*sorted(last.glob("session_*.tum")), last / "trajectory.tum"]
+    same = before == {file.name: file.read_bytes() for file in run.iterdir()}
+    print(f"  continued: {compared(last, paths, folder / 'whole')}; first run {'unchanged' if same else 'CHANGED'}")
+    joins = [json.loads((folder / f"continued{k}" / "run.json").read_text()) for k in range(1, len(windows))]
+    evidence = [(d["continued"]["evidence"]["after"], d["continued"]["evidence"]["closures"]) for d in joins]
+    costs = [f"{each.cpu_s / alone.cpu_s:.2f}" for each, alone in zip(used, replays[1:], strict=True)]
+    print(f"  placed after, closures: {evidence}; CPU-s as a multiple of a replay alone: {', '.join(costs)}")
 
 
 def main() -> None:

@@ -6,15 +6,20 @@ Some must agree, at several places, and hardly any key frame may contradict the 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mavnav.pose import Pose
-from mavnav.slam.joining.group import APART_M, Group, own_edges
+from mavnav.slam.joining.following import across, end_of
+from mavnav.slam.joining.group import APART_M, Group, own_edges, weights
 from mavnav.slam.joining.witnesses import evenly
 from mavnav.slam.loop_closure.closure import Closure, agree
 from mavnav.slam.loop_closure.detection import (
+    LOOP_M,
+    PATH_SIGMA_M,
+    PATH_SIGMA_RAD,
     SIGHT_M,
     consistent,
     track_confirmed,
@@ -24,25 +29,23 @@ from mavnav.slam.loop_closure.matching import find_closure
 from mavnav.slam.loop_closure.pose_graph import Edge, optimized
 from mavnav.slam.relocalization import judged
 from mavnav.slam.scan_matching import no_match
-from mavnav.units import DEG, NS
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from mavnav.config.models import Config
+    from mavnav.slam.joining.following import Follows
     from mavnav.slam.joining.group import Join
     from mavnav.slam.joining.group_map import GroupMap
     from mavnav.slam.joining.session import Session
     from mavnav.slam.loop_closure.key_frames import Part
 
 LEAST_CLOSURES, LEAST_AT_END = 4, 3
-"""So many closures that agree make a join; so many where a session begins soon after another one ended, at its end."""
+"""So many closures that agree make a join; so many where the track of another session goes on."""
 
 PLACES = 3
 """Closures that agree must be of so many stretches of ``KEY_M`` of the path: few of one place may all be wrong."""
-
-SOON_S = 5.0
-"""Time between two parts of one recording."""
 
 BOUND = (0.6, 6 * DEG)
 """Closures are searched within this of where the witnesses place a key frame, m and rad."""
@@ -60,19 +63,24 @@ where five simulated sessions of one floor join, 0.3 and more where two of rooms
 
 
 def continued(
-    group: Group, session: Session, here: GroupMap, join: Join, pause_s: float, config: Config
+    group: Group, session: Session, follows: Follows, here: GroupMap, join: Join, config: Config
 ) -> tuple[Group | None, Join]:
-    """Join a session where one of the group ended shortly before; None, and ``join``, if it does not fit there."""
-    ends_ns = [int(member.map_T_laser.stamps_ns[-1]) for member in group.sessions]
-    pauses_s = [(int(session.map_T_laser.stamps_ns[0]) - end_ns) * NS for end_ns in ends_ns]
-    left_s, number = min((p, k) for k, p in enumerate([*pauses_s, np.inf]) if p > 0.0)
-    if left_s > pause_s or number == len(ends_ns):
-        return None, join
-    member, last = group.sessions[number], group.keys_of(number)[-1]
-    end = last.map_T_laser @ member.keys[-1].map_T_laser.between(member.map_T_laser[len(member.map_T_laser) - 1])
-    least = LEAST_AT_END if left_s <= SOON_S else LEAST_CLOSURES
-    place, at_end = end @ session.map_T_laser[0].inverse(), join._replace(why="", after=member.name)
-    larger, result = joined(group, session, place, here, at_end, config, least)
+    """Join a session at the end of one of the group; None, and ``join``, if it does not fit there.
+
+    Where one recording goes on, the track across the cut binds both, and no closures near it, as within a session.
+    """
+    member, last, tie = group.sessions[follows.number], len(group.keys) - 1, None
+    member_T_session = across(member, session, config) if follows.soon else None
+    if member_T_session is None:
+        end = member.map_T_laser[len(member.map_T_laser) - 1]
+        place = end_of(group, follows.number) @ end @ session.map_T_laser[0].inverse()
+    else:
+        place = end_of(group, follows.number) @ member_T_session
+        last = max(k for k in range(len(group.keys)) if group.owner(k) == follows.number)
+        start_T_end = group.keys[last].map_T_laser.between(place @ session.keys[0].map_T_laser)
+        tie = Edge(last, len(group.keys), start_T_end, weights(PATH_SIGMA_M, PATH_SIGMA_RAD))
+    at_end = join._replace(why="", after=member.name)
+    larger, result = joined(group, session, place, here, at_end, config, tie)
     return larger, (result if larger else join)
 
 
@@ -83,15 +91,18 @@ def joined(
     here: GroupMap,
     join: Join,
     config: Config,
-    least: int = LEAST_CLOSURES,
+    tie: Edge | None = None,
 ) -> tuple[Group | None, Join]:
-    """Search closures between a group and a session, and solve the pose graph of all; None if they do not convince."""
+    """Search closures between a group and a session, and solve the pose graph of all; None if they do not convince.
+
+    ``tie`` binds the first key frame of the session to one of the group, where its track goes on.
+    """
     first, offset_m = len(group.keys), len(group.sessions) * APART_M
     placed = ((key, group_T_session @ key.map_T_laser) for key in session.keys)
     new = [replace(key, map_T_laser=pose, path_m=key.path_m + offset_m) for key, pose in placed]
-    edges = [*group.edges, *own_edges(session, first)]
-    solve = held if session.doubtful else whole
-    keys, closures, tested = closed([*group.keys, *new], first, edges, here, config, least, solve)
+    edges, least = [*group.edges, *own_edges(session, first)], LEAST_AT_END if tie else LEAST_CLOSURES
+    solve = partial(held if session.doubtful else whole, first=first, edges=[*edges, tie] if tie else edges)
+    keys, closures, tested = closed([*group.keys, *new], first, here, config, least, tie, solve)
     join = join._replace(tested=len(tested), closures=len(closures))
     if len(closures) < least:
         return None, join._replace(why="too few closures agree")
@@ -106,17 +117,18 @@ def joined(
         joined_to=tuple((name, to.count(name)) for name in dict.fromkeys(to)),
     )
     members = (*group.sessions, session)
-    return Group(members, tuple(keys), (*edges, *map(_edge, closures)), (*group.joins, join)), join
+    edges += [tie] if tie else []
+    return Group(members, tuple(keys), (*edges, *map(_edge, binding(closures, keys, tie))), (*group.joins, join)), join
 
 
 def closed(
     keys: list[KeyFrame],
     first: int,
-    edges: list[Edge],
     here: GroupMap,
     config: Config,
     least: int,
-    solve: Callable[[list[KeyFrame], int, list[Edge], list[Closure]], list[Pose]],
+    tie: Edge | None,
+    solve: Callable[[list[KeyFrame], list[Closure]], list[Pose]],
 ) -> tuple[list[KeyFrame], list[Closure], list[int]]:
     """Close key frames from number ``first`` on with those before; return all at the poses that follow.
 
@@ -132,27 +144,39 @@ def closed(
             return moved, closures or agreed_on, tested or numbers
         closures, tested = agreed_on, numbers
         small = track_confirmed([closure.correction(moved) for closure in closures])
-        poses = solve(keys, first, edges, closures)
+        poses = solve(keys, binding(closures, keys, tie))
         moved = [replace(key, map_T_laser=pose) for key, pose in zip(keys, poses, strict=True)]
         if small:
             break
     return moved, closures, tested
 
 
-def whole(keys: list[KeyFrame], _first: int, edges: list[Edge], closures: list[Closure]) -> list[Pose]:
+def binding(closures: list[Closure], keys: Sequence[KeyFrame], tie: Edge | None) -> list[Closure]:
+    """Return the closures that enter the pose graph: not those a short path across a tie, which are no loops."""
+    if tie is None:
+        return closures
+    paths_m = (
+        keys[c.end].path_m - keys[tie.end].path_m + abs(keys[tie.start].path_m - keys[c.start].path_m) for c in closures
+    )
+    return [closure for closure, path_m in zip(closures, paths_m, strict=True) if path_m >= LOOP_M]
+
+
+def whole(keys: list[KeyFrame], closures: list[Closure], *, first: int, edges: list[Edge]) -> list[Pose]:  # noqa: ARG001
     """Return the poses of all key frames that fit edges and closures best."""
     return optimized([key.map_T_laser for key in keys], [*edges, *map(_edge, closures)])
 
 
-def held(keys: list[KeyFrame], first: int, edges: list[Edge], closures: list[Closure]) -> list[Pose]:
-    """Return the same with all key frames before number ``first`` where they are: closures measure from the frame."""
-    poses, own = [key.map_T_laser for key in keys], [edge for edge in edges if edge.start >= first]
-    ties = [replace(edge, start=edge.start - first + 1, end=edge.end - first + 1) for edge in own]
-    for closure in closures:
-        start, turn = poses[closure.start], np.eye(3)
-        c, s = np.cos(start.yaw_rad), np.sin(start.yaw_rad)
-        turn[:2, :2] = (c, s), (-s, c)
-        ties.append(Edge(0, closure.end - first + 1, start @ closure.start_T_end, closure.sqrt_information @ turn))
+def held(keys: list[KeyFrame], closures: list[Closure], *, first: int, edges: list[Edge]) -> list[Pose]:
+    """Return the same with all key frames before number ``first`` where they are: what binds to them, to the frame."""
+    poses, ties = [key.map_T_laser for key in keys], list[Edge]()
+    for edge in (edge for edge in (*edges, *map(_edge, closures)) if edge.end >= first):
+        start, turn, end = Pose(), np.eye(3), edge.end - first + 1
+        if edge.start < first:
+            start = poses[edge.start]
+            c, s = np.cos(start.yaw_rad), np.sin(start.yaw_rad)
+            turn[:2, :2] = (c, s), (-s, c)
+        number = max(edge.start - first + 1, 0)
+        ties.append(Edge(number, end, start @ edge.start_T_end, edge.sqrt_information @ turn))
     return [*poses[:first], *optimized([Pose(), *poses[first:]], ties)[1:]]
 
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mavnav.slam.joining.closures import SOON_S, continued, joined
+from mavnav.slam.joining.closures import continued, joined
+from mavnav.slam.joining.following import SOON_S, ended_before
 from mavnav.slam.joining.group import Group, Join, group_of
 from mavnav.slam.joining.group_map import GroupMap
 from mavnav.slam.joining.witnesses import sought
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from mavnav.config.models import Config
+    from mavnav.pose import Pose
     from mavnav.slam.joining.session import Session
 
 MOST_ALIKE = 0.5
@@ -74,20 +76,27 @@ def extended(
 
     One that begins within ``pause_s`` after one of the group ended is also tried at its end.
     """
-    here = GroupMap(group.keys, config)
+    here, left = GroupMap(group.keys, config), sorted(waiting, key=lambda session: session.doubtful)
     while True:
-        places, tried, before = [], list[Join](), len(group.sessions)
-        for session in waiting:
+        tried, before = list[Join](), len(group.sessions)
+        places: list[tuple[Session, Join, Pose | None]] = []
+        for session in left:
             report(session.name)
-            places.append((session, *sought(session, here.part, config)))
+            follows = ended_before(group, session, SOON_S)
+            larger = continued(group, session, follows, here, Join(session.name), config)[0] if follows else None
+            if larger is None:
+                places.append((session, *sought(session, here.part, config)))
+            else:
+                group, here = larger, here.grown(larger.keys)
         for session, join, place in sorted(places, key=lambda found: (found[0].doubtful, -found[1].agreeing_share)):
             larger, result = joined(group, session, place, here, join, config) if place else (None, join)
-            if larger is None:
-                larger, result = continued(group, session, here, result, pause_s, config)
+            follows = ended_before(group, session, pause_s)
+            if larger is None and follows and not follows.soon:
+                larger, result = continued(group, session, follows, here, result, config)
             if larger is None:
                 tried.append(result)
             else:
                 group, here = larger, here.grown(larger.keys)
-        waiting = [session for session in waiting if session not in group.sessions]
-        if not waiting or len(group.sessions) == before:
-            return group, waiting, tried
+        left = [session for session in left if session not in group.sessions]
+        if not left or len(group.sessions) == before:
+            return group, left, tried
