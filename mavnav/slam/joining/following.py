@@ -41,10 +41,17 @@ class Follows(NamedTuple):
 
 def ended_before(group: Group, session: Session, pause_s: float) -> Follows | None:
     """Return the session of a group that ended last before another one begins; None if the pause is longer."""
-    begin_ns = int(session.map_T_laser.stamps_ns[0])
-    pauses_s = [(begin_ns - int(member.map_T_laser.stamps_ns[-1])) * NS for member in group.sessions]
-    found = min(((p, k) for k, p in enumerate(pauses_s) if 0.0 < p <= pause_s), default=None)
+    pauses_s = [(follows(session, member, pause_s), k) for k, member in enumerate(group.sessions)]
+    found = min(((p, k) for p, k in pauses_s if p is not None), default=None)
     return None if found is None else Follows(found[1], found[0])
+
+
+def follows(session: Session, other: Session, pause_s: float) -> float | None:
+    """Return the pause after which a session begins at the end of another one, s; None if it is longer, or before."""
+    if other is session or len(session.map_T_laser) < 2:
+        return None
+    left_s = (int(session.map_T_laser.stamps_ns[0]) - int(other.map_T_laser.stamps_ns[-1])) * NS
+    return left_s if 0.0 <= left_s <= pause_s else None
 
 
 def end_of(group: Group, number: int) -> Pose:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mavnav.slam.joining.closures import continued, joined
-from mavnav.slam.joining.following import SOON_S, ended_before
+from mavnav.slam.joining.following import SOON_S, ended_before, follows
 from mavnav.slam.joining.group import Group, Join, group_of
 from mavnav.slam.joining.group_map import GroupMap
 from mavnav.slam.joining.witnesses import sought
@@ -36,7 +36,9 @@ def grown(sessions: Sequence[Session], config: Config, report: Callable[[str], N
     waiting.sort(key=lambda session: (session.doubtful, -len(session.keys)))
     groups: list[Group] = []
     while waiting and sum(len(s.keys) for s in waiting) > max((len(group.keys) for group in groups), default=0):
-        group, waiting, tried = extended(group_of(waiting[0]), waiting[1:], config, report)
+        first = beginning(waiting[0], waiting)
+        others = [session for session in waiting if session is not first]
+        group, waiting, tried = extended(group_of(first), others, config, report)
         groups.append(group)
         refused |= {join.name: join for join in tried}
     best = max(groups, key=lambda group: len(group.keys))
@@ -46,6 +48,12 @@ def grown(sessions: Sequence[Session], config: Config, report: Callable[[str], N
             refused |= {name: _left_out(name, names) for name in names}
     inside = {session.name for session in best.sessions}
     return best, [refused[session.name] for session in sessions if session.name not in inside]
+
+
+def beginning(session: Session, others: Sequence[Session]) -> Session:
+    """Return the first part of the recording that a session goes on with; itself, if it is not known to."""
+    before = [other for other in others if not other.doubtful and follows(session, other, SOON_S) is not None]
+    return beginning(before[0], others) if before else session
 
 
 def repeated(sessions: Sequence[Session]) -> Iterator[tuple[str, str]]:
@@ -82,17 +90,17 @@ def extended(
         places: list[tuple[Session, Join, Pose | None]] = []
         for session in left:
             report(session.name)
-            follows = ended_before(group, session, SOON_S)
-            larger = continued(group, session, follows, here, Join(session.name), config)[0] if follows else None
+            cut = ended_before(group, session, SOON_S)
+            larger = continued(group, session, cut, here, Join(session.name), config)[0] if cut else None
             if larger is None:
                 places.append((session, *sought(session, here.part, config)))
             else:
                 group, here = larger, here.grown(larger.keys)
         for session, join, place in sorted(places, key=lambda found: (found[0].doubtful, -found[1].agreeing_share)):
             larger, result = joined(group, session, place, here, join, config) if place else (None, join)
-            follows = ended_before(group, session, pause_s)
-            if larger is None and follows and not follows.soon:
-                larger, result = continued(group, session, follows, here, result, config)
+            cut = ended_before(group, session, pause_s)
+            if larger is None and cut and not cut.soon:
+                larger, result = continued(group, session, cut, here, result, config)
             if larger is None:
                 tried.append(result)
             else:
