@@ -43,9 +43,13 @@ class FinishedRun:
     document: dict[str, Any]
 
     def check(self) -> None:
-        """Raise LookupError, TypeError or AttributeError where the document lacks what is needed."""
-        if not (self.stored and all(isinstance(self.document[key], dict) for key in ("outputs", "config"))):
-            raise TypeError
+        """Raise LookupError, TypeError, AttributeError or ValueError where the document lacks what is needed."""
+        continued = self.document.get("continued")
+        names = [name for each in self.stored for name in (each.name, each.trajectory, each.recording)]
+        plain = names and all(Path(name).name == name for name in names)
+        whole = continued is None or {"joined", "run"} <= continued.keys()
+        if not (plain and whole and all(isinstance(self.document[key], dict) for key in ("outputs", "config"))):
+            raise ValueError
 
     @property
     def version(self) -> str:

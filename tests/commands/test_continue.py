@@ -17,6 +17,7 @@ from support.sessions import CELLAR, WIDE, cut, errors_m, tour, written
 from support.synthetic import along, furnished_rooms, record
 
 PARTS = 3
+STORED = ("name", "trajectory", "recording", "doubtful")
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +132,10 @@ def test_what_cannot_be_continued(mavnav, parts, first, tmp_path) -> None:
     about = document(first)
     mission = changed("mission", input=about["input"] | {"format": "scenario"})
     paper = changed("paper", config=about["config"] | {"method": "paper"})
+    outside = {"run": "a", "name": "b", "joined": True, "sessions": [dict.fromkeys(STORED, "../a")]}
     for args, words in (
+        ([changed("outside", continued=outside)], "is no whole run: run.json lacks what is needed"),
+        ([changed("odd", continued={"joined": 1})], "is no whole run: run.json lacks what is needed"),
         ([tmp_path], "holds no run (run.json: No such file or directory)"),
         ([parts[0]], "holds no run"),
         ([gone], "is no whole run: run.json lacks what is needed"),
