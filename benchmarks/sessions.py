@@ -2,7 +2,7 @@
 
     python benchmarks/sessions.py floor [--seeds N]        five overlapping sessions of a floor, ATE against the truth
     python benchmarks/sessions.py buildings [--seeds N]    two sessions each of different buildings: none may join
-    python benchmarks/sessions.py many [--sessions N]      cost of many sessions of one floor
+    python benchmarks/sessions.py many [--sessions N]      cost of many short sessions in two rooms
     python benchmarks/sessions.py cut LOG [--parts N] [--gap SECONDS]    a log in parts, merged and continued
 
 Every command runs in a process of its own: processor time and peak memory are those that the system reports.
@@ -31,6 +31,9 @@ from mavnav.outputs.gridmap import read_npz
 from mavnav.pose import Trajectory
 from mavnav.scan import LaserSpec
 from support.log_files import LASER, Message, write_mcap
+from support.sessions import TOURS as ROOM_TOURS
+from support.sessions import tour as rooms_tour
+from support.sessions import written
 from support.synthetic import Recording, along, box, polyline, record
 
 SPEC = LaserSpec(-np.pi * 3 / 4, np.pi / 240, 361, 0.1, 12.0, 0.0, 0.1)
@@ -178,14 +181,19 @@ def buildings(seeds: range) -> None:
 
 
 def many(count: int) -> None:
-    """Merge many sessions of one floor."""
+    """Merge many short sessions in two rooms."""
     with TemporaryDirectory() as name:
-        folder, walls = Path(name), floor(0)
+        folder = Path(name)
         logs = [folder / f"s{k}.mcap" for k in range(count)]
         for k, log in enumerate(logs):
-            recorded(walls, TOURS[k % len(TOURS)], 0, k, log)
-        document, used, replays = merged(logs, folder)
-        print(f"{document['joined']} of {count} joined; {cost(used, replays)}")
+            written(rooms_tour(list(ROOM_TOURS)[k % len(ROOM_TOURS)], k), log)
+        for some in (logs[: count // 2], logs):
+            used = mavnav("merge", *some, "-o", folder / "merged", "--force", "--json")
+            document = json.loads((folder / "merged" / "merge.json").read_text())
+            scans = document["scans"]
+            print(
+                f"{document['joined']} of {len(some)} joined, {scans} scans: {used.cpu_s:.1f} CPU-s, {used.peak_mb:.0f} MB"
+            )
 
 
 class Walls(NamedTuple):

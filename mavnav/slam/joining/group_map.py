@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.slam.loop_closure.key_frames import KeyFrame
 
-STILL_M, STILL_RAD = 0.01, 0.2 * DEG
-"""A map stays where no key frame moved nor turned farther: that is less than a cell."""
+STILL_M, STILL_RAD = 0.03, 0.3 * DEG
+"""A map stays where no key frame moved nor turned farther: places are found in it, and measured elsewhere."""
 
 
 class GroupMap:
