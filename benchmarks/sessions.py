@@ -190,10 +190,8 @@ def many(count: int) -> None:
         for some in (logs[: count // 2], logs):
             used = mavnav("merge", *some, "-o", folder / "merged", "--force", "--json")
             document = json.loads((folder / "merged" / "merge.json").read_text())
-            scans = document["scans"]
-            print(
-                f"{document['joined']} of {len(some)} joined, {scans} scans: {used.cpu_s:.1f} CPU-s, {used.peak_mb:.0f} MB"
-            )
+            sizes = f"{document['joined']} of {len(some)} joined, {document['scans']} scans"
+            print(f"{sizes}: {used.cpu_s:.1f} CPU-s, {used.peak_mb:.0f} MB", flush=True)
 
 
 class Walls(NamedTuple):

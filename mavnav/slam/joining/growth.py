@@ -86,25 +86,46 @@ def extended(
     """
     here, left = GroupMap(group.keys, config), sorted(waiting, key=lambda session: session.doubtful)
     while True:
-        tried, before = list[Join](), len(group.sessions)
-        places: list[tuple[Session, Join, Pose | None]] = []
-        for session in left:
-            report(session.name)
-            cut = ended_before(group, session, SOON_S)
-            larger = continued(group, session, cut, here, Join(session.name), config)[0] if cut else None
-            if larger is None:
-                places.append((session, *sought(session, here.part, config)))
-            else:
-                group, here = larger, here.grown(larger.keys)
-        for session, join, place in sorted(places, key=lambda found: (found[0].doubtful, -found[1].agreeing_share)):
-            larger, result = joined(group, session, place, here, join, config) if place else (None, join)
-            cut = ended_before(group, session, pause_s)
-            if larger is None and cut and not cut.soon:
-                larger, result = continued(group, session, cut, here, result, config)
-            if larger is None:
-                tried.append(result)
-            else:
-                group, here = larger, here.grown(larger.keys)
+        before = group
+        group, here = _with_following(group, here, left, config)
         left = [session for session in left if session not in group.sessions]
-        if not left or len(group.sessions) == before:
+        group, here, tried = _with_found(group, here, left, config, report, pause_s)
+        left = [session for session in left if session not in group.sessions]
+        if not left or group is before:
             return group, left, tried
+
+
+def _with_following(group: Group, here: GroupMap, waiting: Sequence[Session], config: Config) -> tuple[Group, GroupMap]:
+    """Join the sessions with which a recording goes on."""
+    for session in waiting:
+        cut = ended_before(group, session, SOON_S)
+        larger = continued(group, session, cut, here, Join(session.name), config)[0] if cut else None
+        if larger:
+            group, here = larger, here.grown(larger.keys)
+    return group, here
+
+
+def _with_found(
+    group: Group,
+    here: GroupMap,
+    waiting: Sequence[Session],
+    config: Config,
+    report: Callable[[str], None],
+    pause_s: float,
+) -> tuple[Group, GroupMap, list[Join]]:
+    """Join the sessions that are found in the map, or lie at the end of another; return also why others do not join."""
+    places: list[tuple[Session, Join, Pose | None]] = []
+    for session in waiting:
+        report(session.name)
+        places.append((session, *sought(session, here.part, config)))
+    tried = list[Join]()
+    for session, join, place in sorted(places, key=lambda found: (found[0].doubtful, -found[1].agreeing_share)):
+        larger, result = joined(group, session, place, here, join, config) if place else (None, join)
+        cut = ended_before(group, session, pause_s)
+        if larger is None and cut and not cut.soon:
+            larger, result = continued(group, session, cut, here, result, config)
+        if larger is None:
+            tried.append(result)
+        else:
+            group, here = larger, here.grown(larger.keys)
+    return group, here, tried
