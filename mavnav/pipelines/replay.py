@@ -28,7 +28,7 @@ from mavnav.outputs.run import Run, Timing
 from mavnav.outputs.run_json import FoundPose, GivenPose, Localisation, Options, StartPose
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
-from mavnav.profiling import new_profile, timed
+from mavnav.profiling import Stage, new_profile, timed
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.prior_map import prior_map_of
 from mavnav.slam.registry import LOCALIZERS, load_kernels, uses_odometry
@@ -131,8 +131,9 @@ def _to_continue(request: ReplayRequest) -> tuple[FinishedRun | None, tuple[Sess
         raise UsageError("--continue and --map both give a map; leave one of them out")
     if request.config.method != "robust":
         raise UsageError(f"--continue: method {request.config.method} cannot search whole maps; use the robust method")
-    if request.directory.resolve() == request.continue_from.resolve():
-        raise UsageError(f"{request.directory} is the run to continue; choose another directory with -o")
+    target = request.directory.resolve()
+    if request.continue_from.resolve() in {target, *target.parents}:
+        raise UsageError(f"{request.directory} is the run to continue, or inside of it; choose another one with -o")
     from mavnav.pipelines.continuing import earlier_sessions, run_to_continue  # noqa: PLC0415  few runs need it
 
     run = run_to_continue(request.continue_from)
@@ -292,7 +293,6 @@ def _mapped(
     return run, document
 
 
-@timed("joining")
 def _continued(
     outcome: SlamResult, log: Log, given: Given, config: Config, progress: Progress, *, stopped: bool
 ) -> Continuation | None:
@@ -301,7 +301,8 @@ def _continued(
         return None
     from mavnav.pipelines.continuing import continued_run  # noqa: PLC0415  few runs need it
 
-    return continued_run(given.run, given.earlier, outcome, log, config, progress, stopped=stopped)
+    with Stage("joining"):
+        return continued_run(given.run, given.earlier, outcome, log, config, progress, stopped=stopped)
 
 
 @timed("measuring")

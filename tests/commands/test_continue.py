@@ -148,6 +148,7 @@ def test_what_cannot_be_continued(mavnav, parts, first, tmp_path) -> None:
         ([first, "--map", first], "--continue and --map both give a map"),
         ([first, "--method", "paper"], "method paper cannot search whole maps"),
         ([first, "-o", first, "--force"], "is the run to continue"),
+        ([first, "-o", first / "next"], "or inside of it; choose another one with -o"),
     ):
         code, out, err = mavnav("replay", "-o", tmp_path / "run", parts[1], "-q", "--continue", *args)
         assert (code, out, err.count("\n")) == (2, "", 1), args
