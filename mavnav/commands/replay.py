@@ -162,9 +162,10 @@ def replay(
     bounds, written = gates_of(gates), output_values(outputs, report=report, preview=preview)
     mounting, began = parse_pose(extrinsic), parse_pose(start_pose, "--start-pose")
     _check_files(log, known, began)
-    files = {"truth": truth, "truth_map": truth_map, "relations": relations, "map": known} | fields
+    files = {"truth": truth, "truth_map": truth_map, "relations": relations, "map": known}
+    files |= {"continue_from": continue_from} | fields
     compared = files["truth"] or files["truth_map"] or files["relations"]
-    optional = {"reference": compared, "localisation": files["map"]}
+    optional = {"reference": compared, "localisation": files["map"], "continued": files["continue_from"]}
     check_gates(bounds, *(section for section, file in optional.items() if file))
     with reporting(quiet=quiet, stages=REPLAY) as progress:
         startup_s, started_s = process_time(), perf_counter()

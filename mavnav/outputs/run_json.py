@@ -281,7 +281,7 @@ class Options:
     relations: str | None = field(metadata=text("--relations"))
     config: str | None = field(metadata=text("--config as typed"))
     sets: list[str] = field(metadata=text("--set as typed"))
-    continue_from: str | None = field(default=None, metadata=text("--continue"))
+    continue_from: str = field(default_factory=absent, metadata=text("--continue"))
 
 
 @dataclass(frozen=True, slots=True)

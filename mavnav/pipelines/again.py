@@ -16,6 +16,7 @@ from mavnav.config.named_files import read_json
 from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import recorded_topic
 from mavnav.logs import content_sha256
+from mavnav.metrics.fields import ABSENT
 from mavnav.outputs.addresses import is_address
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.provenance import Typed
@@ -216,7 +217,7 @@ def replay_words(log: str, options: Options, config: Config) -> list[str]:
         "--end": options.end_s,
         "--extrinsic": _joined(options.extrinsic),
         "--map": _absolute(options.map),
-        "--continue": _absolute(options.continue_from),
+        "--continue": None if options.continue_from is ABSENT else _absolute(options.continue_from),
         "--start-pose": _joined(options.start_pose),
         "--truth": options.truth if _topic("truth", options.truth) else _absolute(options.truth),
         "--truth-map": _absolute(options.truth_map),

@@ -19,6 +19,7 @@ from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import measured_part
 from mavnav.memory import give_back
+from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.trajectory_error import MAX_GAP_NS, position_errors
@@ -228,7 +229,7 @@ def _options(request: ReplayRequest) -> Options:
         truth=truth,
         truth_map=_text(request.truth_map),
         relations=_text(request.relations),
-        continue_from=_text(request.continue_from),
+        continue_from=ABSENT if request.continue_from is None else str(request.continue_from),
         config=request.typed.config,
         sets=list(request.typed.sets),
     )
