@@ -69,19 +69,24 @@ def continued(
 
     Where one recording goes on, the track across the cut binds both, and no closures near it, as within a session.
     """
-    member, last, tie = group.sessions[follows.number], len(group.keys) - 1, None
+    member, tie = group.sessions[follows.number], None
     member_T_session = across(member, session, config) if follows.soon else None
     if member_T_session is None:
         end = member.map_T_laser[len(member.map_T_laser) - 1]
         place = end_of(group, follows.number) @ end @ session.map_T_laser[0].inverse()
     else:
         place = end_of(group, follows.number) @ member_T_session
-        last = max(k for k in range(len(group.keys)) if group.owner(k) == follows.number)
-        start_T_end = group.keys[last].map_T_laser.between(place @ session.keys[0].map_T_laser)
-        tie = Edge(last, len(group.keys), start_T_end, weights(PATH_SIGMA_M, PATH_SIGMA_RAD))
+        tie = tied(group, follows.number, place @ session.keys[0].map_T_laser)
     at_end = join._replace(why="", after=member.name)
     larger, result = joined(group, session, place, here, at_end, config, tie)
     return larger, (result if larger else join)
+
+
+def tied(group: Group, number: int, group_T_key: Pose) -> Edge:
+    """Bind the next key frame of a group, by its pose, to the last one of a session."""
+    last = max(k for k in range(len(group.keys)) if group.owner(k) == number)
+    start_T_end = group.keys[last].map_T_laser.between(group_T_key)
+    return Edge(last, len(group.keys), start_T_end, weights(PATH_SIGMA_M, PATH_SIGMA_RAD))
 
 
 def joined(
