@@ -111,6 +111,7 @@ def replay(
     strict: bool = False,
     map: File | None = None,  # noqa: A002  as the option
     start_pose: Sequence[float] | None = None,
+    continue_from: File | None = None,
     truth: File | None = None,
     truth_map: File | None = None,
     relations: File | None = None,
@@ -135,6 +136,9 @@ def replay(
         As for `open_log`.
     map, start_pose
         Localize in this map (a map_server YAML file or a run), from about this pose, m, m, rad.
+    continue_from
+        Directory of a finished replay, merge or continued run: the log is added to its map, in its frame, and with its
+        configuration where none is given. ``metrics["continued"]`` says whether it joined.
     truth, truth_map, relations
         References to compare with; ``truth`` is a file, ``"auto"`` or ``"topic:/name"``.
     directory, force, report
@@ -149,10 +153,12 @@ def replay(
         UsageError, ConfigError, TopicError, NoScansError or OutputError. A run whose track was lost for good is
         returned: see `Run.lost`.
     """
-    from mavnav.pipelines.replay import ReplayRequest, replay_log  # noqa: PLC0415  heavy
+    from mavnav.pipelines.again import run_layer  # noqa: PLC0415  heavy
+    from mavnav.pipelines.replay import ReplayRequest, replay_log  # noqa: PLC0415
 
+    base = run_layer(continue_from) if continue_from and config is None else None
     options = {"method": method, "grid": grid, "azimuth": azimuth, "odom": odom, "attitude": attitude}
-    chosen = _config(config, settings, **options, online=online)
+    chosen = load_config(config, sets_of(settings), options | ({"final_pass": False} if online else {}), base)
     request = ReplayRequest(
         log=Path(log),
         directory=Path(directory or ""),
@@ -169,6 +175,7 @@ def replay(
         strict=strict,
         map=_path(map),
         start_pose=_pose(start_pose),
+        continue_from=_path(continue_from),
     )
 
     def work(target: Path) -> Run:

@@ -46,11 +46,23 @@ def merge(
     for session in document["sessions"]:
         if not session["joined"]:
             note(f"mavnav: error: {session['name']} did not join: {session['why']}")
+        _note_input(session)
     if json:
         emit_json(document)
     else:
         print_table([*(_row(session) for session in document["sessions"]), ("written", str(directory))])
     raise typer.Exit(document["exit_code"])
+
+
+def _note_input(session: dict[str, Any]) -> None:
+    """Print what the user must not miss of the log of a session."""
+    tracking, damage = session["tracking"], session["damage"]
+    if tracking and tracking["lost"]:
+        share = f"{100 * tracking['tracked_share']:.0f} % of the scans have a pose"
+        note(f"mavnav: error: {session['name']}: tracking was lost for good, {share}; replay it alone to see where")
+    if damage:
+        first = f"{damage[0]['what']}, {damage[0]['where']}"
+        note(f"mavnav: warning: {session['name']}: damaged in {len(damage)} place(s), the first: {first}")
 
 
 def _row(session: dict[str, Any]) -> tuple[str, str]:

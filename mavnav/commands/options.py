@@ -44,6 +44,11 @@ Again = Annotated[
     Path | None, input_option("--again", metavar="RUN", help="Repeat the run in this directory, with its options.")
 ]
 
+Continue = Annotated[
+    Path | None,
+    input_option("--continue", metavar="RUN", help="Add the log to the map of a finished run, merge or continued run."),
+]
+
 Topic = Annotated[
     list[str] | None,
     input_option(

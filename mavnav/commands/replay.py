@@ -17,6 +17,7 @@ from mavnav.commands.options import (
     Attitude,
     Azimuth,
     ConfigFile,
+    Continue,
     End,
     Extrinsic,
     Force,
@@ -88,6 +89,7 @@ def replay(
     log: MaybeLogFile = None,
     *,
     again: Again = None,
+    continue_from: Continue = None,
     topic: Topic = None,
     start: Start = None,
     end: End = None,
@@ -157,14 +159,15 @@ def replay(
     if log is None:
         raise UsageError("no log; name one, or a run directory with --again")
     chosen = fields.get("config") or _config(
-        config, [*(sets or []), *([] if deskew is None else [f"robust.deskew={deskew}"])], overrides
+        config, [*(sets or []), *([] if deskew is None else [f"robust.deskew={deskew}"])], overrides, continue_from
     )
     bounds, written = gates_of(gates), output_values(outputs, report=report, preview=preview)
     mounting, began = parse_pose(extrinsic), parse_pose(start_pose, "--start-pose")
     _check_files(log, known, began)
-    files = {"truth": truth, "truth_map": truth_map, "relations": relations, "map": known} | fields
+    files = {"truth": truth, "truth_map": truth_map, "relations": relations, "map": known}
+    files |= {"continue_from": continue_from} | fields
     compared = files["truth"] or files["truth_map"] or files["relations"]
-    optional = {"reference": compared, "localisation": files["map"]}
+    optional = {"reference": compared, "localisation": files["map"], "continued": files["continue_from"]}
     check_gates(bounds, *(section for section, file in optional.items() if file))
     with reporting(quiet=quiet, stages=REPLAY) as progress:
         startup_s, started_s = process_time(), perf_counter()
@@ -192,6 +195,7 @@ def replay(
             map=known,
             start_pose=began and Pose(*began),
             typed=Typed(context.obj, config, tuple(sets or ())),
+            continue_from=continue_from,
         )
         request = replace(request, **fields)
         _, document = replay_log(request, progress, compile_s, signals.deferring, startup_s)
@@ -216,10 +220,16 @@ def _repeated(context: typer.Context, again: Path, log: Path | None, directory: 
     return replay_again(run, log) | {"typed": typed_again(run, context.obj)}
 
 
-def _config(file: str | None, sets: list[str], overrides: dict[str, Any]) -> Config:
+def _config(file: str | None, sets: list[str], overrides: dict[str, Any], continued: Path | None) -> Config:
+    """Load the configuration: that of the run which is continued, unless there is a file."""
     from mavnav.config.loading import load_config
 
-    config = load_config(file, sets, overrides)
+    base = None
+    if continued and file is None:
+        from mavnav.pipelines.again import run_layer
+
+        base = run_layer(continued)
+    config = load_config(file, sets, overrides, base)
     note_without_effect(config, [*(text.partition("=")[0] for text in sets), *overrides])
     return config
 
@@ -247,11 +257,26 @@ def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> N
             f"mavnav: warning: the input is damaged in {len(document['damage'])} place(s), the first: {first['what']},"
             f" {first['where']}; what is intact was used"
         )
-    if document["exit_code"] == ExitCode.TRACKING_LOST:
+    if "continued" in document:
+        _note_continued(document["continued"])
+    if document["tracking"]["lost"] and document["exit_code"] == ExitCode.TRACKING_LOST:
         note(lost_line(document))
     if document["partial"]:
         scans = document["scans"]
         note(f"mavnav: stopped after {scans['processed']} of {scans['usable']} scans; the run is partial")
+
+
+def _note_continued(continued: dict[str, Any]) -> None:
+    """Print what the user must not miss of a run that was continued."""
+    from mavnav.pipelines.continuing import run_to_continue, version_warning
+
+    if warning := version_warning(run_to_continue(Path(continued["run"]))):
+        note(f"mavnav: warning: {warning}")
+    if not continued["joined"]:
+        note(
+            f"mavnav: error: {continued['name']} did not join {continued['run']}: {continued['why']}; "
+            "it is written alone, in a frame of its own"
+        )
 
 
 def lost_line(document: dict[str, Any]) -> str:
@@ -308,6 +333,8 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         *doubt_rows(tracking["doubt"]),
         *remedy_rows(tracking.get("remedies", [])),
     ]
+    if "continued" in document and document["continued"]["joined"]:
+        rows.append(("continued", _continued(document["continued"])))
     if "localisation" in document:
         rows.append(("found in the map", _found(document["localisation"])))
     rows += [*wall_rows(document), *quality_rows(document["map_quality"]), *reference_rows(document.get("reference"))]
@@ -319,6 +346,13 @@ def left_out_text(parts: list[dict[str, Any]]) -> str:
     """Name the parts of the log that are not in the map, by their times."""
     times = [f"{part['scans']} at {part['from_s']:.1f} to {part['to_s']:.1f} s" for part in parts if not part["joined"]]
     return f"scans tracked on other maps: {', '.join(times)}" if times else ""
+
+
+def _continued(continued: dict[str, Any]) -> str:
+    evidence = continued["evidence"]
+    place = f", at the end of {evidence['after']}" if evidence["after"] else ""
+    agree = f"{evidence['closures']} of {evidence['tested']} key frames agree, {evidence['residual_mm']:.0f} mm"
+    return f"{continued['run']}, {len(continued['sessions'])} session(s){place}: {agree}"
 
 
 def _found(localisation: dict[str, Any]) -> str:

@@ -21,10 +21,10 @@ from mavnav.config.named_files import read_json
 from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import recorded_topic
 from mavnav.jobs.run_cache import REFERENCES, check_cache_directory
+from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.document import plain
 from mavnav.outputs.provenance import Typed
 from mavnav.outputs.writers import REPORT_FILE
-from mavnav.pipelines.replay import log_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence

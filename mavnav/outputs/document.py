@@ -54,6 +54,7 @@ def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
         tracking=_tracking(run),
         loop_closure=_loop_closure(run),
         localisation=run.localisation or ABSENT,
+        continued=run.continued or ABSENT,
         search=_search(run),
         wall_thickness=run.walls,
         map_quality=run.measured.quality,

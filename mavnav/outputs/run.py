@@ -25,8 +25,10 @@ if TYPE_CHECKING:
     from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.metrics.reference import Reference
     from mavnav.metrics.wall_report import WallThicknessReport
+    from mavnav.outputs.continued_section import Continued
     from mavnav.outputs.run_json import Localisation, MissionResult, Provenance, TruthErrors
     from mavnav.pose import Trajectory
+    from mavnav.slam.joining.session import Session
     from mavnav.slam.result import SlamResult
 
 
@@ -107,8 +109,9 @@ class Run:
     A mission of the simulator knows the truth besides. ``reference`` is the comparison with references,
     and ``true_map`` the one among them. ``stopped`` is the code of the signal that stopped
     the run before the log ended.
-    ``localisation`` says where the laser was found in a given map.
-    ``slices`` is the map by height, None where heights are unknown, or hardly vary.
+    ``localisation`` says where the laser was found in a given map. ``slices`` is the map by height, None where heights
+    are unknown, or hardly vary. ``continued`` says which run was continued, and ``earlier`` are its sessions, in the map
+    frame.
     ``address`` is where the log was fetched from, if it was; ``provenance`` says when and how the run was made.
     ``position_errors_m`` (n,) are those of the poses of the trajectory, NaN without a truth at that time; None without.
     """
@@ -128,6 +131,8 @@ class Run:
     address: str | None = None
     position_errors_m: NDArray[np.float64] | None = None
     slices: Slices | None = None
+    continued: Continued | None = None
+    earlier: tuple[Session, ...] = ()
 
     @property
     def name(self) -> str:
@@ -171,7 +176,7 @@ class Run:
         """How the run ended: a stop outweighs lost for good, that a failed mission or a damaged input."""
         if self.stopped is not None:
             return self.stopped
-        if self.slam.lost_for_good:
+        if self.slam.lost_for_good or (self.continued and not self.continued.joined):
             return ExitCode.TRACKING_LOST
         if self.mission and not self.mission.result.reached:
             return ExitCode.GATE_FAILED

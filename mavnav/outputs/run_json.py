@@ -13,6 +13,7 @@ from mavnav.metrics.fields import Measured, absent, number, text
 from mavnav.metrics.map_quality import MapQuality
 from mavnav.metrics.reference import Reference
 from mavnav.metrics.wall_report import WallThicknessReport
+from mavnav.outputs.continued_section import Continued
 from mavnav.outputs.slices_section import AttitudeSource, MapSlice
 from mavnav.outputs.tracking_section import Tracking
 
@@ -292,6 +293,7 @@ class Options:
     relations: str | None = field(metadata=text("--relations"))
     config: str | None = field(metadata=text("--config as typed"))
     sets: list[str] = field(metadata=text("--set as typed"))
+    continue_from: str = field(default_factory=absent, metadata=text("--continue"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,6 +337,7 @@ class RunDocument:
     tracking: Tracking
     loop_closure: LoopClosure
     localisation: Localisation = field(default_factory=absent)
+    continued: Continued = field(default_factory=absent)
     search: Search
     wall_thickness: WallThicknessReport
     map_quality: MapQuality

@@ -17,6 +17,7 @@ from mavnav.outputs.directory import RUN_FILE, check_directory, staged
 from mavnav.outputs.document import plain, run_document, to_json, write_metrics
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
 from mavnav.outputs.run import Run, Timing, Truth
+from mavnav.outputs.sessions import recording_file, trajectory_file, write_poses, write_scans
 from mavnav.outputs.slices_files import slice_files, write_slice
 from mavnav.outputs.trajectory import (
     TRUE_WALLS_FILE,
@@ -109,7 +110,10 @@ def write_run(
     it), holds something else than a run, or cannot be written.
     """
     with staged(directory, force=force) as folder:
-        digests = {name: _write(run, folder / name) for name in _names(run, groups)}
+        names = _names(run, groups)
+        digests = {name: _write(WRITERS.get(name, write_slice), run, folder / name) for name in names}
+        for name, write in _of_sessions(run, names).items():
+            digests[name] = _write(write, run, folder / name)
         document: dict[str, Any] = plain(run_document(run, digests))
         path = folder / RUN_FILE
         path.write_text(to_json(document), encoding="utf-8")
@@ -137,11 +141,30 @@ def _names(run: Run, groups: Collection[str] | None) -> list[str]:
     return [*(name for name in WRITERS if name in wanted and known.get(name, True)), *by_height]
 
 
-def _write(run: Run, path: Path) -> str:
+def _of_sessions(run: Run, names: Collection[str]) -> dict[str, Callable[[Run, Path], None]]:
+    """Return the files of the sessions of a continued run, with their writers: of the groups that are written."""
+    writers: dict[str, Callable[[Run, Path], None]] = {}
+    for number, session in enumerate(run.earlier):
+        if "trajectory.tum" in names:
+            writers[trajectory_file(session.name)] = partial(_poses_of, number)
+        if "result.mcap" in names:
+            writers[recording_file(session.name)] = partial(_scans_of, number)
+    return writers
+
+
+def _poses_of(number: int, run: Run, path: Path) -> None:
+    write_poses(run.earlier[number].map_T_laser, path)
+
+
+def _scans_of(number: int, run: Run, path: Path) -> None:
+    write_scans(run.earlier[number].scans(), path)
+
+
+def _write(write: Callable[[Run, Path], None], run: Run, path: Path) -> str:
     """Write one file to the disk and return its SHA-256."""
     with Stage("pictures" if path.suffix == ".png" else "outputs"):
         release_free_memory()
-        WRITERS.get(path.name, write_slice)(run, path)
+        write(run, path)
         sync(path)
         with path.open("rb") as file:
             return file_digest(file, sha256).hexdigest()

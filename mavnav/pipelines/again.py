@@ -16,6 +16,7 @@ from mavnav.config.named_files import read_json
 from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import recorded_topic
 from mavnav.logs import content_sha256
+from mavnav.metrics.fields import ABSENT
 from mavnav.outputs.addresses import is_address
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.provenance import Typed
@@ -26,11 +27,12 @@ from mavnav.pose import Pose
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from mavnav.config.layers import Layer
     from mavnav.config.models import Config
     from mavnav.outputs.run_json import GivenPose, Options
 
 _WORD: Final = re.compile(r"[A-Za-z/][\w/.-]*|\d+x\d+")
-_PATHS: Final = ("map", "truth", "truth_map", "relations")
+_PATHS: Final = ("map", "truth", "truth_map", "relations", "continue_from")
 """Options that name files."""
 
 
@@ -126,7 +128,7 @@ def replay_again(run: EarlierRun, log: Path | None) -> dict[str, Any]:
     Raises UsageError where the log is gone or has another content, ConfigError where this version has other keys.
     """
     options = run.options
-    files = {name: run.path(text) for name in _PATHS if (text := options[name]) and not _topic(name, text)}
+    files = {name: run.path(text) for name in _PATHS if (text := options.get(name)) and not _topic(name, text)}
     extrinsic, start = (options[name] and Pose(**options[name]) for name in ("extrinsic", "start_pose"))
     return {
         **files,
@@ -166,9 +168,21 @@ def _topic(name: str, text: str | None) -> str | None:
 
 def _config(run: EarlierRun) -> Config:
     """Return the effective configuration of a run; raises ConfigError where this version has other keys."""
+    return load_config(values=_layer(run.document, run.directory / RUN_FILE))
+
+
+def run_layer(directory: str | Path) -> Layer:
+    """Return the configuration of a run or merge, for a run that continues it; raises UsageError for what is none."""
+    from mavnav.pipelines.continuing import run_to_continue  # noqa: PLC0415  few runs need it
+
+    run = run_to_continue(Path(directory))
+    return _layer(run.document, run.directory)
+
+
+def _layer(document: dict[str, Any], path: Path) -> Layer:
     from mavnav.config.yaml_layers import layer_of  # noqa: PLC0415  yaml takes 10 ms to load
 
-    return load_config(values=layer_of(json.dumps(run.document["config"]), str(run.directory / RUN_FILE)))
+    return layer_of(json.dumps(document["config"]), str(path))
 
 
 def _same_log(run: EarlierRun, log: Path | None) -> Path:
@@ -203,6 +217,7 @@ def replay_words(log: str, options: Options, config: Config) -> list[str]:
         "--end": options.end_s,
         "--extrinsic": _joined(options.extrinsic),
         "--map": _absolute(options.map),
+        "--continue": None if options.continue_from is ABSENT else _absolute(options.continue_from),
         "--start-pose": _joined(options.start_pose),
         "--truth": options.truth if _topic("truth", options.truth) else _absolute(options.truth),
         "--truth-map": _absolute(options.truth_map),

@@ -78,6 +78,8 @@ def _check_picture(request: DiffRequest) -> None:
     picture = request.picture
     if picture and picture.is_dir():
         raise OutputError(f"{picture} is a folder; name a file with -o, for example {picture / 'diff.png'}")
+    if picture and picture.suffix.lower() != ".png":
+        raise UsageError(f"{picture} is no PNG file; name the picture with .png, for example {picture}.png")
     if picture and picture.exists() and not request.force:
         raise OutputError(f"{picture} exists; choose another file with -o, or --force to replace it")
 

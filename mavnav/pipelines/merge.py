@@ -4,29 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
-from mavnav.config.named_files import read_json
-from mavnav.errors import ExitCode, MavnavError, NoScansError, UsageError
-from mavnav.ground_truth.tables import read_tum
-from mavnav.logs import check_log, open_log
+from mavnav.errors import ExitCode, MavnavError, NoScansError, UsageError, worst
+from mavnav.logs import check_log
+from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import Grid, known_part, occupancy
 from mavnav.outputs import merged_picture
 from mavnav.outputs.directory import RUN_FILE, check_directory, staged
-from mavnav.outputs.document import to_json
+from mavnav.outputs.document import plain, to_json
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
-from mavnav.outputs.trajectory import tum_lines
-from mavnav.pipelines.replay import ReplayRequest, log_name, replay_log
-from mavnav.slam.joining.group import Join, grown
-from mavnav.slam.joining.merged_map import merged_map, trajectories
-from mavnav.slam.joining.session import make_session
+from mavnav.outputs.sessions import evidence, recording_file, trajectory_file, write_poses, write_scans
+from mavnav.pipelines.replay import ReplayRequest, replay_log
+from mavnav.pipelines.sessions import MERGE_FILE, FinishedRun, finished_run
+from mavnav.slam.joining.group import Join
+from mavnav.slam.joining.growth import grown
+from mavnav.slam.joining.merged_map import frame_of, merged_map, trajectories
 from mavnav.slam.registry import load_kernels
-from mavnav.units import DEG, MM
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     import numpy as np
@@ -38,7 +39,11 @@ if TYPE_CHECKING:
     from mavnav.slam.joining.session import Session
 
 SCHEMA_VERSION: Final = 1
-MERGE_FILE: Final = "merge.json"
+TRACKING: Final = ("lost", "tracked_share", "intervals", "doubt")
+"""What merge.json repeats of the tracking of each session."""
+
+OF_LOGS: Final = (ExitCode.DAMAGED_INPUT, ExitCode.TRACKING_LOST)
+"""Exit codes of a run that a merge takes over."""
 
 Progress = Callable[[str, int, int | None], None]
 
@@ -65,31 +70,41 @@ class MergedMap:
         return occupancy(self.known)
 
 
+@dataclass(frozen=True, slots=True)
+class Input:
+    """A log or run that was named, its session, and the run.json of its track; both None without a tracked scan."""
+
+    name: str
+    path: Path
+    session: Session | None = None
+    run: dict[str, Any] | None = None
+    why: str = ""
+
+
 def merge(request: MergeRequest, progress: Progress) -> dict[str, Any]:
     """Join sessions, write their map and return the document, which is merge.json.
 
-    The exit code in it is 1 where a session did not join. Raises UsageError, OutputError, and what a replay raises;
-    a log without usable scans is a session that did not join.
+    The exit code in it is the worst of those of the sessions, and 1 where one did not join. Raises UsageError,
+    OutputError, and what a replay raises; a log without usable scans is a session that did not join.
     """
     _check(request)
-    names = session_names(request.inputs)
     with TemporaryDirectory(prefix="mavnav-") as folder:
-        sessions, unusable = _sessions(request, names, Path(folder), progress)
+        names = session_names(request.inputs)
+        inputs = [_input(*pair, request, Path(folder), progress) for pair in zip(names, request.inputs, strict=True)]
+        sessions = [each.session for each in inputs if each.session]
         if not sessions:
             raise NoScansError("none of the logs and runs has a tracked scan; examine them with mavnav info")
         load_kernels(request.config, progress)
         group, refused = grown(sessions, request.config, lambda name: progress(f"joining {name}", 0, None))
-        placed = trajectories(group, _map_T_group(group, sessions))
+        placed, framing = trajectories(group), [_first(group, sessions)]
         total = sum(map(len, placed))
         grid, poses = merged_map(
-            group.sessions, placed, request.config, lambda phase, done: progress(phase, done, total)
+            group.sessions, placed, request.config, framing, lambda phase, done: progress(phase, done, total)
         )
         drawn = MergedMap(known_part(grid))
-        paths = {session.name: path for session, path in zip(group.sessions, poses, strict=True)}
-        document = _document(request, names, group, [*refused, *unusable], paths, sessions)
+        members = [replace(session, map_T_laser=path) for session, path in zip(group.sessions, poses, strict=True)]
         progress("writing", 0, None)
-        _write(request, drawn, paths, document)
-    return document
+        return _write(request, drawn, members, _document(request, inputs, [*group.joins, *refused], members))
 
 
 def _check(request: MergeRequest) -> None:
@@ -100,13 +115,15 @@ def _check(request: MergeRequest) -> None:
         raise UsageError(f"merge: method {request.config.method} cannot search whole maps; use the robust method")
     check_directory(request.directory, force=request.force, marker=MERGE_FILE)
     for path in request.inputs:
-        if not _is_run(path):
+        if _is_run(path):
+            _run(path)
+        else:
             with suppress(NoScansError):
                 check_log(path, None, None)
 
 
 def _is_run(path: Path) -> bool:
-    return (path / RUN_FILE).is_file()
+    return any((path / file).is_file() for file in (RUN_FILE, MERGE_FILE))
 
 
 def session_names(inputs: tuple[Path, ...]) -> list[str]:
@@ -115,119 +132,104 @@ def session_names(inputs: tuple[Path, ...]) -> list[str]:
     return [name if plain.count(name) == 1 else f"{name}-{plain[: k + 1].count(name)}" for k, name in enumerate(plain)]
 
 
-def _sessions(
-    request: MergeRequest, names: list[str], folder: Path, progress: Progress
-) -> tuple[list[Session], list[Join]]:
-    """Read the runs, replay the logs; return the sessions, and those that have no tracked scan."""
-    sessions, unusable = [], []
-    for name, path in zip(names, request.inputs, strict=True):
-        try:
-            session = _read(name, path if _is_run(path) else _replayed(name, path, request, folder, progress), request)
-        except NoScansError as error:
-            unusable.append(Join(name, why=str(error)))
-            continue
-        if session.keys:
-            sessions.append(session)
-        else:
-            unusable.append(Join(name, why="no scan was tracked"))
-    return sessions, unusable
+def _input(name: str, path: Path, request: MergeRequest, folder: Path, progress: Progress) -> Input:
+    """Read a run, or replay a log."""
+    try:
+        run = _run(path) if _is_run(path) else _replayed(name, path, request, folder, progress)
+        session = _read(name, run, request.config)
+    except NoScansError as error:
+        return Input(name, path, why=str(error))
+    return Input(name, path, session if session.keys else None, run.document, "no scan was tracked")
 
 
-def _replayed(name: str, log: Path, request: MergeRequest, folder: Path, progress: Progress) -> Path:
-    """Replay a log; return its run directory."""
-    replay_log(
+def _replayed(name: str, log: Path, request: MergeRequest, folder: Path, progress: Progress) -> FinishedRun:
+    """Replay a log; return its run."""
+    _, document = replay_log(
         ReplayRequest(log, folder / name, request.config, outputs=("trajectory", "mcap")),
         lambda phase, done, total: progress(f"{name}: {phase}", done, total),
         0.0,
     )
-    return folder / name
+    return FinishedRun(folder / name, document)
 
 
-def _read(name: str, run: Path, request: MergeRequest) -> Session:
+def _run(path: Path) -> FinishedRun:
+    """Return the run in a directory; raises UsageError where it is none of one session."""
+    run = finished_run(path)
+    if len(run.stored) != 1 or "sessions" in run.document:
+        raise UsageError(f"{path} has several sessions; add others to it with mavnav replay --continue {path} LOG")
+    return run
+
+
+def _read(name: str, run: FinishedRun, config: Config) -> Session:
     """Read the scans and poses of a run; raises UsageError where it is not whole."""
     try:
-        read_json(run / RUN_FILE)
-        trajectory = read_tum(run / "trajectory.tum")
-        return make_session(name, open_log(run / "result.mcap", odom="off").scans, trajectory, request.config)
+        return run.session(run.stored[0], config, name)
     except NoScansError:
         raise
-    except (OSError, ValueError, MavnavError) as error:
-        raise UsageError(f"{run} is no whole run: {error}; make it again with mavnav replay --force") from error
+    except (OSError, ValueError, LookupError, TypeError, MavnavError) as error:
+        where = run.directory
+        raise UsageError(f"{where} is no whole run: {error}; make it again with mavnav replay --force") from error
 
 
-def _map_T_group(group: Group, sessions: list[Session]) -> Pose:
-    """Return the group's frame in that of the session that was named first."""
+def _first(group: Group, sessions: list[Session]) -> int:
+    """Return the number in a group of the session that was named first."""
     inside = [session.name for session in group.sessions]
-    first = next(session for session in sessions if session.name in inside)
-    key = group.keys_of(inside.index(first.name))[0]
-    return first.keys[0].map_T_laser @ key.map_T_laser.inverse()
+    return next(inside.index(session.name) for session in sessions if session.name in inside)
 
 
-def _write(request: MergeRequest, drawn: MergedMap, paths: dict[str, Trajectory], document: dict[str, Any]) -> None:
+def _write(request: MergeRequest, drawn: MergedMap, members: list[Session], document: dict[str, Any]) -> dict[str, Any]:
+    """Write all files; return the document with their digests."""
+    paths = {session.name: session.map_T_laser for session in members}
     with staged(request.directory, force=request.force, marker=MERGE_FILE) as folder:
         write_pgm(drawn, folder / "map.pgm")
         write_yaml(drawn, folder / "map.yaml")
         write_npz(drawn, folder / "hits.npz")
         merged_picture.write(drawn, paths, folder / "map.png")
-        for name, path in paths.items():
-            (folder / _file(name)).write_text("".join(tum_lines(path)), encoding="ascii")
+        for session in members:
+            write_poses(session.map_T_laser, folder / trajectory_file(session.name))
+            write_scans(session.scans(), folder / recording_file(session.name))
+        digests = {file.name: sha256(file.read_bytes()).hexdigest() for file in sorted(folder.iterdir())}
+        document = document | {"outputs": digests, "exit_code": document["exit_code"]}
         (folder / MERGE_FILE).write_text(to_json(document), encoding="utf-8")
+    return document
 
 
-def _file(name: str) -> str:
-    return f"session_{name}.tum"
-
-
-def _document(
-    request: MergeRequest,
-    names: list[str],
-    group: Group,
-    refused: list[Join],
-    paths: dict[str, Trajectory],
-    sessions: list[Session],
-) -> dict[str, Any]:
-    joins = {join.name: join for join in (*group.joins, *refused)}
-    own = {session.name: session.map_T_laser for session in sessions}
-    rows = [
-        {
-            "name": name,
-            "input": str(path),
-            "scans": len(own[name]) if name in own else 0,
-            "joined": name in paths,
-            "why": joins[name].why or None,
-            "trajectory": _file(name) if name in paths else None,
-            "map_T_session": _pose(paths[name][0] @ own[name][0].inverse()) if name in paths else None,
-            **_evidence(joins[name]),
-        }
-        for name, path in zip(names, request.inputs, strict=True)
-    ]
+def _document(request: MergeRequest, inputs: list[Input], joins: list[Join], members: list[Session]) -> dict[str, Any]:
+    by_name = {join.name: join for join in joins}
+    paths = {session.name: session.map_T_laser for session in members}
+    rows = [_row(each, by_name.get(each.name) or Join(each.name, why=each.why), paths) for each in inputs]
+    codes = [each.run["exit_code"] for each in inputs if each.run and each.run["exit_code"] in OF_LOGS]
+    refused = len(inputs) - len(paths)
     return {
         "schema_version": SCHEMA_VERSION,
         "mavnav_version": __version__,
         "sessions": rows,
         "joined": len(paths),
-        "refused": len(names) - len(paths),
+        "refused": refused,
         "scans": sum(map(len, paths.values())),
         "config": request.config.document(),
-        "exit_code": int(ExitCode.GATE_FAILED if refused else ExitCode.DONE),
+        "exit_code": int(worst([ExitCode.GATE_FAILED if refused else ExitCode.DONE, *codes])),
+    }
+
+
+def _row(given: Input, join: Join, paths: dict[str, Trajectory]) -> dict[str, Any]:
+    """Describe what became of an input."""
+    own, run, joined = given.session and given.session.map_T_laser, given.run or {}, given.name in paths
+    found: dict[str, Any] = plain(evidence(join))
+    return {
+        "name": given.name,
+        "input": str(given.path),
+        "scans": len(own) if own else 0,
+        "joined": joined,
+        "why": join.why or None,
+        "trajectory": trajectory_file(given.name) if joined else None,
+        "recording": recording_file(given.name) if joined else None,
+        "map_T_session": _pose(frame_of([own], [paths[given.name]])) if own and joined else None,
+        **found,
+        "tracking": {key: run["tracking"].get(key) for key in TRACKING} if run else None,
+        "damage": run.get("damage", []),
     }
 
 
 def _pose(pose: Pose) -> dict[str, float]:
     return {"x_m": round(pose.x_m, 4), "y_m": round(pose.y_m, 4), "yaw_deg": round(pose.yaw_rad / DEG, 3)}
-
-
-def _evidence(join: Join) -> dict[str, Any]:
-    """Return what a session was joined by; of the one that the others joined there is none."""
-    return {
-        "searched": join.searched,
-        "found": join.found,
-        "agreeing": join.agreeing,
-        "tested": join.tested,
-        "closures": join.closures,
-        "contradicting": join.contradicting,
-        "overlap": round(join.closures / join.tested, 3) if join.tested else None,
-        "residual_mm": round(join.residual_m / MM, 1) if join.closures else None,
-        "residual_deg": round(join.residual_rad / DEG, 3) if join.closures else None,
-        "joined_to": [{"name": name, "closures": closures} for name, closures in join.joined_to],
-    }

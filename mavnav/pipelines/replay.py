@@ -16,10 +16,11 @@ from mavnav.ground_truth.map_file import occupied_xy_m, read_map
 from mavnav.ground_truth.references import check_times, compared, load_references
 from mavnav.ground_truth.topics import truth_text
 from mavnav.logs import check_log, open_log
-from mavnav.logs.formats.detect import SUFFIXES
+from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import known_part, measured_part
 from mavnav.mapping.slices import placed_with_heights, sliced
 from mavnav.memory import release_free_memory
+from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.trajectory_error import MAX_GAP_NS, position_errors
@@ -44,8 +45,11 @@ if TYPE_CHECKING:
     from mavnav.mapping.slices import PlacedScan, Slices
     from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.outputs.run_json import Provenance
+    from mavnav.pipelines.continuing import Continuation
+    from mavnav.pipelines.sessions import FinishedRun
     from mavnav.pose import Pose
     from mavnav.scan import Scan
+    from mavnav.slam.joining.session import Session
     from mavnav.slam.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
 
@@ -67,7 +71,8 @@ class ReplayRequest:
     log itself has the truth (``auto``: found by its name); ``strict`` leaves out scans from where a checksum does not
     match. ``map`` is a map to localise in instead of making one, and ``start_pose`` about where in it the laser begins.
     ``address`` is where the log was fetched from, for run.json; ``log_sha256`` is the content that the log must have,
-    if the run is to be known by it. ``typed`` is the command line.
+    if the run is to be known by it. ``typed`` is the command line. ``continue_from`` is the directory of a run to whose
+    map the log is added.
     """
 
     log: Path
@@ -90,15 +95,21 @@ class ReplayRequest:
     address: str | None = None
     log_sha256: str | None = None
     typed: Typed = field(default_factory=Typed)
+    continue_from: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """What is known besides the log: references, the map to localise in (None without one), and the provenance."""
+    """What is known besides the log: references, the map to localise in (None without one), and the provenance.
+
+    ``run`` is the one to be continued, None without one, and ``earlier`` are its sessions.
+    """
 
     references: References
     known: PriorMap | None
     provenance: Provenance
+    run: FinishedRun | None = None
+    earlier: tuple[Session, ...] = ()
 
 
 def read_prior_map(request: ReplayRequest) -> PriorMap | None:
@@ -113,6 +124,23 @@ def read_prior_map(request: ReplayRequest) -> PriorMap | None:
     if not len(known.walls_xy_m):
         raise UsageError(f"{request.map}: the map has no occupied cell; name a map with walls")
     return known
+
+
+def _to_continue(request: ReplayRequest) -> tuple[FinishedRun | None, tuple[Session, ...]]:
+    """Read the run to be continued, and its sessions; raises UsageError for what is none."""
+    if request.continue_from is None:
+        return None, ()
+    if request.map is not None:
+        raise UsageError("--continue and --map both give a map; leave one of them out")
+    if request.config.method != "robust":
+        raise UsageError(f"--continue: method {request.config.method} cannot search whole maps; use the robust method")
+    target = request.directory.resolve()
+    if request.continue_from.resolve() in {target, *target.parents}:
+        raise UsageError(f"{request.directory} is the run to continue, or inside of it; choose another one with -o")
+    from mavnav.pipelines.continuing import earlier_sessions, run_to_continue  # noqa: PLC0415  few runs need it
+
+    run = run_to_continue(request.continue_from)
+    return run, tuple(earlier_sessions(run, request.config))
 
 
 def map_yaml(path: Path) -> Path:
@@ -134,15 +162,6 @@ def localisation(request: ReplayRequest, outcome: SlamResult) -> Localisation:
 def replay_directory(log: Path, config: Config) -> Path:
     """Return ``runs/<log>-<method>-<yaw samples>-<grid>``."""
     return Path("runs") / f"{log_name(log)}-{config.method}-{config.azimuth}-{config.grid}"
-
-
-def log_name(log: Path) -> str:
-    """Return what a log is called in the names of directories: a folder as it is, a file without its suffixes."""
-    name = log.resolve().name
-    if not log.is_dir():
-        for suffix in reversed(SUFFIXES):
-            name = name.removesuffix(suffix) or name
-    return name
 
 
 def _never() -> None:
@@ -171,7 +190,7 @@ def replay_log(
     check_groups(request.outputs or ())
     check_directory(request.directory, force=request.force)
     references = load_references(request.truth, request.truth_map, request.relations)
-    given = Given(references, read_prior_map(request), replay_provenance(request))
+    given = Given(references, read_prior_map(request), replay_provenance(request), *_to_continue(request))
     wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile(loading=compile_s, starting=startup_s)
     log = _open(request, progress)
     if request.log_sha256 not in {None, log.sha256}:
@@ -212,6 +231,7 @@ def _options(request: ReplayRequest) -> Options:
         truth=truth,
         truth_map=_text(request.truth_map),
         relations=_text(request.relations),
+        continue_from=ABSENT if request.continue_from is None else str(request.continue_from),
         config=request.typed.config,
         sets=list(request.typed.sets),
     )
@@ -247,8 +267,11 @@ def _mapped(
     stopped = stop()
     if stopped is not None and not len(outcome.trajectory):
         raise StoppedError(f"{request.log}: stopped before the first pose; nothing is written", stopped)
+    continuation = _continued(outcome, log, given, request.config, progress, stopped=stopped is not None)
+    outcome = continuation.outcome if continuation else outcome
     progress("measuring", 0, None)
-    references = with_recorded_truth(given.references, log, outcome.begin_ns if given.known is None else None)
+    own_frame = given.known is None and given.run is None
+    references = with_recorded_truth(given.references, log, outcome.begin_ns if own_frame else None)
     measured = measured_map(outcome, log)
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
     slices = map_slices_of(outcome, log, request.config)
@@ -267,10 +290,24 @@ def _mapped(
         address=request.address,
         provenance=given.provenance,
         slices=slices,
+        continued=continuation.section if continuation else None,
+        earlier=continuation.earlier if continuation else (),
     )
     progress("writing", 0, None)
     document = write_run(run, request.directory, force=request.force, report=request.report, groups=request.outputs)
     return run, document
+
+
+def _continued(
+    outcome: SlamResult, log: Log, given: Given, config: Config, progress: Progress, *, stopped: bool
+) -> Continuation | None:
+    """Place the log in the map of the run that it continues; None without one."""
+    if given.run is None:
+        return None
+    from mavnav.pipelines.continuing import continued_run  # noqa: PLC0415  few runs need it
+
+    with Stage("joining"):
+        return continued_run(given.run, given.earlier, outcome, log, config, progress, stopped=stopped)
 
 
 @timed("measuring")

@@ -37,3 +37,12 @@ def covariances_of(steps: Steps, hessians: NDArray[np.float64]) -> NDArray[np.fl
     variance_m2 = np.maximum(steps.column("cost_m2")[:n][known], LEAST_SIGMA_M**2)
     out[:n][known] = variance_m2[:, None] * np.linalg.inv(full[known])[:, _ROWS, _COLS]
     return out
+
+
+def turned(covariances: NDArray[np.float64], yaw_rad: float) -> NDArray[np.float64]:
+    """Return covariances (n, 6), in the order of `covariances_of`, seen in a frame that is turned back by an angle."""
+    full, c, s = np.empty((len(covariances), 3, 3)), np.cos(yaw_rad), np.sin(yaw_rad)
+    full[:, _ROWS, _COLS] = full[:, _COLS, _ROWS] = covariances
+    turn = np.array([(c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)])
+    seen: NDArray[np.float64] = (turn @ full @ turn.T)[:, _ROWS, _COLS]
+    return seen

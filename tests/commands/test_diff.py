@@ -68,8 +68,10 @@ def test_what_cannot_be_compared(mavnav, maps, tmp_path) -> None:
         ([maps[0], log], "is no map; name a run directory"),
         ([maps[0], empty], "no occupied cell"),
         ([*maps, "--gate", "changed<=2"], "it has compared_m2"),
+        ([maps[0], tmp_path / "gone", "-o", tmp_path / "d12"], "d12 is no PNG file; name the picture with .png"),
         ([maps[0]], "Missing argument"),
     ):
         code, out, err = mavnav("diff", *args, "-q")
         assert (code, out, err.count("\n")) == (2, "", 1), args
         assert word in err, args
+    assert not (tmp_path / "d12").exists()

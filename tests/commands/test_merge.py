@@ -29,8 +29,10 @@ def test_logs_and_runs_are_joined(mavnav, logs, tmp_path) -> None:
     document = json.loads(out)
     assert document == json.loads((tmp_path / "m" / "merge.json").read_text())
     assert (document["joined"], document["refused"], document["exit_code"]) == (2, 0, 0)
-    files = {"map.pgm", "map.yaml", "map.png", "hits.npz", "merge.json", "session_hall.tum", "session_back.tum"}
-    assert {file.name for file in (tmp_path / "m").iterdir()} == files
+    files = {"map.pgm", "map.yaml", "map.png", "hits.npz"}
+    files |= {f"session_{name}.{kind}" for name in ("hall", "back") for kind in ("tum", "mcap")}
+    assert {file.name for file in (tmp_path / "m").iterdir()} == {*files, "merge.json"}
+    assert set(document["outputs"]) == files
     hall = tour("hall")
     for name, recording in (("hall", hall), ("back", tour("back", 1))):
         poses = read_tum(tmp_path / "m" / f"session_{name}.tum")
@@ -61,13 +63,43 @@ def test_what_does_not_join_is_said(mavnav, logs, tmp_path) -> None:
     assert "--force" in err
 
 
+def test_what_became_of_each_log_is_stated(mavnav, logs, tmp_path) -> None:
+    """A run that was lost for good outweighs a damaged log, and a log that is named twice counts once."""
+    data = logs["back"].read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: int(0.8 * len(data))])
+    code, out, err = mavnav("merge", logs["hall"], tmp_path / "cut.mcap", "-o", tmp_path / "m", "-q", "--json")
+    hall, cut = json.loads(out)["sessions"]
+    assert code == 3
+    assert (hall["damage"], hall["tracking"]["lost"], hall["tracking"]["tracked_share"]) == ([], False, 1.0)
+    assert cut["joined"]
+    assert cut["damage"][0]["what"] in err
+    run = tmp_path / "back"
+    api.replay(logs["back"], directory=run)
+    document = json.loads((run / "run.json").read_text())
+    document["tracking"]["lost"], document["exit_code"] = True, 5
+    (run / "run.json").write_text(json.dumps(document))
+    code, out, err = mavnav("merge", logs["hall"], logs["hall"], run, "-o", tmp_path / "n", "-q")
+    assert code == 5
+    assert "hall-2 did not join: it has the scans of hall-1" in err
+    assert "back: tracking was lost for good" in err
+    sessions = json.loads((tmp_path / "n" / "merge.json").read_text())["sessions"]
+    assert [session["joined"] for session in sessions] == [True, False, True]
+
+
 def test_what_cannot_be_merged(mavnav, logs, tmp_path) -> None:
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "run.json").write_text("{}")
+    merged = tmp_path / "merged"
+    merged.mkdir()
+    rows = [{"name": name, "joined": True, "tracking": {"lost": False}} for name in ("a", "b")]
+    (merged / "merge.json").write_text(
+        json.dumps({"sessions": rows, "outputs": {}, "config": {}, "mavnav_version": "0.2.0"})
+    )
     for args, word in (
         ([logs["hall"]], "nothing to merge"),
         ([logs["hall"], tmp_path / "gone.bag"], "no such file"),
         ([tmp_path / "run", logs["hall"]], "is no whole run"),
+        ([merged, logs["hall"]], "has several sessions; add others to it with mavnav replay --continue"),
         ([logs["hall"], logs["back"], "--set", "method=paper"], "use the robust method"),
     ):
         code, out, err = mavnav("merge", *args, "-o", tmp_path / "m", "-q")

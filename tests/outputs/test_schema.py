@@ -21,7 +21,7 @@ from mavnav.outputs.run_json import METRICS, RunDocument
 from mavnav.outputs.schema import described, run_keys, run_schema
 from mavnav.slam.steps import LostInterval
 
-OPTIONAL = {"slices", "scenario", "localisation", "reference", "mission", "truth"}
+OPTIONAL = {"slices", "scenario", "localisation", "continued", "reference", "mission", "truth"}
 TYPES = {
     "object": dict, "array": list, "string": str, "boolean": bool, "null": type(None), "integer": int,
     "number": (int, float),
@@ -77,6 +77,7 @@ def test_a_replay_with_references_and_its_localisation(tmp_path: Path, repo_root
     check(document, "reference")
     assert set(document["reference"]) == {"ate", "rpe", "map_distance", "relations"}
     check(made(tmp_path / "third", "replay", log, "--end", 1, "--map", first, "--start-pose", "0,0,0"), "localisation")
+    check(made(tmp_path / "fourth", "replay", log, "--start", 2, "--end", 3, "--continue", first), "continued")
 
 
 def test_simulated_runs(tmp_path: Path) -> None:

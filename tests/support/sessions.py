@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -49,10 +50,19 @@ def session(name: str, recording: Recording) -> Session:
     return make_session(name, lambda: recording.scans, recording.map_T_laser, Config())
 
 
+def cut(recording: Recording, parts: int) -> list[Recording]:
+    """Cut a recording into parts of about as many scans."""
+    path = recording.world_T_laser
+    edges = np.linspace(0, len(path), parts + 1).astype(int).tolist()
+    return [
+        Recording(recording.scans[a:b], Trajectory(path.stamps_ns[a:b], path.xyyaw[a:b])) for a, b in pairwise(edges)
+    ]
+
+
 def written(recording: Recording, path: Path) -> Path:
     """Write the scans of a recording as a log."""
-    spec = LDS_01
-    about = {"angle_min": spec.angle_min_rad, "angle_increment": spec.angle_step_rad}
+    spec = recording.scans[0].spec
+    about = {"angle_min": spec.angle_min_rad, "angle_increment": spec.angle_step_rad, "range_max": spec.range_max_m}
     scans = (Message("/scan", LASER, s.stamp_ns, about | {"ranges": s.ranges_m}) for s in recording.scans)
     return write_mcap(path, list(scans))
 

@@ -98,6 +98,15 @@ def _sniff_folder(folder: Path) -> str:
     return "rosbag2" if (folder / METADATA).is_file() else UNKNOWN
 
 
+def log_name(log: Path) -> str:
+    """Return what a log is called in the names of directories: a folder as it is, a file without its suffixes."""
+    name = log.resolve().name
+    if not log.is_dir():
+        for suffix in reversed(SUFFIXES):
+            name = name.removesuffix(suffix) or name
+    return name
+
+
 def is_named_like_a_log(path: Path) -> bool:
     """Return whether a file has the suffix of a log; for an ambiguous suffix the content must be a log too."""
     return path.name.endswith(SUFFIXES) and (not path.name.endswith(_AMBIGUOUS) or sniff(path) != UNKNOWN)

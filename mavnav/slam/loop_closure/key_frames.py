@@ -42,14 +42,16 @@ class KeyFrame:
     map_T_laser: Pose
 
 
-def key_rows(xyyaw: NDArray[np.float64]) -> tuple[list[int], list[float]]:
+def key_rows(
+    xyyaw: NDArray[np.float64], key_m: float = KEY_M, key_rad: float = KEY_RAD
+) -> tuple[list[int], list[float]]:
     """Return the rows of the key frames among poses (n, 3), and the path length up to each, m."""
     steps_m = np.hypot(*np.diff(xyyaw[:, :2], axis=0).T)
     path_m = np.concatenate(([0.0], steps_m.cumsum()))
     rows: list[int] = []
     last_m = last_rad = -np.inf
     for row, (at_m, yaw_rad) in enumerate(zip(path_m.tolist(), xyyaw[:, 2].tolist(), strict=False)):
-        if at_m - last_m >= KEY_M or abs(wrap_angle(yaw_rad - last_rad)) >= KEY_RAD:
+        if at_m - last_m >= key_m or abs(wrap_angle(yaw_rad - last_rad)) >= key_rad:
             rows.append(row)
             last_m, last_rad = at_m, yaw_rad
     return rows, path_m[rows].tolist()

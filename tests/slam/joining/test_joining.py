@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from mavnav.config.models import Config
-from mavnav.pose import Pose
-from mavnav.slam.joining.group import contradicting, group_of, grown, own_edges
+from mavnav.pose import Pose, Trajectory
+from mavnav.slam.joining.closures import contradicting
+from mavnav.slam.joining.group import group_of, own_edges
+from mavnav.slam.joining.growth import grown
 from mavnav.slam.joining.merged_map import merged_map, trajectories
 from mavnav.slam.joining.session import Session, make_session
 from mavnav.slam.loop_closure.key_frames import Part
@@ -40,12 +42,27 @@ def test_overlapping_sessions_are_joined_to_one_map(tours, sessions) -> None:
     assert all(join.closures > 2 * join.contradicting for join in group.joins[1:])
     assert all(join.residual_m < 0.02 for join in group.joins)
     world_T_group = tours[group.sessions[0].name].world_T_laser[0]
-    placed = trajectories(group, Pose())
-    grid, refined = merged_map(group.sessions, placed, CONFIG, silent)
+    placed = trajectories(group)
+    grid, refined = merged_map(group.sessions, placed, CONFIG, [0], silent)
     for poses in (placed, refined):
         members = zip(group.sessions, poses, strict=True)
         assert max(errors_m(path, tours[member.name], world_T_group) for member, path in members) < 0.03
     assert np.count_nonzero(grid.hits) > 500
+
+
+def test_a_doubtful_track_bends_no_other(tours, sessions) -> None:
+    """It is 0.3 m off at its end, where it must fit the others."""
+    back = tours["back"].map_T_laser
+    bent = Trajectory(back.stamps_ns, back.xyyaw + np.linspace(0, 1, len(back))[:, None] * (0.2, 0.2, 0.05))
+    doubtful = make_session("back", lambda: tours["back"].scans, bent, CONFIG, doubtful=True)
+    group, refused = grown([doubtful, sessions["both"], sessions["hall"]], CONFIG, silent)
+    assert refused == []
+    assert [s.name for s in group.sessions[1:]][-1] == "back"
+    alone, _ = grown([sessions["both"], sessions["hall"]], CONFIG, silent)
+    for path, before in zip(trajectories(group), trajectories(alone), strict=False):
+        np.testing.assert_array_equal(path.xyyaw, before.xyyaw)
+    world_T_group = tours[group.sessions[0].name].world_T_laser[0]
+    assert errors_m(trajectories(group)[-1], tours["back"], world_T_group) < 0.1
 
 
 def test_another_building_does_not_join(sessions) -> None:
@@ -77,9 +94,9 @@ def test_key_frames_in_the_wrong_place_contradict_the_map(sessions) -> None:
 def test_a_session_that_came_back_is_held_together(sessions) -> None:
     """Besides the edges of the path there are some between key frames that lie near after a long path."""
     keys = sessions["hall"].keys
-    assert len(list(own_edges(keys, 0))) == len(keys) - 1
+    assert len(list(own_edges(sessions["hall"], 0))) == len(keys) - 1
     back = [replace(key, path_m=key.path_m + 20.0) for key in keys]
-    edges = list(own_edges([*keys, *back], 5))
+    edges = list(own_edges(replace(sessions["hall"], keys=(*keys, *back)), 5))
     assert len(edges) == 2 * len(keys) - 1 + len(keys)
     assert min(edge.start for edge in edges) == 5
     assert group_of(sessions["hall"]).owner(0) == 0
