@@ -108,10 +108,9 @@ class Run:
 
     A mission of the simulator knows the truth besides. ``reference`` is the comparison with references,
     and ``true_map`` the one among them. ``stopped`` is the code of the signal that stopped
-    the run before the log ended.
-    ``localisation`` says where the laser was found in a given map. ``slices`` is the map by height, None where heights
-    are unknown, or hardly vary. ``continued`` says which run was continued, and ``earlier`` are its sessions, in the map
-    frame.
+    the run before the log ended. ``localisation`` says where the laser was found in a given map. ``slices`` is the map
+    by height, None if heights are unknown or hardly vary. ``continued`` says which run was continued, and ``earlier``
+    are its sessions, in the map frame.
     ``address`` is where the log was fetched from, if it was; ``provenance`` says when and how the run was made.
     ``position_errors_m`` (n,) are those of the poses of the trajectory, NaN without a truth at that time; None without.
     """
