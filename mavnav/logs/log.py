@@ -181,6 +181,7 @@ def open_log(
     progress: Callable[[int, int], None] | None = None,
     strict: bool = False,
     truth: str | None = None,
+    upside_down: bool = False,
 ) -> Log:
     """Survey a log and choose what to use of it.
 
@@ -202,6 +203,8 @@ def open_log(
         Leave out scans from where a checksum does not match.
     truth
         The topic of the ground truth, ``auto`` to find it by its name, None to leave it out.
+    upside_down
+        The laser is mounted upside down, whatever the log says.
 
     Raises
     ------
@@ -214,14 +217,21 @@ def open_log(
     """
     window = partial(survey, path, start_s=start_s, end_s=end_s)
     found = window(topic=topic, progress=progress, strict=strict, truth=truth, odom=odom)
-    log = choose(found, topic=topic, odom=odom, extrinsic=extrinsic)
+    log = choose(found, topic=topic, odom=odom, extrinsic=extrinsic, upside_down=upside_down)
     del found
     if not log.is_short:
         trim()
     return log
 
 
-def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extrinsic: Pose | None = None) -> Log:
+def choose(
+    found: Survey,
+    *,
+    topic: str | None = None,
+    odom: str = "auto",
+    extrinsic: Pose | None = None,
+    upside_down: bool = False,
+) -> Log:
     """Choose topic, odometry and mounting of a surveyed log; raises TopicError and NoScansError.
 
     Several topics, joined by commas, are merged by their mountings.
@@ -269,7 +279,7 @@ def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extri
         _stamps_ns=timeline.stamps_ns,
         _ranges=scans.ranges,
     )
-    return _with_motion(log, found, odom, extrinsic)
+    return _with_motion(log, found, odom, extrinsic, upside_down=upside_down)
 
 
 def _merged_log(found: Survey, topics: list[str], odom: str, extrinsic: Pose | None) -> Log:
@@ -313,7 +323,7 @@ def _unpaired(lasers: Sequence[Log]) -> list[str]:
     ]
 
 
-def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> Log:
+def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None, *, upside_down: bool = False) -> Log:
     """Add mounting and odometry, and what there is to warn about time."""
     warnings = list(log.warnings)
     if log.stamp_source == "log":
@@ -324,8 +334,8 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
     track = found.odometry.choose(odom, warnings.append)
     bases = [track.base_frame] if track and track.base_frame else list(BASE_FRAMES)
     mounted = mounting(found.frames, log.frame_id, bases, warnings.append)
-    base_frame, base_T_laser, upside_down = mounted or (bases[0] if track else None, None, False)
-    if upside_down:
+    base_frame, base_T_laser, overhead = mounted or (bases[0] if track else None, None, False)
+    if overhead and not upside_down:
         done = (
             "used as recorded, as --extrinsic knows the plane alone"
             if extrinsic
@@ -355,7 +365,7 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
         base_T_laser=base_T_laser,
         mounting_source="option" if extrinsic else source,
         base_frame=base_frame,
-        upside_down=upside_down and extrinsic is None,
+        upside_down=upside_down or (overhead and extrinsic is None),
         odometry=odometry,
         imu=_imu(log, found, odom, warnings.append),
         warnings=tuple(warnings),
