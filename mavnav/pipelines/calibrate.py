@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
 from mavnav.atomic_files import beside
+from mavnav.config.models import OdometryConfig
 from mavnav.errors import ExitCode, OutputError, TopicError, UsageError, worst
 from mavnav.logs import check_log, open_log
 from mavnav.metrics.calibration.motion import motions_of
@@ -87,6 +88,8 @@ def _check(request: CalibrationRequest) -> None:
         raise UsageError("calibrate: the track needs the robust method with its final pass; leave --set and --config")
     if request.config.odom == "off":
         raise UsageError("calibrate compares the laser with odometry; leave --odom off away, or name a topic")
+    if request.config.odometry != OdometryConfig() or request.config.upside_down:
+        raise UsageError("calibrate looks at a log as recorded; leave the settings odometry and upside_down out")
     if request.topic and "," in request.topic:
         raise UsageError("calibrate takes one laser; name one --topic at a time")
     check_log(request.log, request.start_s, request.end_s)

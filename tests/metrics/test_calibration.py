@@ -71,6 +71,7 @@ def test_without_turns_there_is_no_lever_arm() -> None:
     assert all("turns by" in given[name].refused for name in ("x_m", "y_m", "turn_scale"))
     assert given["yaw_deg"].value == pytest.approx(CROOKED.mounting.yaw_rad / DEG, abs=2.0)
     assert given["distance_scale"].value == pytest.approx(1.06, abs=0.02)
+    assert "other offsets fit as well" in given["offset_s"].refused
     assert found.mirrored is None
 
 
@@ -87,6 +88,10 @@ def test_turns_on_the_spot_show_no_distance() -> None:
     given = {quantity.kind.name: quantity for quantity in found.quantities}
     assert all("moves by" in given[name].refused for name in ("yaw_deg", "distance_scale", "veer_deg_per_m"))
     assert given["turn_scale"].value == pytest.approx(1.0, abs=0.01)
+
+
+def test_clocks_that_are_farther_apart_than_is_searched() -> None:
+    assert "synchronize" in calibrated(replace(CROOKED, offset_s=1.6)).refused
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,9 @@ STILL_M, STILL_RAD = 10 * MM, 0.5 * DEG
 ALIKE, MOST_SCALE = 0.5, 2.0
 """Least correlation of the turns of one robot; odometry that is wrong by a larger factor is in other units."""
 
+DISTINCT = 100.0
+"""Another offset must be so much less likely (twice the logarithm): up to 30 by chance at constant speed."""
+
 TURN_MORE: Final = "record turns in both directions, 360 deg in all"
 DRIVE_MORE: Final = "record a drive of 3 m or more"
 CHANGE_MORE: Final = "record starts, stops and turns"
@@ -105,7 +108,7 @@ def calibration_of(motions: Motions) -> Calibration:
     if why := _contradiction(start, motion):
         return refused(why, motion)
     fit = estimate(motions, start)
-    quantities = tuple(_quantity(k, fit, motion) for k in range(len(KINDS)))
+    quantities = tuple(_quantity(k, fit, motion, start) for k in range(len(KINDS)))
     return Calibration(quantities, motion, "", fit.mirrored if turning else None, fit)
 
 
@@ -145,21 +148,21 @@ def _contradiction(start: Start, motion: Motion) -> str:
     scale = float(start.parameters[DISTANCE])
     if motion.turned_rad >= LEAST_TURN_RAD and start.correlation < ALIKE:
         return f"odometry and laser turn differently (correlation {start.correlation:.2f}); see whose odometry it is"
+    if start.distinct >= DISTINCT and abs(start.offset_s) > 0.98 * LONGEST_OFFSET_S:
+        return f"no time offset of up to {LONGEST_OFFSET_S:g} s fits laser and odometry; synchronize their clocks"
     if motion.odom_path_m >= LEAST_PATH_M and not 1.0 / MOST_SCALE < scale < MOST_SCALE:
         return f"the distances of odometry and laser differ by a factor of {scale:.3g}; see the units of the odometry"
     return ""
 
 
-def _quantity(number: int, fit: Estimate, motion: Motion) -> Quantity:
+def _quantity(number: int, fit: Estimate, motion: Motion, start: Start) -> Quantity:
     kind, value, ci95 = KINDS[number], float(fit.values[number]), float(fit.ci95[number])
-    refused = _missing_motion(kind, motion)
-    if not refused and number == OFFSET and abs(value) + ci95 > LONGEST_OFFSET_S:
-        refused = f"larger than {LONGEST_OFFSET_S:g} s either way, or not there; synchronize the clocks first"
-    if not refused and ci95 > kind.widest:
-        refused = f"uncertain by {ci95 * kind.per_si:.2g} {kind.unit}".rstrip() + f"; {kind.advice}"
-    if refused:
-        return Quantity(kind, refused=refused)
-    return Quantity(kind, value * kind.per_si, ci95 * kind.per_si)
+    why = _missing_motion(kind, motion)
+    if not why and number == OFFSET and start.distinct < DISTINCT:
+        why = f"speed and turn rate change too little, and other offsets fit as well; {CHANGE_MORE}"
+    if not why and ci95 > kind.widest:
+        why = f"uncertain by {ci95 * kind.per_si:.2g} {kind.unit}".rstrip() + f"; {kind.advice}"
+    return Quantity(kind, refused=why) if why else Quantity(kind, value * kind.per_si, ci95 * kind.per_si)
 
 
 def _missing_motion(kind: Kind, motion: Motion) -> str:
