@@ -56,11 +56,12 @@ def with_reversed_beams(track: Track) -> Track:
     """Track again with the beams in reverse where that is their order."""
     if not fires_backwards(track):
         return track
-    turned = track.again(replace(track, log_scans=partial(_all_backwards, track.log_scans)))
+    turned = track.again(replace(track, log_scans=partial(all_backwards, track.log_scans)))
     return turned.with_warning(WARNING) if turned else track
 
 
-def _all_backwards(log_scans: LogScans) -> Iterator[Scan]:
+def all_backwards(log_scans: LogScans) -> Iterator[Scan]:
+    """Give all scans of a log with their last beam fired first."""
     return map(backwards, log_scans())
 
 
@@ -129,6 +130,12 @@ def is_backwards(listed: Sequence[Match], other: Sequence[Match]) -> bool:
     """Judge by the matches of the same scans, tracked with either order: the right one makes the sharper map."""
     costs = _costs(listed, other)
     return len(costs) > 0 and bool(costs[:, 1].mean() < CLEARLY * costs[:, 0].mean())
+
+
+def is_costlier(listed: Sequence[Match], other: Sequence[Match]) -> bool:
+    """Judge by the same scans, matched in either order in one map: whether the listed order costs more."""
+    costs = _costs(listed, other)
+    return len(costs) >= LEAST_COMPARED and bool(costs[:, 1].mean() < costs[:, 0].mean())
 
 
 def _costs(listed: Sequence[Match], other: Sequence[Match]) -> NDArray[np.float64]:

@@ -37,9 +37,9 @@ def errors(found: np.ndarray, robot: Robot) -> np.ndarray:
 
 
 def test_what_was_planted_lies_inside_the_intervals() -> None:
-    """Of 42 intervals of 95 %, 8 or more are missed once in 1000 times."""
+    """Of 35 intervals of 95 %, 8 or more are missed once in 2000 times."""
     missed = 0
-    for seed in range(6):
+    for seed in range(5):
         rng = np.random.default_rng([seed, 9])
         mounting = Pose(rng.uniform(-0.2, 0.3), rng.uniform(-0.15, 0.15), rng.uniform(-3, 3))
         wheels = (rng.uniform(0.9, 1.1), rng.uniform(0.93, 1.07), rng.uniform(-2, 2) * DEG)

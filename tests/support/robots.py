@@ -166,5 +166,5 @@ def perfect_track(robot: Robot, path: TruePath, noise_m: float = 0.001, seed: in
     return Trajectory(stamps, poses).seen_from(Pose(*poses[0].tolist()).inverse())
 
 
-SMALL = replace(LDS_01, scan_time_s=0.15)
+SMALL = replace(LDS_01, scan_time_s=0.15, time_increment_s=0.15 / 360)
 """A laser of few beams, for short logs."""

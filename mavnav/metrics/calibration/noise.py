@@ -30,7 +30,13 @@ CLIP: Final = 4.0
 START: Final = np.log((0.2, 0.2, 0.5))
 """Shares of poses, stamps and slips in the variance of the steps, at which the search for them begins."""
 
-SEARCH: Final = {"maxfev": 300, "initial_simplex": START + np.vstack((np.zeros(3), -3.0 * np.eye(3)))}
+SEARCH: Final = {
+    "maxfev": 300,
+    "xatol": 0.03,
+    "fatol": 0.03,
+    "initial_simplex": START + np.vstack((np.zeros(3), -3.0 * np.eye(3))),
+}
+"""Twice the logarithm of the likelihood changes by less than ``fatol`` at the end."""
 
 
 @dataclass(frozen=True, slots=True)
