@@ -5,7 +5,7 @@
 
 Logs of simulated robots are written and calibrated: mountings, time offsets of up to 0.3 s, wheel scales of 0.9 to 1.1,
 lasers upside down, at rest or moving during a sweep, beams fired forwards or backwards, wheels that slip, stamps that
-jitter. With ``--log`` the results, processor time and peak memory of real logs are printed instead.
+jitter, rooms of 5 to 10 m. With ``--log`` the results, processor time and peak memory of real logs are printed instead.
 """
 
 from __future__ import annotations
@@ -59,6 +59,7 @@ def robot_of(seed: int, quality: str) -> Robot:
         yaw_noise=DEG * QUALITIES[quality],
         slips=0.002 * QUALITIES[quality],
         jitter_s=0.01,
+        size=rng.uniform(0.8, 1.6),
     )
 
 

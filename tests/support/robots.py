@@ -36,7 +36,8 @@ class Robot:
     ``offset_s`` more. The noise of its steps is that of the path: ``length_noise`` m and ``yaw_noise`` rad for the root
     of a meter (and of a radian); in a share ``slips`` of them the wheels slip. Stamps of scans jitter by ``jitter_s``
     either way, those of the odometry by half of it. ``mirrored``: the laser is upside down. ``moving``: the
-    beams of a sweep are of several times; ``backwards``: the last one is the first.
+    beams of a sweep are of several times; ``backwards``: the last one is the first. The rooms are ``size`` times
+    as large as `furnished_rooms`.
     """
 
     mounting: Pose = ORIGIN
@@ -56,6 +57,7 @@ class Robot:
     yaw_noise: float = DEG
     jitter_s: float = 0.01
     slips: float = 0.0
+    size: float = 1.0
 
     @property
     def truth(self) -> NDArray[np.float64]:
@@ -78,9 +80,8 @@ class TruePath:
 
 def path_of(robot: Robot, waypoints: list[tuple[float, float]] | None = None) -> TruePath:
     """Drive along way-points in steps of 20 ms."""
-    world_T_base = along(
-        waypoints or DRIVES[robot.drive], period_s=0.02, speed_m_s=robot.speed_m_s, turn_rad_s=robot.turn_rad_s
-    )
+    places = [(robot.size * x, robot.size * y) for x, y in waypoints or DRIVES[robot.drive]]
+    world_T_base = along(places, period_s=0.02, speed_m_s=robot.speed_m_s, turn_rad_s=robot.turn_rad_s)
     poses = world_T_base.xyyaw.copy()
     poses[:, 2] = np.unwrap(poses[:, 2])
     stamps = world_T_base.stamps_ns
@@ -98,7 +99,7 @@ def scans_of(robot: Robot, path: TruePath, rng: np.random.Generator) -> list[Sca
     spec = robot.spec if robot.moving else replace(robot.spec, time_increment_s=0.0)
     late_s = np.arange(spec.beams) * spec.time_increment_s
     late_s = late_s[::-1] if robot.backwards else late_s
-    bearings, walls, scans = spec.angles_rad * (-1 if robot.mirrored else 1), furnished_rooms(), []
+    bearings, walls, scans = spec.angles_rad * (-1 if robot.mirrored else 1), robot.size * furnished_rooms(), []
     for at_s in np.arange(START_S, path.seconds[-1] - 0.2, spec.scan_time_s):
         poses = laser_at(robot, path.at(at_s + late_s))
         ranges = cast_from(walls, poses[:, :2], bearings + poses[:, 2])
