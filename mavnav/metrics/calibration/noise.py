@@ -24,7 +24,7 @@ LEAST: Final = 1e-10
 APART: Final = 1e6
 """The variance of a step across a gap, which tells nothing."""
 
-CLIP: Final = 4.0
+CLIP: Final = 2.5
 """A step that is wrong by more of its standard deviations counts as if it were wrong by so many."""
 
 START: Final = np.log((0.2, 0.2, 0.5))
