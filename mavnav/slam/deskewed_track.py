@@ -36,13 +36,14 @@ def match_deskewed(track: Track) -> Track:
     In turns both beam orders are compared, now that the motion is known. Where the run is being stopped, the later
     steps stay as they are.
     """
-    if track.refiner is None:
+    refiner = track.refiner
+    if refiner is None:
         return track
     if WARNING not in track.warnings and _fits_backwards(track):
         track = replace(track.with_warning(WARNING), log_scans=partial(all_backwards, track.log_scans))
     steps = Steps(track.steps)
     for step, scan, motion in _along(track):
-        match = track.refiner.refine(track.refiner.match_points(scan, motion), step.match)
+        match = refiner.refine(refiner.match_points(scan, motion), step.match)
         steps[step.index] = step._replace(match=match)
     return replace(track, steps=steps)
 

@@ -90,6 +90,12 @@ def test_turns_on_the_spot_show_no_distance() -> None:
     assert given["turn_scale"].value == pytest.approx(1.0, abs=0.01)
 
 
+def test_a_slow_robot_moves() -> None:
+    found = calibrated(replace(CROOKED, speed_m_s=0.025), waypoints=[(0.5, 0.5), (2.0, 0.5)])
+    assert found.motion.path_m > 1.3
+    assert found.quantities[2].value == pytest.approx(CROOKED.mounting.yaw_rad / DEG, abs=3.0)
+
+
 def test_clocks_that_are_farther_apart_than_is_searched() -> None:
     assert "synchronize" in calibrated(replace(CROOKED, offset_s=1.6)).refused
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, STEP_S, Steps
+from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, STEP_S
 from mavnav.metrics.calibration.solve import DISTANCE, LEAST_STEPS, OFFSET, estimate
 from mavnav.metrics.calibration.start import start_of
 from mavnav.units import DEG, MM
@@ -15,7 +15,7 @@ from mavnav.units import DEG, MM
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.metrics.calibration.motion import Motions
+    from mavnav.metrics.calibration.motion import Array, Complex, Motions
     from mavnav.metrics.calibration.solve import Estimate
     from mavnav.metrics.calibration.start import Start
 
@@ -24,6 +24,9 @@ LEAST_TURN_RAD, LEAST_PATH_M = 90 * DEG, 1.0
 
 STILL_M, STILL_RAD = 10 * MM, 0.5 * DEG
 """Steps that are smaller in both are taken for rest, and do not count as motion."""
+
+STRIDES = (1, 10)
+"""Steps over which motion is told from rest: of a slow robot each step is small."""
 
 ALIKE, MOST_SCALE = 0.5, 2.0
 """Least correlation of the turns of one robot; odometry that is wrong by a larger factor is in other units."""
@@ -118,16 +121,21 @@ def refused(why: str, motion: Motion) -> Calibration:
 
 
 def motion_of(motions: Motions) -> Motion:
-    """Return how much laser and base moved over the steps of no gap."""
-    linked = motions.linked
-    laser, base = motions.measured(), Steps.between(*motions.base(0.0))
-    return Motion(*_size(laser, linked), *_size(base, linked), int(linked.sum()))
+    """Return how much laser and base moved, and the number of steps of no gap."""
+    gaps = np.concatenate(((0,), np.cumsum(~motions.linked)))
+    laser, base = (motions.where, motions.heading_rad), motions.base(0.0)
+    return Motion(*_size(*laser, gaps), *_size(*base, gaps), int(motions.linked.sum()))
 
 
-def _size(steps: Steps, linked: NDArray[np.bool_]) -> tuple[float, float]:
-    moved_m, turned_rad = np.abs(steps.moved), np.abs(steps.turned)
-    some = linked & ((moved_m > STILL_M) | (turned_rad > STILL_RAD))
-    return float(moved_m[some].sum()), float(turned_rad[some].sum())
+def _size(where: Complex, heading_rad: Array, gaps: NDArray[np.int64]) -> tuple[float, float]:
+    """Return path, m, and turns, rad: by single steps, or by several where the motion is slow."""
+    sizes = []
+    for stride in STRIDES:
+        moved_m, turned_rad = np.abs(np.diff(where[::stride])), np.abs(np.diff(heading_rad[::stride]))
+        some = (np.diff(gaps[::stride]) == 0) & ((moved_m > STILL_M) | (turned_rad > STILL_RAD))
+        sizes.append((float(moved_m[some].sum()), float(turned_rad[some].sum())))
+    path_m, turned_rad = np.max(sizes, axis=0).tolist()
+    return path_m, turned_rad
 
 
 def _unusable(motion: Motion) -> str:
