@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from mavnav.api.functions import compare, open_log, replay, simulate, track
     from mavnav.api.results import Comparison, Run, load_run
-    from mavnav.api.sessions import diff, merge
+    from mavnav.api.sessions import calibrate, diff, merge
     from mavnav.errors import MavnavError
     from mavnav.logs import Log
     from mavnav.pose import Pose, Trajectory
@@ -28,6 +28,7 @@ __all__ = [
     "Scan",
     "Trajectory",
     "__version__",
+    "calibrate",
     "compare",
     "diff",
     "load_run",
@@ -40,7 +41,7 @@ __all__ = [
 _MODULES = {
     **dict.fromkeys(("compare", "open_log", "replay", "simulate", "track"), "mavnav.api.functions"),
     **dict.fromkeys(("Comparison", "Run", "load_run"), "mavnav.api.results"),
-    **dict.fromkeys(("diff", "merge"), "mavnav.api.sessions"),
+    **dict.fromkeys(("calibrate", "diff", "merge"), "mavnav.api.sessions"),
     **dict.fromkeys(("LaserSpec", "Scan"), "mavnav.scan"),
     **dict.fromkeys(("Pose", "Trajectory"), "mavnav.pose"),
     "Log": "mavnav.logs",

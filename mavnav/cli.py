@@ -53,6 +53,7 @@ COMMANDS: Final = {
     "metrics": "metrics.md",
     "diff": "diff.md",
     "merge": "merge.md",
+    "calibrate": "calibrate.md",
     "simulate": "scenarios.md",
     "info": "cli.md#examine-and-convert",
     "convert": "cli.md#examine-and-convert",

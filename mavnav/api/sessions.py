@@ -1,4 +1,4 @@
-"""Several sessions of one building: one map of all, and what changed between two."""
+"""One map of several sessions, what changed between two, and the calibration of the robot that recorded one."""
 
 from __future__ import annotations
 
@@ -81,3 +81,58 @@ def diff(
     return diff_maps(
         DiffRequest(Path(a), Path(b), None if picture is None else Path(picture), force=force), progress or silent
     )
+
+
+def calibrate(
+    log: File,
+    *,
+    topic: str | None = None,
+    odom: str | None = None,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    strict: bool = False,
+    config: File | None = None,
+    settings: Mapping[str, object] | None = None,
+    document: File | None = None,
+    picture: File | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Calibrate laser and odometry of a log, as ``mavnav calibrate`` does (docs/calibrate.md).
+
+    Parameters
+    ----------
+    log, topic, odom, start_s, end_s, strict
+        As for `open_log`.
+    config, settings
+        As for `replay`.
+    document, picture, force
+        JSON and PNG files to write, and whether to replace them.
+    progress
+        Called as work goes on.
+
+    Returns
+    -------
+    The document that ``mavnav calibrate --json`` prints. ``quantities`` have ``value`` and ``ci95``, or ``refused``.
+
+    Raises
+    ------
+    MavnavError
+        UsageError, ConfigError, TopicError (without odometry, too), NoScansError or OutputError.
+    """
+    from mavnav.pipelines.calibrate import CalibrationRequest  # noqa: PLC0415  heavy
+    from mavnav.pipelines.calibrate import calibrate as calibrated  # noqa: PLC0415
+
+    chosen = load_config(config, sets_of(settings), {} if odom is None else {"odom": odom})
+    request = CalibrationRequest(
+        Path(log),
+        chosen,
+        topic=topic,
+        start_s=start_s,
+        end_s=end_s,
+        strict=strict,
+        document=None if document is None else Path(document),
+        picture=None if picture is None else Path(picture),
+        force=force,
+    )
+    return calibrated(request, progress or silent)

@@ -250,6 +250,20 @@ class RobustConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class OdometryConfig:
+    """What corrects odometry before it is used, as ``mavnav calibrate`` finds it (docs/calibrate.md)."""
+
+    __pydantic_config__ = _STRICT
+
+    offset_s: float = setting(0.0, ge=-10, le=10, description="time to add to the stamps of the odometry")
+    distance_scale: float = setting(1.0, gt=0, le=1000, description="factor on the distances of the odometry")
+    turn_scale: float = setting(1.0, gt=0, le=1000, description="factor on the turns of the odometry")
+    veer_deg_per_m: float = setting(
+        0.0, ge=-90, le=90, description="turn to add to the odometry for every meter driven"
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Config:
     """Everything that decides a run's result besides the log and the version."""
 
@@ -272,6 +286,10 @@ class Config:
     slice_mm: float = setting(
         300.0, ge=50, le=10_000, description="thickness of the maps by height, where the height of the laser is known"
     )
+    odometry: OdometryConfig = OdometryConfig()
+    upside_down: bool = setting(
+        False, description="the laser is mounted upside down, whatever the log says: its scans are turned over"
+    )
     search: Literal["pruned", "exhaustive"] = setting(
         "pruned", description="exhaustive evaluates every pose of every grid and finds the same minimum"
     )
@@ -288,6 +306,7 @@ class Config:
     def without_effect(self, keys: Iterable[str]) -> list[str]:
         """Return those of the dotted keys that ask for something that the method does not do."""
         others = tuple(f"{name}." for name in get_args(MethodName) if name != self.method)
+        others += () if self.method == "robust" else ("odometry.",)
         asked = {"odom": self.odom != "off", "final_pass": self.final_pass, "loop_closure": self.loop_closure != "off"}
         unread = {key for key, on in asked.items() if on and self.method != "robust"}
         return [key for key in keys if key.startswith(others) or key in unread]

@@ -45,6 +45,7 @@ def open_log(
     strict: bool = False,
     truth: str | None = None,
     attitude: str = "auto",
+    upside_down: bool = False,
 ) -> Log:
     """Survey a log and choose what to use of it.
 
@@ -68,6 +69,8 @@ def open_log(
         The topic of the ground truth, ``auto`` to find it by its name, None to leave it out.
     attitude
         Tilt and height of the laser, by which scans are levelled: ``auto``, ``off``, or a topic.
+    upside_down
+        The laser is mounted upside down, whatever the log says.
 
     Raises
     ------
@@ -80,19 +83,30 @@ def open_log(
     """
     window = partial(survey, path, start_s=start_s, end_s=end_s)
     found = window(topic=topic, progress=progress, strict=strict, truth=truth, odom=odom, attitude=attitude)
-    log = choose(found, topic=topic, odom=odom, extrinsic=extrinsic)
+    log = choose(found, topic=topic, odom=odom, extrinsic=extrinsic, upside_down=upside_down)
     del found
     if not log.is_short:
         trim()
     return log
 
 
-def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extrinsic: Pose | None = None) -> Log:
+def choose(
+    found: Survey,
+    *,
+    topic: str | None = None,
+    odom: str = "auto",
+    extrinsic: Pose | None = None,
+    upside_down: bool = False,
+) -> Log:
     """Choose topic, odometry and mounting of a surveyed log; raises TopicError and NoScansError.
 
     Several topics, joined by commas, are merged by their mountings.
     """
     if topic is not None and topic not in found.scans and len(names := scan_topics(topic)) > 1:
+        if upside_down:
+            raise TopicError(
+                "upside_down is of one laser; several --topic are merged by /tf_static, which turns them over"
+            )
         return _merged_log(found, names, odom, extrinsic)
     name = chosen_topic(found, topic)
     scans = found.scans[name]
@@ -136,7 +150,7 @@ def choose(found: Survey, *, topic: str | None = None, odom: str = "auto", extri
         _stamps_ns=timeline.stamps_ns,
         _ranges=scans.ranges,
     )
-    return _with_motion(log, found, odom, extrinsic)
+    return _with_motion(log, found, odom, extrinsic, upside_down=upside_down)
 
 
 def _merged_log(found: Survey, topics: list[str], odom: str, extrinsic: Pose | None) -> Log:
@@ -183,7 +197,7 @@ def _unpaired(lasers: Sequence[Log]) -> list[str]:
     ]
 
 
-def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> Log:
+def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None, *, upside_down: bool = False) -> Log:
     """Add mounting and odometry, and what there is to warn about time."""
     warnings = list(log.warnings)
     if log.stamp_source == "log":
@@ -195,8 +209,8 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
     bases = [track.base_frame] if track and track.base_frame else list(BASE_FRAMES)
     place, of_mounting = len(warnings), list[str]()
     mounted = mounting(found.frames, log.frame_id, bases, of_mounting.append)
-    base_frame, base_T_laser, upside_down = mounted or (bases[0] if track else None, None, False)
-    if upside_down:
+    base_frame, base_T_laser, overhead = mounted or (bases[0] if track else None, None, False)
+    if overhead and not upside_down:
         done = (
             "used as recorded, as --extrinsic knows the plane alone"
             if extrinsic
@@ -218,7 +232,7 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None) -> 
             text = f"no transform from {base_frame!r} to {log.frame_id!r}; the odometry is taken as the laser's own"
             warnings.append(f"{text} (give the mounting with --extrinsic x,y,yaw)")
         odometry = Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()))
-    upside_down = upside_down and extrinsic is None
+    upside_down = upside_down or (overhead and extrinsic is None)
     attitude = laser_attitude(
         found.attitudes.sources(found.imus, found.topics),
         found.frames,

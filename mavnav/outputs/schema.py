@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 Schema = dict[str, Any]
 
 UNITS: Final = {
+    "_deg_per_m": "deg/m",
     "_per_m": "1/m",
     "_per_s": "1/s",
     "_m_s": "m/s",

@@ -11,6 +11,7 @@ from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
 
+from mavnav.config.models import OdometryConfig
 from mavnav.errors import ExitCode, StoppedError, UsageError
 from mavnav.ground_truth.map_file import occupied_xy_m, read_map
 from mavnav.ground_truth.references import check_times, compared, load_references
@@ -20,6 +21,7 @@ from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import known_part, measured_part
 from mavnav.mapping.slices import placed_with_heights, sliced
 from mavnav.memory import release_free_memory
+from mavnav.metrics.calibration.motion import Wheels, corrected
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
@@ -30,6 +32,7 @@ from mavnav.outputs.run import Run, Timing
 from mavnav.outputs.run_json import FoundPose, GivenPose, Localisation, Options, StartPose
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
+from mavnav.pose import Pose
 from mavnav.profiling import Stage, new_profile, timed
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.prior_map import prior_map_of
@@ -47,7 +50,6 @@ if TYPE_CHECKING:
     from mavnav.outputs.run_json import Provenance
     from mavnav.pipelines.continuing import Continuation
     from mavnav.pipelines.sessions import FinishedRun
-    from mavnav.pose import Pose
     from mavnav.scan import Scan
     from mavnav.slam.joining.session import Session
     from mavnav.slam.prior_map import PriorMap
@@ -333,7 +335,11 @@ def map_slices_of(outcome: SlamResult, log: Log, config: Config) -> Slices | Non
 
 
 def _open(request: ReplayRequest, progress: Progress) -> Log:
-    """Survey the log; the paper's method never looks at odometry."""
+    """Survey the log and correct its odometry; the paper's method never looks at odometry."""
+    return with_corrected_odometry(_surveyed(request, progress), request.config)
+
+
+def _surveyed(request: ReplayRequest, progress: Progress) -> Log:
     return open_log(
         request.log,
         topic=request.topic,
@@ -344,8 +350,20 @@ def _open(request: ReplayRequest, progress: Progress) -> Log:
         strict=request.strict,
         truth=request.truth_topic,
         attitude=request.config.attitude,
+        upside_down=request.config.upside_down,
         progress=lambda done, total: progress("reading", done, total),
     )
+
+
+def with_corrected_odometry(log: Log, config: Config) -> Log:
+    """Return a log with its odometry corrected as the configuration says."""
+    given, odometry = config.odometry, log.odometry
+    if odometry is None or given == OdometryConfig():
+        return log
+    wheels = Wheels(given.distance_scale, given.turn_scale, given.veer_deg_per_m * DEG)
+    odom_T_base = corrected(odometry.odom_T_base, given.offset_s, wheels)
+    odom_T_laser = odom_T_base.compose(log.base_T_laser or Pose())
+    return changed(log, odometry=changed(odometry, odom_T_base=odom_T_base, odom_T_laser=odom_T_laser))
 
 
 def _track(log: Log, config: Config, known: PriorMap | None, progress: Progress, stop: Stop) -> SlamResult:

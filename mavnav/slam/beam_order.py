@@ -61,11 +61,12 @@ def with_reversed_beams(track: Track) -> Track:
     """Track again with the beams in reverse order if that is the order of the laser."""
     if not has_reversed_order(track):
         return track
-    turned = track.again(replace(track, log_scans=partial(_reversed_scans, track.log_scans)))
+    turned = track.again(replace(track, log_scans=partial(reversed_scans, track.log_scans)))
     return turned.with_warning(WARNING) if turned else track
 
 
-def _reversed_scans(log_scans: LogScans) -> Iterator[Scan]:
+def reversed_scans(log_scans: LogScans) -> Iterator[Scan]:
+    """Yield all scans of a log with the last beam fired first."""
     return map(reversed_scan, log_scans())
 
 
@@ -147,6 +148,12 @@ def reverse_fits_better(listed: Sequence[Match], other: Sequence[Match]) -> bool
     """Return whether the reverse order fits clearly better, by matches of the same scans tracked in either order."""
     costs = _costs(listed, other)
     return len(costs) > 0 and bool(costs[:, 1].mean() < REVERSED_RATIO * costs[:, 0].mean())
+
+
+def is_costlier(listed: Sequence[Match], other: Sequence[Match]) -> bool:
+    """Return whether the listed order costs more, by matches of the same scans in one map."""
+    costs = _costs(listed, other)
+    return len(costs) >= LEAST_COMPARED and bool(costs[:, 1].mean() < costs[:, 0].mean())
 
 
 def _costs(listed: Sequence[Match], other: Sequence[Match]) -> NDArray[np.float64]:

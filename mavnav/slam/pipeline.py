@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav.slam.beam_order import with_reversed_beams
 from mavnav.slam.beginning import rematch_beginning, with_good_beginning
+from mavnav.slam.deskewed_track import match_deskewed
 from mavnav.slam.doubt.judge import judge_track
 from mavnav.slam.loop_closure.remap import close_loops
 from mavnav.slam.motion_model import Motion
@@ -60,6 +61,9 @@ DRAWING: Final[tuple[Pass, ...]] = (
 )
 """Passes that make the final poses and the final map; skipped as well in causal mode and by the paper's method."""
 
+MEASURING: Final[tuple[Pass, ...]] = (match_deskewed,)
+"""What makes the poses of a calibration instead: nothing is smoothed."""
+
 
 def run_slam(
     log_scans: LogScans,
@@ -69,6 +73,7 @@ def run_slam(
     on_step: OnStep | None = None,
     prior_map: PriorMap | None = None,
     rotation: Rotation | None = None,
+    last: tuple[Pass, ...] = DRAWING,
 ) -> SlamResult:
     """Run the configured method over a recorded log.
 
@@ -83,13 +88,14 @@ def run_slam(
     prior_map : localize in this map, which is not changed, instead of building one
     rotation : measurements of an inertial sensor: its yaw rate predicts turns where odometry does not, its tilt is
         evidence of motion that is not planar
+    last : the passes that end the run
     """
     odometry = None if odom_T_laser is None else partial(odom_T_laser.at, max_gap_ns=ODOMETRY_GAP_NS)
     method = make_method(config, prior_map)
     motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation)
     start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step)
     track = with_remedy(judged_track(start), start, judged_track)  # "Remedies"
-    return summarize(after(track, DRAWING))
+    return summarize(after(track, last))
 
 
 def judged_track(start: Track) -> Track:

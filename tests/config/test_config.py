@@ -168,7 +168,7 @@ def test_every_default_survives_a_round_trip_as_yaml(tmp_path: Path) -> None:
 
 
 def test_every_number_is_described() -> None:
-    sections = {"method", "grid", "paper", "robust", "nx", "ny"}
+    sections = {"method", "grid", "paper", "robust", "odometry", "nx", "ny"}
     assert [".".join(key) for key, text in fields() if not text and key[-1] not in sections] == []
 
 

@@ -1,0 +1,142 @@
+"""``mavnav calibrate LOG``: the mounting of the laser, the time offset and the scales of the odometry, from one log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import typer
+
+from mavnav.commands.options import (
+    ConfigFile,
+    End,
+    Force,
+    Json,
+    LogFile,
+    Odom,
+    Quiet,
+    Sets,
+    Start,
+    Strict,
+    Topic,
+    given_values,
+    given_window,
+    joined_topics,
+    output_option,
+)
+from mavnav.commands.progress import REPLAY, loading_modules, reporting
+from mavnav.commands.terminal import emit, emit_json, note, note_problems, print_table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+EPILOG = """
+[bold]Examples[/bold]
+
+mavnav calibrate drive.mcap
+
+mavnav calibrate drive.bag --odom /wheel_odom -o calibration.json --picture calibration.png
+
+mavnav calibrate drive.mcap --json | jq -r .lines.static_transform
+"""
+
+NAMES: Final = {
+    "x_m": ("x", 3),
+    "y_m": ("y", 3),
+    "yaw_deg": ("yaw", 2),
+    "offset_s": ("time offset", 3),
+    "distance_scale": ("distance scale", 4),
+    "turn_scale": ("turn scale", 4),
+    "veer_deg_per_m": ("veer", 2),
+}
+"""Quantity -> its name in the table, and its digits there."""
+
+MOUNTING: Final = ("x_m", "y_m", "yaw_deg")
+
+
+def calibrate(
+    log: LogFile,
+    *,
+    topic: Topic = None,
+    start: Start = None,
+    end: End = None,
+    odom: Odom = None,
+    strict: Strict = False,
+    config: ConfigFile = None,
+    sets: Sets = None,
+    output: Annotated[
+        Path | None, output_option("--output", "-o", metavar="FILE.json", help="Write the JSON document to a file.")
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        output_option("--picture", metavar="FILE.png", help="Draw turn rates and errors of the fit over time."),
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate laser and odometry: mounting, time offset and wheel scales, each with a 95 % interval."""
+    window = given_window(start, end)
+    with reporting(quiet=quiet, stages=REPLAY) as report:
+        with loading_modules():
+            from mavnav.config.loading import load_config
+            from mavnav.pipelines.calibrate import CalibrationRequest
+            from mavnav.pipelines.calibrate import calibrate as calibrated
+        chosen = load_config(config, sets or [], given_values(odom=odom))
+        request = CalibrationRequest(
+            log,
+            chosen,
+            topic=joined_topics(topic),
+            **window,
+            strict=strict,
+            document=output,
+            picture=picture,
+            force=force,
+        )
+        document = calibrated(request, report)
+    if json:
+        emit_json(document)
+    elif not document["refused"]:
+        print_table(list(_rows(document)))
+        _print_lines(document["lines"])
+    if not json:
+        note_problems(document)
+    if document["refused"]:
+        note(f"mavnav: error: {log}: {document['refused']}")
+    raise typer.Exit(document["exit_code"])
+
+
+def _rows(document: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    source = document["input"]
+    frames = f"{source['frame_id']} on {source['base_frame']}"
+    moved = f"{document['motion']['path_m']:.1f} m, {document['motion']['turned_deg']:.0f} deg in all"
+    yield "calibrated", f"{frames}, {source['topic']} with {source['odometry']['topic']}; {moved}"
+    for row in document["quantities"]:
+        yield NAMES[row["name"]][0], _text(row)
+    yield "upside down", _switch_text(document["upside_down"])
+    yield "beams reversed", _switch_text(document["beams_reversed"])
+    yield "range bias", _switch_text(document["range_bias"])
+
+
+def _text(row: dict[str, Any]) -> str:
+    if row["refused"]:
+        return f"not determined: {row['refused']}"
+    digits, unit = NAMES[row["name"]][1], f" {row['unit']}".rstrip()
+    found = f"{row['value']:.{digits}f}{unit} +- {row['ci95']:.{digits}f}"
+    if row["in_log"] is None:
+        return f"{found}; the log has no transform"
+    said = "transforms say" if row["name"] in MOUNTING else "without it"
+    verdict = "agrees" if row["agrees"] else f"differs by {row['difference']:+.{digits}f}"
+    return f"{found}; {said} {row['in_log']:.{digits}f}: {verdict}"
+
+
+def _switch_text(switch: dict[str, Any]) -> str:
+    if switch["refused"]:
+        return f"not determined: {switch['refused']}"
+    return f"{'yes' if switch['value'] else 'no'}; {'agrees' if switch['agrees'] else 'differs'}"
+
+
+def _print_lines(lines: dict[str, str | None]) -> None:
+    for line in filter(None, lines.values()):
+        emit("")
+        emit(line)

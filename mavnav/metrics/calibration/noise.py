@@ -1,0 +1,129 @@
+"""The noise of steps between poses: each pose has an error of its own, and each step a slip of the wheels.
+
+The error of a pose enters the steps before and behind it with opposite signs, so the covariance is tridiagonal. It has
+a constant part and one that grows with the speed, as of stamps that jitter. Slips grow with the motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.linalg import cholesky_banded, solve_banded
+from scipy.optimize import minimize
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+LEAST: Final = 1e-10
+"""No variance of a step is below, m2 or rad2."""
+
+APART: Final = 1e6
+"""The variance of a step across a gap, which tells nothing."""
+
+CLIP: Final = 2.5
+"""A step that is wrong by more of its standard deviations counts as if it were wrong by so many."""
+
+START: Final = np.log((0.2, 0.2, 0.5))
+"""Shares of poses, stamps and slips in the variance of the steps, at which the search for them begins."""
+
+SEARCH: Final = {
+    "maxfev": 300,
+    "xatol": 0.03,
+    "fatol": 0.03,
+    "initial_simplex": START + np.vstack((np.zeros(3), -3.0 * np.eye(3))),
+}
+"""Twice the logarithm of the likelihood changes by less than ``fatol`` at the end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Covariance of the errors of steps (n,) of one coordinate: ``diagonal`` (n,), ``between`` neighbours (n - 1,).
+
+    ``slips`` (n,) are the part of the diagonal that the odometry has.
+    """
+
+    diagonal: Array
+    between: Array
+    slips: Array
+
+    def _factor(self) -> Array:
+        """Return the Cholesky factor, (2, n): its diagonal, and what is below."""
+        return _factor(self.diagonal, self.between)
+
+    def whitened(self, errors: Array) -> Array:
+        """Return errors (n,) or (n, k) as multiples of independent standard deviations."""
+        whitened: Array = solve_banded((1, 0), self._factor(), errors)
+        return whitened
+
+    def unlikeliness(self, errors: Array) -> float:
+        """Return twice the negative log-likelihood of errors (n,), up to a constant."""
+        factor = self._factor()
+        return float(2.0 * np.log(factor[0]).sum() + np.square(solve_banded((1, 0), factor, errors)).sum())
+
+    def alone(self) -> Array:
+        """Return the variance of each error if all others are known, (n,)."""
+        ahead, behind = _pivots(self.diagonal, self.between), _pivots(self.diagonal[::-1], self.between[::-1])[::-1]
+        alone: Array = ahead + behind - self.diagonal
+        return alone
+
+    def unforeseen(self, errors: Array) -> Array:
+        """Return how far each error (n,) is from what the others make expect."""
+        factor = self._factor()
+        upper = np.vstack((np.append(0.0, factor[1, :-1]), factor[0]))
+        weighted: Array = solve_banded((0, 1), upper, solve_banded((1, 0), factor, errors))
+        unforeseen: Array = weighted * self.alone()
+        return unforeseen
+
+    def clipped(self, errors: Array) -> Noise:
+        """Return the covariance in which steps with errors (n,) out of all proportion are as uncertain as that."""
+        noise = self
+        for _ in range(3):  # a large error first hides what is expected of its neighbours
+            added = noise.diagonal - self.diagonal
+            more = np.square(noise.unforeseen(errors) / CLIP) - (noise.alone() - added)
+            noise = Noise(self.diagonal + np.maximum(more, 0.0), self.between, self.slips)
+        return noise
+
+
+def _factor(diagonal: Array, between: Array) -> Array:
+    factor: Array = cholesky_banded(np.vstack((diagonal, np.append(between, 0.0))), lower=True)
+    return factor
+
+
+def _pivots(diagonal: Array, between: Array) -> Array:
+    pivots: Array = np.square(_factor(diagonal, between)[0])
+    return pivots
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """What the noise depends on: ``speeds`` (n + 1,) at the poses, ``motions`` (n,) of the steps, ``linked`` (n,)."""
+
+    speeds: Array
+    motions: Array
+    linked: NDArray[np.bool_]
+
+    def noise(self, variances: Array, added: Array | float = 0.0) -> Noise:
+        """Return the covariance by the variances (3,) of poses, stamps and slips; some steps have ``added`` more."""
+        pose, stamp, slip = variances
+        of_pose = pose + stamp * np.square(self.speeds)
+        diagonal = of_pose[:-1] + of_pose[1:] + slip * self.motions + LEAST + added
+        between = np.where(self.linked[:-1] & self.linked[1:], -of_pose[1:-1], 0.0)
+        return Noise(np.where(self.linked, diagonal, APART), between, slip * self.motions)
+
+    def fitted(self, errors: Array, added: Array) -> Noise:
+        """Return the likeliest covariance for errors (n,), 0 across gaps; some steps have ``added`` (n,) variance."""
+        total = float(np.square(errors[self.linked]).mean()) + LEAST
+        shares = 1.0, np.square(self.speeds).mean() + LEAST, self.motions[self.linked].mean() + LEAST
+
+        def variances(logs: Array) -> Array:
+            scaled: Array = total * np.exp(np.clip(logs, -14.0, 4.0)) / np.array(shares)
+            return scaled
+
+        def unlikeliness(logs: Array) -> float:
+            return self.noise(variances(logs), added).unlikeliness(errors)
+
+        return self.noise(variances(minimize(unlikeliness, START, method="Nelder-Mead", options=SEARCH).x))

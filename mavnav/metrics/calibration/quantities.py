@@ -1,0 +1,181 @@
+"""What a calibration found, quantity by quantity: value and uncertainty, or why the log does not show it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, STEP_S
+from mavnav.metrics.calibration.solve import DISTANCE, LEAST_STEPS, OFFSET, estimate
+from mavnav.metrics.calibration.start import start_of
+from mavnav.units import DEG, MM
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.metrics.calibration.motion import Array, Complex, Motions
+    from mavnav.metrics.calibration.solve import Estimate
+    from mavnav.metrics.calibration.start import Start
+
+LEAST_TURN_RAD, LEAST_PATH_M = 90 * DEG, 1.0
+"""Motion that a log must have for what turns show, and for what straight motion shows."""
+
+STILL_M, STILL_RAD = 10 * MM, 0.5 * DEG
+"""Steps that are smaller in both are taken for rest, and do not count as motion."""
+
+STRIDES = (1, 10)
+"""Steps over which motion is told from rest: of a slow robot each step is small."""
+
+ALIKE, MOST_SCALE = 0.5, 2.0
+"""Least correlation of the turns of one robot; odometry that is wrong by a larger factor is in other units."""
+
+DISTINCT = 100.0
+"""Another offset must be so much less likely (twice the logarithm): up to 30 by chance at constant speed."""
+
+TURN_MORE: Final = "record turns in both directions, 360 deg in all"
+DRIVE_MORE: Final = "record a drive of 3 m or more"
+CHANGE_MORE: Final = "record starts, stops and turns"
+
+
+class Kind(NamedTuple):
+    """A quantity: its name and unit, how many of its unit an SI unit has, and what the log takes for it (SI).
+
+    Wider intervals than ``widest`` (SI) are refused, with the ``advice``.
+    """
+
+    name: str
+    unit: str
+    per_si: float
+    assumed: float
+    widest: float
+    advice: str
+
+
+KINDS: Final = (
+    Kind("x_m", "m", 1.0, 0.0, 0.1, TURN_MORE),
+    Kind("y_m", "m", 1.0, 0.0, 0.1, TURN_MORE),
+    Kind("yaw_deg", "deg", 1 / DEG, 0.0, 5 * DEG, DRIVE_MORE),
+    Kind("offset_s", "s", 1.0, 0.0, 0.1, CHANGE_MORE),
+    Kind("distance_scale", "", 1.0, 1.0, 0.05, DRIVE_MORE),
+    Kind("turn_scale", "", 1.0, 1.0, 0.05, TURN_MORE),
+    Kind("veer_deg_per_m", "deg/m", 1 / DEG, 0.0, 5 * DEG, DRIVE_MORE),
+)
+"""In the order of the parameters."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How much the laser and its base moved: m and rad along the path, over so many steps."""
+
+    path_m: float
+    turned_rad: float
+    odom_path_m: float
+    odom_turned_rad: float
+    steps: int
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A quantity in its unit: value and half-width of its 95 % interval, or why it is ``refused``."""
+
+    kind: Kind
+    value: float | None = None
+    ci95: float | None = None
+    refused: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """All quantities in the order of `KINDS`, the motion behind them, and the fit; None where there was none.
+
+    ``refused`` is why nothing at all could be estimated. ``mirrored``: the scans are those of a laser that is the other
+    way up than the log says; None where turns do not show it.
+    """
+
+    quantities: tuple[Quantity, ...]
+    motion: Motion
+    refused: str = ""
+    mirrored: bool | None = None
+    fit: Estimate | None = None
+
+
+def calibration_of(motions: Motions) -> Calibration:
+    """Estimate what the motions show, and refuse the rest."""
+    motion = motion_of(motions)
+    if why := _unusable(motion):
+        return refused(why, motion)
+    turning = motion.turned_rad >= LEAST_TURN_RAD
+    start = start_of(motions, turning=turning)
+    if why := _contradiction(start, motion):
+        return refused(why, motion)
+    fit = estimate(motions, start)
+    quantities = tuple(_quantity(k, fit, motion, start) for k in range(len(KINDS)))
+    return Calibration(quantities, motion, "", fit.mirrored if turning else None, fit)
+
+
+def refused(why: str, motion: Motion) -> Calibration:
+    """Return a calibration in which nothing could be estimated."""
+    return Calibration(tuple(Quantity(kind, refused=why) for kind in KINDS), motion, why)
+
+
+def motion_of(motions: Motions) -> Motion:
+    """Return how much laser and base moved, and the number of steps of no gap."""
+    gaps = np.concatenate(((0,), np.cumsum(~motions.linked)))
+    laser, base = (motions.where, motions.heading_rad), motions.base(0.0)
+    return Motion(*_size(*laser, gaps), *_size(*base, gaps), int(motions.linked.sum()))
+
+
+def _size(where: Complex, heading_rad: Array, gaps: NDArray[np.int64]) -> tuple[float, float]:
+    """Return path, m, and turns, rad: by single steps, or by several where the motion is slow."""
+    sizes = []
+    for stride in STRIDES:
+        moved_m, turned_rad = np.abs(np.diff(where[::stride])), np.abs(np.diff(heading_rad[::stride]))
+        some = (np.diff(gaps[::stride]) == 0) & ((moved_m > STILL_M) | (turned_rad > STILL_RAD))
+        sizes.append((float(moved_m[some].sum()), float(turned_rad[some].sum())))
+    path_m, turned_rad = np.max(sizes, axis=0).tolist()
+    return path_m, turned_rad
+
+
+def _unusable(motion: Motion) -> str:
+    """Return why motions show nothing at all; empty where they may."""
+    if motion.steps < LEAST_STEPS:
+        text = f"{motion.steps} steps of {STEP_S} s have tracked scans and odometry"
+        return f"{text}; {LEAST_STEPS} are needed: record {LEAST_STEPS * STEP_S + 2 * LONGEST_OFFSET_S:.0f} s or more"
+    if motion.path_m < LEAST_PATH_M and motion.turned_rad < LEAST_TURN_RAD:
+        text = f"the laser moves by {motion.path_m:.2f} m and turns by {motion.turned_rad / DEG:.0f} deg in all"
+        return f"{text}; {DRIVE_MORE}, with turns of 360 deg in all"
+    if motion.odom_path_m < 0.1 * motion.path_m and motion.odom_turned_rad < 0.1 * motion.turned_rad:
+        return "the odometry stands still while the laser moves; see that the wheel encoders report"
+    return ""
+
+
+def _contradiction(start: Start, motion: Motion) -> str:
+    """Return why the odometry cannot be that of the laser's base; empty where it may."""
+    scale = float(start.parameters[DISTANCE])
+    if motion.turned_rad >= LEAST_TURN_RAD and start.correlation < ALIKE:
+        return f"odometry and laser turn differently (correlation {start.correlation:.2f}); see whose odometry it is"
+    if start.distinct >= DISTINCT and abs(start.offset_s) > 0.98 * LONGEST_OFFSET_S:
+        return f"no time offset of up to {LONGEST_OFFSET_S:g} s fits laser and odometry; synchronize their clocks"
+    if motion.odom_path_m >= LEAST_PATH_M and not 1.0 / MOST_SCALE < scale < MOST_SCALE:
+        return f"the distances of odometry and laser differ by a factor of {scale:.3g}; see the units of the odometry"
+    return ""
+
+
+def _quantity(number: int, fit: Estimate, motion: Motion, start: Start) -> Quantity:
+    kind, value, ci95 = KINDS[number], float(fit.values[number]), float(fit.ci95[number])
+    why = _missing_motion(kind, motion)
+    if not why and number == OFFSET and start.distinct < DISTINCT:
+        why = f"speed and turn rate change too little, and other offsets fit as well; {CHANGE_MORE}"
+    if not why and ci95 > kind.widest:
+        why = f"uncertain by {ci95 * kind.per_si:.2g} {kind.unit}".rstrip() + f"; {kind.advice}"
+    return Quantity(kind, refused=why) if why else Quantity(kind, value * kind.per_si, ci95 * kind.per_si)
+
+
+def _missing_motion(kind: Kind, motion: Motion) -> str:
+    if kind.advice == TURN_MORE and motion.turned_rad < LEAST_TURN_RAD:
+        return f"the laser turns by {motion.turned_rad / DEG:.0f} deg in all; {TURN_MORE}"
+    if kind.advice == DRIVE_MORE and motion.odom_path_m < LEAST_PATH_M:
+        return f"the base moves by {motion.odom_path_m:.2f} m in all; {DRIVE_MORE}"
+    return ""

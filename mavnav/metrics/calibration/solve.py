@@ -1,0 +1,175 @@
+"""The parameters that fit laser and odometry best, by generalized least squares, and how far they may be wrong.
+
+A derivative with respect to the offset is taken over a whole step, and the noise of the odometry in its own derivatives
+is taken out: both would bias the result (errors in variables). Uncertainties are those of a jackknife over parts of the
+log, with Student's t for the parts that tell something of a parameter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import count, pairwise
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.special import stdtrit
+
+from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, NAMES
+from mavnav.metrics.calibration.noise import NoiseModel
+from mavnav.units import DEG
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mavnav.metrics.calibration.motion import Motions
+    from mavnav.metrics.calibration.noise import Noise
+    from mavnav.metrics.calibration.start import Start
+
+    Array = NDArray[np.float64]
+
+X, Y, YAW, OFFSET, DISTANCE, TURN, VEER = range(len(NAMES))
+
+ROUNDS, LIKELIEST, CLOSE = 20, (0, 2, 5), 1e-5
+"""Rounds at most; those in which the noise is estimated anew; changes below this end them."""
+
+PARTS, STEPS_A_PART, LEAST_STEPS = 20, 5, 40
+"""Parts of the log for the jackknife, steps that each has at least, and steps that a calibration needs."""
+
+PRIOR: Final = np.array((1.0, 1.0, 3.0, 0.5, 0.3, 0.3, 10 * DEG))
+"""Standard deviations about a laser on the base's origin and good odometry: they only keep the unknown finite."""
+
+LOW: Final = np.array((-100.0, -100.0, -np.inf, -LONGEST_OFFSET_S, 1 / 3, 1 / 3, -1.0))
+HIGH: Final = np.array((100.0, 100.0, np.inf, LONGEST_OFFSET_S, 3.0, 3.0, 1.0))
+"""No parameter is searched beyond."""
+
+FLOOR: Final = np.array((1e-3, 1e-3, 0.05 * DEG, 1e-3, 2.5e-3, 5e-4, 0.01 * DEG))
+"""Standard deviations of what is wrong with all steps alike: of the track, measured with odometry without noise; and of
+the distances, as wheels that slip turn too far."""
+
+DIFFERENCES: Final = np.array((1e-3, 1e-3, 1e-3, 0.0, 1e-3, 1e-3, 1e-3))
+
+TURN_M_RAD: Final = 0.3
+"""A turn makes as much slip as a path of this length a radian."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Parameters (7,) in the order of `NAMES` and the half-widths (7,) of their 95 % intervals.
+
+    ``mirrored``: the scans are mirrored; ``correlation`` is that of the turns of laser and odometry. ``parts`` (7,) are
+    the numbers of parts of the log that tell something of each. ``errors`` (n, 3) are those of the steps at ``seconds``
+    (n,), m, m, rad.
+    """
+
+    values: Array
+    ci95: Array
+    parts: Array
+    mirrored: bool
+    correlation: float
+    seconds: Array
+    errors: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Equations:
+    """What each step (n) adds to the normal equations, whitened: derivatives (3, n, 7), and the score (n, 7)."""
+
+    derivatives: Array
+    score: Array
+
+    def normal(self, steps: slice = slice(None)) -> Array:
+        rows = self.derivatives[:, steps].reshape(-1, self.derivatives.shape[2])
+        normal: Array = rows.T @ rows
+        return normal
+
+
+def estimate(motions: Motions, start: Start) -> Estimate:
+    """Estimate all parameters from the first ones on; the motions have `LEAST_STEPS` or more."""
+    motions = motions.mirrored() if start.mirrored else motions
+    values, equations = _solved(motions, np.clip(start.parameters, LOW, HIGH))
+    ci95, parts = _uncertainty(equations)
+    linked, seconds = motions.linked, motions.laser_s[1:]
+    errors = _errors(motions, values)[linked]
+    return Estimate(values, ci95, parts, start.mirrored, start.correlation, seconds[linked], errors)
+
+
+def _solved(motions: Motions, values: Array) -> tuple[Array, _Equations]:
+    """Iterate from first values (7,) to the best; the noise and the steps out of all proportion follow from the fit."""
+    models, centre, added = _models(motions), _centre(values), np.zeros((3, len(motions.linked)))
+    noises: list[Noise] = []
+    for k in count():
+        errors = _errors(motions, values)
+        if k in LIKELIEST:
+            noises = [model.fitted(e, a) for model, e, a in zip(models, errors.T, added, strict=True)]
+        clipped = [noise.clipped(e) for noise, e in zip(noises, errors.T, strict=True)]
+        added = np.array([c.diagonal - noise.diagonal for c, noise in zip(clipped, noises, strict=True)])
+        equations = _equations(motions, values, errors, clipped)
+        score = equations.score.sum(axis=0) + (values - centre) / PRIOR**2
+        change = np.linalg.solve(equations.normal() + np.diag(PRIOR**-2), score)
+        values = np.clip(values - change, LOW, HIGH)
+        if k == ROUNDS or (k > max(LIKELIEST) and np.abs(change).max() < CLOSE):
+            break
+    return values, equations
+
+
+def _centre(start: Array) -> Array:
+    """Return what the prior expects; any yaw of the laser is as likely as another."""
+    return np.array((0.0, 0.0, start[YAW], 0.0, 1.0, 1.0, 0.0))
+
+
+def _models(motions: Motions) -> list[NoiseModel]:
+    """Return what the noise depends on, for x, y and yaw in the laser's frame."""
+    laser, elapsed_s = motions.measured(), np.diff(motions.laser_s)
+    size_m = np.abs(laser.moved) + TURN_M_RAD * np.abs(laser.turned)
+    steps = (laser.moved.real, laser.moved.imag, laser.turned)
+    return [NoiseModel(_at_poses(step / elapsed_s), size_m, motions.linked) for step in steps]
+
+
+def _at_poses(speeds: Array) -> Array:
+    """Return speeds at poses (n + 1,) by those of the steps (n,) beside them."""
+    padded = np.concatenate((speeds[:1], speeds, speeds[-1:]))
+    return 0.5 * (padded[:-1] + padded[1:])
+
+
+def _errors(motions: Motions, values: Array) -> Array:
+    """Return predicted less measured steps (n, 3), m, m, rad in the laser's frame; 0 across gaps."""
+    ahead, laser = motions.predicted(values), motions.measured()
+    plane = ahead.moved - laser.moved
+    errors = np.column_stack((plane.real, plane.imag, ahead.turned - laser.turned))
+    return np.where(motions.linked[:, None], errors, 0.0)
+
+
+def _equations(motions: Motions, values: Array, errors: Array, noises: list[Noise]) -> _Equations:
+    differences = DIFFERENCES.copy()
+    differences[OFFSET] = np.median(np.diff(motions.laser_s))
+    shifts = np.diag(differences)
+    derivatives = np.stack(
+        [(_errors(motions, values + d) - _errors(motions, values - d)) / (2.0 * d.sum()) for d in shifts], axis=-1
+    )
+    rows = np.array([noise.whitened(derivatives[:, c]) for c, noise in enumerate(noises)])
+    left = np.array([noise.whitened(errors[:, c]) for c, noise in enumerate(noises)])
+    score = np.einsum("cni,cn->ni", rows, left)
+    attenuation = np.array([np.where(motions.linked, noise.slips / noise.alone(), 0.0) for noise in noises])
+    score[:, DISTANCE] -= (attenuation[0] + attenuation[1]) / values[DISTANCE]
+    score[:, TURN] -= attenuation[2] / values[TURN]
+    return _Equations(rows, score)
+
+
+def _uncertainty(equations: _Equations) -> tuple[Array, Array]:
+    """Return half-widths of the 95 % intervals (7,) and how many parts of the log tell something of each (7,)."""
+    steps = len(equations.score)
+    number = min(PARTS, steps // STEPS_A_PART)
+    edges = np.linspace(0, steps, number + 1).astype(int).tolist()
+    parts = [slice(a, b) for a, b in pairwise(edges)]
+    whole = equations.normal() + np.diag(PRIOR**-2)
+    normals = [equations.normal(part) for part in parts]
+    without = [
+        np.linalg.solve(whole - normal, equations.score[part].sum(axis=0))
+        for normal, part in zip(normals, parts, strict=True)
+    ]
+    spread = np.square(without - np.mean(without, axis=0)).sum(axis=0) * (number - 1) / number
+    covariance = np.linalg.inv(whole)
+    told = np.array([np.einsum("ij,jk,ki->i", covariance, normal, covariance) for normal in normals])
+    telling = np.square(told.sum(axis=0)) / np.maximum(np.square(told).sum(axis=0), 1e-300)
+    deviation = np.sqrt(np.maximum(spread, covariance.diagonal()) + FLOOR**2)
+    return stdtrit(np.maximum(telling - 1.0, 1.0), 0.975) * deviation, telling

@@ -1,0 +1,268 @@
+"""The pipeline of ``mavnav calibrate``: a log -> a track without odometry -> calibration -> document, file, picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, Any, Final
+
+from mavnav import __version__
+from mavnav.atomic_files import beside
+from mavnav.config.models import OdometryConfig
+from mavnav.errors import ExitCode, OutputError, TopicError, UsageError, worst
+from mavnav.logs import check_log, open_log
+from mavnav.metrics.calibration.motion import motions_of
+from mavnav.metrics.calibration.quantities import KINDS, LEAST_TURN_RAD, Calibration, calibration_of, motion_of, refused
+from mavnav.outputs import calibration_picture
+from mavnav.outputs.document import to_json
+from mavnav.pipelines.calibration_lines import option_of, replay_line, transform_line
+from mavnav.slam import beam_order
+from mavnav.slam.pipeline import MEASURING, run_slam
+from mavnav.slam.registry import load_kernels
+from mavnav.units import DEG
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from mavnav.config.models import Config
+    from mavnav.logs import Log
+    from mavnav.metrics.calibration.motion import Motions
+    from mavnav.metrics.calibration.quantities import Quantity
+    from mavnav.slam.result import SlamResult
+
+    Progress = Callable[[str, int, int | None], None]
+
+SCHEMA_VERSION: Final = 1
+
+RANGE_BIAS: Final = "an additive bias of all ranges moves the walls, not the track; measure a known distance"
+
+LONGEST_SWEEP: Final = 1.2
+"""A sweep that takes more periods is no sweep: the time between beams is wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationRequest:
+    """The log and what of it, the configuration of the track, and the files to write, if any."""
+
+    log: Path
+    config: Config
+    topic: str | None = None
+    start_s: float | None = None
+    end_s: float | None = None
+    strict: bool = False
+    document: Path | None = None
+    picture: Path | None = None
+    force: bool = False
+
+
+def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]:
+    """Calibrate laser and odometry of a log, and return the document.
+
+    The exit code in it is 1 where nothing could be estimated, 5 where the track was lost, 3 where the log is damaged.
+    Raises UsageError, TopicError (no odometry, too), NoScansError and OutputError.
+    """
+    _check(request)
+    log = _opened(request, progress)
+    load_kernels(request.config, progress)
+    outcome = run_slam(
+        log.scans,
+        request.config,
+        log.period_s,
+        rotation=log.imu.rotation if log.imu else None,
+        on_step=lambda phase, done: progress(phase, done, log.counts.usable),
+        last=MEASURING,
+    )
+    progress("calibrating", 0, None)
+    motions = _motions(log, outcome)
+    why = _doubtful(outcome)
+    found = refused(why, motion_of(motions)) if why else calibration_of(motions)
+    document = _document(request, log, outcome, found)
+    _write(request, document, found, motions)
+    return document
+
+
+def _check(request: CalibrationRequest) -> None:
+    """Raise UsageError or OutputError for what can be known to fail before the work."""
+    if request.config.method != "robust" or not request.config.final_pass:
+        raise UsageError("calibrate: the track needs the robust method with its final pass; leave --set and --config")
+    if request.config.odom == "off":
+        raise UsageError("calibrate compares the laser with odometry; leave --odom off away, or name a topic")
+    if request.config.odometry != OdometryConfig() or request.config.upside_down:
+        raise UsageError("calibrate looks at a log as recorded; leave the settings odometry and upside_down out")
+    if request.topic and "," in request.topic:
+        raise UsageError("calibrate takes one laser; name one --topic at a time")
+    check_log(request.log, request.start_s, request.end_s)
+    for path in (request.document, request.picture):
+        if path and path.is_dir():
+            raise OutputError(f"{path} is a folder; name a file")
+        if path and path.exists() and not request.force:
+            raise OutputError(f"{path} exists; choose another file, or --force to replace it")
+
+
+def _opened(request: CalibrationRequest, progress: Progress) -> Log:
+    """Survey the log; raises TopicError where it has no odometry to use."""
+    log = open_log(
+        request.log,
+        topic=request.topic,
+        odom=request.config.odom,
+        start_s=request.start_s,
+        end_s=request.end_s,
+        strict=request.strict,
+        progress=lambda done, total: progress("reading", done, total),
+    )
+    if log.odometry is None:
+        told = [text for text in log.warnings if "odometry" in text]
+        text = told[0] if told else "no odometry; record nav_msgs/Odometry or the transform odom -> base_link in /tf"
+        raise TopicError(f"{request.log}: {text}")
+    return log
+
+
+def _motions(log: Log, outcome: SlamResult) -> Motions:
+    assert log.odometry  # noqa: S101  checked by `_opened`
+    sweep_s = abs(log.sensor.time_increment_s) * log.sensor.beams
+    return motions_of(
+        outcome.trajectory, log.odometry.odom_T_base, sweep_s if sweep_s <= LONGEST_SWEEP * log.period_s else 0.0
+    )
+
+
+def _doubtful(outcome: SlamResult) -> str:
+    """Return why no track of the laser can be compared with anything; empty where it can."""
+    if outcome.lost_for_good:
+        return (
+            f"tracking was lost: {outcome.tracked_share:.0%} of the scans have a pose; try a part with --start, --end"
+        )
+    if outcome.doubt and outcome.doubt.high:
+        reasons = ", ".join(dict.fromkeys(reason.name for reason in outcome.doubt.reasons)) or "see mavnav replay"
+        return f"the track is doubtful ({reasons}); look at map.png of a replay, or try a part with --start and --end"
+    return ""
+
+
+def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, found: Calibration) -> dict[str, Any]:
+    quantities = [_row(quantity, log) for quantity in found.quantities]
+    upside_down = None if found.mirrored is None else found.mirrored != log.upside_down
+    code = ExitCode.GATE_FAILED if all(q["refused"] for q in quantities) else ExitCode.DONE
+    codes = [code, ExitCode.TRACKING_LOST] if outcome.lost_for_good else [code]
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "mavnav_version": __version__,
+        "input": _input(request, log),
+        "tracking": {
+            "scans": log.counts.usable,
+            "tracked_share": round(outcome.tracked_share, 4),
+            "lost": outcome.lost_for_good,
+            "doubt": None if outcome.doubt is None else round(outcome.doubt.probability, 4),
+        },
+        "motion": _motion(found),
+        "refused": found.refused or None,
+        "quantities": quantities,
+        "upside_down": _switch(upside_down, log.upside_down, _TURN if found.fit else found.refused),
+        "beams_reversed": _switch(_reversed(log, outcome, found), False, _order(log)),
+        "range_bias": {"value": None, "in_log": None, "agrees": None, "refused": RANGE_BIAS},
+        "lines": {
+            "static_transform": transform_line(quantities, log, upside_down=upside_down),
+            "replay": replay_line(request.log, quantities, log, upside_down=upside_down),
+        },
+        "warnings": [*log.warnings, *outcome.warnings],
+        "damage": [{"what": damage.what, "where": damage.where} for damage in log.damage],
+        "exit_code": int(worst([*codes, *(ExitCode.DAMAGED_INPUT for _ in log.damage[:1])])),
+    }
+
+
+_TURN: Final = f"the laser turns by less than {LEAST_TURN_RAD / DEG:.0f} deg in all"
+
+
+def _input(request: CalibrationRequest, log: Log) -> dict[str, Any]:
+    assert log.odometry  # noqa: S101  checked by `_opened`
+    return {
+        "path": str(request.log),
+        "topic": log.topic,
+        "frame_id": log.frame_id,
+        "base_frame": log.base_frame,
+        "odometry": {"topic": log.odometry.topic, "source": log.odometry.source},
+        "duration_s": round(log.duration_s, 3),
+    }
+
+
+def _motion(found: Calibration) -> dict[str, Any]:
+    motion = found.motion
+    return {
+        "path_m": round(motion.path_m, 3),
+        "turned_deg": round(motion.turned_rad / DEG, 1),
+        "odometry_path_m": round(motion.odom_path_m, 3),
+        "odometry_turned_deg": round(motion.odom_turned_rad / DEG, 1),
+        "steps": motion.steps,
+        "correlation": None if found.fit is None else round(found.fit.correlation, 4),
+    }
+
+
+def _row(quantity: Quantity, log: Log) -> dict[str, Any]:
+    """Describe a quantity: what was found, what the log says now, and whether they agree."""
+    kind, value, ci95 = quantity.kind, quantity.value, quantity.ci95
+    in_log = _in_log(kind.name, log)
+    difference = None if value is None or in_log is None else value - in_log
+    if difference is not None and kind.name == "yaw_deg":
+        difference = (difference + 180.0) % 360.0 - 180.0
+        value = in_log + difference if in_log is not None else value
+    agrees = None if difference is None or ci95 is None else abs(difference) <= ci95
+    return {
+        "name": kind.name,
+        "value": _rounded(value),
+        "ci95": _rounded(ci95),
+        "unit": kind.unit,
+        "in_log": _rounded(in_log),
+        "difference": _rounded(difference),
+        "agrees": agrees,
+        "refused": quantity.refused or None,
+        "option": option_of(kind.name, value),
+    }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or not isfinite(value) else round(value, 4)
+
+
+def _in_log(name: str, log: Log) -> float | None:
+    """Return what the log says of a quantity: the mounting in its transforms; odometry is taken as it is."""
+    mounting = log.base_T_laser
+    if name not in {"x_m", "y_m", "yaw_deg"}:
+        return next(kind.assumed for kind in KINDS if kind.name == name)
+    if mounting is None:
+        return None
+    return {"x_m": mounting.x_m, "y_m": mounting.y_m, "yaw_deg": mounting.yaw_rad / DEG}[name]
+
+
+def _switch(value: bool | None, in_log: bool, why: str) -> dict[str, Any]:
+    """Describe a finding of yes or no; ``why`` it is refused where it is None."""
+    return {
+        "value": value,
+        "in_log": in_log,
+        "agrees": None if value is None else value == in_log,
+        "refused": why if value is None else None,
+    }
+
+
+def _reversed(log: Log, outcome: SlamResult, found: Calibration) -> bool | None:
+    """Return whether the beams are fired in the reverse of the listed order; None where nothing shows it."""
+    if beam_order.WARNING in outcome.warnings:
+        return True
+    shown = log.sensor.time_increment_s and found.motion.turned_rad >= LEAST_TURN_RAD and not found.refused
+    return False if shown else None
+
+
+def _order(log: Log) -> str:
+    return _TURN if log.sensor.time_increment_s else "the scans have no time between their beams (time_increment is 0)"
+
+
+def _write(request: CalibrationRequest, document: dict[str, Any], found: Calibration, motions: Motions) -> None:
+    """Write the files that are asked for; raises OutputError."""
+    try:
+        if request.document:
+            with beside(request.document, exclusive=not request.force) as partial:
+                partial.write_text(to_json(document), encoding="utf-8")
+        if request.picture and found.fit:
+            with beside(request.picture, exclusive=not request.force) as partial:
+                calibration_picture.write(motions, found.fit, str(request.log), partial)
+    except OSError as error:
+        where = request.document or request.picture
+        raise OutputError(f"{where} cannot be written: {error.strerror or error}") from error

@@ -1,0 +1,106 @@
+"""``mavnav calibrate``: the table, the document, the files, the lines to copy, and logs that show nothing."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import mavnav as api
+from mavnav.logs.writing.recorder import Recording, record
+from mavnav.pose import Pose, Trajectory
+from support.log_files import drive, write_mcap
+from support.robots import SMALL, Robot, path_of, scans_of, written
+from support.synthetic import DEG
+
+ROBOT = Robot(
+    Pose(0.1, 0.05, 0.6),
+    offset_s=0.15,
+    distance_scale=1.05,
+    mirrored=True,
+    moving=True,
+    spec=SMALL,
+    speed_m_s=0.6,
+    turn_rad_s=1.0,
+)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory) -> Path:
+    """Return the log of a robot whose laser is upside down, and whose transforms do not say so."""
+    return written(ROBOT, 3, tmp_path_factory.mktemp("robot") / "drive.mcap")
+
+
+def test_the_log_of_a_robot(mavnav, log, tmp_path) -> None:
+    document, picture = tmp_path / "found.json", tmp_path / "found.png"
+    code, out, err = mavnav("calibrate", log, "-q", "-o", document, "--picture", picture)
+    assert (code, err) == (0, "")
+    found = json.loads(document.read_text())
+    given = {row["name"]: row for row in found["quantities"]}
+    truth = dict(zip(given, ROBOT.truth * (1, 1, 1 / DEG, 1, 1, 1, 1 / DEG), strict=True))
+    for name, row in given.items():
+        assert row["value"] == pytest.approx(truth[name], abs=1.5 * row["ci95"]), name
+    assert [given[name]["agrees"] for name in ("yaw_deg", "offset_s", "distance_scale")] == [False] * 3
+    assert found["upside_down"] == {"value": True, "in_log": False, "agrees": False, "refused": None}
+    assert found["beams_reversed"]["value"] is False
+    assert np.asarray(Image.open(picture)).std() > 5
+    transform, replay = out.splitlines()[-3], out.splitlines()[-1]
+    assert "--roll 3.14159" in transform
+    assert transform.endswith("--frame-id base_link --child-frame-id laser")
+    words = [*shlex.split(replay)[1:], "-q", "-o", tmp_path / "run", "--outputs", "metrics"]
+    code, out, err = mavnav(*words)
+    assert (code, err) == (0, "")
+    used = json.loads((tmp_path / "run/run.json").read_text())
+    assert used["config"]["odometry"]["offset_s"] == given["offset_s"]["value"]
+    assert used["config"]["upside_down"]
+    code, out, err = mavnav("calibrate", log, "-q", "-o", document)
+    assert (code, out) == (6, "")
+    assert "--force" in err
+
+
+def at_rest(path: Path, scans: int) -> Path:
+    """Write a log of a robot that stands still."""
+    robot = replace(ROBOT, mirrored=False, moving=False)
+    still = path_of(robot)
+    still.poses[:] = still.poses[0]
+    some = scans_of(robot, still, np.random.default_rng(0))[:scans]
+    stamps = [still.start_ns + k * 10**8 for k in range(2 * scans)]
+    record(Recording(some, Trajectory.of(stamps, [Pose()] * len(stamps)), Trajectory.of([], [])), path)
+    return path
+
+
+def test_logs_that_show_nothing(mavnav, tmp_path) -> None:
+    """Each gets one line that says what to do."""
+    alone = write_mcap(tmp_path / "alone.mcap", [m for m in drive() if m.topic == "/scan"])
+    empty, torn = tmp_path / "empty.mcap", tmp_path / "torn.mcap"
+    empty.touch()
+    torn.write_bytes(alone.read_bytes()[:300])
+    for args, code, word in (
+        ([alone], 2, "no odometry; record nav_msgs/Odometry"),
+        ([alone, "--odom", "/wheels"], 2, "no odometry on topic '/wheels'"),
+        ([alone, "--odom", "off"], 2, "leave --odom off away"),
+        ([alone, "--topic", "/a", "--topic", "/b"], 2, "one --topic at a time"),
+        ([alone, "--set", "method=paper"], 2, "needs the robust method"),
+        ([alone, "--set", "upside_down=true"], 2, "as recorded"),
+        ([alone, "-o", tmp_path], 6, "is a folder"),
+        ([tmp_path / "gone.mcap"], 2, "no such file"),
+        ([empty], 4, "no usable scans"),
+        ([torn], 4, "no usable scan"),
+        ([at_rest(tmp_path / "short.mcap", 8)], 1, "40 are needed"),
+        ([at_rest(tmp_path / "rest.mcap", 100)], 1, "the laser moves by 0.00 m and turns by 0 deg in all"),
+    ):
+        found, out, err = mavnav("calibrate", *args, "-q")
+        assert (found, out, err.count("\n")) == (code, "", 1), (args, err)
+        assert word in err, (args, err)
+
+
+def test_from_python(tmp_path) -> None:
+    document = api.calibrate(at_rest(tmp_path / "rest.mcap", 60), document=tmp_path / "found.json")
+    assert document["exit_code"] == 1
+    assert document["lines"] == {"static_transform": None, "replay": None}
+    assert json.loads((tmp_path / "found.json").read_text()) == document
