@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from hashlib import sha256
+from shutil import copytree
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -106,6 +107,24 @@ def trial(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def compiled_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a cache that holds both kernels."""
+    folder = tmp_path_factory.mktemp("compiled") / "trial"
+    folder.mkdir()
+    for name, source in SOURCES.items():
+        (folder / f"{name}.py").write_text(source)
+    assert called(folder) == [42.0, 2.0, 1, 1]
+    return folder.parent / "cache"
+
+
+@pytest.fixture
+def compiled_trial(trial: Path, compiled_cache: Path) -> Path:
+    """Return the folder of the package, with its kernels in the cache."""
+    copytree(compiled_cache, trial.parent / "cache")
+    return trial
+
+
 def called(trial: Path, before: str = "") -> list[float]:
     """Run both kernels in a process of its own; returns their results, and how often each was compiled."""
     environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "MAVNAV_CACHE_DIR": str(trial.parent / "cache")}
@@ -119,14 +138,13 @@ def called(trial: Path, before: str = "") -> list[float]:
     ("edited", "old", "new"), [("helping", "FACTOR * x", "100.0 * FACTOR * x"), ("constants", "2.0", "200.0")]
 )
 def test_a_kernel_is_compiled_again_where_a_file_that_it_imports_was_edited(
-    trial: Path, edited: str, old: str, new: str
+    compiled_trial: Path, edited: str, old: str, new: str
 ) -> None:
-    assert called(trial) == [42.0, 2.0, 1, 1]
-    assert called(trial) == [42.0, 2.0, 0, 0]
-    path = trial / f"{edited}.py"
+    assert called(compiled_trial) == [42.0, 2.0, 0, 0]
+    path = compiled_trial / f"{edited}.py"
     path.write_text(path.read_text().replace(old, new))
-    assert called(trial) == [4200.0, 2.0, 1, 0]
-    assert called(trial) == [4200.0, 2.0, 0, 0]
+    assert called(compiled_trial) == [4200.0, 2.0, 1, 0]
+    assert called(compiled_trial) == [4200.0, 2.0, 0, 0]
 
 
 def entries(trial: Path) -> list[Path]:
@@ -145,31 +163,28 @@ MOVED = {
 
 
 @pytest.mark.parametrize("moved", MOVED)
-def test_a_numba_without_these_parts_still_works(trial: Path, moved: str) -> None:
-    assert called(trial)[:2] == [42.0, 2.0]
-    path = trial / "helping.py"
+def test_a_numba_without_these_parts_still_works(compiled_trial: Path, moved: str) -> None:
+    path = compiled_trial / "helping.py"
     path.write_text(path.read_text().replace("FACTOR * x", "FACTOR * x + 1.0"))
-    assert called(trial, MOVED[moved])[:2] == [43.0, 2.0]
-    assert not list(trial.parent.glob("cache/*/.*"))
+    assert called(compiled_trial, MOVED[moved])[:2] == [43.0, 2.0]
+    assert not list(compiled_trial.parent.glob("cache/*/.*"))
 
 
 @pytest.mark.parametrize("damage", [lambda code: code[: len(code) // 2], lambda _: b"", lambda code: code[:-1] + b"x"])
-def test_a_damaged_entry_is_made_anew(trial: Path, damage: Callable[[bytes], bytes]) -> None:
-    called(trial)
-    path = entries(trial)[-1]
+def test_a_damaged_entry_is_made_anew(compiled_trial: Path, damage: Callable[[bytes], bytes]) -> None:
+    path = entries(compiled_trial)[-1]
     whole = path.read_bytes()
     path.write_bytes(damage(whole))
-    assert sum(called(trial)[2:]) == 1
-    assert called(trial)[2:] == [0, 0]
+    assert sum(called(compiled_trial)[2:]) == 1
+    assert called(compiled_trial)[2:] == [0, 0]
 
 
-def test_an_entry_that_numba_cannot_read_is_made_anew(trial: Path) -> None:
-    called(trial)
+def test_an_entry_that_numba_cannot_read_is_made_anew(compiled_trial: Path) -> None:
     code = b"not what numba wrote"
-    for path in entries(trial):
+    for path in entries(compiled_trial):
         path.write_bytes(sha256(code).digest() + code)
-    assert called(trial) == [42.0, 2.0, 1, 1]
-    assert called(trial) == [42.0, 2.0, 0, 0]
+    assert called(compiled_trial) == [42.0, 2.0, 1, 1]
+    assert called(compiled_trial) == [42.0, 2.0, 0, 0]
 
 
 def test_what_cannot_be_written_goes_to_a_private_directory(trial: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,22 +199,28 @@ def test_what_cannot_be_written_goes_to_a_private_directory(trial: Path, monkeyp
     assert list(temporary.iterdir()) == []
 
 
-def test_a_cache_that_can_only_be_read_serves(trial: Path) -> None:
-    called(trial)
-    (folder,) = (trial.parent / "cache").iterdir()
+def test_a_cache_that_can_only_be_read_serves(compiled_trial: Path) -> None:
+    (folder,) = (compiled_trial.parent / "cache").iterdir()
     folder.chmod(0o555)
     try:
-        assert called(trial) == [42.0, 2.0, 0, 0]
+        assert called(compiled_trial) == [42.0, 2.0, 0, 0]
     finally:
         folder.chmod(0o755)
 
 
-def test_old_versions_of_a_kernel_are_removed(trial: Path) -> None:
-    path = trial / "constants.py"
-    for factor in range(VERSIONS_KEPT + 2):
-        path.write_text(f"FACTOR = {factor}.0\n")
-        assert called(trial)[0] == 21.0 * factor
-    assert len([entry for entry in entries(trial) if "calling" in entry.name]) == VERSIONS_KEPT
+def test_old_versions_of_a_kernel_are_removed(compiled_trial: Path) -> None:
+    (first,) = (entry for entry in entries(compiled_trial) if "calling" in entry.name)
+    kernel = first.name.rpartition("-")[0]
+    for age in range(1, VERSIONS_KEPT + 1):
+        older = first.with_name(f"{kernel}-{age:024x}")
+        older.write_bytes(first.read_bytes())
+        os.utime(older, (1e9 - age, 1e9 - age))
+    (compiled_trial / "constants.py").write_text("FACTOR = 3.0\n")
+    assert called(compiled_trial) == [63.0, 2.0, 1, 0]
+    kept = {entry.name for entry in entries(compiled_trial) if "calling" in entry.name}
+    assert len(kept) == VERSIONS_KEPT
+    assert first.name in kept
+    assert kept > {f"{kernel}-{age:024x}" for age in range(1, VERSIONS_KEPT - 1)}
 
 
 BUILD = (
