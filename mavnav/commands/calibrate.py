@@ -125,7 +125,7 @@ def _text(row: dict[str, Any]) -> str:
     found = f"{row['value']:.{digits}f}{unit} +- {row['ci95']:.{digits}f}"
     if row["in_log"] is None:
         return f"{found}; the log has no transform"
-    said = "transforms say" if row["name"] in MOUNTING else "without it"
+    said = "transforms say" if row["name"] in MOUNTING else "configured"
     verdict = "agrees" if row["agrees"] else f"differs by {row['difference']:+.{digits}f}"
     return f"{found}; {said} {row['in_log']:.{digits}f}: {verdict}"
 

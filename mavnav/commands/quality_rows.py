@@ -63,9 +63,9 @@ def page_row(directory: Path) -> Rows:
 
 
 def picture_row(directory: Path, document: dict[str, Any], other: str) -> Rows:
-    """Return the row that names the run's pictures, ``map.png`` and another, where they were written."""
-    written = "map.png" in document["outputs"]
-    return [("pictures", f"{directory / 'map.png'}, {directory / other}")] if written else []
+    """Return the row that names the pictures that were written: ``map.png``, another, and that of the slices."""
+    written = [name for name in ("map.png", other, "map_3d.png") if name in document["outputs"]]
+    return [("pictures", ", ".join(str(directory / name) for name in written))] if written else []
 
 
 def closing_rows(directory: Path, document: dict[str, Any], other: str) -> Rows:

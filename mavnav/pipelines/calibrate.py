@@ -11,6 +11,7 @@ from mavnav.atomic_files import beside
 from mavnav.config.models import OdometryConfig
 from mavnav.errors import ExitCode, OutputError, TopicError, UsageError, worst
 from mavnav.logs import check_log, open_log
+from mavnav.logs.formats.detect import log_name
 from mavnav.metrics.calibration.motion import motions_of
 from mavnav.metrics.calibration.quantities import KINDS, LEAST_TURN_RAD, Calibration, calibration_of, motion_of, refused
 from mavnav.outputs import calibration_picture
@@ -262,7 +263,7 @@ def _write(request: CalibrationRequest, document: dict[str, Any], found: Calibra
                 partial.write_text(to_json(document), encoding="utf-8")
         if request.picture and found.fit:
             with beside(request.picture, exclusive=not request.force) as partial:
-                calibration_picture.write(motions, found.fit, str(request.log), partial)
+                calibration_picture.write(motions, found.fit, log_name(request.log), partial)
     except OSError as error:
         where = request.document or request.picture
         raise OutputError(f"{where} cannot be written: {error.strerror or error}") from error
