@@ -20,6 +20,7 @@ def merge(
     *,
     config: File | None = None,
     settings: Mapping[str, object] | None = None,
+    report: bool = False,
     force: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -33,6 +34,8 @@ def merge(
         Where to write the result, and whether to replace an earlier one.
     config, settings
         As for `replay`.
+    report
+        Write report.html, too.
     progress
         Called as work goes on.
 
@@ -50,11 +53,18 @@ def merge(
 
     paths = tuple(Path(each) for each in inputs)
     chosen = load_config(config, sets_of(settings), {})
-    return merged(MergeRequest(paths, Path(directory), chosen, force=force), progress or silent)
+    request = MergeRequest(paths, Path(directory), chosen, force=force, report=report)
+    return merged(request, progress or silent)
 
 
 def diff(
-    a: File, b: File, *, picture: File | None = None, force: bool = False, progress: Progress | None = None
+    a: File,
+    b: File,
+    *,
+    picture: File | None = None,
+    report: File | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Find what changed between two maps of one place, as ``mavnav diff`` does (docs/diff.md).
 
@@ -62,8 +72,8 @@ def diff(
     ----------
     a, b
         Run directories or map_server YAML files, before and after.
-    picture, force
-        PNG file to write, and whether to replace it.
+    picture, report, force
+        PNG and HTML files to write, and whether to replace them.
     progress
         Called as work goes on.
 
@@ -78,9 +88,8 @@ def diff(
     """
     from mavnav.pipelines.diff import DiffRequest, diff_maps  # noqa: PLC0415  heavy
 
-    return diff_maps(
-        DiffRequest(Path(a), Path(b), None if picture is None else Path(picture), force=force), progress or silent
-    )
+    request = DiffRequest(Path(a), Path(b), _path(picture), _path(report), force=force)
+    return diff_maps(request, progress or silent)
 
 
 def calibrate(
@@ -95,6 +104,7 @@ def calibrate(
     settings: Mapping[str, object] | None = None,
     document: File | None = None,
     picture: File | None = None,
+    report: File | None = None,
     force: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -106,8 +116,8 @@ def calibrate(
         As for `open_log`.
     config, settings
         As for `replay`.
-    document, picture, force
-        JSON and PNG files to write, and whether to replace them.
+    document, picture, report, force
+        JSON, PNG and HTML files to write, and whether to replace them.
     progress
         Called as work goes on.
 
@@ -131,8 +141,13 @@ def calibrate(
         start_s=start_s,
         end_s=end_s,
         strict=strict,
-        document=None if document is None else Path(document),
-        picture=None if picture is None else Path(picture),
+        document=_path(document),
+        picture=_path(picture),
+        report=_path(report),
         force=force,
     )
     return calibrated(request, progress or silent)
+
+
+def _path(file: File | None) -> Path | None:
+    return None if file is None else Path(file)

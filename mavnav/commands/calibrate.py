@@ -15,6 +15,7 @@ from mavnav.commands.options import (
     LogFile,
     Odom,
     Quiet,
+    ReportFile,
     Sets,
     Start,
     Strict,
@@ -71,6 +72,7 @@ def calibrate(
         Path | None,
         output_option("--picture", metavar="FILE.png", help="Draw turn rates and errors of the fit over time."),
     ] = None,
+    report_page: ReportFile = None,
     force: Force = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -91,6 +93,7 @@ def calibrate(
             strict=strict,
             document=output,
             picture=picture,
+            report=report_page,
             force=force,
         )
         document = calibrated(request, report)

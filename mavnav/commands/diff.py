@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mavnav.commands.gating import gates_of
-from mavnav.commands.options import Force, Json, Quiet, check_option, output_option
+from mavnav.commands.options import Force, Json, Quiet, ReportFile, check_option, output_option
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import LISTED, emit, emit_json, note, print_table
 from mavnav.errors import UsageError, worst
@@ -37,6 +37,7 @@ def diff(
     output: Annotated[
         Path | None, output_option("--output", "-o", metavar="FILE.png", help="Write a picture of the changes.")
     ] = None,
+    report_page: ReportFile = None,
     gates: Annotated[
         list[str] | None,
         check_option("--gate", metavar="'NAME<=X'", help="Exit with code 1 unless this holds; repeatable."),
@@ -51,7 +52,7 @@ def diff(
         with loading_modules():
             from mavnav.pipelines.diff import NUMBERS, DiffRequest, diff_maps
         _check_names(bounds, NUMBERS)
-        document = diff_maps(DiffRequest(a, b, output, force=force), report)
+        document = diff_maps(DiffRequest(a, b, output, report_page, force=force), report)
     code = _judged(document, bounds)
     if json:
         emit_json(document | {"exit_code": int(code)})

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from mavnav.commands.options import ConfigFile, Force, Json, Quiet, Sets, directory_option
+from mavnav.commands.options import ConfigFile, Force, Json, Quiet, Sets, WriteReport, directory_option
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import emit_json, note, print_table
 
@@ -31,6 +31,7 @@ def merge(
     ),
     config: ConfigFile = None,
     sets: Sets = None,
+    report_page: WriteReport = False,
     force: Force = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -42,7 +43,7 @@ def merge(
             from mavnav.pipelines.merge import MergeRequest
             from mavnav.pipelines.merge import merge as merged
         chosen = load_config(config, sets or [], {})
-        document = merged(MergeRequest(tuple(inputs), directory, chosen, force=force), report)
+        document = merged(MergeRequest(tuple(inputs), directory, chosen, force=force, report=report_page), report)
     for session in document["sessions"]:
         if not session["joined"]:
             note(f"mavnav: error: {session['name']} did not join: {session['why']}")

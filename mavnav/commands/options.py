@@ -120,6 +120,9 @@ Outputs = Annotated[
         ),
     ),
 ]
+ReportFile = Annotated[
+    Path | None, output_option("--report", metavar="FILE.html", help="Also write the result as one page.")
+]
 WriteReport = Annotated[bool, output_option("--report", help="Also write the run as one page, report.html.")]
 Force = Annotated[bool, output_option("--force", help="Overwrite the output if it exists.")]
 RunAgain = Annotated[bool, output_option("--force", help="Ignore finished runs and repeat them.")]

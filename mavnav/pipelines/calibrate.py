@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
-from mavnav.atomic_files import beside
 from mavnav.config.models import OdometryConfig
-from mavnav.errors import ExitCode, OutputError, TopicError, UsageError, worst
+from mavnav.errors import ExitCode, TopicError, UsageError, worst
 from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.metrics.calibration.motion import motions_of
 from mavnav.metrics.calibration.quantities import KINDS, LEAST_TURN_RAD, Calibration, calibration_of, motion_of, refused
 from mavnav.outputs import calibration_picture
 from mavnav.outputs.document import to_json
+from mavnav.outputs.single_file import check_file, write_file
+from mavnav.outputs.summary_page import calibration_summary, drawn, write_summary
 from mavnav.pipelines.calibration_lines import option_of, replay_line, transform_line
 from mavnav.slam import beam_order
 from mavnav.slam.pipeline import MEASURING, run_slam
@@ -54,6 +56,7 @@ class CalibrationRequest:
     strict: bool = False
     document: Path | None = None
     picture: Path | None = None
+    report: Path | None = None
     force: bool = False
 
 
@@ -94,11 +97,9 @@ def _check(request: CalibrationRequest) -> None:
     if request.topic and "," in request.topic:
         raise UsageError("calibrate takes one laser; name one --topic at a time")
     check_log(request.log, request.start_s, request.end_s)
-    for path in (request.document, request.picture):
-        if path and path.is_dir():
-            raise OutputError(f"{path} is a folder; name a file")
-        if path and path.exists() and not request.force:
-            raise OutputError(f"{path} exists; choose another file, or --force to replace it")
+    check_file(request.document, ".json", "JSON", force=request.force)
+    check_file(request.picture, ".png", "PNG", force=request.force)
+    check_file(request.report, ".html", "HTML", force=request.force)
 
 
 def _opened(request: CalibrationRequest, progress: Progress) -> Log:
@@ -257,13 +258,17 @@ def _order(log: Log) -> str:
 
 def _write(request: CalibrationRequest, document: dict[str, Any], found: Calibration, motions: Motions) -> None:
     """Write the files that are asked for; raises OutputError."""
-    try:
-        if request.document:
-            with beside(request.document, exclusive=not request.force) as partial:
-                partial.write_text(to_json(document), encoding="utf-8")
-        if request.picture and found.fit:
-            with beside(request.picture, exclusive=not request.force) as partial:
-                calibration_picture.write(motions, found.fit, log_name(request.log), partial)
-    except OSError as error:
-        where = request.document or request.picture
-        raise OutputError(f"{where} cannot be written: {error.strerror or error}") from error
+    title = log_name(request.log)
+    picture = partial(calibration_picture.write, motions, found.fit, title) if found.fit else None
+    if request.document:
+        text = to_json(document)
+        write_file(request.document, lambda path: _write_text(path, text), force=request.force)
+    if request.picture and picture:
+        write_file(request.picture, picture, force=request.force)
+    if request.report:
+        summary = calibration_summary(document, title, drawn(picture) if picture else None)
+        write_file(request.report, partial(write_summary, summary), force=request.force)
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
-from mavnav.atomic_files import beside
 from mavnav.config.models import Config
-from mavnav.errors import ExitCode, OutputError, UsageError
+from mavnav.errors import ExitCode, UsageError
 from mavnav.ground_truth.map_file import occupied_xy_m, read_map
 from mavnav.kernels import raycast  # noqa: F401  it is compiled with the others
 from mavnav.kernels.building import prepare
@@ -16,6 +16,8 @@ from mavnav.mapping.occupancy_grid import known_part
 from mavnav.metrics.map_difference import View, difference
 from mavnav.outputs import difference_picture
 from mavnav.outputs.gridmap import read_npz
+from mavnav.outputs.single_file import check_file, write_file
+from mavnav.outputs.summary_page import diff_summary, drawn, write_summary
 from mavnav.slam.map_alignment import align
 from mavnav.slam.prior_map import PriorMap, prior_map_of
 from mavnav.units import DEG, MM
@@ -41,11 +43,12 @@ LEAST_SAME: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class DiffRequest:
-    """The two maps, run directories or map_server YAML files, and the picture to write, if any."""
+    """The two maps, run directories or map_server YAML files, and the picture and the page to write, if any."""
 
     a: Path
     b: Path
     picture: Path | None = None
+    report: Path | None = None
     force: bool = False
 
 
@@ -54,7 +57,8 @@ def diff_maps(request: DiffRequest, progress: Progress) -> dict[str, Any]:
 
     The exit code in it is 1 where the maps cannot be aligned; then all numbers are null, and there is no picture.
     """
-    _check_picture(request)
+    check_file(request.picture, ".png", "PNG", force=request.force)
+    check_file(request.report, ".html", "HTML", force=request.force)
     a, b = read_walls(request.a), read_walls(request.b)
     prepare(progress)
     progress("aligning", 0, None)
@@ -62,26 +66,23 @@ def diff_maps(request: DiffRequest, progress: Progress) -> dict[str, Any]:
     view_a, view_b = View(a.grid), View(b.grid)
     found = alignment and difference(view_a, view_b, alignment.a_T_b)
     if alignment is None or found is None or found.same_share < LEAST_SAME:
-        return _document(request, None, None)
-    if request.picture:
+        document, picture = _document(request, None, None), None
+    else:
+        document, title = _document(request, alignment, found), f"{request.a} -> {request.b}"
+        picture = partial(difference_picture.write, view_a, view_b, alignment.a_T_b, found, title)
+    if request.picture or request.report:
         progress("writing", 0, None)
-        title = f"{request.a} -> {request.b}"
-        try:
-            with beside(request.picture, exclusive=not request.force) as partial:
-                difference_picture.write(view_a, view_b, alignment.a_T_b, found, title, partial)
-        except OSError as error:
-            raise OutputError(f"{request.picture} cannot be written: {error.strerror or error}") from error
-    return _document(request, alignment, found)
+        _write(request, document, picture)
+    return document
 
 
-def _check_picture(request: DiffRequest) -> None:
-    picture = request.picture
-    if picture and picture.is_dir():
-        raise OutputError(f"{picture} is a folder; name a file with -o, for example {picture / 'diff.png'}")
-    if picture and picture.suffix.lower() != ".png":
-        raise UsageError(f"{picture} is no PNG file; name the picture with .png, for example {picture}.png")
-    if picture and picture.exists() and not request.force:
-        raise OutputError(f"{picture} exists; choose another file with -o, or --force to replace it")
+def _write(request: DiffRequest, document: dict[str, Any], picture: Callable[[Path], None] | None) -> None:
+    """Write the picture, if the maps could be aligned, and the page; raises OutputError."""
+    if request.picture and picture:
+        write_file(request.picture, picture, force=request.force)
+    if request.report:
+        summary = diff_summary(document, drawn(picture) if picture else None)
+        write_file(request.report, partial(write_summary, summary), force=request.force)
 
 
 def read_walls(path: Path) -> PriorMap:

@@ -21,6 +21,8 @@ from mavnav.outputs.directory import RUN_FILE, check_directory, staged
 from mavnav.outputs.document import plain, to_json
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
 from mavnav.outputs.sessions import evidence, recording_file, trajectory_file, write_poses, write_scans
+from mavnav.outputs.summary_page import merge_summary, write_summary
+from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.replay import ReplayRequest, replay_log
 from mavnav.pipelines.sessions import MERGE_FILE, FinishedRun, finished_run
 from mavnav.slam.joining.group import Join
@@ -50,12 +52,13 @@ Progress = Callable[[str, int, int | None], None]
 
 @dataclass(frozen=True, slots=True)
 class MergeRequest:
-    """Logs and run directories in any order, the configuration, and where the result goes."""
+    """Logs and run directories in any order, the configuration, where the result goes, and whether with report.html."""
 
     inputs: tuple[Path, ...]
     directory: Path
     config: Config
     force: bool = False
+    report: bool = False
 
 
 @dataclass(frozen=True)
@@ -188,6 +191,8 @@ def _write(request: MergeRequest, drawn: MergedMap, members: list[Session], docu
         for session in members:
             write_poses(session.map_T_laser, folder / trajectory_file(session.name))
             write_scans(session.scans(), folder / recording_file(session.name))
+        if request.report:
+            write_summary(merge_summary(document, (folder / "map.png").read_bytes()), folder / REPORT_FILE)
         digests = {file.name: sha256(file.read_bytes()).hexdigest() for file in sorted(folder.iterdir())}
         document = document | {"outputs": digests, "exit_code": document["exit_code"]}
         (folder / MERGE_FILE).write_text(to_json(document), encoding="utf-8")

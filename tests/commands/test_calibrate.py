@@ -38,7 +38,10 @@ def log(tmp_path_factory) -> Path:
 
 def test_the_log_of_a_robot(mavnav, log, tmp_path) -> None:
     document, picture = tmp_path / "found.json", tmp_path / "found.png"
-    code, out, err = mavnav("calibrate", log, "-q", "-o", document, "--picture", picture)
+    code, out, err = mavnav(
+        "calibrate", log, "-q", "-o", document, "--picture", picture, "--report", tmp_path / "page.html"
+    )
+    assert "quantities are determined" in (tmp_path / "page.html").read_text()
     assert (code, err) == (0, "")
     found = json.loads(document.read_text())
     given = {row["name"]: row for row in found["quantities"]}

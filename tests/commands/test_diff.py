@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from base64 import b64encode
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,9 @@ def maps(tmp_path_factory) -> tuple[Path, Path]:
 
 def test_what_changed_is_listed_and_drawn(mavnav, maps, tmp_path) -> None:
     picture = tmp_path / "diff.png"
-    code, out, err = mavnav("diff", *maps, "-q", "--json", "-o", picture, "--gate", "changed_m2<=0.01")
+    page = picture.with_suffix(".html")
+    words = ("-o", picture, "--report", page, "--gate", "changed_m2<=0.01")
+    code, out, err = mavnav("diff", *maps, "-q", "--json", *words)
     document = json.loads(out)
     assert (code, document["exit_code"]) == (1, 1)
     assert "gate changed_m2<=0.01 failed: it is 0.0" in err
@@ -34,6 +37,7 @@ def test_what_changed_is_listed_and_drawn(mavnav, maps, tmp_path) -> None:
     assert document["changed_m2"] == pytest.approx(document["gone_m2"] + document["new_m2"])
     assert document["alignment"]["agreeing"] >= 6
     pixels = np.asarray(Image.open(picture))
+    assert b64encode(picture.read_bytes()).decode() in page.read_text()
     assert all((pixels == rgb_of(colour)).all(axis=2).sum() > 50 for colour in (GONE, NEW))
     code, out, err = mavnav("diff", *maps, "-q", "-o", picture)
     assert (code, out) == (6, "")
@@ -68,7 +72,7 @@ def test_what_cannot_be_compared(mavnav, maps, tmp_path) -> None:
         ([maps[0], log], "is no map; name a run directory"),
         ([maps[0], empty], "no occupied cell"),
         ([*maps, "--gate", "changed<=2"], "it has compared_m2"),
-        ([maps[0], tmp_path / "gone", "-o", tmp_path / "d12"], "d12 is no PNG file; name the picture with .png"),
+        ([maps[0], tmp_path / "gone", "-o", tmp_path / "d12"], "d12 is no PNG file; name it with .png"),
         ([maps[0]], "Missing argument"),
     ):
         code, out, err = mavnav("diff", *args, "-q")

@@ -24,12 +24,13 @@ def logs(tmp_path_factory) -> dict[str, Path]:
 
 def test_logs_and_runs_are_joined(mavnav, logs, tmp_path) -> None:
     api.replay(logs["back"], directory=tmp_path / "back")
-    code, out, err = mavnav("merge", logs["hall"], tmp_path / "back", "-o", tmp_path / "m", "-q", "--json")
+    code, out, err = mavnav("merge", logs["hall"], tmp_path / "back", "-o", tmp_path / "m", "-q", "--json", "--report")
+    assert "2 of 2 sessions" in (tmp_path / "m" / "report.html").read_text()
     assert (code, err) == (0, "")
     document = json.loads(out)
     assert document == json.loads((tmp_path / "m" / "merge.json").read_text())
     assert (document["joined"], document["refused"], document["exit_code"]) == (2, 0, 0)
-    files = {"map.pgm", "map.yaml", "map.png", "hits.npz"}
+    files = {"map.pgm", "map.yaml", "map.png", "hits.npz", "report.html"}
     files |= {f"session_{name}.{kind}" for name in ("hall", "back") for kind in ("tum", "mcap")}
     assert {file.name for file in (tmp_path / "m").iterdir()} == {*files, "merge.json"}
     assert set(document["outputs"]) == files

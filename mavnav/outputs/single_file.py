@@ -1,0 +1,33 @@
+"""Single files that the user names: checked before the work, and complete or absent after it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mavnav.atomic_files import beside
+from mavnav.errors import OutputError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+def check_file(path: Path | None, suffix: str, kind: str, *, force: bool) -> None:
+    """Raise UsageError or OutputError for a file that could not be written or has another suffix; None is no file."""
+    if path is None:
+        return
+    if path.is_dir():
+        raise OutputError(f"{path} is a folder; name a file, for example {path / f'result{suffix}'}")
+    if path.suffix.lower() != suffix:
+        raise UsageError(f"{path} is no {kind} file; name it with {suffix}, for example {path}{suffix}")
+    if path.exists() and not force:
+        raise OutputError(f"{path} exists; choose another file, or --force to replace it")
+
+
+def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> None:
+    """Write a file by a function that is given a path; raises OutputError if it cannot be written."""
+    try:
+        with beside(path, exclusive=not force) as partial:
+            write(partial)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
