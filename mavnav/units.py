@@ -1,4 +1,4 @@
-"""Factors to SI. ``250 * MM`` is 0.25 m; configuration and reports alone speak mm and deg."""
+"""Factors to SI. ``250 * MM`` is 0.25 m; only configuration and reports are in mm and deg."""
 
 from math import pi
 from typing import Final

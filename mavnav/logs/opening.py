@@ -273,5 +273,5 @@ def _imu(log: Log, found: Survey, odom: str, warn: Callable[[str], None]) -> Imu
 
 
 def _meet(stamps_ns: NDArray[np.int64], log: Log) -> bool:
-    """Tell whether some time between the first stamp and the last is one of the log's scans."""
+    """Return whether some time between the first stamp and the last is one of the log's scans."""
     return len(stamps_ns) > 0 and bool(stamps_ns[0] <= log.last_ns and stamps_ns[-1] >= log.first_ns)

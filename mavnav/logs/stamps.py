@@ -178,7 +178,7 @@ class TopicScans:
         return kept[ascending(stamps_ns[kept])]
 
     def _plausible(self) -> NDArray[np.bool_]:
-        """Tell which scans are sound, or suspect but like the sound ones in geometry and time."""
+        """Return which scans are sound, or suspect but like the sound ones in geometry and time."""
         suspect = np.frombuffer(self._suspect, np.bool_)
         if not suspect.any() or suspect.all():
             return np.ones(len(suspect), np.bool_)
@@ -239,7 +239,7 @@ def _impossible(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _inside(stamps_ns: NDArray[np.int64], window_s: Window) -> NDArray[np.bool_]:
-    """Tell which stamps lie in the window."""
+    """Return which stamps lie in the window."""
     start_s, end_s = window_s
     since_s = (stamps_ns - stamps_ns[:1]) * NS
     late_enough = np.ones(len(stamps_ns), np.bool_) if start_s is None else since_s >= start_s

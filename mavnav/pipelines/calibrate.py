@@ -114,8 +114,8 @@ def _opened(request: CalibrationRequest, progress: Progress) -> Log:
         progress=lambda done, total: progress("reading", done, total),
     )
     if log.odometry is None:
-        told = [text for text in log.warnings if "odometry" in text]
-        text = told[0] if told else "no odometry; record nav_msgs/Odometry or the transform odom -> base_link in /tf"
+        known = [text for text in log.warnings if "odometry" in text]
+        text = known[0] if known else "no odometry; record nav_msgs/Odometry or the transform odom -> base_link in /tf"
         raise TopicError(f"{request.log}: {text}")
     return log
 

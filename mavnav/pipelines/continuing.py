@@ -122,7 +122,7 @@ def continued_run(
 def _joined(
     session: Session, earlier: Sequence[Session], config: Config, progress: Progress
 ) -> tuple[Group | None, Join]:
-    """Join a session to those of a run; None, and why, where that does not convince."""
+    """Join a session to those of a run; None, and the reason, if the evidence does not suffice."""
     same = [other.name for other in earlier if alike(session, other)]
     if not session.keys or same:
         why = f"it has the scans of {same[0]}" if same else "no scan was tracked"

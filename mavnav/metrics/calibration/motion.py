@@ -70,7 +70,7 @@ class Motions:
     """The tracked poses of a laser and the odometry of its base.
 
     ``laser_s`` (n,), ``where`` (n,) complex, m, and ``heading_rad`` (n,), not wrapped, are the track of the laser;
-    ``linked`` (n - 1,) tells which of its steps are of no gap. ``odom_s`` (m,) and ``odom`` (m - 1 steps) are the
+    ``linked`` (n - 1,) is false for its steps across a gap. ``odom_s`` (m,) and ``odom`` (m - 1 steps) are the
     odometry. Times begin with the odometry.
     """
 

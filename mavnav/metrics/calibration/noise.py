@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 LEAST: Final = 1e-10
-"""No variance of a step is below, m2 or rad2."""
+"""Minimum variance of a step, m2 or rad2."""
 
 APART: Final = 1e6
-"""The variance of a step across a gap, which tells nothing."""
+"""Variance of a step across a gap, m2 or rad2: so large that the step has no weight."""
 
 CLIP: Final = 2.5
 """A step that is wrong by more of its standard deviations counts as if it were wrong by so many."""

@@ -26,7 +26,7 @@ STILL_M, STILL_RAD = 10 * MM, 0.5 * DEG
 """Steps that are smaller in both are taken for rest, and do not count as motion."""
 
 STRIDES = (1, 10)
-"""Steps over which motion is told from rest: of a slow robot each step is small."""
+"""Numbers of steps over which motion is distinguished from rest: the single steps of a slow robot are small."""
 
 ALIKE, MOST_SCALE = 0.5, 2.0
 """Least correlation of the turns of one robot; odometry that is wrong by a larger factor is in other units."""

@@ -2,7 +2,7 @@
 
 A derivative with respect to the offset is taken over a whole step, and the noise of the odometry in its own derivatives
 is taken out: both would bias the result (errors in variables). Uncertainties are those of a jackknife over parts of the
-log, with Student's t for the parts that tell something of a parameter.
+log, with Student's t for the number of parts that constrain a parameter.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Estimate:
     """Parameters (7,) in the order of `NAMES` and the half-widths (7,) of their 95 % intervals.
 
     ``mirrored``: the scans are mirrored; ``correlation`` is that of the turns of laser and odometry. ``parts`` (7,) are
-    the numbers of parts of the log that tell something of each. ``errors`` (n, 3) are those of the steps at ``seconds``
+    the numbers of parts of the log that constrain each. ``errors`` (n, 3) are those of the steps at ``seconds``
     (n,), m, m, rad.
     """
 
@@ -156,7 +156,7 @@ def _equations(motions: Motions, values: Array, errors: Array, noises: list[Nois
 
 
 def _uncertainty(equations: _Equations) -> tuple[Array, Array]:
-    """Return half-widths of the 95 % intervals (7,) and how many parts of the log tell something of each (7,)."""
+    """Return half-widths of the 95 % intervals (7,) and how many parts of the log constrain each (7,)."""
     steps = len(equations.score)
     number = min(PARTS, steps // STEPS_A_PART)
     edges = np.linspace(0, steps, number + 1).astype(int).tolist()
@@ -169,7 +169,7 @@ def _uncertainty(equations: _Equations) -> tuple[Array, Array]:
     ]
     spread = np.square(without - np.mean(without, axis=0)).sum(axis=0) * (number - 1) / number
     covariance = np.linalg.inv(whole)
-    told = np.array([np.einsum("ij,jk,ki->i", covariance, normal, covariance) for normal in normals])
-    telling = np.square(told.sum(axis=0)) / np.maximum(np.square(told).sum(axis=0), 1e-300)
+    shares = np.array([np.einsum("ij,jk,ki->i", covariance, normal, covariance) for normal in normals])
+    constraining = np.square(shares.sum(axis=0)) / np.maximum(np.square(shares).sum(axis=0), 1e-300)
     deviation = np.sqrt(np.maximum(spread, covariance.diagonal()) + FLOOR**2)
-    return stdtrit(np.maximum(telling - 1.0, 1.0), 0.975) * deviation, telling
+    return stdtrit(np.maximum(constraining - 1.0, 1.0), 0.975) * deviation, constraining

@@ -92,7 +92,7 @@ def joined(
     config: Config,
     tie: Edge | None = None,
 ) -> tuple[Group | None, Join]:
-    """Search closures between a group and a session, and solve the pose graph of all; None if they do not convince.
+    """Search closures between a group and a session, and solve the pose graph of all; None if too few closures agree.
 
     ``tie`` binds the first key frame of the session to one of the group, where its track goes on.
     """

@@ -1,7 +1,8 @@
-"""Groups grow: session after session is searched in the map of those that are joined, and joins if that convinces.
+"""Groups grow: each session is searched in the map of those that are joined, and joins if the evidence suffices.
 
-A join must convince like a loop. Scans at different places of the session are searched in the whole map of the group;
-at least three, and most of those that fit in one place only, must agree on one motion. From there closures are sought.
+A join needs the evidence of a loop. Scans at different places of the session are searched in the whole map of the
+group. At least three, and most of those that fit in one place only, must agree on one transform. Closures are searched
+from there.
 """
 
 from __future__ import annotations
