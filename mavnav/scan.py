@@ -135,22 +135,23 @@ class Scan:
         return self.ranges_m[good, None] * self.spec.directions[good]
 
 
-def levelled(scan: Scan, attitude: Attitude, ceiling_m: float = inf) -> Scan:
+def levelled(
+    scan: Scan,
+    roll_rad: Floats | float,
+    pitch_rad: Floats | float,
+    height_m: Floats | float,
+    ceiling_m: float = inf,
+) -> Scan:
     """Return a scan of a tilted laser projected to the horizontal plane, on the same even bearings.
 
+    ``roll_rad``, ``pitch_rad`` and ``height_m`` are those of `Attitude`; (beams,) if the laser moves during the sweep.
     Each return is taken for that of a vertical wall. It falls on the nearest bearing, of several the nearest counts,
     and its range is that of its surface at this bearing. Without any tilt the ranges stay to the last bit. Returns of
     tilted beams on the floor, or on the ceiling at ``ceiling_m``, are no walls: their ranges become NaN. ``heights_m``
     stays None where the height of the laser is not known.
     """
-    roll_rad, pitch_rad, height_m = (np.full(scan.spec.beams, value) for value in attitude)
-    return levelled_by_beam(scan, roll_rad, pitch_rad, height_m, ceiling_m)
-
-
-def levelled_by_beam(scan: Scan, roll_rad: Floats, pitch_rad: Floats, height_m: Floats, ceiling_m: float) -> Scan:
-    """Return a levelled scan as `levelled` does, of a laser that moves during the sweep: all are (beams,)."""
     known = bool(np.isfinite(height_m).all())
-    if not (roll_rad.any() or pitch_rad.any()):
+    if not (np.any(roll_rad) or np.any(pitch_rad)):
         heights_m = np.where(np.isfinite(scan.ranges_m), height_m, np.nan)
         return replace(scan, heights_m=heights_m if known else None)
     x, y = (scan.ranges_m[:, None] * scan.spec.directions).T

@@ -142,7 +142,7 @@ def kernel(signature: Signature) -> Callable[[Callable[P, R]], Callable[P, R]]:
 def helper(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function that only kernels call, together with the first of them.
 
-    Its machine code is part of theirs. By itself it is neither stored on disk nor callable from Python.
+    Its machine code is part of theirs. Alone it is neither stored on disk nor callable from Python.
     """
     return function if DISABLED else cast("Callable[P, R]", Helper(function))
 

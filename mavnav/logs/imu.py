@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mavnav.logs.records import Imu
+from mavnav.logs.stamps import later_than_before
 from mavnav.pose import Rotation
 from mavnav.units import NS
 
@@ -57,8 +58,7 @@ class ImuTrack:
     def rotation(self, stamp_source: str, half_sweep_ns: int) -> Rotation | None:
         """Return the rotation at mid-sweep by the stamps of scans; None of too few messages."""
         stamps = np.array(self.header_ns if stamp_source == "header" else self.log_ns, np.int64)
-        keep = np.ones(len(stamps), np.bool_)
-        keep[1:] = stamps[1:] > np.maximum.accumulate(stamps)[:-1]
+        keep = later_than_before(stamps)
         if keep.sum() < LEAST_MESSAGES:
             return None
         numbers = np.array(self.numbers, np.float64).reshape(-1, 10)[keep]

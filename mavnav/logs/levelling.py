@@ -10,8 +10,9 @@ import numpy as np
 
 from mavnav.errors import TopicError
 from mavnav.logs.attitude import NAME
+from mavnav.logs.stamps import later_than_before
 from mavnav.logs.transforms import frame_name
-from mavnav.scan import levelled_by_beam
+from mavnav.scan import levelled
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ class RecordedAttitude:
     @property
     def tilt_rad(self) -> Floats:
         """Angles between the laser's vertical and the true one, (n,)."""
-        return np.asarray(np.arccos(np.cos(self.roll_rad) * np.cos(self.pitch_rad)))
+        return _tilts_rad(self.roll_rad, self.pitch_rad)
 
     @property
     def has_heights(self) -> bool:
@@ -89,7 +90,7 @@ class RecordedAttitude:
     def tilts_at(self, stamps_ns: NDArray[np.int64]) -> Floats:
         """Interpolate the tilt, rad, at times (m,)."""
         roll, pitch, _ = self.at((stamps_ns - self.stamps_ns[0]).astype(np.float64))
-        return np.asarray(np.arccos(np.cos(roll) * np.cos(pitch)))
+        return _tilts_rad(roll, pitch)
 
     def level(self, scan: Scan) -> Scan:
         """Return a scan levelled, each beam at its time; without any range if its attitude is unknown or too steep."""
@@ -98,7 +99,11 @@ class RecordedAttitude:
             return replace(scan, ranges_m=np.full(scan.spec.beams, np.nan))
         times_s = scan.spec.time_increment_s * np.arange(scan.spec.beams) if scan.times_s is None else scan.times_s
         late_ns = np.asarray(times_s / NS + float(scan.stamp_ns - int(self.stamps_ns[0])))
-        return levelled_by_beam(scan, *self.at(late_ns), self.ceiling_m)
+        return levelled(scan, *self.at(late_ns), self.ceiling_m)
+
+
+def _tilts_rad(roll_rad: Floats, pitch_rad: Floats) -> Floats:
+    return np.asarray(np.arccos(np.cos(roll_rad) * np.cos(pitch_rad)))
 
 
 def laser_attitude(
@@ -155,13 +160,10 @@ def _resolved(
 ) -> RecordedAttitude:
     """Return the attitude of the laser, as seen from above, without messages that are not finite or not in order."""
     stamps_ns = np.array(source.header_ns if stamp_source == "header" else source.log_ns, np.int64)
-    finite = np.isfinite(source.ups).all(axis=1)
-    if source.kind != "imu":
-        finite &= np.isfinite(source.height_m)
+    finite = _finite(source)
     stamps_ns, ups, height_m = stamps_ns[finite], source.ups[finite], source.height_m[finite]
-    rising = np.ones(len(stamps_ns), np.bool_)
-    rising[1:] = stamps_ns[1:] > np.maximum.accumulate(stamps_ns)[:-1]
-    stamps_ns, ups, height_m = stamps_ns[rising], ups[rising], height_m[rising]
+    later = later_than_before(stamps_ns)
+    stamps_ns, ups, height_m = stamps_ns[later], ups[later], height_m[later]
     height_m = height_m + ups @ body_T_laser[:3, 3]
     if len(height_m) and height_m.min() <= 0.0:
         height_m = np.full(len(height_m), np.nan)
@@ -196,7 +198,7 @@ def _problem(found: RecordedAttitude, stamps_ns: NDArray[np.int64]) -> str:
 def _oddities(source: Source, found: RecordedAttitude, stamps_ns: NDArray[np.int64]) -> Iterator[str]:
     """Say what of an attitude, or of which scans, is not used."""
     n, known = len(stamps_ns), found.known_at(stamps_ns)
-    bad = int((~np.isfinite(source.ups).all(axis=1)).sum() if source.kind == "imu" else _not_finite(source))
+    bad = int((~_finite(source)).sum())
     if bad:
         yield f"{bad} of {len(source.ups)} attitudes are not finite; they are left out, see what publishes them"
     if not known.all():
@@ -213,5 +215,7 @@ def _oddities(source: Source, found: RecordedAttitude, stamps_ns: NDArray[np.int
         yield "the heights (position.z) are not all above the floor; they are not used, and there are no slices"
 
 
-def _not_finite(source: Source) -> int:
-    return int((~(np.isfinite(source.ups).all(axis=1) & np.isfinite(source.height_m))).sum())
+def _finite(source: Source) -> NDArray[np.bool_]:
+    """Return which attitudes are finite, (n,); an inertial sensor knows no height."""
+    known = np.isfinite(source.ups).all(axis=1)
+    return np.asarray(known if source.kind == "imu" else known & np.isfinite(source.height_m))

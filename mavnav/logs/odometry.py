@@ -10,6 +10,7 @@ import numpy as np
 
 from mavnav.errors import TopicError
 from mavnav.logs.messages.definitions import POSE, TRANSFORM
+from mavnav.logs.stamps import later_than_before
 from mavnav.logs.transforms import frame_name, planar_pose
 from mavnav.pose import Trajectory
 from mavnav.units import NS
@@ -47,9 +48,7 @@ class PoseTrack:
         """Return ``fixed_T_base`` with the stamps of a source; duplicate and backward stamps are dropped."""
         stamps = np.array(self.header_ns if stamp_source == "header" else self.log_ns, dtype=np.int64)
         poses = np.array(self.xyyaw, dtype=np.float64).reshape(-1, 3)
-        latest = np.maximum.accumulate(stamps) if len(stamps) else stamps
-        keep = np.ones(len(stamps), dtype=bool)
-        keep[1:] = stamps[1:] > latest[:-1]
+        keep = later_than_before(stamps)
         return Trajectory(stamps[keep], poses[keep])
 
 

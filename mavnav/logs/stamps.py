@@ -34,6 +34,13 @@ _SUSPECT_OFFSET_NS: Final = 10_000_000_000
 """A suspect scan whose stamp is farther from its time of recording than usual, by this, is not plausible."""
 
 
+def later_than_before(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which stamps (n,) are later than all before them."""
+    later = np.ones(len(stamps_ns), np.bool_)
+    later[1:] = stamps_ns[1:] > np.maximum.accumulate(stamps_ns)[:-1]
+    return later
+
+
 def ascending(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     """Choose the most elements that ascend strictly.
 
@@ -52,8 +59,7 @@ def ascending(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     """
     if len(stamps_ns) < 2 or (np.diff(stamps_ns) > 0).all():
         return np.arange(len(stamps_ns))
-    before = np.maximum.accumulate(stamps_ns)[:-1]
-    greedy = np.concatenate(([0], 1 + np.flatnonzero(stamps_ns[1:] > before)))
+    greedy = np.flatnonzero(later_than_before(stamps_ns))
     longest = _longest_ascending(stamps_ns.tolist())
     return greedy if len(greedy) >= len(longest) else np.array(longest)
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.pose import Pose, Trajectory
-from mavnav.scan import levelled_by_beam
+from mavnav.scan import levelled
 from mavnav.simulation.obstacles import Obstacles
 from mavnav.simulation.planner.potential_field import Command, Planner
 from mavnav.simulation.vehicle import disturbance, sweeping, tilts_over, vehicle_of
@@ -187,7 +187,7 @@ def _levelled(scans: Iterator[Scan], scenario: Scenario, vehicle: Vehicle, seen:
     ceiling_m = scenario.ceiling_m or inf
     for scan in scans:
         roll_rad, pitch_rad, height_m = tilts_over(vehicle.body.measured, scan.spec, vehicle.period_ns * NS)
-        seen.append(levelled_by_beam(scan, roll_rad, pitch_rad, height_m, ceiling_m))
+        seen.append(levelled(scan, roll_rad, pitch_rad, height_m, ceiling_m))
         yield seen[-1]
 
 

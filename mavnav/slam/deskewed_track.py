@@ -27,7 +27,7 @@ TURNING_RAD_S: Final = 15 * DEG
 """At this rate and above a scan shows in which order its beams were fired."""
 
 COMPARED_EVERY, MOST_COMPARED = 4, 100
-"""Of the scans in turns every so manieth one is matched in both orders, so many at most."""
+"""Step between the scans in turns that are matched in both orders, and their maximum number."""
 
 
 def match_deskewed(track: Track) -> Track:

@@ -57,7 +57,7 @@ def test_scans_are_levelled_by_the_attitude_of_their_time(tmp_path: Path) -> Non
     assert raw.attitude is None
     assert (log.attitude.topic, log.attitude.source) == ("/attitude", "pose")
     for k, (scan, recorded) in enumerate(zip(log, raw, strict=True)):
-        expected = levelled(recorded, tilt(k))
+        expected = levelled(recorded, *tilt(k))
         np.testing.assert_allclose(scan.ranges_m, expected.ranges_m, atol=1e-5)
         np.testing.assert_allclose(scan.heights_m, expected.heights_m, atol=1e-5)
 

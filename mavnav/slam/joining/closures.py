@@ -16,7 +16,7 @@ from mavnav.slam.joining.following import across, end_of
 from mavnav.slam.joining.group import APART_M, Group, own_edges, weights
 from mavnav.slam.joining.witnesses import evenly
 from mavnav.slam.loop_closure.closure import Closure, agree
-from mavnav.slam.loop_closure.detection import LOOP_M, SIGHT_M, consistent, track_confirmed
+from mavnav.slam.loop_closure.detection import LOOP_M, SIGHT_M, consistent, edges_of, track_confirmed
 from mavnav.slam.loop_closure.key_frames import KEY_M, KeyFrame
 from mavnav.slam.loop_closure.matching import find_closure
 from mavnav.slam.loop_closure.path_edges import PATH_SIGMA_M, PATH_SIGMA_RAD
@@ -100,7 +100,8 @@ def joined(
     placed = ((key, group_T_session @ key.map_T_laser) for key in session.keys)
     new = [replace(key, map_T_laser=pose, path_m=key.path_m + offset_m) for key, pose in placed]
     edges, least = [*group.edges, *own_edges(session, first)], LEAST_AT_END if tie else LEAST_CLOSURES
-    solve = partial(held if session.doubtful else whole, first=first, edges=[*edges, tie] if tie else edges)
+    bound = [*edges, tie] if tie else edges
+    solve = partial(held, first, bound) if session.doubtful else partial(whole, bound)
     keys, closures, tested = closed([*group.keys, *new], first, here, config, least, tie, solve)
     join = join._replace(tested=len(tested), closures=len(closures))
     if len(closures) < least:
@@ -116,8 +117,8 @@ def joined(
         joined_to=tuple((name, to.count(name)) for name in dict.fromkeys(to)),
     )
     members = (*group.sessions, session)
-    edges += [tie] if tie else []
-    return Group(members, tuple(keys), (*edges, *map(_edge, binding(closures, keys, tie))), (*group.joins, join)), join
+    edges = [*bound, *edges_of(binding(closures, keys, tie))]
+    return Group(members, tuple(keys), tuple(edges), (*group.joins, join)), join
 
 
 def closed(
@@ -160,15 +161,15 @@ def binding(closures: list[Closure], keys: Sequence[KeyFrame], tie: Edge | None)
     return [closure for closure, path_m in zip(closures, paths_m, strict=True) if path_m >= LOOP_M]
 
 
-def whole(keys: list[KeyFrame], closures: list[Closure], *, first: int, edges: list[Edge]) -> list[Pose]:  # noqa: ARG001
+def whole(edges: list[Edge], keys: list[KeyFrame], closures: list[Closure]) -> list[Pose]:
     """Return the poses of all key frames that fit edges and closures best."""
-    return optimized([key.map_T_laser for key in keys], [*edges, *map(_edge, closures)])
+    return optimized([key.map_T_laser for key in keys], [*edges, *edges_of(closures)])
 
 
-def held(keys: list[KeyFrame], closures: list[Closure], *, first: int, edges: list[Edge]) -> list[Pose]:
+def held(first: int, edges: list[Edge], keys: list[KeyFrame], closures: list[Closure]) -> list[Pose]:
     """Return the same with all key frames before number ``first`` where they are: what binds to them, to the frame."""
     poses, ties = [key.map_T_laser for key in keys], list[Edge]()
-    for edge in (edge for edge in (*edges, *map(_edge, closures)) if edge.end >= first):
+    for edge in (edge for edge in (*edges, *edges_of(closures)) if edge.end >= first):
         start, turn, end = Pose(), np.eye(3), edge.end - first + 1
         if edge.start < first:
             start = poses[edge.start]
@@ -187,10 +188,6 @@ def supported(closures: list[Closure], keys: Sequence[KeyFrame]) -> list[Closure
         if len({keys[b.end].path_m // KEY_M for b in closures if b is a or agree(a, b, keys)}) >= PLACES
     ]
     return kept if len(kept) == len(closures) else supported(kept, keys)
-
-
-def _edge(closure: Closure) -> Edge:
-    return Edge(closure.start, closure.end, closure.start_T_end, closure.sqrt_information)
 
 
 def residuals(closures: Sequence[Closure], keys: Sequence[KeyFrame]) -> tuple[float, float]:
