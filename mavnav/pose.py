@@ -83,6 +83,14 @@ def transform_points(a_T_b: Pose, xy_b_m: NDArray[np.float64]) -> NDArray[np.flo
     return out
 
 
+def motions(xyyaw: NDArray[np.float64], start: NDArray[np.intp], end: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return the motion (m, 3) from poses to poses of (n, 3), in the frame of the first: m, m, rad."""
+    x, y, yaw = (xyyaw[end] - xyyaw[start]).T
+    cos_yaw, sin_yaw = np.cos(xyyaw[start, 2]), np.sin(xyyaw[start, 2])
+    turns = (yaw + pi) % (2.0 * pi) - pi
+    return np.column_stack((cos_yaw * x + sin_yaw * y, cos_yaw * y - sin_yaw * x, turns))
+
+
 @dataclass(frozen=True, slots=True)
 class Trajectory:
     """Poses of one moving frame in one fixed frame, over time.

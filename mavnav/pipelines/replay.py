@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from mavnav.config.models import OdometryConfig
 from mavnav.errors import ExitCode, StoppedError, UsageError
-from mavnav.ground_truth.map_file import occupied_xy_m, read_map
+from mavnav.ground_truth.map_file import occupied_xy_m
 from mavnav.ground_truth.references import check_times, compared, load_references
 from mavnav.ground_truth.topics import truth_text
 from mavnav.logs import check_log, open_log
@@ -21,7 +21,6 @@ from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import known_part, measured_part
 from mavnav.mapping.slices import placed_with_heights, sliced
 from mavnav.memory import release_free_memory
-from mavnav.metrics.calibration.motion import Wheels, corrected
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.journey import Journey
 from mavnav.metrics.map_quality import measure_map
@@ -29,14 +28,14 @@ from mavnav.metrics.trajectory_error import MAX_GAP_NS, position_errors
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.provenance import Typed, provenance, utc_now
 from mavnav.outputs.run import Run, Timing
-from mavnav.outputs.run_json import FoundPose, GivenPose, Localisation, Options, StartPose
+from mavnav.outputs.run_json import GivenPose, Options
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
+from mavnav.pipelines.localising import known_map, localisation
 from mavnav.pose import Pose
 from mavnav.profiling import Stage, new_profile, timed
 from mavnav.slam.pipeline import run_slam
-from mavnav.slam.prior_map import prior_map_of
-from mavnav.slam.registry import LOCALIZERS, load_kernels, uses_odometry
+from mavnav.slam.registry import load_kernels, uses_odometry
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -114,20 +113,6 @@ class Given:
     earlier: tuple[Session, ...] = ()
 
 
-def read_prior_map(request: ReplayRequest) -> PriorMap | None:
-    """Read the map to localise in: a map_server YAML file, or the one in a run directory; raises UsageError."""
-    if request.map is None:
-        return None
-    if request.config.method not in LOCALIZERS:
-        advice = f"use --method {' or '.join(LOCALIZERS)}"
-        raise UsageError(f"--map: method {request.config.method} makes a map of its own; {advice}")
-    file = read_map(map_yaml(request.map))
-    known = prior_map_of(file.grid, file.map_T_grid, request.start_pose)
-    if not len(known.walls_xy_m):
-        raise UsageError(f"{request.map}: the map has no occupied cell; name a map with walls")
-    return known
-
-
 def _to_continue(request: ReplayRequest) -> tuple[FinishedRun | None, tuple[Session, ...]]:
     """Read the run to be continued, and its sessions; raises UsageError for what is none."""
     if request.continue_from is None:
@@ -143,22 +128,6 @@ def _to_continue(request: ReplayRequest) -> tuple[FinishedRun | None, tuple[Sess
 
     run = run_to_continue(request.continue_from)
     return run, tuple(earlier_sessions(run, request.config))
-
-
-def map_yaml(path: Path) -> Path:
-    """Return the YAML file that describes a map: the path itself, or the one in a run directory."""
-    return path / "map.yaml" if path.is_dir() else path
-
-
-def localisation(request: ReplayRequest, outcome: SlamResult) -> Localisation:
-    """Return the section of run.json on localization in a known map: the given start pose, and the one found."""
-    first, start = next((step for step in outcome.steps if step.tracked), None), request.start_pose
-    found = first and first.match.map_T_laser
-    return Localisation(
-        map=str(request.map),
-        start_pose=start and StartPose(start.x_m, start.y_m, start.yaw_rad / DEG),
-        found=FoundPose(first.index, found.x_m, found.y_m, found.yaw_rad / DEG) if first and found else None,
-    )
 
 
 def replay_directory(log: Path, config: Config) -> Path:
@@ -192,7 +161,12 @@ def replay_log(
     check_groups(request.outputs or ())
     check_directory(request.directory, force=request.force)
     references = load_references(request.truth, request.truth_map, request.relations)
-    given = Given(references, read_prior_map(request), replay_provenance(request), *_to_continue(request))
+    given = Given(
+        references,
+        known_map(request.map, request.start_pose, request.config.method),
+        replay_provenance(request),
+        *_to_continue(request),
+    )
     wall_s, cpu_s, stages = perf_counter(), process_time(), new_profile(loading=compile_s, starting=startup_s)
     log = _open(request, progress)
     if request.log_sha256 not in {None, log.sha256}:
@@ -288,7 +262,7 @@ def _mapped(
         true_map=references.true_map,
         position_errors_m=position_errors(outcome.trajectory, truth, aligned=True) if truth else None,
         stopped=stopped,
-        localisation=None if given.known is None else localisation(request, outcome),
+        localisation=localisation(request.map, request.start_pose, outcome) if request.map else None,
         address=request.address,
         provenance=given.provenance,
         slices=slices,
@@ -360,6 +334,8 @@ def with_corrected_odometry(log: Log, config: Config) -> Log:
     given, odometry = config.odometry, log.odometry
     if odometry is None or given == OdometryConfig():
         return log
+    from mavnav.metrics.calibration.motion import Wheels, corrected  # noqa: PLC0415  few runs need it
+
     wheels = Wheels(given.distance_scale, given.turn_scale, given.veer_deg_per_m * DEG)
     odom_T_base = corrected(odometry.odom_T_base, given.offset_s, wheels)
     odom_T_laser = odom_T_base.compose(log.base_T_laser or Pose())

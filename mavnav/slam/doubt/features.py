@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from mavnav.pose import motions
 from mavnav.slam.doubt.evidence import turns_rad, wrapped
 from mavnav.slam.doubt.record import NOT_PLANAR
 from mavnav.units import DEG, NS
@@ -42,13 +43,6 @@ TILT_RAD = 10 * DEG
 
 GAP_S, REFUSED_LOOPS = 2.0, 10
 """Time without a pose that is long, and number of refused loops that is high."""
-
-
-def motions(xyyaw: Floats, start: NDArray[np.intp], end: NDArray[np.intp]) -> Floats:
-    """Return the motion (m, 3) between poses of (n, 3), in the frame of the first of each pair: m, m, rad."""
-    x, y, yaw = (xyyaw[end] - xyyaw[start]).T
-    cos, sin = np.cos(xyyaw[start, 2]), np.sin(xyyaw[start, 2])
-    return np.column_stack((cos * x + sin * y, cos * y - sin * x, wrapped(yaw)))
 
 
 def disagreement(evidence: Evidence) -> Floats:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mavnav.pose import motions
 from mavnav.slam.loop_closure.pose_graph import Edge
 from mavnav.slam.relocalization import ACCELERATION_M_S2, SLACK_M
 from mavnav.units import DEG, NS
@@ -49,11 +50,11 @@ def path_edges(map_T_laser: Trajectory, keys: Sequence[KeyFrame], information_of
     rows, speeds = np.array([key.row for key in keys]), velocities(map_T_laser)
     stamps_ns = map_T_laser.stamps_ns
     weakest = [weakest_translation(information_of(k.points, k.map_T_laser), len(k.points)) for k in keys]
-    motions = [a.map_T_laser.between(b.map_T_laser) for a, b in pairwise(keys)]
-    moved_m, elapsed_s = np.array([motion[:2] for motion in motions]), np.diff(stamps_ns[rows]) * NS
+    path = [a.map_T_laser.between(b.map_T_laser) for a, b in pairwise(keys)]
+    moved_m, elapsed_s = np.array([motion[:2] for motion in path]), np.diff(stamps_ns[rows]) * NS
     edges = []
-    for k, motion in enumerate(motions):
-        near = [j for j in (k - 1, k + 1) if 0 <= j < len(motions)]
+    for k, motion in enumerate(path):
+        near = [j for j in (k - 1, k + 1) if 0 <= j < len(path)]
         expected = [usual(speeds, stamps_ns, stamps_ns[rows[k : k + 2]]), *(moved_m[j] / elapsed_s[j] for j in near)]
         unusual_m = moved_m[k] - np.array(expected) * elapsed_s[k]
         weak = min(weakest[k : k + 2], key=lambda each: each.information)
@@ -65,7 +66,8 @@ def path_edges(map_T_laser: Trajectory, keys: Sequence[KeyFrame], information_of
 
 def velocities(map_T_laser: Trajectory) -> Floats:
     """Return the velocity from each pose to the next, (n - 1, 2), m/s, in the frame of the laser."""
-    steps = np.array([a.between(b)[:2] for a, b in pairwise(map_T_laser[k] for k in range(len(map_T_laser)))])
+    rows = np.arange(len(map_T_laser))
+    steps = motions(map_T_laser.xyyaw, rows[:-1], rows[1:])[:, :2]
     speeds: Floats = steps / (np.diff(map_T_laser.stamps_ns) * NS)[:, None]
     return speeds
 
