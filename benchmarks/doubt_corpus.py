@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.logs import open_log
@@ -56,8 +57,7 @@ ranges that are kept."""
 SEEDS = {"drop": 4, "every": 2, "none": 2}
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(Struct, frozen=True):
     """A run: its scans, period, odometry and reference poses."""
 
     scans: list[Scan]

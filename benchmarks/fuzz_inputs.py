@@ -22,12 +22,12 @@ import time
 import zlib
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from msgspec import Struct
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
@@ -42,8 +42,7 @@ SHORT = ("--end", "0.2", "--online", "--grid", "5x5", "--azimuth", "6", "-q")
 Random = np.random.Generator
 
 
-@dataclass(frozen=True)
-class Kind:
+class Kind(Struct, frozen=True):
     """A file to attack, the commands that read it, of which one is chosen, and the function that replaces an image."""
 
     name: str

@@ -30,13 +30,13 @@ import traceback
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import redirect_stdout
-from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import zstandard
 from mcap.writer import IndexType
+from msgspec import Struct, field
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
@@ -57,8 +57,7 @@ MAX_CPU_S = 20.0
 Scan = tuple[int, bytes]
 
 
-@dataclass
-class Seed:
+class Seed(Struct):
     """A valid log: ``parts`` are the byte sequences that contain scans, each with the indices of its scans."""
 
     name: str
@@ -219,8 +218,7 @@ def _mcap_parts(data: bytes) -> Iterator[tuple[bytes, list[int]]]:
             number += 1
 
 
-@dataclass
-class Case:
+class Case(Struct):
     """Counts and findings of one mutated log."""
 
     counts: Counter[str] = field(default_factory=Counter)

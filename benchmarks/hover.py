@@ -13,13 +13,13 @@ import argparse
 import os
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from subprocess import DEVNULL, Popen
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
+from msgspec import Struct
 from scipy.spatial import cKDTree
 
 from mavnav.ground_truth.true_map import points_on
@@ -39,8 +39,7 @@ NEAR_M, EDGE_M = 0.1, 0.05
 """A true cell is found, an occupied one right, within the first; heights are compared with the second as margin."""
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(Struct, frozen=True):
     """A row of the table: its name, and the settings of its missions."""
 
     name: str

@@ -12,11 +12,11 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from time import process_time
 
 import numpy as np
+from msgspec.structs import replace
 from office import ELSEWHERE
 
 from mavnav.config.loading import load_config

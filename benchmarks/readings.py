@@ -15,13 +15,14 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.config.loading import load_config
 from mavnav.logs import open_log
@@ -272,8 +273,7 @@ def _yaml(value: object) -> object:
     return "null" if value is None else value
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(Struct, frozen=True):
     """Settings of a row group in the table of missions."""
 
     name: str

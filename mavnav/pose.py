@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import atan2, cos, pi, sin
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -91,8 +91,7 @@ def motions(xyyaw: NDArray[np.float64], start: NDArray[np.intp], end: NDArray[np
     return np.column_stack((cos_yaw * x + sin_yaw * y, cos_yaw * y - sin_yaw * x, turns))
 
 
-@dataclass(frozen=True, slots=True)
-class Trajectory:
+class Trajectory(Struct, frozen=True):
     """Poses of one moving frame in one fixed frame, over time.
 
     ``stamps_ns`` is (n,) int64, strictly ascending; ``xyyaw`` is (n, 3) float64 in m, m, rad.
@@ -162,8 +161,7 @@ class Trajectory:
         return float(np.hypot(*np.diff(self.xyyaw[:, :2], axis=0).T).sum())
 
 
-@dataclass(frozen=True, slots=True)
-class Rotation:
+class Rotation(Struct, frozen=True):
     """How a body turned, as an inertial sensor measured it: at stamps (n,), ns, strictly ascending.
 
     ``yaw_rad`` (n,) is the yaw rate, integrated, not wrapped; ``tilt_rad`` (n,) the angle between the vertical of the

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from math import inf, tau
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,8 +37,7 @@ class Attitude(NamedTuple):
     height_m: float
 
 
-@dataclass(frozen=True)
-class LaserSpec:
+class LaserSpec(Struct, frozen=True, dict=True):
     """Geometry and limits of a planar laser (sensor_msgs/LaserScan).
 
     Beam ``i`` points to ``angle_min_rad + i * angle_step_rad``, counter-clockwise from the laser's x axis;
@@ -86,8 +86,7 @@ def _directions(spec: LaserSpec) -> NDArray[np.float64]:
     return directions
 
 
-@dataclass(frozen=True, slots=True)
-class Scan:
+class Scan(Struct, frozen=True):
     """One sweep of the laser.
 
     ``ranges_m`` is (beams,) float64, read-only; NaN means no valid return, and nothing else is ever odd:

@@ -227,6 +227,7 @@ def test_help_imports_no_heavy_library(args: list[str]) -> None:
         "yaml",
         "rosbags",
         "mcap",
+        "msgspec",
         "google",
         "zstandard",
         "lz4",

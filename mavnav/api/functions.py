@@ -10,11 +10,12 @@ from __future__ import annotations
 import json
 import shutil
 import weakref
-from dataclasses import replace as changed
 from itertools import chain, islice
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import TYPE_CHECKING, TypeVar
+
+from msgspec.structs import replace as changed
 
 from mavnav import logs
 from mavnav.api.results import Comparison, Run

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from enum import StrEnum
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
 
 from mavnav import __version__
 from mavnav.atomic_files import beside
@@ -23,8 +24,7 @@ if TYPE_CHECKING:
 SCHEMA_VERSION: Final = 1
 
 
-@dataclass(frozen=True, slots=True)
-class Tolerance:
+class Tolerance(Struct, frozen=True):
     """Tolerance of a number of run.json: the larger of ``absolute`` and ``relative`` times the baseline value.
 
     With ``high``, larger values are better.
@@ -91,8 +91,7 @@ class Change(StrEnum):
     NEW = "new"
 
 
-@dataclass(frozen=True, slots=True)
-class Baseline:
+class Baseline(Struct, frozen=True):
     """The runs of an earlier batch by name, each with its exit code, and its metrics or sections of run.json."""
 
     path: Path

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.batch.find_logs import check_found, find_logs
 from mavnav.batch.remote import fetched
@@ -33,8 +35,7 @@ BASELINE_GATE = "baseline"
 """Name of the gate that passes if nothing is worse than in the baseline."""
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
+class Case(Struct, frozen=True):
     """A log with a setting, and its gates.
 
     ``run`` is None for a log that cannot be read; ``error`` and ``exit_code`` are then the reason. ``log`` is the
@@ -54,8 +55,7 @@ class Case:
     exit_code: ExitCode = ExitCode.DONE
 
 
-@dataclass(frozen=True, slots=True)
-class CaseResult:
+class CaseResult(Struct, frozen=True):
     """Result of a case.
 
     ``outcome`` is None if no job was run: the run was finished before, or the log cannot be read. ``document`` is

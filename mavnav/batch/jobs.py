@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from contextlib import chdir
-from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from msgspec.structs import asdict, replace
 
 from mavnav.batch.remote import fetched
 from mavnav.errors import MavnavError
@@ -27,8 +28,8 @@ def replay_remote(request: ReplayRequest, report: Report) -> None:
     report("fetching", 0, None)
     address = str(request.address)
     name = public_address(address)
-    paths = {field.name: getattr(request, field.name) for field in fields(request) if field.name != "log"}
-    absolute: dict[str, Any] = {name: path.absolute() for name, path in paths.items() if isinstance(path, Path)}
+    paths = {name: value for name, value in asdict(request).items() if isinstance(value, Path) and name != "log"}
+    absolute: dict[str, Any] = {name: path.absolute() for name, path in paths.items()}
     with fetched(address) as folder, chdir(folder):
         try:
             replay_local(replace(request, **absolute), report)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
 
 from mavnav.batch.document import ENDS, why, worst_first
 from mavnav.batch.summary import batch_headline, changed
@@ -34,16 +35,14 @@ COLUMNS: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Field:
+class Field(Struct, frozen=True):
     """The text of a metric and its sort key; both empty if there is no value."""
 
     text: str
     key: str
 
 
-@dataclass(frozen=True, slots=True)
-class PageLine:
+class PageLine(Struct, frozen=True):
     """A run on the page.
 
     ``facts`` are its date, log and sensor; ``kind`` is passed, failed, or broken (a run without a result); ``link`` is

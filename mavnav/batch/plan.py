@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from mavnav.batch.cases import Case, make_cases
 from mavnav.batch.document import BATCH_FILE
@@ -24,8 +25,7 @@ if TYPE_CHECKING:
 _OWN_FILES: Final = ("cells", BATCH_FILE)
 
 
-@dataclass(frozen=True, slots=True)
-class BatchPlan:
+class BatchPlan(Struct, frozen=True):
     """The cases of a request, and those of their run directories that are finished."""
 
     request: BatchRequest

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from math import isfinite
 from pathlib import Path
@@ -16,6 +15,8 @@ from threading import Event, Thread
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import urlsplit
+
+from msgspec import Struct, field
 
 from mavnav.errors import MavnavError, OutputError, UsageError
 from mavnav.jobs.dask.worker import in_cluster
@@ -33,8 +34,7 @@ MIN_RATE: Final = 1000.0
 """Minimum average rate of a download, in bytes/s."""
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
+class Limits(Struct, frozen=True):
     """Limits of a download: total time, time without data, size, and whether private networks are allowed."""
 
     total_s: float
@@ -109,8 +109,7 @@ def _write_error(address: str, error: OSError) -> OutputError:
     return OutputError(f"{public_address(address)}: {reason}; make room, or set TMPDIR to another folder")
 
 
-@dataclass(slots=True)
-class _Copy:
+class _Copy(Struct):
     """Download of an address in a thread, which is abandoned when a limit is exceeded."""
 
     address: str

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
+
+from msgspec import Struct, field
 
 from mavnav.errors import UsageError
 from mavnav.outputs.provenance import Typed
@@ -17,8 +18,7 @@ if TYPE_CHECKING:
     from mavnav.metrics.gates import Gate
 
 
-@dataclass(frozen=True, slots=True)
-class RunLimits:
+class RunLimits(Struct, frozen=True):
     """Number of runs at a time, their time and memory limits, and the number of attempts if a run's process dies.
 
     ``scheduler`` is a Dask cluster to run on, None for this machine.
@@ -31,8 +31,7 @@ class RunLimits:
     scheduler: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Rules:
+class Rules(Struct, frozen=True):
     """Gates of every run, in addition to those of its log.
 
     ``accept`` are exit codes that count as done; ``watched`` are the tolerances of the metrics compared with
@@ -46,8 +45,7 @@ class Rules:
     baseline_gate: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class BatchPart:
+class BatchPart(Struct, frozen=True):
     """One of several equal parts of a batch, counted from 1, for machines that share a directory."""
 
     number: int
@@ -61,8 +59,7 @@ class BatchPart:
             )
 
 
-@dataclass(frozen=True, slots=True)
-class BatchRequest:
+class BatchRequest(Struct, frozen=True):
     """Logs, settings, output directory, limits and gates of a batch or a comparison.
 
     Relative paths of ``entries`` start at ``base``; with ``patterns`` they may be patterns and folders, else they are

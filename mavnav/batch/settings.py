@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product, zip_longest
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct
 
 from mavnav.config.layers import Layer
 from mavnav.config.loading import load_config
@@ -18,8 +19,7 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
+class Setting(Struct, frozen=True):
     """A configuration and its name."""
 
     name: str

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -55,6 +54,8 @@ def convert(
 
 def document(log: Path, target: Path, done: Conversion, code: ExitCode) -> dict[str, Any]:
     """Return what ``--json`` prints."""
+    from msgspec.structs import asdict
+
     return {
         "schema_version": SCHEMA_VERSION,
         "input": {"path": str(log)},

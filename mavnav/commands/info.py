@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -73,6 +72,8 @@ def document(found: Survey, logs: list[Log], code: ExitCode) -> dict[str, Any]:
     ``logs`` holds the usable scan topics. The fields about one topic are empty where there are several, or none;
     ``scan_topics`` has them for each.
     """
+    from msgspec.structs import asdict
+
     log, topics = logs[0] if len(logs) == 1 else None, [_topic(each) for each in logs]
     return {
         "schema_version": SCHEMA_VERSION,
@@ -130,6 +131,8 @@ def _counts(found: Survey, logs: list[Log]) -> dict[str, Any]:
 
 
 def _sensor(log: Log) -> dict[str, Any]:
+    from msgspec.structs import asdict
+
     sensor = asdict(log.sensor)
     # JSON has no infinity: null means that the sensor has no limit.
     limit = sensor["range_max_m"]
@@ -138,6 +141,8 @@ def _sensor(log: Log) -> dict[str, Any]:
 
 
 def _time(log: Log) -> dict[str, Any]:
+    from msgspec.structs import asdict
+
     return {
         "first_ns": log.first_ns,
         "last_ns": log.last_ns,
@@ -150,9 +155,12 @@ def _time(log: Log) -> dict[str, Any]:
 
 
 def _health(log: Log) -> dict[str, Any]:
+    from msgspec.structs import asdict
+
     from mavnav.logs.health import sensor_health
 
-    return asdict(sensor_health(log))
+    health = sensor_health(log)
+    return {**asdict(health), "findings": [asdict(finding) for finding in health.findings]}
 
 
 def _imu(log: Log) -> dict[str, Any] | None:

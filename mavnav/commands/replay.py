@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Annotated, Any
@@ -172,6 +171,8 @@ def replay(
     with reporting(quiet=quiet, stages=REPLAY) as progress:
         startup_s, started_s = process_time(), perf_counter()
         with loading_modules():
+            from msgspec.structs import replace
+
             from mavnav.ground_truth.topics import truth_fields
             from mavnav.outputs.provenance import Typed
             from mavnav.pipelines.replay import ReplayRequest, replay_directory, replay_log

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -136,6 +135,8 @@ def simulate(
     with reporting(quiet=quiet, stages=MISSION) as progress:
         started_s = perf_counter()
         with loading_modules():
+            from msgspec.structs import replace
+
             from mavnav.outputs.provenance import Typed
             from mavnav.pipelines.simulate import SimulationRequest, simulate_mission, simulation_directory
             from mavnav.simulation.world.scenario_file import scenario_path

@@ -311,6 +311,10 @@ class Config:
         unread = {key for key, on in asked.items() if on and self.method != "robust"}
         return [key for key in keys if key.startswith(others) or key in unread]
 
+    def with_voxels(self, factor: float) -> Config:
+        """Return the configuration with voxels of ``factor`` times their size."""
+        return replace(self, robust=replace(self.robust, voxel_mm=factor * self.robust.voxel_mm))
+
     def document(self) -> dict[str, Any]:
         """Return the effective configuration as plain data, grid as text."""
         return {**asdict(self), "grid": str(self.grid)}

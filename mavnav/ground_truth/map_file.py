@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import re
 import warnings
-from dataclasses import dataclass
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.config.named_files import read_named
 from mavnav.errors import UsageError
@@ -46,8 +46,7 @@ _GAP: Final = rb"(?:\s|#[^\n\r]*[\n\r])+"
 _HEADER: Final = re.compile(rb"P([25])" + 3 * (_GAP + rb"(\d{1,9})") + rb"\s")
 
 
-@dataclass(frozen=True, slots=True)
-class MapFile:
+class MapFile(Struct, frozen=True):
     """A map from a file: ``grid`` has a hit in every occupied cell and a crossing in every free one.
 
     ``map_T_grid`` is the pose of the picture's lower left corner, the grid's own origin.

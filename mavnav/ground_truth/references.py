@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
+from msgspec.structs import asdict
 
 from mavnav.errors import UsageError
 from mavnav.ground_truth.map_file import occupied_xy_m, read_map
@@ -41,8 +43,7 @@ LEAST_POSES = 3
 """Minimum number of poses with a truth: fewer fit any truth, or nearly so, after the best rigid motion."""
 
 
-@dataclass(frozen=True, slots=True)
-class References:
+class References(Struct, frozen=True):
     """The references of a run, each None if it is not given.
 
     ``truth`` is the true trajectory of the laser in any frame; ``true_map`` the true walls in the map frame.

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
+
+from msgspec import Struct
 
 from mavnav.errors import ExitCode
 
@@ -13,8 +14,7 @@ Report = Callable[[str, int, int | None], None]
 """Progress callback: the current phase, the amount done, and the total amount, None if unknown."""
 
 
-@dataclass(frozen=True, slots=True)
-class Job:
+class Job(Struct, frozen=True):
     """A function call to run in another process: ``work(*args, report)``.
 
     ``work`` is a module-level function whose result can be pickled; ``report`` is a `Report`. ``name`` is the display
@@ -35,8 +35,7 @@ class Status(StrEnum):
     TIMEOUT = "timeout"
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(Struct, frozen=True):
     """Outcome of a job.
 
     ``value`` is its result. If there is none, ``error`` is the reason in one line, and ``exit_code`` is that of the
@@ -51,16 +50,14 @@ class Outcome:
     exit_code: ExitCode = ExitCode.DONE
 
 
-@dataclass(frozen=True, slots=True)
-class Started:
+class Started(Struct, frozen=True):
     """Job ``index`` started in process ``pid``."""
 
     index: int
     pid: int
 
 
-@dataclass(frozen=True, slots=True)
-class Progressed:
+class Progressed(Struct, frozen=True):
     """Job ``index`` reported its progress; see `Report`."""
 
     index: int
@@ -69,16 +66,14 @@ class Progressed:
     total: int | None
 
 
-@dataclass(frozen=True, slots=True)
-class Retried:
+class Retried(Struct, frozen=True):
     """The process of job ``index`` died with ``error``; the job will be run again."""
 
     index: int
     error: str
 
 
-@dataclass(frozen=True, slots=True)
-class Ended:
+class Ended(Struct, frozen=True):
     """Job ``index`` ended."""
 
     index: int

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from mavnav.jobs.records import Ended, Event, Job, Outcome, Retried, Status
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import asdict, replace
 
 from mavnav import __version__
 from mavnav.config.named_files import read_json
@@ -59,8 +60,7 @@ that enter the key separately.
 """
 
 
-@dataclass(frozen=True, slots=True)
-class PlannedRun:
+class PlannedRun(Struct, frozen=True):
     """A replay to run or to read from the cache, and its key: the SHA-256 of all inputs of its result."""
 
     request: ReplayRequest
@@ -118,23 +118,23 @@ def run_key(request: ReplayRequest, log_sha256: str, references: str) -> str:
         "mavnav": [__version__, source_sha256()],
         "log": log_sha256,
         "config": request.config.document(),
-        "options": {f.name: _plain(getattr(request, f.name)) for f in fields(request) if f.name not in _NOT_IN_KEY},
+        "options": {name: _plain(value) for name, value in asdict(request).items() if name not in _NOT_IN_KEY},
         "references": references,
     }
     return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401  any option of a request
-    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
+    return asdict(value) if isinstance(value, Struct) else value
 
 
 def references_sha256(references: References) -> str:
     """Return the SHA-256 over the content of the references, independent of their files."""
     digest = hashlib.sha256()
-    for name, known in ((f.name, getattr(references, f.name)) for f in fields(references)):
-        for part in fields(known) if known is not None else ():
-            if isinstance(array := getattr(known, part.name), np.ndarray):
-                digest.update(f"{name}.{part.name} {array.shape}\n".encode() + array.tobytes())
+    for name, known in asdict(references).items():
+        for part, array in asdict(known).items() if known is not None else ():
+            if isinstance(array, np.ndarray):
+                digest.update(f"{name}.{part} {array.shape}\n".encode() + array.tobytes())
     return digest.hexdigest()
 
 

@@ -11,7 +11,6 @@ import ctypes
 import os
 import pickle
 import sys
-from dataclasses import astuple, dataclass
 from functools import cache
 from hashlib import sha256
 from importlib.machinery import EXTENSION_SUFFIXES
@@ -23,13 +22,14 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import astuple
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-@dataclass(frozen=True, slots=True)
-class MachineCode:
+class MachineCode(Struct, frozen=True):
     """An entry of the cache.
 
     ``code`` is an object file, ``wrapper`` its function for Python, ``environment`` its variable for numba's constants,

@@ -6,12 +6,13 @@ numba's types do.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Any
 
+from msgspec import Struct
+from msgspec.structs import replace
 
-@dataclass(frozen=True, slots=True)
-class Type:
+
+class Type(Struct, frozen=True):
     """A scalar type, or with ``ndim`` an array of it; ``layout`` is C (C-ordered) or A (any)."""
 
     name: str
@@ -47,8 +48,7 @@ class Type:
         return types.NumberClass(getattr(types, self.name))
 
 
-@dataclass(frozen=True, slots=True)
-class Several:
+class Several(Struct, frozen=True):
     """The type of a tuple of results."""
 
     items: tuple[Type, ...]
@@ -65,8 +65,7 @@ class Several:
         return types.Tuple([item.numba for item in self.items])
 
 
-@dataclass(frozen=True, slots=True)
-class Signature:
+class Signature(Struct, frozen=True):
     """The types of the result and of the arguments of a kernel."""
 
     result: Type | Several

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
+from msgspec import Struct, field
 
 from mavnav.errors import TopicError
 from mavnav.logs.imu import usual_topic
@@ -31,8 +31,7 @@ NAME: Final = "attitude"
 TYPES: Final = frozenset({POSE, ODOMETRY, IMU})
 
 
-@dataclass
-class AttitudeTrack:
+class AttitudeTrack(Struct):
     """The poses of a topic as they came, 36 bytes each: orientations as quaternions, and heights."""
 
     topic: str

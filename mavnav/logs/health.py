@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import islice
 from math import ceil
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.units import DEG, NS
 
@@ -39,8 +39,7 @@ SLOW_HZ, JITTER = 2.0, 0.3
 steps, as a share of the period, above which stamps jitter."""
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
+class Finding(Struct, frozen=True):
     """Something of the sensor to check: its kind, what was found, and what to do."""
 
     kind: str
@@ -48,8 +47,7 @@ class Finding:
     advice: str
 
 
-@dataclass(frozen=True, slots=True)
-class SensorHealth:
+class SensorHealth(Struct, frozen=True):
     """What was measured on the first ``examined`` scans; ``findings`` are empty for a healthy sensor.
 
     ``dead_sectors_deg`` are sectors (from, to) without a valid return in any scan, degrees counter-clockwise from the
@@ -96,8 +94,7 @@ def sensor_health(log: Log) -> SensorHealth:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Seen:
+class _Seen(Struct, frozen=True):
     """Valid beams and stamps of the scans, (n,), repeated scans, degrees (360,) of beams and of valid returns."""
 
     valid: NDArray[np.int64]

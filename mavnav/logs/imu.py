@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct, field
 
 from mavnav.logs.records import Imu
 from mavnav.logs.stamps import later_than_before
@@ -36,8 +36,7 @@ LEAST_MESSAGES: Final = 10
 MOST_RAD_S, MOST_M_S2 = 100.0, 1e4
 
 
-@dataclass
-class ImuTrack:
+class ImuTrack(Struct):
     """The messages of a topic as they came: 56 bytes each."""
 
     topic: str

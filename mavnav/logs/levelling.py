@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from math import inf, pi
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.errors import TopicError
 from mavnav.logs.attitude import NAME
@@ -36,8 +37,7 @@ LEAST_RAD, LEAST_SHARE = 5 * DEG, 0.1
 """Sensors of other names are used if so much of the time the laser tilts by more than this from how it usually is."""
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedAttitude:
+class RecordedAttitude(Struct, frozen=True):
     """Tilt and height of the laser over time, from a topic of the log; ``source`` is pose, odom or imu.
 
     ``stamps_ns`` (n,) ascend strictly; ``roll_rad``, ``pitch_rad`` and ``height_m`` (n,) are those of `Attitude`. All

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
+from msgspec import Struct, field
 
 from mavnav.logs.formats import detect
 from mavnav.logs.merging import Mounted, merged_scans
@@ -33,8 +33,7 @@ _MOST_WAITING: Final = 64
 _WAITING_BYTES: Final = 64 << 20
 
 
-@dataclass(frozen=True)
-class Log:
+class Log(Struct, frozen=True, eq=False):
     """One scan topic of a log.
 
     ``sensor`` and ``frame_id`` are those of the first usable scan, as recorded; the beams of a laser that is mounted
@@ -70,11 +69,11 @@ class Log:
     damage: tuple[Damage, ...]
     warnings: tuple[str, ...]
     strict: bool
-    _order: NDArray[np.int64] = field(repr=False, compare=False)
-    _stamps_ns: NDArray[np.int64] = field(repr=False, compare=False)
-    _ranges: list[tuple[LaserSpec, NDArray[np.float64]]] | None = field(default=None, repr=False, compare=False)
-    _merged: tuple[Log, ...] = field(default=(), repr=False, compare=False)
-    _kept: list[Scan] = field(default_factory=list, repr=False, compare=False)
+    _order: NDArray[np.int64]
+    _stamps_ns: NDArray[np.int64]
+    _ranges: list[tuple[LaserSpec, NDArray[np.float64]]] | None = None
+    _merged: tuple[Log, ...] = ()
+    _kept: list[Scan] = field(default_factory=list)
 
     @property
     def duration_s(self) -> float:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from math import copysign, hypot, inf, isfinite, tau
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.scan import LaserSpec, Scan, nearest_returns, on_bearings
 from mavnav.units import NS
@@ -27,8 +28,7 @@ SAME_PLACE_M, SAME_TIME_S = 1e-4, 1e-6
 """Lasers no farther from the base keep their bearings; beams whose times are no farther from a steady sweep are one."""
 
 
-@dataclass(frozen=True, slots=True)
-class Mounted:
+class Mounted(Struct, frozen=True):
     """A laser, its pose on the base, and the stamps (n,) of its scans, ns."""
 
     spec: LaserSpec

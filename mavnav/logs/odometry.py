@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from msgspec import Struct, field
 
 from mavnav.errors import TopicError
 from mavnav.logs.messages.definitions import POSE, TRANSFORM
@@ -26,8 +26,7 @@ _ODOM_FRAME = "odom"
 _JUMP_M, _FASTEST_M_S = 100.0, 100.0
 
 
-@dataclass
-class PoseTrack:
+class PoseTrack(Struct):
     """Poses of a body, frame ``base_frame``, in a fixed frame, as they came: 40 bytes each, with both stamps."""
 
     topic: str
@@ -52,7 +51,6 @@ class PoseTrack:
         return Trajectory(stamps[keep], poses[keep])
 
 
-@dataclass
 class OdometryTrack(PoseTrack):
     """Poses of the base in the odometry frame, of odometry messages or of transforms."""
 

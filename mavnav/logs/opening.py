@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Literal
+
+from msgspec.structs import replace
 
 from mavnav.errors import NoScansError, TopicError
 from mavnav.logs.attitude import AttitudeTracks

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from operator import ne
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from mavnav.logs.messages.definitions import CLOUD, FOXGLOVE_SCAN, IMU, MULTI_ECHO, ODOMETRY, SCAN, TF, TF_ROS1
 from mavnav.logs.records import Damage

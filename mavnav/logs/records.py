@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 if TYPE_CHECKING:
     from mavnav.pose import Rotation, Trajectory
 
 
-@dataclass(frozen=True, slots=True)
-class Schema:
+class Schema(Struct, frozen=True):
     """The definition of a message type as stored: a text or a descriptor, by the name that the log gives it."""
 
     name: str = ""
@@ -20,8 +20,7 @@ class Schema:
     data: bytes = b""
 
 
-@dataclass(frozen=True, slots=True)
-class Channel:
+class Channel(Struct, frozen=True):
     """A stream of messages of one type on one topic.
 
     ``type`` is spelt as in ROS 2 (``sensor_msgs/msg/LaserScan``), also where the log is of ROS 1; empty where it is
@@ -46,8 +45,7 @@ class RawMessage(NamedTuple):
     suspect: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Topic:
+class Topic(Struct, frozen=True):
     """A topic as a log lists it, with the number of messages read."""
 
     name: str
@@ -56,24 +54,21 @@ class Topic:
     count: int
 
 
-@dataclass(frozen=True, slots=True)
-class Damage:
+class Damage(Struct, frozen=True):
     """Something of the input that could not be read, or is suspect, and where."""
 
     what: str
     where: str
 
 
-@dataclass(frozen=True, slots=True)
-class Gap:
+class Gap(Struct, frozen=True):
     """A pause between two usable scans, much longer than the usual period."""
 
     start_ns: int
     duration_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class ScanCounts:
+class ScanCounts(Struct, frozen=True):
     """What became of the scan messages: ``total`` is ``usable`` and all the skipped.
 
     ``suspect`` of the usable ones come from where a checksum does not match, or could not be checked.
@@ -85,8 +80,7 @@ class ScanCounts:
     suspect: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Odometry:
+class Odometry(Struct, frozen=True):
     """Odometry of a log: the base's and the laser's poses in the odometry frame, at the same stamps.
 
     Without a known mounting the laser is taken to sit on the base's origin.
@@ -98,8 +92,7 @@ class Odometry:
     odom_T_laser: Trajectory
 
 
-@dataclass(frozen=True, slots=True)
-class Imu:
+class Imu(Struct, frozen=True):
     """What an inertial sensor of a log measured of the laser's rotation."""
 
     topic: str
@@ -110,8 +103,7 @@ class Imu:
         return replace(self, rotation=replace(self.rotation, tilt_rad=np.zeros(len(self.rotation.tilt_rad))))
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedTruth:
+class RecordedTruth(Struct, frozen=True):
     """The ground truth of a log: the laser's poses in a fixed frame. ``body_frame`` is what was tracked, if stored."""
 
     topic: str

@@ -5,10 +5,11 @@ from __future__ import annotations
 from array import array
 from bisect import bisect_left
 from collections import Counter
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import Gap
@@ -81,8 +82,7 @@ def _longest_ascending(values: list[int]) -> list[int]:
     return chain[::-1]
 
 
-@dataclass(frozen=True)
-class Timeline:
+class Timeline(Struct, frozen=True):
     """The usable scans of a topic, in the order of use, by one source of stamps.
 
     ``order`` (m,) holds their numbers in the file, ``stamps_ns`` (m,) ascends strictly, ``cleaning`` (8,) counts their
@@ -98,8 +98,7 @@ class Timeline:
     first: tuple[LaserSpec, str] | None
 
 
-@dataclass
-class TopicScans:
+class TopicScans(Struct):
     """The scans of one topic: those that the filter admitted in the order of the file, and the number of all others.
 
     Some 50 bytes a scan. ``ranges`` are the admitted scans themselves, so that a short log is read once; None where

@@ -5,11 +5,13 @@ from __future__ import annotations
 import hashlib
 import os
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
 from functools import partial
 from math import isfinite
 from time import monotonic
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from mavnav.errors import MavnavError, NoScansError, UsageError
 from mavnav.logs.attitude import AttitudeTracks
@@ -44,8 +46,7 @@ _MOST_EXTENTS = 10_000
 _ZEROS = memoryview(bytes(1 << 16))
 
 
-@dataclass(frozen=True)
-class Survey:
+class Survey(Struct, frozen=True):
     """What one pass over a log found, whether or not it can be used.
 
     ``scans`` holds the scan topics that have messages; a topic that was asked for alone.
@@ -68,8 +69,7 @@ class Survey:
     strict: bool
 
 
-@dataclass(slots=True)
-class _Kind:
+class _Kind(Struct):
     """What there is to know of a channel's messages; ``decode`` is None where there is no use for them.
 
     ``scan_topic`` is the topic whose scans they are, None where they are none.
@@ -80,8 +80,7 @@ class _Kind:
     count: int = 0
 
 
-@dataclass
-class _Pass:
+class _Pass(Struct):
     """The state of the pass."""
 
     topic: str | None

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
 from math import atan2, cos, radians
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from msgspec import Struct, field
 
 from mavnav.pose import Pose, yaw_of_quaternion
 
@@ -57,8 +57,7 @@ def planar_pose(message: TransformMessage) -> Pose | None:
     return Pose(x, y, yaw) if near and np.isfinite(yaw) and any(message.xyzw) else None
 
 
-@dataclass
-class FrameTree:
+class FrameTree(Struct):
     """Transforms met in a log: ``static`` ones (the last word counts), and those of /tf, noted if they ``changed``."""
 
     static: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)

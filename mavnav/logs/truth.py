@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct, field
 
 from mavnav.errors import TopicError
 from mavnav.logs.messages.definitions import ODOMETRY, POSE, TRANSFORM
@@ -28,8 +29,7 @@ NAMES: Final = re.compile(
 """Topic names that stand for ground truth; others may hold goals or estimates, and are never taken automatically."""
 
 
-@dataclass
-class TruthTracks:
+class TruthTracks(Struct):
     """The ground truth of a log by topic, as far as it is ``wanted``: ``auto``, a topic, or None for none at all."""
 
     wanted: str | None = None

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.kernels import cost_floors as kernels
 from mavnav.kernels.layout import LEVELS
@@ -19,8 +19,7 @@ MARGIN_M = 2.0
 """Distance by which bounds reach beyond the requested extent, so that the next search may be somewhat wider."""
 
 
-@dataclass(frozen=True, slots=True)
-class CostFloors:
+class CostFloors(Struct, frozen=True):
     """Bounds in the cells from ``corner`` (row, col) on, by level and as planes; see ``mavnav.kernels.cost_floors``.
 
     They hold within ``extent_m``, for the truncated distance ``truncate_m`` and positions ``step`` cells apart.

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from functools import partial
 from math import floor
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct, field
 
 from mavnav.kernels.layout import FAR, NEAR, REACH_CELLS
 from mavnav.kernels.linemap import insert_points, rebuild
@@ -33,8 +34,7 @@ NOWHERE = (1e9, 1e9, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 """The line of index 0, so far away that the cost of every point is truncated."""
 
 
-@dataclass(slots=True)
-class LineMap:
+class LineMap(Struct):
     """A growing map of local lines; see ``mavnav.kernels.linemap`` for the arrays.
 
     ``origin_cells`` is the lattice index (col, row) of cell [0, 0]; the map frame's origin is always a corner of cells.
@@ -54,10 +54,10 @@ class LineMap:
     lines: NDArray[np.float64] = field(default_factory=lambda: np.array([NOWHERE]))
     waiting: NDArray[np.float64] = field(default_factory=lambda: np.zeros((MOST_WAITING + 1, 8)))
 
-    geometry: NDArray[np.float64] = field(init=False)
+    geometry: NDArray[np.float64] = field(default_factory=partial(np.zeros, 6))
     """Origin x, origin y, cell, line sigma, line noise in m, the share of waiting points, shape (6,)."""
-    _floors: CostFloors | None = field(init=False, default=None)
-    _covered_m: Extent = field(init=False, default=NO_EXTENT)
+    _floors: CostFloors | None = None
+    _covered_m: Extent = NO_EXTENT
 
     def __post_init__(self) -> None:
         """Make the array of the geometry for the kernels."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from functools import partial
 from math import floor
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import force_setattr
 
 from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
@@ -43,8 +45,7 @@ OCCUPIED_SHARE: Final = 0.2
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 
 
-@dataclass(frozen=True, slots=True)
-class Grid:
+class Grid(Struct, frozen=True):
     """Hit counts on a square lattice.
 
     ``hits[row, col]`` counts laser end points, ``passes[row, col]`` beams that crossed the cell. Both are (rows, cols),
@@ -59,8 +60,8 @@ class Grid:
 
     def __post_init__(self) -> None:
         """Convert the counts as `counts` does."""
-        object.__setattr__(self, "hits", counts(self.hits))
-        object.__setattr__(self, "passes", counts(self.passes))
+        force_setattr(self, "hits", counts(self.hits))
+        force_setattr(self, "passes", counts(self.passes))
 
     @property
     def lattice(self) -> NDArray[np.float64]:
@@ -68,8 +69,7 @@ class Grid:
         return np.array([*self.origin_xy_m, self.cell_m])
 
 
-@dataclass(slots=True)
-class GridBuilder:
+class GridBuilder(Struct):
     """The counts of a `Grid` while it grows, in two bytes each: they saturate at 65535, ``shielded`` at 32767.
 
     ``passes`` are (rows, cols). ``shielded`` counts the crossings of a cell in scans with an end point near it; the
@@ -83,10 +83,10 @@ class GridBuilder:
     passes: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 0), np.uint16))
     shielded: NDArray[np.int16] = field(default_factory=lambda: blank_strips((0, 0), np.int16))
 
-    lattice: NDArray[np.float64] = field(init=False)
+    lattice: NDArray[np.float64] = field(default_factory=partial(np.zeros, 3))
     """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
 
-    _covered_m: Extent = field(init=False, default=NO_EXTENT)
+    _covered_m: Extent = NO_EXTENT
 
     def __post_init__(self) -> None:
         """Make the array of the lattice for the kernels."""

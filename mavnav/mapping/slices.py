@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.mapping.occupancy_grid import Grid
 from mavnav.pose import transform_points
@@ -34,8 +34,7 @@ class PlacedScan(NamedTuple):
     laser_xyz_m: NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Slice:
+class Slice(Struct, frozen=True):
     """The map between two heights above the floor, m."""
 
     middle_m: float
@@ -44,8 +43,7 @@ class Slice:
     grid: Grid
 
 
-@dataclass(frozen=True, slots=True)
-class Slices:
+class Slices(Struct, frozen=True):
     """The map by height: all ``layers``, the lowest first, and the path of the laser (n, 3), m, in the map frame."""
 
     layers: tuple[Slice, ...]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.mapping.occupancy_grid import OCCUPIED
 from mavnav.mapping.tiled_arrays import count, where
@@ -17,14 +17,13 @@ if TYPE_CHECKING:
     from mavnav.mapping.occupancy_grid import Grid
 
 
-@dataclass(frozen=True, slots=True)
-class Crispness:
+class Crispness(Struct, frozen=True):
     """Occupied cells per metre of wall and entropy of the cells; null where unknown."""
 
-    occupied_cells_per_m: Measured = field(
-        metadata=number("occupied cells per metre of wall", title="cells per m", better="lower")
-    )
-    entropy_bits: Measured = field(metadata=number("how undecided the cells are", title="entropy", better="lower"))
+    occupied_cells_per_m: Annotated[
+        Measured, number("occupied cells per metre of wall", title="cells per m", better="lower")
+    ]
+    entropy_bits: Annotated[Measured, number("how undecided the cells are", title="entropy", better="lower")]
 
 
 def crispness(grid: Grid, cells: NDArray[np.int8], wall_m: float, *, counted: bool) -> Crispness:

@@ -8,10 +8,10 @@ docs/metrics.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.kernels.scan_pairs import best_alignments, wall_gaps, wall_normals
 from mavnav.metrics.ghost_walls import GhostWall, GhostWalls, as_ghost_walls
@@ -64,8 +64,7 @@ that saw the other copy as well.
 REACH_M, ACROSS_M, TURN_RAD, ALONG_M = 0.15, 0.08, 12.0 * DEG, 0.06
 
 
-@dataclass(frozen=True, slots=True)
-class _Keys:
+class _Keys(Struct, frozen=True):
     """Key scans: stamps (n,), poses (n, 3), ranges and bearings of the walls' normals (n, beams), and the geometry."""
 
     stamps_ns: NDArray[np.int64]
@@ -81,8 +80,7 @@ class _Keys:
         return max(1, len(self.directions) // POINTS)
 
 
-@dataclass(frozen=True, slots=True)
-class _Doubled:
+class _Doubled(Struct, frozen=True):
     """Points of the front copy, (n,) each: ``xy_m`` (n, 2), direction of the wall, offset of the rear copy.
 
     ``pair`` is the number of the pair of scans, ``explained`` whether an alignment explains its conflict; ``front`` and
@@ -193,7 +191,7 @@ def _doubled(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> _Doubled:
         _points(keys, pairs, -unexplained * _gaps(keys, pairs, b_T_a), explained),
         _points(keys, pairs[:, ::-1], -unexplained * _gaps(keys, pairs[:, ::-1], _inverse(b_T_a)), explained),
     )
-    names = _Doubled.__slots__
+    names = _Doubled.__struct_fields__
     return _Doubled(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 

@@ -1,22 +1,19 @@
-"""Descriptions of the numbers of run.json: text, unit and direction of improvement, as metadata of the fields.
+"""Descriptions of the numbers of run.json: text, unit and direction of improvement, as annotations of the fields.
 
-The metadata are keyword arguments of ``pydantic.Field``, from which pydantic makes the JSON Schema of run.json.
+msgspec makes the JSON Schema of run.json from them.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
+from msgspec import Meta
 
-class _Nullable:
-    """Mark of numbers that may be NaN, which JSON does not have: null is written."""
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:  # noqa: ANN401  pydantic's types
-        return {"type": "nullable", "schema": handler(source)}
-
-
-Measured = Annotated[float, _Nullable()]
-"""A number that may be unknown: NaN in a record, null in JSON."""
+if TYPE_CHECKING:
+    Measured = float
+else:
+    Measured = float | None
+"""A number that may be unknown: NaN in a record, null in JSON, which has no NaN."""
 
 ABSENT: Final[Any] = object()
 """The value of a field whose key is left out of JSON."""
@@ -29,16 +26,16 @@ def absent() -> Any:  # noqa: ANN401  the default of a field of any type
 
 def number(
     description: str, *, title: str = "", unit: str = "", better: Literal["lower", "higher"] | None = None
-) -> dict[str, Any]:
-    """Return the metadata of a field that is a number, or a record of numbers of one kind.
+) -> Meta:
+    """Return the description of a field that is a number, or a record of numbers of one kind.
 
     ``title`` and ``unit`` are given only if they do not follow from the name of the field (``p95_mm``: p95, mm).
     ``better`` is the direction of improvement, if there is one.
     """
-    extra = {key: value for key, value in (("unit", unit), ("better", better)) if value}
-    return {"description": description, **({"title": title} if title else {}), "json_schema_extra": extra}
+    extra = {key: value for key, value in (("title", title), ("unit", unit), ("better", better)) if value}
+    return Meta(description=description, extra_json_schema=extra)
 
 
-def text(description: str) -> dict[str, Any]:
-    """Return the metadata of a field that is no number."""
-    return {"description": description}
+def text(description: str) -> Meta:
+    """Return the description of a field that is no number."""
+    return Meta(description=description)

@@ -10,8 +10,9 @@ from __future__ import annotations
 import difflib
 import operator
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
 
 from mavnav.errors import UsageError
 
@@ -39,8 +40,7 @@ _EXAMPLE: Final = "write for example --gate 'wall_thickness.p95_cells<=7'"
 Number = bool | int | float
 
 
-@dataclass(frozen=True, slots=True)
-class Gate:
+class Gate(Struct, frozen=True):
     """A bound: the value of ``name`` compared with ``bound`` must hold; ``text`` is the gate as given."""
 
     text: str
@@ -49,8 +49,7 @@ class Gate:
     bound: Number
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(Struct, frozen=True):
     """Result of a gate: the value (None: null) and why it failed, empty if it passed."""
 
     gate: Gate

@@ -7,10 +7,10 @@ between them; the walls of a corridor face each other. Definition and validation
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.kernels.profiles import wall_profiles
 from mavnav.metrics.fields import Measured, number
@@ -52,39 +52,34 @@ OUTSIDE_CELLS: Final = (2.0, 5.0)
 REACH_M, ACROSS_CELLS, TURN_RAD = 0.15, 3.0, 12.0 * DEG
 
 
-@dataclass(frozen=True, slots=True)
-class GhostWall:
+class GhostWall(Struct, frozen=True):
     """A wall that is mapped twice, in the map frame."""
 
-    x_m: float = field(metadata=number("middle of the front ridge"))
-    y_m: float = field(metadata=number("middle of the front ridge"))
-    direction_deg: float = field(metadata=number("direction of the front ridge, 0 to 180 from x"))
-    length_m: float = field(metadata=number("length of the front ridge"))
-    offset_mm: float = field(metadata=number("distance from the front ridge to the rear one"))
-    scan_pairs: int | None = field(default=None, metadata=number("pairs of scans that show it; null without scans"))
-    front_s: float | None = field(
-        default=None, metadata=number("when the front copy was drawn, from the first scan; null without scans")
-    )
-    rear_s: float | None = field(
-        default=None, metadata=number("when the rear copy was drawn, from the first scan; null without scans")
+    x_m: Annotated[float, number("middle of the front ridge")]
+    y_m: Annotated[float, number("middle of the front ridge")]
+    direction_deg: Annotated[float, number("direction of the front ridge, 0 to 180 from x")]
+    length_m: Annotated[float, number("length of the front ridge")]
+    offset_mm: Annotated[float, number("distance from the front ridge to the rear one")]
+    scan_pairs: Annotated[int | None, number("pairs of scans that show it; null without scans")] = None
+    front_s: Annotated[
+        float | None, number("when the front copy was drawn, from the first scan; null without scans")
+    ] = None
+    rear_s: Annotated[float | None, number("when the rear copy was drawn, from the first scan; null without scans")] = (
+        None
     )
 
 
-@dataclass(frozen=True, slots=True)
-class GhostWalls:
+class GhostWalls(Struct, frozen=True):
     """Walls that are mapped twice, the longest first."""
 
-    count: int = field(metadata=number("walls that are mapped twice"))
-    length_m: float = field(
-        metadata=number("length of walls that stand on the map twice", title="ghosts", better="lower")
-    )
-    worst_offset_mm: Measured = field(metadata=number("largest distance between the two; null without one"))
-    worst_offset_cells: Measured = field(metadata=number("largest distance between the two; null without one"))
+    count: Annotated[int, number("walls that are mapped twice")]
+    length_m: Annotated[float, number("length of walls that stand on the map twice", title="ghosts", better="lower")]
+    worst_offset_mm: Annotated[Measured, number("largest distance between the two; null without one")]
+    worst_offset_cells: Annotated[Measured, number("largest distance between the two; null without one")]
     places: tuple[GhostWall, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class _Twins:
+class _Twins(Struct, frozen=True):
     """Stations with two ridges: (col, row) of the front ridge (n, 2), direction, and offset of the rear one, cells."""
 
     xy_cells: NDArray[np.float64]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -20,8 +20,7 @@ FAR_SHORT_M, FAR_LONG_M, SHORT_SENSOR_M = 4.0, 8.0, 6.0
 """Maximum range of points: the first for sensors that reach no farther than the third, else the second."""
 
 
-@dataclass(frozen=True, slots=True)
-class Journey:
+class Journey(Struct, frozen=True):
     """The run from which a map was made.
 
     ``map_T_laser`` are the poses of the tracked scans, ``scans`` reads all scans again, ``mapped_share`` is the share
@@ -35,8 +34,7 @@ class Journey:
     planar: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class PlacedScans:
+class PlacedScans(Struct, frozen=True):
     """Scans of one geometry: stamps (n,), poses (n, 3) in the map frame (m, m, rad), ranges (n, beams) in m or NaN."""
 
     spec: LaserSpec

@@ -6,10 +6,10 @@ the maps are no change, nor are walls that are displaced a little by an error of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, known_part, occupancy
 from mavnav.pose import Pose, transform_points
@@ -42,8 +42,7 @@ MOVED_M, ALIKE = 1.5, 2.0
 Kind = Literal["gone", "new"]
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
+class Change(Struct, frozen=True):
     """A connected part of walls that is gone or new: its centre in the frame of the first map, m.
 
     ``m2`` is the area of its cells, ``length_m`` the diagonal of its bounding box. ``moved_with`` is the number of the
@@ -58,8 +57,7 @@ class Change:
     moved_with: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
+class Difference(Struct, frozen=True):
     """The changes, the largest first, the centres of their cells (n, 2) in the first map's frame, m, and totals.
 
     ``compared_m2`` is the area that both maps know. ``same_share`` is the share of the second map's walls that the

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
+from msgspec import Struct, field
 
 from mavnav.metrics.fields import Measured, number
 from mavnav.units import MM
@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 COVERED_M: Final = 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class TrueMap:
+class TrueMap(Struct, frozen=True):
     """The true walls in the map frame.
 
     ``distance_m`` returns the distance of points (n, 2) to the nearest wall, (n,) in m. ``xy_m`` (m, 2) are points
@@ -34,19 +33,18 @@ class TrueMap:
     arcs_map: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 5)))
 
 
-@dataclass(frozen=True, slots=True)
-class MapDistance:
+class MapDistance(Struct, frozen=True):
     """Distances of the occupied cells to the nearest true wall; null without any."""
 
     alignment: str
-    cells: int = field(metadata=number("occupied cells"))
-    mean_mm: Measured = field(
-        metadata=number("how far the walls lie from the true ones", title="off the map", better="lower")
-    )
-    median_mm: Measured = field(metadata=number("half of the occupied cells are not farther from a true wall"))
-    p95_mm: Measured = field(metadata=number("95 % of the occupied cells are not farther from a true wall"))
-    max_mm: Measured = field(metadata=number("distance of the farthest occupied cell from a true wall"))
-    covered_share: Measured = field(metadata=number("part of the true walls that has an occupied cell within 0.1 m"))
+    cells: Annotated[int, number("occupied cells")]
+    mean_mm: Annotated[
+        Measured, number("how far the walls lie from the true ones", title="off the map", better="lower")
+    ]
+    median_mm: Annotated[Measured, number("half of the occupied cells are not farther from a true wall")]
+    p95_mm: Annotated[Measured, number("95 % of the occupied cells are not farther from a true wall")]
+    max_mm: Annotated[Measured, number("distance of the farthest occupied cell from a true wall")]
+    covered_share: Annotated[Measured, number("part of the true walls that has an occupied cell within 0.1 m")]
 
 
 def map_distance(occupied_xy_m: NDArray[np.float64], truth: TrueMap) -> MapDistance:

@@ -5,11 +5,11 @@ A profile never changes: another definition or threshold is another profile. Def
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from math import ceil, sqrt
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.mapping.occupancy_grid import UNKNOWN, occupancy, occupied_cells
 from mavnav.mapping.tiled_arrays import pooled
@@ -41,28 +41,26 @@ LARGEST_CELLS: Final = 16_000_000
 """
 
 
-@dataclass(frozen=True, slots=True)
-class MapQuality:
+class MapQuality(Struct, frozen=True):
     """Quality of a map; a number that cannot be known is null.
 
     Numbers of a map that is not ``meaningful`` must not be compared; ``why`` lists what is missing.
     """
 
     profile: str
-    meaningful: bool = field(metadata=number("whether the numbers may be compared", better="higher"))
+    meaningful: Annotated[bool, number("whether the numbers may be compared", better="higher")]
     why: tuple[str, ...]
     ghost_walls: GhostWalls
     crispness: Crispness
     revisits: Revisits | None
     support: Support
-    occupied_share: Measured = field(metadata=number("part of the known cells that is occupied"))
-    corners: int = field(metadata=number("places where walls change their direction"))
+    occupied_share: Annotated[Measured, number("part of the known cells that is occupied")]
+    corners: Annotated[int, number("places where walls change their direction")]
     enclosed_areas: EnclosedAreas
     walls: tuple[Wall, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class MeasuredMap:
+class MeasuredMap(Struct, frozen=True):
     """The measurements of a map.
 
     ``sections`` are the cuts through its walls at each hit threshold, ``published`` those through the walls of the

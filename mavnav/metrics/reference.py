@@ -1,6 +1,8 @@
 """The comparison of a run with references: the section ``reference`` of run.json."""
 
-from dataclasses import dataclass, field
+from typing import Annotated
+
+from msgspec import Struct, field
 
 from mavnav.metrics.fields import Measured, absent, number
 from mavnav.metrics.map_distance import MapDistance
@@ -8,27 +10,26 @@ from mavnav.metrics.relations import RelationErrors
 from mavnav.metrics.trajectory_error import RelativeError
 
 
-@dataclass(frozen=True, slots=True)
-class AlignedError:
+class AlignedError(Struct, frozen=True):
     """Absolute trajectory error against the truth (Sturm et al. 2012), after the best rigid motion."""
 
     alignment: str
-    poses: int = field(metadata=number("poses that have a truth"))
-    rmse_m: Measured = field(
-        metadata=number(
+    poses: Annotated[int, number("poses that have a truth")]
+    rmse_m: Annotated[
+        Measured,
+        number(
             "absolute trajectory error against the truth, root mean square, after alignment",
             title="ATE",
             better="lower",
-        )
-    )
-    median_m: Measured = field(metadata=number("median of the errors, after alignment"))
-    max_m: Measured = field(metadata=number("largest of the errors, after alignment"))
-    share: float = field(metadata=number("part of the poses that have a truth"))
-    unaligned_rmse_m: Measured = field(metadata=number("root mean square of the errors, without alignment"))
+        ),
+    ]
+    median_m: Annotated[Measured, number("median of the errors, after alignment")]
+    max_m: Annotated[Measured, number("largest of the errors, after alignment")]
+    share: Annotated[float, number("part of the poses that have a truth")]
+    unaligned_rmse_m: Annotated[Measured, number("root mean square of the errors, without alignment")]
 
 
-@dataclass(frozen=True, slots=True)
-class Reference:
+class Reference(Struct, frozen=True):
     """Errors against references besides the log; a key for each reference that was given.
 
     ``ate`` and ``rpe`` are null if too few poses have a truth.

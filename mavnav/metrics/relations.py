@@ -6,10 +6,10 @@ no common frame, and drift only affects relations that span it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.trajectory_error import between
@@ -27,25 +27,23 @@ LOOP_NS: Final = 20_000_000_000
 """Time above which a relation is a loop; the others are sequential."""
 
 
-@dataclass(frozen=True, slots=True)
-class Relations:
+class Relations(Struct, frozen=True):
     """``stamps_ns`` (n, 2): two times; ``xyyaw`` (n, 3): the second pose in the frame of the first, m, m, rad."""
 
     stamps_ns: NDArray[np.int64]
     xyyaw: NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class RelationErrors:
+class RelationErrors(Struct, frozen=True):
     """Errors over the relations that have poses at both times; null without one."""
 
-    relations: int = field(metadata=number("relations given"))
-    scored: int = field(metadata=number("relations with poses at both times"))
-    share: Measured = field(metadata=number("part of the relations that is scored; a short trajectory misses some"))
-    translation_mean_m: Measured = field(metadata=number("mean error of the translation"))
-    translation_std_m: Measured = field(metadata=number("standard deviation of the translation's error"))
-    rotation_mean_deg: Measured = field(metadata=number("mean error of the rotation"))
-    rotation_std_deg: Measured = field(metadata=number("standard deviation of the rotation's error"))
+    relations: Annotated[int, number("relations given")]
+    scored: Annotated[int, number("relations with poses at both times")]
+    share: Annotated[Measured, number("part of the relations that is scored; a short trajectory misses some")]
+    translation_mean_m: Annotated[Measured, number("mean error of the translation")]
+    translation_std_m: Annotated[Measured, number("standard deviation of the translation's error")]
+    rotation_mean_deg: Annotated[Measured, number("mean error of the rotation")]
+    rotation_std_deg: Annotated[Measured, number("standard deviation of the rotation's error")]
 
 
 def relation_errors(relations: Relations, trajectory: Trajectory) -> dict[str, RelationErrors]:

@@ -5,10 +5,10 @@ No truth is needed. Neighbours in time show how well scans are matched, returns 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.kernels.overlap import scan_distances
 from mavnav.metrics.fields import Measured, number
@@ -38,8 +38,7 @@ _BLOCK: Final = 50_000
 _GOLDEN: Final = 0.6180339887498949
 
 
-@dataclass(frozen=True, slots=True)
-class Revisits:
+class Revisits(Struct, frozen=True):
     """Mean distances of scans that see the same walls; null without a pair.
 
     Neighbours are scans 0.3 to 3 s apart: distance of a point to the nearest one of the other scan, if that is within
@@ -47,20 +46,20 @@ class Revisits:
     points that the other scan could see, 150 mm at most.
     """
 
-    nn_s_mm: Measured = field(metadata=number("how far scans lie from their neighbours in time", title="neighbours"))
-    nn_l_mm: Measured = field(
-        metadata=number(
+    nn_s_mm: Annotated[Measured, number("how far scans lie from their neighbours in time", title="neighbours")]
+    nn_l_mm: Annotated[
+        Measured,
+        number(
             "how far scans of a place lie from scans of the same place at another time",
             title="revisits",
             better="lower",
-        )
-    )
-    pairs: int = field(metadata=number("pairs of scans at revisits"))
-    visible_share: Measured = field(metadata=number("part of the points of revisits that the other scan could see"))
+        ),
+    ]
+    pairs: Annotated[int, number("pairs of scans at revisits")]
+    visible_share: Annotated[Measured, number("part of the points of revisits that the other scan could see")]
 
 
-@dataclass(frozen=True, slots=True)
-class Pairs:
+class Pairs(Struct, frozen=True):
     """Rows of the trajectory whose scans are compared, (n, 2) each: neighbours in time, and revisits of a place."""
 
     short: NDArray[np.intp]

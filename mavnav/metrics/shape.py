@@ -6,10 +6,10 @@ occupied cells, corners and enclosed areas is better, because a wall that is dra
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.kernels.regions import region_sizes
 from mavnav.kernels.smoothing import smoothed
@@ -33,12 +33,11 @@ SLOPE_CELLS: Final = 1.5
 LEAST_AREA_M2: Final = 0.01
 
 
-@dataclass(frozen=True, slots=True)
-class EnclosedAreas:
+class EnclosedAreas(Struct, frozen=True):
     """Areas that are not occupied, but enclosed by occupied cells (8-connected)."""
 
-    count: int = field(metadata=number("enclosed areas"))
-    area_m2: float = field(metadata=number("sum of the enclosed areas"))
+    count: Annotated[int, number("enclosed areas")]
+    area_m2: Annotated[float, number("sum of the enclosed areas")]
 
 
 def occupied_share(cells: NDArray[np.int8]) -> float:

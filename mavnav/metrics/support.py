@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.kernels.hits import show_ends
 from mavnav.mapping.occupancy_grid import OCCUPIED
@@ -31,16 +31,15 @@ SAMPLE_SCANS: Final = 200
 """Number of scans, evenly spread over the run, whose end points are compared with the map."""
 
 
-@dataclass(frozen=True, slots=True)
-class Support:
+class Support(Struct, frozen=True):
     """Amount of map, and share of the log in it; null if the scans of the map are unknown."""
 
-    wall_m: float = field(metadata=number("length of straight wall"))
-    sections: int = field(metadata=number("cuts through straight walls"))
-    mapped_share: Measured = field(metadata=number("part of the usable scans that is in the map"))
-    explained_share: Measured = field(
-        metadata=number("part of the end points of tracked scans that lies within a cell of an occupied one")
-    )
+    wall_m: Annotated[float, number("length of straight wall")]
+    sections: Annotated[int, number("cuts through straight walls")]
+    mapped_share: Annotated[Measured, number("part of the usable scans that is in the map")]
+    explained_share: Annotated[
+        Measured, number("part of the end points of tracked scans that lies within a cell of an occupied one")
+    ]
 
 
 def map_support(

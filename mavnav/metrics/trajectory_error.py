@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.metrics.fields import Measured, number
 from mavnav.pose import Pose, transform_points
@@ -23,8 +23,7 @@ DELTA_M: Final = 1.0
 """Length of the stretches of the estimated path for relative errors."""
 
 
-@dataclass(frozen=True, slots=True)
-class AbsoluteError:
+class AbsoluteError(Struct, frozen=True):
     """Absolute trajectory error (Sturm et al. 2012) over ``poses`` positions, in metres; NaN without poses."""
 
     poses: int
@@ -33,20 +32,19 @@ class AbsoluteError:
     max_m: float
 
 
-@dataclass(frozen=True, slots=True)
-class RelativeError:
+class RelativeError(Struct, frozen=True):
     """Relative pose error (Sturm et al. 2012) over stretches of the estimated path; null without a stretch.
 
     Translation and rotation are null as well if the truth has no headings.
     """
 
-    pairs: int = field(metadata=number("stretches of the path that were compared"))
-    delta_m: float = field(metadata=number("length of a stretch"))
-    translation_rmse_m: Measured = field(metadata=number("root mean square error of the motion over a stretch"))
-    rotation_rmse_deg: Measured = field(metadata=number("root mean square error of the turn over a stretch"))
-    distance_rmse_m: Measured = field(
-        metadata=number("root mean square error of the distance between the ends of a stretch; it needs no headings")
-    )
+    pairs: Annotated[int, number("stretches of the path that were compared")]
+    delta_m: Annotated[float, number("length of a stretch")]
+    translation_rmse_m: Annotated[Measured, number("root mean square error of the motion over a stretch")]
+    rotation_rmse_deg: Annotated[Measured, number("root mean square error of the turn over a stretch")]
+    distance_rmse_m: Annotated[
+        Measured, number("root mean square error of the distance between the ends of a stretch; it needs no headings")
+    ]
 
 
 def align(from_xy_m: NDArray[np.float64], to_xy_m: NDArray[np.float64]) -> Pose:

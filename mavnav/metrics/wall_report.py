@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
-from mavnav.metrics.fields import Measured, absent, number
+from msgspec import Struct, field
+
+from mavnav.metrics.fields import Measured, absent, number, text
 from mavnav.metrics.wall_spread import WallCuts, WallSpread, wall_spread
 from mavnav.metrics.wall_thickness import Sections, WallThickness, summary
 
@@ -16,20 +17,18 @@ PAPER_MIN_HITS: Final = 2
 """Hit threshold of the paper's count: the paper names none, and this one leaves out single stray hits."""
 
 
-@dataclass(frozen=True, slots=True)
-class PaperCells:
+class PaperCells(Struct, frozen=True):
     """The paper's count: cells from the first to the last occupied cell across a wall, of at least ``min_hits``."""
 
-    min_hits: int = field(metadata=number("a cell is occupied from so many hits on"))
-    median: Measured = field(metadata=number("half of the wall, by length, has no more cells", unit="cells"))
-    p95: Measured = field(metadata=number("95 % of the wall, by length, has no more cells", unit="cells"))
-    max: Measured = field(
-        metadata=number("cells of the thickest section of a wall", title="wall max", unit="cells", better="lower")
-    )
+    min_hits: Annotated[int, number("a cell is occupied from so many hits on")]
+    median: Annotated[Measured, number("half of the wall, by length, has no more cells", unit="cells")]
+    p95: Annotated[Measured, number("95 % of the wall, by length, has no more cells", unit="cells")]
+    max: Annotated[
+        Measured, number("cells of the thickest section of a wall", title="wall max", unit="cells", better="lower")
+    ]
 
 
-@dataclass(frozen=True, slots=True)
-class WallThicknessReport:
+class WallThicknessReport(Struct, frozen=True):
     """Wall thickness: the spread of hits across the walls, the paper's count of cells, and the published map's walls.
 
     The sections under a number use that hit threshold.
@@ -37,17 +36,11 @@ class WallThicknessReport:
 
     spread: WallSpread = field(default_factory=absent)
     paper_cells: PaperCells = field(default_factory=absent)
-    hits_1: WallThickness = field(
-        default_factory=absent, metadata={"alias": "1", "description": "cells of at least 1 hit"}
-    )
-    hits_2: WallThickness = field(
-        default_factory=absent, metadata={"alias": "2", "description": "cells of at least 2 hits"}
-    )
-    hits_5: WallThickness = field(
-        default_factory=absent, metadata={"alias": "5", "description": "cells of at least 5 hits"}
-    )
-    published_map: WallThickness = field(
-        default_factory=absent, metadata={"description": "occupied cells of map.pgm, as of any tool's map file"}
+    hits_1: Annotated[WallThickness, text("cells of at least 1 hit")] = field(name="1", default_factory=absent)
+    hits_2: Annotated[WallThickness, text("cells of at least 2 hits")] = field(name="2", default_factory=absent)
+    hits_5: Annotated[WallThickness, text("cells of at least 5 hits")] = field(name="5", default_factory=absent)
+    published_map: Annotated[WallThickness, text("occupied cells of map.pgm, as of any tool's map file")] = field(
+        default_factory=absent
     )
 
 

@@ -6,10 +6,10 @@ summed along the wall, and the width that holds 95 % of them is measured. Defini
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.kernels.profiles import wall_profiles
 from mavnav.kernels.straight_beams import straight_beams
@@ -51,37 +51,37 @@ HELD: Final = (0.025, 0.975)
 AT_A_TIME: Final = 2000
 
 
-@dataclass(frozen=True, slots=True)
-class WallSpread:
+class WallSpread(Struct, frozen=True):
     """Summary of all measured walls, weighted by length of wall; NaN if none was measured.
 
     ``measured_share`` is the share, by length, of the walls that the scans saw which could be measured in the map.
     """
 
-    median_mm: Measured = field(
-        metadata=number(
+    median_mm: Annotated[
+        Measured,
+        number(
             "width that holds 95 % of the hits; half of the wall, by length, has no more",
             title="wall median",
             better="lower",
-        )
-    )
-    p95_mm: Measured = field(
-        metadata=number(
+        ),
+    ]
+    p95_mm: Annotated[
+        Measured,
+        number(
             "width that holds 95 % of the hits; 95 % of the wall, by length, has no more",
             title="wall p95",
             better="lower",
-        )
-    )
-    median_cells: Measured = field(metadata=number("the median in cells of the map"))
-    p95_cells: Measured = field(metadata=number("the p95 in cells of the map"))
-    length_m: float = field(metadata=number("length of the measured wall"))
-    measured_share: Measured = field(
-        metadata=number("part of the walls that the scans saw which could be measured on the map", better="higher")
-    )
+        ),
+    ]
+    median_cells: Annotated[Measured, number("the median in cells of the map")]
+    p95_cells: Annotated[Measured, number("the p95 in cells of the map")]
+    length_m: Annotated[float, number("length of the measured wall")]
+    measured_share: Annotated[
+        Measured, number("part of the walls that the scans saw which could be measured on the map", better="higher")
+    ]
 
 
-@dataclass(frozen=True, slots=True)
-class WallCuts:
+class WallCuts(Struct, frozen=True):
     """Cuts across the walls that the scans saw, (n,) each.
 
     ``xy_m`` (n, 2) is the middle of the wall in the map frame, ``direction_rad`` its direction. ``width_m`` is the

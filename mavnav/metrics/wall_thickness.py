@@ -6,10 +6,10 @@ nor a way to measure. The definition here, and its validation, are in docs/metri
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.kernels.thickness import column_runs, run_moments
 from mavnav.mapping.occupancy_grid import counts
@@ -30,8 +30,7 @@ THRESHOLDS: Final = (1, 2, 5)
 """Hit thresholds at which wall thickness is reported, because it depends much on them."""
 
 
-@dataclass(frozen=True, slots=True)
-class Sections:
+class Sections(Struct, frozen=True):
     """Cuts through straight walls, (n,) each, along the grid axis nearest to the wall's normal.
 
     ``row`` and ``col`` are the middle of the cut in cells (halves occur), ``thickness_cells`` its depth along the
@@ -49,21 +48,18 @@ class Sections:
     share: float
 
 
-@dataclass(frozen=True, slots=True)
-class WallThickness:
+class WallThickness(Struct, frozen=True):
     """Summary of the sections at one hit threshold; quantiles are weighted by length of wall, null without sections."""
 
-    max_cells: Measured = field(metadata=number("the thickest section of a wall"))
-    p95_cells: Measured = field(metadata=number("95 % of the wall, by length, is not thicker"))
-    median_cells: Measured = field(metadata=number("half of the wall, by length, is not thicker"))
-    max_mm: Measured = field(metadata=number("the thickest section of a wall", title="wall max", better="lower"))
-    p95_mm: Measured = field(
-        metadata=number("95 % of the wall, by length, is not thicker", title="wall p95", better="lower")
-    )
-    median_mm: Measured = field(metadata=number("half of the wall, by length, is not thicker"))
-    sections: int = field(metadata=number("cuts through straight walls"))
-    length_m: float = field(metadata=number("length of the measured wall"))
-    share: float = field(metadata=number("part of the occupied cells that was measured; with few the rest says little"))
+    max_cells: Annotated[Measured, number("the thickest section of a wall")]
+    p95_cells: Annotated[Measured, number("95 % of the wall, by length, is not thicker")]
+    median_cells: Annotated[Measured, number("half of the wall, by length, is not thicker")]
+    max_mm: Annotated[Measured, number("the thickest section of a wall", title="wall max", better="lower")]
+    p95_mm: Annotated[Measured, number("95 % of the wall, by length, is not thicker", title="wall p95", better="lower")]
+    median_mm: Annotated[Measured, number("half of the wall, by length, is not thicker")]
+    sections: Annotated[int, number("cuts through straight walls")]
+    length_m: Annotated[float, number("length of the measured wall")]
+    share: Annotated[float, number("part of the occupied cells that was measured; with few the rest says little")]
 
 
 def wall_thickness(hits: NDArray[Any], cell_m: float, min_hits: int) -> WallThickness:

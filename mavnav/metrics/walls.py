@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.metrics.fields import number
 from mavnav.metrics.lines import Line, fit_line, linked
@@ -25,16 +25,15 @@ STRAIGHT_CELLS: Final = 2.0
 """Largest spread of the sections of a straight wall about its line; a group with more is halved."""
 
 
-@dataclass(frozen=True, slots=True)
-class Wall:
+class Wall(Struct, frozen=True):
     """A straight wall, in the map frame."""
 
-    x_m: float = field(metadata=number("middle of the wall"))
-    y_m: float = field(metadata=number("middle of the wall"))
-    direction_deg: float = field(metadata=number("direction of the wall, 0 to 180 from x"))
-    length_m: float = field(metadata=number("length of the wall"))
-    p95_cells: float = field(metadata=number("95 % of the wall, by length, is not thicker"))
-    p95_mm: float = field(metadata=number("95 % of the wall, by length, is not thicker"))
+    x_m: Annotated[float, number("middle of the wall")]
+    y_m: Annotated[float, number("middle of the wall")]
+    direction_deg: Annotated[float, number("direction of the wall, 0 to 180 from x")]
+    length_m: Annotated[float, number("length of the wall")]
+    p95_cells: Annotated[float, number("95 % of the wall, by length, is not thicker")]
+    p95_mm: Annotated[float, number("95 % of the wall, by length, is not thicker")]
 
 
 def straight_walls(sections: Sections, cell_m: float, origin_xy_m: tuple[float, float]) -> tuple[Wall, ...]:

@@ -6,7 +6,6 @@ Lengths without a unit are pixels, y downwards; ``_pt`` are points of 1/72 inch 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from math import ceil, floor
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from zlib import compress, crc32
 
 import numpy as np
+from msgspec import Struct
 from PIL import Image, ImageDraw, ImageFont
 
 from mavnav.outputs.viewport import DPI, INK
@@ -58,8 +58,7 @@ def font(size_pt: float, *, bold: bool = False) -> Any:  # noqa: ANN401
     return ImageFont.truetype(str(file), round(size_pt * POINT), layout_engine=ImageFont.Layout.BASIC)
 
 
-@dataclass(frozen=True, slots=True)
-class Canvas:
+class Canvas(Struct, frozen=True):
     """A white picture to draw on.
 
     ``draw`` is Pillow's drawing on it, without smoothing: for horizontal and vertical lines, and areas.

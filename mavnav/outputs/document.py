@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import platform
 import sys
-from dataclasses import asdict, fields, is_dataclass
 from importlib.metadata import version
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import asdict, astuple
 
 from mavnav import __version__
 from mavnav.config.models import Config
@@ -93,8 +94,8 @@ def plain(value: Any) -> Any:  # noqa: ANN401  any JSON value
     """Bring records, numpy's numbers and numbers that JSON lacks to plain ones; what is absent is left out."""
     if isinstance(value, Config):
         return value.document()
-    if is_dataclass(value):
-        return plain({f.metadata.get("alias", f.name): getattr(value, f.name) for f in fields(value)})
+    if isinstance(value, Struct):
+        return plain(dict(zip(value.__struct_encode_fields__, astuple(value), strict=True)))
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items() if v is not ABSENT}
     if isinstance(value, list | tuple):

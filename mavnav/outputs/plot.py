@@ -5,11 +5,11 @@ Lengths without a unit are pixels, y downwards; values on the axes are in the un
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import ceil, floor, log10
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.outputs.canvas import POINT, SMOOTH, Canvas, font, on_mask
 from mavnav.outputs.viewport import MUTED
@@ -29,8 +29,7 @@ MARK_HALF: Final = 20
 """A mark lies in a square of twice this side; lines are narrower."""
 
 
-@dataclass(frozen=True, slots=True)
-class Axes:
+class Axes(Struct, frozen=True):
     """A box of a canvas that shows values: ``limits`` are the least and largest x, the least and largest y.
 
     ``per_unit`` are the pixels of a unit of x and of y.
@@ -139,8 +138,7 @@ def colour_bar(axes: Axes, colours: NDArray[np.uint8], ticks: Ticks, name: str, 
     canvas.text((right + 66, top + (bottom - top) * 0.5), name, 9.0, upright=True)
 
 
-@dataclass(frozen=True, slots=True)
-class Mark:
+class Mark(Struct, frozen=True):
     """A sign at points, and in the legend: colour, name, and how it is drawn on a mask at a pixel (x, y) of it."""
 
     colour: str
@@ -148,8 +146,7 @@ class Mark:
     draw: Callable[[Any, float, float], object]
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
+class Line(Struct, frozen=True):
     """A style of lines: colour, name in the legend, and how a line is drawn on a mask."""
 
     colour: str

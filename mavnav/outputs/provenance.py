@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import platform
 import shlex
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from msgspec import Struct, field
 
 from mavnav.outputs.addresses import public_word
 from mavnav.outputs.run_json import Host, Provenance
@@ -28,8 +29,7 @@ def _folder() -> str | None:
         return None
 
 
-@dataclass(frozen=True, slots=True)
-class Typed:
+class Typed(Struct, frozen=True):
     """What the user typed: the command line in words, of it the configuration and the ``--set`` values, and where."""
 
     words: tuple[str, ...] = ()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
 
 from mavnav.errors import ExitCode, UsageError
 from mavnav.metrics.gates import find
@@ -18,8 +19,7 @@ LEAST_MAPPED_SHARE: Final = 0.5
 """Where a run does not say itself whether its map means anything, it does not with fewer of the scans on it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Quantity:
+class Quantity(Struct, frozen=True):
     """A number of run.json by its name there; title, description, unit and direction are those of the schema.
 
     It is written times ``factor`` with so many ``digits``, in ``shown_unit`` if that is another; what reads the same

@@ -8,11 +8,11 @@ left out: they have no place in the map. Configuration, run.json and the map's f
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import ceil, sqrt
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from mavnav.logs.messages import cdr, definitions
 from mavnav.logs.messages.markers import marker_array

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from msgspec import Struct, field
 
 from mavnav.errors import ExitCode
 from mavnav.mapping.occupancy_grid import known_part, occupancy
@@ -36,8 +37,7 @@ KEPT_CELLS: Final = 1 << 24
 """What is known of so many cells is kept from one writer to the next."""
 
 
-@dataclass(frozen=True, slots=True)
-class Timing:
+class Timing(Struct, frozen=True):
     """What the run took, in seconds: by the clock, of the processor, and of it to load or compile the kernels.
 
     ``stages`` are the clock's seconds by stage, an account that goes on while the outputs are written.
@@ -61,16 +61,14 @@ class Walls(Protocol):
         """Curved walls."""
 
 
-@dataclass(frozen=True, slots=True)
-class WallShapes:
+class WallShapes(Struct, frozen=True):
     """Walls in the map frame, as `Truth` has them."""
 
     segments_map: NDArray[np.float64]
     arcs_map: NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Truth:
+class Truth(Struct, frozen=True):
     """What only a simulation knows, in the map frame: the true first pose of the laser.
 
     ``map_T_laser`` are the true poses; ``segments_map`` (n, 4) the straight walls, x1, y1, x2, y2 in m;
@@ -87,8 +85,7 @@ class Truth:
     slice_m: tuple[float, float] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Mission:
+class Mission(Struct, frozen=True):
     """What a simulated run knows besides: the scenario's file, the effective scenario, and how the mission ended.
 
     ``sha256`` and ``size_bytes`` are those of the file, which need not exist any more.
@@ -102,8 +99,7 @@ class Mission:
     errors: TruthErrors
 
 
-@dataclass(frozen=True)
-class Run:
+class Run(Struct, frozen=True, dict=True):
     """A log, how it was run, what came out, and what was measured on its map.
 
     A mission of the simulator knows the truth besides. ``reference`` is the comparison with references,

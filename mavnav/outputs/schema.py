@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from functools import cache
+from inspect import cleandoc
 from typing import TYPE_CHECKING, Any, Final
 
+from msgspec.json import schema as json_schema
 from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
+from mavnav.config.models import Config
 from mavnav.outputs.run_json import RunDocument
 
 if TYPE_CHECKING:
@@ -48,8 +51,10 @@ class _Untitled(GenerateJsonSchema):
 @cache
 def run_schema() -> Schema:
     """Return the JSON Schema of run.json; every number in it has a title, a description and a unit."""
-    found = TypeAdapter(RunDocument).json_schema(mode="serialization", schema_generator=_Untitled)
-    schema = _inlined(found, found.pop("$defs"), "", {})
+    found = json_schema(RunDocument)
+    config = TypeAdapter(Config).json_schema(mode="serialization", schema_generator=_Untitled)
+    defs = {**found.pop("$defs"), **config.pop("$defs"), "Config": config}
+    schema = _inlined(found, defs, "", {})
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "run.json", **schema}
 
 
@@ -63,7 +68,7 @@ def _inlined(node: Schema, defs: dict[str, Schema], name: str, around: Schema) -
         return _inlined(defs[node["$ref"].rpartition("/")[2]], defs, "", {"unit": _unit(name), **key}) | key
     if _is_number(node):
         return _described({k: v for k, v in node.items() if k != "default"}, name, around)
-    node = {k: v for k, v in node.items() if k not in {"title", "default"}}
+    node = {k: cleandoc(v) if k == "description" else v for k, v in node.items() if k not in {"title", "default"}}
     if "properties" in node:
         node["properties"] = {k: _inlined(child, defs, k, around) for k, child in node["properties"].items()}
     if "anyOf" in node:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
 
 from mavnav.mapping.occupancy_grid import occupancy
 from mavnav.mapping.slices import slice_name
@@ -21,8 +22,7 @@ if TYPE_CHECKING:
     from mavnav.outputs.run import Run
 
 
-@dataclass(frozen=True, slots=True)
-class _DrawnSlice:
+class _DrawnSlice(Struct, frozen=True):
     known: Grid
 
     @property

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import cos, pi, sin
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct
 from PIL import Image, ImageDraw
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, occupancy
@@ -38,8 +38,7 @@ SIDE_SHADE, FRONT_SHADE = 0.62, 0.8
 PATH_COLOUR: Final = "#d6009a"
 
 
-@dataclass(frozen=True, slots=True)
-class _Blocks:
+class _Blocks(Struct, frozen=True):
     """Blocks of cells: ``walls`` (layers, rows, cols), ``free`` (rows, cols), corner and edge in m; ``levels_m``.
 
     The layers lie between successive ``levels_m`` (layers + 1,); those without a slice are empty.
@@ -52,8 +51,7 @@ class _Blocks:
     levels_m: Floats
 
 
-@dataclass(frozen=True, slots=True)
-class _View:
+class _View(Struct, frozen=True):
     """From metres in space to pixels on the enlarged picture."""
 
     per_m: float

@@ -1,8 +1,11 @@
 """Attitude and slices in run.json: what the scans were levelled by, and the maps by height."""
 
-from dataclasses import dataclass, field
+from __future__ import annotations
+
+from typing import Annotated
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.logs.levelling import RecordedAttitude
 from mavnav.mapping.occupancy_grid import OCCUPIED, occupancy
@@ -13,31 +16,29 @@ from mavnav.metrics.wall_thickness import wall_sections
 from mavnav.units import DEG
 
 
-@dataclass(frozen=True, slots=True)
-class AttitudeSource:
+class AttitudeSource(Struct, frozen=True):
     """What the scans were levelled by: roll, pitch and, if known, height of the laser."""
 
-    topic: str = field(metadata=text("topic of the attitude"))
-    source: str = field(metadata=text("pose: PoseStamped; odom: Odometry; imu: Imu, without height"))
-    messages: int = field(metadata=number("attitudes that are used"))
-    tilt_median_deg: Measured = field(metadata=number("half of the time the laser tilts less"))
-    tilt_max_deg: Measured = field(metadata=number("largest tilt of the laser"))
-    height_min_m: Measured = field(metadata=number("least height of the laser above the floor, null if unknown"))
-    height_max_m: Measured = field(metadata=number("greatest height of the laser above the floor, null if unknown"))
-    ceiling_m: Measured = field(metadata=number("height of the ceiling, null if none was found"))
+    topic: Annotated[str, text("topic of the attitude")]
+    source: Annotated[str, text("pose: PoseStamped; odom: Odometry; imu: Imu, without height")]
+    messages: Annotated[int, number("attitudes that are used")]
+    tilt_median_deg: Annotated[Measured, number("half of the time the laser tilts less")]
+    tilt_max_deg: Annotated[Measured, number("largest tilt of the laser")]
+    height_min_m: Annotated[Measured, number("least height of the laser above the floor, null if unknown")]
+    height_max_m: Annotated[Measured, number("greatest height of the laser above the floor, null if unknown")]
+    ceiling_m: Annotated[Measured, number("height of the ceiling, null if none was found")]
 
 
-@dataclass(frozen=True, slots=True)
-class MapSlice:
+class MapSlice(Struct, frozen=True):
     """The map of what was hit between two heights above the floor."""
 
-    map: str = field(metadata=text("file of the map, as map_server describes it"))
-    middle_m: float = field(metadata=number("height of its middle above the floor"))
-    from_m: float = field(metadata=number("height at which it begins"))
-    to_m: float = field(metadata=number("height at which it ends"))
-    hits: int = field(metadata=number("hits of all cells"))
-    occupied: int = field(metadata=number("occupied cells"))
-    free: int = field(metadata=number("free cells"))
+    map: Annotated[str, text("file of the map, as map_server describes it")]
+    middle_m: Annotated[float, number("height of its middle above the floor")]
+    from_m: Annotated[float, number("height at which it begins")]
+    to_m: Annotated[float, number("height at which it ends")]
+    hits: Annotated[int, number("hits of all cells")]
+    occupied: Annotated[int, number("occupied cells")]
+    free: Annotated[int, number("free cells")]
     wall_thickness: WallThicknessReport
 
 

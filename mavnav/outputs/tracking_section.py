@@ -1,87 +1,85 @@
 """The section `tracking` of run.json: where the track was lost, and how doubtful it is."""
 
-from dataclasses import dataclass, field
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Struct, field
 
 from mavnav.metrics.fields import Measured, absent, number, text
 
 
-@dataclass(frozen=True, slots=True)
-class Interval:
+class Interval(Struct, frozen=True):
     """A stretch of scans without a pose; times from the first scan."""
 
-    start_s: float = field(metadata=number("first scan without a pose"))
-    end_s: float = field(metadata=number("last scan without a pose"))
-    scans: int = field(metadata=number("scans without a pose"))
-    recovered: bool = field(metadata=text("whether tracking came back"))
+    start_s: Annotated[float, number("first scan without a pose")]
+    end_s: Annotated[float, number("last scan without a pose")]
+    scans: Annotated[int, number("scans without a pose")]
+    recovered: Annotated[bool, text("whether tracking came back")]
 
 
-@dataclass(frozen=True, slots=True)
-class DoubtReason:
+class DoubtReason(Struct, frozen=True):
     """A reason to doubt the track, and where it holds; times from the first scan."""
 
-    reason: str = field(metadata=text("what speaks for an error"))
-    from_s: float = field(metadata=number("first scan that shows it"))
-    to_s: float = field(metadata=number("last scan that shows it"))
-    value: float = field(metadata=number("strength: 1 is much", better="lower"))
+    reason: Annotated[str, text("what speaks for an error")]
+    from_s: Annotated[float, number("first scan that shows it")]
+    to_s: Annotated[float, number("last scan that shows it")]
+    value: Annotated[float, number("strength: 1 is much", better="lower")]
 
 
-@dataclass(frozen=True, slots=True)
-class Doubt:
+class Doubt(Struct, frozen=True):
     """Whether trajectory or map may be wrong although the scans were accepted (docs/method.md, "Doubt").
 
     The strongest reason comes first; ``tried`` is what was done because of the doubt. ``probability`` is null on line,
     in a known map and for methods without a final pass.
     """
 
-    probability: Measured = field(
-        metadata=number("probability that the track is off by 0.2 m or 5 deg somewhere", title="doubt", better="lower")
-    )
-    reasons: list[DoubtReason] = field(metadata=text("strongest first"))
-    tried: list[str] = field(metadata=text("what was done because of the doubt"))
+    probability: Annotated[
+        Measured, number("probability that the track is off by 0.2 m or 5 deg somewhere", title="doubt", better="lower")
+    ]
+    reasons: Annotated[list[DoubtReason], text("strongest first")]
+    tried: Annotated[list[str], text("what was done because of the doubt")]
 
 
-@dataclass(frozen=True, slots=True)
-class Remedy:
+class Remedy(Struct, frozen=True):
     """Another track of the whole log, made because the first one was lost or doubtful.
 
     ``used``: it is the track of the run; ``tracking.doubt`` is then its own.
     """
 
-    remedy: str = field(metadata=text("how the other track was made"))
-    doubt_before: float = field(metadata=number("doubt of the first track", better="lower"))
-    doubt_after: float = field(metadata=number("doubt of the other track", better="lower"))
-    used: bool = field(metadata=text("whether it is the track of the run"))
+    remedy: Annotated[str, text("how the other track was made")]
+    doubt_before: Annotated[float, number("doubt of the first track", better="lower")]
+    doubt_after: Annotated[float, number("doubt of the other track", better="lower")]
+    used: Annotated[bool, text("whether it is the track of the run")]
 
 
-@dataclass(frozen=True, slots=True)
-class TrackedPart:
+class TrackedPart(Struct, frozen=True):
     """A stretch of scans with a map of its own at first; times from the first scan.
 
     ``joined``: its scans are in the map and in the trajectory of the run.
     """
 
-    from_s: float = field(metadata=number("first scan with a pose in the map of the part"))
-    to_s: float = field(metadata=number("last scan with a pose in the map of the part"))
-    scans: int = field(metadata=number("scans with a pose in the map of the part"))
-    joined: bool = field(metadata=text("whether its scans are in the map and in the trajectory"))
+    from_s: Annotated[float, number("first scan with a pose in the map of the part")]
+    to_s: Annotated[float, number("last scan with a pose in the map of the part")]
+    scans: Annotated[int, number("scans with a pose in the map of the part")]
+    joined: Annotated[bool, text("whether its scans are in the map and in the trajectory")]
 
 
-@dataclass(frozen=True, slots=True)
-class Tracking:
+class Tracking(Struct, frozen=True):
     """Where the track was lost; ``lost`` means for good. ``frames`` are parent and child of each trajectory file.
 
     ``parts`` is absent where one map holds all tracked scans from the first usable one on, ``remedies`` where none was
     tried.
     """
 
-    lost: bool = field(metadata=text("whether tracking was lost for good"))
-    intervals: list[Interval] = field(metadata=text("stretches of scans without a pose"))
-    tracked_share: float = field(metadata=number("part of the processed scans with a pose", better="higher"))
-    opinions: int = field(metadata=number("tracks compared, of which the sharpest was kept"))
-    path_length_m: float = field(metadata=number("length of the path of the laser", title="path"))
+    lost: Annotated[bool, text("whether tracking was lost for good")]
+    intervals: Annotated[list[Interval], text("stretches of scans without a pose")]
+    tracked_share: Annotated[float, number("part of the processed scans with a pose", better="higher")]
+    opinions: Annotated[int, number("tracks compared, of which the sharpest was kept")]
+    path_length_m: Annotated[float, number("length of the path of the laser", title="path")]
     doubt: Doubt
-    frames: dict[str, list[str]] = field(metadata=text("parent and child frame of each trajectory file"))
-    parts: list[TrackedPart] = field(
-        default_factory=absent, metadata=text("stretches with maps of their own, joined or not")
+    frames: Annotated[dict[str, list[str]], text("parent and child frame of each trajectory file")]
+    parts: Annotated[list[TrackedPart], text("stretches with maps of their own, joined or not")] = field(
+        default_factory=absent
     )
-    remedies: list[Remedy] = field(default_factory=absent, metadata=text("other tracks made because of the doubt"))
+    remedies: Annotated[list[Remedy], text("other tracks made because of the doubt")] = field(default_factory=absent)

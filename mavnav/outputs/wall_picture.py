@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import ceil
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.outputs.canvas import Canvas, ramp, rgb_of
 from mavnav.outputs.map_axes import draw_axes, draw_cells, draw_free, map_axes
@@ -96,8 +96,7 @@ def cut_lines(cuts: WallCuts, least_m: float) -> NDArray[np.float64]:
     return np.stack((cuts.xy_m - half_m * normal, cuts.xy_m + half_m * normal), axis=1)
 
 
-@dataclass(frozen=True, slots=True)
-class _Chart:
+class _Chart(Struct, frozen=True):
     """A histogram: metres of wall by thickness in bins of ``bin_size``; ``p95`` is NaN where nothing was measured."""
 
     title: str

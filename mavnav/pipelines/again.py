@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import platform
 import re
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct, ValidationError, convert
 
 from mavnav import __version__
 from mavnav.config.loading import load_config, validated
@@ -36,8 +37,7 @@ _PATHS: Final = ("map", "truth", "truth_map", "relations", "continue_from")
 """Options that name files."""
 
 
-@dataclass(frozen=True, slots=True)
-class EarlierRun:
+class EarlierRun(Struct, frozen=True):
     """A run to be repeated: its directory, which is only read, and its run.json."""
 
     directory: Path
@@ -96,7 +96,7 @@ def earlier_run(directory: Path, *, simulated: bool) -> EarlierRun:
         kind = _checked(document)
     except OSError as error:
         raise UsageError(f"{directory} holds no run ({RUN_FILE}: {error.strerror}); name a run directory") from error
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
+    except (ValueError, ValidationError, LookupError, TypeError, AttributeError) as error:
         reason = "an earlier version may have written it; repeat it by its configuration, with --config"
         raise UsageError(f"{directory / RUN_FILE} does not record how the run was made; {reason}") from error
     if (kind == "scenario") != simulated:
@@ -106,18 +106,18 @@ def earlier_run(directory: Path, *, simulated: bool) -> EarlierRun:
 
 
 def _checked(document: dict[str, Any]) -> str:
-    """Return the format of the log; raises ValueError, LookupError or TypeError where what is needed here is not there.
+    """Return the format of the log.
 
+    Raises ValueError, ValidationError, LookupError or TypeError where something that is needed here is missing.
     Configuration and scenario are checked where they are used.
     """
-    from pydantic import TypeAdapter  # noqa: PLC0415  it takes 0.1 s to load
-
     needed = (document["input"], document["config"], document["outputs"], _versions(document))
     if not all(isinstance(section, dict) for section in needed):
         raise TypeError
-    TypeAdapter(Provenance).validate_python(document["provenance"])
-    kind, *_ = TypeAdapter(tuple[str, str, str, int, bool]).validate_python(
-        (*(document["input"][name] for name in ("format", "path", "sha256", "size_bytes")), document["partial"])
+    convert(document["provenance"], Provenance)
+    kind, *_ = convert(
+        (*(document["input"][name] for name in ("format", "path", "sha256", "size_bytes")), document["partial"]),
+        tuple[str, str, str, int, bool],
     )
     return kind
 

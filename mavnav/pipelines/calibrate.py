@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
 
 from mavnav import __version__
 from mavnav.config.models import OdometryConfig
@@ -44,8 +45,7 @@ LONGEST_SWEEP: Final = 1.2
 """A sweep that takes more periods is no sweep: the time between beams is wrong."""
 
 
-@dataclass(frozen=True, slots=True)
-class CalibrationRequest:
+class CalibrationRequest(Struct, frozen=True):
     """The log and what of it, the configuration of the track, and the files to write, if any."""
 
     log: Path

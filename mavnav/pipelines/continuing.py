@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav import __version__
 from mavnav.errors import MavnavError, UsageError
@@ -38,8 +39,7 @@ ANY_PAUSE_S: Final = np.inf
 """However long after the end of a run a log begins, it is tried there: the robot may have been switched off."""
 
 
-@dataclass(frozen=True, slots=True)
-class Continuation:
+class Continuation(Struct, frozen=True):
     """A run that was continued: the outcome of the new log in its map, and the earlier sessions in the same frame."""
 
     outcome: SlamResult

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
 
 from mavnav import __version__
 from mavnav.config.models import Config
@@ -41,8 +42,7 @@ LEAST_SAME: Final = 0.5
 """Maps of which less is the same are not of one place."""
 
 
-@dataclass(frozen=True, slots=True)
-class DiffRequest:
+class DiffRequest(Struct, frozen=True):
     """The two maps, run directories or map_server YAML files, and the picture and the page to write, if any."""
 
     a: Path

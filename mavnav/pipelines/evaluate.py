@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav import __version__
 from mavnav.config.named_files import read_json
@@ -42,8 +44,7 @@ Progress = Callable[[str, int, int | None], None]
 Place = TypeVar("Place", GhostWall, Wall)
 
 
-@dataclass(frozen=True, slots=True)
-class Subject:
+class Subject(Struct, frozen=True):
     """What is measured: a map, where its cells lie in the map frame, and the scans behind it where they are known."""
 
     kind: str

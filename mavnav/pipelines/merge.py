@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav import __version__
 from mavnav.errors import ExitCode, MavnavError, NoScansError, UsageError, worst
@@ -50,8 +52,7 @@ OF_LOGS: Final = (ExitCode.DAMAGED_INPUT, ExitCode.TRACKING_LOST)
 Progress = Callable[[str, int, int | None], None]
 
 
-@dataclass(frozen=True, slots=True)
-class MergeRequest:
+class MergeRequest(Struct, frozen=True):
     """Logs and run directories in any order, the configuration, where the result goes, and whether with report.html."""
 
     inputs: tuple[Path, ...]
@@ -61,8 +62,7 @@ class MergeRequest:
     report: bool = False
 
 
-@dataclass(frozen=True)
-class MergedMap:
+class MergedMap(Struct, frozen=True, dict=True):
     """The map of all sessions, as the writers of map files take it."""
 
     known: Grid
@@ -73,8 +73,7 @@ class MergedMap:
         return occupancy(self.known)
 
 
-@dataclass(frozen=True, slots=True)
-class Input:
+class Input(Struct, frozen=True):
     """A log or run that was named, its session, and the run.json of its track; both None without a tracked scan."""
 
     name: str

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
-from dataclasses import replace as changed
 from itertools import takewhile
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct, field
+from msgspec.structs import replace as changed
 
 from mavnav.config.models import OdometryConfig
 from mavnav.errors import ExitCode, StoppedError, UsageError
@@ -62,8 +63,7 @@ Progress = Callable[[str, int, int | None], None]
 """What is being done, how much of it is done, how much there is or None."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReplayRequest:
+class ReplayRequest(Struct, frozen=True):
     """One run: the log, which part of it, with what configuration, and where its results go.
 
     ``start_s`` and ``end_s`` count from the first usable scan; ``extrinsic`` is the laser's pose on its base;
@@ -99,8 +99,7 @@ class ReplayRequest:
     continue_from: Path | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Given:
+class Given(Struct, frozen=True):
     """What is known besides the log: references, the map to localise in (None without one), and the provenance.
 
     ``run`` is the one to be continued, None without one, and ``earlier`` are its sessions.

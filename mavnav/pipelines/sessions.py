@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
 
 from mavnav.config.named_files import read_json
 from mavnav.errors import UsageError
@@ -25,8 +26,7 @@ MERGE_FILE: Final = "merge.json"
 OWN_FILES: Final = ("trajectory.tum", "result.mcap")
 
 
-@dataclass(frozen=True, slots=True)
-class Stored:
+class Stored(Struct, frozen=True):
     """A session in a directory: its name, the files of its poses and scans, and whether its track is doubtful."""
 
     name: str
@@ -35,8 +35,7 @@ class Stored:
     doubtful: bool
 
 
-@dataclass(frozen=True, slots=True)
-class FinishedRun:
+class FinishedRun(Struct, frozen=True):
     """The directory of a run, a merge or a continued run, with its document."""
 
     directory: Path

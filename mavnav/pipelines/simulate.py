@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
 from hashlib import sha256
 from math import inf
 from pathlib import Path
@@ -11,6 +10,8 @@ from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import asdict, replace
 
 from mavnav.errors import NoScansError, UsageError
 from mavnav.ground_truth.map_file import occupied_xy_m
@@ -48,8 +49,7 @@ WALL_GAP_CELLS = 8
 """Empty cells that a noisy wall may hold along a beam: its densest cell then is the wall, not a stray in front."""
 
 
-@dataclass(frozen=True, slots=True)
-class SimulationRequest:
+class SimulationRequest(Struct, frozen=True):
     """One mission: the scenario and its file, the run directory, and the paths of further outputs.
 
     ``outputs`` are the groups of files to write, None for all; ``typed`` is the command line; ``content`` SHA-256 and

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
 from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import levelled
@@ -45,8 +46,7 @@ class End(StrEnum):
     LOST = "tracking lost"
 
 
-@dataclass(frozen=True, slots=True)
-class Mission:
+class Mission(Struct, frozen=True):
     """How a mission went; lengths of the true path, m. ``goal_distance_m`` is the true one at the end."""
 
     end: End
@@ -61,8 +61,7 @@ class Mission:
         return self.end is End.GOAL
 
 
-@dataclass(frozen=True, slots=True)
-class Flight:
+class Flight(Struct, frozen=True):
     """A finished mission: what SLAM made of it, the scans, and the truth.
 
     ``map_T_laser`` and ``odom_T_base`` hold the true pose and the commanded one for every scan; ``world_T_map`` is the

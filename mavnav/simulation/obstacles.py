@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import transform_points
@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from mavnav.slam.steps import Step
 
 
-@dataclass(frozen=True, slots=True)
-class Obstacles:
+class Obstacles(Struct, frozen=True):
     """A map for the planner; ``slice_m`` are the lower and upper end of the slice that it shows, None for all."""
 
     grid: GridBuilder

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct, field
 
 from mavnav.pose import Pose
 from mavnav.simulation.planner.potential_field import Command
@@ -24,8 +24,7 @@ START_NS = 1_700_000_000_000_000_000
 """Stamp of the first scan, the same for every mission."""
 
 
-@dataclass(slots=True)
-class Vehicle:
+class Vehicle(Struct):
     """The true state, which only the world sees: poses of the base, and what the commands should have made of them.
 
     ``world_T_base`` and ``odom_T_base`` hold a pose for every scan, at ``stamps_ns``. A command takes

@@ -6,13 +6,13 @@ the blur of every turn.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from itertools import islice
 from math import pi
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from mavnav.slam.beginning import until_missing
 from mavnav.slam.steps import LOST_SCANS

@@ -5,11 +5,11 @@ A partial sweep while the laser spins up, a blocked laser or a fast turn can mak
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from mavnav.slam.motion_model import LONGEST_S
 from mavnav.slam.odometry_check import while_odometry_fits

@@ -5,10 +5,11 @@ A turn of 1 rad/s moves the poses of a scan of 240 degrees by up to 20 mm, which
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from mavnav.slam.beam_order import WARNING, is_costlier, reversed_scan, reversed_scans
 from mavnav.slam.redraw import motions_along

@@ -6,11 +6,12 @@ the transform between the two maps. A part that is not joined is neither in the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.pose import Pose
 from mavnav.slam.beginning import accepted, until_missing
@@ -46,8 +47,7 @@ Beyond either bound a log is lost for good: a short track at its end, recovered 
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
+class Part(Struct, frozen=True):
     """A stretch of the log with a separate map: stamps of its first and last accepted scan, and the number of those.
 
     ``joined``: the scans are in the map of the run, and their poses in its trajectory.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.mapping.occupancy_grid import Grid, counts, occupied_cells
 from mavnav.pose import Pose, transform_points
@@ -21,8 +21,7 @@ TIE = 1e-9
 """Tolerance for rounding, in cells: a centre on the edge of two old cells belongs to the upper one."""
 
 
-@dataclass(frozen=True, slots=True)
-class PriorMap:
+class PriorMap(Struct, frozen=True):
     """A map in its own frame: the grid, and the centres of its occupied cells (n, 2), m.
 
     ``start`` is the approximate start pose of the laser, None if unknown.

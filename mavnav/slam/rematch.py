@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from mavnav.slam.degeneracy import UNMEASURED, degeneracy_warning
 from mavnav.slam.motion_model import LONGEST_S

@@ -6,8 +6,9 @@ doubt decides between the two tracks: agreement of finer and coarser voxels is u
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from mavnav.slam import beam_order, odometry_check
 from mavnav.slam.beginning import accepted
@@ -19,7 +20,6 @@ from mavnav.slam.steps import lost_intervals
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mavnav.config.models import Config
     from mavnav.slam.track import Track
 
 FINER, FINER_VOXELS = 3 / 4, "finer voxels"
@@ -46,7 +46,7 @@ def with_remedy(track: Track, start: Track, whole: Callable[[Track], Track]) -> 
         replace(
             start,
             log_scans=track.log_scans,
-            config=finer(start.config),
+            config=start.config.with_voxels(FINER),
             motion=track.motion,
             on_step=on_step and (lambda _, done: on_step("track again", done)),
             warnings=tuple(text for text in track.warnings if text in KEPT_WARNINGS),
@@ -70,8 +70,3 @@ def is_worth_a_remedy(track: Track) -> bool:
 def is_lost(track: Track) -> bool:
     """Return whether the log of a track is lost for good."""
     return lost_for_good(track.steps, list(lost_intervals(track.steps)), parts_of(track))
-
-
-def finer(config: Config) -> Config:
-    """Return the configuration of the remedy."""
-    return replace(config, robust=replace(config.robust, voxel_mm=FINER * config.robust.voxel_mm))

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from mavnav.slam.steps import lost_intervals
 
 if TYPE_CHECKING:
-    from mavnav.config.models import Config
     from mavnav.slam.steps import Steps
     from mavnav.slam.track import Track
 
@@ -28,7 +27,7 @@ def with_coarser_voxels(track: Track) -> Track:
     """Track again with coarser voxels where scans are sparse; keep the sharper of the two maps."""
     if track.refiner is None or not track.refiner.builds_map or not in_doubt(track.steps):
         return track
-    other = track.again(replace(track, config=coarser(track.config)))
+    other = track.again(replace(track, config=track.config.with_voxels(COARSER)))
     if other is None:
         return track
     return replace(other if rank(other) < rank(track) else track, tracks_compared=2)
@@ -38,12 +37,6 @@ def in_doubt(steps: Steps) -> bool:
     """Return whether ``SPARSE_SCANS`` or more accepted scans of a track have few points."""
     few = steps.column("beams_used") < FEW_POINTS
     return int(np.count_nonzero(few & steps.column("tracked"))) >= SPARSE_SCANS
-
-
-def coarser(config: Config) -> Config:
-    """Return the configuration of the second track."""
-    robust = replace(config.robust, voxel_mm=COARSER * config.robust.voxel_mm)
-    return replace(config, robust=robust)
 
 
 def rank(track: Track) -> tuple[int, int]:

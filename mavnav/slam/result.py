@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct, field
 
 from mavnav.slam.covariance import covariances_of
 from mavnav.slam.doubt.record import NOT_PLANAR
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from mavnav.slam.track import Track
 
 
-@dataclass(frozen=True, slots=True)
-class SlamResult:
+class SlamResult(Struct, frozen=True):
     """The result: a step for every scan, the poses of the tracked ones (map_T_laser), map, lost intervals, loops.
 
     ``covariances`` (n, 6) are those of the poses of all steps in the map frame, in the order of `covariances_of`, NaN

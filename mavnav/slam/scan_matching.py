@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.kernels.line_search import search as line_search
 from mavnav.pose import Pose, wrap_angle
@@ -63,8 +63,7 @@ FINAL_STOP = 0.5
 """Factor on the spacings at which a search ends, in the final pass: coarser steps make the trajectory longer."""
 
 
-@dataclass(frozen=True, slots=True)
-class Schedule:
+class Schedule(Struct, frozen=True):
     """Parameters of the coarse-to-fine search of a window: ``grid`` and ``limits`` of ``line_search.search``."""
 
     grid: NDArray[np.float64]

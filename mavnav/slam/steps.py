@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import pi
-from struct import Struct
 from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.scan_matching import Match
@@ -52,7 +52,7 @@ _FIELDS = {
 }
 """Fields of a step in order, with those of its match in place of ``match``, and their types."""
 
-_PACKED = Struct("<" + "".join(_KINDS[kind][0] for kind in _FIELDS.values()))
+_PACKED = struct.Struct("<" + "".join(_KINDS[kind][0] for kind in _FIELDS.values()))
 _COLUMNS = np.dtype([(name, _KINDS[kind][1]) for name, kind in _FIELDS.items()])
 
 
@@ -118,8 +118,7 @@ def _step(row: tuple[Any, ...]) -> Step:
     return Step(index, stamp_ns, Match(Pose(x_m, y_m, yaw_rad), *evidence), tracked)
 
 
-@dataclass(frozen=True, slots=True)
-class LostInterval:
+class LostInterval(Struct, frozen=True):
     """An interval of scans without an accepted pose; ``recovered`` if a pose was accepted after it.
 
     ``scans`` is 0 for a jump between two successive scans.

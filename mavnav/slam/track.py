@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, islice
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from mavnav.pose import Pose
 from mavnav.slam.loop_closure.detection import Loops
@@ -36,8 +37,7 @@ if TYPE_CHECKING:
     """Yield the steps of a track up to the one that ends it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Track:
+class Track(Struct, frozen=True):
     """A pass of the tracker over a log.
 
     ``motion`` is the state before the first scan, with the odometry that is used. ``warnings`` are lines for the user.

@@ -8,10 +8,10 @@ import os
 import shutil
 import signal
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from mavnav.batch.plan import BatchPlan, plan_batch
 from mavnav.batch.request import BatchRequest

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import gzip
 import os
-from dataclasses import replace
 from math import pi, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from mavnav.errors import NoScansError, TopicError, UsageError
 from mavnav.logs import open_log

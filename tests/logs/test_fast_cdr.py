@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
+from msgspec.structs import replace
 
 from mavnav.logs.messages.decode import decoder
 from mavnav.logs.messages.definitions import ODOMETRY, POSE, TF

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from mavnav.metrics.calibration.motion import Wheels, corrected, motions_of
 from mavnav.metrics.calibration.noise import Noise

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.logs import Damage, Odometry, ScanCounts, Topic
@@ -25,8 +26,7 @@ LOST = (10, 11)
 """Scans without a pose."""
 
 
-@dataclass(frozen=True)
-class FabricatedLog:
+class FabricatedLog(Struct, frozen=True):
     """The interface of ``mavnav.logs.Log`` over scans in memory."""
 
     recorded: tuple

@@ -1,10 +1,10 @@
 """run.json: everything promised, nothing that JSON lacks."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from mavnav.commands.quality_rows import doubt_rows, remedy_rows
 from mavnav.logs import Damage

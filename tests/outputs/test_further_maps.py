@@ -1,11 +1,11 @@
 """Files that must be named: the map as vectors and in scale mode, and the pose graph."""
 
 import re
-from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from PIL import Image
 
 from mavnav.errors import UsageError

@@ -1,10 +1,9 @@
 """Map files, read back as map_server and numpy do."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import yaml
+from msgspec.structs import replace
 
 from mavnav.mapping.occupancy_grid import (
     FREE,

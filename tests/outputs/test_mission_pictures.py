@@ -1,10 +1,10 @@
 """A mission's outputs: truth.tum, true_map.png, the truth on map.png, and the animation."""
 
-from dataclasses import replace
 from math import pi
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from PIL import Image
 
 from mavnav.errors import OutputError, UsageError

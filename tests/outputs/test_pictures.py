@@ -1,6 +1,5 @@
 """Pictures: there, of a sane size, and drawn from any map."""
 
-from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
@@ -8,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from msgspec.structs import replace
 from PIL import Image
 
 from mavnav.mapping.occupancy_grid import Grid

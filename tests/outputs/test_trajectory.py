@@ -2,10 +2,10 @@
 
 import csv
 import warnings
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from mavnav.outputs.trajectory import seconds, write_base_tum, write_csv, write_tum
 from mavnav.pose import Pose, yaw_of_quaternion

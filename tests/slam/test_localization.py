@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.mapping.occupancy_grid import OCCUPIED, Grid, GridBuilder, occupancy

@@ -87,7 +87,7 @@ def test_the_same_scans_give_the_same_numbers(tour: Recording) -> None:
 
 
 def test_full_turn_scanner_with_clockwise_beams_is_followed() -> None:
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     spec = replace(LDS_01, angle_min_rad=np.pi, angle_step_rad=-LDS_01.angle_step_rad)
     recording = record(room(3.0, 2.5), along([(0.6, 0.6), (2.2, 0.7), (2.2, 1.8)], period_s=0.2), spec, noise=0.01)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 import pytest
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.metrics.trajectory_error import align
@@ -27,8 +28,7 @@ PERSON_M = 0.2
 """Radius of a person, who stands with this edge 0.6 m ahead."""
 
 
-@dataclass(frozen=True)
-class Drive:
+class Drive(Struct, frozen=True):
     """Scans, true poses, odometry of the laser, and the indices of the faulty scans."""
 
     scans: list[Scan]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import pi
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.pose import Trajectory

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose
@@ -17,7 +17,7 @@ from mavnav.slam import resampled_track
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.registry import make_method
-from mavnav.slam.resampled_track import FEW_POINTS, SPARSE_SCANS, coarser, in_doubt, rank
+from mavnav.slam.resampled_track import COARSER, FEW_POINTS, SPARSE_SCANS, in_doubt, rank
 from mavnav.slam.result import SlamResult
 from mavnav.slam.scan_matching import Match
 from mavnav.slam.steps import Step, Steps
@@ -57,7 +57,8 @@ def test_a_track_is_in_doubt_where_believed_scans_have_few_points(points: list[i
 def test_the_crisper_of_two_tracks_is_kept(sparse: list[Scan], monkeypatch: pytest.MonkeyPatch) -> None:
     both = replay(sparse)
     monkeypatch.setattr(resampled_track, "in_doubt", lambda steps: False)
-    alone = [replay(sparse, config) for config in (Config(loop_closure="off"), coarser(Config(loop_closure="off")))]
+    quick = Config(loop_closure="off")
+    alone = [replay(sparse, config) for config in (quick, quick.with_voxels(COARSER))]
     blurs = [int(np.count_nonzero(one.grid.hits)) for one in alone]
     kept = alone[int(np.argmin(blurs))]
     assert (both.tracks_compared, alone[0].tracks_compared) == (2, 1)

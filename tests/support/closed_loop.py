@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from mavnav.config.planner import PlannerConfig
 from mavnav.mapping.occupancy_grid import GridBuilder
@@ -16,8 +15,7 @@ from support.synthetic import Segments, box, polyline
 BEARINGS = np.linspace(-120, 120, 681) * synthetic.DEG
 
 
-@dataclass(frozen=True)
-class World:
+class World(Struct, frozen=True):
     """Walls, start and goal, in the map frame."""
 
     walls: Segments
@@ -25,8 +23,7 @@ class World:
     goal_m: tuple[float, float]
 
 
-@dataclass(frozen=True)
-class Flight:
+class Flight(Struct, frozen=True):
     """Result of a mission: the true path (n, 2), m, and its minimum distance to the true walls."""
 
     reached: bool

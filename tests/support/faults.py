@@ -13,10 +13,11 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
+
+from msgspec import Struct, field
 
 from mavnav import atomic_files, cli
 from mavnav.batch import runner
@@ -25,8 +26,7 @@ from mavnav.jobs import Ended, Event, Job, Outcome, Started, attempt
 STDOUT = "stdout"
 
 
-@dataclass
-class Disk:
+class Disk(Struct):
     """Counter of the operations below ``root``; operation number ``fail_at`` fails.
 
     A full disk fails from there on, any other error occurs once. ``lost`` are the files that were renamed before their
@@ -194,8 +194,7 @@ def failing(disk: Disk) -> Iterator[None]:
             change.__exit__(None, None, None)
 
 
-@dataclass(frozen=True)
-class End:
+class End(Struct, frozen=True):
     """Result of a command: exit code, stdout and stderr."""
 
     code: int
@@ -225,8 +224,7 @@ def tree(folder: Path) -> dict[str, bytes]:
     }
 
 
-@dataclass(frozen=True)
-class Trial:
+class Trial(Struct, frozen=True):
     """A command line, its output folder, and the content of that folder before and after a run without a fault."""
 
     name: str

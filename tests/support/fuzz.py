@@ -11,11 +11,11 @@ import resource
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.errors import NoScansError, TopicError
 from mavnav.logs import Log, choose, survey
@@ -91,8 +91,7 @@ MUTATIONS: list[Callable[[np.random.Generator, bytearray], None]] = [
 ]  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Verdict:
+class Verdict(Struct, frozen=True):
     """Result of a case: its scans, those that differ from the valid log, and whether anything was reported."""
 
     scans: int

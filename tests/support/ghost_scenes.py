@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.metrics.doubled_walls import doubled_walls
 from mavnav.metrics.ghost_walls import GhostWall, GhostWalls
@@ -41,8 +41,7 @@ Rng = np.random.Generator
 Moving = Callable[[float], list[Segments]]
 
 
-@dataclass
-class Scene:
+class Scene(Struct):
     """Walls, a path, moving walls as a function of the elapsed share of the run, and a glass pane."""
 
     walls: list[Segments]
@@ -206,8 +205,7 @@ def read(scene: Scene, poses: Trajectory, k: int, spec: LaserSpec, noise: float,
     return np.where(returned, pane_m * (1 + noise * rng.standard_normal(len(pane_m))), ranges_m)
 
 
-@dataclass
-class Shift:
+class Shift(Struct):
     """Displacement of the poses of the second half: rotation about a point, then translation; m, rad."""
 
     about_m: np.ndarray

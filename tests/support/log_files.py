@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +10,7 @@ import numpy as np
 import zstandard
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
+from msgspec import Struct, field
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
@@ -39,8 +39,7 @@ def store(ros: int) -> Any:
     return noetic
 
 
-@dataclass(frozen=True)
-class Message:
+class Message(Struct, frozen=True):
     """A message to write; ``build`` converts it to a message of ROS 1 or ROS 2."""
 
     topic: str

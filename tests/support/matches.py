@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.kernels.line_search import search as line_search
 from mavnav.mapping.line_map import LineMap
@@ -30,8 +30,7 @@ def voxel_means(xy_m: np.ndarray, voxel_m: float) -> np.ndarray:
     return out[: kernel_parts.voxel_means(np.ascontiguousarray(xy_m), voxel_m, out)]
 
 
-@dataclass(frozen=True)
-class Problem:
+class Problem(Struct, frozen=True):
     """The points (n, 2) of a scan in the laser's frame, the map, and the start of the search: x, y, yaw."""
 
     line_map: LineMap

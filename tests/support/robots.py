@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from mavnav.logs.writing.recorder import Recording, record
@@ -28,8 +29,7 @@ DRIVES = (
 ORIGIN = Pose()
 
 
-@dataclass(frozen=True)
-class Robot:
+class Robot(Struct, frozen=True):
     """What is wrong with a robot, and how it drives.
 
     Odometry has to be multiplied by the scales, turned by ``veer_rad_m`` for every meter, and its stamps need
@@ -66,8 +66,7 @@ class Robot:
         return np.array((*self.mounting, self.offset_s, *wheels))
 
 
-@dataclass(frozen=True)
-class TruePath:
+class TruePath(Struct, frozen=True):
     """Where the base truly is, at any time: seconds (n,) and poses (n, 3), yaw not wrapped."""
 
     seconds: NDArray[np.float64]

@@ -11,9 +11,10 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
+
+from msgspec import Struct
 
 from mavnav import cli
 
@@ -25,8 +26,7 @@ CODES = {0, 1, 2, 3, 4, 5, 6}
 COUNTED = ("traceback", "exit 70", "crash", "hang", "slow", "memory", "altered inputs", "files outside")
 
 
-@dataclass(frozen=True)
-class End:
+class End(Struct, frozen=True):
     """Result of a child: exit code, or minus the signal; stderr; CPU time, s; memory in addition to its parent's."""
 
     code: int

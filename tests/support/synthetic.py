@@ -5,10 +5,10 @@ Ray casting is exact (ray against segment, in numpy). All random numbers depend 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import atan2, hypot, pi
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from mavnav.pose import Pose, Trajectory, wrap_angle
@@ -117,8 +117,7 @@ def _bearing(a: tuple[float, float], b: tuple[float, float]) -> float:
     return atan2(b[1] - a[1], b[0] - a[0])
 
 
-@dataclass(frozen=True)
-class Recording:
+class Recording(Struct, frozen=True):
     """Scans, and the true pose of the laser at each of them: ``world_T_laser``."""
 
     scans: list[Scan]

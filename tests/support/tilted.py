@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from mavnav.pose import Pose
@@ -66,8 +66,7 @@ def tilted_scan(
     return Scan(0, np.where(valid, ranges, np.nan), spec), hits
 
 
-@dataclass(frozen=True)
-class Scene:
+class Scene(Struct, frozen=True):
     """Walls (n, 4) that end at ``tops_m`` (n,)."""
 
     walls: Segments

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
 from logging import CRITICAL
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -12,6 +11,9 @@ from tempfile import NamedTemporaryFile
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
 from uuid import uuid4
+
+from msgspec import Struct
+from msgspec.structs import asdict
 
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import Ended, Event, Job, Outcome, Progressed, Started, Status, run_with_retries
@@ -28,8 +30,7 @@ CONNECT_S: Final = 20.0
 """Maximum time to wait for a scheduler, and for its first worker, in s."""
 
 
-@dataclass(frozen=True, slots=True)
-class Cluster:
+class Cluster(Struct, frozen=True):
     """A scheduler whose workers have been checked; ``dashboard`` is the address of its web pages."""
 
     client: Any
@@ -106,8 +107,7 @@ class Cluster:
         return _Submitted(future, monotonic())
 
 
-@dataclass(frozen=True, slots=True)
-class _Submitted:
+class _Submitted(Struct, frozen=True):
     future: Any
     began_s: float
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import pickle
 import sys
 from contextlib import chdir
-from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav import __version__
 from mavnav.errors import UsageError
@@ -29,8 +31,7 @@ _ONE_AT_A_TIME = Lock()
 """Prevents concurrent jobs: the current folder, memory and drawing state are shared by all threads of a process."""
 
 
-@dataclass(frozen=True, slots=True)
-class JobContext:
+class JobContext(Struct, frozen=True):
     """Context of a job: the required version of mavnav, the current folder, and the time limit.
 
     Progress is sent to ``topic``.

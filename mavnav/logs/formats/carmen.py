@@ -7,10 +7,11 @@ the name of a computer, and the time since the logger started.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 from enum import Enum
 from itertools import islice
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct, field
 
 from mavnav.logs.messages.carmen import ENCODING, laser_of, pose_line, pose_of, stamp_ns
 from mavnav.logs.messages.definitions import ODOMETRY, SCAN, TF, TRANSFORM
@@ -51,8 +52,7 @@ def is_carmen(head: bytes) -> bool:
     return LASER_LINE.search(head) is not None or len(_PARAMETER_LINE.findall(head)) > 1
 
 
-@dataclass
-class _State:
+class _State(Struct):
     """Parameters and channels read so far."""
 
     report: ReadReport

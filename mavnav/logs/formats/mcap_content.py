@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
+
+from msgspec import Struct, field
 
 from mavnav.logs.formats.decompress import Allowance
 from mavnav.logs.formats.mcap_records import MESSAGE_HEAD, Fields, Op
@@ -18,8 +19,7 @@ _ENCODING_OF_SCHEMA = {"ros2msg": "cdr", "ros2idl": "cdr", "ros1msg": "ros1"}
 _NO_SCHEMA = Schema()
 
 
-@dataclass
-class State:
+class State(Struct):
     """Schemas, channels and counters of the records read so far.
 
     The data section is ``unsound`` if its CRC does not match, and ``verified`` if it does. In a ``suspect`` chunk,

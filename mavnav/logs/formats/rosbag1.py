@@ -9,10 +9,11 @@ file: the length of the chunk is not needed, and memory use does not grow with i
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
 from functools import partial
 from io import BytesIO
 from typing import TYPE_CHECKING
+
+from msgspec import Struct, field
 
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, TOO_MANY, Allowance, DecompressError, decompress
 from mavnav.logs.formats.rosbag1_records import (
@@ -41,8 +42,7 @@ _SEARCH_BYTES = 1 << 16
 _U32_PAIR = struct.Struct("<II")
 
 
-@dataclass
-class _State:
+class _State(Struct):
     report: ReadReport
     allowance: Allowance = field(default_factory=Allowance)
     channels: dict[int, Channel] = field(default_factory=dict)

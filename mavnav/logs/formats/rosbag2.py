@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct
 
 from mavnav.errors import UsageError
 
@@ -19,8 +20,7 @@ _MAX_METADATA_BYTES = 1 << 20
 _MAX_DEPTH = 20
 
 
-@dataclass(frozen=True, slots=True)
-class Metadata:
+class Metadata(Struct, frozen=True):
     """Storage files and number of messages in metadata.yaml; the number is None if it is not given."""
 
     names: tuple[str, ...]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import errno
 import os
-from dataclasses import dataclass, field
 from typing import IO
+
+from msgspec import Struct, field
 
 from mavnav.logs.formats.decompress import Allowance
 
 
-@dataclass(frozen=True, slots=True)
-class Source:
+class Source(Struct, frozen=True):
     """A sequence of records in a file or in memory.
 
     ``name`` is the prefix of positions in messages; the ``allowance`` limits the search for records.

@@ -10,10 +10,11 @@ import shutil
 import sqlite3
 import tempfile
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
+
+from msgspec import Struct, field
 
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
 from mavnav.logs.formats.source import Source
@@ -42,8 +43,7 @@ _WAL_HEAD_BYTES = 32
 _FRAME_HEAD_BYTES = 24
 
 
-@dataclass
-class _State:
+class _State(Struct):
     """Channels read so far, and in ``missing`` the row numbers that sqlite did not return."""
 
     path: Path

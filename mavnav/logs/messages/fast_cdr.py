@@ -9,9 +9,9 @@ than four bytes (OMG DDS-XTypes 1.3, 7.6.3). Other messages are left to their de
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.logs.messages.records import ImuMessage, LaserMessage, TransformMessage
 
@@ -105,8 +105,7 @@ def imu_message(stamp_ns: int, frame_id: str, values: tuple[float, ...]) -> ImuM
     return ImuMessage(stamp_ns, orientation, values[13:16], values[25:28], frame_id)  # type: ignore[arg-type]
 
 
-@dataclass(slots=True)
-class _Fields:
+class _Fields(Struct):
     """Sequential reader of the fields of a message; raises struct.error or ValueError if a field is missing."""
 
     body: bytes

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct, field
 
 from mavnav.atomic_files import beside
 from mavnav.errors import NoScansError, OutputError, UsageError
@@ -32,8 +33,7 @@ _MAX_STAMP_NS = (1 << 63) - 1
 _ROS1_ONLY = {TF_ROS1: TF}
 
 
-@dataclass(frozen=True)
-class Conversion:
+class Conversion(Struct, frozen=True):
     """Result of a conversion: written topics, numbers of left-out messages by reason, and damage of the source."""
 
     topics: tuple[Topic, ...]
@@ -102,8 +102,7 @@ def _first(report: ReadReport, source: Path) -> str:
     return f"{damages[0].what} ({damages[0].where})" if damages else detect.refusal(source)
 
 
-@dataclass
-class _Writing:
+class _Writing(Struct):
     """State of a conversion: for every channel of the source its number in the target and its translation."""
 
     strict: bool

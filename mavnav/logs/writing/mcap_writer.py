@@ -6,8 +6,9 @@ The output does not depend on the clock: equal messages give equal bytes.
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct, field
 
 from mavnav import __version__
 from mavnav.logs.messages.definitions import definition
@@ -32,8 +33,7 @@ _QOS: Final = """\
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Channel:
+class Channel(Struct, frozen=True):
     """The type of a topic's messages, and whether a late subscriber gets the last one (latched, transient local)."""
 
     type: str
@@ -47,8 +47,7 @@ def qos_text(channel: Channel) -> str:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Attachment:
+class Attachment(Struct, frozen=True):
     """A file attached to an MCAP file, with its media type."""
 
     name: str
@@ -56,8 +55,7 @@ class Attachment:
     data: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Extras:
+class Extras(Struct, frozen=True):
     """Content of an MCAP file besides messages: metadata records by name, and attachments with one stamp, ns."""
 
     stamp_ns: int = 0

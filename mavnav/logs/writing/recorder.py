@@ -17,10 +17,11 @@ The ground truth is no Odometry message and not in ``/tf``, so that no reader mi
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from heapq import merge
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct, field
 
 from mavnav.atomic_files import beside
 from mavnav.errors import OutputError, UsageError
@@ -49,8 +50,7 @@ NO_RETURN_M: Final = 0.0
 WORLD, ODOM, BASE, LASER = "world", "odom", "base_link", "laser"
 
 
-@dataclass(frozen=True, slots=True)
-class Recording:
+class Recording(Struct, frozen=True):
     """A drive to be recorded: scans, odometry and ground truth of the base, and the pose of the laser on the base.
 
     A missing trajectory is empty. ``attitudes`` are the measured attitudes of the laser with their stamps, ns. All
@@ -64,8 +64,7 @@ class Recording:
     attitudes: Sequence[tuple[int, Attitude]] = ()
 
 
-@dataclass(slots=True)
-class Recorder:
+class Recorder(Struct):
     """Writer of a log, message by message, in the order of their stamps; created by ``recorder``."""
 
     put: Callable[[str, int, Any], None]

@@ -7,10 +7,11 @@ unequal size make it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.pose import Trajectory
 from mavnav.units import NS
@@ -44,8 +45,7 @@ class Wheels(NamedTuple):
 GOOD_WHEELS: Final = Wheels()
 
 
-@dataclass(frozen=True, slots=True)
-class Steps:
+class Steps(Struct, frozen=True):
     """Steps between poses: ``moved`` (n,) in the plane, complex, m, seen from the mean heading; ``turned`` (n,) rad."""
 
     moved: Complex
@@ -65,8 +65,7 @@ class Steps:
         return np.concatenate(((0.0,), np.cumsum(moved))), heading_rad
 
 
-@dataclass(frozen=True, slots=True)
-class Motions:
+class Motions(Struct, frozen=True):
     """The tracked poses of a laser and the odometry of its base.
 
     ``laser_s`` (n,), ``where`` (n,) complex, m, and ``heading_rad`` (n,), not wrapped, are the track of the laser;

@@ -6,10 +6,10 @@ a constant part and one that grows with the speed, as of stamps that jitter. Sli
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 from scipy.linalg import cholesky_banded, solve_banded
 from scipy.optimize import minimize
 
@@ -39,8 +39,7 @@ SEARCH: Final = {
 """Twice the logarithm of the likelihood changes by less than ``fatol`` at the end."""
 
 
-@dataclass(frozen=True, slots=True)
-class Noise:
+class Noise(Struct, frozen=True):
     """Covariance of the errors of steps (n,) of one coordinate: ``diagonal`` (n,), ``between`` neighbours (n - 1,).
 
     ``slips`` (n,) are the part of the diagonal that the odometry has.
@@ -98,8 +97,7 @@ def _pivots(diagonal: Array, between: Array) -> Array:
     return pivots
 
 
-@dataclass(frozen=True, slots=True)
-class NoiseModel:
+class NoiseModel(Struct, frozen=True):
     """What the noise depends on: ``speeds`` (n + 1,) at the poses, ``motions`` (n,) of the steps, ``linked`` (n,)."""
 
     speeds: Array

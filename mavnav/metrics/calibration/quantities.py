@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, STEP_S
 from mavnav.metrics.calibration.solve import DISTANCE, LEAST_STEPS, OFFSET, estimate
@@ -65,8 +65,7 @@ KINDS: Final = (
 """In the order of the parameters."""
 
 
-@dataclass(frozen=True, slots=True)
-class Motion:
+class Motion(Struct, frozen=True):
     """How much the laser and its base moved: m and rad along the path, over so many steps."""
 
     path_m: float
@@ -76,8 +75,7 @@ class Motion:
     steps: int
 
 
-@dataclass(frozen=True, slots=True)
-class Quantity:
+class Quantity(Struct, frozen=True):
     """A quantity in its unit: value and half-width of its 95 % interval, or why it is ``refused``."""
 
     kind: Kind
@@ -86,8 +84,7 @@ class Quantity:
     refused: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Calibration:
+class Calibration(Struct, frozen=True):
     """All quantities in the order of `KINDS`, the motion behind them, and the fit; None where there was none.
 
     ``refused`` is why nothing at all could be estimated. ``mirrored``: the scans are those of a laser that is the other

@@ -7,11 +7,11 @@ log, with Student's t for the number of parts that constrain a parameter.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import count, pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 from scipy.special import stdtrit
 
 from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, NAMES
@@ -52,8 +52,7 @@ TURN_M_RAD: Final = 0.3
 """A turn makes as much slip as a path of this length a radian."""
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
+class Estimate(Struct, frozen=True):
     """Parameters (7,) in the order of `NAMES` and the half-widths (7,) of their 95 % intervals.
 
     ``mirrored``: the scans are mirrored; ``correlation`` is that of the turns of laser and odometry. ``parts`` (7,) are
@@ -70,8 +69,7 @@ class Estimate:
     errors: Array
 
 
-@dataclass(frozen=True, slots=True)
-class _Equations:
+class _Equations(Struct, frozen=True):
     """What each step (n) adds to the normal equations, whitened: derivatives (3, n, 7), and the score (n, 7)."""
 
     derivatives: Array

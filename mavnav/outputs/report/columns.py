@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
 
 from mavnav.outputs.quantities import QUANTITIES, Quantity, number, why_not_meaningful, winners
 
@@ -13,16 +14,14 @@ if TYPE_CHECKING:
     from mavnav.outputs.report.entry import Entry
 
 
-@dataclass(frozen=True, slots=True)
-class Field:
+class Field(Struct, frozen=True):
     """A field of the table: its text, and whether it is the best of its column."""
 
     text: str
     best: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+class Row(Struct, frozen=True):
     """A run in the table; ``relative_costs`` are its evaluations and CPU time over those of the coarsest grid, or None.
 
     ``why_not`` is the reason why its map is not compared, empty if it is.
@@ -34,8 +33,7 @@ class Row:
     why_not: str
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
+class Table(Struct, frozen=True):
     """The runs of one log, with the columns for which any of them has a value."""
 
     columns: tuple[Quantity, ...]

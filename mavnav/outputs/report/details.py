@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
 
 from mavnav.outputs.report.columns import MISSING, text
 from mavnav.outputs.report.map_panel import ghosts
@@ -17,8 +18,7 @@ MAX_GHOSTS: Final = 20
 METHODS: Final = ("paper", "robust")
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
+class Settings(Struct, frozen=True):
     """Effective settings by dotted key: those common to all runs, and those that differ, with one value per run."""
 
     common: list[tuple[str, str]]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import zipfile
 from csv import DictReader
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from msgspec import Struct
 from PIL import Image
 
 from mavnav.config.named_files import read_json
@@ -30,8 +30,7 @@ if TYPE_CHECKING:
 FAILED: Final = "failed"
 
 
-@dataclass(frozen=True, slots=True)
-class Scans:
+class Scans(Struct, frozen=True):
     """The scans of a run in their order; arrays of shape (n,), unless stated; ``xy_m`` is (n, 2).
 
     ``time_s`` counts from the first scan. ``cost_mm2`` is the cost of the match, and ``threshold_mm2`` its acceptance
@@ -50,8 +49,7 @@ class Scans:
     roll_pitch_height: NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
+class Entry(Struct, frozen=True):
     """A finished run on the page; ``true_walls`` are lines (k, 2) in the map frame, m, empty if unknown.
 
     ``view_3d`` is the picture of the slices by height, None without.
@@ -67,8 +65,7 @@ class Entry:
     view_3d: Image.Image | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Failure:
+class Failure(Struct, frozen=True):
     """A run without a result, and the reason."""
 
     log: str

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
 
 from mavnav import __version__
 from mavnav.atomic_files import beside
@@ -27,8 +28,7 @@ MAX_PICTURE_BYTES: Final = 250_000
 """Maximum size of one picture of a page, in bytes."""
 
 
-@dataclass(frozen=True, slots=True)
-class Section:
+class Section(Struct, frozen=True):
     """The section of the page on one log: its runs, failures, texts and pictures."""
 
     log: str

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from string import ascii_uppercase
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
 
 from mavnav.outputs.map_axes import top_of_scale
 from mavnav.outputs.quantities import why_not_meaningful
@@ -31,8 +32,7 @@ if TYPE_CHECKING:
     from mavnav.outputs.report.entry import Entry
 
 
-@dataclass(frozen=True, slots=True)
-class Closeup:
+class Closeup(Struct, frozen=True):
     """A close-up: its letter, center, side, and its pictures by the names of the runs."""
 
     letter: str
@@ -42,8 +42,7 @@ class Closeup:
     images: dict[str, Image]
 
 
-@dataclass(frozen=True, slots=True)
-class Pictures:
+class Pictures(Struct, frozen=True):
     """The pictures of each kind, one panel per run in their order; ``shape`` is the shape of the maps.
 
     ``motion`` is drawn only for a single run; ``views_3d`` are those of the runs with slices.

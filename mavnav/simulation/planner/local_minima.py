@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from math import atan2, pi
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.kernels import potential
 from mavnav.pose import wrap_angle
@@ -32,8 +33,7 @@ _FOLLOW_SPEED = 0.6  # of the speed in the open: or the vehicle overshoots at co
 _FOLLOW_MARGIN_M = 0.1  # a wall is followed at the safety clearance and this
 
 
-@dataclass(frozen=True, slots=True)
-class Scene:
+class Scene(Struct, frozen=True):
     """What a technique sees: walls (n, 2), those near by, vehicle and goal, in m, map frame."""
 
     config: PlannerConfig
@@ -62,8 +62,7 @@ class Scene:
         return self.config.repulsion_gain * force
 
 
-@dataclass(frozen=True, slots=True)
-class Following:
+class Following(Struct, frozen=True):
     """A wall that is being followed, since the field stalled at ``goal_m`` from the goal.
 
     ``start_xy_map_m`` and ``heading_rad`` are where the path along the wall began; ``path_m`` is its length so far.
@@ -75,8 +74,7 @@ class Following:
     path_m: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Memory:
+class Memory(Struct, frozen=True):
     """All that a planner remembers from command to command; map frame.
 
     All but the velocity is forgotten when the goal changes. ``velocity_m`` (2,) is the virtual mass's, in m a step.
@@ -95,8 +93,7 @@ class Memory:
     side: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Drive:
+class Drive(Struct, frozen=True):
     """What a technique wants: a force (2,) on the virtual mass, or to look round (None), or to give up (a reason).
 
     With ``squeezes`` a step may give up the safety clearance where the path leads through narrower places.

@@ -6,11 +6,12 @@ choice, ``TECHNIQUES``. Whatever the forces want, a command keeps its distance f
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from math import atan2, ceil, cos, sin
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.kernels import potential
 from mavnav.pose import wrap_angle
@@ -36,8 +37,7 @@ _BACKING_OFF = 0.25  # of a step, where nothing is seen
 _TAPER_RAD = 30 * DEG  # below ``view_deg`` steps are shortened over this range
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
+class Command(Struct, frozen=True):
     """One step in the body (laser) frame at its beginning: m, m, rad."""
 
     dx_m: float = 0.0
@@ -45,8 +45,7 @@ class Command:
     dyaw_rad: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
+class Plan(Struct, frozen=True):
     """A command with its evidence.
 
     ``clearance_m`` is the distance from the end of the step to the nearest wall of the map, inf where none is near.

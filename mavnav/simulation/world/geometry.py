@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct, field
 
 from mavnav.pose import transform_points
 
@@ -21,8 +21,7 @@ SEAM: Final = 1e-9
 """Walls reach this much (share of a segment, rad of an arc) beyond their ends, so that no ray slips through a joint."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class World:
+class World(Struct, frozen=True, eq=False):
     """Walls of no thickness in the world frame, seen from both sides.
 
     ``segments`` (n, 4): x1, y1, x2, y2 in metres. ``arcs`` (m, 5): x and y of the centre, radius (m), start (rad) and

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import inf, pi
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.pose import Pose
 from mavnav.scan import LaserSpec, Scan
@@ -33,8 +33,7 @@ EDGE_M: Final = 0.1
 """Where the true ranges of two neighbouring beams differ by more, there is an edge between them."""
 
 
-@dataclass(frozen=True, slots=True)
-class LaserModel:
+class LaserModel(Struct, frozen=True):
     """A sensor with its errors; with the defaults it has none.
 
     ``bias`` and ``noise`` are shares of the distance: a factor that stays, and a standard deviation. The shares of

@@ -5,12 +5,12 @@ Lengths of the vehicle and its errors are in mm and degrees; positions in the wo
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cached_property
 from math import floor, inf, pi
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from msgspec.structs import replace
 from pydantic import Field, field_validator
 
 from mavnav.config.models import Config

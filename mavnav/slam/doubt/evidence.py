@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress
 from math import pi
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.slam.loop_closure.remap import points_of
-from mavnav.slam.resampled_track import coarser
+from mavnav.slam.resampled_track import COARSER
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -29,8 +30,7 @@ SHARPEST, LEAST_TURN_RAD = 12, 30 * DEG
 """Number of scans, those after the sharpest turns, that are compared with other headings, and their minimum turn."""
 
 
-@dataclass(frozen=True, slots=True)
-class Evidence:
+class Evidence(Struct, frozen=True):
     """Arrays with a row for every tracked scan, and scalars of the whole track.
 
     ``stamps_ns`` (n,); ``xyyaw`` (n, 3) the poses in the map frame, m and rad; ``points`` (n,) the numbers of matched
@@ -106,7 +106,9 @@ def with_resampled_track(track: Track) -> Track:
     """Track the same scans with coarser voxels, and add those poses; not if the run is stopped early."""
     tracked = track.steps.column("tracked")
     some = partial(tracked_scans, track.log_scans, tracked)
-    again = replace(track, config=coarser(track.config), log_scans=some, begin=int(tracked[: track.begin].sum()))
+    again = replace(
+        track, config=track.config.with_voxels(COARSER), log_scans=some, begin=int(tracked[: track.begin].sum())
+    )
     other = again.over(some(), "track again")
     if len(other.steps) < np.count_nonzero(tracked):
         return track

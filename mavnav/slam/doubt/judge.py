@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from mavnav.profiling import timed
 from mavnav.slam.doubt.evidence import evidence_of, with_resampled_track

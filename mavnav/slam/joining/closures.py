@@ -5,11 +5,11 @@ Some must agree, at several places, and hardly any key frame may contradict the 
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from mavnav.pose import Pose
 from mavnav.slam.joining.following import across, end_of

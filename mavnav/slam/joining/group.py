@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD
 from mavnav.slam.loop_closure.detection import LOOP_M
@@ -63,8 +64,7 @@ class Join(NamedTuple):
         return self.agreeing / max(self.searched, 1)
 
 
-@dataclass(frozen=True, slots=True)
-class Group:
+class Group(Struct, frozen=True):
     """Sessions in one frame: their key frames, one session after another, what binds them, and how each was joined."""
 
     sessions: tuple[Session, ...]

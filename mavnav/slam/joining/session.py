@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.slam.loop_closure.key_frames import KeyFrame, key_rows
 from mavnav.slam.motion_model import USUAL_PERIOD_S, Motion
@@ -26,8 +26,7 @@ END_M, END_KEY_M, END_KEY_RAD = 1.5, 0.1, 5 * DEG
 """Sessions may meet at an end: that near to the ends of the path, key frames follow each other more closely."""
 
 
-@dataclass(frozen=True, slots=True)
-class Session:
+class Session(Struct, frozen=True):
     """Tracked scans, from the first one again at every call, their poses, a row each, and the key frames among them.
 
     ``doubtful``: the track may be wrong, by its own run. ``scan_hashes`` are those of the ranges.
@@ -36,9 +35,9 @@ class Session:
     name: str
     scans: Callable[[], Iterable[Scan]]
     map_T_laser: Trajectory
-    keys: tuple[KeyFrame, ...] = field(repr=False)
+    keys: tuple[KeyFrame, ...]
     doubtful: bool = False
-    scan_hashes: frozenset[int] = field(default=frozenset(), repr=False)
+    scan_hashes: frozenset[int] = frozenset()
 
     @property
     def at_rest(self) -> Motion:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import cos, sin
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.pose import Pose
 from mavnav.units import DEG
@@ -35,8 +35,7 @@ SMALL_M, SMALL_RAD = 0.06, 1 * DEG
 """Largest correction by a closure that confirms the track, which then does not change."""
 
 
-@dataclass(frozen=True, slots=True)
-class Closure:
+class Closure(Struct, frozen=True):
     """Key frame ``end`` saw the same walls as key frame ``start`` (numbers of key frames); ``match`` is the evidence.
 
     ``weak_rad`` is the direction, frame of ``start``, in which the pose is not observable (along a plain corridor);

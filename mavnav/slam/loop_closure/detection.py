@@ -8,10 +8,11 @@ corrections over the path.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from mavnav.pose import Pose, Trajectory, blend
 from mavnav.profiling import timed
@@ -54,8 +55,7 @@ ROUNDS = 3
 """Maximum number of rounds: a closed loop can bring other closures within the bounds."""
 
 
-@dataclass(frozen=True, slots=True)
-class Loop:
+class Loop(Struct, frozen=True):
     """A closed loop: the scan of row ``end`` of the trajectory lies at ``start_T_end`` from that of row ``start``.
 
     ``correction`` is the corrected pose of the later scan in its tracked frame, without the direction that is not
@@ -69,16 +69,14 @@ class Loop:
     inliers: float
 
 
-@dataclass(frozen=True, slots=True)
-class Graph:
+class Graph(Struct, frozen=True):
     """The pose graph of a track: the rows of the key frames in the trajectory, and the edges between key frames."""
 
     rows: tuple[int, ...]
     edges: tuple[Edge, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Loops:
+class Loops(Struct, frozen=True):
     """The closed loops, the number of refused candidates, and the corrected poses.
 
     ``map_T_laser`` is None if the track does not change, ``graph`` is None if no loop was searched.
@@ -87,7 +85,7 @@ class Loops:
     closed: tuple[Loop, ...] = ()
     refused: int = 0
     map_T_laser: Trajectory | None = None
-    graph: Graph | None = field(default=None, compare=False)
+    graph: Graph | None = None
 
     def dropped(self) -> Loops:
         """Return the loops with every one refused."""

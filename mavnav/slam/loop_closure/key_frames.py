@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.kernels.points import extent
 from mavnav.mapping.line_map import LineMap
@@ -32,8 +32,7 @@ _ROW = 1 << 32
 """Length of a row in the numbering of squares of the plane."""
 
 
-@dataclass(frozen=True, slots=True)
-class KeyFrame:
+class KeyFrame(Struct, frozen=True):
     """A tracked scan: row in the trajectory, path length so far (m), points (n, 2) in the laser frame (m), and pose."""
 
     row: int

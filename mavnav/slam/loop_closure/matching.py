@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import cos, sin
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from mavnav.pose import wrap_angle
 from mavnav.slam.loop_closure.closure import Closure

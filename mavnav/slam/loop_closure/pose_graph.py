@@ -7,10 +7,10 @@ edges and with a robust loss, is minimised by damped Gauss-Newton steps on the s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
 
 from mavnav.pose import Pose, wrap_angle
 
@@ -27,8 +27,7 @@ MAX_ITERATIONS = 50
 SMALL_STEP = 1e-6  # m, rad
 
 
-@dataclass(frozen=True, slots=True)
-class Edge:
+class Edge(Struct, frozen=True):
     """Pose ``end`` was measured from pose ``start`` (numbers of poses).
 
     ``sqrt_information`` (3, 3) is the square root of the information matrix of x, y (m) and yaw (rad) in the frame of

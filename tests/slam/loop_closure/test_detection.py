@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from math import hypot
 
 import numpy as np
 import pytest
+from msgspec import Struct
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
@@ -87,8 +87,7 @@ ROUND_PLAIN = [(9, 0.8), (17.2, 0.8), (17.2, 12.2), (0.8, 12.2), (0.8, 0.8), (9.
 ROOM_TO_ROOM = [(2, 1.5), (1.95, 3.8), (9.05, 3.8), (9, 1.5), (9.1, 3.7), (1.95, 3.8), (2, 1.5)]
 
 
-@dataclass(frozen=True)
-class Walk:
+class Walk(Struct, frozen=True):
     """A true path through a world, and the scans that belong to it; frame of the first pose."""
 
     walls: Segments
