@@ -15,7 +15,6 @@ from dataclasses import astuple, dataclass
 from functools import cache
 from hashlib import sha256
 from importlib.machinery import EXTENSION_SUFFIXES
-from importlib.metadata import version
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from marshal import dumps, loads
 from pathlib import Path
@@ -62,7 +61,17 @@ def cache_key() -> str:
     chosen = [os.environ.get(f"NUMBA_{name}", "") for name in names]
     processor = [llvm.get_process_triple(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten(), *chosen]
     digest = sha256(repr(processor).encode()).hexdigest()[:16]
-    return f"numba-{version('numba')}-py{sys.version_info.major}{sys.version_info.minor}-{digest}"
+    return f"numba-{_numba_version()}-py{sys.version_info.major}{sys.version_info.minor}-{digest}"
+
+
+def _numba_version() -> str:
+    """Return numba's version by the name of its ``.dist-info`` folder: importing importlib.metadata takes 15 ms."""
+    folders = [path for root in _numba_folders() for path in root.parent.glob("numba-*.dist-info")]
+    if len(folders) == 1:
+        return folders[0].stem.removeprefix("numba-")
+    from importlib.metadata import version  # noqa: PLC0415  another kind of installation
+
+    return version("numba")
 
 
 def loaded(entry: MachineCode, module: str, name: str) -> Callable[..., Any]:
@@ -153,14 +162,19 @@ def _extension(name: str) -> Any:  # noqa: ANN401
     full = f"numba.{name}"
     if full in sys.modules:
         return sys.modules[full]
-    (root,) = getattr(find_spec("numba"), "submodule_search_locations", None) or [""]
-    path = Path(root, *name.split(".")).with_suffix(EXTENSION_SUFFIXES[0])
+    (root,) = _numba_folders() or [Path()]
+    path = root.joinpath(*name.split(".")).with_suffix(EXTENSION_SUFFIXES[0])
     spec = spec_from_file_location(full, path)
     if spec is None or spec.loader is None:
         raise ImportError(full)
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def _numba_folders() -> list[Path]:
+    """Return the folder of numba's modules; none if numba is not installed."""
+    return [Path(folder) for folder in getattr(find_spec("numba"), "submodule_search_locations", None) or ()]
 
 
 def _resolve(symbols: tuple[str, ...]) -> None:

@@ -6,8 +6,9 @@ import json
 import platform
 import sys
 from dataclasses import asdict, fields, is_dataclass
-from importlib.metadata import version
+from functools import cache
 from math import isfinite
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -23,8 +24,6 @@ from mavnav.outputs.slices_section import attitude_source, map_slices
 from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
     from mavnav.logs import Log
@@ -42,7 +41,7 @@ def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
         schema_version=SCHEMA_VERSION,
         mavnav_version=__version__,
         python=platform.python_version(),
-        libraries={name: _version(name) for name in LIBRARIES},
+        libraries=_library_versions(),
         input=_input(run),
         config=run.config,
         method=run.config.method,
@@ -73,9 +72,22 @@ def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
     )
 
 
-def _version(library: str) -> str:
-    """Return a library's version: where it is loaded its own word, which is quicker than the package's papers."""
-    return str(getattr(sys.modules.get(library), "__version__", None) or version(library))
+@cache
+def _library_versions() -> dict[str, str]:
+    """Return the versions of `LIBRARIES` by the names of their folders ``name-version.dist-info``.
+
+    The names are those of PyPA's "Recording installed projects". importlib.metadata takes 15 ms to import.
+    """
+    folders = (path.stem for entry in reversed(sys.path) for path in Path(entry).glob("*-*.dist-info"))
+    found = {name.lower(): version for name, _, version in (folder.partition("-") for folder in folders)}
+    return {name: found.get(name) or _recorded_version(name) for name in LIBRARIES}
+
+
+def _recorded_version(library: str) -> str:
+    """Return the version of a library that is installed in another way."""
+    from importlib.metadata import version  # noqa: PLC0415
+
+    return version(library)
 
 
 def write_metrics(run: Run, path: Path) -> None:

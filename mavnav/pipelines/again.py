@@ -6,7 +6,6 @@ import json
 import platform
 import re
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -83,6 +82,8 @@ def _versions(document: dict[str, Any]) -> dict[str, str]:
 
 
 def _installed(library: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  only repeated runs need it
+
     try:
         return version(library)
     except PackageNotFoundError:
