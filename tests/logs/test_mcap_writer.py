@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from io import BytesIO
+
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from mavnav.logs.messages import definitions, ros
+from mavnav.logs.writing.mcap_stream import McapStream
 from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, Channel, write_serialized
 
 CHANNELS = {
@@ -53,3 +57,23 @@ def test_channels_tell_their_type_and_whether_the_last_message_is_kept(tmp_path)
         assert (summary.schemas[channel.schema_id].name, channel.message_encoding) == (wanted.type, "cdr")
         qos = channel.metadata["offered_qos_profiles"]
         assert ("transient_local" in qos, "depth: 1\n" in qos) == (wanted.latched, wanted.latched)
+
+
+@pytest.mark.parametrize("count", [0, 1, 40])
+def test_bytes_are_those_of_the_library(count) -> None:
+    theirs, ours, about = BytesIO(), BytesIO(), {"a": "b", "\u00fc": "\u00e9"}
+    library, stream = Writer(theirs, chunk_size=1000), McapStream(ours, "ros2", "test", 1000)
+    library.start("ros2", "test")
+    for name in ("one", "two"):
+        assert library.register_schema(name, "ros2msg", b"int8 x") == stream.schema(name, "ros2msg", b"int8 x")
+        assert library.register_channel(f"/{name}", "cdr", 1, about) == stream.channel(f"/{name}", "cdr", 1, about)
+        library.add_metadata(name, about)
+        stream.metadata(name, about)
+        library.add_attachment(7, 7, name, "text/plain", b"content")
+        stream.attachment(7, name, "text/plain", b"content")
+    for k in range(count):
+        library.add_message(k % 2 + 1, 100 - k, bytes(90), 100 - k)
+        stream.message(k % 2 + 1, 100 - k, bytes(90))
+    library.finish()
+    stream.finish()
+    assert ours.getvalue() == theirs.getvalue()
