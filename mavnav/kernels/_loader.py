@@ -80,7 +80,8 @@ def loaded(entry: MachineCode, module: str, name: str) -> Callable[..., Any]:
     Raises AttributeError, ImportError, LookupError, OSError or RuntimeError if internals of numba are missing.
     """
     llvm, engine, runtime = _llvm(), _engine(), _runtime()
-    _resolve(entry.symbols)
+    for symbol in entry.symbols:
+        _resolve(symbol)
     if not entry.wrapper:
         raise LookupError("numba alone can load it")
     engine.add_object_file(llvm.ObjectFileRef.from_data(entry.code))
@@ -177,13 +178,13 @@ def _numba_folders() -> list[Path]:
     return [Path(folder) for folder in getattr(find_spec("numba"), "submodule_search_locations", None) or ()]
 
 
-def _resolve(symbols: tuple[str, ...]) -> None:
-    """Register the addresses of symbols in LLVM, which would end the process without them; raises LookupError."""
+@cache
+def _resolve(symbol: str) -> None:
+    """Register the address of a symbol in LLVM, which would end the process without it; raises LookupError."""
     llvm, helpers = _llvm(), _helpers()
-    for symbol in symbols:
-        if symbol in helpers:
-            llvm.add_symbol(symbol, helpers[symbol])
-        elif symbol.startswith("PyExc_"):
-            llvm.add_symbol(symbol, id(getattr(builtins, symbol.removeprefix("PyExc_"))))
-        elif llvm.address_of_symbol(symbol) is None:
-            raise LookupError(symbol)
+    if symbol in helpers:
+        llvm.add_symbol(symbol, helpers[symbol])
+    elif symbol.startswith("PyExc_"):
+        llvm.add_symbol(symbol, id(getattr(builtins, symbol.removeprefix("PyExc_"))))
+    elif llvm.address_of_symbol(symbol) is None:
+        raise LookupError(symbol)
