@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile, TemporaryFile, mkdtemp
 from typing import Final, cast
 
-_IMPORT = re.compile(rb"^from ([\w.]+) import ", re.MULTILINE)
+_IMPORT = re.compile(rb"\nfrom ([\w.]+) import ")  # an eighth of the time that ^ takes
 
 PRIVATE: Final = "MAVNAV_PRIVATE_CACHE_DIR"
 """Environment variable with the private directory, for child processes."""
@@ -130,4 +130,4 @@ def source_stamp(module: str) -> bytes:
 def _source(module: str) -> tuple[bytes, list[bytes]]:
     """Return the hash of a loaded module's source, and the names of the modules that it imports from."""
     source = Path(cast("str", sys.modules[module].__file__)).read_bytes()
-    return sha256(source).digest(), _IMPORT.findall(source)
+    return sha256(source).digest(), _IMPORT.findall(b"\n" + source)
