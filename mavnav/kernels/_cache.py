@@ -65,12 +65,12 @@ def _remove(folder: str, owner: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def read_code(key: str, name: str) -> bytes | None:
+def read_code(key: str, name: str) -> memoryview | None:
     """Return the content of an entry; None if there is none with a valid checksum."""
     private = os.environ.get(PRIVATE)
     for folder in (user_directory(), *([Path(private)] if private else [])):
         with suppress(OSError):
-            content = (folder / key / name).read_bytes()
+            content = memoryview((folder / key / name).read_bytes())  # whose slices are not copied
             if sha256(content[_DIGEST_BYTES:]).digest() == content[:_DIGEST_BYTES]:
                 return content[_DIGEST_BYTES:]
     return None

@@ -48,7 +48,7 @@ class MachineCode:
         return dumps(astuple(self))
 
     @classmethod
-    def unpacked(cls, content: bytes) -> MachineCode:
+    def unpacked(cls, content: bytes | memoryview) -> MachineCode:
         """Parse the content of a file; raises ValueError, EOFError or TypeError if it is not valid."""
         return cls(*loads(content))  # noqa: S302  the checksum has been compared
 
