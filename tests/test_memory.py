@@ -71,11 +71,11 @@ def test_the_memory_of_freed_arrays_is_reused() -> None:
     from resource import RUSAGE_SELF, getrusage
 
     keep_free_memory()
-    np.ones(1 << 19)
+    np.ones(1 << 18)
     before = getrusage(RUSAGE_SELF).ru_minflt
     for _ in range(10):
-        np.ones(1 << 19)
-    assert getrusage(RUSAGE_SELF).ru_minflt - before < 1000  # of 10 x 1024 pages
+        np.ones(1 << 18)
+    assert getrusage(RUSAGE_SELF).ru_minflt - before < 1000  # of 10 x 512 pages
 
 
 @pytest.mark.skipif(not Path("/proc/self/smaps").exists(), reason="only Linux tells which pages lie in memory")
