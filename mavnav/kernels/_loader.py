@@ -85,8 +85,7 @@ def loaded(entry: MachineCode, module: str, name: str) -> Callable[..., Any]:
     if not entry.wrapper:
         raise LookupError("numba alone can load it")
     engine.add_object_file(llvm.ObjectFileRef.from_data(entry.code))
-    engine.finalize_object()
-    address = engine.get_function_address(entry.wrapper)
+    address = engine.get_function_address(entry.wrapper)  # MCJIT finalizes the object before it gives its address
     if not address:
         raise LookupError(entry.wrapper)
     environment = runtime.Environment({})
