@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _CODEC = "zstd"
 _INDEX_ENTRY = struct.Struct("<QQ")
+_MESSAGE = struct.Struct(HEAD.format + MESSAGE_HEAD.format.removeprefix("<"))
 _SUMMARY = (Op.SCHEMA, Op.CHANNEL, Op.STATISTICS, Op.CHUNK_INDEX, Op.ATTACHMENT_INDEX, Op.METADATA_INDEX)
 
 
@@ -60,8 +61,7 @@ class McapStream:
     def message(self, channel: int, stamp_ns: int, data: bytes) -> None:
         """Add a message that was recorded and published at one time."""
         self._index[channel].append((stamp_ns, self._chunk_size))
-        size = MESSAGE_HEAD.size + len(data)
-        self._add(HEAD.pack(Op.MESSAGE, size), MESSAGE_HEAD.pack(channel, 0, stamp_ns, stamp_ns), data)
+        self._add(_MESSAGE.pack(Op.MESSAGE, MESSAGE_HEAD.size + len(data), channel, 0, stamp_ns, stamp_ns), data)
         if self._chunk_size > self._chunk_bytes:
             self._end_chunk()
 
