@@ -121,8 +121,7 @@ class Trajectory(Struct, frozen=True):
 
     def __getitem__(self, index: int) -> Pose:
         """Return one pose."""
-        x, y, yaw = self.xyyaw[index]
-        return Pose(float(x), float(y), float(yaw))
+        return Pose(*self.xyyaw[index].tolist())
 
     def at(self, stamp_ns: int, max_gap_ns: int) -> Pose | None:
         """Interpolate the pose at a time; None outside, or in a gap longer than ``max_gap_ns``."""

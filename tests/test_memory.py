@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,14 @@ from numba import njit
 from mavnav import memory
 from mavnav.kernels.layout import WIDE
 from mavnav.mapping.tiled_arrays import blank_strips, moved
-from mavnav.memory import SMALL_BYTES, blank, release_compiler_code, release_free_memory, release_rows
+from mavnav.memory import (
+    SMALL_BYTES,
+    blank,
+    keep_free_memory,
+    release_compiler_code,
+    release_free_memory,
+    release_rows,
+)
 from support.memory_use import in_use_mb, taking_less_than
 
 MB = 1 << 20
@@ -56,6 +64,18 @@ def test_free_memory_is_released_after_a_large_peak(monkeypatch: pytest.MonkeyPa
     release_free_memory()
     assert in_use_mb() - before_mb < 20
     assert len(kept) == 40
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only glibc has the option")
+def test_the_memory_of_freed_arrays_is_reused() -> None:
+    from resource import RUSAGE_SELF, getrusage
+
+    keep_free_memory()
+    np.ones(1 << 18)
+    before = getrusage(RUSAGE_SELF).ru_minflt
+    for _ in range(10):
+        np.ones(1 << 18)
+    assert getrusage(RUSAGE_SELF).ru_minflt - before < 1000  # of 10 x 512 pages
 
 
 @pytest.mark.skipif(not Path("/proc/self/smaps").exists(), reason="only Linux tells which pages lie in memory")

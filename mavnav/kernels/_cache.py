@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile, TemporaryFile, mkdtemp
 from typing import Final, cast
 
-_IMPORT = re.compile(rb"^from ([\w.]+) import ", re.MULTILINE)
+_IMPORT = re.compile(rb"\nfrom ([\w.]+) import ")  # an eighth of the time that ^ takes
 
 PRIVATE: Final = "MAVNAV_PRIVATE_CACHE_DIR"
 """Environment variable with the private directory, for child processes."""
@@ -65,12 +65,12 @@ def _remove(folder: str, owner: int) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def read_code(key: str, name: str) -> bytes | None:
+def read_code(key: str, name: str) -> memoryview | None:
     """Return the content of an entry; None if there is none with a valid checksum."""
     private = os.environ.get(PRIVATE)
     for folder in (user_directory(), *([Path(private)] if private else [])):
         with suppress(OSError):
-            content = (folder / key / name).read_bytes()
+            content = memoryview((folder / key / name).read_bytes())  # whose slices are not copied
             if sha256(content[_DIGEST_BYTES:]).digest() == content[:_DIGEST_BYTES]:
                 return content[_DIGEST_BYTES:]
     return None
@@ -130,4 +130,4 @@ def source_stamp(module: str) -> bytes:
 def _source(module: str) -> tuple[bytes, list[bytes]]:
     """Return the hash of a loaded module's source, and the names of the modules that it imports from."""
     source = Path(cast("str", sys.modules[module].__file__)).read_bytes()
-    return sha256(source).digest(), _IMPORT.findall(source)
+    return sha256(source).digest(), _IMPORT.findall(b"\n" + source)

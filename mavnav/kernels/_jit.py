@@ -82,7 +82,7 @@ class Kernel:
         return cache_key(), f"{self.module}.{self.name}-{source_stamp(self.module).hex()[:24]}"
 
     @cached_property
-    def code(self) -> bytes | None:
+    def code(self) -> memoryview | None:
         """Content of the cache entry; None if there is no valid one."""
         return read_code(*self._entry)
 
@@ -105,7 +105,7 @@ class Kernel:
                 write_code(*self._entry, made.packed())
         self.run, self.loaded, self.code = run, True, None  # type: ignore[method-assign]
 
-    def _from_disk(self, content: bytes) -> Callable[..., Any] | None:
+    def _from_disk(self, content: memoryview) -> Callable[..., Any] | None:
         """Load the code without numba, else with numba; None if the content is not valid."""
         try:
             entry = MachineCode.unpacked(content)

@@ -49,7 +49,7 @@ class MachineCode(Struct, frozen=True):
         return dumps(astuple(self))
 
     @classmethod
-    def unpacked(cls, content: bytes) -> MachineCode:
+    def unpacked(cls, content: bytes | memoryview) -> MachineCode:
         """Parse the content of a file; raises ValueError, EOFError or TypeError if it is not valid."""
         return cls(*loads(content))  # noqa: S302  the checksum has been compared
 
@@ -71,12 +71,12 @@ def loaded(entry: MachineCode, module: str, name: str) -> Callable[..., Any]:
     Raises AttributeError, ImportError, LookupError, OSError or RuntimeError if internals of numba are missing.
     """
     llvm, engine, runtime = _llvm(), _engine(), _runtime()
-    _resolve(entry.symbols)
+    for symbol in entry.symbols:
+        _resolve(symbol)
     if not entry.wrapper:
         raise LookupError("numba alone can load it")
     engine.add_object_file(llvm.ObjectFileRef.from_data(entry.code))
-    engine.finalize_object()
-    address = engine.get_function_address(entry.wrapper)
+    address = engine.get_function_address(entry.wrapper)  # MCJIT finalizes the object before it gives its address
     if not address:
         raise LookupError(entry.wrapper)
     environment = runtime.Environment({})
@@ -163,13 +163,13 @@ def _extension(name: str) -> Any:  # noqa: ANN401
     return module
 
 
-def _resolve(symbols: tuple[str, ...]) -> None:
-    """Register the addresses of symbols in LLVM, which would end the process without them; raises LookupError."""
+@cache
+def _resolve(symbol: str) -> None:
+    """Register the address of a symbol in LLVM, which would end the process without it; raises LookupError."""
     llvm, helpers = _llvm(), _helpers()
-    for symbol in symbols:
-        if symbol in helpers:
-            llvm.add_symbol(symbol, helpers[symbol])
-        elif symbol.startswith("PyExc_"):
-            llvm.add_symbol(symbol, id(getattr(builtins, symbol.removeprefix("PyExc_"))))
-        elif llvm.address_of_symbol(symbol) is None:
-            raise LookupError(symbol)
+    if symbol in helpers:
+        llvm.add_symbol(symbol, helpers[symbol])
+    elif symbol.startswith("PyExc_"):
+        llvm.add_symbol(symbol, id(getattr(builtins, symbol.removeprefix("PyExc_"))))
+    elif llvm.address_of_symbol(symbol) is None:
+        raise LookupError(symbol)

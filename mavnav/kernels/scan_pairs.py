@@ -59,7 +59,8 @@ def _used_ends(
         r = ranges_m[i]
         if limits_m[0] <= r <= limits_m[1]:
             beam[n], xy[0, n], xy[1, n] = i, r * directions[i, 0], r * directions[i, 1]
-            apart[n] = n == 0 or np.hypot(xy[0, n] - xy[0, n - 1], xy[1, n] - xy[1, n - 1]) > GAP_M
+            dx, dy = xy[0, n] - xy[0, n - 1], xy[1, n] - xy[1, n - 1]
+            apart[n] = n == 0 or dx * dx + dy * dy > GAP_M * GAP_M
             n += 1
     return n
 
@@ -102,7 +103,8 @@ def wall_normals(
             if fewest < LEAST_BESIDE:
                 continue
             xx, xy_, yy = xx / n - x * x / n / n, xy_ / n - x * y / n / n, yy / n - y * y / n / n
-            mean, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy_)
+            mean, diff = 0.5 * (xx + yy), 0.5 * (xx - yy)
+            half = np.sqrt(diff * diff + xy_ * xy_)
             spread_m = SPREAD_M + SPREAD_SHARE * ranges_m[s, i]
             if mean - half > min(MOST_RATIO * (mean + half), spread_m * spread_m):
                 continue

@@ -114,6 +114,8 @@ def doubled_walls(trajectory: Trajectory, scans: PlacedScans, cell_m: float) -> 
     conflict = (points >= LEAST_POINTS) & (doubled >= np.maximum(LEAST_DOUBLED, LEAST_DOUBLED_SHARE * points))
     tested = np.flatnonzero(conflict)
     tested = tested[spread(len(tested), max(LEAST_ALIGNED, int(ALIGNED_SHARE * len(keys.poses))))]
+    if not len(tested):
+        return as_ghost_walls((), cell_m)
     found = _doubled(keys, np.ascontiguousarray(pairs[tested]), b_T_a[tested])
     return as_ghost_walls(_places(found, keys), cell_m)
 

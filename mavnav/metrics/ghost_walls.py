@@ -99,7 +99,7 @@ def ghost_walls(grid: Grid, all_sections: Iterable[Sections]) -> GhostWalls:
     left, right = [], []
     for first in range(0, max(len(stations), 1), AT_A_TIME):
         some = stations[first : first + AT_A_TIME]
-        hits, passes = wall_profiles(grid.hits, grid.passes, some, half_length, reach)
+        hits, passes = (wall_profiles(counts, some, half_length, reach) for counts in (grid.hits, grid.passes))
         left.append(_twins(some, hits, passes))
         right.append(_twins(_turned(some), hits[:, ::-1, ::-1], passes[:, ::-1, ::-1]))
     return as_ghost_walls(_places(_joined(left + right), grid), grid.cell_m)

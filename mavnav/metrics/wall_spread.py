@@ -183,7 +183,7 @@ def _widths(grid: Grid, stations: Array) -> tuple[Array, Array]:
     half_length, reach = (max(round(size_m / grid.cell_m), 1) for size_m in (HALF_LENGTH_M, REACH_M))
     cells = np.column_stack(((stations[:, :2] - grid.origin_xy_m) / grid.cell_m - 0.5, stations[:, 2]))
     parts = [
-        _ridges(wall_profiles(grid.hits, grid.hits, cells[k : k + AT_A_TIME], half_length, reach)[0], grid.cell_m / 2.0)
+        _ridges(wall_profiles(grid.hits, cells[k : k + AT_A_TIME], half_length, reach), grid.cell_m / 2.0)
         for k in range(0, len(cells), AT_A_TIME)
     ]
     middle, width, mean_hits = (
@@ -208,7 +208,9 @@ def _ridges(halves: Array, bin_m: float) -> tuple[Array, Array, Array]:
     for _ in range(3):  # the peak of the ridge may lie farther away than `NEAR_M`
         first, last = _extents(smooth, peak, bin_m)
         inside = (np.arange(bins) >= first[:, None]) & (np.arange(bins) <= last[:, None])
-        peak = np.argmax(np.where(inside, smooth[0], -1.0), axis=1)
+        before, peak = peak, np.argmax(np.where(inside, smooth[0], -1.0), axis=1)
+        if (peak == before).all():
+            break
     hits = np.where(inside, total, 0.0)
     low, high = (_quantile(hits, share) for share in HELD)
     count = hits.sum(axis=1)

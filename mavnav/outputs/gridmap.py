@@ -54,14 +54,14 @@ def write_pgm(run: DrawnMap, path: Path) -> None:
 
 
 def pgm_rows(run: DrawnMap) -> Iterator[bytes]:
-    """Yield the picture of `write_pgm`: its header, and each row."""
+    """Yield the picture of `write_pgm`: its header, and its rows, a band of them at a time."""
     cells, of_cell = run.cells[::-1], np.zeros(256, np.uint8)
     for cell, pixel in _PIXELS.items():
         of_cell[cell] = pixel
     rows, cols = cells.shape
     yield f"P5\n{cols} {rows}\n255\n".encode()
-    for row in cells:
-        yield of_cell[row.view(np.uint8)].tobytes()
+    for _, _, band in bands(cells.shape):
+        yield of_cell[cells[band].view(np.uint8)].tobytes()
 
 
 def write_yaml(run: DrawnMap, path: Path) -> None:

@@ -77,4 +77,4 @@ def _processor() -> str:
     except OSError:
         lines = []
     models = (line.partition(":")[2].strip() for line in lines if line.startswith(("model name", "Model")))
-    return next(filter(None, models), platform.processor() or platform.machine())
+    return next(filter(None, models), "") or platform.processor() or platform.machine()

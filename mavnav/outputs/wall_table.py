@@ -23,11 +23,11 @@ COLUMNS: Final = ("x_m", "y_m", "direction_deg", "width_mm", "length_m")
 def write(run: Run, path: Path) -> None:
     """Write a row for each place where the scans saw a wall; the width is empty where the map has none to measure."""
     cuts = run.measured.cuts
-    found = () if cuts is None else zip(cuts.xy_m, cuts.direction_rad, cuts.width_m, cuts.length_m, strict=True)
+    columns = () if cuts is None else (cuts.xy_m, cuts.direction_rad, cuts.width_m, cuts.length_m)
     with path.open("w", encoding="ascii", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(COLUMNS)
-        for (x, y), direction, width, length in found:
+        for x, y, direction, width, length in np.column_stack(columns).tolist() if columns else ():
             wide = f"{width / MM:.2f}" if isfinite(width) else ""
             rows.writerow((f"{x:.4f}", f"{y:.4f}", f"{direction / DEG % 180.0:.2f}", wide, f"{length:.4f}"))
 
