@@ -42,14 +42,15 @@ class Doubt:
 
 @dataclass(frozen=True, slots=True)
 class Remedy:
-    """Another track of the whole log, made because the first one was lost or doubtful.
+    """Another track of the log, made because the first one was lost or doubtful.
 
-    ``used``: it is the track of the run; ``tracking.doubt`` is then its own.
+    ``used``: it is the track of the run; ``tracking.doubt`` is then its own. ``doubt_after`` is null where the other
+    track was given up, because it was lost as well or had fewer scans.
     """
 
     remedy: str = field(metadata=text("how the other track was made"))
     doubt_before: float = field(metadata=number("doubt of the first track", better="lower"))
-    doubt_after: float = field(metadata=number("doubt of the other track", better="lower"))
+    doubt_after: Measured = field(metadata=number("doubt of the other track", better="lower"))
     used: bool = field(metadata=text("whether it is the track of the run"))
 
 

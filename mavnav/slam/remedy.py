@@ -7,20 +7,29 @@ doubt decides between the two tracks: agreement of finer and coarser voxels is u
 from __future__ import annotations
 
 from dataclasses import replace
+from math import nan
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from mavnav.slam import beam_order, odometry_check
-from mavnav.slam.beginning import accepted
+from mavnav.slam.beginning import accepted, with_good_beginning
 from mavnav.slam.doubt.features import FEATURES
 from mavnav.slam.doubt.record import NOT_PLANAR, Remedy
 from mavnav.slam.parts import lost_for_good, parts_of
+from mavnav.slam.resampled_track import has_sparse_scans
 from mavnav.slam.steps import lost_intervals
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable, Iterator
+
+    from numpy.typing import NDArray
 
     from mavnav.config.models import Config
-    from mavnav.slam.track import Track
+    from mavnav.slam.steps import Step
+    from mavnav.slam.track import Track, Until
+
+    Pass = Callable[[Track], Track]
 
 FINER, FINER_VOXELS = 3 / 4, "finer voxels"
 
@@ -30,41 +39,90 @@ INHERENT = (NOT_PLANAR, FEATURES["weakly_constrained"].reason)
 MOST_DOUBT = 0.25
 """Largest doubt with which a remedy is used."""
 
+MORE_MISSED = 64
+"""Number of scans that the other track may miss more than the first one missed before its last pose.
+
+The whole map is searched at 16 and 64 lost scans, and scans between accepted ones are matched again later.
+"""
+
 KEPT_WARNINGS = (odometry_check.WARNING, beam_order.WARNING)
 """Warnings about the input that are kept: the remedy does not check it again."""
 
 
-def with_remedy(track: Track, start: Track, whole: Callable[[Track], Track]) -> Track:
-    """Track a log from its ``start`` on with finer voxels if the track is lost or doubtful; keep the better one.
+def with_remedy(track: Track, start: Track, recovered: Pass, judged: Pass) -> Track:
+    """Track a log once more with finer voxels if its track is lost or doubtful; keep the better one.
 
-    ``whole`` makes all passes up to the judgement. If the run is stopped early, the first track stays.
+    ``start`` has the settings of the run. ``recovered`` looks for the lost scans of a track, ``judged`` corrects and
+    judges it. Both are left out where the other track cannot be better any more; it then has no doubt (NaN).
     """
     if track.doubt is None or not is_worth_a_remedy(track):
         return track
-    on_step = track.on_step
-    other = whole(
-        replace(
-            start,
-            log_scans=track.log_scans,
-            config=finer(start.config),
-            motion=track.motion,
-            on_step=on_step and (lambda _, done: on_step("track again", done)),
-            warnings=tuple(text for text in track.warnings if text in KEPT_WARNINGS),
-            odometry_contradicts=track.odometry_contradicts,
-            resampled=track.resampled,
-        )
-    )
-    if other.doubt is None or len(other.steps) < len(track.steps):
-        return track
-    used = not is_lost(other) and other.doubt.probability <= MOST_DOUBT and accepted(other) >= accepted(track)
-    remedy = Remedy(FINER_VOXELS, track.doubt.probability, other.doubt.probability, used)
-    return replace(other if used else track, on_step=on_step, remedies=(remedy,))
+    other = finer_track(track, start)
+    if len(other.steps) == len(track.steps):
+        other = recovered(other)
+        other = judged(other) if can_replace(other, track) else other
+    doubt_after = other.doubt.probability if other.doubt else nan
+    remedy = Remedy(FINER_VOXELS, track.doubt.probability, doubt_after, used=doubt_after <= MOST_DOUBT)
+    return replace(other if remedy.used else track, on_step=track.on_step, remedies=(remedy,))
 
 
 def is_worth_a_remedy(track: Track) -> bool:
-    """Return whether a track is lost for good or doubtful, for a reason that another track can remove."""
+    """Return whether a track is lost for good or doubtful, for a reason that another track can remove.
+
+    Where scans are sparse, finer voxels do not give more points, and coarser ones have been compared already.
+    """
     inherent = track.doubt and track.doubt.reasons[:1] and track.doubt.reasons[0].name in INHERENT
-    return not inherent and (is_lost(track) or bool(track.doubt and track.doubt.high))
+    if inherent or has_sparse_scans(track.steps):
+        return False
+    return is_lost(track) or bool(track.doubt and track.doubt.high)
+
+
+def finer_track(track: Track, start: Track) -> Track:
+    """Track a log with finer voxels, to the scan at which the track has missed too many."""
+    on_step = track.on_step
+    other = replace(
+        start,
+        log_scans=track.log_scans,
+        config=finer(start.config),
+        motion=track.motion,
+        on_step=on_step and (lambda _, done: on_step("track again", done)),
+        warnings=tuple(text for text in track.warnings if text in KEPT_WARNINGS),
+        odometry_contradicts=track.odometry_contradicts,
+        resampled=track.resampled,
+    )
+    return with_good_beginning(other, until_missed(may_be_missed(track.steps.column("tracked"))))
+
+
+def may_be_missed(tracked: NDArray[np.bool_]) -> int:
+    """Return the largest number of scans that another track may miss, given which scans (n,) have a pose.
+
+    The other track must come farther than this one, so the scans after its last pose do not count.
+    """
+    found = np.flatnonzero(tracked)
+    before = int(found[-1]) + 1 - len(found) if len(found) else 0
+    return min(before, len(tracked) // 2) + MORE_MISSED
+
+
+def until_missed(most: int) -> Until:
+    """Return what ends the tracks of a log, from several beginnings, when they have missed ``most`` scans in all."""
+    missed = 0
+
+    def until(steps: Iterable[Step]) -> Iterator[Step]:
+        nonlocal missed
+        begun = False
+        for step in steps:
+            yield step
+            begun = begun or step.tracked
+            missed += begun and not step.tracked
+            if missed > most:
+                return
+
+    return until
+
+
+def can_replace(other: Track, track: Track) -> bool:
+    """Return whether another track of a log has as many scans as the first one, and is not lost for good."""
+    return not is_lost(other) and accepted(other) >= accepted(track)
 
 
 def is_lost(track: Track) -> bool:
