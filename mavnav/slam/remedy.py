@@ -39,10 +39,13 @@ INHERENT = (NOT_PLANAR, FEATURES["weakly_constrained"].reason)
 MOST_DOUBT = 0.25
 """Largest doubt with which a remedy is used."""
 
+LEAST_SHARE = 0.2
+"""Minimum share of scans with a pose: with fewer, other points do not help, and lost scans take most time."""
+
 MORE_MISSED = 64
 """Number of scans that the other track may miss more than the first one missed before its last pose.
 
-The whole map is searched at 16 and 64 lost scans, and scans between accepted ones are matched again later.
+It must come farther than the first one. The whole map is searched at 16 and 64 lost scans.
 """
 
 KEPT_WARNINGS = (odometry_check.WARNING, beam_order.WARNING)
@@ -72,7 +75,8 @@ def is_worth_a_remedy(track: Track) -> bool:
     Where scans are sparse, finer voxels do not give more points, and coarser ones have been compared already.
     """
     inherent = track.doubt and track.doubt.reasons[:1] and track.doubt.reasons[0].name in INHERENT
-    if inherent or has_sparse_scans(track.steps):
+    hopeless = accepted(track) < LEAST_SHARE * len(track.steps)
+    if inherent or hopeless or has_sparse_scans(track.steps):
         return False
     return is_lost(track) or bool(track.doubt and track.doubt.high)
 
@@ -90,31 +94,31 @@ def finer_track(track: Track, start: Track) -> Track:
         odometry_contradicts=track.odometry_contradicts,
         resampled=track.resampled,
     )
-    return with_good_beginning(other, until_missed(may_be_missed(track.steps.column("tracked"))))
+    return with_good_beginning(other, until_missed(missed_before_the_last(track.steps.column("tracked"))))
 
 
-def may_be_missed(tracked: NDArray[np.bool_]) -> int:
-    """Return the largest number of scans that another track may miss, given which scans (n,) have a pose.
-
-    The other track must come farther than this one, so the scans after its last pose do not count.
-    """
+def missed_before_the_last(tracked: NDArray[np.bool_]) -> int:
+    """Return the number of scans without a pose before the last one with a pose, given which scans (n,) have one."""
     found = np.flatnonzero(tracked)
-    before = int(found[-1]) + 1 - len(found) if len(found) else 0
-    return min(before, len(tracked) // 2) + MORE_MISSED
+    return int(found[-1]) + 1 - len(found) if len(found) else 0
 
 
 def until_missed(most: int) -> Until:
-    """Return what ends the tracks of a log, from several beginnings, when they have missed ``most`` scans in all."""
-    missed = 0
+    """Return what ends the tracks of a log from several beginnings when they have missed too many scans in all.
+
+    That is ``MORE_MISSED`` scans more than ``most``, or than they have poses: a track of fewer than half of the scans
+    is lost.
+    """
+    missed = found = 0
 
     def until(steps: Iterable[Step]) -> Iterator[Step]:
-        nonlocal missed
+        nonlocal missed, found
         begun = False
         for step in steps:
             yield step
-            begun = begun or step.tracked
+            begun, found = begun or step.tracked, found + step.tracked
             missed += begun and not step.tracked
-            if missed > most:
+            if missed > min(most, found) + MORE_MISSED:
                 return
 
     return until

@@ -17,7 +17,14 @@ from mavnav.slam.doubt.record import NOT_PLANAR, Doubt, Reason
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.registry import make_method
-from mavnav.slam.remedy import FINER, INHERENT, MORE_MISSED, may_be_missed, until_missed, with_remedy
+from mavnav.slam.remedy import (
+    FINER,
+    INHERENT,
+    MORE_MISSED,
+    missed_before_the_last,
+    until_missed,
+    with_remedy,
+)
 from mavnav.slam.resampled_track import FEW_POINTS
 from mavnav.slam.scan_matching import first_match, no_match
 from mavnav.slam.steps import Step, Steps
@@ -103,6 +110,7 @@ def test_another_track_that_cannot_replace_the_first_is_given_up(other: Track, r
     [
         track(0.5),
         *(track(0.9, reason=reason) for reason in (*INHERENT, NOT_PLANAR)),
+        track(0.05, tracked=3),
         track(0.9, points=FEW_POINTS - 1),
         track(0.05, tracked=12, points=FEW_POINTS - 1),
         replace(track(0.9), doubt=None),
@@ -123,16 +131,26 @@ def test_what_was_found_about_the_input_is_kept(remedied: Remedied) -> None:
 
 @pytest.mark.parametrize(
     ("tracked", "missed"),
-    [("1111", 0), ("1011", 1), ("1100000", 0), ("11001000", 2), ("00000001", 4), ("0000", 0)],
+    [("1111", 0), ("1011", 1), ("1100000", 0), ("11001000", 2), ("00000001", 7), ("0000", 0)],
 )
-def test_scans_after_the_last_pose_may_not_be_missed(tracked: str, missed: int) -> None:
-    assert may_be_missed(np.array(list(tracked)) == "1") == MORE_MISSED + missed
+def test_scans_after_the_last_pose_do_not_count_as_missed(tracked: str, missed: int) -> None:
+    assert missed_before_the_last(np.array(list(tracked)) == "1") == missed
+
+
+def tracked_at(*poses: int, scans: int = 200) -> Steps:
+    """Return the steps of a log of which some scans have a pose."""
+    matches = [first_match(100)] * scans
+    return Steps(Step(k, k * 100_000_000, match, tracked=k in poses) for k, match in enumerate(matches))
 
 
 def test_the_tracks_from_several_beginnings_end_when_they_have_missed_too_many_scans_in_all() -> None:
-    until = until_missed(4)
-    steps = Steps(step._replace(tracked=step.index in (2, 5)) for step in track(0.1).steps)
-    assert [len(list(until(steps))) for _ in range(3)] == [9, 1, 1]
+    until, steps = until_missed(100), tracked_at(10, 11, 12, scans=50)
+    assert [len(list(until(steps))) for _ in range(3)] == [50, 47, 1]
+
+
+@pytest.mark.parametrize(("most", "missed"), [(0, 0), (2, 2), (9, 3)])
+def test_a_track_may_miss_no_more_than_the_first_one_and_than_it_has_poses(most: int, missed: int) -> None:
+    assert len(list(until_missed(most)(tracked_at(10, 11, 12)))) == 13 + MORE_MISSED + missed + 1
 
 
 @pytest.mark.real_logs
