@@ -1,4 +1,4 @@
-"""A remedy for a track that is lost or doubtful: track the whole log once more, with finer voxels.
+"""A remedy for a track that is lost or doubtful: track the log once more, with finer voxels.
 
 One wrong match bends all later poses, and other points rarely lead to the same wrong match. The resampled track of the
 doubt decides between the two tracks: agreement of finer and coarser voxels is unlikely to be chance.
@@ -6,19 +6,22 @@ doubt decides between the two tracks: agreement of finer and coarser voxels is u
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import replace
 from math import nan
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.pose import Pose
 from mavnav.slam import beam_order, odometry_check
 from mavnav.slam.beginning import accepted, with_good_beginning
-from mavnav.slam.doubt.features import FEATURES
+from mavnav.slam.doubt.features import FEATURES, WINDOWS_S, WRONG_M, WRONG_RAD
 from mavnav.slam.doubt.record import NOT_PLANAR, Remedy
 from mavnav.slam.parts import lost_for_good, parts_of
 from mavnav.slam.resampled_track import has_sparse_scans
 from mavnav.slam.steps import lost_intervals
+from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -41,6 +44,9 @@ MOST_DOUBT = 0.25
 
 LEAST_SHARE = 0.2
 """Minimum share of scans with a pose: with fewer, other points do not help, and lost scans take most time."""
+
+MOST_DISAGREEMENT = 5.0
+"""Largest difference from the resampled track over 10 s, in 0.2 m or 5 deg: alone it makes the doubt too high."""
 
 MORE_MISSED = 64
 """Number of scans that the other track may miss more than the first one missed before its last pose.
@@ -82,8 +88,8 @@ def is_worth_a_remedy(track: Track) -> bool:
 
 
 def finer_track(track: Track, start: Track) -> Track:
-    """Track a log with finer voxels, to the scan at which the track has missed too many."""
-    on_step = track.on_step
+    """Track a log with finer voxels; the track ends where it cannot replace the first one any more."""
+    on_step, enough = track.on_step, until_missed(missed_before_the_last(track.steps.column("tracked")))
     other = replace(
         start,
         log_scans=track.log_scans,
@@ -94,7 +100,7 @@ def finer_track(track: Track, start: Track) -> Track:
         odometry_contradicts=track.odometry_contradicts,
         resampled=track.resampled,
     )
-    return with_good_beginning(other, until_missed(missed_before_the_last(track.steps.column("tracked"))))
+    return with_good_beginning(other, lambda steps: enough(until_disagreeing(steps, track.resampled)))
 
 
 def missed_before_the_last(tracked: NDArray[np.bool_]) -> int:
@@ -122,6 +128,26 @@ def until_missed(most: int) -> Until:
                 return
 
     return until
+
+
+def until_disagreeing(steps: Iterable[Step], resampled: NDArray[np.float64]) -> Iterator[Step]:
+    """Yield the steps of a track until its motion differs too much from that of the resampled poses (n, 3).
+
+    ``resampled`` is NaN for scans without a pose there, and empty without a resampled track.
+    """
+    recent: deque[tuple[int, Pose, Pose]] = deque()
+    for step in steps:
+        yield step
+        if not step.tracked or not len(resampled) or np.isnan(resampled[step.index, 0]):
+            continue
+        here, there = step.match.map_T_laser, Pose(*resampled[step.index].tolist())
+        recent.append((step.stamp_ns, here, there))
+        while (step.stamp_ns - recent[0][0]) * NS > max(WINDOWS_S):
+            recent.popleft()
+        _, then, then_there = recent[0]
+        off_m, off_rad = then.between(here).gap(then_there.between(there))
+        if max(off_m / WRONG_M, off_rad / WRONG_RAD) > MOST_DISAGREEMENT:
+            return
 
 
 def can_replace(other: Track, track: Track) -> bool:

@@ -13,6 +13,8 @@ from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam import beam_order, remedy
+from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES
+from mavnav.slam.doubt.model import probability
 from mavnav.slam.doubt.record import NOT_PLANAR, Doubt, Reason
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.pipeline import run_slam
@@ -21,7 +23,10 @@ from mavnav.slam.remedy import (
     FINER,
     INHERENT,
     MORE_MISSED,
+    MOST_DISAGREEMENT,
+    MOST_DOUBT,
     missed_before_the_last,
+    until_disagreeing,
     until_missed,
     with_remedy,
 )
@@ -151,6 +156,21 @@ def test_the_tracks_from_several_beginnings_end_when_they_have_missed_too_many_s
 @pytest.mark.parametrize(("most", "missed"), [(0, 0), (2, 2), (9, 3)])
 def test_a_track_may_miss_no_more_than_the_first_one_and_than_it_has_poses(most: int, missed: int) -> None:
     assert len(list(until_missed(most)(tracked_at(10, 11, 12)))) == 13 + MORE_MISSED + missed + 1
+
+
+@pytest.mark.parametrize(("off_m", "yielded"), [(0.04, 60), (0.1, 51), (0.5, 43)])
+def test_a_track_ends_where_its_motion_differs_much_from_that_of_the_resampled_track(
+    off_m: float, yielded: int
+) -> None:
+    """From scan 40 on the resampled track moves by ``off_m`` a scan; scan 20 has no pose there."""
+    poses = np.zeros((60, 3))
+    poses[20], poses[40:, 0] = np.nan, off_m * np.arange(1, 21)
+    assert len(list(until_disagreeing(tracked_at(*range(60), scans=60), poses))) == yielded
+
+
+def test_a_track_that_ends_so_would_be_too_doubtful() -> None:
+    values = dict.fromkeys(FEATURES, 0.0) | {DISAGREEMENT: MOST_DISAGREEMENT}
+    assert probability(values) > MOST_DOUBT
 
 
 @pytest.mark.real_logs
