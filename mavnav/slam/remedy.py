@@ -49,9 +49,10 @@ MOST_DISAGREEMENT = 5.0
 """Largest difference from the resampled track over 10 s, in 0.2 m or 5 deg: alone it makes the doubt too high."""
 
 MORE_MISSED = 64
-"""Number of scans that the other track may miss more than the first one missed before its last pose.
+"""Number of scans that the other track may miss more than the first one up to the same scan.
 
-It must come farther than the first one. The whole map is searched at 16 and 64 lost scans.
+Scans after the last pose of the first track do not count: the other one must come farther. The whole map is searched at
+16 and 64 lost scans.
 """
 
 KEPT_WARNINGS = (odometry_check.WARNING, beam_order.WARNING)
@@ -89,7 +90,7 @@ def is_worth_a_remedy(track: Track) -> bool:
 
 def finer_track(track: Track, start: Track) -> Track:
     """Track a log with finer voxels; the track ends where it cannot replace the first one any more."""
-    on_step, enough = track.on_step, until_missed(missed_before_the_last(track.steps.column("tracked")))
+    on_step, enough = track.on_step, until_missed(missed_so_far(track.steps.column("tracked")))
     other = replace(
         start,
         log_scans=track.log_scans,
@@ -103,17 +104,18 @@ def finer_track(track: Track, start: Track) -> Track:
     return with_good_beginning(other, lambda steps: enough(until_disagreeing(steps, track.resampled)))
 
 
-def missed_before_the_last(tracked: NDArray[np.bool_]) -> int:
-    """Return the number of scans without a pose before the last one with a pose, given which scans (n,) have one."""
+def missed_so_far(tracked: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return how many scans have no pose up to each scan (n,), without those after the last one with a pose."""
     found = np.flatnonzero(tracked)
-    return int(found[-1]) + 1 - len(found) if len(found) else 0
+    before_the_last = found[-1] + 1 - len(found) if len(found) else 0
+    return np.minimum(np.cumsum(~tracked), before_the_last)
 
 
-def until_missed(most: int) -> Until:
+def until_missed(by_first: NDArray[np.int64]) -> Until:
     """Return what ends the tracks of a log from several beginnings when they have missed too many scans in all.
 
-    That is ``MORE_MISSED`` scans more than ``most``, or than they have poses: a track of fewer than half of the scans
-    is lost.
+    That is ``MORE_MISSED`` scans more than the first track had missed by then, (n,), or than they have poses: a track
+    of fewer than half of the scans is lost.
     """
     missed = found = 0
 
@@ -124,7 +126,7 @@ def until_missed(most: int) -> Until:
             yield step
             begun, found = begun or step.tracked, found + step.tracked
             missed += begun and not step.tracked
-            if missed > min(most, found) + MORE_MISSED:
+            if missed > min(by_first[step.index], found) + MORE_MISSED:
                 return
 
     return until

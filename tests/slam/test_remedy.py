@@ -25,7 +25,7 @@ from mavnav.slam.remedy import (
     MORE_MISSED,
     MOST_DISAGREEMENT,
     MOST_DOUBT,
-    missed_before_the_last,
+    missed_so_far,
     until_disagreeing,
     until_missed,
     with_remedy,
@@ -136,10 +136,10 @@ def test_what_was_found_about_the_input_is_kept(remedied: Remedied) -> None:
 
 @pytest.mark.parametrize(
     ("tracked", "missed"),
-    [("1111", 0), ("1011", 1), ("1100000", 0), ("11001000", 2), ("00000001", 7), ("0000", 0)],
+    [("1111", [0, 0, 0, 0]), ("10110", [0, 1, 1, 1, 1]), ("0010100", [1, 2, 2, 3, 3, 3, 3]), ("000", [0, 0, 0])],
 )
-def test_scans_after_the_last_pose_do_not_count_as_missed(tracked: str, missed: int) -> None:
-    assert missed_before_the_last(np.array(list(tracked)) == "1") == missed
+def test_scans_after_the_last_pose_do_not_count_as_missed(tracked: str, missed: list[int]) -> None:
+    assert missed_so_far(np.array(list(tracked)) == "1").tolist() == missed
 
 
 def tracked_at(*poses: int, scans: int = 200) -> Steps:
@@ -149,13 +149,13 @@ def tracked_at(*poses: int, scans: int = 200) -> Steps:
 
 
 def test_the_tracks_from_several_beginnings_end_when_they_have_missed_too_many_scans_in_all() -> None:
-    until, steps = until_missed(100), tracked_at(10, 11, 12, scans=50)
+    until, steps = until_missed(np.full(50, 100)), tracked_at(10, 11, 12, scans=50)
     assert [len(list(until(steps))) for _ in range(3)] == [50, 47, 1]
 
 
 @pytest.mark.parametrize(("most", "missed"), [(0, 0), (2, 2), (9, 3)])
 def test_a_track_may_miss_no_more_than_the_first_one_and_than_it_has_poses(most: int, missed: int) -> None:
-    assert len(list(until_missed(most)(tracked_at(10, 11, 12)))) == 13 + MORE_MISSED + missed + 1
+    assert len(list(until_missed(np.full(200, most))(tracked_at(10, 11, 12)))) == 13 + MORE_MISSED + missed + 1
 
 
 @pytest.mark.parametrize(("off_m", "yielded"), [(0.04, 60), (0.1, 51), (0.5, 43)])
