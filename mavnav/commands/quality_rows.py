@@ -27,8 +27,9 @@ def remedy_rows(remedies: list[dict[str, Any]]) -> Rows:
     """Return the rows on ``tracking.remedies`` of a summary table: the doubt before and after each."""
     rows = []
     for remedy in remedies:
-        doubt = f"doubt {remedy['doubt_before']:.0%}, then {remedy['doubt_after']:.0%}"
-        rows.append(("tracked again", f"with {remedy['remedy']}: {doubt}, {'used' if remedy['used'] else 'not used'}"))
+        before, after = remedy["doubt_before"], remedy["doubt_after"]
+        then = f"then {after:.0%}, {'used' if remedy['used'] else 'not used'}" if after is not None else "given up"
+        rows.append(("tracked again", f"with {remedy['remedy']}: doubt {before:.0%}, {then}"))
     return rows
 
 

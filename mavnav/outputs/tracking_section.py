@@ -42,14 +42,15 @@ class Doubt(Struct, frozen=True):
 
 
 class Remedy(Struct, frozen=True):
-    """Another track of the whole log, made because the first one was lost or doubtful.
+    """Another track of the log, made because the first one was lost or doubtful.
 
-    ``used``: it is the track of the run; ``tracking.doubt`` is then its own.
+    ``used``: it is the track of the run; ``tracking.doubt`` is then its own. ``doubt_after`` is null where the other
+    track was given up, because it was lost as well or had fewer scans.
     """
 
     remedy: Annotated[str, text("how the other track was made")]
     doubt_before: Annotated[float, number("doubt of the first track", better="lower")]
-    doubt_after: Annotated[float, number("doubt of the other track", better="lower")]
+    doubt_after: Annotated[Measured, number("doubt of the other track", better="lower")]
     used: Annotated[bool, text("whether it is the track of the run")]
 
 

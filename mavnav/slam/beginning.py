@@ -5,7 +5,6 @@ A partial sweep while the laser spins up, a blocked laser or a fast turn can mak
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
     from mavnav.scan import Scan
     from mavnav.slam.motion_model import Motion
-    from mavnav.slam.track import Track
+    from mavnav.slam.track import Track, Until
 
 EARLY_SCANS, MISSED_SCANS = 30, 16
 """Largest number of scans of a map that is given up, and number of successive usable scans that do not match it."""
@@ -38,21 +37,25 @@ MOST_SHARE = 0.5
 """Share of the scans after a beginning that must have a pose for it to be taken at once."""
 
 
-def with_good_beginning(track: Track) -> Track:
+def with_good_beginning(track: Track, limit: Until = iter) -> Track:
     """Track the log, from a later scan on if the next scans do not match the map of the first ones.
 
-    A beginning with poses for most of the scans after it is taken at once; otherwise the longest track is taken.
+    A beginning with poses for most of the scans after it is taken at once; otherwise that with most poses when its map
+    was given up is tracked to the end. ``limit`` may end each of the tracks.
     """
     refiner, least_points = track.method.refiner, track.config.robust.min_points
     if refiner is None or not refiner.builds_map:
-        return while_odometry_fits(track)
-    first = best = while_odometry_fits(track, "track", partial(until_missing, least_points=least_points))
+        return while_odometry_fits(track, until=limit)
+
+    def until(steps: Iterable[Step]) -> Iterator[Step]:
+        return limit(until_missing(steps, least_points))
+
+    first = best = while_odometry_fits(track, "track", until)
     begin = early_loss(first.steps, least_points)
     if begin is None:
         return first
     for tried in range(MOST_TRIES):
-        later = replace(track, begin=begin)
-        other = while_odometry_fits(later, "track again", partial(until_missing, least_points=least_points))
+        other = while_odometry_fits(replace(track, begin=begin), "track again", until)
         lost = early_loss(other.steps, least_points)
         enough = max(MOST_SHARE * (len(other.steps) - begin), accepted(first) + 1)
         if lost is None and accepted(other) >= enough:
@@ -62,15 +65,9 @@ def with_good_beginning(track: Track) -> Track:
         if lost is None:
             break
         begin = max(lost, begin + (1 << max(tried - EACH_TRIES, 0)))
-    tracks = [continued(some, least_points) for some in ([first] if best is first else [first, best])]
-    longest = max(tracks, key=accepted)
-    return after_another(longest, first) if longest.begin else longest
-
-
-def continued(track: Track, least_points: int) -> Track:
-    """Return the track through the whole log if it ended because of its beginning, else the same track."""
-    ended = early_loss(track.steps, least_points) is not None
-    return while_odometry_fits(track, "track again") if ended else track
+    if early_loss(best.steps, least_points) is not None:
+        best = while_odometry_fits(best, "track again", limit)
+    return after_another(best, first) if best.begin else best
 
 
 def after_another(track: Track, first: Track) -> Track:

@@ -153,10 +153,12 @@ def part_pose(part: list[Step], scans: dict[int, Scan], track: Track) -> Pose | 
         return None
     anywhere = track.motion._replace(odometry=None).started_at(Pose(), 0)
     found: list[tuple[Pose, Pose]] = []
-    for step in chosen:
+    for left, step in zip(reversed(range(len(chosen))), chosen, strict=True):
         match = refiner.relocalize(scans[step.index], no_match(Pose()), anywhere)
         if match:
             found.append((step.match.map_T_laser, match.map_T_laser))
+        if len(found) + left < LEAST_AGREEING:
+            return None
     return consensus(found)
 
 

@@ -47,6 +47,13 @@ RETRIES: Final[tuple[Pass, ...]] = (
 )
 """Passes that track the log again where an input check fails or scans are sparse, and keep the better track."""
 
+RECOVERING: Final[tuple[Pass, ...]] = (
+    rematch_beginning,
+    rematch_rejected,  # step 9
+    with_lost_parts,  # "Parts"
+)
+"""Passes that match the lost scans of a track once more."""
+
 CHECKING: Final[tuple[Pass, ...]] = (
     close_loops,  # step 11
     remove_dynamic_cells,  # step 12
@@ -94,15 +101,19 @@ def run_slam(
     method = make_method(config, prior_map)
     motion = Motion(max(period_s, SHORTEST_PERIOD_S), odometry, method.expects_rest, rotation=rotation)
     start = Track(log_scans, config, motion, method, prior_map=prior_map, on_step=on_step)
-    track = with_remedy(judged_track(start), start, judged_track)  # "Remedies"
+    track = judged(recovered(after(with_good_beginning(start), RETRIES)))  # steps 1 to 8 first
+    track = with_remedy(track, start, recovered, judged)  # "Remedies"
     return summarize(after(track, last))
 
 
-def judged_track(start: Track) -> Track:
-    """Track a whole log, then correct and judge the track."""
-    track = after(with_good_beginning(start), RETRIES)  # steps 1 to 8, 10
-    track = rematch_rejected(rematch_beginning(track))  # step 9
-    return after(with_lost_parts(track), CHECKING)  # "Parts"
+def recovered(track: Track) -> Track:
+    """Look for the lost scans of a track."""
+    return after(track, RECOVERING)
+
+
+def judged(track: Track) -> Track:
+    """Correct and judge a track."""
+    return after(track, CHECKING)
 
 
 def finish(track: Track) -> SlamResult:

@@ -25,7 +25,7 @@ COARSER = 4 / 3
 
 def with_coarser_voxels(track: Track) -> Track:
     """Track again with coarser voxels where scans are sparse; keep the sharper of the two maps."""
-    if track.refiner is None or not track.refiner.builds_map or not in_doubt(track.steps):
+    if track.refiner is None or not track.refiner.builds_map or not has_sparse_scans(track.steps):
         return track
     other = track.again(replace(track, config=track.config.with_voxels(COARSER)))
     if other is None:
@@ -33,7 +33,7 @@ def with_coarser_voxels(track: Track) -> Track:
     return replace(other if rank(other) < rank(track) else track, tracks_compared=2)
 
 
-def in_doubt(steps: Steps) -> bool:
+def has_sparse_scans(steps: Steps) -> bool:
     """Return whether ``SPARSE_SCANS`` or more accepted scans of a track have few points."""
     few = steps.column("beams_used") < FEW_POINTS
     return int(np.count_nonzero(few & steps.column("tracked"))) >= SPARSE_SCANS

@@ -110,6 +110,13 @@ def test_remedies_are_reported_where_one_was_tried(run):
     assert remedy_rows(remedies) == [("tracked again", "with finer voxels: doubt 90%, then 10%, used")]
 
 
+def test_a_remedy_that_was_given_up_has_no_doubt(run):
+    tried = replace(run, slam=replace(run.slam, remedies=(Remedy("finer voxels", 0.9, np.nan, used=False),)))
+    remedies = strict(run_document(tried, {}))["tracking"]["remedies"]
+    assert remedies[0]["doubt_after"] is None
+    assert remedy_rows(remedies) == [("tracked again", "with finer voxels: doubt 90%, given up")]
+
+
 def test_little_doubt_is_no_warning_and_no_row(run):
     document = strict(run_document(doubtful(run, 0.3), {}))
     assert document["warnings"] == strict(run_document(run, {}))["warnings"]

@@ -14,7 +14,8 @@ from mavnav.ground_truth.references import References
 from mavnav.pipelines.replay import with_recorded_truth
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
-from mavnav.slam.parts import LEAST_AGREEING, consensus, spread_out
+from mavnav.slam.motion_model import Motion
+from mavnav.slam.parts import LEAST_AGREEING, SEARCHED_SCANS, consensus, part_pose, spread_out
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
 from mavnav.slam.scan_matching import no_match
@@ -104,6 +105,14 @@ def step(pose: Pose) -> Step:
 def test_scans_of_a_laser_at_rest_count_once() -> None:
     assert len(spread_out([step(Pose(0.01 * k)) for k in range(20)])) == 1
     assert len(spread_out([step(Pose(0.3 * k)) for k in range(4)])) == 4
+
+
+def test_the_search_for_a_part_ends_when_too_few_of_its_scans_can_be_found() -> None:
+    searched: list[object] = []
+    track = SimpleNamespace(refiner=SimpleNamespace(relocalize=lambda *args: searched.append(args)), motion=Motion(0.1))
+    part = [step(Pose(0.3 * k))._replace(index=k) for k in range(SEARCHED_SCANS)]
+    assert part_pose(part, dict.fromkeys(range(SEARCHED_SCANS)), track) is None
+    assert len(searched) == SEARCHED_SCANS - LEAST_AGREEING + 1
 
 
 def test_scans_of_a_part_must_agree() -> None:

@@ -17,7 +17,7 @@ from mavnav.slam import resampled_track
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.registry import make_method
-from mavnav.slam.resampled_track import COARSER, FEW_POINTS, SPARSE_SCANS, in_doubt, rank
+from mavnav.slam.resampled_track import COARSER, FEW_POINTS, SPARSE_SCANS, has_sparse_scans, rank
 from mavnav.slam.result import SlamResult
 from mavnav.slam.scan_matching import Match
 from mavnav.slam.steps import Step, Steps
@@ -51,12 +51,12 @@ def test_a_track_is_in_doubt_where_believed_scans_have_few_points(points: list[i
     match = Match(Pose(), 0.0, 0, 1.0, 1, 1, converged=True)
     steps = Steps(Step(k, k, match._replace(beams_used=n), k not in untracked) for k, n in enumerate(points))
     few = [n for k, n in enumerate(points) if n < FEW_POINTS and k not in untracked]
-    assert in_doubt(steps) == (len(few) >= SPARSE_SCANS)
+    assert has_sparse_scans(steps) == (len(few) >= SPARSE_SCANS)
 
 
 def test_the_crisper_of_two_tracks_is_kept(sparse: list[Scan], monkeypatch: pytest.MonkeyPatch) -> None:
     both = replay(sparse)
-    monkeypatch.setattr(resampled_track, "in_doubt", lambda steps: False)
+    monkeypatch.setattr(resampled_track, "has_sparse_scans", lambda steps: False)
     quick = Config(loop_closure="off")
     alone = [replay(sparse, config) for config in (quick, quick.with_voxels(COARSER))]
     blurs = [int(np.count_nonzero(one.grid.hits)) for one in alone]

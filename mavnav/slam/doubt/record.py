@@ -27,7 +27,10 @@ class Reason(NamedTuple):
 
 
 class Remedy(NamedTuple):
-    """Another whole track, made because the first was lost or doubtful: the doubt of both, and whether it is used."""
+    """Another track, made because the first was lost or doubtful: the doubt of both, and whether it is used.
+
+    ``doubt_after`` is NaN where the other track was given up.
+    """
 
     name: str
     doubt_before: float
