@@ -59,7 +59,8 @@ def _used_ends(
         r = ranges_m[i]
         if limits_m[0] <= r <= limits_m[1]:
             beam[n], xy[0, n], xy[1, n] = i, r * directions[i, 0], r * directions[i, 1]
-            dx, dy = xy[0, n] - xy[0, n - 1], xy[1, n] - xy[1, n - 1]
+            last = max(n - 1, 0)
+            dx, dy = xy[0, n] - xy[0, last], xy[1, n] - xy[1, last]
             apart[n] = n == 0 or dx * dx + dy * dy > GAP_M * GAP_M
             n += 1
     return n

@@ -20,7 +20,7 @@ def _thinned(xy_m: NDArray[np.float64], spacing_m: float) -> tuple[NDArray[np.in
     for i in range(len(xy_m)):
         if np.isnan(xy_m[i, 0]):
             continue
-        last = beam[n - 1]
+        last = beam[n - 1] if n else i
         dx, dy = xy_m[i, 0] - xy_m[last, 0], xy_m[i, 1] - xy_m[last, 1]
         if n == 0 or dx * dx + dy * dy >= spacing_m * spacing_m:
             beam[n] = i
