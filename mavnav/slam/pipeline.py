@@ -23,16 +23,11 @@ from mavnav.slam.smoothing import smooth_jitter
 from mavnav.slam.track import Track
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mavnav.config.models import Config
     from mavnav.pose import Rotation, Trajectory
     from mavnav.slam.prior_map import PriorMap
     from mavnav.slam.result import SlamResult
-    from mavnav.slam.track import LogScans, OnStep
-
-    Pass = Callable[[Track], Track]
-    """Return the track after a pass, unchanged where the pass does not apply."""
+    from mavnav.slam.track import LogScans, OnStep, Pass
 
 ODOMETRY_GAP_NS = 500_000_000
 """Longest gap in the odometry over which it is interpolated, ns."""

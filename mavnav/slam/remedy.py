@@ -24,14 +24,12 @@ from mavnav.slam.steps import lost_intervals
 from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
     from mavnav.slam.steps import Step
-    from mavnav.slam.track import Track, Until
-
-    Pass = Callable[[Track], Track]
+    from mavnav.slam.track import Pass, Track, Until
 
 FINER, FINER_VOXELS = 3 / 4, "finer voxels"
 
