@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 TOP = LEVELS - 1
 SIDE = 1 << TOP  # positions along a square of the top level
 
-MOST_POINTS = 257
+MOST_POINTS = 256
 """Maximum number of points whose bounds are summed, in two bytes; other points are bounded by 0."""
 
 UNSURE = 1e-6
@@ -33,6 +33,9 @@ ROUNDING = 1.0 - 1e-9
 
 SLICE = 256
 """Minimum number of squares in the first slice of the order by bounds; each slice has four times as many."""
+
+EMPTY = 65535
+"""Instead of a bound, above all of them: the square has no positions."""
 
 AT_ONCE = 20
 """Number of points after which a sum of bounds is compared with the limit."""
@@ -140,14 +143,15 @@ def _holds_any(index: NDArray[np.int32], row: int, col: int, side: int) -> bool:
 
 
 @helper
-def _squares(index: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Return which squares have positions, (rows, cols) of squares."""
+def _squares(index: NDArray[np.int32]) -> NDArray[np.uint16]:
+    """Return 0 for squares with positions and `EMPTY` for others, (rows, cols) of squares."""
     rows, cols = index.shape[0] // SIDE, index.shape[1] // SIDE
-    held = np.zeros((rows, cols), np.bool_)
+    blank = np.zeros((rows, cols), np.uint16)
     for row in range(rows):
         for col in range(cols):
-            held[row, col] = _holds_any(index, row * SIDE, col * SIDE, SIDE)
-    return held
+            if not _holds_any(index, row * SIDE, col * SIDE, SIDE):
+                blank[row, col] = EMPTY
+    return blank
 
 
 @helper
@@ -233,6 +237,16 @@ def _upper_sum(histogram: NDArray[np.int64], after: int, least: int) -> int:
     return len(histogram) - 1
 
 
+@helper
+def _least_of_row(bounds: NDArray[np.uint16], blank: NDArray[np.uint16]) -> int:
+    """Write `EMPTY` to the bounds of squares without positions; return the least bound."""
+    least = uint16(EMPTY)
+    for col in range(len(blank)):
+        bounds[col] = max(bounds[col], blank[col])
+        least = min(least, bounds[col])
+    return int(least)
+
+
 @kernel(
     float64[:, ::1](
         F64_2D, F64_2D, F64_1D, float64, F64_1D, float64, int64, int64, I64_1D, U8_3D, U8_3D, U32_2D, F64_2D, F64_1D
@@ -263,18 +277,22 @@ def lowest_poses(
     """
     index, x0, y0 = _lattice(xy_map_m, step * geometry[2])
     cells, counts = _cells(points, (x0, y0), yaws_rad, corner, geometry)
-    held = _squares(index)
-    positions, n_yaws, (square_rows, square_cols) = index.size, len(yaws_rad), held.shape
+    blank = _squares(index)
+    positions, n_yaws, (square_rows, square_cols) = index.size, len(yaws_rad), blank.shape
     wide = _widened(planes, square_cols)
     sums = np.empty((n_yaws, square_rows, wide.shape[2]), np.uint16)
-    histogram = np.zeros(MOST_POINTS * WORST + 1, np.int64)
+    scale = ROUNDING * truncate_m * truncate_m / (WORST * len(points))
+    limit = int(min(max(limit_m2 / scale, 0.0), MOST_POINTS * WORST - 1.0)) + 1
+    histogram, least = np.zeros(limit + 1, np.int64), np.empty((n_yaws, square_rows), np.int64)
     for q in range(n_yaws):
         _bound_squares(cells[q], counts[q], step, wide, sums[q].ravel())
         for row in range(square_rows):
-            for col in range(square_cols):
-                histogram[sums[q, row, col]] += held[row, col]
-    scale = ROUNDING * truncate_m * truncate_m / (WORST * len(points))
-    limit = int(min(limit_m2 / scale, float(len(histogram)))) + 1
+            bounds = sums[q, row]
+            least[q, row] = _least_of_row(bounds, blank[row])
+            if least[q, row] <= limit:
+                for col in range(square_cols):
+                    if bounds[col] <= limit:
+                        histogram[bounds[col]] += 1
     kind = n_yaws * positions  # code: (TOP - level, or LEVELS if exact) times this, plus yaw and position
     heap, count, upper, slice_size = Heap(np.empty(4 * SLICE), np.empty(4 * SLICE, np.int64)), 0, -1, SLICE
     found, n = np.empty((most, 3)), 0
@@ -286,8 +304,10 @@ def lowest_poses(
             slice_size *= 4
             for q in range(n_yaws):
                 for row in range(square_rows):
+                    if least[q, row] > upper:
+                        continue
                     for col in range(square_cols):
-                        if held[row, col] and lower < int64(sums[q, row, col]) <= upper:
+                        if lower < int64(sums[q, row, col]) <= upper:
                             heap = _grown(heap, count)
                             at = q * positions + row * SIDE * index.shape[1] + col * SIDE
                             _push(heap, count, sums[q, row, col] * scale, at)

@@ -13,6 +13,7 @@ from mavnav.kernels.conflicts import conflicts
 from mavnav.kernels.correlative_search import pose_costs
 from mavnav.kernels.free_cells import free_positions
 from mavnav.kernels.lowest_poses import lowest_poses
+from mavnav.kernels.points import extent
 from mavnav.pose import Pose, wrap_angle
 from mavnav.profiling import timed
 from mavnav.slam.scan_matching import Match, Schedule, search_lines, with_effort
@@ -209,8 +210,8 @@ def lowest(
 def reached_by(points: NDArray[np.float64], xy_m: NDArray[np.float64]) -> Extent:
     """Return the extent that points (n, 2), laser frame, m, can have at positions (p, 2) and any yaw."""
     far_m = float(np.hypot(*points.T).max())
-    (x0, y0), (x1, y1) = (xy_m.min(axis=0) - far_m).tolist(), (xy_m.max(axis=0) + far_m).tolist()
-    return x0, y0, x1, y1
+    x0, y0, x1, y1 = extent(xy_m)
+    return x0 - far_m, y0 - far_m, x1 + far_m, y1 + far_m
 
 
 def lowest_exhaustive(
