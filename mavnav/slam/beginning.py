@@ -24,8 +24,11 @@ if TYPE_CHECKING:
     from mavnav.slam.motion_model import Motion
     from mavnav.slam.track import Track, Until
 
-EARLY_SCANS, MISSED_SCANS = 30, 16
-"""Largest number of scans of a map that is given up, and number of successive usable scans that do not match it."""
+EARLY_SCANS, MISSED_SCANS, MISSED_LATER = 30, 16, 8
+"""Largest number of scans of a map that is given up, and number of successive usable scans that do not match it.
+
+The third number is that of a map with a later beginning.
+"""
 
 MOST_TRIES, EACH_TRIES = 12, 4
 """Maximum number of beginnings that are tried, and number after which their distance doubles each time.
@@ -47,16 +50,16 @@ def with_good_beginning(track: Track, limit: Until = iter) -> Track:
     if refiner is None or not refiner.builds_map:
         return while_odometry_fits(track, until=limit)
 
-    def until(steps: Iterable[Step]) -> Iterator[Step]:
-        return limit(until_missing(steps, least_points))
+    def until(most_missed: int) -> Until:
+        return lambda steps: limit(until_missing(steps, least_points, most_missed))
 
-    first = best = while_odometry_fits(track, "track", until)
+    first = best = while_odometry_fits(track, "track", until(MISSED_SCANS))
     begin = early_loss(first.steps, least_points)
     if begin is None:
         return first
     for tried in range(MOST_TRIES):
-        other = while_odometry_fits(replace(track, begin=begin), "track again", until)
-        lost = early_loss(other.steps, least_points)
+        other = while_odometry_fits(replace(track, begin=begin), "track again", until(MISSED_LATER))
+        lost = early_loss(other.steps, least_points, MISSED_LATER)
         enough = max(MOST_SHARE * (len(other.steps) - begin), accepted(first) + 1)
         if lost is None and accepted(other) >= enough:
             return after_another(other, first)
@@ -65,7 +68,7 @@ def with_good_beginning(track: Track, limit: Until = iter) -> Track:
         if lost is None:
             break
         begin = max(lost, begin + (1 << max(tried - EACH_TRIES, 0)))
-    if early_loss(best.steps, least_points) is not None:
+    if early_loss(best.steps, least_points, MISSED_LATER if best.begin else MISSED_SCANS) is not None:
         best = while_odometry_fits(best, "track again", limit)
     return after_another(best, first) if best.begin else best
 
@@ -81,7 +84,7 @@ def accepted(track: Track) -> int:
     return int(np.count_nonzero(track.steps.column("tracked")))
 
 
-def early_loss(steps: Iterable[Step], least_points: int) -> int | None:
+def early_loss(steps: Iterable[Step], least_points: int, most_missed: int = MISSED_SCANS) -> int | None:
     """Return the first of the scans that do not match a map of few scans; None if the map is kept.
 
     Scans of fewer than ``least_points`` points do not count. At the end of a log ``LOST_SCANS`` in a row are enough.
@@ -94,7 +97,7 @@ def early_loss(steps: Iterable[Step], least_points: int) -> int | None:
             first, missed = first if missed else step.index, missed + 1
         if held > EARLY_SCANS:
             return None
-        if missed >= MISSED_SCANS:
+        if missed >= most_missed:
             return first
     return first if missed >= LOST_SCANS else None
 
