@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import islice
-from math import pi
+from math import nan, pi
 from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec.structs import replace
 
 from mavnav.slam.beginning import until_missing
-from mavnav.slam.steps import LOST_SCANS
-from mavnav.units import DEG
+from mavnav.slam.steps import LOST_SCANS, tracked_trajectory
+from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -36,6 +36,9 @@ STRETCH_SCANS, LEAST_SCANS, TRIAL_SHARE = 80, 40, 0.25
 At least the second number of them is tracked in both orders, and no more than the third as a share of the log.
 """
 
+GAP_S, LONG_GAP_S = 0.5, 1.2
+"""Time between tracked scans above which a turn does not count, and above which no comparison includes it."""
+
 LEAST_COMPARED = 10
 """Minimum number of scans tracked in both orders for a comparison."""
 
@@ -45,14 +48,14 @@ LEAST_TURN_RAD = 90 * DEG
 REVERSED_RATIO = 0.9
 """Ratio of the mean costs, reverse to listed order, below which the reverse order is used."""
 
-SAMPLE_EVERY, LISTED_RATIO = 8, 1.33
-"""Step between scans that are matched in both orders in the map of the track, and the cost ratio that decides.
+SAMPLE_EVERY, LISTED_RATIO, REVERSED_AT_ONCE, LEAST_SAMPLED = 8, 1.33, 0.8, 5
+"""Step between scans that are matched in both orders in the map of the track, and the cost ratios that decide at once.
 
-If the mean cost of the reverse order is above this multiple of the listed one's, the reverse order is not tracked. On
-four logs and their reverse the ratio is 1.37 to 2.5 where the listed order is right and 0.5 to 1.02 where it is wrong.
-It is 1.28 on a simulated log whose map was made with the wrong order.
+Below the second ratio, of reverse to listed order, the reverse order is used, above the first one the listed order; the
+reverse one needs ``LEAST_SAMPLED`` scans. On five logs and their reverse, also with half of the scans, the ratio is
+1.14 to 2.5 where the listed order is right, and 0.5 to 1.05 where it is wrong. It is 1.28 on a simulated log whose map
+was made with the wrong order.
 """
-
 
 WARNING = "beams were fired in the reverse of the listed order, judged by the turns, and are de-skewed so"
 
@@ -83,24 +86,40 @@ def has_reversed_order(track: Track) -> bool:
     scans = list(islice(track.log_scans(), stretch.start, stretch.stop))
     if not any(scan.spec.time_increment_s for scan in scans):
         return False
-    if listed_fits_better(*match_both(scans, track.steps[stretch.start : stretch.stop], track.motion, refiner)):
+    listed, other = match_both(scans, track.steps[stretch.start : stretch.stop], track.motion, refiner)
+    ratio = cost_ratio(listed, other)
+    if ratio > LISTED_RATIO:
         return False
-    return reverse_fits_better(*track_both(scans, stretch, track))
+    if ratio < REVERSED_AT_ONCE and len(listed) >= LEAST_SAMPLED:
+        return True
+    return cost_ratio(*track_both(scans, stretch, track)) < REVERSED_RATIO
 
 
 def track_both(scans: list[Scan], stretch: range, track: Track) -> tuple[list[Match], list[Match]]:
     """Track the scans of a stretch that turn most in both orders, on separate maps; return the matches of both.
 
-    The tracks end where ``LOST_SCANS`` in a row do not match. Both lists are empty with fewer than ``LEAST_COMPARED``
-    scans.
+    The path of the track predicts the poses. The tracks end where ``LOST_SCANS`` in a row do not match. Both lists are
+    empty with fewer than ``LEAST_COMPARED`` scans.
     """
-    yaws_rad = track.steps.column("map_T_laser")[stretch.start : stretch.stop + 1, 2]
-    part = turning_stretch(yaws_rad, max(LEAST_SCANS, int(TRIAL_SHARE * len(track.steps))), 0.0)
-    some, alone = scans[part.start : part.stop], replace(track, prior_map=None, begin=0)
+    some = [scans[row - stretch.start] for row in turning_scans(stretch, track)]
+    path = partial(tracked_trajectory(track.steps).at, max_gap_ns=int(LONG_GAP_S / NS))
+    alone = replace(track, prior_map=None, begin=0, motion=track.motion._replace(odometry=path))
     until = partial(until_missing, least_points=0, most_missed=LOST_SCANS, most_held=np.inf)
     listed, other = (alone.over(s, until=until).steps for s in (some, map(reversed_scan, some)))
     both = [(a.match, b.match) for a, b in zip(listed, other, strict=False) if a.tracked and b.tracked]
     return ([a for a, _ in both], [b for _, b in both]) if len(both) >= LEAST_COMPARED else ([], [])
+
+
+def turning_scans(stretch: range, track: Track) -> list[int]:
+    """Return the numbers of the tracked scans of a stretch that turn most, without a long gap between them."""
+    steps = track.steps
+    rows = stretch.start + np.flatnonzero(steps.column("tracked")[stretch.start : stretch.stop])
+    apart_s = np.diff(steps.column("stamp_ns")[rows]) * NS
+    runs = np.diff(np.flatnonzero(np.concatenate(([True], apart_s > LONG_GAP_S, [True]))))
+    most = min(max(LEAST_SCANS, int(TRIAL_SHARE * len(steps))), int(runs.max()) - 1)
+    part = turning_stretch(steps.column("map_T_laser")[rows, 2], most, 0.0, apart_s)
+    chosen: list[int] = rows[part.start : part.stop].tolist()
+    return chosen
 
 
 def match_both(
@@ -123,31 +142,32 @@ def reversed_scan(scan: Scan) -> Scan:
 
 
 def turning_stretch(
-    yaws_rad: NDArray[np.float64], scans: int = STRETCH_SCANS, least_rad: float = LEAST_TURN_RAD
+    yaws_rad: NDArray[np.float64],
+    scans: int = STRETCH_SCANS,
+    least_rad: float = LEAST_TURN_RAD,
+    apart_s: NDArray[np.float64] | None = None,
 ) -> range:
     """Return the range of up to ``scans`` scans over which the headings (n,) turn most.
 
-    It is empty where they turn by less than ``least_rad``.
+    It is empty where they turn by less than ``least_rad``. With the times between the scans, (n - 1,), turns across a
+    gap of more than ``GAP_S`` do not count, and the range has no gap of more than ``LONG_GAP_S``.
     """
     turns = np.abs((np.diff(yaws_rad) + pi) % (2.0 * pi) - pi)
+    if apart_s is not None:
+        turns[apart_s > GAP_S] = 0.0
+        turns[apart_s > LONG_GAP_S] = -np.inf
     length = min(scans, STRETCH_SCANS, len(turns))
-    if length == 0:
+    if length <= 0:
         return range(0)
     sums = np.convolve(turns, np.ones(length), "valid")
     first = int(np.argmax(sums))
     return range(first, first + length) if sums[first] >= least_rad else range(0)
 
 
-def listed_fits_better(listed: Sequence[Match], other: Sequence[Match]) -> bool:
-    """Return whether the listed order fits clearly better, by matches of the same scans in the map of the track."""
+def cost_ratio(listed: Sequence[Match], other: Sequence[Match]) -> float:
+    """Return the ratio of the mean costs, other to listed order, of scans matched in both; NaN without any."""
     costs = _costs(listed, other)
-    return len(costs) > 0 and bool(costs[:, 1].mean() > LISTED_RATIO * costs[:, 0].mean())
-
-
-def reverse_fits_better(listed: Sequence[Match], other: Sequence[Match]) -> bool:
-    """Return whether the reverse order fits clearly better, by matches of the same scans tracked in either order."""
-    costs = _costs(listed, other)
-    return len(costs) > 0 and bool(costs[:, 1].mean() < REVERSED_RATIO * costs[:, 0].mean())
+    return float(costs[:, 1].mean() / costs[:, 0].mean()) if len(costs) else nan
 
 
 def is_costlier(listed: Sequence[Match], other: Sequence[Match]) -> bool:

@@ -15,8 +15,7 @@ from mavnav.scan import Scan
 from mavnav.slam import beam_order
 from mavnav.slam.beam_order import (
     STRETCH_SCANS,
-    listed_fits_better,
-    reverse_fits_better,
+    cost_ratio,
     reversed_scan,
     turning_stretch,
 )
@@ -93,16 +92,20 @@ def test_a_laser_that_hardly_turns_tells_nothing(yaws: list[float]) -> None:
     assert len(turning_stretch(np.array(yaws))) == 0
 
 
-def test_the_other_order_must_be_clearly_better() -> None:
-    assert not reverse_fits_better([at(1.0)] * 5, [at(0.95)] * 5)
-    assert reverse_fits_better([at(1.0)] * 5, [at(0.8)] * 5)
-    assert not reverse_fits_better([at(np.inf)] * 5, [at(0.8)] * 5)
+def test_only_scans_that_match_in_both_orders_are_compared() -> None:
+    assert cost_ratio([at(1.0), at(3.0), at(np.inf)], [at(2.0), at(4.0), at(0.1)]) == 1.5
+    assert np.isnan(cost_ratio([at(np.inf)] * 5, [at(0.8)] * 5))
 
 
-def test_a_glance_at_the_map_spares_the_trial_where_the_told_order_is_plainly_right() -> None:
-    assert listed_fits_better([at(1.0)] * 5, [at(1.4)] * 5)
-    assert not listed_fits_better([at(1.0)] * 5, [at(1.3)] * 5)
-    assert not listed_fits_better([at(np.inf)] * 5, [at(1.4)] * 5)
+def test_no_turn_across_a_gap_is_compared() -> None:
+    apart_s = np.full(99, 0.1)
+    yaws = 0.02 * np.arange(100)
+    yaws[60:] += 2.0
+    assert 59 in turning_stretch(yaws, 20, 0.0)
+    apart_s[59] = 0.6
+    assert list(turning_stretch(yaws, 20, 0.0, apart_s)) == list(range(20))
+    apart_s[[9, 59]] = 2.0
+    assert list(turning_stretch(yaws, 20, 0.0, apart_s)) == list(range(10, 30))
 
 
 def test_the_right_order_is_tracked_once_and_a_wrong_one_tried(
