@@ -56,7 +56,7 @@ def moved(cells: NDArray[Any], extent: Cell, row: int, col: int) -> NDArray[Any]
     new, old = _runs(grown)[first:], _runs(cells)
     step = max(1, AT_ONCE // max(old[:1].size, 1))
     for at in range(0, len(old), step):
-        i, j = np.nonzero(old[at : at + step].any(axis=2))
+        i, j = np.nonzero(np.bitwise_or.reduce(old[at : at + step].view(np.uint64), axis=2))
         new[i + at, j + along] = old[i + at, j]
         release_rows(cells, at, min(at + step, len(old)))
     if grown.nbytes > SMALL_BYTES:
