@@ -30,10 +30,13 @@ if TYPE_CHECKING:
     from mavnav.slam.steps import Step
     from mavnav.slam.track import LogScans, Track
 
-STRETCH_SCANS, LEAST_SCANS, TRIAL_SHARE = 80, 40, 0.25
-"""Number of scans, those with most rotation, that are compared.
+STRETCH_SCANS = 80
+"""Number of scans, those with most rotation, that are compared."""
 
-At least the second number of them is tracked in both orders, and no more than the third as a share of the log.
+SHORT_TRIAL, LEAST_SCANS, TRIAL_SHARE = 30, 40, 0.25
+"""Numbers of these scans that are tracked in both orders: in a short trial, and in a long one at least.
+
+In the long one it is no more than the third number as a share of the log.
 """
 
 GAP_S, LONG_GAP_S = 0.5, 1.2
@@ -45,17 +48,22 @@ LEAST_COMPARED = 10
 LEAST_TURN_RAD = 90 * DEG
 """Minimum rotation within the stretch for a comparison."""
 
-REVERSED_RATIO = 0.9
-"""Ratio of the mean costs, reverse to listed order, below which the reverse order is used."""
+SHORT_RATIO, REVERSED_RATIO = 1.05, 0.9
+"""Ratios of the mean costs, reverse to listed order: above the first one in the short trial the listed order is used.
 
-SAMPLE_EVERY, LISTED_RATIO, REVERSED_AT_ONCE, LEAST_SAMPLED = 8, 1.33, 0.8, 5
-"""Step between scans that are matched in both orders in the map of the track, and the cost ratios that decide at once.
-
-Below the second ratio, of reverse to listed order, the reverse order is used, above the first one the listed order; the
-reverse one needs ``LEAST_SAMPLED`` scans. On five logs and their reverse, also with half of the scans, the ratio is
-1.14 to 2.5 where the listed order is right, and 0.5 to 1.05 where it is wrong. It is 1.28 on a simulated log whose map
-was made with the wrong order.
+Below the second one in the long trial the reverse order is used.
 """
+
+SAMPLE_EVERY, LISTED_RATIO = 8, 1.6
+"""Step between scans that are matched in both orders in the map of the track, and the cost ratio that decides at once.
+
+Above it, reverse to listed order, the listed order is used. On five logs, a simulated one and their reverse, also with
+parts of scans or beams removed, it is 1.09 to 5.4 where the listed order is right, and 0.36 to 1.38 where it is wrong:
+the map was made in the listed order, and favors it. With eight times as many scans it is up to 1.52 where it is wrong.
+"""
+
+REVERSED_AT_ONCE, LEAST_SAMPLED = 0.8, 5
+"""Ratio of these costs below which the reverse order is used, and minimum number of scans for that."""
 
 WARNING = "beams were fired in the reverse of the listed order, judged by the turns, and are de-skewed so"
 
@@ -76,8 +84,8 @@ def reversed_scans(log_scans: LogScans) -> Iterator[Scan]:
 def has_reversed_order(track: Track) -> bool:
     """Return whether the reverse order fits better where the laser turned most.
 
-    Both orders are tracked, each on a separate map, unless matches in the map of the track already favor the listed
-    order.
+    A few scans are matched in both orders in the map of the track. Unless they decide, both orders are tracked, each on
+    a separate map: first in a short trial, then in a long one.
     """
     refiner = track.method.refiner
     if refiner is None or track.config.robust.deskew != "auto":
@@ -86,22 +94,26 @@ def has_reversed_order(track: Track) -> bool:
     scans = list(islice(track.log_scans(), stretch.start, stretch.stop))
     if not any(scan.spec.time_increment_s for scan in scans):
         return False
-    listed, other = match_both(scans, track.steps[stretch.start : stretch.stop], track.motion, refiner)
+    steps = track.steps[stretch.start : stretch.stop]
+    listed, other = match_both(scans, steps, track.motion, refiner)
     ratio = cost_ratio(listed, other)
     if ratio > LISTED_RATIO:
         return False
     if ratio < REVERSED_AT_ONCE and len(listed) >= LEAST_SAMPLED:
         return True
-    return cost_ratio(*track_both(scans, stretch, track)) < REVERSED_RATIO
+    if cost_ratio(*track_both(scans, stretch, SHORT_TRIAL, track)) > SHORT_RATIO:
+        return False
+    most = max(LEAST_SCANS, int(TRIAL_SHARE * len(track.steps)))
+    return cost_ratio(*track_both(scans, stretch, most, track)) < REVERSED_RATIO
 
 
-def track_both(scans: list[Scan], stretch: range, track: Track) -> tuple[list[Match], list[Match]]:
-    """Track the scans of a stretch that turn most in both orders, on separate maps; return the matches of both.
+def track_both(scans: list[Scan], stretch: range, most: int, track: Track) -> tuple[list[Match], list[Match]]:
+    """Track up to ``most`` scans of a stretch in both orders, on separate maps; return the matches of both.
 
-    The path of the track predicts the poses. The tracks end where ``LOST_SCANS`` in a row do not match. Both lists are
-    empty with fewer than ``LEAST_COMPARED`` scans.
+    They are those that turn most. The path of the track predicts the poses. The tracks end where ``LOST_SCANS`` in a
+    row do not match. Both lists are empty with fewer than ``LEAST_COMPARED`` scans.
     """
-    some = [scans[row - stretch.start] for row in turning_scans(stretch, track)]
+    some = [scans[row - stretch.start] for row in turning_scans(stretch, most, track)]
     path = partial(tracked_trajectory(track.steps).at, max_gap_ns=int(LONG_GAP_S / NS))
     alone = replace(track, prior_map=None, begin=0, motion=track.motion._replace(odometry=path))
     until = partial(until_missing, least_points=0, most_missed=LOST_SCANS, most_held=np.inf)
@@ -110,14 +122,13 @@ def track_both(scans: list[Scan], stretch: range, track: Track) -> tuple[list[Ma
     return ([a for a, _ in both], [b for _, b in both]) if len(both) >= LEAST_COMPARED else ([], [])
 
 
-def turning_scans(stretch: range, track: Track) -> list[int]:
-    """Return the numbers of the tracked scans of a stretch that turn most, without a long gap between them."""
+def turning_scans(stretch: range, most: int, track: Track) -> list[int]:
+    """Return the numbers of up to ``most`` tracked scans of a stretch, without a long gap, that turn most."""
     steps = track.steps
     rows = stretch.start + np.flatnonzero(steps.column("tracked")[stretch.start : stretch.stop])
     apart_s = np.diff(steps.column("stamp_ns")[rows]) * NS
     runs = np.diff(np.flatnonzero(np.concatenate(([True], apart_s > LONG_GAP_S, [True]))))
-    most = min(max(LEAST_SCANS, int(TRIAL_SHARE * len(steps))), int(runs.max()) - 1)
-    part = turning_stretch(steps.column("map_T_laser")[rows, 2], most, 0.0, apart_s)
+    part = turning_stretch(steps.column("map_T_laser")[rows, 2], min(most, int(runs.max()) - 1), 0.0, apart_s)
     chosen: list[int] = rows[part.start : part.stop].tolist()
     return chosen
 

@@ -116,4 +116,4 @@ def test_the_right_order_is_tracked_once_and_a_wrong_one_tried(
     run_slam(lambda: sweeps, Config(), 0.1)
     assert len(maps) == 1
     run_slam(lambda: [reversed_scan(scan) for scan in sweeps], Config(), 0.1)
-    assert len(maps) == 1 + 4  # as told, the trial of both, and the whole track again
+    assert len(maps) == 1 + 6  # as listed, both in a short and in a long trial, and the whole log again
