@@ -30,7 +30,7 @@ EARLY_SCANS, MISSED_SCANS, MISSED_LATER = 30, 16, 8
 The third number is that of a map with a later beginning.
 """
 
-MOST_TRIES, EACH_TRIES = 12, 4
+MOST_TRIES, EACH_TRIES = 10, 2
 """Maximum number of beginnings that are tried, and number after which their distance doubles each time.
 
 They span 260 scans in all.
