@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from mavnav.kernels.layout import FAR, NEAR, REACH_CELLS
 from mavnav.kernels.line_search import search as line_search
+from mavnav.kernels.line_search.search import HOPELESS
 from mavnav.kernels.points import extent, placed, scan_points
 from mavnav.mapping import line_map as line_map_module
 from mavnav.mapping.line_map import LineMap
@@ -261,9 +262,24 @@ def test_levels_of_sparse_scans_hold_no_lines_within_a_cell(sparse: bool) -> Non
     assert_is_its_twin(line_map, points, (6, 5, 5, 0), [0.0, 0.05, 0.02, 0.1, 6.0, len(points) + sparse])
 
 
-def assert_is_its_twin(line_map: LineMap, points: np.ndarray, grid: tuple[int, ...], rest: list[float]) -> None:
+@pytest.mark.parametrize("hold_m", [0.0, 0.2])
+def test_a_search_where_nothing_fits_ends_after_the_first_grids(hold_m: float) -> None:
+    line_map, points = furnished_map()
+    rest, nowhere = [0.0, hold_m, 0.02, 0.1, 6.0, 0.0], (6.5, 5.2, 0.3)
+    converged = assert_is_its_twin(line_map, points, (6, 5, 5, 0), rest, nowhere)
+    assert converged == (hold_m > 0)  # fixed correspondences, as in a final pass
+
+
+def assert_is_its_twin(
+    line_map: LineMap,
+    points: np.ndarray,
+    grid: tuple[int, ...],
+    rest: list[float],
+    near: tuple[float, float, float] = (3.06, 2.12, 1.1),
+) -> bool:
+    """Compare a search with its twin; return whether it converged."""
     prior, _, _, overlap_m, known_points, sparse_points = rest
-    start, middle, dense = np.array([3.06, 2.12, 1.1]), points.mean(axis=0), len(points) >= sparse_points
+    start, middle, dense = np.array(near), points.mean(axis=0), len(points) >= sparse_points
     limits = np.array([0.15, 0.12, 0.004, 0.004, 0.15, FEW, 2, *rest])
     limits[10] = line_map.closeness_at(overlap_m) if overlap_m else 0.0
     found = line_search.search(points, start, np.array([*grid, 1.0]), limits, *arrays(line_map))
@@ -278,10 +294,15 @@ def assert_is_its_twin(line_map: LineMap, points: np.ndarray, grid: tuple[int, .
         deciding = naive.on_mapped_area(points, pose, line_map, overlap_m, known_points)
         return terms(deciding, deciding.mean(axis=0))
 
-    few = terms(points[:FEW], middle)
-    slow = naive.coarse_to_fine(terms(points, middle), start, grid, limits, dense, few, on_known if overlap_m else None)
+    few, whole = terms(points[:FEW], middle), terms(points, middle)
+
+    def hopeless(used: Terms, pose: tuple) -> bool:
+        return used[0](*pose) > HOPELESS * 0.15**2 * len(points[: FEW if used is few else None])
+
+    slow = naive.coarse_to_fine(whole, start, grid, limits, dense, few, on_known if overlap_m else None, hopeless)
     np.testing.assert_allclose(found[:3], slow, atol=1e-9)
     assert found[3] == pytest.approx(cost_of(points, line_map)(*found[:3]) / len(points), rel=1e-9)
+    return bool(found[7])
 
 
 @pytest.mark.parametrize(("overlap_m", "known_points"), [(0.0, 0.0), (0.02, 0.0), (0.1, 0.0), (0.1, 6.0), (0.1, 1e9)])

@@ -360,13 +360,14 @@ def observability(points, map_T_laser, line_map):
     return np.linalg.eigvalsh(information)[0], len(points) * information * np.outer(units, units)
 
 
-def coarse_to_fine(terms, start, grid, limits, dense, few=None, on_known=None):
+def coarse_to_fine(terms, start, grid, limits, dense, few=None, on_known=None, hopeless=None):
     """Run the schedule of ``line_search.search`` over any cost(x, y, yaw) of the pose, rotating about the pivot.
 
     ``terms`` are the cost, the pivot, the motion-prior cost per m2 between the pivot and its expected position, and
     fixed(at, motion), the cost after motions of the pivot with fixed correspondences. Within a cell, correspondences
     are fixed only for ``dense`` scans. Levels that may change correspondences use the terms ``few``, until the first
     level within a cell is repeated with the terms that ``on_known`` returns for its pose; finer levels alternate once.
+    If ``hopeless(terms, pose)`` is true after the first grids with free correspondences, that pose is returned.
     """
     azimuths, nx, ny, extensions = map(int, grid[:4])
     half_m, half_rad, stop_m, stop_rad = limits[:4]
@@ -381,9 +382,11 @@ def coarse_to_fine(terms, start, grid, limits, dense, few=None, on_known=None):
             pose, bordering = _best_of_both(used, pose, half_m, half_rad, grid, start)
             if turn + 1 >= joint and not bordering:
                 break
-        for _ in range((1 if sampled or (last and within) else 0) if fixed else alternations):
+        for turn in range((1 if sampled or (last and within) else 0) if fixed else alternations):
             pose = _best_turn(used, pose, half_rad, grid)
             pose = _best_shift(used, pose, half_m, grid, start)
+            if turn == 0 and not fixed and half_m == limits[0] and hopeless and hopeless(used, pose):
+                return pose
         if sampled:
             terms, on_known = on_known(*pose), None
             continue

@@ -14,6 +14,8 @@ same cost, bit for bit. Pruning uses three facts:
   costs of all candidates except for rounding; those within `ROUNDING_M2` of the best are summed point by point;
 * the eigenvalues of a metric are at most 1, so that a cost bounds how far its point may move before it is truncated,
   or no longer truncated.
+
+Both forms end early where the scan fits nowhere in the window (`HOPELESS`), except in the final pass.
 """
 
 from __future__ import annotations
@@ -36,6 +38,13 @@ if TYPE_CHECKING:
 MAX_LEVELS = 40
 LEAST_MAPPED_SHARE = 0.5
 """Share of points on mapped area below which all points are used."""
+
+HOPELESS = 0.8
+"""Mean cost after the first grids of yaw and plane, as a share of the truncated cost, above which a search ends.
+
+Of 30 420 searches of disturbed logs 6 % are above it. Of the 20 311 whose final pose has at least 60 % inliers it is 3,
+with 67 % at most.
+"""
 
 
 class Grid(NamedTuple):
@@ -96,6 +105,21 @@ def _joint_search(
 
 
 @helper
+def _evaluated(points: NDArray[np.float64], middle: Middle, truncate_m2: float, line_map: Lines) -> tuple[float, int]:
+    """Return the cost sum of the points at the middle, m2, and the number within half the truncation distance."""
+    nearest, lines, ox, oy, cell = line_map
+    n, total, inliers = points.shape[1], 0.0, 0
+    x, y = np.empty(n), np.empty(n)
+    rotate(points, middle.yaw_rad, x, y)
+    for k in range(n):
+        px, py = x[k] + middle.x_m, y[k] + middle.y_m
+        d2 = line_distance2(px, py, truncate_m2, slot_at(px, py, ox, oy, 1.0 / cell, nearest), lines)
+        total += d2
+        inliers += d2 < 0.25 * truncate_m2
+    return total, inliers
+
+
+@helper
 def _alternating_search(
     points: NDArray[np.float64],
     middle: Middle,
@@ -103,16 +127,18 @@ def _alternating_search(
     grid: Grid,
     turns: NDArray[np.float64],
     rounds: int,
+    most_m2: float,
     line_map: Lines,
-) -> tuple[Middle, int, int]:
+) -> tuple[Middle, int, int, bool]:
     """Alternate between yaw and plane ``rounds`` times, with the lines found separately for every candidate.
 
-    Returns the best pose, and the numbers of yaw grids and plane grids searched.
+    Returns the best pose, the numbers of yaw grids and plane grids searched, and whether the search ended after the
+    first round because the cost sum was above ``most_m2``.
     """
     azimuths, nx, ny, extensions = grid
     step_x, step_y = 2 * window.half_m / (nx - 1), 2 * window.half_m / (ny - 1)
     step_rad, of_yaw, of_plane = 2 * window.half_rad / (azimuths - 1), 0, 0
-    for _ in range(rounds):
+    for turn in range(rounds):
         for _ in range(extensions + 1):
             i = least_turn(points, middle, window, turns, line_map)
             middle = _turned(middle, i * step_rad - window.half_rad)
@@ -126,7 +152,11 @@ def _alternating_search(
             of_plane += 1
             if 0 < i < nx - 1 and 0 < j < ny - 1:
                 break
-    return middle, of_yaw, of_plane
+        if turn == 0 and most_m2 < np.inf:
+            total, _ = _evaluated(points, middle, window.truncate_m2, line_map)
+            if total > most_m2:
+                return middle, of_yaw, of_plane, True
+    return middle, of_yaw, of_plane, False
 
 
 @helper
@@ -158,21 +188,6 @@ def on_mapped_area(
     for k in range(count):
         out[0, k], out[1, k] = points[0, kept[k]], points[1, kept[k]]
     return out
-
-
-@helper
-def _evaluated(points: NDArray[np.float64], middle: Middle, truncate_m2: float, line_map: Lines) -> tuple[float, int]:
-    """Return the cost sum of the points at the middle, m2, and the number within half the truncation distance."""
-    nearest, lines, ox, oy, cell = line_map
-    n, total, inliers = points.shape[1], 0.0, 0
-    x, y = np.empty(n), np.empty(n)
-    rotate(points, middle.yaw_rad, x, y)
-    for k in range(n):
-        px, py = x[k] + middle.x_m, y[k] + middle.y_m
-        d2 = line_distance2(px, py, truncate_m2, slot_at(px, py, ox, oy, 1.0 / cell, nearest), lines)
-        total += d2
-        inliers += d2 < 0.25 * truncate_m2
-    return total, inliers
 
 
 @kernel(Several((*(5 * [float64]), int64, int64, boolean))(F64_2D, F64_1D, F64_1D, F64_1D, U32_2D, F64_2D, F64_1D))
@@ -223,7 +238,7 @@ def search(
     active, selected, few = centred, closeness == 0, int(min(n, few_points))
     dense, rounds = n >= dense_points, joint_rounds
     evaluations, grids, converged = 0, 0, False
-    for _ in range(MAX_LEVELS):
+    for level in range(MAX_LEVELS):
         window = Window(half_m, half_rad, prior, truncate_m2, prune > 0)
         step_m, step_rad = max(2 * half_m / (nx - 1), 2 * half_m / (ny - 1)), 2 * half_rad / (azimuths - 1)
         last = step_m < stop_m and step_rad < stop_rad
@@ -238,9 +253,14 @@ def search(
             rounds_now = int(sampled or (within and last))
         else:
             rounds_now = rounds
-        middle, of_yaw, of_plane = _alternating_search(used, middle, window, nodes, turns, rounds_now, line_map)
+        most_m2 = HOPELESS * truncate_m2 * used.shape[1] if level == 0 and not fixed else np.inf
+        middle, of_yaw, of_plane, hopeless = _alternating_search(
+            used, middle, window, nodes, turns, rounds_now, most_m2, line_map
+        )
         evaluations += of_yaw * azimuths + of_plane * nx * ny
         grids += of_yaw + of_plane
+        if hopeless:
+            break
         if sampled:
             # Points on unmapped area lower the cost by falling back onto the map: from here on they are left out.
             selected, active = True, on_mapped_area(centred, middle, closeness, known_points, line_map)
