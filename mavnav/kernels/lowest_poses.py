@@ -23,7 +23,7 @@ TOP = LEVELS - 1
 SIDE = 1 << TOP  # positions along a square of the top level
 
 MOST_POINTS = 256
-"""Maximum number of points whose bounds are summed, in two bytes; other points are bounded by 0."""
+"""Maximum number of points whose bounds are summed, below `EMPTY`; other points are bounded by 0."""
 
 UNSURE = 1e-6
 """Distance from an edge, in cells, within which rounding may put a point on either side: it is bounded by 0."""
