@@ -11,6 +11,10 @@ from math import inf
 POSES, CELLS = 20_000, 80_000
 """Numbers of poses of a wide search, and of cells whose costs are bounded for it, that take as long as a local one."""
 
+WIDE_EACH, WIDE_FIRST, WIDE_MOST = 2.0, 80.0, 120.0
+WHOLE_EACH, WHOLE_FIRST = 1.0, 50.0
+"""Budgets of wide regions and of the whole map, in local searches: credit of each scan, first and maximum credit."""
+
 
 def search_work(poses: int, cells: float, minima: int) -> float:
     """Return the work of a search: ``minima`` to refine, ``poses`` to search, ``cells`` to bound."""

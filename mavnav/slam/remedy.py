@@ -17,6 +17,7 @@ from mavnav.pose import Pose
 from mavnav.slam import beam_order, odometry_check
 from mavnav.slam.beginning import accepted, with_good_beginning
 from mavnav.slam.doubt.features import FEATURES, WINDOWS_S, WRONG_M, WRONG_RAD
+from mavnav.slam.doubt.judge import LEAST_SHARE
 from mavnav.slam.doubt.record import NOT_PLANAR, Remedy
 from mavnav.slam.parts import lost_for_good, parts_of
 from mavnav.slam.resampled_track import has_sparse_scans
@@ -38,9 +39,6 @@ INHERENT = (NOT_PLANAR, FEATURES["weakly_constrained"].reason)
 
 MOST_DOUBT = 0.25
 """Largest doubt with which a remedy is used."""
-
-LEAST_SHARE = 0.2
-"""Minimum share of scans with a pose: with fewer, other points do not help, and lost scans take most time."""
 
 MOST_DISAGREEMENT = 5.0
 """Largest difference from the resampled track over 10 s, in 0.2 m or 5 deg: alone it makes the doubt too high."""
@@ -79,7 +77,7 @@ def is_worth_a_remedy(track: Track) -> bool:
     Where scans are sparse, finer voxels do not give more points, and coarser ones have been compared already.
     """
     inherent = track.doubt and track.doubt.reasons[:1] and track.doubt.reasons[0].name in INHERENT
-    hopeless = accepted(track) < LEAST_SHARE * len(track.steps)
+    hopeless = track.steps.share("tracked") < LEAST_SHARE  # other points do not help
     if inherent or hopeless or has_sparse_scans(track.steps):
         return False
     return is_lost(track) or bool(track.doubt and track.doubt.high)

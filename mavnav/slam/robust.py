@@ -13,7 +13,7 @@ from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
-from mavnav.slam.budget import Budget, search_work
+from mavnav.slam.budget import WHOLE_EACH, WHOLE_FIRST, WIDE_EACH, WIDE_FIRST, WIDE_MOST, Budget, search_work
 from mavnav.slam.degeneracy import LEAST_OBSERVABILITY
 from mavnav.slam.motion_model import LONGEST_S
 from mavnav.slam.relocalization import (
@@ -57,10 +57,8 @@ REGAIN_S = 0.5  # longest gap before more inliers are required: after it, chance
 INNER_SHARE = 0.5
 """Share of the near window within which a match is accepted: nearer to its edge, the pose may be outside of it."""
 
-
 NEAR_MINIMA = 3
 """Number of separate minima near the prediction that are refined: the lowest one of a coarse grid may be wrong."""
-
 
 LOST_PERIODS = 8
 """Number of periods without an accepted pose after which the laser is lost.
@@ -68,15 +66,14 @@ LOST_PERIODS = 8
 Then wide regions are searched as far as their budget allows. Once the laser is found, the scans between are rematched.
 """
 
+RARELY_SCANS = 64
+"""Number of scans without an accepted pose from which, without odometry, a scan is searched only in wide regions."""
+
 FOUND_PERIODS = 1.5
 """Time since the last accepted pose, in periods, below which the previous scan was accepted.
 
 Its refundable work is then returned: each scan of a sparse log may need a wide search.
 """
-
-WIDE_EACH, WIDE_FIRST, WIDE_MOST = 2.0, 80.0, 120.0
-WHOLE_EACH, WHOLE_FIRST = 1.0, 50.0
-"""Budgets of wide regions and of the whole map, in local searches: credit of each scan, first and maximum credit."""
 
 FOUND_COST, FOUND_ANYWHERE_COST = 0.4, 0.25
 """Maximum cost of a minimum that is refined when the laser is lost, in a wide region and in the whole map.
@@ -84,18 +81,14 @@ FOUND_COST, FOUND_ANYWHERE_COST = 0.4, 0.25
 It is a share of the worst cost. Poses at which a lost laser was found cost up to 0.1 at 10 scans a second.
 """
 
-
 AT_REST = np.zeros(3)
 """Twist of a laser at rest, for scans that are not de-skewed."""
-
 
 REACHABLE = 1.0
 """Largest ``motion_cost`` that the acceleration of a vehicle explains."""
 
-
 EXPECTED = 0.01
 """Largest ``motion_cost`` with which fewer inliers are enough after a gap."""
-
 
 FOUND_CONFLICTS, LONG_GAP_S = 0.05, 2.5
 """Largest share of visibility conflicts of a pose after a gap without odometry of more than ``LONG_GAP_S``.
@@ -138,6 +131,7 @@ class Robust:
         self._bounded = False  # whether cost bounds were computed since the map last grew
         self._wide_budget = Budget(WIDE_EACH, WIDE_FIRST, WIDE_MOST)
         self._whole_budget = Budget(WHOLE_EACH, WHOLE_FIRST)
+        self._missed = 0, 0  # stamp of the last accepted pose, and number of scans matched since
 
     @property
     def refiner(self) -> Robust:
@@ -183,6 +177,8 @@ class Robust:
             return no_match(predicted, len(points))
         self._wide_budget.earn(found=elapsed_s < FOUND_PERIODS * motion.period_s)
         self._whole_budget.earn()
+        if self._missed_before(motion) >= RARELY_SCANS and motion.odometry is None:
+            return self._search_rarely(points, predicted, motion, _expected(scan, predicted, motion), elapsed_s)
         tried = self._search_near(points, predicted, motion)
         if self._is_found_near(tried, predicted, motion, elapsed_s):
             return tried[0]
@@ -199,6 +195,25 @@ class Robust:
             if lost or self._wide_budget.spend(self._work(points, region), refundable=True):
                 tried += self._search_wide(points, region, FOUND_COST if lost else np.inf)
         return best_of(tried, expected, elapsed_s, self.config)
+
+    def _missed_before(self, motion: Motion) -> int:
+        """Return how many scans before this one had the same last accepted pose."""
+        last_ns, missed = self._missed
+        self._missed = motion.stamp_ns, missed + 1 if last_ns == motion.stamp_ns else 0
+        return self._missed[1]
+
+    def _search_rarely(
+        self, points: NDArray[np.float64], predicted: Pose, motion: Motion, expected: tuple[Pose, ...], elapsed_s: float
+    ) -> Match:
+        """Search for a laser that has been lost for long, if the budget covers a wide region."""
+        regions = self._lost_region(points, expected, elapsed_s)
+        if not regions:
+            return no_match(predicted, len(points))
+        tried = self._search_near(points, predicted, motion)
+        if self._is_found_near(tried, predicted, motion, elapsed_s):
+            return tried[0]
+        tried += self._search_wide(points, regions[0], FOUND_COST)
+        return best_of(tried, expected, elapsed_s, self.config) if tried else no_match(predicted, len(points))
 
     def _lost_region(self, points: NDArray[np.float64], expected: tuple[Pose, ...], elapsed_s: float) -> list[Region]:
         """Return the region of a lost laser, around all expected poses; none if the budget does not cover a search."""

@@ -7,15 +7,16 @@ from functools import cache
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose
 from mavnav.scan import Scan
 from mavnav.slam import tracker
-from mavnav.slam.budget import CELLS, POSES, Budget, search_work
+from mavnav.slam.budget import CELLS, POSES, WHOLE_EACH, WHOLE_FIRST, WIDE_EACH, WIDE_FIRST, Budget, search_work
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.relocalization import STEP_M, around, within_reach, within_reach_of
-from mavnav.slam.robust import WHOLE_EACH, WHOLE_FIRST, WIDE_EACH, WIDE_FIRST, Robust
+from mavnav.slam.robust import RARELY_SCANS, Robust
 from mavnav.slam.steps import Step
 from mavnav.slam.track_state import TrackState, Verdict
 from support.synthetic import TOUR, along, furnished_rooms, polyline, record, scan_at
@@ -99,6 +100,34 @@ def test_a_lost_laser_is_searched_as_its_scans_earn() -> None:
     assert 1 <= counts["whole"] <= (WHOLE_FIRST + WHOLE_EACH * len(steps)) / method._whole_budget.work
     assert method._wide_budget.credit >= 0
     assert method._whole_budget.credit >= 0
+
+
+def test_a_laser_lost_for_long_is_searched_only_when_its_budget_allows() -> None:
+    steps = lost_steps()[0][-LOST:]
+    searched = [bool(step.match.evaluations) for step in steps]
+    assert all(searched[:RARELY_SCANS])
+    rarely = searched[RARELY_SCANS + 1 :]
+    assert 2 < sum(rarely) < len(rarely) / 4
+
+
+def test_a_laser_lost_for_long_is_found_at_the_next_search() -> None:
+    scans = record(furnished_rooms(), along(TOUR[:3], speed_m_s=0.8)).scans
+    stamps_ns = (scans[-1].stamp_ns + 100_000_000 * np.arange(1, LOST + 31)).tolist()
+    other = [scan_at(ELSEWHERE, Pose(0.8, 0.8, 0.1e-9 * t), stamp_ns=t) for t in stamps_ns[:LOST]]
+    back = [replace(scans[-1], stamp_ns=t) for t in stamps_ns[LOST:]]
+    steps = list(tracker.track([*scans, *other, *back], Robust(Config()), Motion(0.1)))
+    found = [k for k, step in enumerate(steps[-len(back) :]) if step.tracked]
+    assert found[0] < 16
+    last = steps[len(scans) - 1].match.map_T_laser
+    assert all(last.gap(step.match.map_T_laser)[0] < 0.02 for step in steps[-len(back) :] if step.tracked)
+
+
+def test_with_odometry_every_scan_of_a_laser_lost_for_long_is_searched() -> None:
+    scans = record(furnished_rooms(), along(TOUR[:3], speed_m_s=0.8)).scans
+    stamps_ns = scans[-1].stamp_ns + 100_000_000 * np.arange(1, LOST + 1)
+    other = [scan_at(ELSEWHERE, Pose(0.8, 0.8, 0.1e-9 * t), stamp_ns=t) for t in stamps_ns.tolist()]
+    steps = list(tracker.track([*scans, *other], Robust(Config()), Motion(0.1, lambda _: Pose())))
+    assert all(step.match.evaluations for step in steps[-LOST:])
 
 
 def test_without_credit_the_whole_map_is_not_searched() -> None:

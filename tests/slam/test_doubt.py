@@ -148,6 +148,9 @@ def test_a_second_track_is_tried_only_where_the_first_is_in_doubt(monkeypatch: p
     assert again.doubt.tried == (judge.RESAMPLED,)
     assert not again.doubt.high
     assert np.array_equal(again.trajectory.xyyaw, found.trajectory.xyyaw)
+    monkeypatch.setattr(judge, "LEAST_SHARE", 1.01)
+    few = run_slam(lambda: drive.scans, Config(), 0.1)
+    assert few.doubt == found.doubt
 
 
 def test_what_does_not_look_back_is_not_judged() -> None:

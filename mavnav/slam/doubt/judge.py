@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 WORTH_A_TRACK = 0.1
 """Minimum probability with which the log is tracked once more."""
 
+LEAST_SHARE = 0.2
+"""Minimum share of scans with a pose of a track that is worth another one: with fewer the log is lost in any case."""
+
 FEWEST = 2
 """Minimum number of tracked scans of a track that is judged."""
 
@@ -38,7 +41,8 @@ def judged(track: Track, refiner: Refiner) -> Track:
     """Judge a track by its features; compare it with a resampled track if these raise doubt, or if one exists."""
     evidence = evidence_of(track, refiner)
     doubt = doubt_of(evidence)
-    if not len(track.resampled) and doubt.probability >= WORTH_A_TRACK:
+    worthwhile = doubt.probability >= WORTH_A_TRACK and track.steps.share("tracked") >= LEAST_SHARE
+    if not len(track.resampled) and worthwhile:
         track = with_resampled_track(track)
     if len(track.resampled):
         resampled = track.resampled[track.steps.column("tracked")]
