@@ -84,3 +84,45 @@ def pose_costs(
             for p in range(some):
                 sums[p] /= n
     return out
+
+
+@helper
+def is_same(moved_m: tuple[float, float], turned_rad: float, separate: NDArray[np.float64]) -> bool:
+    """Return whether two poses are the same minimum: both distance and rotation are below ``separate`` (m, rad)."""
+    turn = abs((turned_rad + np.pi) % (2 * np.pi) - np.pi)
+    return bool(turn < separate[1] and np.hypot(moved_m[0], moved_m[1]) < separate[0])
+
+
+@kernel(float64[:, ::1](float64[:, ::1], F64_2D, F64_1D, F64_1D, int64))
+def separate_minima(
+    costs_m2: NDArray[np.float64],
+    xy_map_m: NDArray[np.float64],
+    yaws_rad: NDArray[np.float64],
+    separate: NDArray[np.float64],
+    most: int,
+) -> NDArray[np.float64]:
+    """Return the ``most`` lowest separate minima of ``pose_costs``: cost (m2), index of yaw and of position, (m, 3).
+
+    Each is the lowest of the finite costs that is not the same minimum as one before it, by ``separate`` (m, rad); of
+    equal costs the first. The costs around them are overwritten.
+    """
+    (yaws, positions), found, n = costs_m2.shape, np.empty((most, 3)), 0
+    while n < most:
+        best, at_q, at_p = np.inf, 0, 0
+        for q in range(yaws):
+            for p in range(positions):
+                if costs_m2[q, p] < best:
+                    best, at_q, at_p = costs_m2[q, p], q, p
+        if best == np.inf:
+            break
+        found[n, 0], found[n, 1], found[n, 2] = best, at_q, at_p
+        n += 1
+        for q in range(yaws):
+            turned_rad = yaws_rad[q] - yaws_rad[at_q]
+            if not is_same((0.0, 0.0), turned_rad, separate):
+                continue
+            for p in range(positions):
+                moved_m = xy_map_m[p, 0] - xy_map_m[at_p, 0], xy_map_m[p, 1] - xy_map_m[at_p, 1]
+                if is_same(moved_m, 0.0, separate):
+                    costs_m2[q, p] = np.inf
+    return found[:n].copy()

@@ -13,7 +13,7 @@ import numpy as np
 
 from mavnav.kernels._jit import helper, kernel
 from mavnav.kernels._types import F64_1D, F64_2D, I64_1D, U8_3D, U32_2D, float64, int64, uint8, uint16, uint64
-from mavnav.kernels.correlative_search import pose_cost
+from mavnav.kernels.correlative_search import is_same, pose_cost
 from mavnav.kernels.layout import LEVELS, WORST
 
 if TYPE_CHECKING:
@@ -335,9 +335,8 @@ def lowest_poses(
         taken = False
         for k in range(n):
             other_q, other_p = int(found[k, 1]), int(found[k, 2])
-            turn = abs((yaws_rad[q] - yaws_rad[other_q] + np.pi) % (2 * np.pi) - np.pi)
-            off = np.hypot(xy_map_m[p, 0] - xy_map_m[other_p, 0], xy_map_m[p, 1] - xy_map_m[other_p, 1])
-            taken |= turn < separate[1] and off < separate[0]
+            moved_m = xy_map_m[p, 0] - xy_map_m[other_p, 0], xy_map_m[p, 1] - xy_map_m[other_p, 1]
+            taken |= is_same(moved_m, yaws_rad[q] - yaws_rad[other_q], separate)
         if taken:
             continue
         if level == 0:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels.conflicts import conflicts
-from mavnav.kernels.correlative_search import pose_costs
+from mavnav.kernels.correlative_search import pose_costs, separate_minima
 from mavnav.kernels.free_cells import free_positions
 from mavnav.kernels.lowest_poses import lowest_poses
 from mavnav.kernels.points import extent
@@ -204,7 +204,7 @@ def lowest(
         line_map.lines,
         line_map.geometry,
     )
-    return [(cost, _pose(xy_m[int(p)], yaws_rad[int(q)])) for cost, q, p in poses.tolist()]
+    return starts_of(poses, xy_m, yaws_rad)
 
 
 def reached_by(points: NDArray[np.float64], xy_m: NDArray[np.float64]) -> Extent:
@@ -323,16 +323,12 @@ def minima(
     costs: NDArray[np.float64], xy_m: NDArray[np.float64], yaws_rad: NDArray[np.float64], most: int = CANDIDATES
 ) -> list[Start]:
     """Return the ``most`` lowest separate minima of the costs (q, p), with their poses; the costs are overwritten."""
-    found: list[Start] = []
-    for _ in range(most):
-        q, p = np.unravel_index(int(np.argmin(costs)), costs.shape)
-        if not np.isfinite(costs[q, p]):
-            break
-        found.append((float(costs[q, p]), _pose(xy_m[p], yaws_rad[q])))
-        near = np.hypot(*(xy_m - xy_m[p]).T) < SEPARATE_M
-        turned = np.abs((yaws_rad - yaws_rad[q] + pi) % (2 * pi) - pi) < SEPARATE_RAD
-        costs[np.ix_(turned, near)] = np.inf
-    return found
+    return starts_of(separate_minima(costs, xy_m, yaws_rad, SEPARATE, most), xy_m, yaws_rad)
+
+
+def starts_of(found: NDArray[np.float64], xy_m: NDArray[np.float64], yaws_rad: NDArray[np.float64]) -> list[Start]:
+    """Return the poses of minima (m, 3): cost, index of yaw and of position."""
+    return [(cost, _pose(xy_m[int(p)], yaws_rad[int(q)])) for cost, q, p in found.tolist()]
 
 
 def merged(starts: list[Start], most: int) -> list[Start]:

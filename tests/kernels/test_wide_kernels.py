@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavnav.kernels.conflicts import conflicts
-from mavnav.kernels.correlative_search import BLOCK, pose_costs
+from mavnav.kernels.correlative_search import BLOCK, pose_costs, separate_minima
 from mavnav.kernels.cost_floors import cost_floors
 from mavnav.kernels.free_cells import free_positions
 from mavnav.kernels.layout import LEVELS
@@ -83,6 +83,25 @@ def test_pose_costs_are_their_twin() -> None:
     assert len(clear) > 8
     for q, p in clear:
         assert fast[q, p] == pytest.approx(slow[q][p], abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_separate_minima_are_their_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    xy, yaws = 0.1 * rng.integers(-6, 7, (40, 2)).astype(float), rng.uniform(-3, 3) + np.radians(4) * np.arange(-30, 31)
+    costs, most = np.round(rng.uniform(0, 0.02, (len(yaws), len(xy))), 4), int(rng.integers(1, 9))
+    costs[rng.random(costs.shape) < 0.1] = np.inf
+    separate = np.array((0.25, np.radians(12)))
+    expected = naive.separate_minima(costs, xy, yaws, separate, most)
+    assert separate_minima(costs.copy(), xy, yaws, separate, most).tolist() == expected
+    assert len(expected) == most
+
+
+def test_without_finite_costs_there_is_no_minimum() -> None:
+    none = separate_minima(np.full((3, 2), np.inf), np.zeros((2, 2)), np.zeros(3), np.ones(2), 5)
+    assert none.shape == (0, 3)
+    one = separate_minima(np.ones((3, 2)), np.zeros((2, 2)), np.zeros(3), np.ones(2), 5)
+    assert one.tolist() == [[1.0, 0.0, 0.0]]
 
 
 def test_a_position_costs_the_same_among_many() -> None:

@@ -310,6 +310,18 @@ def pose_costs(points, xy_map_m, yaws_rad, lines, cell_m, truncate_m):
     return [[None if None in point else sum(point) / len(point) for point in row] for row in costs]
 
 
+def separate_minima(costs, xy_map_m, yaws_rad, separate, most):
+    """Return cost, yaw and position of the lowest finite costs of which none is near another, the lowest first."""
+    found = []
+    for cost, q, p in sorted((costs[q, p], q, p) for q in range(len(yaws_rad)) for p in range(len(xy_map_m))):
+        turned = [abs((yaws_rad[q] - yaws_rad[k] + math.pi) % math.tau - math.pi) for _, k, _ in found]
+        moved = [math.dist(xy_map_m[p], xy_map_m[k]) for _, _, k in found]
+        near = any(t < separate[1] and m < separate[0] for t, m in zip(turned, moved, strict=True))
+        if math.isfinite(cost) and not near and len(found) < most:
+            found.append([cost, q, p])
+    return found
+
+
 def lowest_poses(costs, xy_m, yaws_rad, separate, most):
     """Return the lowest costs (q, p) in order, each separated from those before it, as (cost, q, p)."""
     found = []
