@@ -204,5 +204,5 @@ def ups_of_quaternions(xyzw: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def yaw_of_quaternion(x: float, y: float, z: float, w: float) -> float:
-    """Return the yaw (rad) of a quaternion, the rotation about z in Z-Y-X order (REP-103)."""
-    return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    """Return the yaw (rad) of a quaternion of any length, the rotation about z in Z-Y-X order (REP-103)."""
+    return atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)

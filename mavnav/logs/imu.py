@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Struct, field
 
 from mavnav.logs.records import Imu
-from mavnav.logs.stamps import later_than_before
+from mavnav.logs.stamps import in_order
 from mavnav.pose import Rotation
 from mavnav.units import NS
 
@@ -54,11 +54,12 @@ class ImuTrack(Struct):
             self.log_ns.append(min(log_ns, (1 << 63) - 1))
             self.numbers.extend((*rates, *accelerations, *(message.xyzw or (np.nan,) * 4)))
 
-    def rotation(self, stamp_source: str, half_sweep_ns: int) -> Rotation | None:
+    def rotation(self, stamp_source: str, half_sweep_ns: int, warn: Callable[[str], None]) -> Rotation | None:
         """Return the rotation at mid-sweep by the stamps of scans; None of too few messages."""
-        stamps = np.array(self.header_ns if stamp_source == "header" else self.log_ns, np.int64)
-        keep = later_than_before(stamps)
-        if keep.sum() < LEAST_MESSAGES:
+        stamps, recorded = (np.array(each, np.int64) for each in (self.header_ns, self.log_ns))
+        stamps = stamps if stamp_source == "header" else recorded
+        keep = in_order(stamps, recorded, self.topic, warn)
+        if len(keep) < LEAST_MESSAGES:
             return None
         numbers = np.array(self.numbers, np.float64).reshape(-1, 10)[keep]
         stamps, rates, ups = stamps[keep], numbers[:, :3], _ups(stamps[keep], numbers[:, 3:6], numbers[:, 6:])
@@ -124,5 +125,5 @@ class ImuTracks:
         if usual is None:
             warn(f"several Imu topics, none is used: {', '.join(names)}")
             return None
-        rotation = self.topics[usual].rotation(stamp_source, half_sweep_ns)
+        rotation = self.topics[usual].rotation(stamp_source, half_sweep_ns, warn)
         return None if rotation is None else Imu(usual, rotation)

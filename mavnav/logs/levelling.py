@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from mavnav.errors import TopicError
 from mavnav.logs.attitude import NAME
-from mavnav.logs.stamps import later_than_before
+from mavnav.logs.stamps import in_order
 from mavnav.logs.transforms import frame_name
 from mavnav.scan import levelled
 from mavnav.units import DEG, NS
@@ -130,7 +130,9 @@ def laser_attitude(
     """
     for source in sources:
         body_T_laser = _mounted(source, frames, laser_frame)
-        found = _resolved(source, np.eye(4) if body_T_laser is None else body_T_laser, stamp_source, upside_down)
+        left_out: list[str] = []
+        mounted = np.eye(4) if body_T_laser is None else body_T_laser
+        found = _resolved(source, mounted, stamp_source, upside_down, left_out.append)
         wanted = named or frame_name(source.topic) == NAME
         if not wanted and not _tilts(found):
             continue
@@ -145,6 +147,8 @@ def laser_attitude(
             raise TopicError(f"{source.topic}: {problem}, or write --attitude off")
         for text in [f"{problem}; it is not used"] if problem else _oddities(source, found, stamps_ns):
             warn(f"{source.topic}: {text}")
+        for text in left_out:
+            warn(text)
         return None if problem else found
     return None
 
@@ -156,14 +160,18 @@ def _mounted(source: Source, frames: FrameTree, laser_frame: str) -> NDArray[np.
 
 
 def _resolved(
-    source: Source, body_T_laser: NDArray[np.floating], stamp_source: str, upside_down: bool
+    source: Source,
+    body_T_laser: NDArray[np.floating],
+    stamp_source: str,
+    upside_down: bool,
+    warn: Callable[[str], None],
 ) -> RecordedAttitude:
     """Return the attitude of the laser, as seen from above, without messages that are not finite or not in order."""
-    stamps_ns = np.array(source.header_ns if stamp_source == "header" else source.log_ns, np.int64)
     finite = _finite(source)
-    stamps_ns, ups, height_m = stamps_ns[finite], source.ups[finite], source.height_m[finite]
-    later = later_than_before(stamps_ns)
-    stamps_ns, ups, height_m = stamps_ns[later], ups[later], height_m[later]
+    stamps_ns, recorded_ns = (np.array(each, np.int64)[finite] for each in (source.header_ns, source.log_ns))
+    stamps_ns = stamps_ns if stamp_source == "header" else recorded_ns
+    order = in_order(stamps_ns, recorded_ns, source.topic, warn)
+    stamps_ns, ups, height_m = stamps_ns[order], source.ups[finite][order], source.height_m[finite][order]
     height_m = height_m + ups @ body_T_laser[:3, 3]
     if len(height_m) and height_m.min() <= 0.0:
         height_m = np.full(len(height_m), np.nan)

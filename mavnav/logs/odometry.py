@@ -10,7 +10,7 @@ from msgspec import Struct, field
 
 from mavnav.errors import TopicError
 from mavnav.logs.messages.definitions import POSE, TRANSFORM
-from mavnav.logs.stamps import later_than_before
+from mavnav.logs.stamps import in_order
 from mavnav.logs.transforms import frame_name, planar_pose
 from mavnav.pose import Trajectory
 from mavnav.units import NS
@@ -34,20 +34,26 @@ class PoseTrack(Struct):
     header_ns: array[int] = field(default_factory=lambda: array("q"))
     log_ns: array[int] = field(default_factory=lambda: array("q"))
     xyyaw: array[float] = field(default_factory=lambda: array("d"))
+    unusable: int = 0
 
     def add(self, message: TransformMessage, log_ns: int) -> None:
-        """Take in one pose; one that is not finite is dropped."""
+        """Take in one pose; one that is not finite, or has no orientation, is only counted."""
         pose = planar_pose(message)
+        self.unusable += pose is None
         if pose is not None:
             self.header_ns.append(message.stamp_ns)
             self.log_ns.append(min(log_ns, (1 << 63) - 1))
             self.xyyaw.extend((pose.x_m, pose.y_m, pose.yaw_rad))
 
-    def trajectory(self, stamp_source: str) -> Trajectory:
-        """Return ``fixed_T_base`` with the stamps of a source; duplicate and backward stamps are dropped."""
-        stamps = np.array(self.header_ns if stamp_source == "header" else self.log_ns, dtype=np.int64)
+    def trajectory(self, stamp_source: str, warn: Callable[[str], None]) -> Trajectory:
+        """Return ``fixed_T_base`` with the stamps of a source; poses whose stamps do not ascend are left out."""
+        stamps, recorded = (np.array(each, np.int64) for each in (self.header_ns, self.log_ns))
+        stamps = stamps if stamp_source == "header" else recorded
         poses = np.array(self.xyyaw, dtype=np.float64).reshape(-1, 3)
-        keep = later_than_before(stamps)
+        if self.unusable:
+            text = f"{self.unusable} of {self.unusable + len(stamps)} poses are left out"
+            warn(f"{self.topic}: {text}, not finite or with a quaternion of zeros; see what publishes them")
+        keep = in_order(stamps, recorded, self.topic, warn)
         return Trajectory(stamps[keep], poses[keep])
 
 

@@ -223,7 +223,7 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None, *, 
     base_T_laser = extrinsic or base_T_laser
     source: Literal["tf_static", "option"] | None = "tf_static" if mounted else None
     odometry = None
-    odom_T_base = track.trajectory(log.stamp_source) if track else None
+    odom_T_base = track.trajectory(log.stamp_source, warnings.append) if track else None
     if track and odom_T_base and not _meet(odom_T_base.stamps_ns, log):
         warnings.append(f"{track.topic}: odometry and scans share no time; it is not used, check its clock")
     elif track and odom_T_base and (text := jump(odom_T_base)):
@@ -258,7 +258,7 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None, *, 
         upside_down=upside_down,
         odometry=odometry,
         imu=imu.levelled() if imu and attitude else imu,
-        warnings=tuple(warnings),
+        warnings=tuple(dict.fromkeys(warnings)),
     )
     return log if attitude is None else replace(log, attitude=with_ceiling(attitude, log), _kept=[])
 

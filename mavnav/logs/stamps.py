@@ -16,6 +16,8 @@ from mavnav.logs.records import Gap
 from mavnav.units import NS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from mavnav.scan import LaserSpec
@@ -58,11 +60,33 @@ def ascending(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     indices
         (m,), ascending, with ``m <= n``.
     """
-    if len(stamps_ns) < 2 or (np.diff(stamps_ns) > 0).all():
+    steps_ns = np.diff(stamps_ns)
+    if (steps_ns > 0).all():
         return np.arange(len(stamps_ns))
     greedy = np.flatnonzero(later_than_before(stamps_ns))
+    if (steps_ns >= 0).all():
+        return greedy
     longest = _longest_ascending(stamps_ns.tolist())
     return greedy if len(greedy) >= len(longest) else np.array(longest)
+
+
+def in_order(
+    stamps_ns: NDArray[np.int64], recorded_ns: NDArray[np.int64], topic: str, warn: Callable[[str], None]
+) -> NDArray[np.int64]:
+    """Choose the most messages of ascending stamps, in the order of the file, or of recording where that keeps more.
+
+    Returns their indices in the order of use, and warns of those left out; of equal stamps one is enough.
+    """
+    possible = np.flatnonzero(~_impossible(stamps_ns))
+    chosen = possible[ascending(stamps_ns[possible])]
+    if len(chosen) < len(possible):
+        other = possible[np.argsort(recorded_ns[possible], kind="stable")]
+        other = other[ascending(stamps_ns[other])]
+        chosen = other if len(other) > len(chosen) else chosen
+    left_out = ~np.isin(stamps_ns, stamps_ns[chosen])
+    if left_out.any():
+        warn(f"{topic}: {left_out.sum()} of {len(stamps_ns)} messages are left out, their stamps do not ascend")
+    return chosen
 
 
 def _longest_ascending(values: list[int]) -> list[int]:

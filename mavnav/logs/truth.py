@@ -97,5 +97,5 @@ def laser_truth(
     if body_T_laser is None:
         text = f"no mounting of {laser_frame!r} is known; the ground truth is taken as the laser's own"
         warn(f"{track.topic}: {text} (give the mounting with --extrinsic x,y,yaw)")
-    world_T_laser = track.trajectory(stamp_source).compose(body_T_laser or Pose())
+    world_T_laser = track.trajectory(stamp_source, warn).compose(body_T_laser or Pose())
     return RecordedTruth(track.topic, track.base_frame or None, world_T_laser)

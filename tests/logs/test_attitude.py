@@ -221,3 +221,15 @@ def test_info_reports_the_tilt(tmp_path: Path, capsys: pytest.CaptureFixture[str
     row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("attitude"))
     assert "/attitude, 12 messages, tilt" in row
     assert row.endswith("deg at most, height 1.00 to 1.22 m")
+
+
+def test_a_stamp_from_the_future_costs_one_attitude(tmp_path: Path) -> None:
+    messages = attitudes()
+    far = Message(messages[0].topic, messages[0].type, START_NS + 10**15, messages[0].fields, START_NS)
+    log = log_of(tmp_path, [messages[0], far, *messages[1:]])
+    sound = log_of(tmp_path, messages)
+    assert log.attitude is not None and sound.attitude is not None
+    np.testing.assert_array_equal(log.attitude.roll_rad, sound.attitude.roll_rad)
+    assert [w for w in log.warnings if "left out" in w] == [
+        f"/attitude: 1 of {SCANS + 1} messages are left out, their stamps do not ascend"
+    ]

@@ -120,10 +120,52 @@ def test_odometry_can_be_named_or_left_out(tmp_path: Path) -> None:
         open_log(path, odom="/x")
 
 
-def test_odometry_stamps_that_do_not_ascend_are_dropped(tmp_path: Path) -> None:
-    log = open_log(write_mcap(tmp_path / "a", [laser(0), *(odom("/odom", k) for k in (0, 2, 1, 2, 3))]))
+LATER = "messages are left out, their stamps do not ascend"
+
+
+@pytest.mark.parametrize(
+    ("stamps", "kept", "left_out"),
+    [
+        ((0, 1, 90_000, 3, 4, 5), (0, 1, 3, 4, 5), f"/odom: 1 of 6 {LATER}"),
+        ((0, 1, 2, 2, 3), (0, 1, 2, 3), ""),
+        ((0, 1, 2, 0, 1, 2, 3, 4), (0, 1, 2, 3, 4), ""),
+        ((0, 3, 1, 2, 4), (0, 1, 2, 4), f"/odom: 1 of 5 {LATER}"),
+    ],
+    ids=["from the future", "twice", "again", "one early"],
+)
+def test_of_odometry_the_most_poses_of_ascending_stamps_are_used(
+    stamps: tuple[int, ...], kept: tuple[int, ...], left_out: str, tmp_path: Path
+) -> None:
+    poses = [odom("/odom", n, x=float(n)) for n in stamps]
+    poses = [Message(m.topic, m.type, m.stamp_ns, m.fields, START_NS + k * PERIOD_NS) for k, m in enumerate(poses)]
+    log = open_log(write_mcap(tmp_path / "a", [*(laser(k) for k in range(6)), *poses]))
     assert log.odometry is not None
-    np.testing.assert_allclose(log.odometry.odom_T_base.xyyaw[:, 0], [0.0, 2.0, 3.0])
+    np.testing.assert_allclose(log.odometry.odom_T_base.xyyaw[:, 0], kept)
+    assert [w for w in log.warnings if "left out" in w] == ([left_out] if left_out else [])
+
+
+def test_odometry_that_lies_in_the_file_out_of_order_is_used_in_the_order_of_recording(tmp_path: Path) -> None:
+    swapped = [odom("/odom", k, x=float(k)) for k in (3, 4, 5, 0, 1, 2)]
+    log = open_log(write_mcap(tmp_path / "a", [*(laser(k) for k in range(6)), *swapped]))
+    assert log.odometry is not None
+    np.testing.assert_allclose(log.odometry.odom_T_base.xyyaw[:, 0], range(6))
+    assert not any("left out" in w for w in log.warnings)
+
+
+@pytest.mark.parametrize("length", [1e-3, 1.02, 3.0])
+def test_the_length_of_a_quaternion_does_not_matter(length: float, tmp_path: Path) -> None:
+    q = {"x": 0.0, "y": 0.0, "z": length * np.sin(0.4), "w": length * np.cos(0.4)}
+    log = open_log(write_mcap(tmp_path / "a", [laser(0), laser(1), odom("/odom", 0, q=q), odom("/odom", 1, q=q)]))
+    assert log.odometry is not None
+    np.testing.assert_allclose(log.odometry.odom_T_base.xyyaw[:, 2], 0.8)
+
+
+def test_poses_without_an_orientation_are_left_out_and_told(tmp_path: Path) -> None:
+    none = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.0}
+    log = open_log(write_mcap(tmp_path / "a", [laser(0), laser(1), odom("/odom", 0), odom("/odom", 1, q=none)]))
+    assert log.odometry is not None
+    assert len(log.odometry.odom_T_base) == 1
+    assert any("/odom: 1 of 2 poses are left out, not finite or with a quaternion of zeros" in w for w in log.warnings)
 
 
 def test_odometry_without_a_mounting_is_the_lasers_own_and_told(tmp_path: Path) -> None:

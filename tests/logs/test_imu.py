@@ -105,6 +105,15 @@ def test_impossible_messages_are_dropped(tmp_path: Path) -> None:
     assert len(log.imu.rotation.stamps_ns) == 51
 
 
+def test_a_stamp_from_the_future_costs_one_message(tmp_path: Path) -> None:
+    late = Message("/imu", IMU, START_NS + 10**15, {"rates": (0.0, 0.0, RATE)}, START_NS)
+    messages = [*(laser(k) for k in range(10)), late, *(imu(k) for k in range(50))]
+    log, sound = open_log(write_mcap(tmp_path / "late.mcap", messages)), log_of(tmp_path)
+    assert log.imu is not None and sound.imu is not None
+    np.testing.assert_array_equal(log.imu.rotation.stamps_ns, sound.imu.rotation.stamps_ns)
+    assert any("/imu: 1 of 51 messages are left out" in w for w in log.warnings)
+
+
 def test_a_sensor_of_another_clock_is_not_used(tmp_path: Path) -> None:
     late = [Message("/imu", IMU, START_NS + 10**12 + k * STEP_NS, {"rates": (0.0, 0.0, RATE)}) for k in range(20)]
     log = open_log(write_mcap(tmp_path / "late.mcap", [laser(k) for k in range(10)] + late))
