@@ -5,11 +5,15 @@ from __future__ import annotations
 from math import copysign
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from mavnav.pose import Pose, wrap_angle
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from numpy.typing import NDArray
 
     from mavnav.pose import Rotation
 
@@ -100,6 +104,13 @@ class Motion(NamedTuple):
             return None
         then, now = self.odometry(self.stamp_ns), self.odometry(stamp_ns)
         return None if then is None or now is None else self.map_T_laser @ then.between(now)
+
+    def odometry_at(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return at which stamps (n,) the odometry is known."""
+        pose_at = self.odometry
+        if pose_at is None:
+            return np.zeros(len(stamps_ns), np.bool_)
+        return np.array([pose_at(stamp_ns) is not None for stamp_ns in stamps_ns.tolist()], np.bool_)
 
     def twist_at(self, stamp_ns: int) -> Twist:
         """Return the twist for de-skewing a scan: from odometry, else the running average."""

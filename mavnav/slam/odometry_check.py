@@ -25,6 +25,9 @@ LEAST_STEPS, MISLEADING = 20, 0.3
 EARLY_STEPS, EARLY_RATIO = 60, 1.5
 """Minimum number of steps before the track ends early, and the multiple of the allowed error that ends it."""
 
+LEAST_COVERED = 0.9
+"""Minimum share of scans that odometry covers without a warning."""
+
 WARNING = (
     "odometry contradicts the scans and is not used; check its scale, axes and clock; if they are right, see map.png"
 )
@@ -47,14 +50,28 @@ def while_odometry_fits(track: Track, phase: str = "track", until: Until | None 
 def without_misleading_odometry(track: Track) -> Track:
     """Track again without odometry where it contradicts the scans."""
     odometry = track.motion.odometry
-    if odometry is None or not misleads(odometry, tracked_trajectory(track.steps)):
+    if odometry is None:
         return track
+    if not misleads(odometry, tracked_trajectory(track.steps)):
+        return with_coverage(track)
     alone = replace(track, motion=track.motion._replace(odometry=None))
     alone = alone.over(alone.log_scans(), "track again")
     return (
         replace(alone.with_warning(WARNING), odometry_contradicts=True)
         if len(alone.steps) >= len(track.steps)
         else track
+    )
+
+
+def with_coverage(track: Track) -> Track:
+    """Return a track with a warning if its odometry covers few of its scans."""
+    known = track.motion.odometry_at(track.steps.column("stamp_ns"))
+    if not len(known) or known.mean() >= LEAST_COVERED:
+        return track
+    covered = f"{np.count_nonzero(known)} of {len(known)} scans"
+    return track.with_warning(
+        f"odometry covers {covered} (not in gaps of over 0.5 s); the others are matched without it: record it for the "
+        "whole log, or cut the log with --start and --end"
     )
 
 

@@ -105,9 +105,11 @@ def refine_against_final_map(track: Track) -> Track:
     columns = np.array(evidence).reshape(-1, 8)
     observed = columns[:, 0]
     track = replace(track, observed=observed, conflicts=columns[:, 1], hessians=columns[:, 2:])
-    if not len(observed) or track.motion.odometry:
+    if not len(observed):
         return track
-    warning = degeneracy_warning(track.steps, observed, contradicted=track.odometry_contradicts)
+    stamps_ns = track.steps.column("stamp_ns")[: len(observed)]  # fewer where the run is stopped
+    alone = np.where(track.motion.odometry_at(stamps_ns), UNMEASURED, observed)
+    warning = degeneracy_warning(track.steps, alone, contradicted=track.odometry_contradicts)
     return track.with_warning(warning) if warning else track
 
 

@@ -10,7 +10,7 @@ import pytest
 from mavnav.config.models import Config
 from mavnav.kernels.observability import observability
 from mavnav.mapping.line_map import LineMap
-from mavnav.pose import Pose, transform_points
+from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.scan import LaserSpec
 from mavnav.slam.degeneracy import LEAST_OBSERVABILITY, degeneracy_warning
 from mavnav.slam.pipeline import run_slam
@@ -61,6 +61,20 @@ def test_odometry_holds_it_too() -> None:
     drive = driven(np.vstack(CORRIDOR), (0.0, 0.0), (2.0, 0.1))
     odometry = drifting_odometry(drive.world_T_laser)
     assert run_slam(lambda: drive.scans, Config(), 0.1, odometry).warnings == ()
+
+
+@pytest.mark.parametrize("poses", [2, 6])
+def test_odometry_of_a_moment_does_not_hold_it(poses: int) -> None:
+    drive = driven(np.vstack(CORRIDOR), (0.0, 0.0), (3.0, 0.2))
+    odometry = drifting_odometry(drive.world_T_laser)
+    short = Trajectory(odometry.stamps_ns[:poses], odometry.xyyaw[:poses])
+    found = run_slam(lambda: drive.scans, Config(), 0.1, short)
+    covered, degenerate = found.warnings
+    assert covered.startswith(f"odometry covers {poses} of {len(drive.scans)} scans")
+    assert "motion in one direction is not observable" in degenerate
+    assert found.doubt is not None
+    assert found.doubt.high
+    assert "weakly constrained pose" in {reason.name for reason in found.doubt.reasons}
 
 
 def test_no_place_along_a_wall_is_preferred_to_that_of_the_odometry() -> None:

@@ -30,7 +30,7 @@ def clean(*, compared: bool = False, **changes: object) -> Evidence:
     xyyaw = np.column_stack((0.5 * time_s, np.sin(time_s), 0.3 * np.sin(time_s)))
     good = Evidence(
         period_s=0.1,
-        odometry=False,
+        odometry=np.zeros(N, np.bool_),
         contradicted=False,
         refused=0,
         closed=0,
@@ -105,7 +105,7 @@ def test_a_clean_track_shows_none(compared: bool) -> None:
 
 def test_weak_geometry_counts_less_where_odometry_is_used() -> None:
     weak = PLANTED["weakly constrained pose"]
-    assert doubt_of(weak).probability > doubt_of(replace(weak, odometry=True)).probability
+    assert doubt_of(weak).probability > doubt_of(replace(weak, odometry=np.ones(N, np.bool_))).probability
 
 
 @pytest.mark.parametrize("name", FEATURES)

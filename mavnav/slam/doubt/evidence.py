@@ -37,13 +37,13 @@ class Evidence(Struct, frozen=True):
     points; ``observed`` and ``conflicts`` (n,) observability and visibility conflicts in the finished map;
     ``heading_margins`` (n,) the additional cost of the best other heading, as a share of the worst cost, inf without a
     sharp turn; ``resampled`` (n, 3) the poses of a track with coarser voxels, NaN without one; ``tilt_rad`` (n,) the
-    tilt by an inertial sensor, 0 without one. ``period_s`` is the scan period; ``odometry``: odometry predicts the
-    poses; ``contradicted``: it is not used; ``refused`` is the number of loops that were found and not used, ``closed``
-    of those that were used.
+    tilt by an inertial sensor, 0 without one; ``odometry`` (n,): odometry predicts the pose. ``period_s`` is the scan
+    period; ``contradicted``: odometry is not used; ``refused`` is the number of loops that were found and not used,
+    ``closed`` of those that were used.
     """
 
     period_s: float
-    odometry: bool
+    odometry: NDArray[np.bool_]
     contradicted: bool
     refused: int
     closed: int
@@ -64,7 +64,7 @@ def evidence_of(track: Track, refiner: Refiner) -> Evidence:
     stamps_ns, rotation = track.steps.column("stamp_ns")[tracked], track.motion.rotation
     return Evidence(
         period_s=track.motion.period_s,
-        odometry=track.motion.odometry is not None,
+        odometry=track.motion.odometry_at(stamps_ns),
         contradicted=track.odometry_contradicts,
         refused=track.loops.refused,
         closed=len(track.loops.closed),

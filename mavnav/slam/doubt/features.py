@@ -82,12 +82,12 @@ def _spikes(changes: Floats, steady: float) -> Floats:
 
 def weak(evidence: Evidence) -> Floats:
     """Return how weakly the walls constrain each pose; 0 with odometry."""
-    return np.zeros(len(evidence.observed)) if evidence.odometry else _weakness(evidence)
+    return np.where(evidence.odometry, 0.0, _weakness(evidence))
 
 
 def weak_but_odometry(evidence: Evidence) -> Floats:
     """Return how weakly the walls constrain each pose with odometry; 0 without."""
-    return _weakness(evidence) if evidence.odometry else np.zeros(len(evidence.observed))
+    return np.where(evidence.odometry, _weakness(evidence), 0.0)
 
 
 def _weakness(evidence: Evidence) -> Floats:
