@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct
 
+from mavnav.logs.stamps import REPEATED_SHARE
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ PARTIAL, NEIGHBOURS = 0.5, 10
 """A scan is partial with fewer valid beams than this share of the median of so many scans on either side."""
 
 FIRST_SCANS, SOME_SHARE = 10, 0.01
-"""One partial scan counts among so many at the beginning; later ones, and repeated ones, from this share on."""
+"""One partial scan counts among so many at the beginning; later ones from this share on."""
 
 SECTOR_DEG, SECTOR_SCANS = 10, 20
 """The narrowest sector without any return that is reported, deg, and the fewest scans that show it."""
@@ -188,7 +189,7 @@ def _hidden(sectors: list[tuple[float, float]]) -> Iterator[Finding]:
 
 
 def _frozen(repeated: int, scans: int) -> Iterator[Finding]:
-    if repeated > SOME_SHARE * scans:
+    if repeated > REPEATED_SHARE * scans:
         yield Finding(
             "repeated",
             f"{repeated} of {scans} scans equal the one before",

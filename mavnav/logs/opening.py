@@ -17,7 +17,7 @@ from mavnav.logs.messages.decode import scan_topics
 from mavnav.logs.odometry import jump
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import Imu, Odometry, ScanCounts
-from mavnav.logs.stamps import period_and_gaps
+from mavnav.logs.stamps import REPEATED_SHARE, period_and_gaps
 from mavnav.logs.survey import Survey, survey
 from mavnav.logs.topic_choice import chosen_topic, no_usable
 from mavnav.logs.transforms import BASE_FRAMES, mounting
@@ -27,7 +27,7 @@ from mavnav.pose import Pose
 from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     import numpy as np
@@ -128,7 +128,7 @@ def choose(
         topic=name,
         frame_id=frame_id,
         sensor=sensor,
-        counts=ScanCounts(scans.total, len(timeline.order), skipped, timeline.suspect),
+        counts=ScanCounts(scans.total, len(timeline.order), skipped, timeline.suspect, timeline.repeated),
         cleaning=dict(zip(KINDS, timeline.cleaning.tolist(), strict=True)),
         first_ns=int(timeline.stamps_ns[0]),
         last_ns=int(timeline.stamps_ns[-1]),
@@ -198,14 +198,24 @@ def _unpaired(lasers: Sequence[Log]) -> list[str]:
     ]
 
 
+def _scan_warnings(log: Log) -> Iterator[str]:
+    """Say what there is to warn about the scans and their time."""
+    counts = log.counts
+    if log.stamp_source == "log":
+        yield f"{log.topic}: the scans' own stamps are unusable; the times of recording are used"
+    for reason, count in counts.skipped.items():
+        if reason != "outside_window":
+            yield f"{log.topic}: {count} of {counts.total} scans skipped: {reason.replace('_', ' ')}"
+    if counts.repeated > REPEATED_SHARE * counts.usable:
+        yield (
+            f"{log.topic}: {counts.repeated} of {counts.usable} scans repeat the one before; where the laser moved "
+            "meanwhile the track is wrong: check the driver, or cut the log with --start and --end"
+        )
+
+
 def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None, *, upside_down: bool = False) -> Log:
     """Add mounting and odometry, and what there is to warn about time."""
-    warnings = list(log.warnings)
-    if log.stamp_source == "log":
-        warnings.append(f"{log.topic}: the scans' own stamps are unusable; the times of recording are used")
-    for reason, count in log.counts.skipped.items():
-        if reason != "outside_window":
-            warnings.append(f"{log.topic}: {count} of {log.counts.total} scans skipped: {reason.replace('_', ' ')}")
+    warnings = [*log.warnings, *_scan_warnings(log)]
     track = found.odometry.choose(odom, warnings.append)
     bases = [track.base_frame] if track and track.base_frame else list(BASE_FRAMES)
     place, of_mounting = len(warnings), list[str]()

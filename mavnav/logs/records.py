@@ -71,13 +71,15 @@ class Gap(Struct, frozen=True):
 class ScanCounts(Struct, frozen=True):
     """What became of the scan messages: ``total`` is ``usable`` and all the skipped.
 
-    ``suspect`` of the usable ones come from where a checksum does not match, or could not be checked.
+    ``suspect`` of the usable ones come from where a checksum does not match, or could not be checked, and ``repeated``
+    have the ranges of the one before.
     """
 
     total: int
     usable: int
     skipped: dict[str, int]
     suspect: int = 0
+    repeated: int = 0
 
 
 class Odometry(Struct, frozen=True):

@@ -28,6 +28,9 @@ Window = tuple[float | None, float | None]
 KEPT_BYTES: Final = 32 << 20
 """Scans of shorter logs are kept once they have been read: decoding costs more than the memory."""
 
+REPEATED_SHARE: Final = 0.01
+"""Share of scans that repeat the one before, above which a log is reported."""
+
 _LATEST_NS: Final = 1 << 62
 _CALENDAR_NS: Final = 1_000_000_000_000_000_000
 """September 2001: stamps of a clock with a date are later, those that count from a start before."""
@@ -110,7 +113,8 @@ class Timeline(Struct, frozen=True):
     """The usable scans of a topic, in the order of use, by one source of stamps.
 
     ``order`` (m,) holds their numbers in the file, ``stamps_ns`` (m,) ascends strictly, ``cleaning`` (8,) counts their
-    beams by ``preprocessing.KINDS``; ``first`` is geometry and frame of the first.
+    beams by ``preprocessing.KINDS``; ``repeated`` counts the scans with the ranges of the one before in the file;
+    ``first`` is geometry and frame of the first.
     """
 
     source: StampSource
@@ -119,6 +123,7 @@ class Timeline(Struct, frozen=True):
     skipped: Counter[str]
     cleaning: NDArray[np.int64]
     suspect: int
+    repeated: int
     first: tuple[LaserSpec, str] | None
 
 
@@ -138,11 +143,15 @@ class TopicScans(Struct):
     _log_ns: array[int] = field(default_factory=lambda: array("q"))
     _kind: array[int] = field(default_factory=lambda: array("I"))
     _suspect: bytearray = field(default_factory=bytearray)
+    _repeated: bytearray = field(default_factory=bytearray)
+    _last_m: NDArray[np.float64] | None = None
     _cleaning: array[int] = field(default_factory=lambda: array("I"))
     _kinds: list[tuple[LaserSpec, str]] = field(default_factory=list)
 
     def keep(self, spec: LaserSpec, ranges_m: NDArray[np.float64]) -> None:
-        """Keep an admitted scan, as long as there are few."""
+        """Keep an admitted scan, as long as there are few, and note whether it repeats the one before."""
+        self._repeated.append(self._last_m is not None and _repeats(ranges_m, self._last_m))
+        self._last_m = ranges_m
         if self.ranges is not None:
             self.ranges.append((spec, ranges_m))
             if ranges_m.nbytes * len(self.ranges) > KEPT_BYTES:
@@ -234,6 +243,7 @@ class TopicScans(Struct):
             skipped=+skipped,
             cleaning=np.array(self._cleaning, np.int64).reshape(-1, len(KINDS))[order].sum(axis=0),
             suspect=sum(self._suspect[k] for k in order.tolist()),
+            repeated=sum(self._repeated[k] for k in order.tolist()),
             first=self._kinds[self._kind[order[0]]] if len(order) else None,
         )
 
@@ -248,6 +258,12 @@ class TopicScans(Struct):
         counts = (impossible.sum(), implausible.sum(), twice, len(rest) - twice)
         reasons = ("impossible_stamp", "implausible", "duplicate_stamp", "backward_stamp")
         return Counter(dict(zip(reasons, map(int, counts), strict=True)))
+
+
+def _repeats(ranges_m: NDArray[np.float64], last_m: NDArray[np.float64]) -> bool:
+    """Return whether two scans with a return are the same to the last bit."""
+    same = np.array_equal(ranges_m.view(np.int64), last_m.view(np.int64))
+    return same and bool(np.isfinite(ranges_m).any())
 
 
 def _geometry(kind: tuple[LaserSpec, str]) -> tuple[LaserSpec, str]:

@@ -140,3 +140,19 @@ def test_a_step_back_of_the_clock_is_no_disorder(tmp_path: Path) -> None:
     log = open_log(write_mcap(tmp_path / "a", messages))
     assert log.counts.skipped == {"duplicate_stamp": 3}
     assert [s.stamp_ns for s in log.scans()] == [START_NS + k * PERIOD_NS for k in range(15)]
+
+
+@pytest.mark.parametrize(("frozen", "told"), [((), False), ((5,), True), ((5, 6, 7), True)])
+def test_scans_that_repeat_the_one_before_are_told(frozen: tuple[int, ...], told: bool, tmp_path: Path) -> None:
+    scans = [laser(4 if k in frozen else k) for k in range(50)]
+    messages = [Message(m.topic, m.type, START_NS + k * PERIOD_NS, m.fields) for k, m in enumerate(scans)]
+    log = open_log(write_mcap(tmp_path / "a", messages))
+    assert log.counts.repeated == len(frozen)
+    assert any(f"{len(frozen)} of 50 scans repeat the one before" in w for w in log.warnings) == told
+    assert len(list(log.scans())) == 50
+
+
+def test_blank_scans_are_no_repetition(tmp_path: Path) -> None:
+    blank = [float("nan")] * 16
+    path = write_mcap(tmp_path / "a", [laser(k, **({"ranges": blank} if k > 2 else {})) for k in range(6)])
+    assert open_log(path).counts.repeated == 0
