@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from functools import partial
-from math import isfinite
+from math import isfinite, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -219,6 +219,8 @@ def parse_pose(text: str | None, option: str = "--extrinsic") -> tuple[float, fl
         values = []
     if len(values) != 3 or not all(map(isfinite, values)):
         raise UsageError(f"{option} {text!r} is not X,Y,YAW in m, m, rad; write for example {option} 0.1,0,1.5708")
+    if abs(values[2]) > 2 * pi:
+        raise UsageError(f"{option} {text!r}: the yaw is more than a turn; write it in rad, for 90 deg 1.5708")
     return values[0], values[1], values[2]
 
 

@@ -17,13 +17,18 @@ def warmup() -> None:
 
     import mavnav.kernels
     from mavnav.commands.progress import reporting
-    from mavnav.kernels.building import prepare
+    from mavnav.errors import OutputError
+    from mavnav.kernels._cache import is_kept, user_directory
+    from mavnav.kernels._loader import cache_key
+    from mavnav.kernels.building import not_on_disk, prepare
 
     started_s = perf_counter()
     folder = Path(mavnav.kernels.__path__[0])
     names = sorted(".".join(path.relative_to(folder).with_suffix("").parts) for path in folder.rglob("*.py"))
     for name in names:
         import_module(f"mavnav.kernels.{name}")
+    if not_on_disk() and not is_kept(cache_key()):
+        raise OutputError(f"{user_directory()} cannot be written; set MAVNAV_CACHE_DIR to a directory that can")
     with reporting(quiet=False) as report:
         prepare(report)
     emit(f"{len(names)} files of kernels are ready, in {perf_counter() - started_s:.1f} s")

@@ -44,12 +44,18 @@ def user_directory() -> Path:
 
 def share_private_directory(key: str) -> None:
     """Create the private directory if the user's cannot be written, for this process and its children."""
+    if not is_kept(key):
+        _private_directory()
+
+
+def is_kept(key: str) -> bool:
+    """Return whether the user's directory can be written, so that new entries outlast the process."""
     folder = user_directory() / key
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
         TemporaryFile(dir=folder).close()
-        return
-    _private_directory()
+        return True
+    return False
 
 
 def _private_directory() -> Path:

@@ -45,10 +45,7 @@ def prepare(progress: Progress, unused: Collection[str] = ()) -> None:
     (names within ``mavnav.kernels``) are left out. A kernel that could not be compiled here is compiled at its first
     call.
     """
-    if DISABLED:
-        return
-    skipped = {_full(name) for name in unused}
-    missing = [made for made in KERNELS if not made.loaded and made.module not in skipped and made.code is None]
+    missing = [] if DISABLED else not_on_disk(unused)
     if not missing:
         return
     share_private_directory(cache_key())
@@ -56,6 +53,12 @@ def prepare(progress: Progress, unused: Collection[str] = ()) -> None:
         progress(f"compiling kernels (first run only): {done} of {len(missing)}", 0, None)
     for made in missing:
         made.recheck_disk()
+
+
+def not_on_disk(unused: Collection[str] = ()) -> list[Kernel]:
+    """Return the kernels of the loaded modules, but those in ``unused``, whose machine code is not on disk."""
+    skipped = {_full(name) for name in unused}
+    return [made for made in KERNELS if not made.loaded and made.module not in skipped and made.code is None]
 
 
 def _full(name: str) -> str:

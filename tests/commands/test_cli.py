@@ -37,6 +37,17 @@ def test_warmup_leaves_no_kernel_out(mavnav: Callable) -> None:
     assert {".".join(("mavnav.kernels", *path.parts)) for path in files} <= sys.modules.keys()
 
 
+def test_warmup_refuses_to_compile_for_nothing(spawn: Callable, tmp_path: Path) -> None:
+    taken = tmp_path / "taken"
+    taken.touch()
+    process = spawn("warmup", MAVNAV_CACHE_DIR=str(taken / "kernels"))
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out) == (6, "")
+    assert (
+        err == f"mavnav: error: {taken / 'kernels'} cannot be written; set MAVNAV_CACHE_DIR to a directory that can\n"
+    )
+
+
 def test_without_arguments_it_shows_its_help(spawn: Callable) -> None:
     process = spawn()
     out, err = process.communicate(timeout=30)

@@ -378,6 +378,7 @@ def test_unknown_configuration_key(mavnav: Callable, sample: Path, tmp_path: Pat
         (["--set", "robust.cel_mm=3"], ["robust.cell_mm"]),
         (["--extrinsic", "1,2"], ["--extrinsic", "X,Y,YAW"]),
         (["--extrinsic", "1,2,nan"], ["--extrinsic", "X,Y,YAW"]),
+        (["--extrinsic", "1,2,-90"], ["--extrinsic", "more than a turn", "in rad"]),
         (["--start-pose", "1,2,0"], ["--start-pose", "--map"]),
         (["--map", ".", "--start-pose", "1,2"], ["--start-pose", "X,Y,YAW"]),
         (["--map", "none.yaml"], ["none.yaml", "run directory"]),
