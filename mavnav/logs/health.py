@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import islice
 from math import ceil
 from typing import TYPE_CHECKING, Final
@@ -31,6 +32,10 @@ PARTIAL, NEIGHBOURS = 0.5, 10
 
 FIRST_SCANS, SOME_SHARE = 10, 0.01
 """One partial scan counts among so many at the beginning; later ones from this share on."""
+
+SAME_SHARE, SAME_BEAMS, SAME_SCANS = 0.02, 10, 0.5
+"""Share and number of the beams of a scan above which its largest range stands for no return, and the share of scans in
+which that is the same value."""
 
 SECTOR_DEG, SECTOR_SCANS = 10, 20
 """The narrowest sector without any return that is reported, deg, and the fewest scans that show it."""
@@ -79,6 +84,7 @@ def sensor_health(log: Log) -> SensorHealth:
         *_partial_scans(partial, seen.stamps_ns),
         *_hidden(sectors),
         *_frozen(seen.repeated, len(seen.valid)),
+        *_saturated(seen.largest_m, len(seen.valid)),
         *_rate(log),
         *_stamps(log, jitter),
     ]
@@ -96,17 +102,21 @@ def sensor_health(log: Log) -> SensorHealth:
 
 
 class _Seen(Struct, frozen=True):
-    """Valid beams and stamps of the scans, (n,), repeated scans, degrees (360,) of beams and of valid returns."""
+    """Valid beams and stamps of the scans, (n,), repeated scans, degrees (360,) of beams and of valid returns.
+
+    ``largest_m`` are the largest ranges that many beams of a scan share.
+    """
 
     valid: NDArray[np.int64]
     stamps_ns: NDArray[np.int64]
     repeated: int
     covered: NDArray[np.bool_]
     returned: NDArray[np.bool_]
+    largest_m: Counter[float]
 
 
 def _examined(scans: Iterable[Scan]) -> _Seen:
-    valid, stamps_ns, repeated = [], [], 0
+    valid, stamps_ns, repeated, largest_m = [], [], 0, Counter[float]()
     covered, returned = np.zeros(360, np.bool_), np.zeros(360, np.bool_)
     before: Scan | None = None
     degrees = np.zeros((0, 1), np.intp)
@@ -117,10 +127,13 @@ def _examined(scans: Iterable[Scan]) -> _Seen:
         good = np.isfinite(scan.ranges_m)
         returned[degrees[good]] = True
         repeated += before is not None and np.array_equal(before.ranges_m, scan.ranges_m, equal_nan=True)
+        top_m = float(np.max(scan.ranges_m, initial=0.0, where=good))
+        if np.count_nonzero(scan.ranges_m == top_m) > max(SAME_SHARE * len(good), SAME_BEAMS):
+            largest_m[top_m] += 1
         valid.append(int(np.count_nonzero(good)))
         stamps_ns.append(scan.stamp_ns)
         before = scan
-    return _Seen(np.array(valid), np.array(stamps_ns, np.int64), repeated, covered, returned)
+    return _Seen(np.array(valid), np.array(stamps_ns, np.int64), repeated, covered, returned, largest_m)
 
 
 def _degrees(spec: LaserSpec) -> NDArray[np.intp]:
@@ -194,6 +207,18 @@ def _frozen(repeated: int, scans: int) -> Iterator[Finding]:
             "repeated",
             f"{repeated} of {scans} scans equal the one before",
             "check the driver: it publishes old scans, or faster than the laser turns",
+        )
+
+
+def _saturated(largest_m: Counter[float], scans: int) -> Iterator[Finding]:
+    if scans < SECTOR_SCANS or not largest_m:
+        return
+    ((range_m, count),) = largest_m.most_common(1)
+    if count > SAME_SCANS * scans:
+        yield Finding(
+            "saturated",
+            f"in {count} of {scans} scans many beams have the same largest range, {range_m:g} m",
+            f"if that stands for no return, replay with --set robust.far_mm={1e3 * range_m - 1.0:g}",
         )
 
 

@@ -48,6 +48,13 @@ def repeated() -> list[Message]:
     return messages
 
 
+def saturated() -> list[Message]:
+    return [
+        laser(k, ranges=np.minimum(m.fields["ranges"], 2.8), angle_min=0.0, angle_increment=STEP_RAD)
+        for k, m in enumerate(scans())
+    ]
+
+
 def at(stamps_ns: list[int]) -> list[Message]:
     found = zip(scans(len(stamps_ns)), stamps_ns, strict=True)
     return [Message(m.topic, m.type, START_NS + ns, m.fields, m.time_ns) for m, ns in found]
@@ -81,6 +88,7 @@ def examined(messages: list[Message], path: Path) -> SensorHealth:
         (partial, ["partial"]),
         (hidden, ["dead_sectors"]),
         (repeated, ["repeated"]),
+        (saturated, ["saturated"]),
         (gap, ["gaps"]),
         (slow, ["slow"]),
         (jitter, ["jitter"]),
