@@ -12,8 +12,11 @@ from mavnav.slam.doubt.record import NOT_PLANAR
 from mavnav.slam.loop_closure.detection import Loops
 from mavnav.slam.parts import Part, lost_for_good, part_warnings, parts_of
 from mavnav.slam.steps import LostInterval, Steps, lost_intervals, tracked_trajectory
+from mavnav.units import NS
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import Grid
@@ -68,14 +71,14 @@ class SlamResult(Struct, frozen=True):
 
 def summarize(track: Track) -> SlamResult:
     """Return the result of a finished track; its map is taken from the method."""
-    steps, parts = track.steps, parts_of(track)
+    steps, parts, lost = track.steps, parts_of(track), tuple(lost_intervals(track.steps))
     return SlamResult(
         steps,
         tracked_trajectory(steps),
         track.method.finished(),
-        tuple(lost_intervals(steps)),
+        lost,
         track.loops,
-        (*track.warnings, *(part_warnings(parts, steps[0].stamp_ns) if parts else ())),
+        (*track.warnings, *(part_warnings(parts, steps[0].stamp_ns) if parts else ()), *jump_warnings(steps, lost)),
         track.tracks_compared,
         parts,
         track.doubt,
@@ -83,6 +86,14 @@ def summarize(track: Track) -> SlamResult:
         beginning_ns(steps, track.begin),
         track.remedies,
     )
+
+
+def jump_warnings(steps: Steps, lost: Sequence[LostInterval]) -> Iterator[str]:
+    """Yield a warning if the path jumps between two successive scans."""
+    at_s = [(interval.end_ns - steps[0].stamp_ns) * NS for interval in lost if not interval.scans]
+    if at_s:
+        when = f"{at_s[0]:.1f} s after the first scan" + (f", and {len(at_s) - 1} more" if len(at_s) > 1 else "")
+        yield f"the path jumps faster than any vehicle ({when}): a wrong match, or scans that repeat; see the map there"
 
 
 def beginning_ns(steps: Steps, begin: int) -> int | None:

@@ -10,6 +10,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from mavnav.config.loading import load_config
 from mavnav.config.models import Config
@@ -142,6 +143,17 @@ def test_a_log_of_one_scan_has_no_period_and_one_pose() -> None:
     outcome = run_slam(lambda: [scan_at(room(), Pose(1, 1))], Config(), 0.0)
     np.testing.assert_allclose(outcome.trajectory.xyyaw, [[0.0, 0.0, 0.0]], atol=0.005)  # the final pass may nudge it
     assert not outcome.lost
+
+
+def test_a_path_that_jumps_is_told() -> None:
+    drive = record(furnished_rooms(), along(TOUR[:4], speed_m_s=0.8))
+    froze = [replace(drive.scans[20], stamp_ns=scan.stamp_ns) for scan in drive.scans[21:46]]
+    scans = [*drive.scans[:21], *froze, *drive.scans[46:]]
+    found = run_slam(lambda: scans, Config(), 0.1)
+    assert [interval.scans for interval in found.lost] == [0]
+    (warning,) = found.warnings
+    assert warning.startswith("the path jumps faster than any vehicle (4.6 s after the first scan): ")
+    assert run_slam(lambda: drive.scans, Config(), 0.1).warnings == ()
 
 
 def test_a_log_of_blank_scans_is_lost() -> None:
