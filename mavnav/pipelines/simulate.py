@@ -135,7 +135,8 @@ def check_outputs(request: SimulationRequest) -> None:
     if twice:
         raise UsageError(f"{twice[0]} is to be two things; give run directory, recording and animation a name each")
     check_groups(request.outputs or ())
-    check_directory(request.directory, force=request.force)
+    config = Path(request.typed.config) if request.typed.config else None
+    check_directory(request.directory, force=request.force, inputs=(request.path, config))
     if request.recording:
         check_recording(request.recording, force=request.force)
     if request.animation:

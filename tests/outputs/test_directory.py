@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.errors import ExitCode, OutputError
+from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.outputs import writers
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.writers import write_run
@@ -164,3 +164,38 @@ def test_the_old_run_comes_back_where_the_new_cannot_take_its_place(run, tmp_pat
         write_run(run, tmp_path / "x", force=True)
     assert [p.name for p in tmp_path.iterdir()] == ["x"]
     assert (tmp_path / "x" / "run.json").is_file()
+
+
+@pytest.fixture
+def earlier(tmp_path, monkeypatch):
+    """Be in a folder with an earlier run, a log in it and one outside of it."""
+    monkeypatch.chdir(tmp_path)
+    Path("r/bag").mkdir(parents=True)
+    for name in ("r/run.json", "r/bag/metadata.yaml", "r/log.mcap", "log.mcap"):
+        Path(name).touch()
+    Path("inward").symlink_to("r/log.mcap")
+    Path("r/outward").symlink_to("../log.mcap")
+    Path("link").symlink_to("r")
+
+
+@pytest.mark.usefixtures("earlier")
+@pytest.mark.parametrize("force", [False, True])
+@pytest.mark.parametrize("directory", ["r", "link", "../{}/r"])
+@pytest.mark.parametrize("name", ["r", "r/log.mcap", "r/bag", "link/bag/metadata.yaml", "inward", "r/outward"])
+def test_a_run_with_an_input_in_it_is_not_replaced(tmp_path, directory, name, force):
+    target = Path(directory.format(tmp_path.name))
+    with pytest.raises(UsageError, match=f"^{name} is an input, and would be lost .* choose another directory with -o"):
+        check_directory(target, force=force, inputs=(None, Path("log.mcap"), Path(name)))
+
+
+@pytest.mark.usefixtures("earlier")
+@pytest.mark.parametrize("name", ["log.mcap", ".", "r2", "r/gone.mcap", "../r"])
+def test_inputs_beside_and_above_a_run_do_not_matter(name):
+    Path("r2").mkdir()
+    check_directory(Path("r"), force=True, inputs=(Path(name),))
+
+
+@pytest.mark.usefixtures("earlier")
+def test_a_parent_folder_that_is_read_is_not_in_the_run(monkeypatch):
+    monkeypatch.chdir("r")
+    check_directory(Path(), force=True, inputs=(Path(".."),))
