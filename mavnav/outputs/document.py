@@ -25,6 +25,8 @@ from mavnav.outputs.slices_section import attitude_source, map_slices
 from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from numpy.typing import NDArray
 
     from mavnav.logs import Log
@@ -33,6 +35,9 @@ if TYPE_CHECKING:
 
 SCHEMA_VERSION: Final = 1
 LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "pillow", "pydantic", "pyyaml")
+
+MAP_PICTURE: Final = "map.png"
+OTHER_PICTURE: Final = f"{MAP_PICTURE} of a run with --outputs pictures"
 
 
 def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
@@ -109,6 +114,11 @@ def plain(value: Any) -> Any:  # noqa: ANN401  any JSON value
     if isinstance(value, np.generic):
         return plain(value.item())
     return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def with_picture(text: str, outputs: Collection[str]) -> str:
+    """Return advice to look at ``map.png``; if it is not among the files of the run, with how to get it."""
+    return text if MAP_PICTURE in outputs else text.replace(MAP_PICTURE, OTHER_PICTURE)
 
 
 def _input(run: Run) -> model.Input:

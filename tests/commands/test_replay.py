@@ -425,6 +425,15 @@ def test_a_track_lost_for_good_is_told(mavnav: Callable, make_log: Callable, tmp
     assert len((tmp_path / "r" / "trajectory.tum").read_text().splitlines()) == 15
 
 
+def test_a_picture_that_is_not_written_is_not_named(mavnav: Callable, make_log: Callable, tmp_path: Path) -> None:
+    log, line = make_log("dark.mcap", blind_after=15), ("-q", "--end", 4.0, "--odom", "off")
+    for name, outputs, words in (
+        ("all", (), ", and look at map.png\n"),
+        ("few", ("--outputs", "trajectory"), ", and look at map.png of a run with --outputs pictures\n"),
+    ):
+        assert mavnav("replay", log, "-o", tmp_path / name, *line, *outputs)[2].endswith(words)
+
+
 def test_a_track_of_few_scans_is_told_without_the_time_of_an_end() -> None:
     found_again = {"start_s": 0.1, "end_s": 13.2, "scans": 132, "recovered": True}
     document = {

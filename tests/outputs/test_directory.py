@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.outputs import writers
@@ -199,3 +200,10 @@ def test_inputs_beside_and_above_a_run_do_not_matter(name):
 def test_a_parent_folder_that_is_read_is_not_in_the_run(monkeypatch):
     monkeypatch.chdir("r")
     check_directory(Path(), force=True, inputs=(Path(".."),))
+
+
+@pytest.mark.parametrize("groups", [None, ("trajectory",)])
+def test_warnings_name_the_picture_only_if_it_is_written(run, tmp_path, groups):
+    odd = replace(run, slam=replace(run.slam, warnings=("it is odd; see map.png",)))
+    *_, warning = write_run(odd, tmp_path / "x", groups=groups)["warnings"]
+    assert warning == "it is odd; see map.png" + (" of a run with --outputs pictures" if groups else "")
