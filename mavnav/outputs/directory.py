@@ -25,6 +25,7 @@ def check_directory(
     What exists stays, unless ``force`` is set and it is an earlier run, which has the file ``marker``, or empty. Raises
     UsageError for an earlier run that contains one of the ``inputs``: replacing it would delete them.
     """
+    check_link(directory)
     if not os.path.lexists(directory):
         _check_parent(directory)
     elif not directory.is_dir():
@@ -37,6 +38,12 @@ def check_directory(
         )
     elif not force:
         raise OutputError(f"{directory} exists; choose another directory with -o, or --force to replace it")
+
+
+def check_link(directory: Path) -> None:
+    """Raise OutputError for a link to nothing, or to itself."""
+    if directory.is_symlink() and not directory.exists():
+        raise OutputError(f"{directory} is a link that leads nowhere; remove it, or choose another directory with -o")
 
 
 def _contains(directory: Path, path: Path) -> bool:

@@ -4,12 +4,14 @@ import errno
 import hashlib
 import json
 import os
+from functools import partial
 from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
 
 from mavnav.errors import ExitCode, OutputError, UsageError
+from mavnav.jobs.run_cache import check_cache_directory
 from mavnav.outputs import writers
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.writers import write_run
@@ -105,6 +107,18 @@ def test_a_file_in_the_way_stays(run, tmp_path, light, force):
     with pytest.raises(OutputError, match="no directory"):
         write_run(run, tmp_path / "x" / "y", force=force)
     assert (tmp_path / "x").read_text() == "precious"
+
+
+@pytest.mark.parametrize("target", ["gone", "x"], ids=["dangling", "loop"])
+@pytest.mark.parametrize("force", [False, True])
+def test_a_link_to_nothing_is_told(tmp_path, target, force):
+    link = tmp_path / "x"
+    link.symlink_to(target)
+    for check in (partial(check_directory, force=force), lambda path: check_cache_directory(path, ["batch.json"])):
+        with pytest.raises(OutputError, match="x is a link that leads nowhere; remove it, or choose another"):
+            check(link)
+    link.unlink()
+    check_directory(link, force=force)
 
 
 def test_parents_are_made(run, tmp_path, light):
