@@ -5,6 +5,7 @@ from __future__ import annotations
 import mmap
 import sys
 from ctypes import CDLL, c_size_t, c_void_p
+from errno import ENOMEM
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,11 +31,16 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 
 
 def blank(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:  # noqa: ANN401
-    """Return zeros whose pages are allocated when they are written to."""
+    """Return zeros whose pages are allocated when they are written to; raises MemoryError as numpy does."""
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     if size < SMALL_BYTES or not hasattr(mmap, "MAP_PRIVATE"):
         return np.zeros(shape, dtype)
-    memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    try:
+        memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    except OSError as error:
+        if error.errno == ENOMEM:
+            raise MemoryError(f"{size} bytes cannot be allocated") from error
+        raise
     if hasattr(mmap, "MADV_NOHUGEPAGE"):
         memory.madvise(mmap.MADV_NOHUGEPAGE)
     return np.frombuffer(memory, dtype).reshape(shape)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import re
 import sys
 from pathlib import Path
@@ -44,6 +46,21 @@ def test_only_released_rows_are_lost() -> None:
     release_rows(array, 40, 60)
     assert not array[:58].any()
     assert (array[60:] == 7).all()
+
+
+def test_an_array_that_does_not_fit_is_out_of_memory() -> None:
+    with pytest.raises(MemoryError, match=f"{1 << 60} bytes"):
+        blank((1 << 30, 1 << 30), np.uint8)
+
+
+@pytest.mark.parametrize(("number", "error"), [(errno.ENOMEM, MemoryError), (errno.EINVAL, OSError)])
+def test_only_a_lack_of_memory_is_one(monkeypatch: pytest.MonkeyPatch, number: int, error: type[Exception]) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(memory.mmap, "mmap", refuse)
+    with pytest.raises(error):
+        blank((SMALL_BYTES,), np.uint8)
 
 
 @pytest.mark.parametrize("array", [np.ones(SMALL_BYTES, np.uint8), np.frombuffer(b"1234", np.uint8)])

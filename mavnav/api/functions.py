@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from mavnav.config.models import Config
+    from mavnav.outputs.provenance import Typed
     from mavnav.scan import Scan
     from mavnav.slam.steps import Step
 
@@ -177,6 +178,7 @@ def replay(
         map=_path(map),
         start_pose=_pose(start_pose),
         continue_from=_path(continue_from),
+        typed=_typed(config),
     )
 
     def work(target: Path) -> Run:
@@ -237,7 +239,9 @@ def simulate(
     path = scenario_path(scenario)
 
     def work(target: Path) -> Run:
-        request = SimulationRequest(chosen, path, target, _path(record), force=force, report=report)
+        request = SimulationRequest(
+            chosen, path, target, _path(record), force=force, report=report, typed=_typed(config)
+        )
         simulate_mission(request, progress or silent, 0.0)
         return Run(target)
 
@@ -375,6 +379,12 @@ def _finished(work: Callable[[Path], Result], directory: File | None) -> Result:
 
 def _path(file: File | None) -> Path | None:
     return None if file is None else Path(file)
+
+
+def _typed(config: File | None) -> Typed:
+    from mavnav.outputs.provenance import Typed  # noqa: PLC0415  heavy
+
+    return Typed(config=None if config is None else str(config))
 
 
 def _pose(values: Sequence[float] | None) -> Pose | None:

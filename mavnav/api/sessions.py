@@ -53,7 +53,7 @@ def merge(
 
     paths = tuple(Path(each) for each in inputs)
     chosen = load_config(config, sets_of(settings), {})
-    request = MergeRequest(paths, Path(directory), chosen, force=force, report=report)
+    request = MergeRequest(paths, Path(directory), chosen, force, report, _path(config))
     return merged(request, progress or silent)
 
 

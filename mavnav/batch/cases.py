@@ -98,6 +98,13 @@ def _logs(request: BatchRequest, entry: Entry) -> Sequence[str]:
     return find_logs(entry.log, request.base) if request.patterns else entry.log
 
 
+def read_paths(request: BatchRequest) -> Iterator[Path]:
+    """Yield the paths of the logs and references of a request, whether or not they exist."""
+    for entry in request.entries:
+        references = filter(None, (getattr(entry, name) for name in REFERENCES))
+        yield from (request.base / name for name in (*_logs(request, entry), *references))
+
+
 def _merged(one: Case, other: Case) -> Case:
     """Merge two cases of one name, for example from a pattern and from a path, with the gates of both."""
     if one.has_references and other.has_references and one.run != other.run:

@@ -21,7 +21,7 @@ from mavnav.metrics.gates import Gate, parse_gate
 from mavnav.outputs.provenance import Typed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from mavnav.batch.baseline import Tolerance
 
@@ -32,7 +32,7 @@ class Options(Struct, frozen=True):
     """The command line; an option that was not given is None or empty.
 
     ``words`` is the whole command line as typed. ``sources`` are a manifest and logs, ``options`` values of the
-    configuration, and ``reading`` values of an `Entry`.
+    configuration, and ``reading`` values of an `Entry`. ``files`` are additional files to write by their options.
     """
 
     words: Sequence[str] = ()
@@ -58,6 +58,7 @@ class Options(Struct, frozen=True):
     force: bool = False
     report: bool = False
     update_baseline: bool = False
+    files: Mapping[str, Path] = field(default_factory=dict)
 
 
 def request_of(options: Options) -> BatchRequest:
@@ -69,6 +70,7 @@ def request_of(options: Options) -> BatchRequest:
     manifest, layer = read_manifest(path) if path else (Manifest(), Layer())
     base = path.parent if path else Path()
     baseline = options.baseline or (base / manifest.baseline if manifest.baseline else None)
+    new_baseline = baseline if options.update_baseline else None
     return BatchRequest(
         entries=_entries(options, manifest, base),
         settings=tuple(_settings(options, manifest, layer, base)),
@@ -79,9 +81,21 @@ def request_of(options: Options) -> BatchRequest:
         part=_part(options.part),
         force=options.force,
         report=options.report or manifest.report,
-        new_baseline=baseline if options.update_baseline else None,
+        new_baseline=new_baseline,
         typed=Typed(tuple(options.words), options.config, tuple(options.sets)),
+        files=dict(options.files) | ({"--baseline": new_baseline} if new_baseline else {}),
+        inputs=tuple(_inputs(options, manifest, path, None if new_baseline else baseline)),
     )
+
+
+def _inputs(options: Options, manifest: Manifest, path: Path | None, baseline: Path | None) -> Iterator[Path]:
+    """Yield the files that are read besides logs and their references."""
+    configs = [run["config"] for run in manifest.runs if isinstance(run.get("config"), str)]
+    yield from map(Path, filter(None, [options.config]))
+    if path:
+        yield from (path, *(path.parent / config for config in configs))
+    if baseline:
+        yield baseline / BATCH_FILE if baseline.is_dir() else baseline
 
 
 def _manifest_path(sources: Sequence[str]) -> Path | None:

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from mavnav.batch.cases import Case, make_cases
+from mavnav.batch.cases import Case, make_cases, read_paths
 from mavnav.batch.document import BATCH_FILE
+from mavnav.batch.files import check_files
 from mavnav.errors import UsageError
 from mavnav.jobs.run_cache import PlannedRun, check_cache_directory, finished_document
 from mavnav.metrics.gates import check_names
@@ -49,12 +50,14 @@ class BatchPlan(Struct, frozen=True):
 def plan_batch(request: BatchRequest, progress: Progress) -> BatchPlan:
     """Return the plan of a batch: its cases, and which of their runs are finished.
 
-    Raises, before any run: UsageError if there are no logs, for gates and tolerances on unknown numbers, and for
-    folders that cannot be read; OutputError if the directory cannot be used. A log that cannot be read only fails its
-    own cases.
+    Raises, before any run: UsageError if there are no logs, for gates and tolerances on unknown numbers, for folders
+    that cannot be read, and for files to write that the batch reads or writes otherwise; OutputError if the directory
+    cannot be used. A log that cannot be read only fails its own cases.
     """
     if not request.entries:
         raise UsageError("no logs; name a manifest, or logs, patterns or folders")
+    if request.files:
+        check_files(request.files, (*request.inputs, *read_paths(request)), request.directory)
     check_cache_directory(request.directory, _OWN_FILES)
     cases = make_cases(request, progress)
     check_gates(request, cases)

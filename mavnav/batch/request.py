@@ -10,6 +10,7 @@ from mavnav.errors import UsageError
 from mavnav.outputs.provenance import Typed
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from mavnav.batch.baseline import Baseline, Tolerance
@@ -64,7 +65,8 @@ class BatchRequest(Struct, frozen=True):
 
     Relative paths of ``entries`` start at ``base``; with ``patterns`` they may be patterns and folders, else they are
     single logs. ``force`` repeats finished runs; ``report`` writes a report of every run. The metrics are written to
-    the file ``new_baseline`` for later batches. ``typed`` is the command line.
+    the file ``new_baseline`` for later batches. ``typed`` is the command line. ``files`` are the files that are written
+    outside of ``directory`` by their options, ``inputs`` those that are read besides logs and references.
     """
 
     entries: tuple[Entry, ...]
@@ -79,3 +81,5 @@ class BatchRequest(Struct, frozen=True):
     new_baseline: Path | None = None
     patterns: bool = True
     typed: Typed = field(default_factory=Typed)
+    files: Mapping[str, Path] = field(default_factory=dict)
+    inputs: tuple[Path, ...] = ()

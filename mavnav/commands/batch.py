@@ -164,7 +164,8 @@ def batch(
         with loading_modules():
             from mavnav.batch.files import check_file
             from mavnav.batch.options import Options
-        for file in filter(None, (junit, summary)):
+        files = {name: file for name, file in (("--junit", junit), ("--summary", summary)) if file}
+        for file in files.values():
             check_file(file)
         options = Options(
             words=context.obj,
@@ -191,6 +192,7 @@ def batch(
             force=force,
             report=pages,
             update_baseline=update_baseline,
+            files=files,
         )
         plan = _planned(options, report)
     document = _run(plan, json=json, quiet=quiet)

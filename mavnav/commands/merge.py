@@ -43,7 +43,9 @@ def merge(
             from mavnav.pipelines.merge import MergeRequest
             from mavnav.pipelines.merge import merge as merged
         chosen = load_config(config, sets or [], {})
-        document = merged(MergeRequest(tuple(inputs), directory, chosen, force=force, report=report_page), report)
+        file = Path(config) if config else None
+        request = MergeRequest(tuple(inputs), directory, chosen, force, report_page, file)
+        document = merged(request, report)
     for session in document["sessions"]:
         if not session["joined"]:
             note(f"mavnav: error: {session['name']} did not join: {session['why']}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from functools import partial
 from math import isfinite, pi
 from pathlib import Path
@@ -175,7 +176,7 @@ def check_again(context: typer.Context, target: Path, *free: str) -> None:
     ``free`` are parameters, besides those of the output, that it does not take from there.
     """
     again = context.params["again"]
-    if target.resolve() == again.resolve():
+    if os.path.realpath(target) == os.path.realpath(again):
         raise UsageError(f"{target} is the run to repeat; choose another directory with -o")
     allowed = {"again", "directory", "force", "report", "outputs", "preview", "json", "quiet", "gates", *free}
     for parameter in context.command.params:

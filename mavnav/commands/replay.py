@@ -261,7 +261,9 @@ def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> N
     if "continued" in document:
         _note_continued(document["continued"])
     if document["tracking"]["lost"] and document["exit_code"] == ExitCode.TRACKING_LOST:
-        note(lost_line(document))
+        from mavnav.outputs.document import with_picture
+
+        note(with_picture(lost_line(document), document["outputs"]))
     if document["partial"]:
         scans = document["scans"]
         note(f"mavnav: stopped after {scans['processed']} of {scans['usable']} scans; the run is partial")

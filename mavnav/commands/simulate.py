@@ -188,7 +188,10 @@ def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> N
     else:
         print_table(_summary(document, directory))
     if document["exit_code"] in (ExitCode.GATE_FAILED, ExitCode.TRACKING_LOST):
-        note(f"mavnav: error: the mission failed: {document['mission']['reason']}; look at {directory / 'map.png'}")
+        from mavnav.outputs.document import MAP_PICTURE, OTHER_PICTURE
+
+        picture = directory / MAP_PICTURE if MAP_PICTURE in document["outputs"] else OTHER_PICTURE
+        note(f"mavnav: error: the mission failed: {document['mission']['reason']}; look at {picture}")
 
 
 def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]:

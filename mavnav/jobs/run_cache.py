@@ -16,7 +16,7 @@ from msgspec.structs import asdict, replace
 from mavnav import __version__
 from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode, OutputError
-from mavnav.outputs.directory import RUN_FILE
+from mavnav.outputs.directory import RUN_FILE, check_link
 from mavnav.pipelines.replay import replay_directory
 
 if TYPE_CHECKING:
@@ -98,6 +98,7 @@ def check_cache_directory(directory: Path, own_files: Sequence[str]) -> None:
 
     Raises OutputError if it cannot be used, or if it contains files, but none of ``own_files``.
     """
+    check_link(directory)
     try:
         directory.mkdir(parents=True, exist_ok=True)
         foreign = bool(names := {path.name for path in directory.iterdir()}) and not names & set(own_files)

@@ -4,32 +4,54 @@ from __future__ import annotations
 
 import os
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from mavnav.atomic_files import beside
-from mavnav.errors import OutputError
+from mavnav.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+    from collections.abc import Iterable, Iterator
 
 RUN_FILE: Final = "run.json"
 """The file that makes a directory a run of ours."""
 
 
-def check_directory(directory: Path, *, force: bool, marker: str = RUN_FILE) -> None:
+def check_directory(
+    directory: Path, *, force: bool, marker: str = RUN_FILE, inputs: Iterable[Path | None] = ()
+) -> None:
     """Raise OutputError where a run cannot be put; cheap enough to ask before the work begins.
 
-    What exists stays, unless ``force`` is set and it is an earlier run, which has the file ``marker``, or empty.
+    What exists stays, unless ``force`` is set and it is an earlier run, which has the file ``marker``, or empty. Raises
+    UsageError for an earlier run that contains one of the ``inputs``: replacing it would delete them.
     """
+    check_link(directory)
     if not os.path.lexists(directory):
         _check_parent(directory)
     elif not directory.is_dir():
         raise OutputError(f"{directory} is a file; choose another directory with -o")
     elif any(directory.iterdir()) and not (directory / marker).is_file():
         raise OutputError(f"{directory} holds other files (no {marker}); choose another directory with -o")
+    elif inside := [path for path in inputs if path and _contains(directory, path)]:
+        raise UsageError(
+            f"{inside[0]} is an input, and would be lost if {directory} were replaced; choose another directory with -o"
+        )
     elif not force:
         raise OutputError(f"{directory} exists; choose another directory with -o, or --force to replace it")
+
+
+def check_link(directory: Path) -> None:
+    """Raise OutputError for a link to nothing, or to itself."""
+    if directory.is_symlink() and not directory.exists():
+        raise OutputError(f"{directory} is a link that leads nowhere; remove it, or choose another directory with -o")
+
+
+def _contains(directory: Path, path: Path) -> bool:
+    """Return whether a file or folder is a directory or in it, by its name or by the target of a link."""
+    if not os.path.lexists(path):
+        return False
+    named = os.path.normpath(Path(os.path.realpath(path.parent)) / path.name)
+    return any(Path(place).is_relative_to(directory.resolve()) for place in (named, os.path.realpath(path)))
 
 
 def _check_parent(directory: Path) -> None:

@@ -6,7 +6,7 @@ import json
 import platform
 import sys
 from importlib.metadata import version
-from math import isfinite
+from math import hypot, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -25,6 +25,8 @@ from mavnav.outputs.slices_section import attitude_source, map_slices
 from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from numpy.typing import NDArray
 
     from mavnav.logs import Log
@@ -33,6 +35,12 @@ if TYPE_CHECKING:
 
 SCHEMA_VERSION: Final = 1
 LIBRARIES: Final = ("numpy", "numba", "scipy", "mcap", "rosbags", "pillow", "pydantic", "pyyaml")
+
+FAR_FROM_START_M: Final = 3.0
+"""Distance of the pose found from the given start pose above which a run warns; the search near that ends at 1 m."""
+
+MAP_PICTURE: Final = "map.png"
+OTHER_PICTURE: Final = f"{MAP_PICTURE} of a run with --outputs pictures"
 
 
 def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
@@ -66,7 +74,7 @@ def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
         timing=_timing(run),
         provenance=run.provenance,
         damage=list(run.log.damage),
-        warnings=[*run.log.warnings, *run.slam.warnings, *_doubt_warnings(run)],
+        warnings=[*run.log.warnings, *run.slam.warnings, *_doubt_warnings(run), *_start_warnings(run)],
         outputs=outputs,
         partial=run.stopped is not None,
         exit_code=int(run.exit_code),
@@ -109,6 +117,25 @@ def plain(value: Any) -> Any:  # noqa: ANN401  any JSON value
     if isinstance(value, np.generic):
         return plain(value.item())
     return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def _start_warnings(run: Run) -> list[str]:
+    """Return the line for the user where the laser was found far from the given start pose."""
+    given, found = (run.localisation.start_pose, run.localisation.found) if run.localisation else (None, None)
+    if given is None or found is None:
+        return []
+    distance_m = hypot(found.x_m - given.x_m, found.y_m - given.y_m)
+    if distance_m <= FAR_FROM_START_M:
+        return []
+    return [
+        f"the laser was found {distance_m:.1f} m from --start-pose, at x {found.x_m:.2f} m, y {found.y_m:.2f} m "
+        f"(scan {found.scan}); check the pose found; if it is wrong, correct --start-pose"
+    ]
+
+
+def with_picture(text: str, outputs: Collection[str]) -> str:
+    """Return advice to look at ``map.png``; if it is not among the files of the run, with how to get it."""
+    return text if MAP_PICTURE in outputs else text.replace(MAP_PICTURE, OTHER_PICTURE)
 
 
 def _input(run: Run) -> model.Input:

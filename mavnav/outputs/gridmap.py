@@ -21,6 +21,12 @@ _PIXELS: Final = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
 
 MAX_NPZ_BYTES: Final = 1 << 32
 
+CELLS_M: Final = (1e-4, 10.0)
+"""Least and greatest size of a cell of a run's map, m: a tenth of the least setting, forty times the greatest."""
+
+FARTHEST_ORIGIN_M: Final = 1e8
+"""Largest coordinate of an origin: map coordinates of the whole earth, m; kernels cannot count cells beyond."""
+
 _PACKED: Final = 1
 """Of zlib's levels: a fifth of the time of 6, up to a fifth larger."""
 
@@ -89,10 +95,17 @@ def read_npz(path: Path) -> Grid:
         raise
     except Exception as error:  # numpy, zipfile and zlib have many
         raise ValueError(f"{path.name} is damaged ({type(error).__name__})") from error
-    sound = hits.ndim == 2 and hits.shape == passes.shape and {hits.dtype.kind, passes.dtype.kind} <= {"i", "u"}
-    if not (sound and 0.0 < cell_m < np.inf and np.isfinite((x_m, y_m)).all()):
+    sound = hits.shape == passes.shape and _are_counts(hits) and _are_counts(passes)
+    placed = CELLS_M[0] <= cell_m <= CELLS_M[1] and abs(x_m) <= FARTHEST_ORIGIN_M and abs(y_m) <= FARTHEST_ORIGIN_M
+    if not (sound and placed):
         raise ValueError(f"{path.name} holds no counts of a map")
     return Grid(cell_m, (x_m, y_m), hits, passes)
+
+
+def _are_counts(cells: NDArray[Any]) -> bool:
+    """Return whether an array has the shape and the values that `write_npz` can write."""
+    whole = cells.ndim == 2 and cells.dtype.kind in {"i", "u"}
+    return bool(whole and cells.min(initial=0) >= 0 and cells.max(initial=0) <= np.iinfo(np.int32).max)
 
 
 def _check_size(path: Path) -> None:

@@ -14,7 +14,7 @@ from mavnav.atomic_files import sync
 from mavnav.errors import UsageError
 from mavnav.memory import release_free_memory
 from mavnav.outputs.directory import RUN_FILE, check_directory, staged
-from mavnav.outputs.document import plain, run_document, to_json, write_metrics
+from mavnav.outputs.document import plain, run_document, to_json, with_picture, write_metrics
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
 from mavnav.outputs.run import Run, Timing, Truth
 from mavnav.outputs.sessions import recording_file, trajectory_file, write_poses, write_scans
@@ -115,6 +115,7 @@ def write_run(
         for name, write in _of_sessions(run, names).items():
             digests[name] = _write(write, run, folder / name)
         document: dict[str, Any] = plain(run_document(run, digests))
+        document["warnings"] = [with_picture(line, digests) for line in document["warnings"]]
         path = folder / RUN_FILE
         path.write_text(to_json(document), encoding="utf-8")
         sync(path)

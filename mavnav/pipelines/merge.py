@@ -53,13 +53,17 @@ Progress = Callable[[str, int, int | None], None]
 
 
 class MergeRequest(Struct, frozen=True):
-    """Logs and run directories in any order, the configuration, where the result goes, and whether with report.html."""
+    """Logs and run directories in any order, the configuration, where the result goes, and whether with report.html.
+
+    ``config_file`` is the file of the configuration, if it is of one.
+    """
 
     inputs: tuple[Path, ...]
     directory: Path
     config: Config
     force: bool = False
     report: bool = False
+    config_file: Path | None = None
 
 
 class MergedMap(Struct, frozen=True, dict=True):
@@ -115,7 +119,9 @@ def _check(request: MergeRequest) -> None:
         raise UsageError("there is nothing to merge with one log; name two or more logs or runs")
     if request.config.method != "robust":
         raise UsageError(f"merge: method {request.config.method} cannot search whole maps; use the robust method")
-    check_directory(request.directory, force=request.force, marker=MERGE_FILE)
+    check_directory(
+        request.directory, force=request.force, marker=MERGE_FILE, inputs=(*request.inputs, request.config_file)
+    )
     for path in request.inputs:
         if _is_run(path):
             _run(path)

@@ -98,6 +98,12 @@ class ReplayRequest(Struct, frozen=True):
     typed: Typed = field(default_factory=Typed)
     continue_from: Path | None = None
 
+    @property
+    def inputs(self) -> tuple[Path | None, ...]:
+        """The paths that the run reads; None for those that are not given."""
+        config = Path(self.typed.config) if self.typed.config else None
+        return self.log, self.map, self.truth, self.truth_map, self.relations, self.continue_from, config
+
 
 class Given(Struct, frozen=True):
     """What is known besides the log: references, the map to localise in (None without one), and the provenance.
@@ -158,7 +164,7 @@ def replay_log(
     """
     check_log(request.log, request.start_s, request.end_s)
     check_groups(request.outputs or ())
-    check_directory(request.directory, force=request.force)
+    check_directory(request.directory, force=request.force, inputs=request.inputs)
     references = load_references(request.truth, request.truth_map, request.relations)
     given = Given(
         references,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from hashlib import sha256
 from math import inf
 from pathlib import Path
@@ -26,7 +27,7 @@ from mavnav.outputs.directory import check_directory
 from mavnav.outputs.provenance import Typed, provenance, utc_now
 from mavnav.outputs.run import Mission, Run, Timing, Truth, WallShapes
 from mavnav.outputs.run_json import MissionResult, TruthErrors
-from mavnav.outputs.writers import check_groups, write_run
+from mavnav.outputs.writers import WRITERS, check_groups, write_run
 from mavnav.pipelines.replay import Progress, map_slices_of, measured_map
 from mavnav.pose import Pose
 from mavnav.profiling import new_profile
@@ -130,12 +131,17 @@ def _opened(path: Path, scenario: Scenario) -> Log:
 
 def check_outputs(request: SimulationRequest) -> None:
     """Raise OutputError or UsageError for what could not be written at the end."""
-    places = [p.resolve() for p in (request.directory, request.recording, request.animation) if p]
+    places = [Path(os.path.realpath(p)) for p in (request.directory, request.recording, request.animation) if p]
     twice = [str(p) for p in places if places.count(p) > 1]
     if twice:
         raise UsageError(f"{twice[0]} is to be two things; give run directory, recording and animation a name each")
+    run, *others = places
+    for place in others:
+        if run.is_relative_to(place) or place in {run / name for name in WRITERS}:
+            raise UsageError(f"{place} is a part of the run, or contains it; name recording and animation otherwise")
     check_groups(request.outputs or ())
-    check_directory(request.directory, force=request.force)
+    config = Path(request.typed.config) if request.typed.config else None
+    check_directory(request.directory, force=request.force, inputs=(request.path, config))
     if request.recording:
         check_recording(request.recording, force=request.force)
     if request.animation:

@@ -106,3 +106,65 @@ def test_the_schema_of_manifests(mavnav: Callable) -> None:
 def test_help_names_the_extra(mavnav: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     assert "mavnav[cluster]" in mavnav("batch", "--help")[1]
+
+
+INPUT, OWN = "which the batch reads; name another file", "is a file of the batch itself; name another file"
+
+
+@pytest.mark.parametrize("option", ["--junit", "--summary"])
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [
+        ("logs/a.mcap", INPUT),
+        ("logs/../link.mcap", INPUT),
+        ("rosbag/metadata.yaml", INPUT),
+        ("rosbag/a.db3", INPUT),
+        ("m.yaml", INPUT),
+        ("c.yaml", INPUT),
+        ("run.yaml", INPUT),
+        ("truth.tum", INPUT),
+        ("before/batch.json", INPUT),
+        ("runs/b/batch.json", OWN),
+        ("runs/b/batch.csv", OWN),
+        ("runs/b/batch.html", OWN),
+        ("runs/b/cells/a/run.json", OWN),
+        ("runs/b", "runs/b is a directory of the batch; name another file"),
+        ("runs", "runs is a directory of the batch; name another file"),
+    ],
+)
+def test_a_file_that_is_read_or_written_otherwise_is_refused(
+    mavnav: Callable, empty: Path, option: str, file: str, words: str
+) -> None:
+    Path("rosbag").mkdir()
+    Path("before").mkdir()
+    Path("before/batch.json").write_text('{"cells": [], "mavnav_version": "1"}')
+    for name in ("logs/a.mcap", "rosbag/metadata.yaml", "rosbag/a.db3", "truth.tum"):
+        Path(name).write_text("mine")
+    Path("link.mcap").symlink_to("logs/a.mcap")
+    Path("c.yaml").write_text("azimuth: 20\n")
+    Path("run.yaml").write_text("azimuth: 10\n")
+    Path("m.yaml").write_text("logs: [{log: rosbag, truth: truth.tum}]\nruns: [{config: run.yaml}]\nbaseline: before\n")
+    before = {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()}
+    config = ("--config", "c.yaml") if file == "c.yaml" else ()
+    code, out, err = mavnav("batch", "m.yaml", "logs", *config, option, file, "-o", "runs/b", "-q")
+    assert (code, out, err.count("\n")) == (ExitCode.USAGE, "", 1)
+    assert err.startswith(f"mavnav: error: {option}: {file} ")
+    assert words in err
+    assert {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()} == before
+
+
+def test_two_files_need_two_names(mavnav: Callable, empty: Path) -> None:
+    code, _, err = mavnav("batch", "logs", "--junit", "a", "--summary", "logs/../a", "-q")
+    assert (code, err) == (2, "mavnav: error: --junit and --summary are both logs/../a; name two files\n")
+    Path("loop").symlink_to("loop")
+    assert mavnav("batch", "logs", "--junit", "loop", "--summary", "loop", "-q")[0] == ExitCode.USAGE
+    new = ("--baseline", "a", "--update-baseline")
+    assert "--junit and --baseline are both a" in mavnav("batch", "logs", "--junit", "a", *new, "-q")[2]
+
+
+def test_files_beside_those_of_the_batch_are_written(mavnav: Callable, empty: Path) -> None:
+    files = ("--junit", "runs/batch/batch.xml", "--summary", "logs/batch.md")
+    for _ in range(2):
+        assert mavnav("batch", "logs", *files, "-q")[0] == ExitCode.NO_SCANS
+    assert Path("runs/batch/batch.xml").is_file()
+    assert Path("logs/batch.md").is_file()

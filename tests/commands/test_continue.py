@@ -147,7 +147,7 @@ def test_what_cannot_be_continued(mavnav, parts, first, tmp_path) -> None:
         ([partly], "it has no result.mcap"),
         ([first, "--map", first], "--continue and --map both give a map"),
         ([first, "--method", "paper"], "method paper cannot search whole maps"),
-        ([first, "-o", first, "--force"], "is the run to continue"),
+        ([first, "-o", first, "--force"], "is an input, and would be lost"),
         ([first, "-o", first / "next"], "or inside of it; choose another one with -o"),
     ):
         code, out, err = mavnav("replay", "-o", tmp_path / "run", parts[1], "-q", "--continue", *args)

@@ -6,6 +6,7 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mavnav.commands.quality_rows import quality_rows
@@ -103,6 +104,18 @@ def test_a_run_that_is_not_whole(mavnav, run, tmp_path, name) -> None:
     assert (code, out) == (2, "")
     assert "is no whole run" in err
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("change", [{"cell_m": 1e12}, {"counts": -1}, {"passes": -1}], ids=str)
+def test_counts_that_were_edited_are_refused(mavnav, run, tmp_path, change) -> None:
+    copy = Path(shutil.copytree(run, tmp_path / "copy"))
+    with np.load(run / "hits.npz") as counts:
+        np.savez(copy / "hits.npz", **{name: array * change.get(name, 1) for name, array in counts.items()})
+    for args, words in ((["metrics", copy], "is no whole run"), (["diff", run, copy], "holds no map of a run")):
+        code, out, err = mavnav(*args, "-q")
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert words in err
+        assert "hits.npz holds no counts of a map" in err
 
 
 def test_what_cannot_be_measured(mavnav, run, tmp_path) -> None:

@@ -426,6 +426,15 @@ def test_a_track_lost_for_good_is_told(mavnav: Callable, make_log: Callable, tmp
     assert len((tmp_path / "r" / "trajectory.tum").read_text().splitlines()) == 15
 
 
+def test_a_picture_that_is_not_written_is_not_named(mavnav: Callable, make_log: Callable, tmp_path: Path) -> None:
+    log, line = make_log("dark.mcap", blind_after=15), ("-q", "--end", 4.0, "--odom", "off")
+    for name, outputs, words in (
+        ("all", (), ", and look at map.png\n"),
+        ("few", ("--outputs", "trajectory"), ", and look at map.png of a run with --outputs pictures\n"),
+    ):
+        assert mavnav("replay", log, "-o", tmp_path / name, *line, *outputs)[2].endswith(words)
+
+
 def test_a_track_of_few_scans_is_told_without_the_time_of_an_end() -> None:
     found_again = {"start_s": 0.1, "end_s": 13.2, "scans": 132, "recovered": True}
     document = {
@@ -481,6 +490,21 @@ def test_the_laser_is_found_in_the_map_of_another_run(
     assert told["found"]["scan"] == 0
     assert told["found"]["x_m"] == pytest.approx(first[1], abs=0.05)
     assert told["found"]["y_m"] == pytest.approx(first[2], abs=0.05)
+
+
+@pytest.mark.parametrize(("start", "far"), [("0.3,0,0", ""), ("2.5,0,0", ""), ("1e9,0,0", "1000000000.0 m")])
+def test_a_start_pose_far_from_the_pose_found_is_told(
+    mavnav: Callable, sample: Path, finished: Path, tmp_path: Path, start: str, far: str
+) -> None:
+    known = ("--map", finished, "--start-pose", start, "--outputs", "trajectory")
+    code, out, err = mavnav("replay", sample, "-o", tmp_path / "r", "--end", 1.0, "-q", "--odom", "off", *known)
+    assert code == 0
+    assert "found in the map" in out
+    warnings = [line for line in err.splitlines() if "--start-pose" in line]
+    assert len(warnings) == bool(far)
+    if far:
+        assert warnings[0].startswith(f"mavnav: warning: the laser was found {far} from --start-pose, at x ")
+        assert "; check the pose found; if it is wrong, correct --start-pose" in warnings[0]
 
 
 def test_a_laser_that_is_nowhere_in_the_map_is_told(

@@ -192,6 +192,15 @@ def test_every_format_replays(mavnav: Callable, scenario: Path, tmp_path: Path, 
 # ---- how it ends -----------------------------------------------------------------------------------------------------
 
 
+@pytest.fixture
+def map_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write an empty map.png at once."""
+    from mavnav.outputs.writers import WRITERS
+
+    monkeypatch.setitem(WRITERS, "map.png", lambda run, path: path.touch())
+
+
+@pytest.mark.usefixtures("map_picture")
 def test_a_failed_mission_is_written_and_told(mavnav: Callable, scenario: Path, tmp_path: Path) -> None:
     code, out, err = mavnav("simulate", scenario, "-o", tmp_path / "r", "-q", "--set", "max_steps=3")
     assert code == ExitCode.GATE_FAILED
@@ -200,6 +209,16 @@ def test_a_failed_mission_is_written_and_told(mavnav: Callable, scenario: Path, 
     document = json.loads((tmp_path / "r" / "run.json").read_text())
     assert (document["exit_code"], document["mission"]["reached"]) == (1, False)
     assert document["mission"]["steps"] == 3
+
+
+@pytest.mark.usefixtures("map_picture")
+def test_a_failed_mission_without_pictures_names_none(mavnav: Callable, scenario: Path, tmp_path: Path) -> None:
+    line = ("simulate", scenario, "-o", tmp_path / "r", "-q", "--set", "max_steps=3")
+    code, _, err = mavnav(*line, "--outputs", "trajectory")
+    assert code == ExitCode.GATE_FAILED
+    assert err.endswith("step limit; look at map.png of a run with --outputs pictures\n")
+    mavnav(*line, "--outputs", "pictures", "--force")
+    assert (tmp_path / "r" / "map.png").is_file()
 
 
 def test_a_lost_mission_is_told(mavnav: Callable, tmp_path: Path) -> None:

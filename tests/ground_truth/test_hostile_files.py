@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -111,3 +111,32 @@ def test_damaged_counts_are_a_value_error(tmp_path: Path) -> None:
     np.savez(path, counts=cells, passes=cells[1:], cell_m=0.05, origin_xy_m=np.zeros(2))
     with pytest.raises(ValueError, match="holds no counts of a map"):
         read_npz(path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"cell_m": 0.05e12},
+        {"cell_m": 10.1},
+        {"cell_m": 9e-5},
+        {"cell_m": np.nan},
+        {"cell_m": -0.05},
+        {"origin_xy_m": np.array([np.inf, 0.0])},
+        {"origin_xy_m": np.array([0.0, -1e300])},
+        {"counts": np.full((4, 4), -1, np.int32)},
+        {"passes": np.full((4, 4), -1, np.int64)},
+        {"counts": np.full((4, 4), 1 << 40, np.int64)},
+        {"passes": np.zeros((4, 4), np.float32)},
+        {"counts": np.zeros(16, np.int32), "passes": np.zeros(16, np.int32)},
+    ],
+    ids=lambda change: " ".join(f"{key} {np.ravel(value)[0]}" for key, value in change.items()),
+)
+def test_values_that_no_map_has_are_refused(change: dict[str, Any], tmp_path: Path) -> None:
+    cells = np.ones((4, 4), np.int32)
+    for cell_m in (1e-4, 10.0):
+        np.savez(tmp_path / "hits.npz", counts=cells, passes=cells, cell_m=cell_m, origin_xy_m=np.array([1e8, -1e8]))
+        assert read_npz(tmp_path / "hits.npz").cell_m == cell_m
+    content = {"counts": cells, "passes": cells, "cell_m": 0.05, "origin_xy_m": np.zeros(2)}
+    np.savez(tmp_path / "hits.npz", **(content | change))
+    with pytest.raises(ValueError, match="holds no counts of a map"):
+        read_npz(tmp_path / "hits.npz")

@@ -4,11 +4,14 @@ import errno
 import hashlib
 import json
 import os
+from functools import partial
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
-from mavnav.errors import ExitCode, OutputError
+from mavnav.errors import ExitCode, OutputError, UsageError
+from mavnav.jobs.run_cache import check_cache_directory
 from mavnav.outputs import writers
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.writers import write_run
@@ -106,6 +109,18 @@ def test_a_file_in_the_way_stays(run, tmp_path, light, force):
     assert (tmp_path / "x").read_text() == "precious"
 
 
+@pytest.mark.parametrize("target", ["gone", "x"], ids=["dangling", "loop"])
+@pytest.mark.parametrize("force", [False, True])
+def test_a_link_to_nothing_is_told(tmp_path, target, force):
+    link = tmp_path / "x"
+    link.symlink_to(target)
+    for check in (partial(check_directory, force=force), lambda path: check_cache_directory(path, ["batch.json"])):
+        with pytest.raises(OutputError, match="x is a link that leads nowhere; remove it, or choose another"):
+            check(link)
+    link.unlink()
+    check_directory(link, force=force)
+
+
 def test_parents_are_made(run, tmp_path, light):
     write_run(run, tmp_path / "a" / "b" / "x")
     assert (tmp_path / "a" / "b" / "x" / "run.json").is_file()
@@ -164,3 +179,45 @@ def test_the_old_run_comes_back_where_the_new_cannot_take_its_place(run, tmp_pat
         write_run(run, tmp_path / "x", force=True)
     assert [p.name for p in tmp_path.iterdir()] == ["x"]
     assert (tmp_path / "x" / "run.json").is_file()
+
+
+@pytest.fixture
+def earlier(tmp_path, monkeypatch):
+    """Be in a folder with an earlier run, a log in it and one outside of it."""
+    monkeypatch.chdir(tmp_path)
+    Path("r/bag").mkdir(parents=True)
+    for name in ("r/run.json", "r/bag/metadata.yaml", "r/log.mcap", "log.mcap"):
+        Path(name).touch()
+    Path("inward").symlink_to("r/log.mcap")
+    Path("r/outward").symlink_to("../log.mcap")
+    Path("link").symlink_to("r")
+
+
+@pytest.mark.usefixtures("earlier")
+@pytest.mark.parametrize("force", [False, True])
+@pytest.mark.parametrize("directory", ["r", "link", "../{}/r"])
+@pytest.mark.parametrize("name", ["r", "r/log.mcap", "r/bag", "link/bag/metadata.yaml", "inward", "r/outward"])
+def test_a_run_with_an_input_in_it_is_not_replaced(tmp_path, directory, name, force):
+    target = Path(directory.format(tmp_path.name))
+    with pytest.raises(UsageError, match=f"^{name} is an input, and would be lost .* choose another directory with -o"):
+        check_directory(target, force=force, inputs=(None, Path("log.mcap"), Path(name)))
+
+
+@pytest.mark.usefixtures("earlier")
+@pytest.mark.parametrize("name", ["log.mcap", ".", "r2", "r/gone.mcap", "../r"])
+def test_inputs_beside_and_above_a_run_do_not_matter(name):
+    Path("r2").mkdir()
+    check_directory(Path("r"), force=True, inputs=(Path(name),))
+
+
+@pytest.mark.usefixtures("earlier")
+def test_a_parent_folder_that_is_read_is_not_in_the_run(monkeypatch):
+    monkeypatch.chdir("r")
+    check_directory(Path(), force=True, inputs=(Path(".."),))
+
+
+@pytest.mark.parametrize("groups", [None, ("trajectory",)])
+def test_warnings_name_the_picture_only_if_it_is_written(run, tmp_path, groups):
+    odd = replace(run, slam=replace(run.slam, warnings=("it is odd; see map.png",)))
+    *_, warning = write_run(odd, tmp_path / "x", groups=groups)["warnings"]
+    assert warning == "it is odd; see map.png" + (" of a run with --outputs pictures" if groups else "")

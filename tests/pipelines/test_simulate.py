@@ -169,6 +169,29 @@ def test_two_outputs_need_two_names(tmp_path: Path, other: dict[str, str]) -> No
         check_outputs(request(tmp_path, **{key: tmp_path / name for key, name in other.items()}))
 
 
+@pytest.mark.parametrize(("name", "where"), [("run/result.mcap", "a/run"), ("a", "a/run"), ("a", "a/b/run")])
+@pytest.mark.parametrize("force", [False, True])
+def test_a_recording_does_not_overwrite_the_run(tmp_path: Path, name: str, where: str, *, force: bool) -> None:
+    recording = tmp_path / "a" / name if "/" in name else tmp_path / name
+    asked = replace(request(tmp_path, recording=recording, force=force), directory=tmp_path / where)
+    with pytest.raises(UsageError, match="is a part of the run, or contains it; name recording and animation"):
+        check_outputs(asked)
+
+
+def test_a_recording_in_the_run_directory_is_written(tmp_path: Path) -> None:
+    asked = request(tmp_path, recording=tmp_path / "run" / "drive.mcap", animation=tmp_path / "run" / "drive.gif")
+    for force in (False, True):
+        given = replace(asked, force=force, content=("0" * 64, 1), outputs=("trajectory",))
+        simulate_mission(given, lambda *_: None, 0.0)
+        assert {"drive.mcap", "drive.gif", "run.json"} <= {path.name for path in (tmp_path / "run").iterdir()}
+
+
+def test_a_circle_of_links_is_no_bug(tmp_path: Path) -> None:
+    (tmp_path / "run").symlink_to("run")
+    with pytest.raises(OutputError, match="run is a link that leads nowhere"):
+        check_outputs(request(tmp_path))
+
+
 def test_a_laser_that_sees_nothing_is_said_and_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(NoScansError, match=r"^corner.yaml: in 40 scans the laser saw too little"):
         simulate_mission(request(tmp_path, settings={"laser.range_max_mm": 100}), lambda *_: None, 0.0)
