@@ -307,6 +307,16 @@ def test_a_folder_is_named_as_it_is(tmp_path: Path) -> None:
     assert replay_directory(tmp_path / "drive.mcap", Config()).name == "drive.mcap-robust-20-10x10"
 
 
+def test_a_link_is_named_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from mavnav.logs.formats.detect import log_name
+
+    (tmp_path / "sha256-77").touch()
+    (tmp_path / "drive.mcap").symlink_to("sha256-77")
+    assert log_name(tmp_path / "drive.mcap") == "drive"
+    monkeypatch.chdir(tmp_path)
+    assert log_name(Path()) == tmp_path.name
+
+
 # --- errors: one line, one code -----------------------------------------------------------------------------------
 
 

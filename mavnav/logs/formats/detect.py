@@ -99,8 +99,11 @@ def _sniff_folder(folder: Path) -> str:
 
 
 def log_name(log: Path) -> str:
-    """Return what a log is called in the names of directories: a folder as it is, a file without its suffixes."""
-    name = log.resolve().name
+    """Return what a log is called in the names of directories: a folder as it is, a file without its suffixes.
+
+    A link has its own name, not that of its target.
+    """
+    name = log.name if log.name not in ("", "..") else log.resolve().name
     if not log.is_dir():
         for suffix in reversed(SUFFIXES):
             name = name.removesuffix(suffix) or name
