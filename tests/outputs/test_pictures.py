@@ -131,6 +131,17 @@ def test_long_paths_are_thinned_evenly_along_their_length():
     assert np.diff(xy[some, 0]).max() < 0.3
 
 
+@pytest.mark.parametrize(("title", "wider"), [("a title that fits", False), ("a long title " * 10, True)])
+def test_a_picture_is_as_wide_as_the_titles_of_its_charts(run, tmp_path, monkeypatch, title, wider):
+    wall_picture.write(run, tmp_path / "p.png")
+    chart = wall_picture._Chart(f"short\n{title}", "x", np.ones(6), 1.0, np.nan)
+    monkeypatch.setattr(wall_picture, "_charts", lambda _: [chart])
+    wall_picture.write(run, tmp_path / "q.png")
+    assert (size_of(tmp_path / "q.png")[0] > size_of(tmp_path / "p.png")[0]) == wider
+    with Image.open(tmp_path / "q.png") as image:
+        assert np.asarray(image)[:, -5:].min() == 255
+
+
 def test_cut_lines_lie_across_their_walls():
     cuts = WallCuts(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0.0, np.pi / 2]), np.array([0.2, np.nan]), np.ones(2))
     lines = wall_picture.cut_lines(cuts, 0.1)
