@@ -153,15 +153,17 @@ def _cells_chart(hits: int, found: Sections, t: WallThickness, most: int, cell_m
 
 
 def _draw_bars(picture: Canvas, box: Box, chart: _Chart) -> None:
-    """Draw one histogram."""
-    bins, highest = np.arange(len(chart.metres)), max(float(chart.metres.max()), 1e-9)
+    """Draw one histogram; one without a wall has no ticks in y."""
+    bins, most = np.arange(len(chart.metres)), float(chart.metres.max())
+    highest = most or 1.0
     axes = Axes.chart(picture, box, (0.0, float(len(bins)), 0.0, 1.0))
     axes.bars(np.column_stack((bins + 0.05, bins + 0.95)), chart.metres / highest, BAR_COLOUR)
     axes.borders()
     middle = 0.5 if chart.bin_size == 1.0 else 0.0  # whole cells stand below the middle of their bar
     top = (len(bins) - 1.0) * chart.bin_size
     in_x = [(t / chart.bin_size + middle, f"{t:g}") for t in ticks(0.0, top, 8) if (t / chart.bin_size).is_integer()]
-    axes.ticks(in_x, [(value / highest, f"{value:g}") for value in ticks(0.0, highest, 4)], length=0, gap=8)
+    in_y = [(value / highest, f"{value:g}") for value in ticks(0.0, highest, 4)] if most else []
+    axes.ticks(in_x, in_y, length=0, gap=8)
     axes.names(chart.name, "wall [m]")
     if not np.isnan(chart.p95):
         x, y = axes.to_canvas(np.array([[chart.p95 / chart.bin_size, 1.0]]))[0].tolist()

@@ -142,6 +142,18 @@ def test_a_picture_is_as_wide_as_the_titles_of_its_charts(run, tmp_path, monkeyp
         assert np.asarray(image)[:, -5:].min() == 255
 
 
+def test_a_chart_without_a_wall_has_no_ticks_in_y(monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
+    for metres in (np.zeros(4), np.ones(4)):
+        chart = wall_picture._Chart("no straight wall", "thickness [cells]", metres, 1.0, np.nan)
+        wall_picture._draw_bars(Canvas.of(400, 300), (100, 50, 350, 250), chart)
+    names = ["thickness [cells]", "wall [m]"]
+    in_x = ["0", "1", "2", "3"]
+    assert drawn[: len(in_x) + 2] == [*in_x, *names]
+    assert drawn[len(in_x) + 2 :] == [*in_x, "0", "0.5", "1", *names]
+
+
 def test_cut_lines_lie_across_their_walls():
     cuts = WallCuts(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([0.0, np.pi / 2]), np.array([0.2, np.nan]), np.ones(2))
     lines = wall_picture.cut_lines(cuts, 0.1)
