@@ -80,7 +80,7 @@ def read_map(path: Path) -> MapFile:
     """
     from mavnav.config.yaml_layers import read_yaml  # noqa: PLC0415  yaml takes 10 ms to load
 
-    about = read_yaml(path).tree()
+    about = read_yaml(path, "the YAML file of a map, or a run directory").tree()
     if "image" not in about or "resolution" not in about:
         raise UsageError(f"{path} describes no map, it has no image or no resolution; name a map_server YAML file")
     cell_m = _number(path, about, "resolution", None)
