@@ -64,8 +64,13 @@ class Subject(Struct, frozen=True):
 
 
 def evaluate(paths: list[Path], references: References, progress: Progress) -> dict[str, Any]:
-    """Measure run directories and map files; raises UsageError for what is neither."""
+    """Measure run directories and map files.
+
+    Raises UsageError for what is neither, and for references of poses without a run.
+    """
     subjects = [subject(path) for path in paths]
+    if references.of_poses and all(what.trajectory is None for what in subjects):
+        raise UsageError(f"{paths[0]}: a map has no poses; --truth and --relations need a run directory")
     prepare(progress)
     documents = []
     for number, (path, what) in enumerate(zip(paths, subjects, strict=True)):

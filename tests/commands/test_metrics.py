@@ -122,6 +122,21 @@ def test_what_cannot_be_measured(mavnav, run, tmp_path) -> None:
         assert err.count("\n") == 1, args
 
 
+def test_references_of_poses_need_a_run(mavnav, run, tmp_path) -> None:
+    file = run / "map.yaml"
+    (tmp_path / "some.relations").write_text("0 1 0 0 0 0 0 0\n")
+    for option in (["--truth", run / "truth.tum"], ["--relations", tmp_path / "some.relations"]):
+        code, out, err = mavnav("metrics", file, *option, "-q")
+        assert (code, out) == (2, "")
+        assert err == f"mavnav: error: {file}: a map has no poses; --truth and --relations need a run directory\n"
+    code, out, err = mavnav("metrics", file, run, "--truth", run / "truth.tum", "-q", "--json")
+    assert [found.get("reference") is None for found in json.loads(out)["maps"]] == [True, False]
+    expected = f"mavnav: warning: {file}: a map has no poses; --truth and --relations are not used for it\n"
+    assert (code, err) == (0, expected)
+    code, out, err = mavnav("metrics", file, "--truth-map", "corner", "-q")
+    assert (code, err) == (0, "")
+
+
 def test_replay_takes_references(mavnav, sample, tmp_path) -> None:
     args = ("replay", sample, "-o", tmp_path / "r", "--end", 2, "-q", "--json", "--truth-map", "corridor")
     code, out, _ = mavnav(*args)
