@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from mavnav.commands.options import Json, Quiet, RelationsFile, Truth, TruthMap
+from mavnav.commands.options import Json, Quiet, RelationsFile, TruthFile, TruthMap
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows, wall_rows
 from mavnav.commands.terminal import emit, emit_json, note, print_table
@@ -32,7 +32,7 @@ def metrics(
         typer.Argument(metavar="RUN|MAP.yaml", help="Run directories, or map_server maps (YAML).", show_default=False),
     ],
     *,
-    truth: Truth = None,
+    truth: TruthFile = None,
     truth_map: TruthMap = None,
     relations: RelationsFile = None,
     json: Json = False,
