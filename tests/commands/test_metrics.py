@@ -105,6 +105,21 @@ def test_a_run_that_is_not_whole(mavnav, run, tmp_path, name) -> None:
     assert err.count("\n") == 1
 
 
+def test_a_run_without_some_files_is_told_in_plain_words(mavnav, run, tmp_path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(run, copy)
+    for name in ("hits.npz", "trajectory.tum"):
+        (copy / name).unlink()
+    code, out, err = mavnav("metrics", copy, "-q")
+    assert (code, out) == (2, "")
+    advice = "repeat its command with --force, without --outputs"
+    assert err == f"mavnav: error: {copy} is no whole run: it has no hits.npz, trajectory.tum; {advice}\n"
+    for name in ("hits.npz", "trajectory.tum"):
+        (copy / name).mkdir()
+    err = mavnav("metrics", copy, "-q")[2]
+    assert "hits.npz cannot be read, no such file; make it again" in err
+
+
 def test_what_cannot_be_measured(mavnav, run, tmp_path) -> None:
     (tmp_path / "late.tum").write_text("9e8 0 0 0 0 0 0 1\n9.1e8 1 0 0 0 0 0 1\n")
     for args, word in (
