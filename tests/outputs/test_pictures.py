@@ -14,7 +14,7 @@ from mavnav.mapping.occupancy_grid import Grid
 from mavnav.mapping.tiled_arrays import pooled
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.wall_spread import WallCuts
-from mavnav.outputs import map_axes, map_picture, wall_picture
+from mavnav.outputs import map_axes, map_picture, merged_picture, wall_picture
 from mavnav.outputs.canvas import Canvas, png, rgb_of
 from mavnav.outputs.plot import Axes, ticks
 from mavnav.outputs.viewport import Window, window_of
@@ -152,6 +152,14 @@ def test_a_chart_without_a_wall_has_no_ticks_in_y(monkeypatch):
     in_x = ["0", "1", "2", "3"]
     assert drawn[: len(in_x) + 2] == [*in_x, *names]
     assert drawn[len(in_x) + 2 :] == [*in_x, "0", "0.5", "1", *names]
+
+
+@pytest.mark.parametrize(("names", "title"), [("a", "1 session"), ("ab", "2 sessions")])
+def test_the_title_of_a_merged_map_counts_its_sessions(run, tmp_path, monkeypatch, names, title):
+    drawn = []
+    monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
+    merged_picture.write(run, dict.fromkeys(names, run.slam.trajectory), tmp_path / "map.png")
+    assert title in drawn
 
 
 def test_cut_lines_lie_across_their_walls():
