@@ -58,6 +58,13 @@ def worst(codes: Iterable[int]) -> ExitCode:
     return max(map(ExitCode, codes), key=SEVERITY.index, default=ExitCode.DONE)
 
 
+def reason_of(error: Exception) -> str:
+    """Return what an error says in plain words: of an OSError its reason, with the file if it has one."""
+    if not isinstance(error, OSError) or not error.strerror:
+        return str(error)
+    return f"{error.filename} cannot be read, {error.strerror}" if error.filename else error.strerror
+
+
 class MavnavError(Exception):
     """Base class of all errors that mavnav raises on purpose."""
 

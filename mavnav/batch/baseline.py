@@ -54,6 +54,8 @@ TOLERANCES: Final = (
 )
 """Tolerances of the metrics compared by default. CPU time is not compared, because it depends on the machine."""
 
+EXAMPLE: Final = "write for example --tolerance wall_thickness.p95_mm=5%"
+
 _TOLERANCE: Final = re.compile(r"\s*([0-9.eE+-]+)\s*(%?)\s*(?:,\s*(low|high)\s*)?")
 
 
@@ -70,8 +72,7 @@ def parse_tolerance(name: str, text: str) -> Tolerance:
     except ValueError:
         size = None
     if match is None or size is None:
-        example = "write for example --tolerance wall_thickness.p95_mm=5%"
-        raise UsageError(f"the tolerance {text!r} of {name} is no number, with % or not; {example}")
+        raise UsageError(f"the tolerance {text!r} of {name} is no number, with % or not; {EXAMPLE}")
     default = any(known.name == name and known.high for known in TOLERANCES)
     high = match[3] == "high" if match[3] else default
     return Tolerance(name, high=high, **({"relative": size / 100} if match[2] else {"absolute": size}))

@@ -71,5 +71,5 @@ class Manifest(Strict):
 
 def read_manifest(path: Path) -> tuple[Manifest, Layer]:
     """Return a manifest, and the layer with the line of each of its values; raises ConfigError with the line."""
-    layer = read_yaml(path)
+    layer = read_yaml(path, "the YAML file of a manifest")
     return validated(Manifest, layer, str(path)), layer

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
+from mavnav.batch.baseline import EXAMPLE
 from mavnav.batch.cases import Case, make_cases, read_paths
 from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.files import check_files
@@ -88,7 +89,7 @@ def check_gates(request: BatchRequest, cases: Sequence[Case], more: Sequence[str
     ``more`` are names allowed in gates in addition to those of run.json.
     """
     rules = request.rules
-    check_names((tolerance.name for tolerance in rules.watched), number_names(reference=True))
+    check_names((tolerance.name for tolerance in rules.watched), number_names(reference=True), EXAMPLE)
     for case in cases:
         known = [*number_names(reference=case.has_references), *more]
         check_names((gate.name for gate in (*rules.gates, *case.gates)), known)

@@ -19,7 +19,10 @@ METRICS_WITH_BAR = {"wall_thickness.spread.p95_mm", "timing.cpu_s"}
 BAR_WIDTH = 6
 EIGHTHS = " ▏▎▍▌▋▊▉█"
 
-OPTIONAL_METRICS = (
+BARS, LOGS, REMARKS, EVALUATIONS, CPU = "bars", "logs", "remarks", "evals x", "cpu x"
+
+NARROWER = (
+    BARS,
     "map_quality.crispness.entropy_bits",
     "map_quality.crispness.occupied_cells_per_m",
     "wall_thickness.paper_cells.max",
@@ -27,8 +30,23 @@ OPTIONAL_METRICS = (
     "map_quality.revisits.nn_l_mm",
     "map.accepted_share",
     "wall_thickness.spread.median_mm",
+    "timing.cpu_s",
+    REMARKS,
+    CPU,
+    LOGS,
+    EVALUATIONS,
+    "map_quality.ghost_walls.length_m",
+    "reference.ate.rmse_m",
+    "reference.map_distance.mean_mm",
+    "wall_thickness.spread.p95_mm",
 )
-"""Metrics that are left out on a narrow terminal, in this order; the files and the report contain all of them."""
+"""What makes the table narrower, in this order; the files and the report contain all columns.
+
+Metrics, relative costs and bars are left out; the names of logs and the remarks are folded.
+"""
+
+FOLDED = {LOGS: 14, REMARKS: 12}
+"""Width in characters of a column that is folded."""
 
 WIDE = 200
 """Width in characters if the output is no terminal, so that no line is folded."""
@@ -40,34 +58,39 @@ def print_comparison(document: dict[str, Any]) -> None:
     if not out.is_terminal:
         out.width = WIDE
     unbounded = out.options.update_width(1000)
-    left_out: set[str] = set()
-    table = _table(document, left_out)
-    for name in OPTIONAL_METRICS:
+    less: set[str] = set()
+    table = _table(document, less)
+    for name in NARROWER:
         if out.measure(table, options=unbounded).maximum > out.width:
-            left_out.add(name)
-            table = _table(document, left_out)
+            less.add(name)
+            table = _table(document, less)
     out.print(table)
 
 
-def _table(document: dict[str, Any], left_out: set[str]) -> Table:
+def _table(document: dict[str, Any], less: set[str]) -> Table:
+    """Return the table without what is in ``less``, see `NARROWER`."""
     from rich.table import Table
 
     from mavnav.comparison.files import ratio
 
     table = Table(box=None, pad_edge=False, header_style="bold")
-    known = [figure for figure in _known(document) if figure.name not in left_out]
+    known = [figure for figure in _known(document) if figure.name not in less]
+    costs = {EVALUATIONS: "evaluations", CPU: "cpu"}
+    shown = {title: name for title, name in costs.items() if title not in less}
     several = len(document["logs"]) > 1
-    for title in (*(["log"] if several else []), "method", "grid"):
-        table.add_column(title, overflow="fold")
-    for title in (*(figure.head for figure in known), "evals x", "cpu x"):
+    if several:
+        table.add_column("log", overflow="fold", max_width=FOLDED[LOGS] if LOGS in less else None)
+    for title in ("method", "grid"):
+        table.add_column(title, no_wrap=True)
+    for title in (*(figure.head for figure in known), *shown):
         table.add_column(title, justify="right", no_wrap=True)
-    table.add_column("", overflow="fold")
+    table.add_column("", overflow="fold", max_width=FOLDED[REMARKS] if REMARKS in less else None)
     for k, cell in enumerate(document["cells"]):
         log = [_text(cell["log"])] if several else []
-        figures = [_figure(document, k, figure) for figure in known]
-        costs = [_text(ratio(document, name, k)) for name in ("evaluations", "cpu")]
+        figures = [_figure(document, k, figure, bars=BARS not in less) for figure in known]
+        ratios = [_text(ratio(document, name, k)) for name in shown.values()]
         grid = _text(f"{cell['azimuth']}/{cell['grid']}")
-        table.add_row(*log, _text(cell["method"]), grid, *figures, *costs, _text(_state(cell)))
+        table.add_row(*log, _text(cell["method"]), grid, *figures, *ratios, _text(_state(cell)))
     return table
 
 
@@ -84,15 +107,15 @@ def _text(text: str, style: str = "") -> Text:
     return Text(printable(text), style=style)
 
 
-def _figure(document: dict[str, Any], k: int, figure: Quantity) -> Text:
-    """Format a metric, with a bar before it if it has one, and an asterisk after the best value."""
+def _figure(document: dict[str, Any], k: int, figure: Quantity, *, bars: bool) -> Text:
+    """Format a metric, with a bar before it if it has one and ``bars``, and an asterisk after the best value."""
     from mavnav.comparison.files import winning
 
     run = document["cells"][k]["run"]
     number = figure.of(run)
     won = k in winning(document, figure.name)
     text = figure.shown(run) + ("*" if won else " ")
-    if figure.name in METRICS_WITH_BAR and number is not None:
+    if bars and figure.name in METRICS_WITH_BAR and number is not None:
         largest = max(figure.of(cell["run"]) or 0.0 for cell in document["cells"])
         text = f"{bar(number, largest)} {text}"
     return _text(text, "bold green" if won else "")

@@ -52,6 +52,11 @@ def odometry_topics(context: typer.Context, incomplete: str) -> list[str]:
     return words("auto", "off", *_topics(context, odometry=True))(incomplete)
 
 
+def recorded_odometry(context: typer.Context, incomplete: str) -> list[str]:
+    """Return the same without ``off``."""
+    return words("auto", *_topics(context, odometry=True))(incomplete)
+
+
 def _topics(context: typer.Context, *, odometry: bool) -> list[str]:
     from mavnav.logs import motion_and_scan_topics
 

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from mavnav.commands.options import Json, Quiet, RelationsFile, Truth, TruthMap
+from mavnav.commands.options import Json, Quiet, RelationsFile, TruthFile, TruthMap
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.quality_rows import more_rows, quality_rows, reference_rows, wall_rows
-from mavnav.commands.terminal import emit, emit_json, print_table
+from mavnav.commands.terminal import emit, emit_json, note, print_table
 from mavnav.errors import UsageError
 
 EPILOG = """
@@ -32,7 +32,7 @@ def metrics(
         typer.Argument(metavar="RUN|MAP.yaml", help="Run directories, or map_server maps (YAML).", show_default=False),
     ],
     *,
-    truth: Truth = None,
+    truth: TruthFile = None,
     truth_map: TruthMap = None,
     relations: RelationsFile = None,
     json: Json = False,
@@ -43,7 +43,11 @@ def metrics(
         with loading_modules():
             from mavnav.ground_truth.references import load_references
             from mavnav.pipelines.evaluate import evaluate
-        document = evaluate(paths, load_references(_truth_file(truth), truth_map, relations), report)
+        references = load_references(_truth_file(truth), truth_map, relations)
+        document = evaluate(paths, references, report)
+    for found in document["maps"]:
+        if references.of_poses and found["kind"] == "map":
+            note(f"mavnav: warning: {found['path']}: a map has no poses; --truth and --relations are not used for it")
     if json:
         emit_json(document)
         return

@@ -50,14 +50,12 @@ Continue = Annotated[
     input_option("--continue", metavar="RUN", help="Add the log to the map of a finished run, merge or continued run."),
 ]
 
+_topic_option = partial(input_option, metavar="NAME", autocompletion=completion.scan_topics)
 Topic = Annotated[
     list[str] | None,
-    input_option(
-        metavar="NAME",
-        help="Scan topic (default the only one); repeatable, to merge lasers by /tf_static.",
-        autocompletion=completion.scan_topics,
-    ),
+    _topic_option(help="Scan topic (default the only one); repeatable, to merge lasers by /tf_static."),
 ]
+SingleTopic = Annotated[list[str] | None, _topic_option(help="Scan topic of the laser (default the only one).")]
 Start = Annotated[
     float | None,
     input_option(metavar="SECONDS", help="Start this many seconds after the first scan (default 0)."),
@@ -76,6 +74,14 @@ Odom = Annotated[
         metavar="auto|TOPIC|off",
         help="Odometry used as motion prior (robust only; default auto).",
         autocompletion=completion.odometry_topics,
+    ),
+]
+RecordedOdom = Annotated[
+    str | None,
+    input_option(
+        metavar="auto|TOPIC",
+        help="Odometry to compare the laser with (default auto).",
+        autocompletion=completion.recorded_odometry,
     ),
 ]
 Attitude = Annotated[
@@ -142,6 +148,10 @@ Truth = Annotated[
         help="Ground-truth trajectory: ATE and RPE. A TUM file of the laser, or poses on a topic of the log.",
         autocompletion=completion.words("auto"),
     ),
+]
+TruthFile = Annotated[
+    str | None,
+    check_option("--truth", metavar="FILE.tum", help="Ground-truth trajectory of the laser, a TUM file: ATE and RPE."),
 ]
 TruthMap = Annotated[
     Path | None,

@@ -199,8 +199,8 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
     rows = [
         ("mission", "goal reached" if mission["reached"] else mission["reason"]),
         (
-            "steps",
-            f"{mission['steps']}, {100 * document['scans']['accepted'] / mission['steps']:.0f} % of the scans mapped",
+            "scans",
+            f"{mission['steps']}, {100 * document['scans']['accepted'] / mission['steps']:.0f} % of them mapped",
         ),
         ("path", f"{mission['path_length_m']:.2f} m, clearance {mission['min_clearance_m']:.2f} m at least"),
         *doubt_rows(document["tracking"]["doubt"]),
@@ -209,7 +209,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         *rows,
         *_truth_rows(truth),
         *wall_rows(document),
-        ("speed", f"{mission['steps'] / timing['wall_s']:.0f} steps/s"),
+        ("speed", f"{mission['steps'] / timing['wall_s']:.0f} scans/s"),
         *closing_rows(directory, document, "true_map.png"),
     ]
 

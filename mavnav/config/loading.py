@@ -207,7 +207,7 @@ def _error_message(model: type, details: ErrorDetails, layer: Layer, name: str) 
     named = tuple(part for part in key if not part.isdecimal())
     hint = known.get(named) or f"see '{help_}'"
     if details["type"] in _UNKNOWN:
-        advice = _nearest(named or key, list(known)) or f"see '{help_}' for the known keys"
+        advice = _nearest(named or key, list(known), key) or f"see '{help_}' for the known keys"
         return f"{where}: unknown key {dotted}; {advice}"
     if details["type"] == "missing":
         return f"{where}: {dotted} is missing; give the {hint}"
@@ -227,14 +227,28 @@ def _truncated(value: object) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
-def _nearest(key: Key, keys: list[Key]) -> str:
-    """Return a hint at the nearest known key anywhere in the configuration; empty if none is similar."""
+def _nearest(key: Key, keys: list[Key], given: Key) -> str:
+    """Return a hint at the nearest known key anywhere in the configuration; empty if none is similar.
+
+    It has the indices of ``given``, which is ``key`` with them.
+    """
     known = [".".join(path) for path in keys]
     by_last_name = {path[-1]: ".".join(path) for path in keys}
     proposal = [by_last_name[key[-1]]] if key[-1] in by_last_name else []
     proposal = proposal or difflib.get_close_matches(".".join(key), known, n=1)
     proposal = proposal or [by_last_name[name] for name in difflib.get_close_matches(key[-1], by_last_name, n=1)]
-    return f"did you mean {proposal[0]}?" if proposal else ""
+    return f"did you mean {_indexed(proposal[0].split('.'), given)}?" if proposal else ""
+
+
+def _indexed(parts: list[str], given: Key) -> str:
+    """Write a key with the indices that ``given`` has in the part that both share."""
+    found, rest = [], list(given)
+    for part in parts:
+        found.append(part)
+        rest = rest[1:] if rest and rest[0] == part else []
+        while rest and rest[0].isdecimal():
+            found.append(rest.pop(0))
+    return ".".join(found)
 
 
 def fields(model: type = Config, above: Key = ()) -> list[tuple[Key, str]]:

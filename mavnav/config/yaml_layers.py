@@ -37,8 +37,12 @@ for _tag, _pattern, _first in (
 _SCALAR_TAGS = {f"tag:yaml.org,2002:{name}" for name in ("bool", "null", "int", "float", "str")}
 
 
-def read_yaml(path: Path) -> Layer:
-    """Read one configuration file.
+CONFIGURATION = "a YAML file or a preset"
+"""What is to be named instead of a file that is no configuration."""
+
+
+def read_yaml(path: Path, wanted: str = CONFIGURATION) -> Layer:
+    """Read one YAML file; ``wanted`` is what to name instead where it is none.
 
     Raises
     ------
@@ -47,35 +51,38 @@ def read_yaml(path: Path) -> Layer:
         nested.
     """
     if path.exists() and not path.is_file():
-        raise ConfigError(f"{path} is not a regular file; name a YAML file")
+        raise ConfigError(f"{path} is not a regular file; name {wanted}")
     try:
         with path.open("rb") as file:
             text = file.read(MAX_BYTES + 1)
     except OSError as error:
-        raise ConfigError(f"{path} cannot be read, {error.strerror}; name a YAML file or a preset") from error
+        raise ConfigError(f"{path} cannot be read, {error.strerror}; name {wanted}") from error
     if len(text) > MAX_BYTES:
-        raise ConfigError(f"{path} is larger than {MAX_BYTES} bytes; name a configuration file")
-    return layer_of(text, str(path))
+        raise ConfigError(f"{path} is larger than {MAX_BYTES} bytes; name {wanted}")
+    return layer_of(text, str(path), wanted)
 
 
-def layer_of(text: bytes | str, name: str) -> Layer:
-    """Read YAML text; ``name`` is its name in errors."""
+def layer_of(text: bytes | str, name: str, wanted: str = CONFIGURATION) -> Layer:
+    """Read YAML text; ``name`` is its name in errors, ``wanted`` what to name instead where it is no YAML."""
     try:
-        _refuse_aliases(text, name)
+        _refuse_aliases(text, name, wanted)
         root = yaml.compose(text, _Yaml12)
     except yaml.MarkedYAMLError as error:
         raise ConfigError(
             f"{name}:{_line(error.problem_mark)}: not valid YAML, {error.problem}; mend that line"
         ) from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{name}: not YAML text; name a configuration file") from error
+        raise ConfigError(f"{name}: not YAML text; name {wanted}") from error
     layer = Layer()
-    if root is not None:
+    if isinstance(root, yaml.MappingNode):
         _collect(root, (), name, layer)
+    elif root is not None:
+        where = f"{name}:{_line(root.start_mark)}"
+        raise ConfigError(f"{where}: the file is no mapping; write 'key: value' lines, or name {wanted}")
     return layer
 
 
-def _refuse_aliases(text: bytes | str, name: str) -> None:
+def _refuse_aliases(text: bytes | str, name: str, wanted: str) -> None:
     """Raise ConfigError for aliases and deep nesting, before any object is built from the text."""
     depth = 0
     for event in yaml.parse(text, _Yaml12):
@@ -84,18 +91,15 @@ def _refuse_aliases(text: bytes | str, name: str) -> None:
         if isinstance(event, yaml.AliasEvent):
             raise ConfigError(f"{name}:{line}: aliases are not read; write the value out")
         if depth > MAX_DEPTH:
-            raise ConfigError(f"{name}:{line}: nested deeper than {MAX_DEPTH} levels; name a configuration file")
+            raise ConfigError(f"{name}:{line}: nested deeper than {MAX_DEPTH} levels; name {wanted}")
 
 
 def _line(mark: Any) -> int:  # noqa: ANN401  yaml has two types of marks
     return mark.line + 1 if mark else 1
 
 
-def _collect(node: yaml.Node, key: Key, name: str, layer: Layer) -> None:
+def _collect(node: yaml.MappingNode, key: Key, name: str, layer: Layer) -> None:
     """Add the values of a mapping and their lines to ``layer``, recursively."""
-    where = f"{name}:{_line(node.start_mark)}"
-    if not isinstance(node, yaml.MappingNode):
-        raise ConfigError(f"{where}: {'.'.join(key) or 'the file'} is no mapping; write 'key: value' lines")
     for key_node, value_node in node.value:
         line = _line(key_node.start_mark)
         if not isinstance(key_node, yaml.ScalarNode):

@@ -80,7 +80,7 @@ def read_map(path: Path) -> MapFile:
     """
     from mavnav.config.yaml_layers import read_yaml  # noqa: PLC0415  yaml takes 10 ms to load
 
-    about = read_yaml(path).tree()
+    about = read_yaml(path, "the YAML file of a map, or a run directory").tree()
     if "image" not in about or "resolution" not in about:
         raise UsageError(f"{path} describes no map, it has no image or no resolution; name a map_server YAML file")
     cell_m = _number(path, about, "resolution", None)
@@ -203,7 +203,7 @@ def _plain_pixels(path: Path, text: bytes) -> NDArray[np.int64]:
 
 
 def _read_by_pillow(path: Path, data: bytes) -> tuple[_Shades, NDArray[np.bool_]]:
-    from PIL import Image  # noqa: PLC0415  only for pictures that need it
+    from PIL import Image, UnidentifiedImageError  # noqa: PLC0415  only for pictures that need it
 
     try:
         with warnings.catch_warnings():
@@ -213,6 +213,8 @@ def _read_by_pillow(path: Path, data: bytes) -> tuple[_Shades, NDArray[np.bool_]
                     grey = np.asarray(image.convert("L"))
                     return _Shades(grey, np.arange(256.0)), np.ones(grey.shape, np.bool_)
                 return _coloured(image)
+    except UnidentifiedImageError as error:
+        raise UsageError(f"{path} is no picture of a map (PGM or PNG); mend 'image:'") from error
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise UsageError(f"{path} is no picture of a map (PGM or PNG): {error}; mend 'image:'") from error
 

@@ -53,6 +53,11 @@ class References(Struct, frozen=True):
     true_map: TrueMap | None = None
     relations: Relations | None = None
 
+    @property
+    def of_poses(self) -> bool:
+        """Whether there are references for the poses of a run, not only for its map."""
+        return self.truth is not None or self.relations is not None
+
 
 def load_references(
     truth: Path | None = None, truth_map: Path | None = None, relations: Path | None = None

@@ -34,7 +34,7 @@ def read_true_map(path: Path) -> TrueMap:
         path = scenario_path(path)
     from mavnav.config.yaml_layers import read_yaml  # noqa: PLC0415  yaml takes 10 ms to load
 
-    keys = {key[0] for key in read_yaml(path).values}
+    keys = {key[0] for key in read_yaml(path, "the YAML file of a map, or a scenario").values}
     if "image" in keys:
         return _of_map(path)
     if "walls" not in keys:

@@ -18,8 +18,9 @@ _MOST_NAMED: Final = 8
 def chosen_topic(found: Survey, topic: str | None) -> str:
     """Return the scan topic to use; several to choose from are listed."""
     if topic is not None and topic not in found.scans:
-        laser = [t for t in found.topics if t.name == topic]
-        if not laser or found.scans:
+        named = [t for t in found.topics if t.name == topic]
+        lasers = {t.name for t in found.topics if t.type in LASER_TYPES and t.count}
+        if not named or found.scans or (lasers and topic not in lasers):
             raise TopicError(f"{found.path}: no scans on topic {topic!r}; {_listed(found)}")
     if topic is None and len(found.scans) > 1:
         raise TopicError(f"{found.path}: several scan topics; choose one with --topic NAME: {_counted(found)}")

@@ -131,15 +131,17 @@ def _shown(value: Number) -> str:
     return str(value).lower() if isinstance(value, bool) else f"{value:.6g}"
 
 
-def check_names(names: Iterable[str], known: Iterable[str]) -> None:
+def check_names(names: Iterable[str], known: Iterable[str], example: str = _EXAMPLE) -> None:
     """Raise UsageError for a name that no document can have, before there is one.
 
-    ``known`` are the possible names, with ``*`` for any key or index of a list.
+    ``known`` are the possible names, with ``*`` for any key or index of a list; ``example`` is what an option with
+    such a name looks like.
     """
     patterns = [name.split(".") for name in known]
     for name in names:
         if not any(_fits(_parts(name), pattern) for pattern in patterns):
-            raise UsageError(_unknown(name, [".".join(pattern) for pattern in patterns if "*" not in pattern]))
+            whole = [".".join(pattern) for pattern in patterns if "*" not in pattern]
+            raise UsageError(_unknown(name, whole, example))
 
 
 def _fits(parts: Sequence[str], pattern: Sequence[str]) -> bool:
@@ -209,7 +211,7 @@ def _short(known: Iterable[str]) -> list[str]:
     return [name.replace(usual, "wall_thickness.") for name in known if name.startswith(usual)]
 
 
-def _unknown(name: str, known: Sequence[str]) -> str:
+def _unknown(name: str, known: Sequence[str], example: str = _EXAMPLE) -> str:
     """Return the message for an unknown name with the nearest known one: a child, or a similar name or last part."""
     if name.startswith("reference") and not any(k.startswith("reference.") for k in known):
         return f"no number {name} in run.json; it needs --truth, --truth-map or --relations"
@@ -221,4 +223,4 @@ def _unknown(name: str, known: Sequence[str]) -> str:
         near = [k for k in known if last and k.rpartition(".")[2] == last[0]]
     if near:
         return f"no number {name} in run.json; did you mean {near[0]}?"
-    return f"no number {name} in run.json; the numbers of any run.json can be named, {_EXAMPLE}"
+    return f"no number {name} in run.json; the numbers of any run.json can be named, {example}"

@@ -45,6 +45,7 @@ def write(drawn: DrawnMap, paths: dict[str, Trajectory], path: Path) -> None:
     canvas = axes.canvas
     marks: list[Mark | Line] = [*lines[: len(COLOURS)], map_axes.START]
     legend(canvas, marks, canvas.image.height - 28, (canvas.image.width - legend_width(marks)) / 2.0)
-    canvas.text((canvas.image.width / 2, 26), f"{len(paths)} sessions", 12.0, INK, bold=True)
+    title = "1 session" if len(paths) == 1 else f"{len(paths)} sessions"
+    canvas.text((canvas.image.width / 2, 26), title, 12.0, INK, bold=True)
     canvas.text((canvas.image.width / 2, 74), f"{sum(map(len, paths.values()))} scans", 8.5, MUTED)
     canvas.save(path)

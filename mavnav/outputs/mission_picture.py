@@ -78,6 +78,6 @@ def _draw_heading(axes: Axes, truth: Truth) -> None:
 def _subtitle(truth: Truth) -> str:
     path, goal = truth.map_T_laser, np.array(truth.goal_xy_map_m)
     left_m = float(np.hypot(*(goal - path.xyyaw[-1, :2])))
-    ends = f"path {path.length_m:.2f} m in {len(path) - 1} steps, ends {left_m:.2f} m from the goal"
+    ends = f"path {path.length_m:.2f} m in {len(path)} scans, ends {left_m:.2f} m from the goal"
     heights = "" if truth.slice_m is None else "; walls between {:g} and {:g} m".format(*truth.slice_m)
     return f"{ends}; frame: the laser's first pose{heights}"

@@ -180,7 +180,7 @@ class MissionResult(Struct, frozen=True):
 
     reached: Annotated[bool, text("whether the goal was reached")]
     reason: Annotated[str, text("how the mission ended: goal, or what stopped it")]
-    steps: Annotated[int, number("commands given")]
+    steps: Annotated[int, number("scans taken; a command may take several")]
     path_length_m: Annotated[float, number("length of the true path")]
     min_clearance_m: Annotated[Measured, number("least distance from a wall")]
     goal_distance_m: Annotated[Measured, number("distance from the goal at the end")]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct
 
-from mavnav.outputs.canvas import Canvas, ramp, rgb_of
+from mavnav.outputs.canvas import Canvas, font, ramp, rgb_of
 from mavnav.outputs.map_axes import draw_axes, draw_cells, draw_free, map_axes
 from mavnav.outputs.plot import Axes, colour_bar, ticks
 from mavnav.outputs.viewport import INK, MUTED, WALL_GREY, window_of
@@ -33,6 +33,9 @@ LEFT, TOP, RIGHT, BOTTOM = 100, 90, 130, 80
 WIDTH_BIN_MM: Final = 10.0
 HISTOGRAM: Final = (560, 110)
 """Width and height of a histogram, in pixels."""
+TITLE_PT: Final = 8.5
+EDGE: Final = 30
+"""Free space on the right of the histograms and their titles, in pixels."""
 
 
 def write(run: Run, path: Path) -> None:
@@ -41,16 +44,23 @@ def write(run: Run, path: Path) -> None:
     width, height = window.size_pixels(longest_in=6.5)
     charts = _charts(run)
     tall = max(height, len(charts) * (HISTOGRAM[1] + 120))
-    picture = Canvas.of(LEFT + width + RIGHT + 80 + HISTOGRAM[0] + 30, TOP + tall + BOTTOM)
+    pitch, left = tall // len(charts), LEFT + width + RIGHT + 80
+    picture = Canvas.of(left + _chart_room(charts), TOP + tall + BOTTOM)
     top = TOP + (tall - height) // 2
     _draw_map(map_axes(picture, window, (LEFT, top, LEFT + width, top + height)), run)
-    pitch, left = tall // len(charts), LEFT + width + RIGHT + 80
     for k, chart in enumerate(charts):
         y = TOP + k * pitch
-        picture.text((left, y), chart.title, 8.5, INK, "la")
+        picture.text((left, y), chart.title, TITLE_PT, INK, "la")
         _draw_bars(picture, (left, y + 56, left + HISTOGRAM[0], y + pitch - 64), chart)
     picture.text((picture.image.width / 2, 26), f"{run.name}: wall thickness", 12.0, INK, bold=True)
     picture.save(path)
+
+
+def _chart_room(charts: list[_Chart]) -> int:
+    """Return the width of the histograms with their titles and the free space on the right, in pixels."""
+    lines = [line for chart in charts for line in chart.title.split("\n")]
+    longest, usual = ceil(max(map(font(TITLE_PT).getlength, lines))), HISTOGRAM[0] + EDGE
+    return usual if longest <= usual else longest + EDGE
 
 
 def _draw_map(axes: Axes, run: Run) -> None:
@@ -143,15 +153,17 @@ def _cells_chart(hits: int, found: Sections, t: WallThickness, most: int, cell_m
 
 
 def _draw_bars(picture: Canvas, box: Box, chart: _Chart) -> None:
-    """Draw one histogram."""
-    bins, highest = np.arange(len(chart.metres)), max(float(chart.metres.max()), 1e-9)
+    """Draw one histogram; one without a wall has no ticks in y."""
+    bins, most = np.arange(len(chart.metres)), float(chart.metres.max())
+    highest = most or 1.0
     axes = Axes.chart(picture, box, (0.0, float(len(bins)), 0.0, 1.0))
     axes.bars(np.column_stack((bins + 0.05, bins + 0.95)), chart.metres / highest, BAR_COLOUR)
     axes.borders()
     middle = 0.5 if chart.bin_size == 1.0 else 0.0  # whole cells stand below the middle of their bar
     top = (len(bins) - 1.0) * chart.bin_size
     in_x = [(t / chart.bin_size + middle, f"{t:g}") for t in ticks(0.0, top, 8) if (t / chart.bin_size).is_integer()]
-    axes.ticks(in_x, [(value / highest, f"{value:g}") for value in ticks(0.0, highest, 4)], length=0, gap=8)
+    in_y = [(value / highest, f"{value:g}") for value in ticks(0.0, highest, 4)] if most else []
+    axes.ticks(in_x, in_y, length=0, gap=8)
     axes.names(chart.name, "wall [m]")
     if not np.isnan(chart.p95):
         x, y = axes.to_canvas(np.array([[chart.p95 / chart.bin_size, 1.0]]))[0].tolist()

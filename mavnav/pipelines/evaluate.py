@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from mavnav import __version__
 from mavnav.config.named_files import read_json
-from mavnav.errors import MavnavError, UsageError
+from mavnav.errors import MavnavError, UsageError, reason_of
 from mavnav.ground_truth.map_file import occupied_xy_m, read_map
 from mavnav.ground_truth.references import References, check_times, compared
 from mavnav.ground_truth.tables import read_tum
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from mavnav.pose import Trajectory
 
 SCHEMA_VERSION: Final = 1
+NEEDED_FILES: Final = ("hits.npz", "trajectory.tum", "result.mcap")
+"""Files of a run that are measured, besides its document."""
 
 Progress = Callable[[str, int, int | None], None]
 """What is being done, how much of it is done, how much there is."""
@@ -64,8 +66,13 @@ class Subject(Struct, frozen=True):
 
 
 def evaluate(paths: list[Path], references: References, progress: Progress) -> dict[str, Any]:
-    """Measure run directories and map files; raises UsageError for what is neither."""
+    """Measure run directories and map files.
+
+    Raises UsageError for what is neither, and for references of poses without a run.
+    """
     subjects = [subject(path) for path in paths]
+    if references.of_poses and all(what.trajectory is None for what in subjects):
+        raise UsageError(f"{paths[0]}: a map has no poses; --truth and --relations need a run directory")
     prepare(progress)
     documents = []
     for number, (path, what) in enumerate(zip(paths, subjects, strict=True)):
@@ -91,18 +98,23 @@ def subject(path: Path) -> Subject:
 def _run(directory: Path) -> Subject:
     if not (directory / RUN_FILE).is_file():
         raise UsageError(f"{directory} holds no run (no {RUN_FILE}); name a run directory, or the YAML file of a map")
+    if missing := [name for name in NEEDED_FILES if not (directory / name).exists()]:
+        advice = "repeat its command with --force, without --outputs"
+        raise UsageError(f"{directory} is no whole run: it has no {', '.join(missing)}; {advice}")
+    hits, poses, recording = (directory / name for name in NEEDED_FILES)
     try:
         document = read_json(directory / RUN_FILE)
-        grid = read_npz(directory / "hits.npz")
+        grid = read_npz(hits)
         journey = Journey(
-            map_T_laser=read_tum(directory / "trajectory.tum"),
-            scans=open_log(directory / "result.mcap", odom="off").scans,
+            map_T_laser=read_tum(poses),
+            scans=open_log(recording, odom="off").scans,
             mapped_share=document["scans"]["accepted"] / max(document["scans"]["processed"], 1),
             lost_for_good=document["tracking"]["lost"],
             planar=_planar(document["tracking"].get("doubt")),
         )
     except (OSError, ValueError, KeyError, TypeError, MavnavError) as error:
-        raise UsageError(f"{directory} is no whole run: {error}; make it again with mavnav replay --force") from error
+        reason = reason_of(error)
+        raise UsageError(f"{directory} is no whole run: {reason}; make it again with mavnav replay --force") from error
     return Subject("run", grid, Pose(), journey)
 
 

@@ -14,7 +14,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav import __version__
-from mavnav.errors import ExitCode, MavnavError, NoScansError, UsageError, worst
+from mavnav.errors import ExitCode, MavnavError, NoScansError, UsageError, reason_of, worst
 from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import Grid, known_part, occupancy
@@ -176,7 +176,8 @@ def _read(name: str, run: FinishedRun, config: Config) -> Session:
         raise
     except (OSError, ValueError, LookupError, TypeError, MavnavError) as error:
         where = run.directory
-        raise UsageError(f"{where} is no whole run: {error}; make it again with mavnav replay --force") from error
+        reason = reason_of(error)
+        raise UsageError(f"{where} is no whole run: {reason}; make it again with mavnav replay --force") from error
 
 
 def _first(group: Group, sessions: list[Session]) -> int:

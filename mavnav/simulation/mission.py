@@ -47,7 +47,10 @@ class End(StrEnum):
 
 
 class Mission(Struct, frozen=True):
-    """How a mission went; lengths of the true path, m. ``goal_distance_m`` is the true one at the end."""
+    """How a mission went; lengths of the true path, m. ``goal_distance_m`` is the true one at the end.
+
+    ``steps`` are the scans taken; a command may take several.
+    """
 
     end: End
     steps: int

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from mavnav.batch.baseline import (
+    EXAMPLE,
     Tolerance,
     changes,
     missing,
@@ -18,6 +19,7 @@ from mavnav.batch.baseline import (
     write_baseline,
 )
 from mavnav.errors import OutputError, UsageError
+from mavnav.metrics.gates import check_names
 
 WATCHED = tolerances([])
 
@@ -109,6 +111,11 @@ def test_tolerances_are_read(text: str, absolute: float, relative: float, high: 
 def test_no_tolerance(text: str) -> None:
     with pytest.raises(UsageError, match="is no number"):
         parse_tolerance("x", text)
+
+
+def test_an_unknown_number_is_answered_with_the_option_of_tolerances() -> None:
+    with pytest.raises(UsageError, match=r"no number foo in run\.json; .*, write for example --tolerance wall"):
+        check_names(["foo"], ["a.b"], EXAMPLE)
 
 
 def test_a_short_name_is_the_usual_one(baseline: Path) -> None:

@@ -81,7 +81,7 @@ runs:
         ("runs:\n  - {config: gone.yaml}", r"gone.yaml: no such file"),
         ("runs:\n  - {name: a}\n  - {name: a, grid: 5x5}", "two runs are named 'a'"),
         ("rnus: []", r"night.yaml:1: unknown key rnus; did you mean runs\?"),
-        ("logs: [{lgo: a.bag}]", r"night.yaml:1: unknown key logs.0.lgo; did you mean logs.log\?"),
+        ("logs: [{lgo: a.bag}]", r"night.yaml:1: unknown key logs.0.lgo; did you mean logs.0.log\?"),
         ("jobs: 0", r"night.yaml:1: jobs is 0"),
     ],
 )

@@ -95,3 +95,35 @@ def test_a_mistake_compiles_nothing(sample: Path, tmp_path: Path) -> None:
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert (done.returncode, "did you mean tracking.lost" in done.stderr) == (ExitCode.USAGE, True)
     assert not (tmp_path / "cache").exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        ("metrics {file}", "the YAML file of a map, or a run directory"),
+        ("replay LOG --map {file}", "the YAML file of a map, or a run directory"),
+        ("replay LOG --map .", "the YAML file of a map, or a run directory"),
+        ("replay LOG --truth-map {file}", "the YAML file of a map, or a scenario"),
+        ("simulate {file}", "the YAML file of a scenario, or a shipped one: complex, "),
+        ("batch {file}.yaml", "the YAML file of a manifest"),
+        ("replay LOG --config {file}", "a YAML file or a preset"),
+    ],
+)
+@pytest.mark.parametrize("content", [b"P5\n2 2\n255\n\x80\xff\xff\x00", b"P2\n2 2\n255\n0 0 0 0\n"], ids=["P5", "P2"])
+def test_a_file_of_another_kind_is_told_what_to_name(
+    mavnav: Callable,
+    sample: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    line: str,
+    named: str,
+    content: bytes,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("map.pgm", "map.pgm.yaml"):
+        Path(name).write_bytes(content)
+    words = line.format(file="map.pgm").split()
+    code, out, err = mavnav(*(sample if word == "LOG" else word for word in words), "-q")
+    assert (code, out) == (USAGE, "")
+    assert f"name {named}" in err
+    assert err.count("\n") == 1

@@ -63,6 +63,29 @@ def test_a_narrow_terminal_gets_fewer_figures(
     assert "entropy" not in head
 
 
+@pytest.mark.parametrize("width", [40, 60, 80, 120])
+@pytest.mark.parametrize("several", [False, True])
+def test_no_head_and_no_cell_is_cut(
+    comparison: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, width: int, several: bool
+) -> None:
+    """With every metric known, the methods, grids and remarks remain, whatever the width."""
+    document = json.loads((comparison / "comparison.json").read_text())
+    for cell in document["cells"]:
+        cell["azimuth"], cell["grid"], cell["status"] = 40, "40x40", "cached"
+        cell["run"]["reference"] = {"ate": {"rmse_m": 0.0123}, "map_distance": {"mean_mm": 12.3}}
+        cell["run"]["map_quality"]["meaningful"] = False
+    document["logs"] *= 2 if several else 1
+    monkeypatch.setattr("mavnav.commands.comparison_table.WIDE", width)
+    print_comparison(document)
+    head, *lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, [head, *lines])) <= width
+    assert head.split()[several : several + 2] == ["method", "grid"]
+    assert ("wall p95 mm" in head) == (width >= 60)
+    assert ("off the map mm" in head) == (width >= (80 if several else 60))
+    assert sum("robust  40/40x40" in line for line in lines) == len(document["cells"])
+    assert " ".join(lines).count("meaningful") == len(document["cells"])
+
+
 def test_json_is_comparison_json_and_nothing_else(again: Callable, directory: Path) -> None:
     code, out, err = again("--json")
     assert (code, err) == (0, "")

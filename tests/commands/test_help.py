@@ -45,6 +45,16 @@ def test_help_shows_the_defaults_of_the_configuration(page: Callable[..., str]) 
         assert f"default {default}" in lines[option], option
 
 
+def test_help_offers_nothing_that_the_command_refuses(page: Callable[..., str]) -> None:
+    calibrate, metrics, replay = page("calibrate"), page("metrics"), page("replay")
+    assert "merge" not in calibrate
+    assert "auto|TOPIC " in calibrate
+    assert "robust only" not in calibrate
+    assert "FILE.tum " in metrics
+    assert "topic:" not in metrics
+    assert all(words in replay for words in ("merge", "auto|TOPIC|off", "FILE.tum|auto|topic:NAME"))
+
+
 def completed(mavnav: Callable, monkeypatch: pytest.MonkeyPatch, shell: str, line: str) -> list[str]:
     """Return what a shell offers for the last word of a line."""
     words = line.split(" ")
@@ -69,6 +79,7 @@ def completed(mavnav: Callable, monkeypatch: pytest.MonkeyPatch, shell: str, lin
         ("compare nothing.mcap {log} --topic /s", ["/scan"]),
         ("replay nothing.mcap --topic ", []),
         ("replay {log} --odom ", ["auto", "off", "/odom"]),
+        ("calibrate {log} --odom ", ["auto", "/odom"]),
     ],
 )
 def test_values_are_completed(

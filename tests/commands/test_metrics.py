@@ -118,6 +118,21 @@ def test_counts_that_were_edited_are_refused(mavnav, run, tmp_path, change) -> N
         assert "hits.npz holds no counts of a map" in err
 
 
+def test_a_run_without_some_files_is_told_in_plain_words(mavnav, run, tmp_path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(run, copy)
+    for name in ("hits.npz", "trajectory.tum"):
+        (copy / name).unlink()
+    code, out, err = mavnav("metrics", copy, "-q")
+    assert (code, out) == (2, "")
+    advice = "repeat its command with --force, without --outputs"
+    assert err == f"mavnav: error: {copy} is no whole run: it has no hits.npz, trajectory.tum; {advice}\n"
+    for name in ("hits.npz", "trajectory.tum"):
+        (copy / name).mkdir()
+    err = mavnav("metrics", copy, "-q")[2]
+    assert "hits.npz cannot be read, no such file; make it again" in err
+
+
 def test_what_cannot_be_measured(mavnav, run, tmp_path) -> None:
     (tmp_path / "late.tum").write_text("9e8 0 0 0 0 0 0 1\n9.1e8 1 0 0 0 0 0 1\n")
     for args, word in (
@@ -133,6 +148,21 @@ def test_what_cannot_be_measured(mavnav, run, tmp_path) -> None:
         assert (code, out) == (2, ""), args
         assert word in err, args
         assert err.count("\n") == 1, args
+
+
+def test_references_of_poses_need_a_run(mavnav, run, tmp_path) -> None:
+    file = run / "map.yaml"
+    (tmp_path / "some.relations").write_text("0 1 0 0 0 0 0 0\n")
+    for option in (["--truth", run / "truth.tum"], ["--relations", tmp_path / "some.relations"]):
+        code, out, err = mavnav("metrics", file, *option, "-q")
+        assert (code, out) == (2, "")
+        assert err == f"mavnav: error: {file}: a map has no poses; --truth and --relations need a run directory\n"
+    code, out, err = mavnav("metrics", file, run, "--truth", run / "truth.tum", "-q", "--json")
+    assert [found.get("reference") is None for found in json.loads(out)["maps"]] == [True, False]
+    expected = f"mavnav: warning: {file}: a map has no poses; --truth and --relations are not used for it\n"
+    assert (code, err) == (0, expected)
+    code, out, err = mavnav("metrics", file, "--truth-map", "corner", "-q")
+    assert (code, err) == (0, "")
 
 
 def test_replay_takes_references(mavnav, sample, tmp_path) -> None:

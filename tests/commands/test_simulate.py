@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import subprocess
 import sys
@@ -232,8 +233,10 @@ def test_a_lost_mission_is_told(mavnav: Callable, tmp_path: Path) -> None:
 def test_the_summary(mavnav: Callable, scenario: Path, tmp_path: Path) -> None:
     code, out, err = mavnav("simulate", scenario, "-o", tmp_path / "r", "-q")
     assert (code, err) == (0, "")
-    for word in ("goal reached", "steps", "clearance", "ATE", "wall distance", "wall thickness", "steps/s"):
+    for word in ("goal reached", "clearance", "ATE", "wall distance", "wall thickness", "scans/s"):
         assert word in out
+    taken = json.loads((tmp_path / "r" / "run.json").read_text())["mission"]["steps"]
+    assert re.search(rf"^scans +{taken}, 100 % of them mapped$", out, re.MULTILINE)
 
 
 def test_options_reach_the_mission(

@@ -104,3 +104,11 @@ def test_one_line_says_what_is_wrong(write_map, picture, about, word) -> None:
         read_map(path)
     assert "\n" not in str(caught.value)
     assert str(path.parent) in str(caught.value)
+
+
+def test_an_image_that_is_no_picture_is_named_in_plain_words(write_map) -> None:
+    path = write_map(b"image: a.yaml\n")
+    with pytest.raises(UsageError) as caught:
+        read_map(path)
+    picture = path.parent / "map.pgm"
+    assert str(caught.value) == f"{picture} is no picture of a map (PGM or PNG); mend 'image:'"

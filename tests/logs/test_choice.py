@@ -39,6 +39,13 @@ def test_several_scan_topics_are_listed_and_one_can_be_chosen(tmp_path: Path) ->
         open_log(path, topic="/left")
 
 
+def test_a_topic_without_scans_is_told_the_scan_topics(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", [odom("/odom", 0), laser(0), laser(1)])
+    for name in ("/odom", "/nope"):
+        with pytest.raises(TopicError, match=rf"no scans on topic '{name}'; scan topics here: /scan \(2 scans\)"):
+            open_log(path, topic=name)
+
+
 def test_log_without_scans_names_its_topics(tmp_path: Path) -> None:
     with pytest.raises(NoScansError, match="no LaserScan messages; topics here: /odom"):
         open_log(write_mcap(tmp_path / "a", [odom("/odom", 0)]))

@@ -10,7 +10,9 @@ from PIL import Image
 from mavnav.errors import OutputError, UsageError
 from mavnav.outputs import animation, map_picture, mission_picture, viewport
 from mavnav.outputs.animation import animate
+from mavnav.outputs.canvas import Canvas
 from mavnav.outputs.run import Truth
+from mavnav.outputs.schema import described
 from mavnav.outputs.trajectory import write_true_walls, write_truth_tum
 from mavnav.outputs.writers import write_run
 from mavnav.pose import Pose, Trajectory, transform_points
@@ -76,6 +78,14 @@ def test_the_true_map_shows_walls_start_heading_and_goal(mission, tmp_path):
     assert count(picture, viewport.INK) > 5000
     for colour in (viewport.START_BLUE, viewport.GOAL_RED, viewport.POSE_MAGENTA):
         assert count(picture, colour) > 50
+
+
+def test_the_true_map_counts_the_scans_as_run_json_does(mission, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
+    mission_picture.write(mission, tmp_path / "t.png")
+    assert any(f" in {len(mission.truth.map_T_laser)} scans, ends " in text for text in drawn)
+    assert "scans taken" in described("mission.steps")["description"]
 
 
 def test_the_map_of_a_mission_shows_the_truth_on_top(run, mission, tmp_path):

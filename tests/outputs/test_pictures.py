@@ -14,7 +14,7 @@ from mavnav.mapping.occupancy_grid import Grid
 from mavnav.mapping.tiled_arrays import pooled
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.wall_spread import WallCuts
-from mavnav.outputs import map_axes, map_picture, wall_picture
+from mavnav.outputs import map_axes, map_picture, merged_picture, wall_picture
 from mavnav.outputs.canvas import Canvas, png, rgb_of
 from mavnav.outputs.plot import Axes, ticks
 from mavnav.outputs.viewport import Window, window_of
@@ -129,6 +129,37 @@ def test_long_paths_are_thinned_evenly_along_their_length():
     assert 45 <= len(some) <= 51
     assert (some[0], some[-1]) == (0, 999)
     assert np.diff(xy[some, 0]).max() < 0.3
+
+
+@pytest.mark.parametrize(("title", "wider"), [("a title that fits", False), ("a long title " * 10, True)])
+def test_a_picture_is_as_wide_as_the_titles_of_its_charts(run, tmp_path, monkeypatch, title, wider):
+    wall_picture.write(run, tmp_path / "p.png")
+    chart = wall_picture._Chart(f"short\n{title}", "x", np.ones(6), 1.0, np.nan)
+    monkeypatch.setattr(wall_picture, "_charts", lambda _: [chart])
+    wall_picture.write(run, tmp_path / "q.png")
+    assert (size_of(tmp_path / "q.png")[0] > size_of(tmp_path / "p.png")[0]) == wider
+    with Image.open(tmp_path / "q.png") as image:
+        assert np.asarray(image)[:, -5:].min() == 255
+
+
+def test_a_chart_without_a_wall_has_no_ticks_in_y(monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
+    for metres in (np.zeros(4), np.ones(4)):
+        chart = wall_picture._Chart("no straight wall", "thickness [cells]", metres, 1.0, np.nan)
+        wall_picture._draw_bars(Canvas.of(400, 300), (100, 50, 350, 250), chart)
+    names = ["thickness [cells]", "wall [m]"]
+    in_x = ["0", "1", "2", "3"]
+    assert drawn[: len(in_x) + 2] == [*in_x, *names]
+    assert drawn[len(in_x) + 2 :] == [*in_x, "0", "0.5", "1", *names]
+
+
+@pytest.mark.parametrize(("names", "title"), [("a", "1 session"), ("ab", "2 sessions")])
+def test_the_title_of_a_merged_map_counts_its_sessions(run, tmp_path, monkeypatch, names, title):
+    drawn = []
+    monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
+    merged_picture.write(run, dict.fromkeys(names, run.slam.trajectory), tmp_path / "map.png")
+    assert title in drawn
 
 
 def test_cut_lines_lie_across_their_walls():

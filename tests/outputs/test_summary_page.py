@@ -104,6 +104,12 @@ def test_a_calibration_shows_what_is_found_and_what_is_not(tmp_path: Path) -> No
     assert "ros2 run &lt;line&gt;</pre>" in text
 
 
+def test_long_lines_are_whole_on_paper(tmp_path: Path) -> None:
+    text = page(calibration_summary(CALIBRATED, "drive", PNG), tmp_path)
+    printed = text[text.index("@media print") :]
+    assert re.search(r"\bpre \{ white-space: pre-wrap; overflow-wrap: anywhere; \}", printed)
+
+
 def test_a_picture_is_drawn_to_bytes() -> None:
     assert drawn(lambda path: path.write_bytes(PNG) and None) == PNG
 

@@ -77,7 +77,7 @@ def read_carmen(path: Path, report: ReadReport) -> Iterator[RawMessage]:
     with path.open("rb") as file:
         state = _State(report, *kinds_of_poses(islice(_lines(file), _INSPECTED_LINES)))
     if state.poses is Poses.CORRECTED:
-        report.warn("the poses in the log are those of a SLAM and no odometry; compare with them by --truth auto")
+        report.warn("the poses in the log are those of a SLAM and no odometry; --truth auto compares with them")
     offset = 0
     with path.open("rb") as file:
         for number, line in enumerate(_lines(file), start=1):

@@ -50,7 +50,8 @@ def load_scenario(
         One line: file and line, key, what is wrong, what to do.
     """
     path = scenario_path(file)
-    layer = overlaid(file_layer(config).within("slam").over(read_yaml(path)), sets, overrides or {})
+    given = read_yaml(path, f"the YAML file of a scenario, or a shipped one: {', '.join(scenarios())}")
+    layer = overlaid(file_layer(config).within("slam").over(given), sets, overrides or {})
     layer = layer.over(method_layer(layer.values.get(("slam", "method"))).within("slam"))
     layer = layer.over(Layer({("name",): path.stem}))
     scenario = validated(Scenario, layer, str(path))
