@@ -177,17 +177,18 @@ def replay_log(
     if request.log_sha256 not in {None, log.sha256}:
         raise UsageError(f"{request.log}: changed since it was first read; run again once it is complete")
     check_times(with_recorded_truth(given.references, log, None), log.first_ns, log.last_ns)
-    compiled_s, compiled_cpu_s = _compiled(request.config, progress)
+    given_map = request.map is not None or request.continue_from is not None
+    compiled_s, compiled_cpu_s = _compiled(request.config, progress, rare=given_map)
     began = Timing(wall_s + compiled_s, cpu_s + compiled_cpu_s, compile_s + compiled_s, stages)
     with stoppable() as stop:
         return _mapped(request, log, given, progress, stop, began)
 
 
 @timed("loading")
-def _compiled(config: Config, progress: Progress) -> tuple[float, float]:
+def _compiled(config: Config, progress: Progress, *, rare: bool) -> tuple[float, float]:
     """Compile the kernels the first time; returns what that took, by the clock and of the processor, s."""
     wall_s, cpu_s = perf_counter(), process_time()
-    load_kernels(config, progress)
+    load_kernels(config, progress, rare=rare)
     return perf_counter() - wall_s, process_time() - cpu_s
 
 

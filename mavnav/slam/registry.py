@@ -33,11 +33,11 @@ def uses_odometry(config: Config) -> bool:
 
 
 RARE_KERNELS: Final = ("cost_floors", "free_cells", "height_slices", "lowest_poses")
-"""Modules that only loops, lost scans and slices need: compiled in 5 s at the first use, or by `mavnav warmup`."""
+"""Modules that only loops, lost scans, slices and given maps need: compiled in 5 s when first used, or by warmup."""
 
 
-def load_kernels(config: Config, progress: Callable[[str, int, int | None], None]) -> None:
-    """Compile missing kernels of the imported modules, except rare ones and those of other methods.
+def load_kernels(config: Config, progress: Callable[[str, int, int | None], None], *, rare: bool = False) -> None:
+    """Compile missing kernels of the imported modules, except those of other methods, and rare ones unless asked for.
 
     ``progress`` is called while kernels are compiled, which happens once on a machine.
     """
@@ -45,4 +45,4 @@ def load_kernels(config: Config, progress: Callable[[str, int, int | None], None
     for name in chosen.own_kernels:
         import_module(f"mavnav.kernels.{name}")
     others = {name for method in METHODS.values() for name in method.own_kernels}
-    prepare(progress, others.difference(chosen.own_kernels).union(RARE_KERNELS))
+    prepare(progress, others.difference(chosen.own_kernels).union(() if rare else RARE_KERNELS))

@@ -17,6 +17,7 @@ from mavnav.config.models import Config
 from mavnav.logs import open_log
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import Scan
+from mavnav.slam import registry
 from mavnav.slam.odometry_check import EARLY_STEPS
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.registry import METHODS, RARE_KERNELS
@@ -277,3 +278,11 @@ def test_rare_kernels_are_modules_that_no_tracked_scan_needs() -> None:
     for name in RARE_KERNELS:
         import_module(f"mavnav.kernels.{name}")
     assert not {name for method in METHODS.values() for name in method.own_kernels} & set(RARE_KERNELS)
+
+
+def test_rare_kernels_are_compiled_in_advance_for_a_given_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    unused: list[set[str]] = []
+    monkeypatch.setattr(registry, "prepare", lambda _, left_out: unused.append(set(left_out)))
+    registry.load_kernels(Config(), print)
+    registry.load_kernels(Config(), print, rare=True)
+    assert unused[0] - unused[1] == set(RARE_KERNELS)
