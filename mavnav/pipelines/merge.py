@@ -100,7 +100,7 @@ def merge(request: MergeRequest, progress: Progress) -> dict[str, Any]:
         sessions = [each.session for each in inputs if each.session]
         if not sessions:
             raise NoScansError("none of the logs and runs has a tracked scan; examine them with mavnav info")
-        load_kernels(request.config, progress)
+        load_kernels(request.config, progress, rare=True)
         group, refused = grown(sessions, request.config, lambda name: progress(f"joining {name}", 0, None))
         placed, framing = trajectories(group), [_first(group, sessions)]
         total = sum(map(len, placed))
