@@ -12,6 +12,7 @@ from mavnav.atomic_files import beside
 from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.page import to_page
 from mavnav.errors import OutputError, UsageError
+from mavnav.outputs.directory import check_parent
 from mavnav.outputs.document import to_json
 from mavnav.outputs.markdown import inert
 from mavnav.outputs.quantities import number
@@ -60,9 +61,10 @@ def write_text(text: str, path: Path) -> None:
 
 
 def check_file(path: Path) -> None:
-    """Raise OutputError for a path that is a directory, before any run."""
+    """Raise OutputError for a path that is a directory or cannot be written, before any run."""
     if path.is_dir():
         raise OutputError(f"{path} is a directory; name a file")
+    check_parent(path)
 
 
 def check_files(files: Mapping[str, Path], inputs: Iterable[Path], directory: Path) -> None:

@@ -27,7 +27,7 @@ def check_directory(
     """
     check_link(directory)
     if not os.path.lexists(directory):
-        _check_parent(directory)
+        check_parent(directory)
     elif not directory.is_dir():
         raise OutputError(f"{directory} is a file; choose another directory with -o")
     elif any(directory.iterdir()) and not (directory / marker).is_file():
@@ -54,14 +54,15 @@ def _contains(directory: Path, path: Path) -> bool:
     return any(Path(place).is_relative_to(directory.resolve()) for place in (named, os.path.realpath(path)))
 
 
-def _check_parent(directory: Path) -> None:
-    for parent in directory.absolute().parents:
+def check_parent(path: Path) -> None:
+    """Raise OutputError for a file or directory that cannot be made where it is to be."""
+    for parent in path.absolute().parents:
         if parent.is_dir():
             if not os.access(parent, os.W_OK | os.X_OK):
-                raise OutputError(f"{directory} cannot be made: {parent} is not writable; choose another with -o")
+                raise OutputError(f"{path} cannot be made: {parent} is not writable; choose another place")
             return
         if os.path.lexists(parent):
-            raise OutputError(f"{directory} cannot be made: {parent} is no directory; choose another with -o")
+            raise OutputError(f"{path} cannot be made: {parent} is no directory; choose another place")
 
 
 @contextmanager

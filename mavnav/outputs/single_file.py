@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from mavnav.atomic_files import beside
 from mavnav.errors import OutputError, UsageError
+from mavnav.outputs.directory import check_parent
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,6 +23,7 @@ def check_file(path: Path | None, suffix: str, kind: str, *, force: bool) -> Non
         raise UsageError(f"{path} is no {kind} file; name it with {suffix}, for example {path}{suffix}")
     if path.exists() and not force:
         raise OutputError(f"{path} exists; choose another file, or --force to replace it")
+    check_parent(path)
 
 
 def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> None:

@@ -56,7 +56,10 @@ def test_a_folder_is_no_file_and_stays(mavnav: Callable, empty: Path, option: st
     assert not Path("runs").exists()
 
 
-def test_the_verdict_is_told_though_a_file_cannot_be_written(mavnav: Callable, empty: Path) -> None:
+def test_the_verdict_is_told_though_a_file_cannot_be_written(
+    mavnav: Callable, empty: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mavnav.batch.files.check_parent", lambda _: None)  # as if it had become a file meanwhile
     Path("file").write_text("")
     code, out, err = mavnav("batch", "gone.bag", "--junit", "file/batch.xml", "-q")
     assert code == ExitCode.OUTPUT

@@ -127,3 +127,27 @@ def test_a_file_of_another_kind_is_told_what_to_name(
     assert (code, out) == (USAGE, "")
     assert f"name {named}" in err
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("simulate", "corner", "-o", "run", "--record"),
+        ("simulate", "corner", "-o", "run", "--animate"),
+        ("calibrate", "SAMPLE", "-o"),
+        ("batch", "SAMPLE", "-o", "runs", "--junit"),
+        ("batch", "SAMPLE", "-o", "runs", "--summary"),
+    ],
+    ids=" ".join,
+)
+def test_a_file_that_cannot_be_made_is_refused_first(
+    words: tuple[str, ...], mavnav: Callable, sample: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").touch()
+    suffix = {"--record": ".mcap", "--animate": ".gif", "--junit": ".xml", "--summary": ".md"}.get(words[-1], ".json")
+    named = [str(sample) if word == "SAMPLE" else word for word in words]
+    code, out, err = mavnav(*named, f"taken/file{suffix}", "-q")
+    assert (code, out) == (6, "")
+    assert err.splitlines()[-1].endswith(f"{tmp_path / 'taken'} is no directory; choose another place")
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
