@@ -57,8 +57,8 @@ class SensorHealth(Struct, frozen=True):
     """What was measured on the first ``examined`` scans; ``findings`` are empty for a healthy sensor.
 
     ``dead_sectors_deg`` are sectors (from, to) without a valid return in any scan, degrees counter-clockwise from the
-    laser's x axis. ``repeated`` scans equal the one before. ``jitter_share`` is the 90th percentile of the differences
-    between stamp steps and period, gaps left out, as a share of the period.
+    laser's x axis. Of all scans ``repeated`` equal the one before. ``jitter_share`` is the 90th percentile of the
+    differences between stamp steps and period, gaps left out, as a share of the period.
     """
 
     healthy: bool
@@ -83,7 +83,7 @@ def sensor_health(log: Log) -> SensorHealth:
         *_sparse(share, median),
         *_partial_scans(partial, seen.stamps_ns),
         *_hidden(sectors),
-        *_frozen(seen.repeated, len(seen.valid)),
+        *_frozen(log),
         *_saturated(seen.largest_m, len(seen.valid)),
         *_rate(log),
         *_stamps(log, jitter),
@@ -94,7 +94,7 @@ def sensor_health(log: Log) -> SensorHealth:
         valid_share=share,
         median_valid_beams=median,
         partial=len(partial),
-        repeated=seen.repeated,
+        repeated=log.counts.repeated,
         dead_sectors_deg=sectors,
         jitter_share=jitter,
         findings=findings,
@@ -102,38 +102,36 @@ def sensor_health(log: Log) -> SensorHealth:
 
 
 class _Seen(Struct, frozen=True):
-    """Valid beams and stamps of the scans, (n,), repeated scans, degrees (360,) of beams and of valid returns.
+    """Valid beams and stamps of the scans, (n,), degrees (360,) of beams and of valid returns.
 
     ``largest_m`` are the largest ranges that many beams of a scan share.
     """
 
     valid: NDArray[np.int64]
     stamps_ns: NDArray[np.int64]
-    repeated: int
     covered: NDArray[np.bool_]
     returned: NDArray[np.bool_]
     largest_m: Counter[float]
 
 
 def _examined(scans: Iterable[Scan]) -> _Seen:
-    valid, stamps_ns, repeated, largest_m = [], [], 0, Counter[float]()
+    valid, stamps_ns, largest_m = [], [], Counter[float]()
     covered, returned = np.zeros(360, np.bool_), np.zeros(360, np.bool_)
-    before: Scan | None = None
+    spec: LaserSpec | None = None
     degrees = np.zeros((0, 1), np.intp)
     for scan in scans:
-        if before is None or before.spec is not scan.spec:
-            degrees = _degrees(scan.spec)
+        if spec is not scan.spec:
+            spec = scan.spec
+            degrees = _degrees(spec)
             covered[degrees] = True
         good = np.isfinite(scan.ranges_m)
         returned[degrees[good]] = True
-        repeated += before is not None and np.array_equal(before.ranges_m, scan.ranges_m, equal_nan=True)
         top_m = float(np.max(scan.ranges_m, initial=0.0, where=good))
         if np.count_nonzero(scan.ranges_m == top_m) > max(SAME_SHARE * len(good), SAME_BEAMS):
             largest_m[top_m] += 1
         valid.append(int(np.count_nonzero(good)))
         stamps_ns.append(scan.stamp_ns)
-        before = scan
-    return _Seen(np.array(valid), np.array(stamps_ns, np.int64), repeated, covered, returned, largest_m)
+    return _Seen(np.array(valid), np.array(stamps_ns, np.int64), covered, returned, largest_m)
 
 
 def _degrees(spec: LaserSpec) -> NDArray[np.intp]:
@@ -201,11 +199,12 @@ def _hidden(sectors: list[tuple[float, float]]) -> Iterator[Finding]:
         )
 
 
-def _frozen(repeated: int, scans: int) -> Iterator[Finding]:
-    if repeated > REPEATED_SHARE * scans:
+def _frozen(log: Log) -> Iterator[Finding]:
+    repeated, usable = log.counts.repeated, log.counts.usable
+    if repeated > REPEATED_SHARE * usable:
         yield Finding(
             "repeated",
-            f"{repeated} of {scans} scans equal the one before",
+            f"{repeated} of {usable} scans equal the one before",
             "check the driver: it publishes old scans, or faster than the laser turns",
         )
 

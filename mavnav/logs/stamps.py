@@ -40,7 +40,7 @@ _SUSPECT_OFFSET_NS: Final = 10_000_000_000
 """A suspect scan whose stamp is farther from its time of recording than usual, by this, is not plausible."""
 
 
-def later_than_before(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _later_than_before(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return which stamps (n,) are later than all before them."""
     later = np.ones(len(stamps_ns), np.bool_)
     later[1:] = stamps_ns[1:] > np.maximum.accumulate(stamps_ns)[:-1]
@@ -66,7 +66,7 @@ def ascending(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     steps_ns = np.diff(stamps_ns)
     if (steps_ns > 0).all():
         return np.arange(len(stamps_ns))
-    greedy = np.flatnonzero(later_than_before(stamps_ns))
+    greedy = np.flatnonzero(_later_than_before(stamps_ns))
     if (steps_ns >= 0).all():
         return greedy
     longest = _longest_ascending(stamps_ns.tolist())
@@ -81,15 +81,21 @@ def in_order(
     Returns their indices in the order of use, and warns of those left out; of equal stamps one is enough.
     """
     possible = np.flatnonzero(~_impossible(stamps_ns))
-    chosen = possible[ascending(stamps_ns[possible])]
-    if len(chosen) < len(possible):
-        other = possible[np.argsort(recorded_ns[possible], kind="stable")]
-        other = other[ascending(stamps_ns[other])]
-        chosen = other if len(other) > len(chosen) else chosen
-    left_out = ~np.isin(stamps_ns, stamps_ns[chosen])
-    if left_out.any():
+    chosen = _better_order(possible, recorded_ns, lambda numbers: numbers[ascending(stamps_ns[numbers])])
+    if len(chosen) < len(stamps_ns) and (left_out := ~np.isin(stamps_ns, stamps_ns[chosen])).any():
         warn(f"{topic}: {left_out.sum()} of {len(stamps_ns)} messages are left out, their stamps do not ascend")
     return chosen
+
+
+def _better_order(
+    numbers: NDArray[np.int64], recorded_ns: NDArray[np.int64], choose: Callable[[NDArray[np.int64]], NDArray[np.int64]]
+) -> NDArray[np.int64]:
+    """Choose from the numbers (n,) in the order of the file, or of recording where that keeps more."""
+    chosen = choose(numbers)
+    if len(chosen) == len(numbers):
+        return chosen
+    other = choose(numbers[np.argsort(recorded_ns[numbers], kind="stable")])
+    return other if len(other) > len(chosen) else chosen
 
 
 def _longest_ascending(values: list[int]) -> list[int]:
@@ -150,7 +156,9 @@ class TopicScans(Struct):
 
     def keep(self, spec: LaserSpec, ranges_m: NDArray[np.float64]) -> None:
         """Keep an admitted scan, as long as there are few, and note whether it repeats the one before."""
-        self._repeated.append(self._last_m is not None and _repeats(ranges_m, self._last_m))
+        last_m = self._last_m
+        repeats = last_m is not None and np.array_equal(ranges_m.view(np.int64), last_m.view(np.int64))
+        self._repeated.append(repeats)  # to the last bit, NaN too
         self._last_m = ranges_m
         if self.ranges is not None:
             self.ranges.append((spec, ranges_m))
@@ -194,11 +202,7 @@ class TopicScans(Struct):
         """Return the numbers of the scans to use, in the order of the file, or of recording where that keeps more."""
         stamps_ns, log_ns = _frozen(stamps), _frozen(self._log_ns)
         possible = np.flatnonzero(~_impossible(stamps_ns) & self._plausible())
-        chosen = self._ascending(stamps_ns, possible)
-        if len(chosen) == len(possible):
-            return chosen
-        other = self._ascending(stamps_ns, possible[np.argsort(log_ns[possible], kind="stable")])
-        return other if len(other) > len(chosen) else chosen
+        return _better_order(possible, log_ns, lambda numbers: self._ascending(stamps_ns, numbers))
 
     def _ascending(self, stamps_ns: NDArray[np.int64], numbers: NDArray[np.int64]) -> NDArray[np.int64]:
         """Choose the most scans of ascending stamps; no sound one is left out for a suspect one."""
@@ -258,12 +262,6 @@ class TopicScans(Struct):
         counts = (impossible.sum(), implausible.sum(), twice, len(rest) - twice)
         reasons = ("impossible_stamp", "implausible", "duplicate_stamp", "backward_stamp")
         return Counter(dict(zip(reasons, map(int, counts), strict=True)))
-
-
-def _repeats(ranges_m: NDArray[np.float64], last_m: NDArray[np.float64]) -> bool:
-    """Return whether two scans with a return are the same to the last bit."""
-    same = np.array_equal(ranges_m.view(np.int64), last_m.view(np.int64))
-    return same and bool(np.isfinite(ranges_m).any())
 
 
 def _geometry(kind: tuple[LaserSpec, str]) -> tuple[LaserSpec, str]:

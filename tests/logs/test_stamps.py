@@ -150,9 +150,3 @@ def test_scans_that_repeat_the_one_before_are_told(frozen: tuple[int, ...], told
     assert log.counts.repeated == len(frozen)
     assert any(f"{len(frozen)} of 50 scans repeat the one before" in w for w in log.warnings) == told
     assert len(list(log.scans())) == 50
-
-
-def test_blank_scans_are_no_repetition(tmp_path: Path) -> None:
-    blank = [float("nan")] * 16
-    path = write_mcap(tmp_path / "a", [laser(k, **({"ranges": blank} if k > 2 else {})) for k in range(6)])
-    assert open_log(path).counts.repeated == 0
