@@ -88,6 +88,7 @@ F32_2D = Type("float32", 2, readonly=True)
 
 F64_1D = Type("float64", 1, readonly=True)
 F64_2D = Type("float64", 2, readonly=True)
+F64_3D = Type("float64", 3, readonly=True)
 
 I8_2D = Type("int8", 2, readonly=True)
 I16_3D = Type("int16", 3, readonly=True)

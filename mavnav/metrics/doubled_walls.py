@@ -65,12 +65,12 @@ REACH_M, ACROSS_M, TURN_RAD, ALONG_M = 0.15, 0.08, 12.0 * DEG, 0.06
 
 
 class _Keys(Struct, frozen=True):
-    """Key scans: stamps (n,), poses (n, 3), ranges and bearings of the walls' normals (n, beams), and the geometry."""
+    """Key scans: stamps (n,), poses (n, 3), ranges (n, beams), the walls' normals (n, beams, 2), and the geometry."""
 
     stamps_ns: NDArray[np.int64]
     poses: Array
     ranges_m: Array
-    normals_rad: Array
+    normals: Array
     directions: Array
     beams: Array
 
@@ -123,13 +123,13 @@ def doubled_walls(trajectory: Trajectory, scans: PlacedScans, cell_m: float) -> 
 def _keys(trajectory: Trajectory, scans: PlacedScans) -> _Keys:
     spec = scans.spec
     limits_m = used_ranges_m(spec)
-    rows = np.flatnonzero(np.isin(scans.stamps_ns, trajectory.stamps_ns[key_rows(trajectory)]))
+    rows = np.searchsorted(scans.stamps_ns, trajectory.stamps_ns[key_rows(trajectory)])
     ranges_m = np.ascontiguousarray(scans.ranges_m[rows])
     return _Keys(
         stamps_ns=scans.stamps_ns[rows],
         poses=scans.poses[rows],
         ranges_m=ranges_m,
-        normals_rad=wall_normals(ranges_m, spec.directions, np.array(limits_m)),
+        normals=wall_normals(ranges_m, spec.directions, np.array(limits_m)),
         directions=spec.directions,
         beams=np.array([spec.angle_min_rad, spec.angle_step_rad, *limits_m]),
     )
@@ -160,7 +160,7 @@ def _inverse(b_T_a: Array) -> Array:
 def _gaps(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> Array:
     """Return the gaps (n, points) of `wall_gaps`."""
     pairs, b_T_a = np.ascontiguousarray(pairs), np.ascontiguousarray(b_T_a)
-    return wall_gaps(keys.ranges_m, keys.normals_rad, pairs, b_T_a, keys.directions, keys.beams, keys.every)
+    return wall_gaps(keys.ranges_m, keys.normals, pairs, b_T_a, keys.directions, keys.beams, keys.every)
 
 
 def _is_doubled(gaps_m: Array) -> NDArray[np.bool_]:
@@ -200,9 +200,9 @@ def _doubled(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array) -> _Doubled:
 def _shifts(keys: _Keys, pairs: NDArray[np.int64], b_T_a: Array, better: Array) -> Array:
     """Return by how much scan b saw the wall points of scan a nearer to the laser than a did, (n, points), m."""
     a, beams = pairs[:, :1], np.arange(0, keys.ranges_m.shape[1], keys.every)
-    xy_m, normal_rad = _ends(keys, a, beams), keys.normals_rad[a, beams] + b_T_a[:, 2:]
+    xy_m, normal = _ends(keys, a, beams), _turned(b_T_a[:, None], keys.normals[a, beams])
     moved_m = _moved(better[:, None], xy_m) - _moved(b_T_a[:, None], xy_m)
-    shift_m: Array = np.cos(normal_rad) * moved_m[..., 0] + np.sin(normal_rad) * moved_m[..., 1]
+    shift_m: Array = (normal * moved_m).sum(axis=-1)
     return shift_m
 
 
@@ -210,11 +210,10 @@ def _points(keys: _Keys, pairs: NDArray[np.int64], shift_m: Array, explained: ND
     """Return the wall points of the first scans that the second ones saw elsewhere: ``shift_m`` towards the laser."""
     pair, number = np.nonzero(_is_doubled(np.abs(shift_m)))
     (a, b), beam, shift = pairs[pair].T, number * keys.every, shift_m[pair, number]
-    normal_rad = keys.normals_rad[a, beam] + keys.poses[a, 2]
-    normal = np.column_stack((np.cos(normal_rad), np.sin(normal_rad)))
+    normal = _turned(keys.poses[a], keys.normals[a, beam])
     return _Doubled(
         xy_m=_moved(keys.poses[a], _ends(keys, a, beam)) + normal * np.maximum(shift, 0.0)[:, None],
-        direction_rad=normal_rad + np.pi / 2.0,
+        direction_rad=np.arctan2(normal[:, 0], -normal[:, 1]),
         offset_m=np.abs(shift),
         pair=pair,
         explained=explained[pair],
@@ -231,8 +230,14 @@ def _ends(keys: _Keys, scan: NDArray[np.int64], beam: NDArray[np.int64]) -> Arra
 
 def _moved(poses: Array, xy_m: Array) -> Array:
     """Transform points (..., 2) from the frames of poses (..., 3) to the frames in which these are given."""
-    c, s, (x, y) = np.cos(poses[..., 2]), np.sin(poses[..., 2]), np.moveaxis(xy_m, -1, 0)
-    return np.stack((c * x - s * y + poses[..., 0], s * x + c * y + poses[..., 1]), axis=-1)
+    moved: Array = _turned(poses, xy_m) + poses[..., :2]
+    return moved
+
+
+def _turned(poses: Array, xy: Array) -> Array:
+    """Turn vectors (..., 2) from the frames of poses (..., 3) to the axes of the frames in which these are given."""
+    c, s, (x, y) = np.cos(poses[..., 2]), np.sin(poses[..., 2]), np.moveaxis(xy, -1, 0)
+    return np.stack((c * x - s * y, s * x + c * y), axis=-1)
 
 
 def _explained(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[np.bool_]:

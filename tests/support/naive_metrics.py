@@ -98,7 +98,7 @@ def straight_beams(xy_m, spacing_m, radii_m, least_reach, max_ratio, min_points)
 def wall_normals(ranges_m, directions, limits_m):
     """Fit a line to the points next to each end point, one side after the other."""
     used = (ranges_m >= limits_m[0]) & (ranges_m <= limits_m[1])
-    out = np.full(ranges_m.shape, np.nan)
+    out = np.full((*ranges_m.shape, 2), np.nan)
     for s, i in np.argwhere(used):
         ends = ranges_m[s, :, None] * directions
         sides = [beside(ends, used[s], i, step) for step in (-1, 1)]
@@ -110,7 +110,7 @@ def wall_normals(ranges_m, directions, limits_m):
         normal = -normal if normal @ directions[i] > 0 else normal
         spread_m = 0.03 + 0.01 * ranges_m[s, i]
         if thin <= min(0.1 * wide, spread_m**2) and -normal @ directions[i] >= 0.25:
-            out[s, i] = math.atan2(normal[1], normal[0])
+            out[s, i] = normal
     return out
 
 
@@ -126,13 +126,13 @@ def beside(ends, used, i, step):
     return found
 
 
-def wall_gaps(ranges_m, normals_rad, pairs, b_T_a, directions, beams, every):
+def wall_gaps(ranges_m, normals, pairs, b_T_a, directions, beams, every):
     first, step, least_m, far_m = beams
     points = range(0, ranges_m.shape[1], every)
-    out = np.full((len(pairs), len(points)), np.nan)
+    out, bearing = np.full((len(pairs), len(points)), np.nan), np.arctan2(normals[..., 1], normals[..., 0])
     for p, (a, b) in enumerate(pairs):
         for m, i in enumerate(points):
-            (end,), normal = placed(b_T_a[p], (ranges_m[a, i] * directions[i])[None]), normals_rad[a, i] + b_T_a[p, 2]
+            (end,), normal = placed(b_T_a[p], (ranges_m[a, i] * directions[i])[None]), bearing[a, i] + b_T_a[p, 2]
             r, towards = np.hypot(*end), np.array([np.cos(normal), np.sin(normal)])
             if np.isnan(normal) or not least_m <= r <= far_m or abs(towards @ end) / r < 0.25:
                 continue
@@ -142,7 +142,7 @@ def wall_gaps(ranges_m, normals_rad, pairs, b_T_a, directions, beams, every):
             if not 0 <= beam < ranges_m.shape[1] or not least_m <= ranges_m[b, beam] <= far_m:
                 continue
             gap = (ranges_m[b, beam] - r) * (abs(towards @ end) / r)
-            parallel = abs(np.cos(normals_rad[b, beam] - normal)) > 0.94
+            parallel = abs(np.cos(bearing[b, beam] - normal)) > 0.94
             out[p, m] = 0.0 if abs(gap) <= 0.05 + 0.01 * r else gap if gap < 0 or parallel else np.inf
     return out
 
