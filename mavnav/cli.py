@@ -15,7 +15,7 @@ import typer
 from mavnav.commands import signals
 from mavnav.commands.terminal import emit, note, print_traceback
 from mavnav.commands.values import Command, Group
-from mavnav.errors import ExitCode, MavnavError
+from mavnav.errors import ExitCode, MavnavError, lacks_memory
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -156,7 +156,7 @@ def _explain(error: BaseException) -> int:
         case PermissionError() if error.filename is not None:  # a folder denies access, even to check existence
             note(f"mavnav: error: {error.filename} cannot be reached: {error.strerror}; check its folders' permissions")
             return ExitCode.USAGE
-        case MemoryError():
+        case _ if lacks_memory(error):
             note("mavnav: error: out of memory; try larger cells, narrower windows, or a part of the log with --end")
             return ExitCode.USAGE
         case _:

@@ -17,6 +17,7 @@ Each message is one line: what is wrong, where, and what to do next. Only ``cli.
 from __future__ import annotations
 
 from enum import IntEnum
+from errno import ENOMEM
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -63,6 +64,13 @@ def reason_of(error: Exception) -> str:
     if not isinstance(error, OSError) or not error.strerror:
         return str(error)
     return f"{error.filename} cannot be read, {error.strerror}" if error.filename else error.strerror
+
+
+def lacks_memory(error: BaseException) -> bool:
+    """Return whether the system refused memory: for data, for a file, or for a library that is loaded."""
+    if isinstance(error, OSError):
+        return error.errno == ENOMEM
+    return isinstance(error, MemoryError) or (isinstance(error, ImportError) and "failed to map segment" in str(error))
 
 
 class MavnavError(Exception):

@@ -11,7 +11,7 @@ from threading import Thread
 from time import monotonic
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from mavnav.errors import ExitCode, MavnavError
+from mavnav.errors import ExitCode, MavnavError, lacks_memory
 from mavnav.jobs.records import Ended, Job, Outcome, Progressed, Report, Status
 
 if TYPE_CHECKING:
@@ -79,7 +79,8 @@ def attempt(job: Job, report: Report) -> Outcome:
 
 def failed(error: Exception, began_s: float) -> Outcome:
     """Return the outcome of a job that raised ``error`` and began at ``began_s`` of the monotonic clock."""
-    code = error.exit_code if isinstance(error, MavnavError) else ExitCode.BUG
+    known = error.exit_code if isinstance(error, MavnavError) else ExitCode.BUG
+    code = ExitCode.USAGE if lacks_memory(error) else known
     return Outcome(Status.FAILED, os.getpid(), monotonic() - began_s, None, _described(error), code)
 
 
@@ -87,7 +88,7 @@ def _described(error: Exception) -> str:
     """Describe an exception in one line."""
     if isinstance(error, MavnavError):
         return str(error)
-    if isinstance(error, MemoryError):
+    if lacks_memory(error):
         return "it needs more memory than it may use"
     return f"a bug: {type(error).__name__}: {error}"
 

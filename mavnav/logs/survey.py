@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from mavnav.errors import MavnavError, NoScansError, UsageError
+from mavnav.errors import MavnavError, NoScansError, UsageError, lacks_memory
 from mavnav.logs.attitude import AttitudeTracks
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.rosbag2 import METADATA
@@ -308,8 +308,10 @@ def check_log(path: Path, start_s: float | None = None, end_s: float | None = No
         raise unreadable(path, error) from error
 
 
-def unreadable(path: Path, error: OSError) -> UsageError:
+def unreadable(path: Path, error: OSError) -> UsageError | MemoryError:
     """Return what is raised where the system cannot read a log."""
+    if lacks_memory(error):
+        return MemoryError(str(error))
     return UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -14,6 +15,8 @@ import pytest
 
 from mavnav.errors import ExitCode
 from mavnav.jobs import Ended, Event, Job, Outcome, Progressed, Started, Status, run_jobs, usable_cores
+from mavnav.jobs.worker import failed
+from mavnav.logs.survey import unreadable
 from support import strange_jobs as strange
 
 
@@ -90,6 +93,26 @@ def test_memory_is_limited() -> None:
     greedy, modest = run(Job("greedy", strange.devour, (900,)), Job("modest", strange.devour, (1,)), memory_mb=600)
     assert (greedy.status, greedy.error) == (Status.FAILED, "it needs more memory than it may use")
     assert modest.value == 2**20
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        OSError(errno.ENOMEM, "Cannot allocate memory", "a.bag"),
+        ImportError("a.so: failed to map segment from shared object"),
+    ],
+)
+def test_a_lack_of_memory_is_no_bug(error: Exception) -> None:
+    outcome = failed(error, 0.0)
+    assert (outcome.error, outcome.exit_code) == ("it needs more memory than it may use", ExitCode.USAGE)
+    other = failed(ImportError("no module named a"), 0.0)
+    assert (other.error, other.exit_code) == ("a bug: ImportError: no module named a", ExitCode.BUG)
+
+
+def test_a_log_that_cannot_be_opened_for_want_of_memory_is_not_unreadable() -> None:
+    found = unreadable(Path("a.bag"), OSError(errno.ENOMEM, "Cannot allocate memory"))
+    assert isinstance(found, MemoryError)
 
 
 def test_workers_say_nothing(capfd: pytest.CaptureFixture[str]) -> None:
