@@ -60,7 +60,7 @@ class Localizer(Robust):
         """Return the match of the scan in a region; None if it fits nowhere, or at another pose about as well."""
         found = candidates(points, self.lines, self.known, region, self.config, MAP_CANDIDATES)
         best = unambiguous(found, AMBIGUITY_MARGIN, self.config)
-        return best if best and self._is_good(best) else None
+        return best if best and self.acceptance.is_good(best) else None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Insert the scan into ``grid``; the map for matching does not change."""

@@ -13,9 +13,9 @@ from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
+from mavnav.slam.acceptance import FOUND_CONFLICTS, Acceptance
 from mavnav.slam.budget import WHOLE_EACH, WHOLE_FIRST, WIDE_EACH, WIDE_FIRST, WIDE_MOST, Budget, search_work
 from mavnav.slam.degeneracy import LEAST_OBSERVABILITY
-from mavnav.slam.motion_model import LONGEST_S
 from mavnav.slam.relocalization import (
     CANDIDATES,
     around,
@@ -36,7 +36,6 @@ from mavnav.slam.scan_matching import (
     search_lines,
     with_effort,
 )
-from mavnav.slam.track_state import Verdict
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -48,14 +47,10 @@ if TYPE_CHECKING:
     from mavnav.scan import Scan
     from mavnav.slam.motion_model import Motion
     from mavnav.slam.relocalization import Region
+    from mavnav.slam.track_state import Verdict
 
     Points = tuple[NDArray[np.float64], NDArray[np.float64]]
     """The valid end points (n, 2) of a scan and their voxel means (m, 2), m, laser frame."""
-
-REGAIN_S = 0.5  # longest gap before more inliers are required: after it, chance matches are likely
-
-INNER_SHARE = 0.5
-"""Share of the near window within which a match is accepted: nearer to its edge, the pose may be outside of it."""
 
 NEAR_MINIMA = 3
 """Number of separate minima near the prediction that are refined: the lowest one of a coarse grid may be wrong."""
@@ -84,19 +79,6 @@ It is a share of the worst cost. Poses at which a lost laser was found cost up t
 AT_REST = np.zeros(3)
 """Twist of a laser at rest, for scans that are not de-skewed."""
 
-REACHABLE = 1.0
-"""Largest ``motion_cost`` that the acceleration of a vehicle explains."""
-
-EXPECTED = 0.01
-"""Largest ``motion_cost`` with which fewer inliers are enough after a gap."""
-
-FOUND_CONFLICTS, LONG_GAP_S = 0.05, 2.5
-"""Largest share of visibility conflicts of a pose after a gap without odometry of more than ``LONG_GAP_S``.
-
-Measured: 0.11 to 0.25 where the laser was carried into another room, up to 0.01 where it stayed; after shorter gaps of
-urg_exp1 up to 0.1 at the right pose.
-"""
-
 
 def _expected(scan: Scan, predicted: Pose, motion: Motion) -> tuple[Pose, ...]:
     """Return the expected poses of a scan: as predicted, by constant velocity, and at rest."""
@@ -123,7 +105,7 @@ class Robust:
     def __init__(self, config: Config) -> None:
         """Start with an empty map."""
         robust = config.robust
-        self.config = config
+        self.config, self.acceptance = config, Acceptance(robust, self.found_conflicts)
         self._begin()
         self._limits_m = np.array([robust.near_mm * MM, robust.far_mm * MM, robust.voxel_mm * MM])
         self._deskewed: tuple[Scan, Motion, Points] | None = None
@@ -189,7 +171,7 @@ class Robust:
             return tried[0]
         tried += self._search_around(points, predicted)
         best = self._of_least_cost(tried, points, predicted, motion)
-        if given_up or self._is_acceptable(best, motion, elapsed_s):
+        if given_up or self.acceptance.is_acceptable(best, motion, elapsed_s):
             return with_effort(best, *tried)
         for region in regions or [within_reach(pose, elapsed_s) for pose in expected]:
             if lost or self._wide_budget.spend(self._work(points, region), refundable=True):
@@ -255,13 +237,10 @@ class Robust:
 
     def _is_found_near(self, tried: list[Match], predicted: Pose, motion: Motion, elapsed_s: float) -> bool:
         """Return whether the search close to the prediction was made and its match is acceptable."""
-        return bool(tried) and self._inside(tried[0], predicted) and self._is_acceptable(tried[0], motion, elapsed_s)
-
-    def _inside(self, near: Match, predicted: Pose) -> bool:
-        """Return whether a match lies well inside the near window, so that the pose is not outside of it."""
-        robust, (off_m, off_rad) = self.config.robust, predicted.gap(near.map_T_laser)
-        half_m, half_rad = robust.near_window_mm * MM, robust.near_window_deg * DEG
-        return off_m <= INNER_SHARE * half_m and off_rad <= INNER_SHARE * half_rad
+        if not tried:
+            return False
+        near, rules = tried[0], self.acceptance
+        return rules.is_inside(near, predicted) and rules.is_acceptable(near, motion, elapsed_s)
 
     def _work(self, points: NDArray[np.float64], region: Region) -> float:
         """Return the work of a search of a region; that of cost bounds counts once until the map grows."""
@@ -274,39 +253,10 @@ class Robust:
         self._bounded = True
         return candidates(points, self.lines, self.known, region, self.config, limit=limit)
 
-    def _is_good(self, match: Match) -> bool:
-        return match.inliers >= self.config.robust.retry_below and match.conflicts <= self.config.robust.conflicts_below
-
-    def _is_acceptable(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
-        return self._is_good(match) and self._possible(match, motion, elapsed_s)
-
-    def _possible(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
-        """Return whether a vehicle can have moved so far in the elapsed time."""
-        robust, (moved_m, turned_rad) = self.config.robust, motion.map_T_laser.gap(match.map_T_laser)
-        return moved_m <= robust.max_speed_m_s * elapsed_s and turned_rad <= robust.max_turn_deg_s * DEG * elapsed_s
-
-    def _conflicts_after_gap(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
-        """Return whether a pose after a long gap without odometry has too many visibility conflicts."""
-        long = motion.odometry is None and elapsed_s > max(LONG_GAP_S, motion.period_s)
-        return long and match.conflicts > self.found_conflicts
-
     @timed("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
-        """Accept a match with many inliers and few visibility conflicts, at a possible speed.
-
-        After a gap or a jump, more inliers are required, and the match is only probable.
-        """
-        robust, good, elapsed_s = self.config.robust, self._is_good(match), motion.elapsed_s(scan.stamp_ns)
-        if match.ambiguous or match.inliers < robust.track_above or not self._possible(match, motion, elapsed_s):
-            return Verdict.REFUSED
-        if match.conflicts > robust.conflicts_below and match.inliers < robust.retry_below:
-            return Verdict.REFUSED
-        if (match.motion_cost > REACHABLE and not good) or self._conflicts_after_gap(match, motion, elapsed_s):
-            return Verdict.REFUSED
-        if elapsed_s <= max(LONGEST_S if good else REGAIN_S, motion.period_s) and match.motion_cost <= REACHABLE:
-            return Verdict.SURE
-        expected = match.motion_cost <= EXPECTED
-        return Verdict.PROBABLE if expected or match.inliers >= robust.regain_above else Verdict.REFUSED
+        """Decide whether to accept the match."""
+        return self.acceptance.verdict(match, motion, motion.elapsed_s(scan.stamp_ns))
 
     def reserve_whole_map_search(self, scan: Scan) -> bool:
         """Spend the work of a search of the whole map if the budget covers it."""
@@ -327,8 +277,9 @@ class Robust:
         found = [match, *candidates(points, self.lines, self.known, self._free, self.config, limit=limit)]
         expected = _expected(scan, motion.predict(scan.stamp_ns), motion)
         best = best_of(found, expected, elapsed_s, self.config)
-        sure = self._is_good(best) and not best.ambiguous and not self._conflicts_after_gap(best, motion, elapsed_s)
-        return best if sure else None
+        rules = self.acceptance
+        refused = best.ambiguous or rules.conflicts_after_gap(best, motion, elapsed_s)
+        return best if rules.is_good(best) and not refused else None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
         """Insert every valid point of the de-skewed scan into lines and grid."""
