@@ -9,6 +9,7 @@ from msgspec import Struct
 from mavnav.errors import ExitCode, UsageError
 from mavnav.metrics.gates import find
 from mavnav.outputs.schema import described
+from mavnav.slam.doubt.record import HIGH
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -99,6 +100,7 @@ QUANTITIES: Final = (
 )
 """The columns of a comparison."""
 
+DOUBT: Final = Quantity("tracking.doubt.probability", 2, ranked=False)
 PATH: Final = Quantity("tracking.path_length_m", 1)
 TIME: Final = Quantity("timing.wall_s", 1, cost=True)
 """Quantities that are reported, but not compared."""
@@ -125,6 +127,16 @@ def why_not_meaningful(run: Run) -> str:
     return "" if share >= LEAST_MAPPED_SHARE else f"only {share:.0%} of the scans are on the map"
 
 
+def probably_wrong(run: Run) -> bool:
+    """Return whether the track of a run is marked as doubtful."""
+    return (DOUBT.of(run) or 0.0) > HIGH
+
+
+def comparable(quantity: Quantity, runs: Sequence[Run | None]) -> bool:
+    """Return whether a quantity of these runs may be compared: what counts cells, only if all have one cell size."""
+    return not quantity.per_cell or len({number(run, "map.cell_mm") or 0.0 for run in runs}) == 1
+
+
 def winners(quantity: Quantity, runs: Sequence[Run | None]) -> list[int]:
     """Return which runs are best by a quantity, up to differences that do not count.
 
@@ -133,8 +145,7 @@ def winners(quantity: Quantity, runs: Sequence[Run | None]) -> list[int]:
     """
     known = {k: quantity.of(run) for k, run in enumerate(runs) if run is not None and not why_not_meaningful(run)}
     found = {k: round(value, quantity.digits) for k, value in known.items() if value is not None}
-    cells_mm = {number(runs[k], "map.cell_mm") or 0.0 for k in found}
-    if not found or not quantity.ranked or (quantity.per_cell and len(cells_mm) > 1):
+    if not found or not quantity.ranked or not comparable(quantity, [runs[k] for k in found]):
         return []
     top = max(found.values(), key=lambda value: quantity.better * value)
     best = [k for k, value in found.items() if quantity.same(value, top)]

@@ -12,7 +12,7 @@ from PIL import Image
 
 from mavnav.errors import OutputError
 from mavnav.mapping.occupancy_grid import Grid
-from mavnav.outputs import wall_table
+from mavnav.outputs import map_axes, wall_table
 from mavnav.outputs.canvas import rgb_of
 from mavnav.outputs.document import run_document, to_json
 from mavnav.outputs.gridmap import write_npz
@@ -20,6 +20,7 @@ from mavnav.outputs.report import columns, cost_panel, details, motion_panel, pa
 from mavnav.outputs.report.closeups import differing_places
 from mavnav.outputs.report.entry import Entry, load
 from mavnav.outputs.report.headline import headline
+from mavnav.outputs.report.pictures import draw
 from mavnav.outputs.run import Truth
 from mavnav.outputs.trajectory import write_csv, write_true_walls
 from mavnav.outputs.viewport import Window
@@ -271,9 +272,30 @@ def test_a_difference_within_the_noise_does_not_count(entries):
     def walls(p95_mm):
         return with_document(entries[1], wall_thickness={"spread": {"p95_mm": p95_mm}})
 
-    assert not columns.table([walls(60.0), walls(62.0)]).rows[0].fields[1].best
-    best = [row.fields[1].best for row in columns.table([walls(60.0), walls(62.0), walls(90.0)]).rows]
-    assert best == [True, True, False]
+    def best(*runs):
+        table = columns.table(runs)
+        p95 = [c.title for c in table.columns].index("wall p95")
+        return [row.fields[p95].best for row in table.rows]
+
+    assert best(walls(60.0), walls(62.0)) == [False, False]
+    assert best(walls(60.0), walls(62.0), walls(90.0)) == [True, True, False]
+
+
+def test_the_table_has_the_doubt_of_each_track(entries):
+    doubtful = with_document(entries[0], tracking={"lost": False, "doubt": {"probability": 0.814, "reasons": []}})
+    table = columns.table([entries[1], doubtful])
+    doubt = [c.title for c in table.columns].index("doubt")
+    assert table.rows[1].fields[doubt] == columns.Field("0.81", best=False)
+    assert not any(row.fields[doubt].best for row in table.rows)
+
+
+def test_doubtful_stretches_are_drawn_on_the_map(entries):
+    scans = entries[0].scans
+    doubtful = replace(entries[0], scans=replace(scans, doubtful=np.arange(len(scans.time_s)) < 20))
+    red = rgb_of(map_axes.DOUBTFUL.colour)
+    drawn = [(np.asarray(draw([e]).maps[0]) == red).all(axis=2).sum() for e in (entries[0], doubtful)]
+    assert drawn[1] > drawn[0] + 50
+    assert not scans.doubtful.any()
 
 
 def test_headline_and_mark_agree_on_what_is_the_same(entries):

@@ -6,12 +6,16 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from mavnav.outputs.quantities import QUANTITIES, Quantity, number, why_not_meaningful, winners
+from mavnav.outputs.quantities import DOUBT, QUANTITIES, Quantity, number, why_not_meaningful, winners
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mavnav.outputs.report.entry import Entry
+
+
+COLUMNS: Final = (QUANTITIES[0], DOUBT, *QUANTITIES[1:])
+"""The columns of the table: the doubt stands beside the share of accepted scans."""
 
 
 class Field(Struct, frozen=True):
@@ -43,7 +47,7 @@ class Table(Struct, frozen=True):
 def table(entries: Sequence[Entry]) -> Table:
     """Return the table of the runs of one log."""
     runs = [e.document for e in entries]
-    columns = tuple(c for c in QUANTITIES if any(c.of(run) is not None for run in runs))
+    columns = tuple(c for c in COLUMNS if any(c.of(run) is not None for run in runs))
     best = {c: winners(c, runs) for c in columns}
     rows = tuple(
         Row(

@@ -35,6 +35,7 @@ class Scans(Struct, frozen=True):
 
     ``time_s`` counts from the first scan. ``cost_mm2`` is the cost of the match, and ``threshold_mm2`` its acceptance
     threshold (NaN without one). ``xy_m`` and ``yaw_rad`` are in the map frame (NaN for a scan without a pose).
+    ``doubtful`` marks scans of a reason to doubt the track, if the doubt is high.
     ``error_m`` is the position error (NaN without ground truth). ``roll_pitch_height`` is (n, 3), rad and m (NaN if
     unknown).
     """
@@ -44,6 +45,7 @@ class Scans(Struct, frozen=True):
     threshold_mm2: NDArray[np.float64]
     xy_m: NDArray[np.float64]
     tracked: NDArray[np.bool_]
+    doubtful: NDArray[np.bool_]
     yaw_rad: NDArray[np.float64]
     error_m: NDArray[np.float64]
     roll_pitch_height: NDArray[np.float64]
@@ -110,6 +112,7 @@ def _scans(path: Path) -> Scans:
         threshold_mm2=_column(rows, "threshold_m2") * 1e6,
         xy_m=np.column_stack((_column(rows, "x_m"), _column(rows, "y_m"))),
         tracked=_column(rows, "tracked") > 0,
+        doubtful=_column(rows, "doubtful") > 0,
         yaw_rad=_column(rows, "yaw_rad"),
         error_m=_column(rows, "position_error_m"),
         roll_pitch_height=np.column_stack([_column(rows, name) for name in ATTITUDE_COLUMNS]),

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from mavnav.outputs.quantities import NAMED, QUANTITIES, number, why_not_meaningful, winners
+from mavnav.outputs.quantities import (
+    DOUBT,
+    NAMED,
+    QUANTITIES,
+    comparable,
+    number,
+    probably_wrong,
+    why_not_meaningful,
+    winners,
+)
 from mavnav.outputs.report import columns
 
 if TYPE_CHECKING:
@@ -31,9 +40,29 @@ def headline(entries: Sequence[Entry]) -> str:
     if not sound:
         return f"None of the {len(entries)} maps is worth comparing; the table says why."
     if len(sound) == 1:
-        return f"Only {sound[0].name} gives a map worth looking at; the table says what is wrong with the others."
+        only = f"Only {sound[0].name} gives a map worth looking at; the table says what is wrong with the others."
+        return only + _doubts(sound)
     left_out = len(entries) - len(sound)
-    return _of_many(sound) + (f" {_runs(left_out)} left out: the table says why." if left_out else "")
+    return _of_many(sound) + _doubts(sound) + (f" {_runs(left_out)} left out: the table says why." if left_out else "")
+
+
+def _doubts(sound: Sequence[Entry]) -> str:
+    """Return the sentence on the runs whose track is probably wrong; empty if there are none."""
+    found = [e for e in sound if probably_wrong(e.document)]
+    if not found:
+        return ""
+    of = _list([e.name for e in found])
+    if len(found) == 1:
+        return f" The track of {of} is {_wrong(found)}."
+    return f" The tracks of {of} are {_wrong(found)}."
+
+
+def _wrong(found: Sequence[Entry]) -> str:
+    """Return the probability that tracks are wrong, its range if it is that of several, and the reasons."""
+    shown = sorted({DOUBT.shown(e.document) for e in found})
+    reasons = dict.fromkeys(r["reason"] for e in found for r in e.document["tracking"]["doubt"].get("reasons") or [])
+    why = f": {', '.join(reasons)}" if reasons else ""
+    return f"probably wrong (probability {' to '.join(dict.fromkeys((shown[0], shown[-1])))}){why}"
 
 
 def _runs(count: int) -> str:
@@ -42,14 +71,15 @@ def _runs(count: int) -> str:
 
 def _of_one(entry: Entry) -> str:
     scans = entry.document["scans"]
-    mapped = f"{entry.name} put {scans['accepted']} of {scans['processed']} scans on the map"
+    accepted = f"{entry.name} accepted {scans['accepted']} of {scans['processed']} scans"
+    doubt = f"; the track is {_wrong([entry])}" if probably_wrong(entry.document) else ""
     why = why_not_meaningful(entry.document)
     if why:
-        return f"{mapped}; it is not reliable: {why}."
+        return f"{accepted}; the map is not reliable: {why}{doubt}."
     p95_mm = P95.of(entry.document)
-    thin = "" if p95_mm is None else f"95 % of its wall is at most {_mm(p95_mm)} thick"
+    thin = "" if p95_mm is None else f"95 % of the wall length is at most {_mm(p95_mm)} thick"
     walls = thin or "there is no straight wall to measure"
-    return f"{mapped}; {walls}{_ghosts(entry)}."
+    return f"{accepted}; {walls}{_ghosts(entry)}{doubt}."
 
 
 def _mm(value_mm: float) -> str:

@@ -1,4 +1,4 @@
-"""The map panel: hits, path, dashed true walls (paper, Figure 7), and rings around ghost walls."""
+"""The map panel: hits, path, doubtful stretches, dashed true walls (paper, Figure 7), and rings around ghost walls."""
 
 from __future__ import annotations
 
@@ -99,6 +99,7 @@ def draw_map(
     map_axes.draw_hits(axes, entry.grid, top_hits)
     axes.lines(map_axes.TRUE_WALL, entry.true_walls)
     axes.lines(PATH, [entry.scans.xy_m])
+    axes.lines(map_axes.DOUBTFUL, [np.where(entry.scans.doubtful[:, None], entry.scans.xy_m, np.nan)])
     if ends:
         xy_m = entry.scans.xy_m[np.isfinite(entry.scans.xy_m[:, 0])]
         axes.mark(map_axes.START, xy_m[:1])
@@ -137,14 +138,15 @@ def _draw_box(axes: Axes, letter: str, box: Window) -> None:
     axes.canvas.text((x + LETTER / 2, top + LETTER / 2), letter, FONT_PT, "#ffffff", bold=True)
 
 
-def legend_panel(top_hits: float, *, truth: bool, ghost: bool, ends: bool) -> Image:
+def legend_panel(top_hits: float, *, truth: bool, ghost: bool, doubtful: bool, ends: bool) -> Image:
     """Draw the color scale of hits that all maps share, and the legend of their lines."""
     canvas, box = panel((390, 21), "", (15, 40, 375, 36))
     axes = Axes.chart(canvas, box, (0.0, 1.0, 0.0, 1.0))
     canvas.gradient(box, map_axes.HIT_COLOURS)
     axes.ticks(map_axes.hit_ticks(top_hits), length=5)
     canvas.text((box[0], box[1] - 8), "laser hits per cell", FONT_PT, MUTED, "ls")
-    marks: list[Mark | Line] = list(compress((PATH, map_axes.TRUE_WALL, GHOST), (True, truth, ghost)))
+    named = (PATH, map_axes.DOUBTFUL, map_axes.TRUE_WALL, GHOST)
+    marks: list[Mark | Line] = list(compress(named, (True, doubtful, truth, ghost)))
     first = (canvas.image.height - (len(marks) - 1) * LINE) // 2
     for k, mark in enumerate(marks):
         legend(canvas, [mark], first + k * LINE, box[2] + 24, FONT_PT)

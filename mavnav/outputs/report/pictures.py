@@ -96,7 +96,11 @@ def draw(entries: Sequence[Entry]) -> Pictures:
         shape=shape(window),
         maps=[map_panel(e, window, top_hits, boxes, ends=alone) for e in entries],
         legend=legend_panel(
-            top_hits, truth=any(e.true_walls for e in entries), ghost=any(map(ghosts, entries)), ends=alone
+            top_hits,
+            truth=any(e.true_walls for e in entries),
+            ghost=any(map(ghosts, entries)),
+            doubtful=any(e.scans.doubtful.any() for e in entries),
+            ends=alone,
         ),
         closeups=[_closeup(letter, box, sound, top_hits) for letter, box in boxes],
         thickness=thickness_panels(entries),

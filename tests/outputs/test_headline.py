@@ -1,0 +1,54 @@
+"""The headline of a report: what it says of doubtful tracks, and of maps that hardly differ."""
+
+from types import SimpleNamespace
+
+from mavnav.outputs.quantities import probably_wrong
+from mavnav.outputs.report.headline import headline
+from mavnav.slam.doubt.record import HIGH
+
+
+def entry(
+    name="robust 20/10x10", *, doubt=0.1, reasons=(), p95_mm=60.0, cells_per_m=200.0, cell_mm=20, meaningful=True
+):
+    """Return what a headline reads of a run."""
+    found = [{"reason": reason, "from_s": 0.0, "to_s": 1.0, "value": 1.0} for reason in reasons]
+    crispness = {"occupied_cells_per_m": cells_per_m}
+    document = {
+        "method": "robust",
+        "grid": name.rpartition("/")[2],
+        "azimuth": 20,
+        "scans": {"accepted": 751, "processed": 756},
+        "tracking": {"lost": False, "doubt": {"probability": doubt, "reasons": found}},
+        "map": {"cell_mm": cell_mm},
+        "wall_thickness": {"spread": {"p95_mm": p95_mm}},
+        "map_quality": {"meaningful": meaningful, "why": [] if meaningful else ["2 % mapped"], "crispness": crispness},
+    }
+    return SimpleNamespace(name=name, document=document)
+
+
+def test_the_headline_of_a_run_says_that_its_track_is_probably_wrong():
+    wrong = headline([entry(doubt=0.81, reasons=("two tracks disagree", "unclosed loop", "two tracks disagree"))])
+    assert wrong.endswith("; the track is probably wrong (probability 0.81): two tracks disagree, unclosed loop.")
+    assert wrong.startswith("robust 20/10x10 accepted 751 of 756 scans; 95 % of the wall length is at most 60 mm thick")
+    unreliable = headline([entry(doubt=0.81, reasons=("not planar",), meaningful=False)])
+    assert unreliable.endswith("2 % mapped; the track is probably wrong (probability 0.81): not planar.")
+
+
+def test_a_track_is_probably_wrong_above_the_probability_that_gives_a_warning():
+    assert "wrong" not in headline([entry(doubt=HIGH)])
+    assert "wrong" in headline([entry(doubt=HIGH + 0.01)])
+    assert not probably_wrong({"tracking": {"doubt": {"probability": None, "reasons": []}}})  # causal mode
+    assert not probably_wrong({"tracking": {"lost": False}})  # earlier versions
+
+
+def test_the_headline_of_several_runs_names_those_whose_track_is_probably_wrong():
+    sound, one = entry("robust 10/5x5"), entry(p95_mm=90.0, doubt=0.8, reasons=("gap",))
+    assert headline([sound, one]).endswith(" The track of robust 20/10x10 is probably wrong (probability 0.80): gap.")
+    other = entry("robust 40/20x20", doubt=0.61, reasons=("too few beams",))
+    both = headline([one, other, entry("robust 10/5x5", meaningful=False)])
+    assert (
+        " The tracks of robust 20/10x10 and robust 40/20x20 are probably wrong (probability 0.61 to 0.80): "
+        "gap, too few beams. 1 run is left out" in both
+    )
+    only = headline([one, entry("robust 10/5x5", meaningful=False)])
+    assert only.startswith("Only robust 20/10x10") and "is probably wrong (probability 0.80): gap." in only
