@@ -52,3 +52,15 @@ def test_the_headline_of_several_runs_names_those_whose_track_is_probably_wrong(
     )
     only = headline([one, entry("robust 10/5x5", meaningful=False)])
     assert only.startswith("Only robust 20/10x10") and "is probably wrong (probability 0.80): gap." in only
+
+
+def test_the_share_by_which_no_measure_differs_holds_for_those_within_the_noise_too():
+    pair = [entry("robust 10/5x5", p95_mm=131.2, cells_per_m=200.0), entry(p95_mm=135.4, cells_per_m=205.0)]
+    assert "no measure differs by more than 3.1 %" in headline(pair)
+
+
+def test_counts_of_cells_of_two_sizes_are_not_among_the_measures_that_hardly_differ():
+    pair = [entry("robust 10/5x5", p95_mm=60.0), entry(p95_mm=60.2, cells_per_m=100.0, cell_mm=40)]
+    assert "are equally good by every measure here" in headline(pair)
+    pair[0].document["map"]["accepted_share"], pair[1].document["map"]["accepted_share"] = 0.99, 0.97
+    assert "no measure differs by more than 2.0 %" in headline(pair)

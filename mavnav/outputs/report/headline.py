@@ -27,7 +27,7 @@ P95: Final = NAMED["wall_thickness.spread.p95_mm"]
 TIME: Final = NAMED["timing.cpu_s"]
 
 SMALL_SHARE: Final = 0.03
-"""Relative difference of a metric below which, if it holds for all metrics, maps count as equally good."""
+"""Maps are called as good as equal if no metric differs by this share, apart from those that differ within noise."""
 
 
 def headline(entries: Sequence[Entry]) -> str:
@@ -100,9 +100,9 @@ def _of_many(sound: Sequence[Entry]) -> str:
     if not contested:
         names = _list([e.name for e in sound])
         return f"The maps of {names} are equally good by every measure here{_fewest_evaluations(sound)}."
-    most = max(_spread(sound, q) for q in QUALITY if won[q.title])
-    if most < SMALL_SHARE:
+    if max(_spread(sound, q) for q in QUALITY if won[q.title]) < SMALL_SHARE:
         names = _list([e.name for e in sound])
+        most = max(_spread(sound, q) for q in QUALITY)
         differ = f"no measure differs by more than {100 * most:.1f} %"
         return f"The maps of {names} are as good as equal: {differ}{_fewest_evaluations(sound)}."
     score = [sum(k in won[title] for title in contested) for k in range(len(sound))]
@@ -117,8 +117,11 @@ def _of_many(sound: Sequence[Entry]) -> str:
 
 
 def _spread(sound: Sequence[Entry], quantity: Quantity) -> float:
-    """Return the range of a metric over the runs, relative to its largest absolute value."""
+    """Return the range of a metric over the runs, relative to its largest absolute value; 0 if it reads the same."""
     values = [v for e in sound if (v := quantity.of(e.document)) is not None]
+    same = len({round(v, quantity.digits) for v in values}) < 2
+    if same or not comparable(quantity, [e.document for e in sound]):
+        return 0.0
     return (max(values) - min(values)) / max(*map(abs, values), 1e-12)
 
 
