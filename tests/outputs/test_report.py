@@ -23,7 +23,7 @@ from mavnav.outputs.report.headline import headline
 from mavnav.outputs.report.pictures import draw
 from mavnav.outputs.run import Truth
 from mavnav.outputs.trajectory import write_csv, write_true_walls
-from mavnav.outputs.viewport import Window
+from mavnav.outputs.viewport import MUTED, Window
 from mavnav.pose import Trajectory
 
 EVIL = 'logs/<script>alert(1)</script>"onload="x.mcap'
@@ -296,6 +296,15 @@ def test_doubtful_stretches_are_drawn_on_the_map(entries):
     drawn = [(np.asarray(draw([e]).maps[0]) == red).all(axis=2).sum() for e in (entries[0], doubtful)]
     assert drawn[1] > drawn[0] + 50
     assert not scans.doubtful.any()
+
+
+def test_the_legend_of_the_costs_lies_above_the_axes(entries, monkeypatch):
+    (panel,) = map(np.asarray, cost_panel.cost_panels(entries[:1]))
+    monkeypatch.setattr(cost_panel, "legend", lambda *_: None)
+    (bare,) = map(np.asarray, cost_panel.cost_panels(entries[:1]))
+    top_of_axes = np.flatnonzero((bare[:, panels.CHART_MARGINS[0]] == rgb_of(MUTED)).all(axis=1))[0]
+    legend = np.flatnonzero((panel != bare).any(axis=(1, 2)))
+    assert len(legend) and legend[-1] < top_of_axes
 
 
 def test_headline_and_mark_agree_on_what_is_the_same(entries):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import compress
-from math import ceil, floor, log10, sqrt
+from math import ceil, floor, log10
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from mavnav.outputs.canvas import SMOOTH, dashed, stroke
-from mavnav.outputs.plot import Line, Mark, cross, labelled, legend, legend_width, ticks
-from mavnav.outputs.report.panels import chart
+from mavnav.outputs.canvas import dashed, stroke
+from mavnav.outputs.plot import Axes, Line, Mark, cross, labelled, legend, ticks
+from mavnav.outputs.report.panels import CHART, CHART_MARGINS, FONT_PT, panel
 from mavnav.outputs.viewport import GOAL_RED, MUTED
 
 if TYPE_CHECKING:
@@ -20,10 +20,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from PIL.Image import Image
 
-    from mavnav.outputs.plot import Axes
     from mavnav.outputs.report.entry import Entry
 
 LEGEND_PT: Final = 7.0
+LEGEND_ROW: Final = 28
+"""Height of the row between title and axes, in pixels; the legend there covers no data."""
 COST: Final = Line("#2f6690", "cost", partial(stroke, width_pt=1.0))
 REJECTED: Final = Mark(GOAL_RED, "rejected scan", partial(cross, size_pt=4.0, width_pt=1.0))
 THRESHOLD: Final = Line(MUTED, "acceptance threshold", dashed)
@@ -49,16 +50,17 @@ def cost_panels(entries: Sequence[Entry]) -> list[Image]:
 
 
 def _panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
-    axes = chart(entry.name, (0.0, end_s, log10(limits[0]), log10(limits[1])), ("time [s]", "cost [mm²]"), 80)
+    canvas, (left, top, right, bottom) = panel((CHART[0], CHART[1] + LEGEND_ROW), entry.name, CHART_MARGINS)
+    box = (left, top + LEGEND_ROW, right, bottom)
+    axes = Axes.chart(canvas, box, (0.0, end_s, log10(limits[0]), log10(limits[1])))
+    axes.names("time [s]", "cost [mm²]", FONT_PT, 80)
     cost = np.maximum(entry.scans.cost_mm2, MIN_COST_MM2)
     marks = _draw_scans(axes, entry, cost)
     axes.borders()
     axes.ticks(labelled(ticks(0.0, end_s)), [(log10(value), label) for value, label in named_costs(*limits)])
     axes.ticks(y=[(log10(value), "") for value in between_powers(*limits)], length=3)
-    known = cost[np.isfinite(cost)]
-    low = len(known) > 0 and float(np.median(known)) < sqrt(limits[0] * limits[1])
-    _draw_legend(axes, marks, axes.box[1] + 18 if low else axes.box[3] - 18)  # away from the curve
-    return axes.canvas.image
+    legend(canvas, marks, top + LEGEND_ROW // 2 - 3, left, LEGEND_PT)
+    return canvas.image
 
 
 def _draw_scans(axes: Axes, entry: Entry, cost: NDArray[np.float64]) -> list[Mark | Line]:
@@ -72,14 +74,6 @@ def _draw_scans(axes: Axes, entry: Entry, cost: NDArray[np.float64]) -> list[Mar
     axes.lines(THRESHOLD, [np.column_stack((scans.time_s, threshold))])
     drawn = (lost, True, shown.any(), np.isfinite(threshold).any())
     return list(compress((LOST, COST, REJECTED, THRESHOLD), drawn))
-
-
-def _draw_legend(axes: Axes, marks: list[Mark | Line], y: int) -> None:
-    """Draw the legend on the right, on a translucent background."""
-    right, width = axes.box[2] - 6, ceil(legend_width(marks, LEGEND_PT))
-    box = (right - width, y - 13, right, y + 13)
-    axes.canvas.smooth(box, "#ffffff", lambda on: on.rectangle((0, 0, width * SMOOTH, 26 * SMOOTH), fill=204))
-    legend(axes.canvas, marks, y, right - width, LEGEND_PT)
 
 
 def named_costs(low: float, high: float) -> list[tuple[float, str]]:
