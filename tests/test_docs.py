@@ -127,6 +127,19 @@ def test_commands_on_pages_are_found() -> None:
         check_values(parsed(["replay", "drive.bag", "--set", "robust.cel_mm=3"]))
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_tables_are_whole(page: Path) -> None:
+    """A table has a rule below its head, stands alone, and has as many cells in each row; else it is shown as text."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    for block in re.findall(r"(?:^.*\S.*\n?)+", text, re.MULTILINE):
+        rows = [row for row in block.splitlines() if row.startswith("|")]
+        cells = [len(re.sub(r"\\\||`[^`]*`", "", row).split("|")) for row in rows]
+        if rows:
+            assert re.fullmatch(r"[|: -]+", rows[1] if len(rows) > 1 else ""), rows[0]
+            assert len(set(cells)) == 1, rows[0]
+            assert rows == block.splitlines(), rows[0]
+
+
 def test_commands_and_options_in_texts_exist() -> None:
     known = {"show", "schema", *program().commands}
     options = {"--help", *(name for command in commands() for param in command.params for name in param.opts)}
