@@ -19,6 +19,7 @@ def warmup() -> None:
     from mavnav.commands.progress import reporting
     from mavnav.errors import OutputError
     from mavnav.kernels._cache import is_kept, user_directory
+    from mavnav.kernels._jit import KERNELS
     from mavnav.kernels._loader import cache_key
     from mavnav.kernels.building import not_on_disk, prepare
 
@@ -27,8 +28,10 @@ def warmup() -> None:
     names = sorted(".".join(path.relative_to(folder).with_suffix("").parts) for path in folder.rglob("*.py"))
     for name in names:
         import_module(f"mavnav.kernels.{name}")
-    if not_on_disk() and not is_kept(cache_key()):
+    missing = len(not_on_disk())
+    if missing and not is_kept(cache_key()):
         raise OutputError(f"{user_directory()} cannot be written; set MAVNAV_CACHE_DIR to a directory that can")
     with reporting(quiet=False) as report:
         prepare(report)
-    emit(f"{len(names)} files of kernels are ready, in {perf_counter() - started_s:.1f} s")
+    left = len(not_on_disk())
+    emit(f"compiled {missing - left} kernels in {perf_counter() - started_s:.1f} s; {len(KERNELS) - left} are ready")

@@ -215,6 +215,18 @@ def test_a_name_that_no_file_can_have_is_told(tmp_path: Path) -> None:
         assert any("cannot be a file's name" in d.what for d in found.damage)
 
 
+def test_damage_of_metadata_names_its_file_once(tmp_path: Path) -> None:
+    folder = write_bag2(tmp_path / "bag", [laser(k) for k in range(3)])
+    (name,) = (file.name for file in folder.glob("*.db3"))
+    listed = 'rosbag2_bagfile_information: {relative_file_paths: ["%s"], message_count: 100}'
+    for text in (listed % name, listed % "none.db3", listed % "../out.db3", listed % "a\\0b", "rosbag2: ["):
+        (folder / "metadata.yaml").write_text(text)
+        damage = [d for d in survey(folder).damage if d.where == "metadata.yaml"]
+        assert damage and not any("metadata.yaml" in d.what for d in damage)
+    (folder / "metadata.yaml").write_text(listed % name)
+    assert [d.what for d in survey(folder).damage] == ["3 of the 100 listed messages were read"]
+
+
 STRINGS = {b"laser": "laser", b"": "", b"l\xff\0": "l\N{REPLACEMENT CHARACTER}", b"laser\0": "laser"}
 
 

@@ -83,20 +83,20 @@ def _inside(folder: Path, name: str, report: ReadReport) -> Path | None:
     try:
         return _listed_file(folder, name, report)
     except (OSError, ValueError):  # too long, or with a null byte
-        report.damage(f"metadata.yaml lists {name[:80]!r}, which cannot be a file's name", METADATA)
+        report.damage(f"listed file {name[:80]!r}: this cannot be a file's name", METADATA)
         return None
 
 
 def _listed_file(folder: Path, name: str, report: ReadReport) -> Path | None:
     if not (folder / name).resolve().is_relative_to(folder.resolve()):
-        report.damage(f"metadata.yaml lists {name!r}, which leads out of the folder; it is not read", METADATA)
+        report.damage(f"listed file {name!r} leads out of the folder; it is not read", METADATA)
         return None
     # Before version 4 names began with the folder; a file that was decompressed by hand is listed with its old suffix.
     base = folder / (folder / name).name
     for path in (folder / name, base, base.with_name(base.name + ".zstd"), base.with_name(base.stem)):
         if path.is_file():
             return path
-    report.damage(f"metadata.yaml lists {name!r}, which is missing", METADATA)
+    report.damage(f"listed file {name!r} is missing", METADATA)
     return None
 
 
@@ -117,7 +117,7 @@ def read_metadata(folder: Path, report: ReadReport) -> Metadata | None:
         return _metadata(_plain_tree(text, report))
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError, KeyError, TypeError) as error:
         reason = " ".join(str(error).split())[:160]
-        report.damage(f"metadata.yaml cannot be read ({reason}); the storage files found were read", METADATA)
+        report.damage(f"content cannot be read ({reason}); the storage files found were read", METADATA)
         return None
 
 
@@ -179,8 +179,7 @@ def compare_count(metadata: Metadata, messages: int, report: ReadReport) -> None
     """Report a difference between the number of messages in metadata.yaml and the number read."""
     if metadata.messages is None or metadata.messages == messages:
         return
-    text = f"metadata.yaml counts {metadata.messages} messages, {messages} were read"
     if metadata.messages > messages:
-        report.damage(text, METADATA)
+        report.damage(f"{messages} of the {metadata.messages} listed messages were read", METADATA)
     else:
-        report.warn(text)
+        report.warn(f"{METADATA} counts {metadata.messages} messages, {messages} were read")
