@@ -30,7 +30,7 @@ def batch_headline(document: Mapping[str, Any]) -> str:
     counts, since = document["counts"], document["baseline"]
     parts = [f"{len(rows) - bad} of {len(rows)} runs passed"]
     parts += [f"{counts['failed']} could not be made"] if counts["failed"] else []
-    parts += [f"{counts['cached']} from before"] if counts["cached"] else []
+    parts += [f"{counts['cached']} reused"] if counts["cached"] else []
     if since:
         parts.append(f"since the baseline {since['worse']} worse, {since['better']} better, {since['new']} new")
         parts += [f"{len(since['missing'])} missing"] if since["missing"] else []

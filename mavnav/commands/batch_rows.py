@@ -22,7 +22,7 @@ WIDE = 200
 def row_printer(total: int, *, json: bool, quiet: bool) -> Callable[[dict[str, Any]], None]:
     """Return the function that prints the row of every run when it ends.
 
-    Runs finished before are counted, but not printed on stderr. On a terminal the bars replace the lines.
+    Reused runs are counted, but not printed on stderr. On a terminal the bars replace the lines.
     """
     from mavnav.batch.document import why
 
@@ -81,7 +81,7 @@ def _table(document: dict[str, Any]) -> Table:
     table.add_column("", overflow="fold")
     for row in worst_first(document["cells"])[:MAX_ROWS]:
         texts = [figure.shown(row["run"]) for figure in FIGURES]
-        remarks = [*why(row), changed(row), "from before" if row["status"] == "cached" else ""]
+        remarks = [*why(row), changed(row), "reused" if row["status"] == "cached" else ""]
         remark = printable("; ".join(filter(None, remarks))).replace("::", ":\\x3a")
         end = Text(remark, style="bold red" if row["verdict"] else "")
         table.add_row(Text(printable(row["name"]).replace("::", ":\\x3a")), *texts, end)  # it may be folded anywhere

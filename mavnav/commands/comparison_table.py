@@ -131,10 +131,10 @@ def bar(number: float, largest: float) -> str:
 
 
 def _state(cell: dict[str, Any]) -> str:
-    """Return the status of a run in words: failed, finished before, map not meaningful, track lost."""
+    """Return the status of a run in words: failed, reused, map not meaningful, track lost."""
     if cell["status"] == "failed":
         return "failed"
-    remarks = ["kept"] if cell["status"] == "cached" else []
+    remarks = ["reused"] if cell["status"] == "cached" else []
     quality = cell["run"].get("map_quality") or {}
     if quality.get("meaningful", True) is False:
         remarks.append("map not meaningful")

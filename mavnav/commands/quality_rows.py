@@ -107,7 +107,7 @@ def more_rows(quality: dict[str, Any]) -> Rows:
     if crisp["entropy_bits"] is not None:
         rows.append(("entropy", f"{crisp['entropy_bits']:.3f} bits per hit cell (lower is crisper)"))
     if support["mapped_share"] is not None:
-        rows.append(("mapped", f"{support['mapped_share']:.1%} of the scans"))
+        rows.append(("accepted", f"{support['mapped_share']:.1%} of the scans"))
     if support["explained_share"] is not None:
         rows.append(("explained", f"{support['explained_share']:.1%} of what the laser saw lies on the map"))
     if quality["occupied_share"] is not None:
@@ -127,7 +127,7 @@ def reference_rows(reference: dict[str, Any] | None) -> Rows:
         ate, rpe = found["ate"], found["rpe"]
         rows.append(("ATE, aligned", f"{ate['rmse_m'] / MM:.1f} mm rmse, {ate['max_m'] / MM:.1f} mm max"))
         if rpe["distance_rmse_m"] is not None:
-            rows.append((f"RPE a {rpe['delta_m']:g} m", _relative(rpe)))
+            rows.append((f"RPE per {rpe['delta_m']:g} m", _relative(rpe)))
     if "map_distance" in found and found["map_distance"]["cells"]:
         d = found["map_distance"]
         covered = f"{d['covered_share']:.0%} of the true walls mapped, {d['alignment']}"

@@ -200,7 +200,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         ("mission", "goal reached" if mission["reached"] else mission["reason"]),
         (
             "scans",
-            f"{mission['steps']}, {100 * document['scans']['accepted'] / mission['steps']:.0f} % of them mapped",
+            f"{mission['steps']}, {100 * document['scans']['accepted'] / mission['steps']:.0f} % of them accepted",
         ),
         ("path", f"{mission['path_length_m']:.2f} m, clearance {mission['min_clearance_m']:.2f} m at least"),
         *doubt_rows(document["tracking"]["doubt"]),

@@ -50,7 +50,7 @@ def comparison_csv(document: dict[str, Any]) -> str:
 
 def comparison_markdown(document: dict[str, Any]) -> str:
     """Return a table in GitHub's Markdown with the best values in bold, and a list of failures below it."""
-    titles = ["log", "method", "azimuth/grid", *(f.head for f in QUANTITIES), "evaluations ratio", "cpu ratio"]
+    titles = ["log", "method", "yaw samples/grid", *(f.head for f in QUANTITIES), "evaluations ratio", "cpu ratio"]
     lines = [f"# mavnav {document['mavnav_version']} compare", "", table_row(titles), table_row(["---"] * len(titles))]
     lines += [table_row(_cells(document, k)) for k in range(len(document["cells"]))]
     failed = [f"- {escaped(problem)}" for problem in problems(document)]

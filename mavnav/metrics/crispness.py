@@ -23,7 +23,9 @@ class Crispness(Struct, frozen=True):
     occupied_cells_per_m: Annotated[
         Measured, number("occupied cells per metre of wall", title="cells per m", better="lower")
     ]
-    entropy_bits: Annotated[Measured, number("how undecided the cells are", title="entropy", better="lower")]
+    entropy_bits: Annotated[
+        Measured, number("mean entropy of a hit cell; lower is crisper", title="entropy", better="lower")
+    ]
 
 
 def crispness(grid: Grid, cells: NDArray[np.int8], wall_m: float, *, counted: bool) -> Crispness:

@@ -36,7 +36,7 @@ class Support(Struct, frozen=True):
 
     wall_m: Annotated[float, number("length of straight wall")]
     sections: Annotated[int, number("cuts through straight walls")]
-    mapped_share: Annotated[Measured, number("part of the usable scans that is in the map")]
+    mapped_share: Annotated[Measured, number("share of the usable scans that were accepted")]
     explained_share: Annotated[
         Measured, number("part of the end points of tracked scans that lies within a cell of an occupied one")
     ]
@@ -71,7 +71,7 @@ def reasons(support: Support, measured_share: float, journey: Journey | None = N
     if support.wall_m < LEAST_WALL_M:
         found.append(f"{support.wall_m:.1f} m of straight wall, {LEAST_WALL_M:g} m are needed")
     if support.mapped_share < LEAST_MAPPED_SHARE:
-        found.append(f"{support.mapped_share:.0%} of the scans are in the map, {LEAST_MAPPED_SHARE:.0%} are needed")
+        found.append(f"{support.mapped_share:.0%} of the scans were accepted, {LEAST_MAPPED_SHARE:.0%} are needed")
     if support.explained_share < LEAST_EXPLAINED_SHARE:
         share, least = support.explained_share, LEAST_EXPLAINED_SHARE
         found.append(f"{share:.0%} of what the laser saw lies on the map, {least:.0%} are needed")

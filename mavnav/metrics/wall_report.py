@@ -21,8 +21,8 @@ class PaperCells(Struct, frozen=True):
     """The paper's count: cells from the first to the last occupied cell across a wall, of at least ``min_hits``."""
 
     min_hits: Annotated[int, number("a cell is occupied from so many hits on")]
-    median: Annotated[Measured, number("half of the wall, by length, has no more cells", unit="cells")]
-    p95: Annotated[Measured, number("95 % of the wall, by length, has no more cells", unit="cells")]
+    median: Annotated[Measured, number("half of the wall length is at most so many cells thick", unit="cells")]
+    p95: Annotated[Measured, number("95 % of the wall length is at most so many cells thick", unit="cells")]
     max: Annotated[
         Measured, number("cells of the thickest section of a wall", title="wall max", unit="cells", better="lower")
     ]

@@ -60,7 +60,7 @@ class WallSpread(Struct, frozen=True):
     median_mm: Annotated[
         Measured,
         number(
-            "width that holds 95 % of the hits; half of the wall, by length, has no more",
+            "width that holds 95 % of the hits; half of the wall length is at most this thick",
             title="wall median",
             better="lower",
         ),
@@ -68,7 +68,7 @@ class WallSpread(Struct, frozen=True):
     p95_mm: Annotated[
         Measured,
         number(
-            "width that holds 95 % of the hits; 95 % of the wall, by length, has no more",
+            "width that holds 95 % of the hits; 95 % of the wall length is at most this thick",
             title="wall p95",
             better="lower",
         ),

@@ -172,7 +172,7 @@ class Map(Struct, frozen=True):
     hits: Annotated[int, number("hits of all cells")]
     size_m: Annotated[list[float], number("extent along x and y")]
     origin_xy_m: Annotated[list[float], number("corner of the first cell in the map frame")]
-    accepted_share: Annotated[float, number("share of the scans that are on the map", title="mapped", better="higher")]
+    accepted_share: Annotated[float, number("share of the scans that were accepted", title="accepted", better="higher")]
 
 
 class MissionResult(Struct, frozen=True):

@@ -34,6 +34,11 @@ def test_the_summary_is_a_headline_what_went_wrong_and_a_table(document: dict[st
     assert rows[0][2:] == ["-"] * 4
 
 
+def test_runs_of_an_earlier_call_are_called_reused(document: dict[str, Any]) -> None:
+    document["counts"]["cached"] = 2
+    assert "2 could not be made, 2 reused.\n" in to_summary(document)
+
+
 def test_names_are_no_markdown(document: dict[str, Any]) -> None:
     document["cells"][3].update(name="a|b <img> *c*\nd", error="x|y")
     rows = to_summary(document).splitlines()

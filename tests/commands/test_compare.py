@@ -33,9 +33,9 @@ def test_a_line_for_every_run(again: Callable, directory: Path) -> None:
     code, out, err = again()
     lines = out.splitlines()
     assert (code, err) == (0, "")
-    assert lines[0].split()[:3] == ["method", "grid", "mapped"]
+    assert lines[0].split()[:3] == ["method", "grid", "accepted"]
     assert [line.split()[:2] for line in lines[1:3]] == [["robust", "6/5x5"], ["robust", "6/12x12"]]
-    assert all(line.rstrip().endswith("kept") for line in lines[1:3])
+    assert all(line.rstrip().endswith("reused") for line in lines[1:3])
     assert lines[-1] == f"report  {directory / 'report.html'}"
     assert max(map(len, lines)) <= 200
 

@@ -77,7 +77,7 @@ def test_the_map_file_of_a_run_agrees_with_it(mavnav, run) -> None:
 def test_the_table_and_the_warning(mavnav, run, tmp_path) -> None:
     code, out, err = mavnav("metrics", run, "--truth", run / "truth.tum", "-q")
     assert (code, err) == (0, "")
-    for words in ("ghost walls", "explained", "crispness", "ATE, aligned", "RPE a 1 m", "enclosed areas"):
+    for words in ("ghost walls", "explained", "crispness", "ATE, aligned", "RPE per 1 m", "enclosed areas"):
         assert words in out
     (tmp_path / "empty.pgm").write_bytes(b"P5\n4 4\n255\n" + bytes([205] * 16))
     (tmp_path / "empty.yaml").write_text("image: empty.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n")

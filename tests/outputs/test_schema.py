@@ -154,7 +154,7 @@ def test_directions_come_from_the_model() -> None:
 @pytest.mark.parametrize(
     ("name", "head"),
     [
-        ("map.accepted_share", "mapped %"),
+        ("map.accepted_share", "accepted %"),
         ("wall_thickness.spread.p95_mm", "wall p95 mm"),
         ("map_quality.crispness.occupied_cells_per_m", "cells per m"),
         ("map_quality.crispness.entropy_bits", "entropy bit"),
