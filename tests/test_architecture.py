@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.cli import COMMANDS
+from mavnav.cli import COMMANDS, EPILOG
 from mavnav.errors import ExitCode
 
 ROOT = Path(__file__).parent.parent
@@ -238,11 +238,13 @@ def test_help_imports_no_heavy_library(args: list[str]) -> None:
 
 
 def test_every_exit_code_is_documented_and_exists() -> None:
+    helped = dict(re.findall(r"(\d+) ([^;]+)[;.]", EPILOG.partition("Exit codes[/bold]")[2]))
+    assert set(map(int, helped)) == set(ExitCode)
     for document in ("README.md", "docs/cli.md"):
         text = (ROOT / document).read_text().partition("## Exit codes")[2].partition("\n## ")[0]
-        assert {int(code) for code in re.findall(r"^\| (\d+) \|", text, re.MULTILINE)} == {
-            int(code) for code in ExitCode
-        }
+        codes = dict(re.findall(r"^\| (\d+) \| (.*) \|", text, re.MULTILINE))
+        assert set(map(int, codes)) == set(ExitCode)
+        assert helped["1"] in codes["1"].replace("`", "")
 
 
 TWINS = {
