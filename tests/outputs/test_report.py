@@ -144,6 +144,10 @@ def test_what_came_from_a_log_is_escaped(report, page):
     assert "<b>odd</b>" in text and "x.mcap" in text
 
 
+def test_the_headers_of_the_table_wrap_so_that_it_fits(report):
+    assert re.search(r"^\.summary th \{[^}]*white-space: normal", report, re.MULTILINE)
+
+
 def test_the_failed_run_is_named(page):
     text = " ".join("".join(page.words).split())
     assert "40x40" in text and "killed & gone" in text
