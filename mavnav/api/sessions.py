@@ -30,18 +30,23 @@ def merge(
     ----------
     inputs
         Logs and run directories, in any order.
-    directory, force
-        Where to write the result, and whether to replace an earlier one.
-    config, settings
-        As for `replay`.
+    directory
+        Where to write the result.
+    config
+        Configuration file or preset.
+    settings
+        Values over the configuration by dotted key: ``{"robust.cell_mm": 25}``.
     report
-        Write report.html, too.
+        Whether to write report.html, too.
+    force
+        Whether to replace an earlier result.
     progress
-        Called as work goes on.
+        Called as ``progress(phase, done, total)`` while work goes on; ``total`` is None if it is unknown.
 
     Returns
     -------
-    The document merge.json: which session joined which, and why others did not.
+    dict
+        The document merge.json: which session joined which, and why others did not.
 
     Raises
     ------
@@ -70,16 +75,23 @@ def diff(
 
     Parameters
     ----------
-    a, b
-        Run directories or map_server YAML files, before and after.
-    picture, report, force
-        PNG and HTML files to write, and whether to replace them.
+    a
+        Run directory or map_server YAML file from before the changes.
+    b
+        The same from after the changes.
+    picture
+        PNG file to write.
+    report
+        HTML file to write.
+    force
+        Whether to replace these files.
     progress
-        Called as work goes on.
+        Called as ``progress(phase, done, total)`` while work goes on; ``total`` is None if it is unknown.
 
     Returns
     -------
-    The document that ``mavnav diff --json`` prints. ``alignment`` is None where the maps cannot be aligned.
+    dict
+        The document that ``mavnav diff --json`` prints. ``alignment`` is None where the maps cannot be aligned.
 
     Raises
     ------
@@ -112,18 +124,37 @@ def calibrate(
 
     Parameters
     ----------
-    log, topic, odom, start_s, end_s, strict
-        As for `open_log`.
-    config, settings
-        As for `replay`.
-    document, picture, report, force
-        JSON, PNG and HTML files to write, and whether to replace them.
+    log
+        A file, or the folder of a ROS 2 bag.
+    topic
+        The scan topic, if there are several.
+    odom
+        ``auto`` or the topic of the odometry.
+    start_s
+        Start of the window in seconds from the first usable scan.
+    end_s
+        End of the window in seconds from the first usable scan.
+    strict
+        Leave out scans from where a checksum does not match.
+    config
+        Configuration file or preset.
+    settings
+        Values over the configuration by dotted key: ``{"robust.cell_mm": 25}``.
+    document
+        JSON file to write.
+    picture
+        PNG file to write.
+    report
+        HTML file to write.
+    force
+        Whether to replace these files.
     progress
-        Called as work goes on.
+        Called as ``progress(phase, done, total)`` while work goes on; ``total`` is None if it is unknown.
 
     Returns
     -------
-    The document that ``mavnav calibrate --json`` prints. ``quantities`` have ``value`` and ``ci95``, or ``refused``.
+    dict
+        The document of ``mavnav calibrate --json``: ``quantities`` have ``value`` and ``ci95``, or ``refused``.
 
     Raises
     ------

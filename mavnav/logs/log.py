@@ -34,12 +34,64 @@ _WAITING_BYTES: Final = 64 << 20
 
 
 class Log(Struct, frozen=True, eq=False):
-    """One scan topic of a log.
+    """One scan topic of a log. Iterate it for its scans, as often as needed.
 
-    ``sensor`` and ``frame_id`` are those of the first usable scan, as recorded; the beams of a laser that is mounted
-    ``upside_down`` are turned over in ``scans``. ``cleaning`` counts the beams of the usable scans
-    by kind (``preprocessing.KINDS``). ``period_s`` is the median; ``stamp_source`` is ``log`` where the scans' stamps
-    are unusable. ``base_T_laser`` is projected to the plane.
+    Attributes
+    ----------
+    path
+        The file, or the folder of a ROS 2 bag.
+    format
+        Name of the container, such as ``mcap``.
+    size_bytes
+        Size of all files of the log, in bytes.
+    sha256
+        Digest of their content, in hexadecimal digits.
+    topics
+        All topics of the log, with the number of messages read.
+    topic
+        The scan topic.
+    frame_id
+        Frame of the laser in the first usable scan.
+    sensor
+        Geometry of the first usable scan as recorded, angles in rad, ranges in m, times in s.
+    counts
+        Numbers of scans: in the log, usable, and skipped by reason.
+    cleaning
+        Number of beams of the usable scans by kind: valid, zero, nan and others.
+    first_ns
+        Stamp of the first usable scan, in ns.
+    last_ns
+        Stamp of the last usable scan, in ns.
+    period_s
+        Median time between usable scans, in s.
+    gaps
+        Pauses much longer than the period: start in ns, duration in s.
+    stamp_source
+        ``header``, or ``log`` if the stamps of the scans are unusable and the times of recording are taken.
+    window_s
+        Start and end of the window in s from the first usable scan; None where it is open.
+    base_T_laser
+        Pose of the laser on its base, projected to the plane, m, m, rad; None if it is unknown.
+    mounting_source
+        Where that pose comes from; None if it is unknown.
+    base_frame
+        Name of the frame of the base, if there is one.
+    upside_down
+        Whether the laser is mounted upside down; the beams of `scans` are turned over then.
+    odometry
+        Poses of base and laser in the odometry frame: stamps in ns, m, m, rad.
+    imu
+        Rotation of the laser, as an inertial sensor measured it.
+    attitude
+        Roll and pitch in rad and height in m of the laser, by which `scans` are levelled.
+    truth
+        Recorded poses of the laser in a fixed frame: stamps in ns, m, m, rad.
+    damage
+        What of the log could not be read, or is suspect, and where.
+    warnings
+        What is odd about the log, a line each.
+    strict
+        Whether scans from where a checksum does not match are left out.
     """
 
     path: Path
@@ -77,7 +129,7 @@ class Log(Struct, frozen=True, eq=False):
 
     @property
     def duration_s(self) -> float:
-        """Time from the first usable scan to the last."""
+        """Time from the first usable scan to the last, in s."""
         return (self.last_ns - self.first_ns) * NS
 
     @property
