@@ -123,7 +123,7 @@ def doubled_walls(trajectory: Trajectory, scans: PlacedScans, cell_m: float) -> 
 def _keys(trajectory: Trajectory, scans: PlacedScans) -> _Keys:
     spec = scans.spec
     limits_m = used_ranges_m(spec)
-    rows = np.searchsorted(scans.stamps_ns, trajectory.stamps_ns[key_rows(trajectory)])
+    rows = np.flatnonzero(np.isin(scans.stamps_ns, trajectory.stamps_ns[key_rows(trajectory)]))  # some may be left out
     ranges_m = np.ascontiguousarray(scans.ranges_m[rows])
     return _Keys(
         stamps_ns=scans.stamps_ns[rows],

@@ -80,6 +80,13 @@ def test_a_few_scans_have_no_ghosts(n: int, two_rounds) -> None:
     assert (ghosts.count, ghosts.length_m, ghosts.places) == (0, 0.0, ())
 
 
+def test_scans_of_another_geometry_are_left_out(two_rounds) -> None:
+    """Only the first scans have the geometry of the first one: key scans of the rest are not among them."""
+    some = PlacedScans(two_rounds.spec,
+                       two_rounds.stamps_ns[:3], two_rounds.poses[:3], two_rounds.ranges_m[:3])  # fmt: skip
+    assert doubled_walls(Trajectory(two_rounds.stamps_ns, two_rounds.poses), some, 0.02).count == 0
+
+
 @pytest.mark.parametrize("name", ["ccny_demo", "lego_robot4"])
 def test_a_real_log_has_ghosts_only_where_they_are_planted(name: str, real_logs: Path) -> None:
     """Of the second half of the poses 0.63 m aside, all is drawn twice that was seen before."""
