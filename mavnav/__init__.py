@@ -9,10 +9,11 @@ TYPE_CHECKING = False  # as in typing, whose import would take most of the time
 if TYPE_CHECKING:
     from typing import Any
 
-    from mavnav.api.functions import compare, open_log, replay, simulate, track
+    from mavnav.api.functions import compare, open_log, replay, simulate
     from mavnav.api.results import Comparison, Run, load_run
     from mavnav.api.sessions import calibrate, diff, merge
-    from mavnav.errors import MavnavError
+    from mavnav.api.tracking import track
+    from mavnav.errors import ConfigError, MavnavError, NoScansError, OutputError, TopicError, UsageError
     from mavnav.logs import Log
     from mavnav.pose import Pose, Trajectory
     from mavnav.scan import LaserSpec, Scan
@@ -20,13 +21,18 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 __all__ = [
     "Comparison",
+    "ConfigError",
     "LaserSpec",
     "Log",
     "MavnavError",
+    "NoScansError",
+    "OutputError",
     "Pose",
     "Run",
     "Scan",
+    "TopicError",
     "Trajectory",
+    "UsageError",
     "__version__",
     "calibrate",
     "compare",
@@ -39,13 +45,16 @@ __all__ = [
     "track",
 ]
 _MODULES = {
-    **dict.fromkeys(("compare", "open_log", "replay", "simulate", "track"), "mavnav.api.functions"),
+    **dict.fromkeys(("compare", "open_log", "replay", "simulate"), "mavnav.api.functions"),
     **dict.fromkeys(("Comparison", "Run", "load_run"), "mavnav.api.results"),
     **dict.fromkeys(("calibrate", "diff", "merge"), "mavnav.api.sessions"),
     **dict.fromkeys(("LaserSpec", "Scan"), "mavnav.scan"),
     **dict.fromkeys(("Pose", "Trajectory"), "mavnav.pose"),
+    **dict.fromkeys(
+        ("ConfigError", "MavnavError", "NoScansError", "OutputError", "TopicError", "UsageError"), "mavnav.errors"
+    ),
     "Log": "mavnav.logs",
-    "MavnavError": "mavnav.errors",
+    "track": "mavnav.api.tracking",
 }
 
 

@@ -103,7 +103,9 @@ class Scan(Struct, frozen=True):
     heights_m: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        """Freeze ranges and heights."""
+        """Freeze ranges and heights; raises TypeError for ranges that are no array."""
+        if not isinstance(self.ranges_m, np.ndarray):
+            raise TypeError(f"ranges_m is a {type(self.ranges_m).__name__}; give a numpy array, one range a beam")
         self.ranges_m.flags.writeable = False
         if self.heights_m is not None:
             self.heights_m.flags.writeable = False

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 import mavnav
 
@@ -110,12 +111,98 @@ def test_a_mission(tmp_path: Path) -> None:
         (lambda: mavnav.compare([]), "no log to compare"),
         (lambda: mavnav.simulate("nowhere"), "nowhere"),
         (lambda: mavnav.open_log("nothing.mcap"), "no such file"),
+        (lambda: mavnav.open_log(3), "path is 3; give a path"),
+        (lambda: mavnav.open_log("a", topic=["/scan"]), "topic is"),
+        (lambda: mavnav.open_log("a", extrinsic=(0, 0)), "x, y and yaw"),
+        (lambda: mavnav.open_log("a", extrinsic=(0, 0, 90)), "in rad"),
+        (lambda: mavnav.open_log("a", extrinsic=(0, 0, float("nan"))), "finite"),
+        (lambda: mavnav.replay("a", settings=["robust.cell_mm=3"]), "give a dictionary"),
+        (lambda: mavnav.replay("a", settings={"robust.cell_mm": np.array(3)}), "no plain type"),
+        (lambda: mavnav.replay("a", start_pose=(0, 0, 0)), "give that with map"),
+        (lambda: mavnav.compare(3), "log is 3; give a list"),
+        (lambda: mavnav.compare("a", grids=3.5), "grids is 3.5; give a list"),
+        (lambda: mavnav.track([], period_s=0.0), "period_s is 0.0"),
+        (lambda: list(mavnav.track([3])), "scan 0 is a int"),
     ],
 )
 def test_errors_are_one_line(call, said: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(mavnav.MavnavError, match=said) as caught:
         call()
     assert "\n" not in str(caught.value)
+
+
+SPEC = mavnav.LaserSpec(-np.pi / 2, np.pi / 180, 181, 0.1, 10.0)
+SEEN = np.full(181, 2.0)
+
+
+def scans_of(**changes: object) -> list[mavnav.Scan]:
+    """Return two scans of a round room, the second one with changes."""
+    scans = [mavnav.Scan(stamp_ns, SEEN.copy(), SPEC) for stamp_ns in (0, 10**8)]
+    return [scans[0], replace(scans[1], **changes)]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"ranges_m": np.full(200, 2.0)}, r"scan 1: ranges_m has shape \(200,\), but its spec has 181 beams"),
+        ({"ranges_m": np.full(20, 2.0)}, r"shape \(20,\)"),
+        ({"ranges_m": np.full((1, 181), 2.0)}, r"shape \(1, 181\)"),
+        ({"ranges_m": np.array(["far"] * 181)}, "no numbers"),
+        ({"times_s": np.zeros(20)}, r"times_s has shape \(20,\)"),
+        ({"times_s": np.full(181, np.nan)}, "times_s are not all finite"),
+        ({"stamp_ns": 0}, "stamp_ns 0, no later than the scan before"),
+        ({"stamp_ns": 0.5}, "whole ns"),
+        ({"spec": replace(SPEC, beams=-4)}, "beams=-4"),
+        ({"spec": replace(SPEC, beams=180.5)}, "beams=180.5"),
+        ({"spec": replace(SPEC, range_max_m=0.05)}, "range_max_m=0.05"),
+        ({"spec": replace(SPEC, angle_step_rad=0.0)}, "step of 0"),
+        ({"spec": replace(SPEC, angle_min_rad="left")}, "not finite"),
+    ],
+)
+def test_scans_that_do_not_fit_are_refused(changes: dict[str, object], said: str) -> None:
+    with pytest.raises(mavnav.UsageError, match=said) as caught:
+        list(mavnav.track(scans_of(**changes), period_s=0.1))
+    assert "\n" not in str(caught.value)
+
+
+def test_other_types_of_ranges_are_converted() -> None:
+    def tracked(ranges_m: np.ndarray) -> list[object]:
+        return list(mavnav.track(scans_of(ranges_m=ranges_m)))
+
+    ranges_m = SEEN.copy()
+    ranges_m[:20] = np.nan
+    for no_return in (np.inf, 0.0, -1.0):
+        assert tracked(np.where(np.isnan(ranges_m), no_return, ranges_m)) == tracked(ranges_m)
+    for dtype in (np.float32, np.int64):
+        assert tracked(SEEN.astype(dtype)) == tracked(SEEN.copy())
+    assert tracked(np.repeat(SEEN, 2)[::2]) == tracked(SEEN.copy())
+    with pytest.raises(TypeError, match="numpy array"):
+        mavnav.Scan(0, [2.0] * 181, SPEC)  # type: ignore[arg-type]
+
+
+def test_a_run_is_given_where_a_path_can_be(log: Path, run: mavnav.Run, tmp_path: Path) -> None:
+    assert mavnav.load_run(run).directory == run.directory
+    assert mavnav.diff(run, run)["alignment"] is not None
+    continued = mavnav.replay(log, start_s=2, end_s=3, continue_from=run)
+    assert continued.metrics["continued"]["joined"]
+    assert len(mavnav.merge([run, log], tmp_path / "merged")["sessions"]) == 2
+    assert mavnav.replay(log, end_s=0.5, map=run).metrics["scans"]["total"] > 0
+
+
+def test_one_grid_need_not_be_a_list(log: Path) -> None:
+    single, listed = (
+        mavnav.compare(log, grids=grids, methods=methods, workers=1)
+        for grids, methods in (("5x5", "robust"), (["5x5"], ["robust"]))
+    )
+    assert list(single.runs) == list(listed.runs)
+    assert "5x5" in {cell["grid"] for cell in single.document["cells"]}
+
+
+def test_ground_truth_topics_are_named_as_for_replay(tmp_path: Path) -> None:
+    mavnav.simulate("corner", settings={"max_steps": 4}, record=tmp_path / "flight.mcap")
+    for name in ("/ground_truth", "topic:/ground_truth"):
+        opened = mavnav.open_log(tmp_path / "flight.mcap", truth=name)
+        assert opened.truth is not None
 
 
 def test_every_name_is_there_and_described() -> None:

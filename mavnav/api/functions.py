@@ -7,10 +7,8 @@ what is wrong, where, and what to do next.
 
 from __future__ import annotations
 
-import json
 import shutil
 import weakref
-from itertools import chain, islice
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import TYPE_CHECKING, TypeVar
@@ -18,22 +16,29 @@ from typing import TYPE_CHECKING, TypeVar
 from msgspec.structs import replace as changed
 
 from mavnav import logs
+from mavnav.api.arguments import (
+    config_of,
+    named,
+    optional_path,
+    path_of,
+    paths_of,
+    pose_of,
+    sets_of,
+    text_of,
+    topic_of,
+    values_of,
+)
 from mavnav.api.results import Comparison, Run
 from mavnav.config.loading import load_config
 from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import truth_fields
-from mavnav.pose import Pose
-from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from mavnav.config.models import Config
+    from mavnav.api.arguments import File
     from mavnav.outputs.provenance import Typed
-    from mavnav.scan import Scan
-    from mavnav.slam.steps import Step
 
-    File = str | Path
     Progress = Callable[[str, int, int | None], None]
     """Called with what is being done, how much of it is done, and how much there is, None if unknown."""
 
@@ -83,14 +88,14 @@ def open_log(
         UsageError, TopicError or NoScansError.
     """
     return logs.open_log(
-        Path(path),
-        topic=topic,
+        path_of(path, "path"),
+        topic=text_of(topic, "topic"),
         odom=odom,
         start_s=start_s,
         end_s=end_s,
-        extrinsic=_pose(extrinsic),
+        extrinsic=pose_of(extrinsic, "extrinsic"),
         strict=strict,
-        truth=truth,
+        truth=topic_of(truth),
         attitude=attitude,
     )
 
@@ -158,26 +163,31 @@ def replay(
     from mavnav.pipelines.again import run_layer  # noqa: PLC0415  heavy
     from mavnav.pipelines.replay import ReplayRequest, replay_log  # noqa: PLC0415
 
-    base = run_layer(continue_from) if continue_from and config is None else None
+    if start_pose is not None and map is None:
+        raise UsageError("start_pose is a pose in a known map; give that with map, or leave it out")
+    continued = optional_path(continue_from, "continue_from")
+    base = run_layer(continued) if continued and config is None else None
     options = {"method": method, "grid": grid, "azimuth": azimuth, "odom": odom, "attitude": attitude}
-    chosen = load_config(config, sets_of(settings), options | ({"final_pass": False} if online else {}), base)
+    chosen = load_config(
+        config_of(config), sets_of(settings), options | ({"final_pass": False} if online else {}), base
+    )
     request = ReplayRequest(
-        log=Path(log),
-        directory=Path(directory or ""),
+        log=path_of(log, "log"),
+        directory=Path(),
         config=chosen,
-        topic=topic,
+        topic=text_of(topic, "topic"),
         start_s=start_s,
         end_s=end_s,
-        extrinsic=_pose(extrinsic),
+        extrinsic=pose_of(extrinsic, "extrinsic"),
         force=force,
         report=report,
-        **truth_fields(truth),
-        truth_map=_path(truth_map),
-        relations=_path(relations),
+        **truth_fields(optional_path(truth, "truth")),
+        truth_map=optional_path(truth_map, "truth_map"),
+        relations=optional_path(relations, "relations"),
         strict=strict,
-        map=_path(map),
-        start_pose=_pose(start_pose),
-        continue_from=_path(continue_from),
+        map=optional_path(map, "map"),
+        start_pose=pose_of(start_pose, "start_pose"),
+        continue_from=continued,
         typed=_typed(config),
     )
 
@@ -235,13 +245,11 @@ def simulate(
 
     options = {"slam.method": method, "slam.grid": grid, "slam.azimuth": azimuth}
     options |= {"seed": seed, "planner.technique": planner, "slam.attitude": attitude}
-    chosen = load_scenario(scenario, sets_of(settings), options, config)
-    path = scenario_path(scenario)
+    name, log = named(scenario, "scenario"), optional_path(record, "record")
+    chosen, path = load_scenario(name, sets_of(settings), options, config_of(config)), scenario_path(name)
 
     def work(target: Path) -> Run:
-        request = SimulationRequest(
-            chosen, path, target, _path(record), force=force, report=report, typed=_typed(config)
-        )
+        request = SimulationRequest(chosen, path, target, log, force=force, report=report, typed=_typed(config))
         simulate_mission(request, progress or silent, 0.0)
         return Run(target)
 
@@ -290,12 +298,12 @@ def compare(
     from mavnav.jobs import usable_cores  # noqa: PLC0415
     from mavnav.outputs.writers import write_page  # noqa: PLC0415
 
-    names = [Path(log)] if isinstance(log, str | Path) else [Path(each) for each in log]
+    names = paths_of(log, "log")
     if not names:
         raise UsageError("no log to compare; name one")
     shared: dict[str, object] = {"final_pass": False} if online else {}
-    file = None if config is None else str(config)
-    chosen = comparison_settings(file, sets_of(settings), methods, grids, azimuths, shared)
+    options = values_of(methods, "methods"), values_of(grids, "grids"), values_of(azimuths, "azimuths")
+    chosen = comparison_settings(config_of(config), sets_of(settings), *options, shared)
 
     def work(target: Path) -> Comparison:
         cores = workers or usable_cores()
@@ -309,64 +317,10 @@ def compare(
     return _finished(work, directory)
 
 
-def track(
-    scans: Iterable[Scan],
-    *,
-    period_s: float | None = None,
-    method: str | None = None,
-    grid: str | None = None,
-    azimuth: int | None = None,
-    config: File | None = None,
-    settings: Mapping[str, object] | None = None,
-) -> Iterator[Step]:
-    """Track scans one by one, as they come: the causal part of a method, as with ``--online``.
-
-    Parameters
-    ----------
-    scans
-        In the order of their stamps: of `open_log`, or of your own sensor.
-    period_s
-        Time between scans; that of the first two scans if not given.
-    method, grid, azimuth, config, settings
-        As for `replay`.
-
-    Yields
-    ------
-    A step for every scan: ``index``, ``stamp_ns``, ``tracked`` (whether the scan was accepted and is in the map), and
-    ``match`` with ``map_T_laser``, ``cost_m2``, ``inliers`` (0 to 1) and more.
-
-    Raises
-    ------
-    MavnavError
-        ConfigError.
-    """
-    from mavnav.slam.motion_model import USUAL_PERIOD_S, Motion  # noqa: PLC0415  heavy
-    from mavnav.slam.registry import load_kernels, make_method  # noqa: PLC0415
-    from mavnav.slam.tracker import track as tracked  # noqa: PLC0415
-
-    chosen = _config(config, settings, method=method, grid=grid, azimuth=azimuth, online=True)
-    load_kernels(chosen, silent)
-    coming = iter(scans)
-    first = list(islice(coming, 0 if period_s else 2))
-    if period_s is None:
-        period_s = (first[1].stamp_ns - first[0].stamp_ns) * NS if len(first) > 1 else USUAL_PERIOD_S
-    slam = make_method(chosen)
-    return tracked(chain(first, coming), slam, Motion(period_s, None, slam.expects_rest))
-
-
-def _config(file: File | None, settings: Mapping[str, object] | None, *, online: bool, **options: object) -> Config:
-    return load_config(file, sets_of(settings), options | {"final_pass": False if online else None})
-
-
-def sets_of(settings: Mapping[str, object] | None) -> list[str]:
-    """Return settings as ``--set`` has them: JSON is YAML."""
-    return [f"{key}={json.dumps(value)}" for key, value in (settings or {}).items()]
-
-
 def _finished(work: Callable[[Path], Result], directory: File | None) -> Result:
     """Return the result of work that writes to a directory; a temporary one goes with the result."""
     if directory is not None:
-        return work(Path(directory))
+        return work(path_of(directory, "directory"))
     folder = mkdtemp(prefix="mavnav-")
     try:
         result = work(Path(folder) / "run")
@@ -377,18 +331,7 @@ def _finished(work: Callable[[Path], Result], directory: File | None) -> Result:
     return result
 
 
-def _path(file: File | None) -> Path | None:
-    return None if file is None else Path(file)
-
-
 def _typed(config: File | None) -> Typed:
     from mavnav.outputs.provenance import Typed  # noqa: PLC0415  heavy
 
-    return Typed(config=None if config is None else str(config))
-
-
-def _pose(values: Sequence[float] | None) -> Pose | None:
-    if values is None:
-        return None
-    x_m, y_m, yaw_rad = values
-    return Pose(x_m, y_m, yaw_rad)
+    return Typed(config=config_of(config))

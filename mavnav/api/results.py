@@ -6,15 +6,18 @@ import json
 import shutil
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mavnav.api.arguments import path_of
 from mavnav.errors import UsageError
 from mavnav.ground_truth.tables import read_tum
 from mavnav.outputs.directory import RUN_FILE, staged
 from mavnav.outputs.gridmap import read_npz
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mavnav.api.arguments import File
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.pose import Trajectory
 
@@ -28,6 +31,10 @@ class Run:
 
     directory: Path
     _owner: object = field(default=None, repr=False, compare=False)
+
+    def __fspath__(self) -> str:
+        """Return the directory, so that a run can be given wherever a path can."""
+        return str(self.directory)
 
     @cached_property
     def metrics(self) -> dict[str, Any]:
@@ -75,12 +82,12 @@ class Run:
         index = pd.to_datetime(self.trajectory.stamps_ns, unit="ns", utc=True)
         return pd.DataFrame(self.trajectory.xyyaw, index=index, columns=["x_m", "y_m", "yaw_rad"])
 
-    def save(self, directory: str | Path, *, force: bool = False) -> Run:
+    def save(self, directory: File, *, force: bool = False) -> Run:
         """Copy the run to a directory, and return the run there.
 
         Raises OutputError if the directory exists (and ``force`` does not say to replace it) or cannot be written.
         """
-        target = Path(directory)
+        target = path_of(directory, "directory")
         with staged(target, force=force) as folder:
             shutil.copytree(self.directory, folder, dirs_exist_ok=True)
         return Run(target)
@@ -100,9 +107,9 @@ class Comparison:
         return {cell["name"]: Run(self.directory / cell["directory"], self) for cell in cells if cell["directory"]}
 
 
-def load_run(directory: str | Path) -> Run:
+def load_run(directory: File) -> Run:
     """Open the directory of a finished run, of this interface or of a command; raises UsageError if it is none."""
-    run = Run(Path(directory))
+    run = Run(path_of(directory, "directory"))
     if not (run.directory / RUN_FILE).is_file():
         raise UsageError(f"{directory} holds no run (no {RUN_FILE}); name a run directory")
     return run

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mavnav.api.functions import sets_of, silent
+from mavnav.api.arguments import config_of, optional_path, path_of, paths_of, sets_of, text_of
+from mavnav.api.functions import silent
 from mavnav.config.loading import load_config
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from mavnav.api.functions import File, Progress
+    from mavnav.api.arguments import File
+    from mavnav.api.functions import Progress
 
 
 def merge(
@@ -56,9 +57,9 @@ def merge(
     from mavnav.pipelines.merge import MergeRequest  # noqa: PLC0415  heavy
     from mavnav.pipelines.merge import merge as merged  # noqa: PLC0415
 
-    paths = tuple(Path(each) for each in inputs)
-    chosen = load_config(config, sets_of(settings), {})
-    request = MergeRequest(paths, Path(directory), chosen, force, report, _path(config))
+    paths, target = tuple(paths_of(inputs, "inputs")), path_of(directory, "directory")
+    chosen = load_config(config_of(config), sets_of(settings), {})
+    request = MergeRequest(paths, target, chosen, force, report, optional_path(config, "config"))
     return merged(request, progress or silent)
 
 
@@ -100,7 +101,13 @@ def diff(
     """
     from mavnav.pipelines.diff import DiffRequest, diff_maps  # noqa: PLC0415  heavy
 
-    request = DiffRequest(Path(a), Path(b), _path(picture), _path(report), force=force)
+    request = DiffRequest(
+        path_of(a, "a"),
+        path_of(b, "b"),
+        optional_path(picture, "picture"),
+        optional_path(report, "report"),
+        force=force,
+    )
     return diff_maps(request, progress or silent)
 
 
@@ -164,21 +171,17 @@ def calibrate(
     from mavnav.pipelines.calibrate import CalibrationRequest  # noqa: PLC0415  heavy
     from mavnav.pipelines.calibrate import calibrate as calibrated  # noqa: PLC0415
 
-    chosen = load_config(config, sets_of(settings), {} if odom is None else {"odom": odom})
+    chosen = load_config(config_of(config), sets_of(settings), {} if odom is None else {"odom": odom})
     request = CalibrationRequest(
-        Path(log),
+        path_of(log, "log"),
         chosen,
-        topic=topic,
+        topic=text_of(topic, "topic"),
         start_s=start_s,
         end_s=end_s,
         strict=strict,
-        document=_path(document),
-        picture=_path(picture),
-        report=_path(report),
+        document=optional_path(document, "document"),
+        picture=optional_path(picture, "picture"),
+        report=optional_path(report, "report"),
         force=force,
     )
     return calibrated(request, progress or silent)
-
-
-def _path(file: File | None) -> Path | None:
-    return None if file is None else Path(file)

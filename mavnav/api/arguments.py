@@ -1,0 +1,97 @@
+"""The arguments of the Python interface: checked, and turned into what the pipelines take; all raise UsageError."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from math import isfinite, pi
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mavnav.errors import UsageError
+from mavnav.ground_truth.topics import recorded_topic
+from mavnav.pose import Pose
+
+if TYPE_CHECKING:
+    File = str | PathLike[str]
+
+
+def path_of(file: File, name: str) -> Path:
+    """Return the path of a file or directory; a `mavnav.Run` stands for its directory."""
+    try:
+        return Path(fspath(file))
+    except TypeError:
+        raise UsageError(f"{name} is {file!r}; give a path") from None
+
+
+def named(file: File, name: str) -> str:
+    """Return what may be the name of a preset or scenario as well as a path."""
+    return file if isinstance(file, str) else str(path_of(file, name))
+
+
+def config_of(config: File | None) -> str | None:
+    """Return the configuration, a file or preset, if one is given."""
+    return None if config is None else named(config, "config")
+
+
+def optional_path(file: File | None, name: str) -> Path | None:
+    """Return the path of a file, if one is given."""
+    return None if file is None else path_of(file, name)
+
+
+def paths_of(files: File | Sequence[File], name: str) -> list[Path]:
+    """Return the paths of one file or several."""
+    several = [files] if isinstance(files, str | PathLike) else _listed(files, name)
+    return [path_of(each, name) for each in several]
+
+
+def values_of(values: Any, name: str) -> list[Any]:  # noqa: ANN401
+    """Return the values of an argument that may be a single one."""
+    return [values] if isinstance(values, str | int) else _listed(values, name)
+
+
+def _listed(values: Any, name: str) -> list[Any]:  # noqa: ANN401
+    if isinstance(values, Mapping) or not hasattr(values, "__iter__"):
+        raise UsageError(f"{name} is {values!r}; give a list")
+    return list(values)
+
+
+def text_of(text: str | None, name: str) -> str | None:
+    """Return a text, if one is given."""
+    if text is None or isinstance(text, str):
+        return text
+    raise UsageError(f"{name} is {text!r}; give a text, for several topics with commas between them")
+
+
+def topic_of(truth: str | None) -> str | None:
+    """Return the topic of a ground truth, given as its name, as ``topic:NAME``, or as ``auto``."""
+    text = text_of(truth, "truth")
+    return None if text is None else recorded_topic(text) or text
+
+
+def pose_of(values: Sequence[float] | None, name: str) -> Pose | None:
+    """Return the pose of x and y in m and yaw in rad, if they are given."""
+    if values is None:
+        return None
+    try:
+        x_m, y_m, yaw_rad = map(float, values)
+    except (TypeError, ValueError):
+        raise UsageError(f"{name} is {values!r}; give x, y and yaw in m, m, rad") from None
+    if not all(map(isfinite, (x_m, y_m, yaw_rad))):
+        raise UsageError(f"{name} is {values!r}; give finite numbers")
+    if abs(yaw_rad) > 2 * pi:
+        raise UsageError(f"{name} is {values!r}: the yaw is more than a turn; give it in rad, for 90 deg 1.5708")
+    return Pose(x_m, y_m, yaw_rad)
+
+
+def sets_of(settings: Mapping[str, object] | None) -> list[str]:
+    """Return settings as ``--set`` has them: JSON is YAML."""
+    if settings is None:
+        return []
+    if not isinstance(settings, Mapping):
+        raise UsageError(f"settings is {settings!r}; give a dictionary such as {{'robust.cell_mm': 25}}")
+    try:
+        return [f"{key}={json.dumps(value)}" for key, value in settings.items()]
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"settings have a value of no plain type ({error}); give numbers, texts and lists") from None
