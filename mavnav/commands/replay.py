@@ -10,6 +10,7 @@ import typer
 
 from mavnav.commands import completion, signals
 from mavnav.commands.gating import Gates, check_gates, gated_code, gates_of
+from mavnav.commands.lost_advice import lost_line
 from mavnav.commands.map_preview import Preview, show_preview
 from mavnav.commands.options import (
     Again,
@@ -62,9 +63,6 @@ from mavnav.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from mavnav.config.models import Config
-
-_FEW_BEAMS = 20
-"""A scan of fewer returns hardly separates one pose from another."""
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -282,46 +280,6 @@ def _note_continued(continued: dict[str, Any]) -> None:
         )
 
 
-def lost_line(document: dict[str, Any]) -> str:
-    """Say that the track was lost for good: since when, for how much of the log, and what to try."""
-    poses = f"{100 * document['tracking']['tracked_share']:.0f} % of the scans have a pose"
-    since = _lost_since(document["tracking"]["intervals"])
-    if "localisation" in document:
-        return (
-            f"mavnav: error: the laser was lost for good in the map{since}, {poses}; see whether the map is of this "
-            f"place, and try {'another' if document['localisation']['start_pose'] else 'a'} --start-pose"
-        )
-    beams = document["search"]["beams_used"]["median"] or 0
-    if beams < _FEW_BEAMS:
-        return (
-            f"mavnav: error: the scans see too little to be matched ({beams:.0f} usable beams in the median); "
-            "what could be tracked is written, look at the ranges with 'mavnav info', and at near_mm and far_mm"
-        )
-    return (
-        f"mavnav: error: tracking was lost for good{since}, {poses}; what could be tracked is written, "
-        f"{_advice(document)}, and look at map.png"
-    )
-
-
-def _advice(document: dict[str, Any]) -> str:
-    """Say what helps where tracking was lost for good."""
-    if document["method"] == "paper":
-        return "try --method robust"
-    if any(not part["joined"] for part in document["tracking"].get("parts", [])):
-        return "replay the parts that are left out alone with --start and --end"
-    if document["config"]["odom"] == "off":
-        return "try --odom auto if the log has odometry"
-    record = "more scans a second" if document["input"]["odometry"] else "odometry, or more scans a second"
-    return f"look at the sensor with 'mavnav info', record {record}"
-
-
-def _lost_since(intervals: list[dict[str, Any]]) -> str:
-    """Say when the track ended; nothing where it came back, for too few of the scans."""
-    if not intervals or intervals[-1]["recovered"]:
-        return ""
-    return f" {intervals[-1]['start_s']:.1f} s after the first scan"
-
-
 def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]:
     """Return the rows of the table that ends a run."""
     scans, tracking, timing = document["scans"], document["tracking"], document["timing"]
@@ -329,7 +287,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
     rows = [
         ("scans", f"{scans['processed']} of {scans['total']}"),
         ("accepted", f"{100 * scans['accepted'] / max(scans['processed'], 1):.1f} %"),
-        ("rejected", f"{scans['rejected'] - lost} scans"),
+        ("rejected", f"{scans['rejected']} scans" + (f", {lost} of them lost" if lost else "")),
         ("lost", f"{lost} scans in {len(tracking['intervals'])} stretch(es)" if tracking["intervals"] else "never"),
         *([("left out", text)] if (text := left_out_text(tracking.get("parts", []))) else []),
         ("path", f"{tracking['path_length_m']:.2f} m"),

@@ -7,6 +7,7 @@ the transform between the two maps. A part that is not joined is neither in the 
 from __future__ import annotations
 
 from itertools import islice
+from math import ceil, floor
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -214,4 +215,8 @@ def part_warnings(parts: Sequence[Part], first_ns: int) -> Iterator[str]:
         if not part.joined and k == 0:
             yield f"{what} do not match the later ones and are left out; the map begins after them"
         elif not part.joined:
-            yield f"{what} do not match the map of the others and are left out; --start and --end replay them alone"
+            start_s, end_s = floor(from_s * 100.0) / 100.0, ceil(to_s * 100.0) / 100.0  # so that no scan is cut off
+            yield (
+                f"{what} do not match the map of the others and are left out; "
+                f"replay them alone with --start {start_s:.2f} --end {end_s:.2f}"
+            )

@@ -17,7 +17,8 @@ from pathlib import Path
 import pytest
 
 from mavnav.cli import run
-from mavnav.commands.replay import left_out_text, lost_line
+from mavnav.commands.lost_advice import lost_line
+from mavnav.commands.replay import left_out_text
 from mavnav.errors import ExitCode
 
 FEW = ("--end", 2.0, "--quiet")
@@ -450,6 +451,7 @@ def test_a_track_of_few_scans_is_told_without_the_time_of_an_end() -> None:
     document = {
         "tracking": {"tracked_share": 0.014, "intervals": [found_again]},
         "method": "paper",
+        "config": {},
         "search": {"beams_used": {"median": 500}},
     }
     assert "tracking was lost for good, 1 % of the scans have a pose" in lost_line(document)
@@ -461,6 +463,8 @@ def test_a_track_of_few_scans_is_told_without_the_time_of_an_end() -> None:
     ("change", "advice"),
     [
         ({"method": "paper"}, "try --method robust"),
+        ({"config": {"odom": "off", "robust": {"cell_mm": 2.0}}}, "try without robust.cell_mm=2.0 (default 20.0)"),
+        ({"method": "paper", "config": {"paper": {"gate_mm2": 1}}}, "try without paper.gate_mm2=1 (default 500"),
         ({"config": {"odom": "off"}}, "try --odom auto if the log has odometry"),
         ({"input": {"odometry": None}}, "record odometry, or more scans a second"),
         ({"input": {"odometry": {"topic": "/odom"}}}, "with 'mavnav info', record more scans a second"),
@@ -471,15 +475,18 @@ def test_a_track_of_few_scans_is_told_without_the_time_of_an_end() -> None:
 def test_the_advice_fits_the_run(change: dict, advice: str) -> None:
     tracking = {"tracked_share": 0.3, "intervals": []}
     document = {"tracking": tracking, "method": "robust", "search": {"beams_used": {"median": 500}}}
-    document |= {"config": {"odom": "auto"}, "input": {"odometry": None}}
+    document |= {"config": {"odom": "auto"}, "input": {"odometry": None}, "scans": {"processed": 100}}
     assert advice in lost_line(document | change)
 
 
 def test_parts_that_are_left_out_are_named_with_their_times() -> None:
     parts = [{"from_s": 0.0, "to_s": 9.0, "scans": 91, "joined": True}]
     parts += [{"from_s": 9.1, "to_s": 12.0, "scans": 30, "joined": False}]
-    document = {"tracking": {"tracked_share": 0.7, "intervals": [], "parts": parts}, "method": "robust"}
-    assert "alone with --start and --end" in lost_line(document | {"search": {"beams_used": {"median": 500}}})
+    document = {"tracking": {"tracked_share": 0.7, "intervals": [], "parts": parts}, "method": "robust", "config": {}}
+    document |= {"search": {"beams_used": {"median": 500}}, "scans": {"processed": 121}}
+    assert "alone with --start and --end" in lost_line(document)
+    small = document | {"scans": {"processed": 900}, "config": {"odom": "off"}}
+    assert "--start" not in lost_line(small)
     assert left_out_text(parts) == "scans tracked on other maps: 30 at 9.1 to 12.0 s"
 
 

@@ -17,6 +17,7 @@ from mavnav.pose import Pose, Trajectory, transform_points, wrap_angle
 from mavnav.scan import Scan
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.world import World, laser_model, load_scenario, take_scan
+from mavnav.slam.parts import Part, part_warnings
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
 from mavnav.units import DEG
@@ -188,3 +189,11 @@ def test_a_person_enters_the_map_on_line_but_thickens_no_wall() -> None:
 @pytest.mark.parametrize("odometry", [True, False], ids=["with odometry", "scans alone"])
 def test_a_person_has_left_the_finished_map(*, odometry: bool) -> None:
     assert cells_in_the_open(*replayed("a person for 5 scans", odometry=odometry, final_pass=True)) == 0
+
+
+def test_the_times_of_a_part_cut_off_none_of_its_scans() -> None:
+    first_ns = 10**18
+    parts = [Part(first_ns, first_ns + 10**9, 10, joined=True)]
+    parts += [Part(first_ns + 327_368_200_000, first_ns + 376_027_200_000, 21, joined=False)]
+    (warning,) = part_warnings(parts, first_ns)
+    assert warning.endswith("replay them alone with --start 327.36 --end 376.03")
