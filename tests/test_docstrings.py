@@ -18,7 +18,7 @@ def entries(function: Callable[..., object]) -> list[str]:
     return re.findall(r"^(\S.*)$", section, re.MULTILINE)
 
 
-@pytest.mark.parametrize("name", ["merge", "diff", "calibrate"])
+@pytest.mark.parametrize("name", ["open_log", "replay", "simulate", "compare", "track", "merge", "diff", "calibrate"])
 def test_each_parameter_has_its_entry(name: str) -> None:
     function = getattr(mavnav, name)
     assert entries(function) == list(inspect.signature(function).parameters)

@@ -71,8 +71,10 @@ def open_log(
         The scan topic, if there are several; several, joined by commas, are merged by their mountings.
     odom
         ``auto``, ``off`` or a topic.
-    start_s, end_s
-        Window in seconds from the first usable scan.
+    start_s
+        Start of the window in seconds from the first usable scan.
+    end_s
+        End of the window in seconds from the first usable scan.
     extrinsic
         Pose of the laser on its base, x, y (m), yaw (rad), in place of the log's.
     strict
@@ -133,26 +135,53 @@ def replay(
     ----------
     log
         The log, as for `open_log`.
-    method, grid, azimuth
-        SLAM method, ``"20x20"``, and number of yaw samples.
-    config, settings
-        Configuration file or preset, and values over it by dotted key: ``{"robust.cell_mm": 25}``.
+    method
+        SLAM method, ``"robust"`` or ``"paper"``.
+    grid
+        Search grid, such as ``"20x20"``.
+    azimuth
+        Number of yaw samples of the search.
+    config
+        Configuration file or preset.
+    settings
+        Values over the configuration by dotted key: ``{"robust.cell_mm": 25}``.
     online
         Causal mode: no loop closure, no final pass.
-    topic, odom, attitude, start_s, end_s, extrinsic, strict
-        As for `open_log`.
-    map, start_pose
-        Localize in this map (a map_server YAML file or a run), from about this pose, m, m, rad.
+    topic
+        The scan topic, or several to merge, joined by commas.
+    odom
+        ``auto``, ``off`` or a topic.
+    attitude
+        Tilt and height of the laser, by which the scans are levelled: ``auto``, ``off`` or a topic.
+    start_s
+        Start of the window in seconds from the first usable scan.
+    end_s
+        End of the window in seconds from the first usable scan.
+    extrinsic
+        Pose of the laser on its base, x, y (m), yaw (rad), in place of the log's.
+    strict
+        Leave out scans from where a checksum does not match.
+    map
+        Localize in this map: a map_server YAML file or a run.
+    start_pose
+        About where the laser begins in that map, x, y (m), yaw (rad).
     continue_from
         Directory of a finished replay, merge or continued run: the log is added to its map, in its frame, and with its
         configuration where none is given. ``metrics["continued"]`` says whether it joined.
-    truth, truth_map, relations
-        References to compare with; ``truth`` is a file, ``"auto"`` or ``"topic:/name"``.
-    directory, force, report
-        Where to write the run, whether to replace it, whether to write its page; by default the run is kept as
-        long as the object that is returned.
+    truth
+        Ground truth to compare with: a file, ``"auto"`` or ``"topic:/name"``.
+    truth_map
+        True map to compare with: a map_server YAML file, or a scenario.
+    relations
+        File of relations between poses to compare with.
+    directory
+        Where to write the run; by default it is kept as long as the object that is returned.
+    force
+        Whether to replace an earlier run there.
+    report
+        Whether to write report.html, too.
     progress
-        Called as work goes on.
+        Called as ``progress(phase, done, total)`` while work goes on; ``total`` is None if it is unknown.
 
     Raises
     ------
@@ -221,18 +250,32 @@ def simulate(
     ----------
     scenario
         YAML file, or the name of a shipped scenario.
-    seed, planner
-        Seed of all random numbers; planning technique.
+    seed
+        Seed of all random numbers.
+    planner
+        Planning technique.
     attitude
         Whether scans of a vehicle that tilts are levelled by its measured attitude: ``auto`` or ``off``.
-    method, grid, azimuth, config
-        As for `replay`.
+    method
+        SLAM method, ``"robust"`` or ``"paper"``.
+    grid
+        Search grid, such as ``"20x20"``.
+    azimuth
+        Number of yaw samples of the search.
+    config
+        Configuration file or preset.
     settings
         Values of the scenario by dotted key: ``{"slam.robust.cell_mm": 25}``.
     record
         Also record the mission as a log: .mcap, .bag, or a folder.
-    directory, force, report, progress
-        As for `replay`.
+    directory
+        Where to write the run; by default it is kept as long as the object that is returned.
+    force
+        Whether to replace an earlier run there.
+    report
+        Whether to write report.html, too.
+    progress
+        Called as ``progress(phase, done, total)`` while work goes on; ``total`` is None if it is unknown.
 
     Raises
     ------
@@ -276,16 +319,26 @@ def compare(
     ----------
     log
         A log, or several.
-    grids, methods, azimuths
-        Search grids (5x5, 10x10 and 20x20 if none is given), methods and numbers of yaw samples.
-    config, settings, online
-        What all runs share, as for `replay`.
-    directory, force
-        Where to write the comparison, whether to make finished runs again.
+    grids
+        Search grids; 5x5, 10x10 and 20x20 if none is given.
+    methods
+        SLAM methods.
+    azimuths
+        Numbers of yaw samples: one for all grids, or one for each.
+    config
+        Configuration file or preset of all runs.
+    settings
+        Values over the configuration by dotted key, as for `replay`.
+    online
+        Causal mode: no loop closure, no final pass.
+    directory
+        Where to write the comparison; by default it is kept as long as the object that is returned.
+    force
+        Whether to make finished runs again.
     workers
         How many runs at a time, by default one for each core.
     progress
-        Called as work goes on.
+        Called as ``progress(phase, done, total)`` while work goes on; ``total`` is None if it is unknown.
 
     Raises
     ------

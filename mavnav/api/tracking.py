@@ -43,13 +43,22 @@ def track(
         no returns.
     period_s
         Time between scans; that of the first two scans if not given.
-    method, grid, azimuth, config, settings
-        As for `replay`.
+    method
+        SLAM method, ``"robust"`` or ``"paper"``.
+    grid
+        Search grid, such as ``"20x20"``.
+    azimuth
+        Number of yaw samples of the search.
+    config
+        Configuration file or preset.
+    settings
+        Values over the configuration by dotted key: ``{"robust.cell_mm": 25}``.
 
     Yields
     ------
-    A step for every scan: ``index``, ``stamp_ns``, ``tracked`` (whether the scan was accepted and is in the map), and
-    ``match`` with ``map_T_laser``, ``cost_m2``, ``inliers`` (0 to 1) and more.
+    Step
+        One for every scan: ``index``, ``stamp_ns``, ``tracked`` (whether the scan was accepted and is in the map), and
+        ``match`` with ``map_T_laser``, ``cost_m2``, ``inliers`` (0 to 1) and more.
 
     Raises
     ------
