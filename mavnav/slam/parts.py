@@ -16,6 +16,7 @@ from msgspec.structs import replace
 
 from mavnav.pose import Pose
 from mavnav.slam.beginning import accepted, until_missing
+from mavnav.slam.pauses import first_found_late, pauses
 from mavnav.slam.relocalization import apart
 from mavnav.slam.scan_matching import no_match
 from mavnav.slam.steps import LOST_SCANS, Step, Steps, lost_intervals
@@ -38,8 +39,11 @@ Each may take seconds.
 GIVE_UP_SCANS = 16
 """Number of successive usable scans without a match that ends the track of a part."""
 
-SEARCHED_SCANS, LEAST_AGREEING = 6, 3
-"""Number of scans of a part that are searched in the largest map, and minimum number of them that must agree."""
+SEARCHED_SCANS, SEARCHED_AFTER_PAUSE, LEAST_AGREEING = 6, 24, 3
+"""Number of scans of a part that are searched in the largest map, and minimum number of them that must agree.
+
+More are searched where the scans pause beside the part: it may have only few places in common with that map.
+"""
 
 LEAST_TRACKED_SHARE, MOST_LEFT_OUT = 0.5, 0.1
 """Minimum share of scans with a pose, and maximum share of scans in parts that are not joined.
@@ -79,6 +83,20 @@ def with_lost_parts(track: Track) -> Track:
     others += [part for part in track.parts if not taken.intersection(step.index for step in part)]
     whole = with_all_scans(replace(largest, warnings=track.warnings, parts=()), track.steps)
     return joined(whole, [part for part in others if part])
+
+
+def without_late_poses(track: Track) -> Track:
+    """Give up the poses after a pause in the scans after which the laser was found late: one scan is weak evidence.
+
+    Only the scans before it are tracked again; `with_lost_parts` tracks the others, and joins them if several agree.
+    """
+    if track.refiner is None or not track.refiner.builds_map or track.motion.odometry is not None:
+        return track
+    first = first_found_late(track.steps, track.motion.period_s)
+    if first is None:
+        return track
+    before = track.over(islice(track.log_scans(), first), "track again")
+    return with_all_scans(before, track.steps)
 
 
 def lost_parts(track: Track) -> list[Track]:
@@ -136,20 +154,26 @@ def joined(track: Track, others: list[tuple[Step, ...]]) -> Track:
         scans = (
             {k: scan for k, scan in enumerate(track.log_scans()) if k in wanted} if len(wanted) >= LOST_SCANS else {}
         )
-        part_T = part_pose([s for s in part if s.index in scans], scans, track)
+        part_T = part_pose([s for s in part if s.index in scans], scans, track, _most_searched(part, track))
         if part_T is not None:
             for step in insert_part(part, part_T, scans, track):
                 steps[step.index] = step
     return replace(track, steps=steps, parts=tuple(parts))
 
 
-def part_pose(part: list[Step], scans: dict[int, Scan], track: Track) -> Pose | None:
+def _most_searched(part: Sequence[Step], track: Track) -> int:
+    """Return how many scans of a part are searched: more where the scans pause before or after it."""
+    ends, found = (part[0].index - 1, part[-1].index), pauses(track.steps, track.motion.period_s)
+    return SEARCHED_AFTER_PAUSE if any(end in found for end in ends) else SEARCHED_SCANS
+
+
+def part_pose(part: list[Step], scans: dict[int, Scan], track: Track, most: int = SEARCHED_SCANS) -> Pose | None:
     """Return the pose of a part's map in the map of a track; None unless several of its scans agree on it.
 
     More than half of the scans that are found must agree.
     """
     refiner = track.refiner
-    chosen = spread_out(part)
+    chosen = spread_out(part, most)
     if refiner is None or len(chosen) < LEAST_AGREEING:
         return None
     anywhere = track.motion._replace(odometry=None).started_at(Pose(), 0)
@@ -163,13 +187,13 @@ def part_pose(part: list[Step], scans: dict[int, Scan], track: Track) -> Pose | 
     return consensus(found)
 
 
-def spread_out(part: list[Step]) -> list[Step]:
-    """Choose up to ``SEARCHED_SCANS`` steps of a part at different poses; all scans of a laser at rest count as one."""
+def spread_out(part: list[Step], most: int = SEARCHED_SCANS) -> list[Step]:
+    """Choose up to ``most`` steps of a part at different poses; all scans of a laser at rest count as one."""
     places: list[Step] = []
     for step in part:
         if all(apart(step.match.map_T_laser, other.match.map_T_laser) for other in places):
             places.append(step)
-    return [places[k] for k in np.unique(np.linspace(0, len(places) - 1, SEARCHED_SCANS).astype(int))] if places else []
+    return [places[k] for k in np.unique(np.linspace(0, len(places) - 1, most).astype(int))] if places else []
 
 
 def consensus(found: list[tuple[Pose, Pose]]) -> Pose | None:

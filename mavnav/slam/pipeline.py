@@ -12,7 +12,7 @@ from mavnav.slam.doubt.judge import judge_track
 from mavnav.slam.loop_closure.remap import close_loops
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.odometry_check import without_misleading_odometry
-from mavnav.slam.parts import with_lost_parts
+from mavnav.slam.parts import with_lost_parts, without_late_poses
 from mavnav.slam.redraw import redraw_map
 from mavnav.slam.registry import make_method
 from mavnav.slam.rematch import refine_against_final_map, rematch_rejected, remove_dynamic_cells
@@ -44,6 +44,7 @@ RETRIES: Final[tuple[Pass, ...]] = (
 
 RECOVERING: Final[tuple[Pass, ...]] = (
     rematch_beginning,
+    without_late_poses,  # "Parts"
     rematch_rejected,  # step 9
     with_lost_parts,  # "Parts"
 )

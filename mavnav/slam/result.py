@@ -11,6 +11,7 @@ from mavnav.slam.covariance import covariances_of
 from mavnav.slam.doubt.record import NOT_PLANAR
 from mavnav.slam.loop_closure.detection import Loops
 from mavnav.slam.parts import Part, lost_for_good, part_warnings, parts_of
+from mavnav.slam.pauses import pause_warnings
 from mavnav.slam.steps import LostInterval, Steps, lost_intervals, tracked_trajectory
 from mavnav.units import NS
 
@@ -78,7 +79,7 @@ def summarize(track: Track) -> SlamResult:
         track.method.finished(),
         lost,
         track.loops,
-        (*track.warnings, *(part_warnings(parts, steps[0].stamp_ns) if parts else ()), *jump_warnings(steps, lost)),
+        (*track.warnings, *_late_warnings(track, parts, lost)),
         track.tracks_compared,
         parts,
         track.doubt,
@@ -86,6 +87,13 @@ def summarize(track: Track) -> SlamResult:
         beginning_ns(steps, track.begin),
         track.remedies,
     )
+
+
+def _late_warnings(track: Track, parts: Sequence[Part], lost: Sequence[LostInterval]) -> Iterator[str]:
+    """Yield the warnings that depend on the finished path."""
+    yield from part_warnings(parts, track.steps[0].stamp_ns) if parts else ()
+    yield from jump_warnings(track.steps, lost)
+    yield from pause_warnings(track.steps, track.motion) if track.prior_map is None else ()
 
 
 def jump_warnings(steps: Steps, lost: Sequence[LostInterval]) -> Iterator[str]:

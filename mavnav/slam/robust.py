@@ -16,6 +16,7 @@ from mavnav.profiling import timed
 from mavnav.slam.acceptance import FOUND_CONFLICTS, Acceptance
 from mavnav.slam.budget import WHOLE_EACH, WHOLE_FIRST, WIDE_EACH, WIDE_FIRST, WIDE_MOST, Budget, search_work
 from mavnav.slam.degeneracy import LEAST_OBSERVABILITY
+from mavnav.slam.pauses import Pauses
 from mavnav.slam.relocalization import (
     CANDIDATES,
     around,
@@ -36,6 +37,7 @@ from mavnav.slam.scan_matching import (
     search_lines,
     with_effort,
 )
+from mavnav.slam.track_state import Verdict
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -47,7 +49,6 @@ if TYPE_CHECKING:
     from mavnav.scan import Scan
     from mavnav.slam.motion_model import Motion
     from mavnav.slam.relocalization import Region
-    from mavnav.slam.track_state import Verdict
 
     Points = tuple[NDArray[np.float64], NDArray[np.float64]]
     """The valid end points (n, 2) of a scan and their voxel means (m, 2), m, laser frame."""
@@ -113,6 +114,7 @@ class Robust:
         self._bounded = False  # whether cost bounds were computed since the map last grew
         self._wide_budget = Budget(WIDE_EACH, WIDE_FIRST, WIDE_MOST)
         self._whole_budget = Budget(WHOLE_EACH, WHOLE_FIRST)
+        self._pauses = Pauses()
         self._missed = 0, 0  # stamp of the last accepted pose, and number of scans matched since
 
     @property
@@ -155,6 +157,7 @@ class Robust:
     def match(self, scan: Scan, predicted: Pose, motion: Motion) -> Match:
         """Match the de-skewed scan close to the prediction; search wider regions unless that match is acceptable."""
         points, elapsed_s = self.match_points(scan, motion), motion.elapsed_s(scan.stamp_ns)
+        self._pauses.note(scan.stamp_ns, motion)
         if len(points) < self.config.robust.min_points:
             return no_match(predicted, len(points))
         self._wide_budget.earn(found=elapsed_s < FOUND_PERIODS * motion.period_s)
@@ -256,7 +259,10 @@ class Robust:
     @timed("gate")
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
         """Decide whether to accept the match."""
-        return self.acceptance.verdict(match, motion, motion.elapsed_s(scan.stamp_ns))
+        elapsed_s = motion.elapsed_s(scan.stamp_ns)
+        if self._pauses.exclude(match.map_T_laser, motion, elapsed_s):
+            return Verdict.REFUSED
+        return self.acceptance.verdict(match, motion, elapsed_s)
 
     def reserve_whole_map_search(self, scan: Scan) -> bool:
         """Spend the work of a search of the whole map if the budget covers it."""
@@ -279,6 +285,7 @@ class Robust:
         best = best_of(found, expected, elapsed_s, self.config)
         rules = self.acceptance
         refused = best.ambiguous or rules.conflicts_after_gap(best, motion, elapsed_s)
+        refused = refused or self._pauses.exclude(best.map_T_laser, motion, elapsed_s)
         return best if rules.is_good(best) and not refused else None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:

@@ -1,0 +1,90 @@
+"""Pauses in the scans without odometry: how far the laser can have moved, and whether it was found late after one."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from math import hypot
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mavnav.units import NS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mavnav.pose import Pose
+    from mavnav.slam.motion_model import Motion
+    from mavnav.slam.steps import Steps
+
+PAUSE_S, PAUSE_PERIODS = 2.5, 2.5
+"""Time between two scans from which it is a pause, and in periods."""
+
+LEAST_SPEED_M_S, FASTER, SLACK_M = 0.3, 1.2, 0.5
+"""Speed that every vehicle reaches, largest ratio of the mean speed in a pause to the highest before, and slack."""
+
+LATE_SCANS = 16
+"""Number of scans after a pause without a pose from which the next pose is doubtful: the laser moved on to new area."""
+
+
+class Pauses:
+    """The last pause in the scans that were matched, and the highest speed of the path."""
+
+    def __init__(self) -> None:
+        """Begin without a scan."""
+        self._seen_ns: int | None = None
+        self._end_ns: int | None = None
+        self._fastest_m_s = LEAST_SPEED_M_S
+
+    def note(self, stamp_ns: int, motion: Motion) -> None:
+        """Take note of a scan and of the motion before it."""
+        if self._seen_ns is not None and (stamp_ns - self._seen_ns) * NS > shortest_pause_s(motion.period_s):
+            self._end_ns = stamp_ns
+        elif motion.stamp_ns == self._seen_ns:
+            self._fastest_m_s = max(self._fastest_m_s, hypot(*motion.twist[:2]))
+        self._seen_ns = stamp_ns
+
+    def exclude(self, map_T_laser: Pose, motion: Motion, elapsed_s: float) -> bool:
+        """Return whether a pose after a pause without odometry is farther than the laser can have moved.
+
+        A laser that is lost while its scans go on may have been carried; one whose scans pause has moved as before.
+        """
+        if motion.odometry is not None or self._end_ns is None or self._end_ns <= motion.stamp_ns:
+            return False
+        return motion.map_T_laser.gap(map_T_laser)[0] > FASTER * self._fastest_m_s * elapsed_s + SLACK_M
+
+
+def shortest_pause_s(period_s: float) -> float:
+    """Return the time between two scans from which it is a pause."""
+    return max(PAUSE_S, PAUSE_PERIODS * period_s)
+
+
+def pauses(steps: Steps, period_s: float) -> list[int]:
+    """Return the numbers of the scans before the pauses of a log."""
+    found: list[int] = np.flatnonzero(np.diff(steps.column("stamp_ns")) * NS > shortest_pause_s(period_s)).tolist()
+    return found
+
+
+def first_found_late(steps: Steps, period_s: float) -> int | None:
+    """Return the number of the first scan after the first pause after which the laser was found late; None without."""
+    accepted = np.flatnonzero(steps.column("tracked")).tolist()
+    for pause in pauses(steps, period_s):
+        later = bisect_right(accepted, pause)
+        if 0 < later < len(accepted) and accepted[later] - pause > LATE_SCANS:
+            return pause + 1
+    return None
+
+
+def pause_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
+    """Yield a warning if the scans pause between two poses of a log without odometry."""
+    tracked, stamps_ns = steps.column("tracked"), steps.column("stamp_ns")
+    found = [k for k in pauses(steps, motion.period_s) if tracked[: k + 1].any() and tracked[k + 1 :].any()]
+    if not found or motion.odometry is not None:
+        return
+    longest = max(found, key=lambda k: stamps_ns[k + 1] - stamps_ns[k])
+    at_s, until_s = (float(stamps_ns[k] - stamps_ns[0]) * NS for k in (longest, longest + 1))
+    more = f", and {len(found) - 1} more" if len(found) > 1 else ""
+    yield (
+        f"the scans pause for {until_s - at_s:.1f} s ({at_s:.1f} s after the first{more}): without odometry, where the "
+        "laser is afterwards is known from the scans alone; check the map there"
+    )

@@ -1,0 +1,117 @@
+"""After a pause in the scans without odometry, a place that looks like an earlier one is no evidence by itself."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mavnav.config.models import Config
+from mavnav.pose import Pose, Trajectory
+from mavnav.scan import LaserSpec
+from mavnav.slam.motion_model import Motion
+from mavnav.slam.pauses import LATE_SCANS, Pauses, first_found_late, pause_warnings
+from mavnav.slam.pipeline import run_slam
+from mavnav.slam.result import SlamResult
+from mavnav.slam.scan_matching import first_match, no_match
+from mavnav.slam.steps import Step, Steps
+from mavnav.units import NS
+from support.synthetic import along, polyline, record
+
+S = 10**9
+SPEC = LaserSpec(-np.pi * 2 / 3, np.pi / 180, 241, 0.05, 8.0)
+
+
+def corridor(seed: int) -> np.ndarray:
+    """Return a corridor of 60 m with alcoves every 3 m, whose places differ by a few cm."""
+    rng, walls = np.random.default_rng(seed), []
+    for side, out in ((0.0, -1.0), (2.0, 1.0)):
+        points = [(0.0, side)]
+        for middle in np.arange(1.5, 60.0, 3.0) + rng.normal(0.0, 0.03, 20):
+            points += [
+                (middle + dx, side + dy * out) for dx, dy in ((-0.45, 0), (-0.45, 0.12), (0.45, 0.12), (0.45, 0))
+            ]
+        walls.append(polyline(*points, (60.0, side)))
+    return np.vstack([*walls, polyline((0.0, 0.0), (0.0, 2.0)), polyline((60.0, 0.0), (60.0, 2.0))])
+
+
+@cache
+def drive_with_pause(seed: int, first_s: float, last_s: float, *, odometry: bool = False) -> tuple[SlamResult, float]:
+    """Return the run of a drive down the corridor, and its largest error, m, with a pause in the scans."""
+    full = record(corridor(seed), along([(14.0, 1.0), (30.0, 1.1), (46.0, 1.0)], speed_m_s=1.0), SPEC, 0.002)
+    start_ns = full.scans[0].stamp_ns
+    kept = [k for k, s in enumerate(full.scans) if not first_s < (s.stamp_ns - start_ns) * NS < last_s]
+    truth, scans = full.map_T_laser, [full.scans[k] for k in kept]
+    run = run_slam(lambda: scans, Config(), 0.1, truth if odometry else None)
+    at = np.searchsorted(truth.stamps_ns, run.trajectory.stamps_ns)
+    first = truth[int(at[0])]
+    true_xy = np.array([[p.x_m, p.y_m] for p in (first.between(truth[int(k)]) for k in at)])
+    return run, float(np.linalg.norm(run.trajectory.xyyaw[:, :2] - true_xy, axis=1).max())
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_place_that_looks_like_another_is_not_taken_for_it(seed: int) -> None:
+    run, error_m = drive_with_pause(seed, 15.0, 25.0)
+    assert error_m < 0.3
+    assert run.lost_for_good
+    assert [part.joined for part in run.parts] == [True, False]
+
+
+def test_odometry_bridges_a_pause() -> None:
+    run, error_m = drive_with_pause(3, 15.0, 19.0, odometry=True)
+    assert error_m < 0.3
+    assert not run.lost_for_good
+    assert run.trajectory.stamps_ns[-1] - run.trajectory.stamps_ns[0] > 30 * S
+
+
+def motion_at(stamp_ns: int, speed_m_s: float) -> Motion:
+    return Motion(0.1, stamp_ns=stamp_ns, twist=(speed_m_s, 0.0, 0.0))
+
+
+def test_a_laser_moves_through_a_pause_as_fast_as_before() -> None:
+    pauses = Pauses()
+    for k in range(1, 6):
+        pauses.note(k * S // 10, motion_at((k - 1) * S // 10, 1.0))
+    before, now = motion_at(S // 2, 1.0), S // 2 + 10 * S
+    assert not pauses.exclude(Pose(20.0, 0.0), before, 10.0)  # no pause yet
+    pauses.note(now, before)
+    assert pauses.exclude(Pose(13.0, 0.0), before, 10.0)
+    assert not pauses.exclude(Pose(12.0, 0.0), before, 10.0)
+    assert not pauses.exclude(Pose(13.0, 0.0), before._replace(odometry=Trajectory.of([0], [Pose()]).at), 10.0)
+    assert not pauses.exclude(Pose(13.0, 0.0), motion_at(now, 0.0), 0.1)  # found since
+
+
+def test_missed_scans_are_no_pause() -> None:
+    pauses = Pauses()
+    for k in range(1, 200):
+        pauses.note(k * S // 10, motion_at(S // 10, 0.5))
+    assert not pauses.exclude(Pose(30.0, 0.0), motion_at(S // 10, 0.5), 19.8)
+
+
+@pytest.mark.parametrize(
+    ("missed", "pause_s", "late"), [(LATE_SCANS, 3.0, True), (LATE_SCANS - 1, 3.0, False), (40, 2.0, False)]
+)
+def test_a_laser_is_found_late(missed: int, pause_s: float, *, late: bool) -> None:
+    def step(k: int, *, tracked: bool) -> Step:
+        stamp_ns = k * S // 10 + (round(pause_s * S) if k >= 10 else 0)
+        return Step(k, stamp_ns, first_match(100) if tracked else no_match(Pose()), tracked)
+
+    steps = Steps(step(k, tracked=not 10 <= k < 10 + missed) for k in range(100))
+    assert first_found_late(steps, 0.1) == (10 if late else None)
+    assert first_found_late(Steps(step(k, tracked=k < 10) for k in range(100)), 0.1) is None
+
+
+def test_a_pause_between_two_poses_is_reported() -> None:
+    def warnings(pause_s: float, tracked: int = 100, **motion: object) -> list[str]:
+        steps = Steps(
+            Step(k, k * S // 10 + (round(pause_s * S) if k >= 10 else 0), first_match(100), k < tracked)
+            for k in range(100)
+        )
+        return list(pause_warnings(steps, Motion(0.1)._replace(**motion)))
+
+    (text,) = warnings(7.0)
+    assert text.startswith("the scans pause for 7.1 s (0.9 s after the first): without odometry")
+    assert not warnings(2.0)
+    assert not warnings(7.0, tracked=10)
+    assert not warnings(7.0, odometry=Trajectory.of([0], [Pose()]).at)
