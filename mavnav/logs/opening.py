@@ -17,7 +17,7 @@ from mavnav.logs.messages.decode import scan_topics
 from mavnav.logs.odometry import jump
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import Imu, Odometry, ScanCounts
-from mavnav.logs.stamps import REPEATED_SHARE, period_and_gaps
+from mavnav.logs.stamps import REPEATED_SHARE, comes_in_bursts, period_and_gaps
 from mavnav.logs.survey import Survey, survey
 from mavnav.logs.topic_choice import chosen_topic, no_usable
 from mavnav.logs.transforms import BASE_FRAMES, mounting
@@ -210,6 +210,11 @@ def _scan_warnings(log: Log) -> Iterator[str]:
         yield (
             f"{log.topic}: {counts.repeated} of {counts.usable} scans repeat the one before; where the laser moved "
             "meanwhile the track is wrong: check the driver, or cut the log with --start and --end"
+        )
+    if comes_in_bursts(log._stamps_ns):  # noqa: SLF001  the log is made here
+        yield (
+            f"{log.topic}: the stamps come in bursts, less than 5 ms apart, of scans that were taken every "
+            f"{log.period_s * 1e3:.0f} ms: velocities are uncertain; stamp scans by the laser's clock"
         )
 
 

@@ -36,6 +36,10 @@ _CALENDAR_NS: Final = 1_000_000_000_000_000_000
 """September 2001: stamps of a clock with a date are later, those that count from a start before."""
 
 _GAP_PERIODS: Final = 3.0
+
+_SHORTEST_NS, _BURST_SHARE, _LEAST_BURST_SCANS = 5_000_000, 0.3, 10
+"""Time between two scans that is too short for a laser, and share and number of such scans of a log with bursts."""
+_MANY_SCANS, _BURST_QUANTILE = 64, 0.95
 _SUSPECT_OFFSET_NS: Final = 10_000_000_000
 """A suspect scan whose stamp is farther from its time of recording than usual, by this, is not plausible."""
 
@@ -290,11 +294,29 @@ def _inside(stamps_ns: NDArray[np.int64], window_s: Window) -> NDArray[np.bool_]
 
 
 def period_and_gaps(stamps_ns: NDArray[np.int64]) -> tuple[float, tuple[Gap, ...]]:
-    """Return the median period (s, 0 for a single scan) and the pauses longer than three of it."""
+    """Return the median period (s, 0 for a single scan) and the pauses longer than three of it.
+
+    Where scans come in bursts, the period is the median over many scans, and a pause is longer than three bursts.
+    """
     if len(stamps_ns) < 2:
         return 0.0, ()
     steps = np.diff(stamps_ns)
-    period_ns = float(np.median(steps))
+    period_ns = burst_ns = float(np.median(steps))
+    if comes_in_bursts(stamps_ns):
+        period_ns, burst_ns = _mean_step_ns(stamps_ns), float(np.quantile(steps, _BURST_QUANTILE))
     return period_ns * NS, tuple(
-        Gap(int(stamps_ns[k]), float(steps[k]) * NS) for k in np.flatnonzero(steps > _GAP_PERIODS * period_ns)
+        Gap(int(stamps_ns[k]), float(steps[k]) * NS) for k in np.flatnonzero(steps > _GAP_PERIODS * burst_ns)
     )
+
+
+def comes_in_bursts(stamps_ns: NDArray[np.int64]) -> bool:
+    """Return whether many scans follow the one before faster than any laser turns: a buffer delivered them at once."""
+    if len(stamps_ns) < _LEAST_BURST_SCANS or _mean_step_ns(stamps_ns) < 2 * _SHORTEST_NS:
+        return False
+    return bool(np.mean(np.diff(stamps_ns) < _SHORTEST_NS) > _BURST_SHARE)
+
+
+def _mean_step_ns(stamps_ns: NDArray[np.int64]) -> float:
+    """Return the median of the mean steps over many scans, which pauses do not change."""
+    n = min(_MANY_SCANS, len(stamps_ns) - 1)
+    return float(np.median(stamps_ns[n:] - stamps_ns[:-n])) / n

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mavnav.errors import NoScansError, UsageError
 from mavnav.logs import open_log
-from mavnav.logs.stamps import ascending, period_and_gaps
+from mavnav.logs.stamps import ascending, comes_in_bursts, period_and_gaps
 from support.log_files import PERIOD_NS, START_NS, Message, laser, write_mcap
 
 if TYPE_CHECKING:
@@ -80,6 +80,33 @@ def test_gaps_are_pauses_longer_than_three_periods() -> None:
     assert period_s == pytest.approx(0.01)
     assert [(g.start_ns, round(g.duration_s, 6)) for g in gaps] == [(stamps[4], 0.031)]
     assert period_and_gaps(stamps[:1]) == (0.0, ())
+
+
+@pytest.mark.parametrize("size", [2, 3, 5, 10])
+def test_the_period_of_scans_in_bursts_is_that_of_the_laser(size: int) -> None:
+    times_ms = np.arange(400) // size * size * 100.0 + np.arange(400) % size * 0.8
+    times_ms[200:] += 7000.0
+    stamps_ns = (times_ms * 1e6).astype(np.int64)
+    period_s, gaps = period_and_gaps(stamps_ns)
+    assert comes_in_bursts(stamps_ns)
+    assert period_s == pytest.approx(0.1, rel=0.08)
+    assert [gap.duration_s > 7.0 for gap in gaps] == [True]
+
+
+@pytest.mark.parametrize("steps_ms", [[10.0, 10.0], [100.0, 100.0], [100.0, 2000.0], [25.0, 3.0, 25.0, 25.0]])
+def test_scans_one_by_one_are_no_bursts(steps_ms: list[float]) -> None:
+    stamps_ns = (np.cumsum(np.resize(steps_ms, 200)) * 1e6).astype(np.int64)
+    assert not comes_in_bursts(stamps_ns)
+    assert period_and_gaps(stamps_ns)[0] == np.median(np.diff(stamps_ns)) * 1e-9
+
+
+def test_a_log_with_stamps_in_bursts_says_so(tmp_path: Path) -> None:
+    stamps_ns = [START_NS + k // 4 * 4 * PERIOD_NS + k % 4 * 800_000 for k in range(60)]
+    messages = [at(k, stamp_ns) for k, stamp_ns in enumerate(stamps_ns)]
+    log = open_log(write_mcap(tmp_path / "a", messages))
+    assert log.period_s == pytest.approx(0.1, rel=0.1)
+    assert log.counts.usable == 60
+    assert any("come in bursts" in text for text in log.warnings)
 
 
 def test_a_stamp_of_zero_is_no_time_where_the_others_tell_the_date(tmp_path: Path) -> None:
