@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+LEAST_CONSTANT = 10
+"""Number of scans of one stamp, besides the first, that make no log."""
+
 
 def open_log(
     path: Path,
@@ -116,6 +119,11 @@ def choose(
     timeline = scans.timeline(found.window_s)
     if timeline.first is None:
         raise NoScansError(no_usable(found, name, scans, timeline))
+    if timeline.skipped["duplicate_stamp"] >= scans.total - 1 >= LEAST_CONSTANT:
+        raise NoScansError(
+            f"{found.path}: all {scans.total} scans on {name} have one stamp and one time of recording; nothing tells "
+            "when they were taken: record the log again, and check the clock of the driver"
+        )
     sensor, frame_id = timeline.first
     period_s, gaps = period_and_gaps(timeline.stamps_ns)
     skipped = dict(sorted((scans.refused + timeline.skipped).items()))

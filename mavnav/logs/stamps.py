@@ -37,6 +37,9 @@ _CALENDAR_NS: Final = 1_000_000_000_000_000_000
 
 _GAP_PERIODS: Final = 3.0
 
+_MOST_BACKWARD, _FEW_BACKWARD = 0.1, 10
+"""Share and number of the scans that may have stamps before those of earlier ones, if the times of recording ascend."""
+
 _SHORTEST_NS, _BURST_SHARE, _LEAST_BURST_SCANS = 5_000_000, 0.3, 10
 """Time between two scans that is too short for a laser, and share and number of such scans of a log with bursts."""
 _MANY_SCANS, _BURST_QUANTILE = 64, 0.95
@@ -192,13 +195,16 @@ class TopicScans(Struct):
         """Choose the scans' own stamps, unless they keep less than half of the scans that the recorder's keep.
 
         So stamps that are all zero or constant are not trusted. A constant stamp above zero keeps one scan, which is
-        half of two: two scans count as constant as well. The window's ends are in seconds from the first usable scan,
-        both inclusive.
+        half of two: two scans count as constant as well. Nor are those of a clock that is set back, where that costs
+        ``_MOST_BACKWARD`` of the scans; scans recorded twice are not such. The window's ends are in seconds from the
+        first usable scan, both inclusive.
         """
         header, log = (self._chosen(stamps) for stamps in (self._header_ns, self._log_ns))
         zero = len(header) > 0 and self._header_ns[header[-1]] == 0
         constant = len(header) == 1 and len(log) > 1
-        if len(log) and (zero or constant or 2 * len(header) < len(log)):
+        backward = self._skipped(_frozen(self._header_ns), header)["backward_stamp"] if len(header) < len(log) else 0
+        set_back = min(backward, len(log) - len(header)) > max(_MOST_BACKWARD * len(log), _FEW_BACKWARD)
+        if len(log) and (zero or constant or set_back or 2 * len(header) < len(log)):
             return self._timeline("log", self._log_ns, log, window_s)
         return self._timeline("header", self._header_ns, header, window_s)
 

@@ -82,6 +82,30 @@ def test_gaps_are_pauses_longer_than_three_periods() -> None:
     assert period_and_gaps(stamps[:1]) == (0.0, ())
 
 
+@pytest.mark.parametrize("first", [20, 50, 80])
+def test_a_clock_that_is_set_back_costs_no_scans(first: int, tmp_path: Path) -> None:
+    hour_ns = 3600 * 10**9
+    times_ns = [START_NS + k * PERIOD_NS for k in range(100)]
+    messages = [at(k, t if k < first else t - hour_ns, t) for k, t in enumerate(times_ns)]
+    log = open_log(write_mcap(tmp_path / "a", messages))
+    assert (log.counts.usable, log.stamp_source) == (100, "log")
+    assert any("times of recording" in text for text in log.warnings)
+
+
+def test_scans_of_one_time_are_no_log(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", [at(k, START_NS, START_NS) for k in range(20)])
+    with pytest.raises(NoScansError, match="all 20 scans on /scan have one stamp"):
+        open_log(path)
+    assert open_log(write_mcap(tmp_path / "b", [laser(0)])).counts.usable == 1
+
+
+def test_a_log_that_repeats_itself_is_read_once(tmp_path: Path) -> None:
+    times_ns = [START_NS + k * PERIOD_NS for k in range(100)]
+    messages = [at(k, t, t + again * 60 * 10**9) for again in (0, 1) for k, t in enumerate(times_ns)]
+    log = open_log(write_mcap(tmp_path / "a", messages))
+    assert (log.counts.usable, log.stamp_source) == (100, "header")
+
+
 @pytest.mark.parametrize("size", [2, 3, 5, 10])
 def test_the_period_of_scans_in_bursts_is_that_of_the_laser(size: int) -> None:
     times_ms = np.arange(400) // size * size * 100.0 + np.arange(400) % size * 0.8
