@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from mavnav.slam.track import Track
 
 
+MOST_SCATTERED = 0.2
+"""Share of scans without a pose outside of lost intervals from which there is a warning."""
+
+
 class SlamResult(Struct, frozen=True):
     """The result: a step for every scan, the poses of the tracked ones (map_T_laser), map, lost intervals, loops.
 
@@ -94,6 +98,8 @@ def _late_warnings(track: Track, parts: Sequence[Part], lost: Sequence[LostInter
     yield from part_warnings(parts, track.steps[0].stamp_ns) if parts else ()
     yield from jump_warnings(track.steps, lost)
     yield from pause_warnings(track.steps, track.motion) if track.prior_map is None else ()
+    if track.refiner and track.refiner.builds_map:
+        yield from scattered_warnings(track.steps, lost)
 
 
 def jump_warnings(steps: Steps, lost: Sequence[LostInterval]) -> Iterator[str]:
@@ -102,6 +108,16 @@ def jump_warnings(steps: Steps, lost: Sequence[LostInterval]) -> Iterator[str]:
     if at_s:
         when = f"{at_s[0]:.1f} s after the first scan" + (f", and {len(at_s) - 1} more" if len(at_s) > 1 else "")
         yield f"the path jumps faster than any vehicle ({when}): a wrong match, or scans that repeat; see the map there"
+
+
+def scattered_warnings(steps: Steps, lost: Sequence[LostInterval]) -> Iterator[str]:
+    """Yield a warning if many scans without a pose are spread over the log."""
+    missing, in_lost = int(np.count_nonzero(~steps.column("tracked"))), sum(interval.scans for interval in lost)
+    if missing - in_lost > MOST_SCATTERED * len(steps):
+        yield (
+            f"{missing - in_lost} of {len(steps)} scans, spread over the log, match nowhere: two lasers on one topic, "
+            "or scans that are cut or spoilt? See them with 'mavnav info'"
+        )
 
 
 def beginning_ns(steps: Steps, begin: int) -> int | None:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mavnav.pose import Pose
+from mavnav.slam.result import scattered_warnings
 from mavnav.slam.scan_matching import Match, first_match, no_match
 from mavnav.slam.steps import LostInterval, Step, Steps, lost_intervals, tracked_trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 MS = 1_000_000
 
@@ -74,3 +80,14 @@ def test_five_scans_without_a_pose_are_lost_and_found_again_if_one_follows(
     start_ns, end_ns = 100 * MS * before, 100 * MS * (before + lost - 1)
     expected = [LostInterval(start_ns, end_ns, told, recovered=after > 0)] if told else []
     assert list(lost_intervals(Steps(steps))) == expected
+
+
+def test_scans_that_match_nowhere_all_over_the_log_are_reported() -> None:
+    def warnings(is_tracked: Callable[[int], bool]) -> list[str]:
+        steps = Steps(Step(k, k, first_match(100), is_tracked(k)) for k in range(100))
+        return list(scattered_warnings(steps, list(lost_intervals(steps))))
+
+    (text,) = warnings(lambda k: k % 2 == 0)
+    assert text.startswith("50 of 100 scans, spread over the log, match nowhere: two lasers on one topic")
+    assert not warnings(lambda k: k % 10 > 0)
+    assert not warnings(lambda k: k < 40)  # lost, which is reported elsewhere
