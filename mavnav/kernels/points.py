@@ -13,6 +13,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+MIXED_M, MIXED_SHARE = 0.1, 0.05
+"""Difference in range to both neighbors of a mixed pixel, in m and as a share of the range."""
+
+STEEPEST = 2.75
+"""Tangent of the angle, 70 degrees, between a beam and the normal of a wall that its neighbors still meet."""
+
+
 @helper
 def _end_points(
     ranges_m: NDArray[np.float64],
@@ -28,12 +35,16 @@ def _end_points(
     turn = rate * time_increment_s
     first, step_c, step_s = -0.5 * (n - 1) * turn, np.cos(turn), np.sin(turn)
     next_c, next_s = np.cos(first), np.sin(first)
+    share = MIXED_SHARE
+    if n > 1:
+        between = abs(directions[0, 0] * directions[1, 1] - directions[0, 1] * directions[1, 0])
+        share = max(share, STEEPEST * between)
     for i in range(n):
         r, c, s = ranges_m[i], next_c, next_s
         next_c, next_s = step_c * c - step_s * s, step_s * c + step_c * s
         if not near_m < r < far_m:
             continue
-        jump = max(0.1, 0.05 * r)
+        jump = max(MIXED_M, share * r)
         if 0 < i < n - 1 and abs(r - ranges_m[i - 1]) > jump and abs(r - ranges_m[i + 1]) > jump:
             continue
         late_s = time_increment_s * (i - 0.5 * (n - 1))

@@ -17,9 +17,10 @@ from mavnav.kernels.points import extent, placed, scan_points
 from mavnav.mapping import line_map as line_map_module
 from mavnav.mapping.line_map import LineMap
 from mavnav.pose import Pose, transform_points
+from mavnav.scan import LaserSpec
 from support import kernel_parts, naive
 from support.matches import voxel_means
-from support.synthetic import URG_04LX, furnished_rooms, scan_at
+from support.synthetic import URG_04LX, furnished_rooms, room, scan_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,24 +38,37 @@ def wall_points(rng: np.random.Generator, n: int = 60) -> np.ndarray:
 
 
 def cleaned(
-    ranges: np.ndarray, twist: np.ndarray, increment_s: float, near_m: float, far_m: float
+    ranges: np.ndarray,
+    twist: np.ndarray,
+    increment_s: float,
+    near_m: float,
+    far_m: float,
+    directions: np.ndarray = DIRECTIONS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the end points of a scan and their means in voxels of 30 mm."""
     ends, means = np.empty((2, len(ranges), 2))
-    n, m = scan_points(ranges, DIRECTIONS, twist, increment_s, np.array([near_m, far_m, 0.03]), ends, means)
+    n, m = scan_points(ranges, directions, twist, increment_s, np.array([near_m, far_m, 0.03]), ends, means)
     return ends[:n], means[:m]
 
 
 @settings(max_examples=25, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_scan_points_are_their_twin(seed: int) -> None:
+@given(seed=st.integers(0, 2**32 - 1), every=st.sampled_from((1, 4, 20)))
+def test_scan_points_are_their_twin(seed: int, every: int) -> None:
     rng = np.random.default_rng(seed)
-    ranges = scan_at(furnished_rooms(), Pose(3.0, 2.2, 1.0), noise=0.03, rng=rng).ranges_m.copy()
+    ranges = scan_at(furnished_rooms(), Pose(3.0, 2.2, 1.0), noise=0.03, rng=rng).ranges_m[::every].copy()
     ranges[rng.random(len(ranges)) < 0.1] = np.nan
-    args = (rng.uniform(-1, 1, 3), 1e-4, 0.5, 4.0)
-    ends, means = cleaned(ranges, *args)
-    np.testing.assert_allclose(ends, naive.scan_points(ranges, DIRECTIONS, *args), atol=1e-12)
+    args, directions = (rng.uniform(-1, 1, 3), 1e-4, 0.5, 4.0), np.ascontiguousarray(DIRECTIONS[::every])
+    ends, means = cleaned(ranges, *args, directions)
+    np.testing.assert_allclose(ends, naive.scan_points(ranges, directions, *args), atol=1e-12)
     np.testing.assert_array_equal(means, voxel_means(ends, 0.03))
+
+
+@pytest.mark.parametrize("beams", [36, 60, 90, 360])
+def test_walls_that_few_beams_meet_are_no_mixed_pixels(beams: int) -> None:
+    spec = LaserSpec(0.0, 2.0 * np.pi / beams, beams, 0.05, 20.0)
+    ranges = scan_at(room(4.0, 3.0), Pose(1.4, 1.2, 0.3), spec).ranges_m
+    points, _ = cleaned(ranges, np.zeros(3), 0.0, 0.1, 20.0, spec.directions)
+    assert len(points) >= 0.98 * beams
 
 
 def test_deskewing_undoes_a_turn_during_the_sweep() -> None:

@@ -153,10 +153,11 @@ def polar_cost(virtual, points, x, y, yaw, limits):
 def scan_points(ranges_m, directions, twist, time_increment_s, near_m, far_m):
     out = []
     n = len(ranges_m)
+    share = max(0.05, 2.75 * abs(np.linalg.det(np.asarray(directions)[:2]))) if n > 1 else 0.05
     for i, r in enumerate(ranges_m):
         if math.isnan(r) or not near_m < r < far_m:
             continue
-        if 0 < i < n - 1 and all(abs(r - ranges_m[k]) > max(0.1, 0.05 * r) for k in (i - 1, i + 1)):
+        if 0 < i < n - 1 and all(abs(r - ranges_m[k]) > max(0.1, share * r) for k in (i - 1, i + 1)):
             continue
         late = time_increment_s * (i - (n - 1) / 2)
         x, y = r * directions[i][0], r * directions[i][1]
