@@ -30,6 +30,10 @@ MOST_SCATTERED = 0.2
 """Share of scans without a pose outside of lost intervals from which there is a warning."""
 
 
+FEW_BEAMS = 70
+"""Median number of points of the scans below which there is a warning."""
+
+
 class SlamResult(Struct, frozen=True):
     """The result: a step for every scan, the poses of the tracked ones (map_T_laser), map, lost intervals, loops.
 
@@ -100,6 +104,7 @@ def _late_warnings(track: Track, parts: Sequence[Part], lost: Sequence[LostInter
     yield from pause_warnings(track.steps, track.motion) if track.prior_map is None else ()
     if track.refiner and track.refiner.builds_map:
         yield from scattered_warnings(track.steps, lost)
+        yield from few_beams_warnings(track.steps)
 
 
 def jump_warnings(steps: Steps, lost: Sequence[LostInterval]) -> Iterator[str]:
@@ -117,6 +122,16 @@ def scattered_warnings(steps: Steps, lost: Sequence[LostInterval]) -> Iterator[s
         yield (
             f"{missing - in_lost} of {len(steps)} scans, spread over the log, match nowhere: two lasers on one topic, "
             "or scans that are cut or spoilt? See them with 'mavnav info'"
+        )
+
+
+def few_beams_warnings(steps: Steps) -> Iterator[str]:
+    """Yield a warning if most tracked scans have few points: they may fit at several poses."""
+    used = steps.column("beams_used")[steps.column("tracked")]
+    if len(used) and (median := float(np.median(used))) < FEW_BEAMS:
+        yield (
+            f"the scans have only {median:.0f} points in the median: single poses may be off by a meter; "
+            "check the map, or record odometry"
         )
 
 

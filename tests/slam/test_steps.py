@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavnav.pose import Pose
-from mavnav.slam.result import scattered_warnings
+from mavnav.slam.result import few_beams_warnings, scattered_warnings
 from mavnav.slam.scan_matching import Match, first_match, no_match
 from mavnav.slam.steps import LostInterval, Step, Steps, lost_intervals, tracked_trajectory
 
@@ -91,3 +91,10 @@ def test_scans_that_match_nowhere_all_over_the_log_are_reported() -> None:
     assert text.startswith("50 of 100 scans, spread over the log, match nowhere: two lasers on one topic")
     assert not warnings(lambda k: k % 10 > 0)
     assert not warnings(lambda k: k < 40)  # lost, which is reported elsewhere
+
+
+@pytest.mark.parametrize(("points", "few"), [(45, True), (69, True), (70, False), (500, False)])
+def test_scans_of_few_points_are_reported(points: int, *, few: bool) -> None:
+    steps = Steps(Step(k, k, first_match(points), tracked=True) for k in range(20))
+    assert bool(list(few_beams_warnings(steps))) == few
+    assert not list(few_beams_warnings(Steps(Step(k, k, first_match(points), tracked=False) for k in range(20))))
