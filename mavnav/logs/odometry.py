@@ -12,7 +12,7 @@ from mavnav.errors import TopicError
 from mavnav.logs.messages.definitions import POSE, TRANSFORM
 from mavnav.logs.stamps import in_order
 from mavnav.logs.transforms import frame_name, planar_pose
-from mavnav.pose import Trajectory
+from mavnav.pose import Pose, Trajectory, motions
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 TF_TOPIC = "/tf"
 _ODOM_FRAME = "odom"
 _JUMP_M, _FASTEST_M_S = 100.0, 100.0
+_RESET_M, _RESET_M_S = 1.0, 20.0
+_FEW_RESETS, _RESET_SHARE = 4, 0.001
+"""Step, m plus m/s, that no wheels make, and the number and share of such steps that are left out."""
 
 
 class PoseTrack(Struct):
@@ -71,6 +74,30 @@ def jump(odom_T_base: Trajectory) -> str:
         return ""
     since_s = (odom_T_base.stamps_ns[far[0] + 1] - odom_T_base.stamps_ns[0]) * NS
     return f"jumps by {step_m[far[0]]:.3g} m, {since_s:.3f} s after its start"
+
+
+def without_resets(odom_T_base: Trajectory, topic: str, warn: Callable[[str], None]) -> Trajectory:
+    """Return the odometry without single steps that no wheels make: it was reset there, or a pose is wrong.
+
+    The step before takes the place of each. Odometry with many such steps stays as it is.
+    """
+    numbers, elapsed_s = np.arange(len(odom_T_base)), np.diff(odom_T_base.stamps_ns) * NS
+    steps = motions(odom_T_base.xyyaw, numbers[:-1], numbers[1:])
+    far = np.hypot(steps[:, 0], steps[:, 1]) > _RESET_M + _RESET_M_S * elapsed_s
+    resets = np.flatnonzero(far)
+    if not len(resets) or len(resets) > max(_FEW_RESETS, _RESET_SHARE * len(far)):
+        return odom_T_base
+    for k in resets.tolist():
+        usual = k > 0 and elapsed_s[k - 1] > 0.0
+        steps[k] = steps[k - 1] * min(elapsed_s[k] / elapsed_s[k - 1], 1.0) if usual else 0.0
+    first = int(resets[0])
+    since_s = float(odom_T_base.stamps_ns[first + 1] - odom_T_base.stamps_ns[0]) * NS
+    poses = [odom_T_base[k] for k in range(first + 1)]
+    for x_m, y_m, yaw_rad in steps[first:].tolist():
+        poses.append(poses[-1] @ Pose(x_m, y_m, yaw_rad))
+    when = f"{since_s:.1f} s after its start" + (f", and {len(resets) - 1} more" if len(resets) > 1 else "")
+    warn(f"{topic}: the odometry jumps ({when}), as after a reset; these steps are left out")
+    return Trajectory.of(odom_T_base.stamps_ns.tolist(), poses)
 
 
 class OdometryTracks:

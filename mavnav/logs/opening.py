@@ -14,7 +14,7 @@ from mavnav.logs.levelling import laser_attitude
 from mavnav.logs.log import Log
 from mavnav.logs.merging import FRAME, partners, virtual_laser
 from mavnav.logs.messages.decode import scan_topics
-from mavnav.logs.odometry import jump
+from mavnav.logs.odometry import jump, without_resets
 from mavnav.logs.preprocessing import KINDS
 from mavnav.logs.records import Imu, Odometry, ScanCounts
 from mavnav.logs.stamps import REPEATED_SHARE, comes_in_bursts, period_and_gaps
@@ -255,6 +255,7 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None, *, 
         if base_T_laser is None:
             text = f"no transform from {base_frame!r} to {log.frame_id!r}; the odometry is taken as the laser's own"
             warnings.append(f"{text} (give the mounting with --extrinsic x,y,yaw)")
+        odom_T_base = without_resets(odom_T_base, track.topic, warnings.append)
         odometry = Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()))
     upside_down = upside_down or (overhead and extrinsic is None)
     attitude = laser_attitude(

@@ -11,6 +11,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import zstandard
 from mcap.writer import Writer
@@ -205,6 +206,33 @@ def test_thousands_of_topics_share_their_warnings(tmp_path: Path) -> None:
     logs = [choose(found, topic=topic) for topic in found.scans]
     assert sum(len(log.warnings) for log in logs) <= (MAX_WARNINGS + 3) * len(logs)
     assert time.process_time() - began_s < 10.0
+
+
+@pytest.mark.parametrize("kind", ["reset", "one wrong pose"])
+def test_odometry_goes_on_after_a_reset(kind: str, tmp_path: Path) -> None:
+    def x_m(k: int) -> float:
+        wrong = k > 20 if kind == "reset" else k == 21
+        return 0.3 * k - 6.0 * wrong
+
+    odometry = [
+        Message("/odom", ODOM, START_NS + k * PERIOD_NS, {"x": x_m(k), "y": 0.0, "yaw": 0.0}) for k in range(40)
+    ]
+    log = open_log(write_mcap(tmp_path / "a.mcap", [laser(k) for k in range(40)] + odometry))
+    assert log.odometry is not None
+    np.testing.assert_allclose(log.odometry.odom_T_base.xyyaw[:, 0], 0.3 * np.arange(40), atol=1e-9)
+    more = "" if kind == "reset" else ", and 1 more"
+    assert f"/odom: the odometry jumps (2.1 s after its start{more}), as after a reset; these steps are left out" in (
+        log.warnings
+    )
+
+
+def test_odometry_that_always_jumps_stays(tmp_path: Path) -> None:
+    odometry = [
+        Message("/odom", ODOM, START_NS + k * PERIOD_NS, {"x": 9.0 * (k % 2), "y": 0.0, "yaw": 0.0}) for k in range(40)
+    ]
+    log = open_log(write_mcap(tmp_path / "a.mcap", [laser(k) for k in range(40)] + odometry))
+    assert log.odometry is not None
+    assert np.ptp(log.odometry.odom_T_base.xyyaw[:, 0]) == 9.0
 
 
 @pytest.mark.parametrize("step_m", [1e6, 1e290])
