@@ -106,10 +106,9 @@ def _link(path: Path, address: str) -> str | None:
 def _facts(path: Path) -> str:
     """Return the facts of a run from its run.json; empty if that cannot be read."""
     try:
-        document = read_json(path / RUN_FILE)
-    except (OSError, ValueError):
+        return facts([read_json(path / RUN_FILE)])
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return ""
-    return facts([document])
 
 
 def _field(column: Quantity, run: Mapping[str, Any] | None) -> Field:

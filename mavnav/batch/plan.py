@@ -11,10 +11,9 @@ from mavnav.batch.cases import Case, make_cases, read_paths
 from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.files import check_files
 from mavnav.errors import UsageError
-from mavnav.jobs.run_cache import PlannedRun, check_cache_directory, finished_document
+from mavnav.jobs.run_cache import check_cache_directory, is_finished
 from mavnav.metrics.gates import check_names
 from mavnav.outputs.schema import number_names
-from mavnav.outputs.writers import REPORT_FILE
 from mavnav.slam import registry
 
 if TYPE_CHECKING:
@@ -69,12 +68,7 @@ def plan_batch(request: BatchRequest, progress: Progress) -> BatchPlan:
 def plan_cases(request: BatchRequest, cases: Sequence[Case]) -> BatchPlan:
     """Return the plan of these cases, with those of their runs that are finished."""
     runs = () if request.force else (case.run for case in cases if case.run)
-    return BatchPlan(request, tuple(cases), frozenset(run.directory for run in runs if _is_finished(run)))
-
-
-def _is_finished(run: PlannedRun) -> bool:
-    """Return whether a run is finished, including its report if one is requested."""
-    return finished_document(run) is not None and (not run.request.report or (run.directory / REPORT_FILE).is_file())
+    return BatchPlan(request, tuple(cases), frozenset(run.directory for run in runs if is_finished(run)))
 
 
 def load_kernels(plan: BatchPlan, progress: Progress) -> None:

@@ -10,13 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from msgspec import Struct
+from msgspec import MsgspecError, Struct, convert
 from msgspec.structs import asdict, replace
 
 from mavnav import __version__
 from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode, OutputError
 from mavnav.outputs.directory import RUN_FILE, check_link
+from mavnav.outputs.run_json import RunDocument
+from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.replay import replay_directory
 
 if TYPE_CHECKING:
@@ -150,13 +152,33 @@ def source_sha256() -> str:
 
 
 def finished_document(run: PlannedRun) -> dict[str, Any] | None:
-    """Return run.json of a finished run; None if it is missing or cannot be read."""
+    """Return run.json of a finished run; None if it is missing, cannot be read, or lacks what every run has."""
     try:
         document: dict[str, Any] = read_json(run.directory / RUN_FILE)
+        convert(document | {"config": run.config}, RunDocument)
         ExitCode(document["exit_code"])
-    except (OSError, ValueError, LookupError, TypeError):
+    except (OSError, ValueError, TypeError, MsgspecError):
         return None
     return document
+
+
+def is_finished(run: PlannedRun) -> bool:
+    """Return whether a run is finished: its run.json is whole, and its files are those whose digests are in it.
+
+    With a report requested, that is there too. The files are read whole, as the log is for its own digest.
+    """
+    document = finished_document(run)
+    if document is None or (run.request.report and not (run.directory / REPORT_FILE).is_file()):
+        return False
+    return all(_has_digest(run.directory / name, digest) for name, digest in document["outputs"].items())
+
+
+def _has_digest(path: Path, digest: str) -> bool:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest() == digest
+    except (OSError, ValueError):
+        return False
 
 
 def run_row(

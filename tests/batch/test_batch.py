@@ -63,12 +63,40 @@ def test_a_page_that_is_asked_for_later_is_drawn(home: Path) -> None:
     assert batch(**asked)[1] == []
 
 
-@pytest.mark.parametrize("broken", ["", "[]", "{}", '{"exit_code": "0"}', '{"exit_code": 99}', '{"exit_code": null}'])
+FOUR_KEYS = '{"exit_code": 0, "tracking": {"lost": false}, "map_quality": {"meaningful": true}, "outputs": {}}'
+
+
+@pytest.mark.parametrize("broken", ["", "[]", "{}", '{"exit_code": "0"}', '{"exit_code": 0}', FOUR_KEYS])
 def test_a_run_that_was_spoilt_is_made_again(home: Path, broken: str) -> None:
     path = next(Path("runs/batch/cells").glob("good-*/run.json"))
     path.write_text(broken)
+    assert f"logs/good.mcap robust {NAME}" in missing_runs()
+
+
+def missing_runs() -> list[str]:
     planned = plan_batch(request_of(Options(**OPTIONS)), lambda *args: None)
-    assert f"logs/good.mcap robust {NAME}" in [case.name for case in planned.missing]
+    return [case.name for case in planned.missing]
+
+
+@pytest.mark.parametrize("change", [{"input": 5}, {"exit_code": 99}, {"exit_code": None}, {"tracking": {}}])
+def test_a_run_with_a_wrong_section_is_made_again(home: Path, change: dict) -> None:
+    path = next(Path("runs/batch/cells").glob("good-*/run.json"))
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    document, ran = batch(sources=("logs/good.mcap",))
+    assert (len(ran), document["exit_code"]) == (1, 0)
+    assert batch(sources=("logs/good.mcap",))[1] == []
+
+
+@pytest.mark.parametrize("name", ["hits.npz", "map.pgm", "map.png", "trajectory.tum"])
+def test_a_run_without_one_of_its_files_is_made_again(home: Path, name: str) -> None:
+    path = next(Path("runs/batch/cells").glob(f"good-*/{name}"))
+    content = path.read_bytes()
+    path.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    assert f"logs/good.mcap robust {NAME}" in missing_runs()
+    path.unlink()
+    assert f"logs/good.mcap robust {NAME}" in missing_runs()
+    path.write_bytes(content)
+    assert f"logs/good.mcap robust {NAME}" not in missing_runs()
 
 
 def test_force_runs_again(home: Path) -> None:
