@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+from collections import deque
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -12,7 +14,7 @@ from mavnav.outputs.addresses import is_address
 from mavnav.outputs.directory import RUN_FILE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Sequence
 
 _PATTERN: Final = re.compile(r"[*?[]")
 
@@ -21,9 +23,10 @@ def find_logs(patterns: Iterable[str], base: Path) -> list[str]:
     """Return the logs that paths, patterns, folders and addresses refer to, each once and in order.
 
     A pattern (``*``, ``?``, ``[...]``, ``**``) gives the matching paths sorted by name, without hidden files and
-    results of runs. A folder gives the logs in it and in its subfolders, including ROS 2 bags, without finished runs. A
-    path or pattern that matches nothing is returned unchanged, so that only its own case fails. Relative paths start at
-    ``base``; returned paths below ``base`` are relative to it. Raises UsageError for a folder that cannot be read.
+    results of runs. A folder gives the logs in it and in its subfolders, including ROS 2 bags, without finished runs;
+    links to folders are followed, but each folder counts once. A path or pattern that matches nothing is returned
+    unchanged, so that only its own case fails. Relative paths start at ``base``; returned paths below ``base`` are
+    relative to it. Raises UsageError for a folder that cannot be read.
     """
     found: dict[str, None] = {}
     for pattern in patterns:
@@ -49,7 +52,10 @@ def check_found(log: str, path: Path) -> None:
 
 
 def _paths(pattern: str, base: Path) -> list[str]:
-    return [_relative(path, base) for match in _matches(pattern, base) for path in (list(_logs(match)) or [match])]
+    matches = _matches(pattern, base)
+    found = _logs(matches)
+    rest = [match for match in matches if not any(path.is_relative_to(match) for path in found)]
+    return [_relative(path, base) for path in sorted([*found, *(match for match in rest if not _logs([match]))])]
 
 
 def _matches(pattern: str, base: Path) -> list[Path]:
@@ -72,13 +78,35 @@ def _is_result(path: Path) -> bool:
     return path.name == "result.mcap" and (path.parent / RUN_FILE).is_file()
 
 
-def _logs(path: Path) -> Iterator[Path]:
-    if not path.is_dir() or (path / "metadata.yaml").is_file():
-        yield path
-    elif not (path / RUN_FILE).is_file():
-        for inner in sorted(path.iterdir()):
-            if not inner.name.startswith(".") and (inner.is_dir() or is_named_like_a_log(inner)):
-                yield from _logs(inner)
+def _logs(paths: Sequence[Path]) -> list[Path]:
+    """Return files as they are, and the logs in folders and their subfolders, sorted.
+
+    Each folder is visited once, however many links lead to it; by a path without links if there is one.
+    """
+    found, visited = list[Path](), set[str]()
+    waiting = deque(sorted(paths, key=_links))
+    while waiting:
+        path = waiting.popleft()
+        folder = path.is_dir()
+        place = os.path.realpath(path) if folder else f"{os.path.realpath(path.parent)}/{path.name}"
+        if place in visited:
+            continue
+        visited.add(place)
+        if not folder or (path / "metadata.yaml").is_file():
+            found.append(path)
+        elif not (path / RUN_FILE).is_file():
+            inner = [each for each in path.iterdir() if not each.name.startswith(".") and _may_be_log(each)]
+            waiting.extendleft(each for each in inner if not each.is_symlink())
+            waiting.extend(each for each in inner if each.is_symlink())
+    return sorted(found)
+
+
+def _links(path: Path) -> int:
+    return sum(part.is_symlink() for part in (path, *path.parents))
+
+
+def _may_be_log(path: Path) -> bool:
+    return path.is_dir() or is_named_like_a_log(path)
 
 
 def _relative(path: Path, base: Path) -> str:

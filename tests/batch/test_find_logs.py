@@ -36,6 +36,44 @@ def test_a_folder_stands_for_the_logs_in_it(logs: Path) -> None:
     assert find_logs(["logs/sub/"], logs) == ALL[4:]
 
 
+@pytest.mark.parametrize(
+    ("link", "target"),
+    [
+        ("loop", "."),
+        ("sub/up", ".."),
+        ("sub/deep/up", "../.."),
+        ("aaa", "sub"),
+        ("aaa", "drive"),
+        ("sub/aaa", "../run"),
+    ],
+)
+@pytest.mark.parametrize("pattern", ["logs", "logs/*[!x]"])
+def test_a_folder_that_links_lead_to_counts_once(logs: Path, pattern: str, link: str, target: str) -> None:
+    (logs / "logs" / "notes.txt").unlink()
+    (logs / "logs" / "run").rename(logs / "logs" / "sub" / "run")
+    (logs / "logs" / link).symlink_to(target.replace("run", "sub/run"), target_is_directory=True)
+    assert find_logs([pattern], logs) == ALL
+
+
+def test_a_pattern_that_reaches_a_folder_by_a_link_too(logs: Path) -> None:
+    (logs / "logs" / "aaa").symlink_to("sub")
+    assert find_logs(["logs/*/*.zst"], logs) == ["logs/sub/c.db3.zst"]
+    assert find_logs(["logs/aaa/*.zst"], logs) == ["logs/aaa/c.db3.zst"]
+
+
+def test_links_to_logs_elsewhere_are_followed(logs: Path) -> None:
+    (logs / "mine").mkdir()
+    (logs / "mine" / "link").symlink_to("../logs/sub")
+    assert find_logs(["mine"], logs) == find_logs(["m*"], logs) == ["mine/link/c.db3.zst", "mine/link/deep/a.mcap"]
+    assert find_logs(["mine/link"], logs) == ["mine/link/c.db3.zst", "mine/link/deep/a.mcap"]
+
+
+def test_a_folder_whose_logs_another_one_has_as_well_is_not_empty(logs: Path) -> None:
+    (logs / "other").mkdir()
+    (logs / "other" / "link").symlink_to("../logs/sub")
+    assert find_logs(["[lo]*"], logs) == ALL
+
+
 def test_patterns(logs: Path) -> None:
     assert find_logs(["logs/*.mcap"], logs) == ["logs/a.mcap"]
     assert find_logs(["logs/**/a.mcap"], logs) == ["logs/a.mcap", "logs/sub/deep/a.mcap"]
