@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property
 from hashlib import sha256
+from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
@@ -135,9 +136,14 @@ def _is_run(path: Path) -> bool:
 
 
 def session_names(inputs: tuple[Path, ...]) -> list[str]:
-    """Name sessions after their logs or run directories; those of one name are numbered."""
+    """Name sessions after their logs or run directories; those of one name get numbers that no other name has."""
     plain = [log_name(path) for path in inputs]
-    return [name if plain.count(name) == 1 else f"{name}-{plain[: k + 1].count(name)}" for k, name in enumerate(plain)]
+    found: list[str] = []
+    for name in plain:
+        numbered = (f"{name}-{number}" for number in count(1))
+        free = (other for other in numbered if other not in plain and other not in found)
+        found.append(name if plain.count(name) == 1 else next(free))
+    return found
 
 
 def _input(name: str, path: Path, request: MergeRequest, folder: Path, progress: Progress) -> Input:

@@ -9,6 +9,7 @@ import pytest
 
 import mavnav as api
 from mavnav.ground_truth.tables import read_tum
+from mavnav.pipelines.merge import session_names
 from support.log_files import drive, write_mcap
 from support.sessions import CELLAR, errors_m, tour, written
 
@@ -106,3 +107,17 @@ def test_what_cannot_be_merged(mavnav, logs, tmp_path) -> None:
         code, out, err = mavnav("merge", *args, "-o", tmp_path / "m", "-q")
         assert (code, out, err.count("\n")) == (2, "", 1), args
         assert word in err, args
+
+
+@pytest.mark.parametrize(
+    ("inputs", "names"),
+    [
+        (("a", "b"), ["a", "b"]),
+        (("x/a", "y/a.mcap", "b"), ["a-1", "a-2", "b"]),
+        (("x/a", "y/a", "a-1"), ["a-2", "a-3", "a-1"]),
+        (("x/a-2", "x/a", "y/a-2", "y/a"), ["a-2-1", "a-1", "a-2-2", "a-3"]),
+        (("a-1-1", "x/a", "x/a-1", "y/a", "y/a-1"), ["a-1-1", "a-2", "a-1-2", "a-3", "a-1-3"]),
+    ],
+)
+def test_names_of_sessions_are_distinct(inputs: tuple[str, ...], names: list[str]) -> None:
+    assert session_names(tuple(map(Path, inputs))) == names
