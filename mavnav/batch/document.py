@@ -45,9 +45,9 @@ def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
 def _row(result: CaseResult, directory: Path) -> dict[str, Any]:
     """Return the row of a run as in comparison.json, with ``setting`` and ``seconds``."""
     case, outcome = result.case, result.outcome
-    row = run_row(case.run, outcome, result.document, directory) if case.run else _unreadable_row(case)
+    row = run_row(case.name, case.run, outcome, result.document, directory) if case.run else _unreadable_row(case)
     more = {"setting": case.setting.name, "seconds": outcome.seconds if outcome else None}
-    return row | {"name": case.name, "log": case.log, **more}
+    return row | {"log": case.log, **more}
 
 
 def _unreadable_row(case: Case) -> dict[str, Any]:

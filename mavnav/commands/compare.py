@@ -155,7 +155,7 @@ def _compared(plan: BatchPlan, *, quiet: bool) -> tuple[dict[str, Any], Path]:
     from mavnav.outputs.writers import REPORT_FILE, write_page
 
     directory, drawn = plan.request.directory, is_report_current(plan)  # before comparison.json is written again
-    with watching([case.run.name for case in plan.missing if case.run], quiet=quiet) as listen:
+    with watching([case.name for case in plan.missing], quiet=quiet) as listen:
         document = run_comparison(plan, listen)
     if not drawn:
         with reporting(quiet=quiet) as report:

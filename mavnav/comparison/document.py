@@ -24,10 +24,11 @@ SCHEMA_VERSION: Final = 1
 def comparison_document(results: Sequence[CaseResult], directory: Path, gates: Sequence[Gate]) -> dict[str, Any]:
     """Return comparison.json of these results; the directories of the runs are relative to ``directory``."""
     runs = [result.document for result in results]
-    planned = [result.case.run for result in results if result.case.run]
+    cases = [(result.case.name, result.case.run) for result in results if result.case.run]
+    planned = [run for _, run in cases]
     costs = relative_costs([_group(run) for run in planned], runs)
     verdicts = [verdict for k, run in enumerate(runs) if run for verdict in _judge(gates, run, costs, k)]
-    rows = [run_row(run, r.outcome, r.document, directory) for run, r in zip(planned, results, strict=True)]
+    rows = [run_row(*case, r.outcome, r.document, directory) for case, r in zip(cases, results, strict=True)]
     logs = _logs(planned, runs)
     return {
         "schema_version": SCHEMA_VERSION,

@@ -6,8 +6,11 @@ repeated. ``comparison.json``, ``comparison.csv``, ``comparison.md`` and ``repor
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec.structs import replace
 
 from mavnav.batch.cases import make_cases
 from mavnav.batch.manifest import Entry
@@ -27,7 +30,7 @@ from mavnav.outputs.provenance import Typed
 from mavnav.outputs.writers import REPORT_FILE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     from mavnav.batch.cases import Case
     from mavnav.batch.settings import Setting
@@ -92,7 +95,7 @@ def plan_comparison(request: BatchRequest, progress: Progress) -> BatchPlan:
         if case.run is None:
             raise UsageError(case.error)
     check_gates(request, cases, [f"price.{name}" for name in RELATIVE_COSTS])
-    return plan_cases(request, _distinct(cases))
+    return plan_cases(request, _named(_distinct(cases)))
 
 
 def _distinct(cases: Iterable[Case]) -> list[Case]:
@@ -102,6 +105,21 @@ def _distinct(cases: Iterable[Case]) -> list[Case]:
         if case.run:
             found.setdefault(case.run.key, case)
     return list(found.values())
+
+
+def _named(cases: Sequence[Case]) -> list[Case]:
+    """Name cases as ``drive.mcap robust 40/20x20``, yaw samples before the grid as in the paper."""
+    runs = [case.run for case in cases if case.run]
+    logs = short_names({run.request.log for run in runs})
+    names = [f"{logs[r.request.log]} {r.config.method} {r.config.azimuth}/{r.config.grid}" for r in runs]
+    return [replace(case, name=name) for case, name in zip(cases, names, strict=True)]
+
+
+def short_names(paths: Collection[Path]) -> dict[Path, str]:
+    """Return for each path its file name, with as many of its folders as no other path ends with."""
+    ends = {path: [Path(*path.parts[-length:]) for length in range(1, len(path.parts) + 1)] for path in paths}
+    number = Counter(end for of_path in ends.values() for end in of_path)
+    return {path: str(next((end for end in ends[path] if number[end] == 1), path)) for path in paths}
 
 
 def is_report_current(plan: BatchPlan) -> bool:

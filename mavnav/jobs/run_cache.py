@@ -78,11 +78,6 @@ class PlannedRun(Struct, frozen=True):
         """Its configuration."""
         return self.request.config
 
-    @property
-    def name(self) -> str:
-        """Its display name: ``drive.mcap robust 40/20x20``, yaw samples before the grid as in the paper."""
-        return f"{self.request.log.name} {self.config.method} {self.config.azimuth}/{self.config.grid}"
-
 
 def make_run(request: ReplayRequest, log_sha256: str, references: str) -> PlannedRun:
     """Return the run of a request, given the hashes of its log and of its references.
@@ -182,16 +177,16 @@ def _has_digest(path: Path, digest: str) -> bool:
 
 
 def run_row(
-    planned: PlannedRun, outcome: Outcome | None, run: Mapping[str, Any] | None, directory: Path
+    name: str, planned: PlannedRun, outcome: Outcome | None, run: Mapping[str, Any] | None, directory: Path
 ) -> dict[str, Any]:
-    """Return the row of a run: its settings, its status, and the sections of its run.json.
+    """Return the row of a run: its display name, its settings, its status, and the sections of its run.json.
 
     ``outcome`` is None for a run read from the cache, ``run`` for one that failed. Its directory is relative to
     ``directory``.
     """
     status = "cached" if outcome is None else "failed" if run is None else "done"
     return {
-        "name": planned.name,
+        "name": name,
         "log": str(planned.request.log),
         "method": planned.config.method,
         "grid": str(planned.config.grid),

@@ -13,10 +13,18 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from mavnav.api.results import Comparison
 from mavnav.batch.plan import BatchPlan, plan_batch
 from mavnav.batch.request import BatchRequest
+from mavnav.comparison.files import problems
 from mavnav.comparison.grids import comparison_settings
-from mavnav.comparison.pipeline import comparison_request, is_report_current, plan_comparison, run_comparison
+from mavnav.comparison.pipeline import (
+    comparison_request,
+    is_report_current,
+    plan_comparison,
+    run_comparison,
+    short_names,
+)
 from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.jobs import Event, Started
 from mavnav.jobs.run_cache import run_key
@@ -250,3 +258,21 @@ def test_a_directory_of_something_else_is_left_alone(tmp_path: Path) -> None:
         plan(request(tmp_path))
     with pytest.raises(OutputError, match="cannot be used"):
         plan(request(tmp_path / "thesis.tex"))
+
+
+def test_logs_of_one_file_name_have_names_of_their_own(tmp_path: Path) -> None:
+    content = SAMPLE.read_bytes()
+    for folder, length in (("p1", len(content)), ("p2", len(content) // 2)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "a.mcap").write_bytes(content[:length])
+    logs = [tmp_path / "p1" / "a.mcap", tmp_path / "p2" / "a.mcap"]
+    document = run(request(tmp_path / "out", *logs, gates=(parse_gate("scans.processed<1"),)))
+    names = [f"{folder}/a.mcap robust 6/{grid}" for folder in ("p1", "p2") for grid in GRIDS]
+    assert [cell["name"] for cell in document["cells"]] == names
+    assert list(Comparison(tmp_path / "out", document).runs) == names
+    assert [line.partition(":")[0] for line in problems(document)] == names
+
+
+def test_as_little_of_a_path_as_distinguishes_it() -> None:
+    names = {"a.bag": "a.bag", "x/a.bag": "x/a.bag", "y/p/b.bag": "y/p/b.bag", "z/p/b.bag": "z/p/b.bag", "/q/c": "c"}
+    assert short_names([Path(path) for path in names]) == {Path(path): name for path, name in names.items()}
