@@ -68,11 +68,13 @@ def parse_tolerance(name: str, text: str) -> Tolerance:
     name = full_name(name)
     match = _TOLERANCE.fullmatch(text)
     try:
-        size = abs(float(match[1])) if match else None
+        size = float(match[1]) if match else None
     except ValueError:
         size = None
     if match is None or size is None:
         raise UsageError(f"the tolerance {text!r} of {name} is no number, with % or not; {EXAMPLE}")
+    if size < 0:
+        raise UsageError(f"the tolerance {text!r} of {name} is negative; write 0 to allow no change")
     default = any(known.name == name and known.high for known in TOLERANCES)
     high = match[3] == "high" if match[3] else default
     return Tolerance(name, high=high, **({"relative": size / 100} if match[2] else {"absolute": size}))
@@ -93,7 +95,10 @@ class Change(StrEnum):
 
 
 class Baseline(Struct, frozen=True):
-    """The runs of an earlier batch by name, each with its exit code, and its metrics or sections of run.json."""
+    """The runs of an earlier batch by name, each with its exit code, and its metrics or sections of run.json.
+
+    ``figures`` of a run are the metrics in a baseline file; None if ``path`` is a whole batch.
+    """
 
     path: Path
     version: str
@@ -105,7 +110,7 @@ def read_baseline(path: Path) -> Baseline:
     file = path / "batch.json" if path.is_dir() else path
     try:
         document = read_json(file)
-        cells = [{"run": None, **cell, "figures": _figures(cell.get("figures", {}))} for cell in document["cells"]]
+        cells = [{"run": None, **cell, "figures": _figures(cell)} for cell in document["cells"]]
         runs = {cell["name"]: cell for cell in cells}
         for run in cells:
             ExitCode(run["exit_code"])
@@ -121,8 +126,14 @@ def read_baseline(path: Path) -> Baseline:
         ) from error
 
 
-def _figures(stored: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return metrics by their full names; raises ValueError for a value that is no finite number."""
+def _figures(cell: Mapping[str, Any]) -> dict[str, float | None] | None:
+    """Return the metrics that a baseline file has of a run, by their full names; None for a run of a whole batch.
+
+    Raises ValueError for a value that is no finite number.
+    """
+    if "figures" not in cell:
+        return None
+    stored = cell["figures"]
     for value in stored.values():
         if value is not None and not (isinstance(value, int | float) and isfinite(value)):
             raise ValueError
@@ -165,8 +176,22 @@ def changes(row: Mapping[str, Any], baseline: Baseline, watched: Sequence[Tolera
 
 
 def _before(run: Mapping[str, Any], name: str) -> float | None:
-    stored: float | None = run["figures"].get(name)
+    stored: float | None = (run["figures"] or {}).get(name)
     return number(run["run"], name) if stored is None else stored
+
+
+def lacking(row: Mapping[str, Any], baseline: Baseline, watched: Sequence[Tolerance]) -> list[str]:
+    """Return the metrics of a run for which a tolerance was given, and which the baseline file does not have."""
+    stored = baseline.runs.get(row["name"], {"figures": None})["figures"]
+    given = [tolerance.name for tolerance in watched if tolerance not in TOLERANCES]
+    return [
+        name for name in given if stored is not None and name not in stored and number(row["run"], name) is not None
+    ]
+
+
+def lacking_text(path: object, name: str) -> str:
+    """Return what is missing in a baseline file, and how to add it."""
+    return f"{path} has no {name}; add it with --update-baseline and this --tolerance"
 
 
 def _code_change(before: int, now: int) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
-from mavnav.batch.baseline import Change, changes
+from mavnav.batch.baseline import Change, changes, lacking, lacking_text
 from mavnav.errors import SEVERITY, ExitCode, worst
 from mavnav.jobs.run_cache import run_row
 from mavnav.metrics.gates import judge_some
@@ -33,9 +33,12 @@ def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
     case, rules, row = result.case, request.rules, _row(result, request.directory)
     verdicts = [] if result.document is None else judge_some((*rules.gates, *case.gates), result.document)
     gates = [{"gate": v.gate.text, "value": v.value, "passed": v.passed, "why": v.why} for v in verdicts]
-    found = None if rules.baseline is None else changes(row, rules.baseline, rules.watched)
-    if found and (rules.baseline_gate or (case.baseline_gate and request.new_baseline is None)):
-        gates.append(_baseline_verdict(found))
+    found = None
+    if rules.baseline:
+        absent = [] if request.new_baseline else lacking(row, rules.baseline, rules.watched)
+        found = changes(row, rules.baseline, rules.watched) | {"lacking": absent}
+        if rules.baseline_gate or (case.baseline_gate and request.new_baseline is None):
+            gates.append(_baseline_verdict(found, rules.baseline.path))
     accepted = row["exit_code"] in rules.accept | case.accept
     codes = [] if accepted else [row["exit_code"]]
     codes += [ExitCode.GATE_FAILED for gate in gates if not gate["passed"]]
@@ -68,10 +71,11 @@ def _unreadable_row(case: Case) -> dict[str, Any]:
     }
 
 
-def _baseline_verdict(found: Mapping[str, Any]) -> dict[str, Any]:
+def _baseline_verdict(found: Mapping[str, Any], path: Path) -> dict[str, Any]:
     worse = [item for item in found["figures"] if item["change"] == Change.WORSE]
-    why = "; ".join(f"{item['name']} went from {_shown(item['before'])} to {_shown(item['now'])}" for item in worse)
-    return {"gate": "baseline", "value": len(worse), "passed": not worse, "why": why}
+    reasons = [f"{item['name']} went from {_shown(item['before'])} to {_shown(item['now'])}" for item in worse]
+    reasons += [lacking_text(path, name) for name in found["lacking"]]
+    return {"gate": "baseline", "value": len(reasons), "passed": not reasons, "why": "; ".join(reasons)}
 
 
 def _shown(number: float | None) -> str:
@@ -116,7 +120,11 @@ def _counts(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def _since(rows: Sequence[Mapping[str, Any]], baseline: Baseline, missing_runs: Sequence[str]) -> dict[str, Any]:
     kinds = Counter(row["baseline"]["change"] for row in rows)
     counts = {str(change): kinds[change] for change in Change}
-    return {"path": str(baseline.path), "mavnav_version": baseline.version, **counts, "missing": list(missing_runs)}
+    more = {
+        "missing": list(missing_runs),
+        "lacking": list(dict.fromkeys(n for r in rows for n in r["baseline"]["lacking"])),
+    }
+    return {"path": str(baseline.path), "mavnav_version": baseline.version, **counts, **more}
 
 
 def worst_first(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

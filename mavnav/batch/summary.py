@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.batch.baseline import Change
+from mavnav.batch.baseline import Change, lacking_text
 from mavnav.batch.document import why, worst_first
 from mavnav.outputs.markdown import escaped, table_row
 from mavnav.outputs.quantities import NAMED, TIME
@@ -60,9 +60,15 @@ def to_summary(document: Mapping[str, Any]) -> str:
 
 
 def missing_lines(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return severity and text for every missing run of the baseline; an error if the baseline is a gate."""
-    kind = "error" if _missing(document) and document["baseline"].get("gate") else "warning"
-    return [(kind, f"{name}: in the baseline, not in this batch") for name in _missing(document)]
+    """Return severity and text for every missing run of the baseline; an error if the baseline is a gate.
+
+    So too for every metric that the baseline file lacks, unless the baseline is a gate: its runs fail for that.
+    """
+    since = document["baseline"] or {}
+    kind = "error" if since.get("gate") else "warning"
+    lines = [(kind, f"{name}: in the baseline, not in this batch") for name in _missing(document)]
+    absent = [] if since.get("gate") else since.get("lacking", [])
+    return lines + [("warning", f"{lacking_text(since['path'], name)}; it is not compared") for name in absent]
 
 
 def _missing(document: Mapping[str, Any]) -> list[str]:

@@ -196,6 +196,8 @@ def batch(
         )
         plan = _planned(options, report)
     document = _run(plan, json=json, quiet=quiet)
+    if plan.request.new_baseline and not quiet:
+        _print_baseline(document, plan.request.new_baseline)
     try:
         _write_for_ci(document, junit, summary, annotations=annotations)
     finally:
@@ -226,6 +228,12 @@ def _run(plan: BatchPlan, *, json: bool, quiet: bool) -> dict[str, Any]:
             directory = plan.request.directory
             note(f"mavnav: runs that are finished stay in {directory}; the same call makes the others")
             raise
+
+
+def _print_baseline(document: dict[str, Any], path: Path) -> None:
+    """Print on stderr which baseline file was written, and how many of its runs failed."""
+    verdicts = [row["verdict"] for row in document["cells"]]
+    note(f"mavnav: wrote the baseline {path}; {sum(map(bool, verdicts))} of {len(verdicts)} runs in it failed")
 
 
 def _results(request: BatchRequest) -> Path:

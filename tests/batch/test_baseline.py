@@ -12,6 +12,7 @@ from mavnav.batch.baseline import (
     EXAMPLE,
     Tolerance,
     changes,
+    lacking,
     missing,
     parse_tolerance,
     read_baseline,
@@ -101,7 +102,7 @@ def test_tolerances_of_ones_own(baseline: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "absolute", "relative", "high"),
-    [("5", 5.0, 0.0, False), (" 5 % ", 0.0, 0.05, False), ("1e-2,high", 0.01, 0.0, True), ("-3", 3.0, 0.0, False)],
+    [("5", 5.0, 0.0, False), (" 5 % ", 0.0, 0.05, False), ("1e-2,high", 0.01, 0.0, True), ("0", 0.0, 0.0, False)],
 )
 def test_tolerances_are_read(text: str, absolute: float, relative: float, high: bool) -> None:
     assert parse_tolerance("x", text) == Tolerance("x", absolute, relative, high)
@@ -111,6 +112,28 @@ def test_tolerances_are_read(text: str, absolute: float, relative: float, high: 
 def test_no_tolerance(text: str) -> None:
     with pytest.raises(UsageError, match="is no number"):
         parse_tolerance("x", text)
+
+
+@pytest.mark.parametrize("text", ["-3", "-0.5%,high"])
+def test_a_negative_tolerance_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match="is negative; write 0 to allow no change"):
+        parse_tolerance("x", text)
+
+
+def test_metrics_that_the_file_lacks(baseline: Path, tmp_path: Path) -> None:
+    def absent(path: Path, name: str, now: dict[str, Any]) -> list[str]:
+        return lacking(now, read_baseline(path), tolerances([parse_tolerance(name, "0")]))
+
+    now = row()
+    now["run"]["timing"] = {"cpu_s": 2.0}
+    assert absent(baseline, "timing.cpu_s", now) == ["timing.cpu_s"]
+    assert absent(baseline, "timing.cpu_s", row()) == []  # the run does not have it either
+    assert absent(baseline, "timing.cpu_s", {**now, "name": "new"}) == []
+    assert absent(baseline, "wall_thickness.p95_mm", now) == []
+    write_baseline([row()], baseline, tolerances([parse_tolerance("timing.cpu_s", "0")]))
+    assert absent(baseline, "timing.cpu_s", now) == []  # its run did not have it
+    (tmp_path / "batch.json").write_text(json.dumps({"mavnav_version": "0.1.0", "cells": [row()]}))
+    assert absent(tmp_path, "timing.cpu_s", now) == []
 
 
 def test_an_unknown_number_is_answered_with_the_option_of_tolerances() -> None:

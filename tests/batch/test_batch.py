@@ -14,6 +14,7 @@ import pytest
 from mavnav.batch.options import Options, request_of
 from mavnav.batch.plan import plan_batch
 from mavnav.batch.request import BatchPart
+from mavnav.batch.summary import missing_lines
 from mavnav.errors import ConfigError, ExitCode, OutputError, UsageError
 from mavnav.jobs import Ended, Event, Started
 from mavnav.metrics.gates import check_names, names
@@ -289,6 +290,22 @@ def test_baselines(home: Path) -> None:
     assert "search.evaluations_per_scan.mean went from" in document["cells"][0]["gates"][0]["why"]
     document, _ = batch(**good, tolerances=("search.evaluations_per_scan.mean=200%",))
     assert document["baseline"]["worse"] == 0
+
+
+def test_a_tolerance_for_a_metric_that_the_baseline_lacks_fails_its_gate(home: Path) -> None:
+    good = {"sources": ("logs/good.mcap",), "baseline": Path("base.json")}
+    batch(**good, update_baseline=True)
+    said = "base.json has no timing.cpu_s; add it with --update-baseline and this --tolerance"
+    mine = good | {"tolerances": ("timing.cpu_s=1000%",)}
+    document, _ = batch(**mine, gates=("baseline",))
+    assert document["cells"][0]["gates"] == [{"gate": "baseline", "value": 1, "passed": False, "why": said}]
+    assert (document["exit_code"], missing_lines(document)) == (ExitCode.GATE_FAILED, [])
+    document, _ = batch(**mine)
+    assert (document["exit_code"], missing_lines(document)) == (0, [("warning", f"{said}; it is not compared")])
+    document, _ = batch(**mine, update_baseline=True)
+    assert missing_lines(document) == []
+    document, _ = batch(**mine, gates=("baseline",))
+    assert (document["exit_code"], document["baseline"]["lacking"]) == (0, [])
 
 
 def test_a_whole_batch_as_the_baseline(home: Path) -> None:

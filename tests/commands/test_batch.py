@@ -171,3 +171,10 @@ def test_files_beside_those_of_the_batch_are_written(mavnav: Callable, empty: Pa
         assert mavnav("batch", "logs", *files, "-q")[0] == ExitCode.NO_SCANS
     assert Path("runs/batch/batch.xml").is_file()
     assert Path("logs/batch.md").is_file()
+
+
+def test_a_new_baseline_is_named_with_what_failed(mavnav: Callable, empty: Path) -> None:
+    asked = ("batch", "gone.bag", "lost.bag", "--baseline", "base.json", "--update-baseline")
+    said = "mavnav: wrote the baseline base.json; 2 of 2 runs in it failed\n"
+    assert said in mavnav(*asked)[2]
+    assert "baseline" not in mavnav(*asked, "-q")[2]
