@@ -44,7 +44,7 @@ class BatchPlan(Struct, frozen=True):
     @property
     def missing(self) -> list[Case]:
         """The cases to run, one for each run directory."""
-        return [cases[-1] for directory, cases in self.by_directory().items() if directory not in self.finished]
+        return [cases[0] for directory, cases in self.by_directory().items() if directory not in self.finished]
 
 
 def plan_batch(request: BatchRequest, progress: Progress) -> BatchPlan:

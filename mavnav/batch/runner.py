@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeVar
 
+from msgspec.structs import replace
+
 from mavnav.atomic_files import discard
 from mavnav.batch.cases import CaseResult
 from mavnav.batch.jobs import replay_local, replay_remote
@@ -72,8 +74,9 @@ def _run_missing(
 
     def listen(event: Event) -> None:
         if isinstance(event, Ended):
-            for case in sharing[requests[event.index].directory]:
-                record(case, event.outcome)
+            request = requests[event.index]
+            for case in sharing[request.directory]:
+                record(case, _outcome_of(case, event.outcome, request))
         on_event(event)
 
     jobs = [_job(name, request) for name, request in runs.items()]
@@ -82,6 +85,13 @@ def _run_missing(
         cluster.run_jobs(jobs, listen, limits.timeout_s)
     else:
         run_with_retries(jobs, lambda some, on_end: _run_here(some, on_end, limits), listen, limits.tries)
+
+
+def _outcome_of(case: Case, outcome: Outcome, request: ReplayRequest) -> Outcome:
+    """Return the outcome of a run for one of the cases that share it: the error names the log of the case."""
+    if case.run is None or not outcome.error:
+        return outcome
+    return replace(outcome, error=outcome.error.replace(str(request.log), str(case.run.request.log)))
 
 
 def _job(name: str, request: ReplayRequest) -> Job:

@@ -256,6 +256,16 @@ def test_runs_that_share_a_directory_are_made_once(home: Path) -> None:
     assert (len(planned.cases), len(planned.missing)) == (2, 1)
 
 
+def test_a_log_that_cannot_be_run_is_named_in_its_own_row(home: Path) -> None:
+    """Two logs of one name and content share a run."""
+    Path("logs/sub").mkdir()
+    shutil.copy("logs/empty.mcap", "logs/sub/empty.mcap")
+    for sources in (("logs/empty.mcap", "logs/sub"), ("logs/sub", "logs/empty.mcap")):
+        document, ran = batch(sources=sources, directory=Path("new"))
+        assert len(ran) == 1
+        assert all(row["error"].startswith(f"{row['log']}: ") for row in document["cells"])
+
+
 def test_parts_are_the_whole(home: Path) -> None:
     def names(part: str | None) -> list[str]:
         asked = Options(sources=("logs", "gone.bag"), grids=("5x5", "6x6"), part=part)
