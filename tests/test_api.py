@@ -121,6 +121,10 @@ def test_a_mission(tmp_path: Path) -> None:
         (lambda: mavnav.replay("a", start_pose=(0, 0, 0)), "give that with map"),
         (lambda: mavnav.compare(3), "log is 3; give a list"),
         (lambda: mavnav.compare("a", grids=3.5), "grids is 3.5; give a list"),
+        *(
+            (lambda n=n: mavnav.compare("a", workers=n), f"workers is {n!r}; give a whole number of at least 1")
+            for n in (-1, 0, 1.5, "2", True)
+        ),
         (lambda: mavnav.track([], period_s=0.0), "period_s is 0.0"),
         (lambda: list(mavnav.track([3])), "scan 0 is a int"),
     ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from math import isfinite, pi
+from numbers import Integral
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -68,6 +69,15 @@ def topic_of(truth: str | None) -> str | None:
     """Return the topic of a ground truth, given as its name, as ``topic:NAME``, or as ``auto``."""
     text = text_of(truth, "truth")
     return None if text is None else recorded_topic(text) or text
+
+
+def count_of(number: int | None, name: str) -> int | None:
+    """Return a whole number of at least 1, if one is given."""
+    if number is None:
+        return None
+    if isinstance(number, Integral) and not isinstance(number, bool) and number >= 1:
+        return int(number)
+    raise UsageError(f"{name} is {number!r}; give a whole number of at least 1, or leave it out")
 
 
 def pose_of(values: Sequence[float] | None, name: str) -> Pose | None:

@@ -18,6 +18,7 @@ from msgspec.structs import replace as changed
 from mavnav import logs
 from mavnav.api.arguments import (
     config_of,
+    count_of,
     named,
     optional_path,
     path_of,
@@ -357,9 +358,9 @@ def compare(
     shared: dict[str, object] = {"final_pass": False} if online else {}
     options = values_of(methods, "methods"), values_of(grids, "grids"), values_of(azimuths, "azimuths")
     chosen = comparison_settings(config_of(config), sets_of(settings), *options, shared)
+    cores = count_of(workers, "workers") or usable_cores()
 
     def work(target: Path) -> Comparison:
-        cores = workers or usable_cores()
         request = pipeline.comparison_request(names, chosen, target, {}, workers=cores, force=force)
         plan = pipeline.plan_comparison(request, progress or silent)
         load_kernels(plan, progress or silent)
