@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from pydantic import BeforeValidator, Field
 
-from mavnav.config.loading import validated
+from mavnav.config.loading import origin, validated
 from mavnav.config.strict import Strict
 from mavnav.config.yaml_layers import read_yaml
+from mavnav.errors import ConfigError, UsageError
+from mavnav.metrics.gates import full_name
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from mavnav.config.layers import Layer
+
+    Origins = Mapping[tuple[str, str | int], str]
+    """File and line of each gate, accepted code and tolerance of a manifest, by ``gates``, ``accept`` and
+    ``tolerances`` and its value (a tolerance: its full name).
+    """
+
+GATE_EXAMPLE: Final = "write for example wall_thickness.p95_cells<=7, or baseline"
 
 
 def _listed(value: object) -> object:
@@ -73,3 +84,27 @@ def read_manifest(path: Path) -> tuple[Manifest, Layer]:
     """Return a manifest, and the layer with the line of each of its values; raises ConfigError with the line."""
     layer = read_yaml(path, "the YAML file of a manifest")
     return validated(Manifest, layer, str(path)), layer
+
+
+def origins_of(manifest: Manifest, layer: Layer) -> Origins:
+    """Return where the gates, accepted codes and tolerances are in a manifest; of several places the first one."""
+    found: dict[tuple[str, str | int], str] = {}
+    for name in manifest.tolerances:
+        found["tolerances", full_name(name)] = origin(layer, ("tolerances", name))
+    for key, part in (((), manifest), *((("logs", str(number)), log) for number, log in enumerate(manifest.logs))):
+        for name in ("gates", "accept"):
+            for number, value in enumerate(getattr(part, name)):
+                given = value.strip() if isinstance(value, str) else value
+                found.setdefault((name, given), origin(layer, (*key, name, str(number))))
+    return found
+
+
+@contextmanager
+def located(where: str | None) -> Iterator[None]:
+    """Turn a UsageError into a ConfigError that begins with file and line, if they are known."""
+    try:
+        yield
+    except UsageError as error:
+        if where is None:
+            raise
+        raise ConfigError(f"{where}: {error}") from error

@@ -10,20 +10,21 @@ from msgspec import Struct, field
 from mavnav.batch.baseline import parse_tolerance, read_baseline, tolerances
 from mavnav.batch.cases import BASELINE_GATE
 from mavnav.batch.document import BATCH_FILE
-from mavnav.batch.manifest import Entry, Manifest, read_manifest
+from mavnav.batch.manifest import GATE_EXAMPLE, Entry, Manifest, located, origins_of, read_manifest
 from mavnav.batch.request import BatchPart, BatchRequest, Rules, RunLimits
 from mavnav.batch.settings import Setting, crossed_settings, listed_settings
 from mavnav.config.layers import Layer
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import usable_cores
 from mavnav.jobs.dask import LOCAL
-from mavnav.metrics.gates import Gate, parse_gate
+from mavnav.metrics.gates import Gate, full_name, parse_gate
 from mavnav.outputs.provenance import Typed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from mavnav.batch.baseline import Tolerance
+    from mavnav.batch.manifest import Origins
 
 MANIFEST_SUFFIXES = (".yaml", ".yml")
 
@@ -71,13 +72,14 @@ def request_of(options: Options) -> BatchRequest:
     base = path.parent if path else Path()
     baseline = options.baseline or (base / manifest.baseline if manifest.baseline else None)
     new_baseline = baseline if options.update_baseline else None
+    origins = origins_of(manifest, layer)
     return BatchRequest(
         entries=_entries(options, manifest, base),
         settings=tuple(_settings(options, manifest, layer, base)),
         base=base,
         directory=options.directory or (base / manifest.output if manifest.output else _default_directory(path)),
         limits=_limits(options, manifest),
-        rules=_rules(options, manifest, baseline),
+        rules=_rules(options, manifest, origins, baseline),
         part=_part(options.part),
         force=options.force,
         report=options.report or manifest.report,
@@ -85,6 +87,7 @@ def request_of(options: Options) -> BatchRequest:
         typed=Typed(tuple(options.words), options.config, tuple(options.sets)),
         files=dict(options.files) | ({"--baseline": new_baseline} if new_baseline else {}),
         inputs=tuple(_inputs(options, manifest, path, None if new_baseline else baseline)),
+        origins=origins,
     )
 
 
@@ -137,12 +140,12 @@ def _limits(options: Options, manifest: Manifest) -> RunLimits:
     )
 
 
-def _rules(options: Options, manifest: Manifest, path: Path | None) -> Rules:
+def _rules(options: Options, manifest: Manifest, origins: Origins, path: Path | None) -> Rules:
     texts = [*manifest.gates, *options.gates]
     gated = BASELINE_GATE in texts
     for entry in manifest.logs:  # before any log is read
-        _gates(entry.gates)
-        _codes(entry.accept)
+        _gates(entry.gates, origins)
+        _codes(entry.accept, origins)
     needed = gated or options.update_baseline or any(BASELINE_GATE in entry.gates for entry in manifest.logs)
     if path is None and needed:
         raise UsageError("no baseline; name one with --baseline, an earlier batch or a file")
@@ -154,28 +157,39 @@ def _rules(options: Options, manifest: Manifest, path: Path | None) -> Rules:
         raise UsageError("--update-baseline is for all runs of a batch, --part for some; give one of them")
     fresh = options.update_baseline and path is not None and not path.exists()
     return Rules(
-        gates=tuple(_gates(texts)),
-        accept=frozenset(_codes([*manifest.accept, *options.accept])),
+        gates=tuple(_gates(texts, origins)),
+        accept=frozenset(_codes([*manifest.accept, *options.accept], origins)),
         baseline=None if path is None or fresh else read_baseline(path),
-        watched=tolerances([*_given(manifest.tolerances), *(_tolerance(text) for text in options.tolerances)]),
+        watched=tolerances([*_given(manifest.tolerances, origins), *(_tolerance(text) for text in options.tolerances)]),
         baseline_gate=gated and not options.update_baseline,
     )
 
 
-def _gates(texts: Sequence[str]) -> list[Gate]:
-    return [parse_gate(text) for text in texts if text != BASELINE_GATE]
+def _gates(texts: Sequence[str], origins: Origins) -> list[Gate]:
+    return [_gate(text, origins.get(("gates", text.strip()))) for text in texts if text != BASELINE_GATE]
 
 
-def _codes(codes: Sequence[int]) -> list[int]:
+def _gate(text: str, where: str | None) -> Gate:
+    with located(where):
+        return parse_gate(text) if where is None else parse_gate(text, "gate", GATE_EXAMPLE)
+
+
+def _codes(codes: Sequence[int], origins: Origins) -> list[int]:
     known = {int(code) for code in ExitCode}
     for code in codes:
         if code not in known:
-            raise UsageError(f"--accept {code}: mavnav has no such exit code; see docs/cli.md")
+            where = origins.get(("accept", code))
+            with located(where):
+                what = "--accept" if where is None else "accept:"
+                raise UsageError(f"{what} {code}: mavnav has no such exit code; see docs/cli.md")
     return list(codes)
 
 
-def _given(named: Mapping[str, float | str]) -> list[Tolerance]:
-    return [parse_tolerance(name, str(text)) for name, text in named.items()]
+def _given(named: Mapping[str, float | str], origins: Origins) -> Iterator[Tolerance]:
+    for name, text in named.items():
+        with located(origins[("tolerances", full_name(name))]):
+            tolerance = parse_tolerance(name, str(text))
+        yield tolerance
 
 
 def _tolerance(text: str) -> Tolerance:

@@ -10,6 +10,7 @@ from mavnav.batch.baseline import EXAMPLE
 from mavnav.batch.cases import Case, make_cases, read_paths
 from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.files import check_files
+from mavnav.batch.manifest import GATE_EXAMPLE, located
 from mavnav.errors import UsageError
 from mavnav.jobs.run_cache import check_cache_directory, is_finished
 from mavnav.metrics.gates import check_names
@@ -82,8 +83,14 @@ def check_gates(request: BatchRequest, cases: Sequence[Case], more: Sequence[str
 
     ``more`` are names allowed in gates in addition to those of run.json.
     """
-    rules = request.rules
-    check_names((tolerance.name for tolerance in rules.watched), number_names(reference=True), EXAMPLE)
-    for case in cases:
-        known = [*number_names(reference=case.has_references), *more]
-        check_names((gate.name for gate in (*rules.gates, *case.gates)), known)
+    rules, origins = request.rules, request.origins
+    known = {has_references: number_names(reference=has_references) for has_references in (True, False)}
+    for tolerance in rules.watched:
+        with located(origins.get(("tolerances", tolerance.name))):
+            check_names([tolerance.name], known[True], EXAMPLE)
+    for gate, has_references in dict.fromkeys(
+        (gate, case.has_references) for case in cases for gate in (*rules.gates, *case.gates)
+    ):
+        where = origins.get(("gates", gate.text))
+        with located(where):
+            check_names([gate.name], [*known[has_references], *more], *([GATE_EXAMPLE] if where else []))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.batch.baseline import Baseline, Tolerance
-    from mavnav.batch.manifest import Entry
+    from mavnav.batch.manifest import Entry, Origins
     from mavnav.batch.settings import Setting
     from mavnav.metrics.gates import Gate
 
@@ -67,6 +67,7 @@ class BatchRequest(Struct, frozen=True):
     single logs. ``force`` repeats finished runs; ``report`` writes a report of every run. The metrics are written to
     the file ``new_baseline`` for later batches. ``typed`` is the command line. ``files`` are the files that are written
     outside of ``directory`` by their options, ``inputs`` those that are read besides logs and references.
+    ``origins`` are the lines of a manifest.
     """
 
     entries: tuple[Entry, ...]
@@ -83,3 +84,4 @@ class BatchRequest(Struct, frozen=True):
     typed: Typed = field(default_factory=Typed)
     files: Mapping[str, Path] = field(default_factory=dict)
     inputs: tuple[Path, ...] = ()
+    origins: Origins = field(default_factory=dict)

@@ -62,12 +62,12 @@ class Verdict(Struct, frozen=True):
         return not self.why
 
 
-def parse_gate(text: str) -> Gate:
-    """Parse ``name OP bound``; raises UsageError."""
+def parse_gate(text: str, what: str = "--gate", example: str = _EXAMPLE) -> Gate:
+    """Parse ``name OP bound``; raises UsageError, which says ``what`` is wrong and gives the ``example``."""
     match = _GATE.fullmatch(text)
     bound = None if match is None else _bound(match[3])
     if match is None or bound is None:
-        raise UsageError(f"--gate {text!r} is not NAME, one of {' '.join(OPERATORS)}, and a number; {_EXAMPLE}")
+        raise UsageError(f"{what} {text!r} is not NAME, one of {' '.join(OPERATORS)}, and a number; {example}")
     return Gate(text.strip(), match[1], match[2], bound)
 
 

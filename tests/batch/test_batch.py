@@ -419,5 +419,33 @@ def test_a_part_misses_nothing_and_makes_no_baseline(home: Path) -> None:
 @pytest.mark.parametrize("wrong", ["accept: 9", "gates: scans.processed<=7m", "gates: baseline"])
 def test_what_an_entry_asks_is_read_before_the_logs(home: Path, wrong: str) -> None:
     Path("night.yaml").write_text(f"logs: [{{log: logs/good.mcap, {wrong}}}]")
-    with pytest.raises(UsageError, match=r"--accept 9|m' is not NAME|no baseline"):
+    with pytest.raises(UsageError, match=r"accept: 9|m' is not NAME|no baseline"):
         request_of(Options(sources=("night.yaml",)))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ("gates: [scans.total>=1,\n  tracking.lots==false]", "5: no number tracking.lots in run.json; did you mean"),
+        ("gates: foo<=1", "4: no number foo in run.json; .*, write for example wall_thickness.p95_cells<=7, or base"),
+        ("gates:\n  - basline", "5: gate 'basline' is not NAME, .* write for example .*, or baseline"),
+        ("accept: [3, 99]", "4: accept: 99: mavnav has no such exit code"),
+        ("tolerances: {wall_thickness.p95_mm: 5,\n  timing.cpu_s: much}", "5: the tolerance 'much' of timing.cpu_s"),
+        ("tolerances: {timing.cpu_s: -5}", "4: the tolerance '-5.0' of timing.cpu_s is negative"),
+        ("tolerances:\n  wall_thickness.p59_mm: 5", "5: no number wall_thickness.2.p59_mm"),
+    ],
+)
+@pytest.mark.parametrize("of_log", [False, True])
+def test_errors_in_a_manifest_have_its_line(home: Path, of_log: bool, wrong: str, said: str) -> None:
+    indent = "    " if of_log and not wrong.startswith("tolerances") else ""
+    lines = ["logs:", "  - log: logs/good.mcap", "    end_s: 0.5", *(indent + line for line in wrong.split("\n"))]
+    Path("night.yaml").write_text("\n".join(lines))
+    with pytest.raises(ConfigError, match=f"^night.yaml:{said}"):
+        plan_batch(request_of(Options(sources=("night.yaml",))), lambda *args: None)
+
+
+def test_a_gate_of_the_command_line_has_no_line(home: Path) -> None:
+    Path("night.yaml").write_text("logs: [logs/good.mcap]\ngates: scans.total>=1\n")
+    for gate, said in (("basline", "^--gate 'basline' is not"), ("foo<=1", "^no number foo .*example --gate")):
+        with pytest.raises(UsageError, match=said):
+            plan_batch(request_of(Options(sources=("night.yaml",), gates=(gate,))), lambda *args: None)
