@@ -77,16 +77,24 @@ def _found(path: Path) -> list[_Found]:
 
 
 def _listed(file: Path) -> list[_Found]:
-    """Return the runs of batch.json or comparison.json; what a batch accepts counts as done."""
+    """Return the runs of batch.json or comparison.json; what a batch accepts counts as done.
+
+    Runs of a comparison have their relative costs, which are in its own document only.
+    """
     found = []
     with _reading(file):
-        for cell in read_json(file)["cells"]:
+        whole = read_json(file)
+        costs = {name: each for name, each in whole.get("price", {}).items() if name != "coarsest"}
+        for k, cell in enumerate(whole["cells"]):
             accepted = bool(cell.get("accepted"))
             if cell["directory"] is None:
                 code = ExitCode.DONE if accepted else ExitCode(cell["exit_code"])
                 found.append(_Found(cell["name"], code, None, cell["error"] if code else None))
             else:
-                found.append(_run(file.parent / cell["directory"], accepted=accepted))
+                run = _run(file.parent / cell["directory"], accepted=accepted)
+                if costs and run.document is not None:
+                    run.document["price"] = {name: each[k] for name, each in costs.items()}
+                found.append(run)
     return found
 
 

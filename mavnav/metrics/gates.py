@@ -34,6 +34,9 @@ DEFAULT_HITS: Final = "2"
 MAP_SECTIONS: Final = ("wall_thickness", "map_quality", "map")
 """Sections that are not meaningful if the map is not."""
 
+MAX_LISTED: Final = 8
+"""Maximum number of names that the message for an unknown name lists."""
+
 _GATE: Final = re.compile(r"\s*([\w./-]+?)\s*(<=|>=|==|!=|<|>)\s*(\S+)\s*")
 _EXAMPLE: Final = "write for example --gate 'wall_thickness.p95_cells<=7'"
 
@@ -212,7 +215,10 @@ def _short(known: Iterable[str]) -> list[str]:
 
 
 def _unknown(name: str, known: Sequence[str], example: str = _EXAMPLE) -> str:
-    """Return the message for an unknown name with the nearest known one: a child, or a similar name or last part."""
+    """Return the message for an unknown name with the nearest known one: a child, or a similar name or last part.
+
+    If there is none, the message lists the names beside it.
+    """
     if name.startswith("reference") and not any(k.startswith("reference.") for k in known):
         return f"no number {name} in run.json; it needs --truth, --truth-map or --relations"
     full = full_name(name)
@@ -223,4 +229,8 @@ def _unknown(name: str, known: Sequence[str], example: str = _EXAMPLE) -> str:
         near = [k for k in known if last and k.rpartition(".")[2] == last[0]]
     if near:
         return f"no number {name} in run.json; did you mean {near[0]}?"
+    section = name.rpartition(".")[0]
+    beside = [k.rpartition(".")[2] for k in known if section and k.rpartition(".")[0] == section]
+    if 0 < len(beside) <= MAX_LISTED:
+        return f"no number {name} in run.json; {section} has {', '.join(beside)}"
     return f"no number {name} in run.json; the numbers of any run.json can be named, {example}"

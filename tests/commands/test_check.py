@@ -84,6 +84,16 @@ def test_a_comparison(mavnav: Callable, comparison: Path) -> None:
     assert (code, len(out.splitlines())) == (0, 2)
 
 
+def test_relative_costs_of_a_comparison(mavnav: Callable, comparison: Path) -> None:
+    prices = json.loads((comparison / "comparison.json").read_text())["price"]
+    dearest = max(prices["evaluations"])
+    assert mavnav("check", comparison, "--gate", f"price.evaluations<={dearest}")[0] == 0
+    code, _, err = mavnav("check", comparison, "--gate", f"price.evaluations<{dearest}")
+    assert (code, err.count("gate price.evaluations<")) == (1, 1)
+    code, _, err = mavnav("check", comparison, "--gate", "price.foo<=3")
+    assert (code, err) == (2, "mavnav: error: no number price.foo in run.json; price has evaluations, cpu, seconds\n")
+
+
 def test_a_number_that_only_some_runs_have(mavnav: Callable, home: Path) -> None:
     write("one", tracking={"intervals": [{"scans": 2}]})
     write("two")
@@ -125,6 +135,7 @@ def test_the_end_of_a_run_is_told_beside_its_gates(mavnav: Callable, home: Path)
         ("batch.json", '{"cells": [[]]}'),
         ("batch.json", '{"cells": [{"name": "a", "directory": null, "exit_code": "4"}]}'),
         ("comparison.json", "{}"),
+        ("comparison.json", '{"cells": [], "price": 3}'),
     ],
 )
 def test_what_is_not_ours(mavnav: Callable, home: Path, name: str, text: str) -> None:

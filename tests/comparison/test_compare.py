@@ -243,6 +243,8 @@ def test_gates_hold_for_every_run(copied: Path) -> None:
 def test_unknown_gates_stop_before_the_work(copied: Path) -> None:
     with pytest.raises(UsageError, match=r"did you mean scans.processed\?"):
         plan(request(copied, gates=(parse_gate("scans.procesed>=3"),)))
+    with pytest.raises(UsageError, match=r"no number price.foo in run.json; price has evaluations, cpu, seconds$"):
+        plan(request(copied, gates=(parse_gate("price.foo<=3"),)))
 
 
 def test_a_number_that_a_run_lacks_fails_there(copied: Path) -> None:

@@ -139,7 +139,7 @@ def test_names_are_known_before_there_is_a_run() -> None:
         ("accepted", "did you mean scans.accepted?"),
         ("reference.ate.rmse_m", "it needs --truth, --truth-map or --relations"),
         ("mission.steps", "write for example --gate 'wall_thickness.p95_cells<=7'"),
-        ("config.grid", "write for example --gate 'wall_thickness.p95_cells<=7'"),
+        ("config.grid", "; config has azimuth, slice_mm, upside_down, final_pass"),
     ],
 )
 def test_a_name_that_no_run_has_is_answered_before_the_work(name: str, ending: str) -> None:
