@@ -151,13 +151,12 @@ def replay(
     """Map a recorded log: trajectory, map, pictures and wall thickness."""
     overrides = given_values(method=method, grid=grid, azimuth=azimuth, search=search, odom=odom)
     overrides |= given_values(attitude=attitude, loop_closure=loop_closure, final_pass=False if online else None)
+    overrides |= given_values(**{"robust.deskew": deskew})
     fields = {} if again is None else _repeated(context, again, log, directory)
     log = fields.get("log", log)
     if log is None:
         raise UsageError("no log; name one, or a run directory with --again")
-    chosen = fields.get("config") or _config(
-        config, [*(sets or []), *([] if deskew is None else [f"robust.deskew={deskew}"])], overrides, continue_from
-    )
+    chosen = fields.get("config") or _config(config, sets or [], overrides, continue_from)
     bounds, written = gates_of(gates), output_values(outputs, report=report, preview=preview)
     mounting, began = parse_pose(extrinsic), parse_pose(start_pose, "--start-pose")
     _check_files(log, known, began)
