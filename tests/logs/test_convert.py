@@ -12,7 +12,7 @@ from mavnav.cli import run
 from mavnav.errors import NoScansError, OutputError, UsageError
 from mavnav.logs import open_log
 from mavnav.logs.writing.convert import convert_log
-from support.log_files import ODOM, WRITERS, drive, foxglove_json, laser, write_bag1, write_mcap
+from support.log_files import ODOM, WRITERS, drive, foxglove_json, laser, write_bag1, write_bag2, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -80,7 +80,7 @@ def test_refusals_say_why_and_leave_everything_alone(tmp_path: Path) -> None:
     before = source.read_bytes()
     (tmp_path / "empty.mcap").touch()
     (tmp_path / "there.mcap").write_text("old")
-    with pytest.raises(UsageError, match="in the way"):
+    with pytest.raises(UsageError, match="is the log itself, or a part of it; choose another name for the output"):
         convert_log(source, source, force=True)
     with pytest.raises(UsageError, match=r"end in \.mcap"):
         convert_log(source, tmp_path / "b.bag")
@@ -94,6 +94,26 @@ def test_refusals_say_why_and_leave_everything_alone(tmp_path: Path) -> None:
     assert (source.read_bytes(), (tmp_path / "there.mcap").read_text()) == (before, "old")
     convert_log(source, tmp_path / "there.mcap", force=True)
     assert open_log(tmp_path / "there.mcap").counts.usable == 3
+
+
+def test_a_part_of_the_log_is_not_overwritten(tmp_path: Path) -> None:
+    bag = write_bag2(tmp_path / "bag", drive(3), "MCAP")
+    (part,) = bag.glob("*.mcap")
+    before = part.read_bytes()
+    with pytest.raises(UsageError, match="a part of it"):
+        convert_log(bag, part, force=True)
+    assert part.read_bytes() == before
+
+
+def test_a_folder_is_no_target(tmp_path: Path) -> None:
+    (tmp_path / "b.mcap").mkdir()
+    with pytest.raises(UsageError, match="is not a file"):
+        convert_log(write_mcap(tmp_path / "a.mcap", drive(3)), tmp_path / "b.mcap", force=True)
+
+
+def test_a_log_without_messages_is_named_as_that(tmp_path: Path) -> None:
+    with pytest.raises(NoScansError, match=r"a\.mcap: the log holds no messages; nothing to convert"):
+        convert_log(write_mcap(tmp_path / "a.mcap", []), tmp_path / "b.mcap")
 
 
 def test_a_source_that_cannot_be_read_is_not_blamed_on_the_target(tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def convert_log(
             _write(source, partial, writing, progress)
             topics = writing.topics()
             if not topics:
-                raise NoScansError(f"{source}: no message can be read; {_first(report, source)}")
+                raise NoScansError(f"{source}: {_nothing_read(writing)}")
             _compare(partial, target, topics)
     except FileExistsError as error:
         raise OutputError(f"{target} exists; choose another name, or --force to replace it") from error
@@ -91,15 +91,19 @@ def _check(source: Path, target: Path, *, force: bool) -> None:
     check_file(source)
     if target.suffix != ".mcap":
         raise UsageError(f"{target}: a log is written as MCAP; let the name end in .mcap")
-    if target.exists() and (target.samefile(source) or not target.is_file()):
-        raise UsageError(f"{target} is in the way; choose another name")
+    if target.exists() and (target.samefile(source) or source.resolve() in target.resolve().parents):
+        raise UsageError(f"{target} is the log itself, or a part of it; choose another name for the output")
+    if target.exists() and not target.is_file():
+        raise UsageError(f"{target} is not a file; choose another name for the output")
     if target.exists() and not force:
         raise OutputError(f"{target} exists; choose another name, or --force to replace it")
 
 
-def _first(report: ReadReport, source: Path) -> str:
-    damages = report.damages()
-    return f"{damages[0].what} ({damages[0].where})" if damages else detect.refusal(source)
+def _nothing_read(writing: _Writing) -> str:
+    """Return why a log of a known format gives no message."""
+    if damages := writing.report.damages():
+        return f"no message can be read; {damages[0].what} ({damages[0].where})"
+    return "the log holds no messages; nothing to convert"
 
 
 class _Writing(Struct):
