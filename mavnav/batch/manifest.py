@@ -76,7 +76,7 @@ class Manifest(Strict):
     report: bool = Field(False, description="write a report of every run")
     jobs: int | None = Field(None, ge=1, description="runs at a time")
     timeout_s: float | None = Field(None, gt=0, description="a run that takes longer is stopped")
-    memory_mb: int | None = Field(None, ge=1, description="memory limit of a run")
+    memory_mb: int | None = Field(None, ge=1, le=10**9, description="memory limit of a run")
     tries: int = Field(3, ge=1, description="maximum number of attempts for a run whose process was killed")
 
 

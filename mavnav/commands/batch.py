@@ -138,7 +138,9 @@ def batch(
     ] = None,
     memory_mb: Annotated[
         int | None,
-        resource_option("--memory-mb", min=1, metavar="MB", help="Memory limit of a run (Linux; default none)."),
+        resource_option(
+            "--memory-mb", min=1, max=10**9, metavar="MB", help="Memory limit of a run (Linux; default none)."
+        ),
     ] = None,
     tries: Annotated[
         int | None,
