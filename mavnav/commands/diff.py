@@ -88,7 +88,10 @@ def _print_changes(document: dict[str, Any]) -> None:
         ("new", f"{document['new_m2']:.3f} m2 of wall cells in {document['new']} place(s)"),
         ("moved", f"{document['moved']} object(s)"),
         ("compared", f"{document['compared_m2']:.1f} m2; {document['same_share']:.1%} of the walls are the same"),
-        ("B in A", f"{pose['x_m']:.3f} m, {pose['y_m']:.3f} m, {pose['yaw_deg']:.2f} deg; rms {pose['rms_mm']:.0f} mm"),
+        (
+            "B in A",
+            f"{pose['x_m']:z.3f} m, {pose['y_m']:z.3f} m, {pose['yaw_deg']:z.2f} deg; rms {pose['rms_mm']:.0f} mm",
+        ),
     ]
     print_table([*rows, *(_row(change) for change in document["changes"][:LISTED])])
     if len(document["changes"]) > LISTED:
@@ -97,7 +100,7 @@ def _print_changes(document: dict[str, Any]) -> None:
 
 def _row(change: dict[str, Any]) -> tuple[str, str]:
     moved = f", moved with {change['moved_with']}" if change["moved_with"] else ""
-    place = f"at {change['x_m']:.2f}, {change['y_m']:.2f} m"
+    place = f"at {change['x_m']:z.2f}, {change['y_m']:z.2f} m"
     return (
         f"change {change['number']}",
         f"{change['kind']} {place}, {change['m2']:.3f} m2, {change['length_m']:.2f} m long{moved}",

@@ -319,7 +319,7 @@ def _found(localisation: dict[str, Any]) -> str:
     found = localisation["found"]
     if not found:
         return "nowhere"
-    return f"x {found['x_m']:.2f} m, y {found['y_m']:.2f} m, yaw {found['yaw_deg']:.1f} deg, scan {found['scan']}"
+    return f"x {found['x_m']:z.2f} m, y {found['y_m']:z.2f} m, yaw {found['yaw_deg']:z.1f} deg, scan {found['scan']}"
 
 
 def print_stages(stages: dict[str, float], *, stderr: bool) -> None:

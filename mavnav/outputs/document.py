@@ -116,7 +116,9 @@ def plain(value: Any) -> Any:  # noqa: ANN401  any JSON value
         return [plain(v) for v in value]
     if isinstance(value, np.generic):
         return plain(value.item())
-    return None if isinstance(value, float) and not isfinite(value) else value
+    if isinstance(value, float):
+        return value + 0.0 if isfinite(value) else None  # -0.0 becomes 0.0
+    return value
 
 
 def _start_warnings(run: Run) -> list[str]:
@@ -128,7 +130,7 @@ def _start_warnings(run: Run) -> list[str]:
     if distance_m <= FAR_FROM_START_M:
         return []
     return [
-        f"the laser was found {distance_m:.1f} m from --start-pose, at x {found.x_m:.2f} m, y {found.y_m:.2f} m "
+        f"the laser was found {distance_m:.1f} m from --start-pose, at x {found.x_m:z.2f} m, y {found.y_m:z.2f} m "
         f"(scan {found.scan}); check the pose found; if it is wrong, correct --start-pose"
     ]
 

@@ -27,7 +27,7 @@ def _lines(run: Run) -> Iterator[str]:
     numbers = run.slam.steps.column("index")[run.slam.steps.column("tracked")]
     names = numbers[list(graph.rows)].tolist()
     for name, (x, y, yaw) in zip(names, run.slam.trajectory.xyyaw[list(graph.rows)].tolist(), strict=True):
-        yield f"VERTEX_SE2 {name} {x:.9f} {y:.9f} {yaw:.9f}\n"
+        yield f"VERTEX_SE2 {name} {x:z.9f} {y:z.9f} {yaw:z.9f}\n"
     yield f"FIX {names[0]}\n"
     for edge in graph.edges:
         yield f"EDGE_SE2 {names[edge.start]} {names[edge.end]} {_measured(edge)}\n"
@@ -38,4 +38,4 @@ def _measured(edge: Edge) -> str:
     x, y, yaw = edge.start_T_end
     information = edge.sqrt_information.T @ edge.sqrt_information
     upper = information[np.triu_indices(3)].tolist()
-    return " ".join([f"{x:.9f} {y:.9f} {yaw:.9f}", *(f"{value + 0.0:.9g}" for value in upper)])
+    return " ".join([f"{x:z.9f} {y:z.9f} {yaw:z.9f}", *(f"{value + 0.0:.9g}" for value in upper)])

@@ -97,15 +97,20 @@ def diff_summary(document: dict[str, Any], picture: bytes | None) -> Summary:
         (
             str(change["number"]),
             change["kind"],
-            f"{change['x_m']:.2f} m",
-            f"{change['y_m']:.2f} m",
+            f"{change['x_m']:z.2f} m",
+            f"{change['y_m']:z.2f} m",
             f"{change['m2']:.3f} m2",
             f"{change['length_m']:.2f} m",
             str(change["moved_with"] or ""),
         )
         for change in document["changes"]
     )
-    placed = (f"{pose['x_m']:.3f} m", f"{pose['y_m']:.3f} m", f"{pose['yaw_deg']:.2f} deg", f"{pose['rms_mm']:.0f} mm")
+    placed = (
+        f"{pose['x_m']:z.3f} m",
+        f"{pose['y_m']:z.3f} m",
+        f"{pose['yaw_deg']:z.2f} deg",
+        f"{pose['rms_mm']:.0f} mm",
+    )
     alignment = Table("Pose of the second map in the first", ("x", "y", "yaw", "RMS of the walls"), (placed,))
     return Summary(title, headline, (*_unless_empty("Changes", head, rows), alignment), picture)
 

@@ -73,7 +73,7 @@ def tum_lines(trajectory: Trajectory) -> Iterator[str]:
     """Write poses as lines ``t x y z qx qy qz qw`` (seconds, metres, unit quaternion)."""
     for stamp_ns, (x, y, yaw) in zip(trajectory.stamps_ns.tolist(), trajectory.xyyaw.tolist(), strict=True):
         z, w = sin(yaw / 2.0), cos(yaw / 2.0)
-        yield f"{seconds(stamp_ns)} {x:.9f} {y:.9f} 0 0 0 {z:.12f} {w:.12f}\n"
+        yield f"{seconds(stamp_ns)} {x:z.9f} {y:z.9f} 0 0 0 {z:z.12f} {w:z.12f}\n"
 
 
 def seconds(stamp_ns: int) -> str:
@@ -113,13 +113,13 @@ def _attitudes(run: Run) -> Iterator[tuple[str, ...]]:
         yield from ((),) * len(stamps_ns)
         return
     for values in np.column_stack(attitude.at((stamps_ns - attitude.stamps_ns[0]).astype(np.float64))).tolist():
-        yield tuple(f"{value:.6f}" if isfinite(value) else "" for value in values)
+        yield tuple(f"{value:z.6f}" if isfinite(value) else "" for value in values)
 
 
 def _csv_row(row: tuple[Any, ...], placed: list[float] | None) -> tuple[object, ...]:
     """Return a row of the table; ``placed`` is x, y, yaw, and the position error if there is a truth."""
     index, stamp_ns, cost_m2, beams, inliers, evaluations, iterations, *flags, threshold_m2, doubtful, covariance = row
-    pose = ("", "", "") if placed is None else (f"{v:.9f}" for v in placed[:3])
+    pose = ("", "", "") if placed is None else (f"{v:z.9f}" for v in placed[:3])
     error_m = placed[3] if placed and len(placed) > 3 else nan
     cost, threshold = (f"{value:.9g}" if isfinite(value) else "" for value in (cost_m2, threshold_m2))
     effort = (evaluations, iterations)
@@ -134,6 +134,6 @@ def _csv_row(row: tuple[Any, ...], placed: list[float] | None) -> tuple[object, 
         *map(int, flags),
         threshold,
         doubtful,
-        *(f"{value:.4g}" if isfinite(value) else "" for value in covariance or UNKNOWN),
+        *(f"{value:z.4g}" if isfinite(value) else "" for value in covariance or UNKNOWN),
         f"{error_m:.6f}" if isfinite(error_m) else "",
     )

@@ -221,7 +221,7 @@ def _row(quantity: Quantity, log: Log) -> dict[str, Any]:
 
 
 def _rounded(value: float | None) -> float | None:
-    return None if value is None or not isfinite(value) else round(value, 4)
+    return None if value is None or not isfinite(value) else round(value, 4) + 0.0  # -0.0 becomes 0.0
 
 
 def _in_log(name: str, log: Log) -> float | None:

@@ -33,8 +33,8 @@ def transform_line(rows: list[dict[str, Any]], log: Log, *, upside_down: bool | 
     x_m, y_m, yaw_rad = mounting
     roll = "3.14159" if _overhead(log, upside_down) else "0"
     frames = f"--frame-id {quote(log.base_frame or 'base_link')} --child-frame-id {quote(log.frame_id)}"
-    turned = f"--roll {roll} --pitch 0 --yaw {yaw_rad:.4f}"
-    return f"ros2 run tf2_ros static_transform_publisher --x {x_m:.4f} --y {y_m:.4f} --z 0 {turned} {frames}"
+    turned = f"--roll {roll} --pitch 0 --yaw {yaw_rad:z.4f}"
+    return f"ros2 run tf2_ros static_transform_publisher --x {x_m:z.4f} --y {y_m:z.4f} --z 0 {turned} {frames}"
 
 
 def replay_line(path: Path, rows: list[dict[str, Any]], log: Log, *, upside_down: bool | None) -> str | None:

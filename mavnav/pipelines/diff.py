@@ -120,8 +120,8 @@ def _document(request: DiffRequest, alignment: Alignment | None, found: Differen
             {
                 "number": number,
                 "kind": change.kind,
-                "x_m": round(change.x_m, 3),
-                "y_m": round(change.y_m, 3),
+                "x_m": round(change.x_m, 3) + 0.0,
+                "y_m": round(change.y_m, 3) + 0.0,
                 "m2": round(change.m2, 4),
                 "length_m": round(change.length_m, 3),
                 "moved_with": None if change.moved_with is None else change.moved_with + 1,
@@ -148,11 +148,12 @@ def _numbers(found: Difference) -> dict[str, float]:
 
 
 def _alignment(found: Alignment) -> dict[str, float]:
+    """Describe the alignment; adding 0 turns -0.0 into 0.0."""
     x_m, y_m, yaw_rad = found.a_T_b
     return {
-        "x_m": round(x_m, 4),
-        "y_m": round(y_m, 4),
-        "yaw_deg": round(yaw_rad / DEG, 3),
+        "x_m": round(x_m, 4) + 0.0,
+        "y_m": round(y_m, 4) + 0.0,
+        "yaw_deg": round(yaw_rad / DEG, 3) + 0.0,
         "places": found.taken,
         "agreeing": found.agreeing,
         "rms_mm": round(found.cost_m2**0.5 / MM, 1),

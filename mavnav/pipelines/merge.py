@@ -249,4 +249,6 @@ def _row(given: Input, join: Join, paths: dict[str, Trajectory]) -> dict[str, An
 
 
 def _pose(pose: Pose) -> dict[str, float]:
-    return {"x_m": round(pose.x_m, 4), "y_m": round(pose.y_m, 4), "yaw_deg": round(pose.yaw_rad / DEG, 3)}
+    """Describe a pose; adding 0 turns -0.0 into 0.0."""
+    x_m, y_m, yaw_deg = round(pose.x_m, 4), round(pose.y_m, 4), round(pose.yaw_rad / DEG, 3)
+    return {"x_m": x_m + 0.0, "y_m": y_m + 0.0, "yaw_deg": yaw_deg + 0.0}

@@ -41,6 +41,7 @@ def test_logs_and_runs_are_joined(mavnav, logs, tmp_path) -> None:
         assert len(poses) == len(recording.scans)
         assert errors_m(poses, recording, hall.world_T_laser[0]) < 0.05
     first, second = document["sessions"]
+    assert "-0.0" not in map(str, [*first["map_T_session"].values(), *second["map_T_session"].values()])
     assert [first["map_T_session"][key] for key in ("x_m", "yaw_deg")] == pytest.approx([0, 0], abs=0.05)
     assert {row["name"]: row["closures"] for row in [*first["joined_to"], *second["joined_to"]]}
     diff = api.diff(tmp_path / "m", tmp_path / "back")

@@ -168,3 +168,7 @@ def test_plain_values():
 def test_no_cell_of_a_csv_file_is_a_formula(text: str) -> None:
     assert inert(text) == f"'{text}"
     assert [inert(value) for value in ("a=1", "", -1.5, None)] == ["a=1", "", -1.5, None]
+
+
+def test_negative_zeros_lose_their_sign():
+    assert to_json([-0.0, np.float64(-0.0), -0.5]).split() == ["[", "0.0,", "0.0,", "-0.5", "]"]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from mavnav.outputs.trajectory import seconds, write_base_tum, write_csv, write_tum
-from mavnav.pose import Pose, yaw_of_quaternion
+from mavnav.outputs.trajectory import seconds, tum_lines, write_base_tum, write_csv, write_tum
+from mavnav.pose import Pose, Trajectory, yaw_of_quaternion
 from mavnav.slam.doubt.record import Doubt, Reason
 
 
@@ -88,3 +88,22 @@ def test_csv_has_the_covariance_where_it_is_known(run, tmp_path):
         first, second, *_ = csv.DictReader(file)
     assert (float(first["cov_xy_m2"]), float(first["cov_yawyaw_rad2"])) == (1e-6, 5e-6)
     assert second["cov_xx_m2"] == ""
+
+
+def test_no_negative_zeros_are_written():
+    poses = [Pose(-0.0, -1e-12, -1e-15), Pose(-0.5, -0.0, 0.0)]
+    assert [line.split()[1:] for line in tum_lines(Trajectory.of([0, 1], poses))] == [
+        ["0.000000000", "0.000000000", "0", "0", "0", "0.000000000000", "1.000000000000"],
+        ["-0.500000000", "0.000000000", "0", "0", "0", "0.000000000000", "1.000000000000"],
+    ]
+
+
+def test_the_table_has_no_negative_zeros(run, tmp_path):
+    zeros = replace(
+        run,
+        slam=replace(
+            run.slam, trajectory=Trajectory(run.slam.trajectory.stamps_ns.copy(), run.slam.trajectory.xyyaw * -1e-15)
+        ),
+    )
+    write_csv(zeros, tmp_path / "t.csv")
+    assert "-0.000000000," not in (tmp_path / "t.csv").read_text()
