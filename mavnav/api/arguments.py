@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from math import isfinite, pi
 from numbers import Integral
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mavnav.config.given_pose import pose_problem
 from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import recorded_topic
 from mavnav.pose import Pose
@@ -88,10 +88,8 @@ def pose_of(values: Sequence[float] | None, name: str) -> Pose | None:
         x_m, y_m, yaw_rad = map(float, values)
     except (TypeError, ValueError):
         raise UsageError(f"{name} is {values!r}; give x, y and yaw in m, m, rad") from None
-    if not all(map(isfinite, (x_m, y_m, yaw_rad))):
-        raise UsageError(f"{name} is {values!r}; give finite numbers")
-    if abs(yaw_rad) > 2 * pi:
-        raise UsageError(f"{name} is {values!r}: the yaw is more than a turn; give it in rad, for 90 deg 1.5708")
+    if problem := pose_problem(x_m, y_m, yaw_rad):
+        raise UsageError(f"{name} {values!r} {problem}")
     return Pose(x_m, y_m, yaw_rad)
 
 

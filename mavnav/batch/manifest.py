@@ -5,8 +5,9 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
+from mavnav.config.given_pose import pose_problem
 from mavnav.config.loading import origin, validated
 from mavnav.config.strict import Strict
 from mavnav.config.yaml_layers import read_yaml
@@ -35,6 +36,12 @@ def _entry(value: object) -> object:
     return {"log": value} if isinstance(value, str) else value
 
 
+def _sound(pose: tuple[float, float, float]) -> tuple[float, float, float]:
+    if problem := pose_problem(*pose):
+        raise ValueError(problem)
+    return pose
+
+
 Texts = Annotated[tuple[str, ...], BeforeValidator(_listed)]
 Codes = Annotated[tuple[int, ...], BeforeValidator(_listed)]
 
@@ -46,7 +53,7 @@ class Entry(Strict):
     topic: str | None = Field(None, description="scan topic, if there are several")
     start_s: float | None = Field(None, ge=0, description="start this many seconds after the first scan")
     end_s: float | None = Field(None, ge=0, description="end this many seconds after the first scan")
-    extrinsic: tuple[float, float, float] | None = Field(
+    extrinsic: Annotated[tuple[float, float, float], AfterValidator(_sound)] | None = Field(
         None, description="laser on its base: x and y in m, yaw in rad"
     )
     strict: bool = Field(False, description="leave out scans from parts of the log whose checksum does not match")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from functools import partial
-from math import isfinite, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +12,7 @@ import typer
 
 from mavnav.commands import completion
 from mavnav.commands.terminal import note
+from mavnav.config.given_pose import pose_problem
 from mavnav.errors import UsageError
 
 if TYPE_CHECKING:
@@ -228,11 +228,12 @@ def parse_pose(text: str | None, option: str = "--extrinsic") -> tuple[float, fl
         values = [float(part) for part in text.split(",")]
     except ValueError:
         values = []
-    if len(values) != 3 or not all(map(isfinite, values)):
+    if len(values) != 3:
         raise UsageError(f"{option} {text!r} is not X,Y,YAW in m, m, rad; write for example {option} 0.1,0,1.5708")
-    if abs(values[2]) > 2 * pi:
-        raise UsageError(f"{option} {text!r}: the yaw is more than a turn; write it in rad, for 90 deg 1.5708")
-    return values[0], values[1], values[2]
+    x_m, y_m, yaw_rad = values
+    if problem := pose_problem(x_m, y_m, yaw_rad):
+        raise UsageError(f"{option} {text!r} {problem}")
+    return x_m, y_m, yaw_rad
 
 
 def note_without_effect(config: Config, keys: Iterable[str]) -> None:

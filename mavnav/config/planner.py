@@ -30,7 +30,7 @@ class PlannerConfig(Strict):
     safety_mm: float = Field(250.0, ge=0, le=5000, description="clearance that commands keep where possible")
     least_safety_mm: float = Field(150.0, ge=0, le=5000, description="clearance kept in narrow passages")
     min_hits: int = Field(
-        2, ge=1, description="hits in and around a cell (5x5) that make it an obstacle; the paper has 1"
+        2, ge=1, le=1_000_000, description="hits in and around a cell (5x5) that make it an obstacle; the paper has 1"
     )
     min_share: float = Field(
         0.1,

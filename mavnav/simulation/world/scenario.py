@@ -47,9 +47,11 @@ class LaserConfig(Strict):
     preset: LaserName = Field("urg-04lx", description="sensor preset; the paper's is urg-04lx")
     field_of_view_deg: float | None = Field(None, gt=0, le=360, description="angle from first to last beam, or null")
     step_deg: float | None = Field(None, ge=0.05, le=90, description="angle between two beams, or null")
-    range_min_mm: float | None = Field(None, ge=0, description="nearest range, or null for the preset's")
-    range_max_mm: float | None = Field(None, gt=0, description="farthest range, or null for the preset's")
-    period_ms: float | None = Field(None, ge=1, description="time from scan to scan, or null for the preset's")
+    range_min_mm: float | None = Field(None, ge=0, le=1e6, description="nearest range, or null for the preset's")
+    range_max_mm: float | None = Field(None, gt=0, le=1e6, description="farthest range, or null for the preset's")
+    period_ms: float | None = Field(
+        None, ge=1, le=10_000, description="time from scan to scan, or null for the preset's"
+    )
     noise_percent: float = Field(1.5, ge=0, le=50, description="standard deviation of a range, of the distance")
     bias_percent: float = Field(0.0, ge=0, le=50, description="largest scale error of all ranges of a run")
     mixed_pixel_share: float = Field(
