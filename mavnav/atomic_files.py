@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
 
+LONGEST_NAME = 150
+"""Longest name, in bytes, to which more is added: file systems allow 255."""
+
 FOREIGN_S = 7 * 86400.0
 """Age of the last change after which unfinished files of another machine are removed."""
 
@@ -96,8 +99,21 @@ def discard(target: Path, pid: int) -> None:
     shutil.rmtree(_folder(target.resolve(), pid), ignore_errors=True)
 
 
+def short_name(name: str) -> str:
+    """Return the beginning of a name to which more is added, at most ``LONGEST_NAME`` bytes."""
+    while len(os.fsencode(name)) > LONGEST_NAME:
+        name = name[:-1]
+    return name
+
+
 def _folder(final: Path, pid: int) -> Path:
-    return final.with_name(f".{final.name}.partial-{machine()}-{pid}")
+    return final.with_name(f".{_label(final)}.partial-{machine()}-{pid}")
+
+
+def _label(final: Path) -> str:
+    """Return the name of a target in the names of its unfinished files; a long name is replaced by its hash."""
+    name = final.name
+    return name if short_name(name) == name else sha256(os.fsencode(name)).hexdigest()
 
 
 @cache
@@ -114,7 +130,7 @@ def machine() -> str:
 
 def _clear_leftovers(final: Path) -> None:
     """Remove the unfinished files of dead processes; restore a target that one of them had moved aside."""
-    for folder in final.parent.glob(f".{glob.escape(final.name)}.*-*-*"):
+    for folder in final.parent.glob(f".{glob.escape(_label(final))}.*-*-*"):
         kind, owner, number = folder.name.rsplit("-", 2)
         if not number.isdecimal() or not _is_left(folder, owner, int(number)):
             continue
@@ -148,7 +164,7 @@ def _exchange(partial: Path, final: Path) -> None:
     """Replace a folder by another one, atomically where the system can, so that the name always exists."""
     if _swapped(partial, final):
         return
-    old = final.with_name(f".{final.name}.replaced-{machine()}-{os.getpid()}")
+    old = final.with_name(f".{_label(final)}.replaced-{machine()}-{os.getpid()}")
     final.rename(old)
     try:
         partial.rename(final)

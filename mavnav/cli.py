@@ -24,6 +24,11 @@ LIBRARIES = ("numpy", "numba", "scipy", "mcap", "rosbags", "pydantic", "pillow",
 
 _STREAM_ERRORS = (errno.ENOSPC, errno.EBADF, errno.EIO, errno.EFBIG, errno.EDQUOT)
 
+_PATH_ERRORS = {errno.ENAMETOOLONG: "choose a shorter name"} | dict.fromkeys(
+    (errno.EACCES, errno.EPERM), "check its folders' permissions"
+)
+"""Errors of a path where even its existence cannot be checked -> what to do."""
+
 EPILOG = """
 [bold]Examples[/bold]
 
@@ -154,8 +159,8 @@ def _explain(error: BaseException) -> int:
             return ExitCode.OUTPUT
         case SystemExit():  # shell completion
             return int(error.code or 0)
-        case PermissionError() if error.filename is not None:  # a folder denies access, even to check existence
-            note(f"mavnav: error: {error.filename} cannot be reached: {error.strerror}; check its folders' permissions")
+        case OSError(errno=int() as number) if error.filename is not None and number in _PATH_ERRORS:
+            note(f"mavnav: error: {error.filename} cannot be reached: {error.strerror}; {_PATH_ERRORS[number]}")
             return ExitCode.USAGE
         case _ if lacks_memory(error):
             note("mavnav: error: out of memory; try larger cells, narrower windows, or a part of the log with --end")

@@ -14,6 +14,7 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import asdict, replace
 
+from mavnav.atomic_files import short_name
 from mavnav.errors import NoScansError, UsageError
 from mavnav.ground_truth.map_file import occupied_xy_m
 from mavnav.ground_truth.references import LEAST_POSES, References, compared
@@ -72,7 +73,7 @@ class SimulationRequest(Struct, frozen=True):
 def simulation_directory(scenario: Scenario) -> Path:
     """Return ``runs/<scenario>-<method>-<yaw samples>-<grid>``."""
     slam = scenario.slam
-    return Path("runs") / f"{scenario.name}-{slam.method}-{slam.azimuth}-{slam.grid}"
+    return Path("runs") / f"{short_name(scenario.name)}-{slam.method}-{slam.azimuth}-{slam.grid}"
 
 
 def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: float) -> tuple[Run, dict[str, Any]]:
@@ -97,7 +98,7 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
     recording = recorded(flight)
     progress("writing", 0, None)
     with TemporaryDirectory(prefix="mavnav-") as folder:
-        kept = Path(folder) / f"{request.scenario.name}.mcap"
+        kept = Path(folder) / f"{short_name(request.scenario.name)}.mcap"
         record(recording, kept)
         log = _opened(kept, request.scenario)
         run = Run(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+from mavnav.atomic_files import short_name
 from mavnav.logs.formats import mcap_file, mcap_records, rosbag1, rosbag1_records, sqlite_file, sqlite_pages
 from mavnav.logs.formats.carmen import is_carmen, read_carmen
 from mavnav.logs.formats.decompress import PACKERS, first_bytes, unpacked_file
@@ -101,13 +102,13 @@ def _sniff_folder(folder: Path) -> str:
 def log_name(log: Path) -> str:
     """Return what a log is called in the names of directories: a folder as it is, a file without its suffixes.
 
-    A link has its own name, not that of its target.
+    A link has its own name, not that of its target. Long names are cut, because more is added to them.
     """
     name = log.name if log.name not in ("", "..") else log.resolve().name
     if not log.is_dir():
         for suffix in reversed(SUFFIXES):
             name = name.removesuffix(suffix) or name
-    return name
+    return short_name(name)
 
 
 def is_named_like_a_log(path: Path) -> bool:
