@@ -12,12 +12,15 @@ import os
 import platform
 import shutil
 from contextlib import contextmanager, suppress
-from errno import EEXIST, ENOTEMPTY
+from errno import EDQUOT, EEXIST, ENOSPC, ENOTEMPTY
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import time
 from typing import TYPE_CHECKING
+
+from mavnav.errors import OutputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -39,7 +42,8 @@ def beside(target: Path, *, exclusive: bool = False) -> Iterator[Path]:
     The path has the target's own name, in a temporary folder next to it that is removed in any case. The folder that a
     killed process left is removed by the next call. The old content of ``target`` is replaced in one step, or kept if
     the block fails; a file never replaces a folder. Parent folders are created. Raises OSError for errors of the disk,
-    and FileExistsError with ``exclusive`` if another process has written the target in the meantime.
+    that of a full one with the name of a file, and FileExistsError with ``exclusive`` if another process has written
+    the target in the meantime.
     """
     final = target.resolve()
     final.parent.mkdir(parents=True, exist_ok=True)
@@ -57,8 +61,49 @@ def beside(target: Path, *, exclusive: bool = False) -> Iterator[Path]:
         else:
             partial.replace(final)
         sync(final.parent)
+    except OSError as error:
+        if no_space(error) and error.filename is None:
+            error.filename = str(final)
+        raise
     finally:
         _remove(folder)
+
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Yield a folder that is removed at the end; raises OutputError if it cannot be made, or its disk is full."""
+    try:
+        made = TemporaryDirectory(prefix="mavnav-", ignore_cleanup_errors=True)
+    except OSError as error:
+        raise OutputError(f"no temporary folder can be made: {error.strerror}; set TMPDIR to one with room") from error
+    with made as name, naming_full_disk(Path(name)):
+        yield Path(name)
+
+
+@contextmanager
+def naming_full_disk(folder: Path) -> Iterator[None]:
+    """Raise OutputError that names the folder of temporary folders if the disk of ``folder``, one of them, is full."""
+    try:
+        yield
+    except Exception as error:
+        if _is_full(error, folder.resolve()):
+            raise OutputError(f"the temporary folder {folder.parent} is full; set TMPDIR to another") from error
+        raise
+
+
+def no_space(error: BaseException) -> bool:
+    """Return whether an error is that a disk is full, or a quota used up."""
+    return isinstance(error, OSError) and error.errno in {ENOSPC, EDQUOT}
+
+
+def _is_full(error: BaseException | None, folder: Path) -> bool:
+    """Return whether an error or its cause is that a disk is full, and of no file outside of a folder."""
+    while error is not None and not no_space(error):
+        error = error.__cause__
+    if not isinstance(error, OSError):
+        return False
+    names = [Path(os.fsdecode(name)) for name in (error.filename, error.filename2) if isinstance(name, str | bytes)]
+    return not names or any(name.is_relative_to(folder) for name in names)
 
 
 def _remove(folder: Path) -> None:

@@ -30,6 +30,7 @@ from mavnav.api.arguments import (
     values_of,
 )
 from mavnav.api.results import Comparison, Run
+from mavnav.atomic_files import naming_full_disk
 from mavnav.config.loading import load_config
 from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import truth_fields
@@ -377,7 +378,8 @@ def _finished(work: Callable[[Path], Result], directory: File | None) -> Result:
         return work(path_of(directory, "directory"))
     folder = mkdtemp(prefix="mavnav-")
     try:
-        result = work(Path(folder) / "run")
+        with naming_full_disk(Path(folder)):
+            result = work(Path(folder) / "run")
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise

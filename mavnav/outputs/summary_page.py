@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mavnav import __version__
+from mavnav.atomic_files import temporary_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+    from pathlib import Path
 
 
 class Table(NamedTuple):
@@ -33,8 +33,8 @@ class Summary(NamedTuple):
 
 def drawn(draw: Callable[[Path], None]) -> bytes:
     """Return the PNG file that a function writes to a path."""
-    with TemporaryDirectory(prefix="mavnav-") as folder:
-        path = Path(folder) / "picture.png"
+    with temporary_folder() as folder:
+        path = folder / "picture.png"
         draw(path)
         return path.read_bytes()
 

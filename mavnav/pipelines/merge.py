@@ -7,14 +7,13 @@ from contextlib import suppress
 from functools import cached_property
 from hashlib import sha256
 from itertools import count
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav import __version__
+from mavnav.atomic_files import temporary_folder
 from mavnav.errors import ExitCode, MavnavError, NoScansError, UsageError, reason_of, worst
 from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
@@ -35,6 +34,8 @@ from mavnav.slam.registry import load_kernels
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -95,9 +96,9 @@ def merge(request: MergeRequest, progress: Progress) -> dict[str, Any]:
     OutputError, and what a replay raises; a log without usable scans is a session that did not join.
     """
     _check(request)
-    with TemporaryDirectory(prefix="mavnav-") as folder:
+    with temporary_folder() as folder:
         names = session_names(request.inputs)
-        inputs = [_input(*pair, request, Path(folder), progress) for pair in zip(names, request.inputs, strict=True)]
+        inputs = [_input(*pair, request, folder, progress) for pair in zip(names, request.inputs, strict=True)]
         sessions = [each.session for each in inputs if each.session]
         if not sessions:
             raise NoScansError("none of the logs and runs has a tracked scan; examine them with mavnav info")

@@ -6,7 +6,6 @@ import os
 from hashlib import sha256
 from math import inf
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,7 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import asdict, replace
 
-from mavnav.atomic_files import short_name
+from mavnav.atomic_files import short_name, temporary_folder
 from mavnav.errors import NoScansError, UsageError
 from mavnav.ground_truth.map_file import occupied_xy_m
 from mavnav.ground_truth.references import LEAST_POSES, References, compared
@@ -97,8 +96,8 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
         )
     recording = recorded(flight)
     progress("writing", 0, None)
-    with TemporaryDirectory(prefix="mavnav-") as folder:
-        kept = Path(folder) / f"{short_name(request.scenario.name)}.mcap"
+    with temporary_folder() as folder:
+        kept = folder / f"{short_name(request.scenario.name)}.mcap"
         record(recording, kept)
         log = _opened(kept, request.scenario)
         run = Run(

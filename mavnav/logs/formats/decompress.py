@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import bz2
 import gzip
-import tempfile
 import zlib
 from contextlib import contextmanager, suppress
 from io import BytesIO
-from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Protocol
+
+from mavnav.atomic_files import no_space, temporary_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from mavnav.logs.read_report import ReadReport
 
@@ -257,16 +258,21 @@ def first_bytes(path: Path, packer: str, count: int) -> bytes:
 
 @contextmanager
 def unpacked_file(path: Path, packer: str, report: ReadReport) -> Iterator[Path]:
-    """Decompress a file into a temporary one, deleted at the end; damaged data are reported and left out."""
+    """Decompress a file into a temporary one, deleted at the end; damaged data are reported and left out.
+
+    Raises OutputError if the temporary folder is full.
+    """
     limit = _MAX_FILE_RATIO * path.stat().st_size + MAX_CHUNK_BYTES
-    with tempfile.TemporaryDirectory(prefix="mavnav-") as folder, path.open("rb") as packed:
-        target = Path(folder) / path.stem
+    with temporary_folder() as folder, path.open("rb") as packed:
+        target = folder / path.stem
         size = 0
         with target.open("wb") as file, PACKERS[packer][1](packed) as stream:
             try:
                 while size <= limit and (block := stream.read(_PIECE_BYTES)):
                     size += file.write(block)
             except _file_errors(packer) as error:
+                if no_space(error):
+                    raise
                 report.damage(f"{packer} data cannot be decompressed ({error})", f"{path.name}, after {size} bytes")
         if size > limit:
             report.damage(f"decompresses to more than {limit} bytes; the rest is not read", path.name)

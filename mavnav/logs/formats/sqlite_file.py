@@ -6,16 +6,17 @@ Rows that sqlite cannot reach are read directly from the pages.
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
-import tempfile
 from contextlib import closing, contextmanager, suppress
-from pathlib import Path
+from errno import ENOSPC
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from msgspec import Struct, field
 
+from mavnav.atomic_files import temporary_folder
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
 from mavnav.logs.formats.source import Source
 from mavnav.logs.formats.sqlite_pages import page_size, rows
@@ -24,6 +25,7 @@ from mavnav.logs.records import Channel, RawMessage, ros_type
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from mavnav.logs.read_report import ReadReport
 
@@ -169,8 +171,8 @@ def _readable_file(path: Path, report: ReadReport) -> Iterator[Path]:
     if sound:
         yield path
         return
-    with tempfile.TemporaryDirectory(prefix="mavnav-") as folder:
-        copy = Path(folder) / path.name
+    with temporary_folder() as folder:
+        copy = folder / path.name
         shutil.copyfile(path, copy)
         _repair_magic(copy, report)
         for journal in journals:
@@ -215,6 +217,8 @@ def _apply_journal(copy: Path, journal: Path, report: ReadReport) -> None:
             report.damage(f"{text}; they are left out", copy.name)
         report.warn(f"{copy.name}: {journal.name} beside it was read too (the recorder did not close the file)")
     except sqlite3.Error as error:
+        if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
+            raise OSError(ENOSPC, os.strerror(ENOSPC), str(copy)) from error
         report.damage(f"{journal.name} beside it cannot be read: {error}", copy.name)
         with suppress(OSError):
             (copy.parent / journal.name).unlink()
