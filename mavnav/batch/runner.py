@@ -12,8 +12,10 @@ from msgspec.structs import replace
 from mavnav.atomic_files import discard
 from mavnav.batch.cases import CaseResult
 from mavnav.batch.jobs import replay_local, replay_remote
+from mavnav.errors import ExitCode
 from mavnav.jobs import Ended, Event, Job, Outcome, Status, run_jobs, run_with_retries
 from mavnav.jobs.run_cache import finished_document
+from mavnav.outputs.directory import RUN_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from mavnav.batch.plan import BatchPlan
     from mavnav.batch.request import RunLimits
     from mavnav.jobs.dask import Cluster
+    from mavnav.jobs.run_cache import PlannedRun
     from mavnav.pipelines.replay import ReplayRequest
 
     OnEvent = Callable[[Event], None]
@@ -56,6 +59,8 @@ def run_cases(
     def record(case: Case, outcome: Outcome | None) -> None:
         has_run = outcome is None or outcome.status is Status.DONE
         document = finished_document(case.run) if case.run and has_run else None
+        if case.run and has_run and document is None:
+            outcome = _spoilt(case.run, outcome)
         described[case.name] = describe(CaseResult(case, outcome, document))
 
     for case in plan.cases:
@@ -92,6 +97,13 @@ def _outcome_of(case: Case, outcome: Outcome, request: ReplayRequest) -> Outcome
     if case.run is None or not outcome.error:
         return outcome
     return replace(outcome, error=outcome.error.replace(str(request.log), str(case.run.request.log)))
+
+
+def _spoilt(run: PlannedRun, outcome: Outcome | None) -> Outcome:
+    """Return the outcome of a run whose run.json was lost or damaged after it was finished."""
+    error = f"{run.directory / RUN_FILE} was removed or damaged meanwhile; repeat this call"
+    pid, seconds = (outcome.pid, outcome.seconds) if outcome else (0, 0.0)
+    return Outcome(Status.FAILED, pid, seconds, error=error, exit_code=ExitCode.OUTPUT)
 
 
 def _job(name: str, request: ReplayRequest) -> Job:

@@ -14,6 +14,7 @@ import pytest
 from mavnav.batch.options import Options, request_of
 from mavnav.batch.plan import plan_batch
 from mavnav.batch.request import BatchPart
+from mavnav.batch.run import run_batch
 from mavnav.batch.summary import missing_lines
 from mavnav.errors import ConfigError, ExitCode, OutputError, UsageError
 from mavnav.jobs import Ended, Event, Started
@@ -98,6 +99,15 @@ def test_a_run_without_one_of_its_files_is_made_again(home: Path, name: str) -> 
     assert f"logs/good.mcap robust {NAME}" in missing_runs()
     path.write_bytes(content)
     assert f"logs/good.mcap robust {NAME}" not in missing_runs()
+
+
+def test_a_run_that_is_spoilt_meanwhile_does_not_pass(home: Path) -> None:
+    planned = plan_batch(request_of(Options(**OPTIONS | {"sources": ("logs/good.mcap",)})), lambda *args: None)
+    next(Path("runs/batch/cells").glob("good-*/run.json")).write_text('{"exit_code": 0}')
+    document = run_batch(planned, lambda event: None, lambda row: None)
+    (row,) = document["cells"]
+    assert row["error"].endswith("run.json was removed or damaged meanwhile; repeat this call")
+    assert (row["status"], document["exit_code"]) == ("failed", ExitCode.OUTPUT)
 
 
 def test_force_runs_again(home: Path) -> None:
