@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from mavnav.pose import Pose
 from mavnav.slam.beginning import accepted, until_missing
-from mavnav.slam.pauses import first_found_late, pauses
+from mavnav.slam.pauses import first_found_late, highest_speed, is_too_far, pauses
 from mavnav.slam.relocalization import apart
 from mavnav.slam.scan_matching import no_match
 from mavnav.slam.steps import LOST_SCANS, Step, Steps, lost_intervals
@@ -88,9 +88,12 @@ def with_lost_parts(track: Track) -> Track:
 def without_late_poses(track: Track) -> Track:
     """Give up the poses after a pause in the scans after which the laser was found late: one scan is weak evidence.
 
-    Only the scans before it are tracked again; `with_lost_parts` tracks the others, and joins them if several agree.
+    Only the scans before it are tracked again; `with_lost_parts` tracks the others, and joins them if several agree. A
+    log that is lost for good is left as it is: that is said anyway.
     """
     if track.refiner is None or not track.refiner.builds_map or track.motion.odometry is not None:
+        return track
+    if lost_for_good(track.steps, list(lost_intervals(track.steps))):
         return track
     first = first_found_late(track.steps, track.motion.period_s)
     if first is None:
@@ -155,10 +158,24 @@ def joined(track: Track, others: list[tuple[Step, ...]]) -> Track:
             {k: scan for k, scan in enumerate(track.log_scans()) if k in wanted} if len(wanted) >= LOST_SCANS else {}
         )
         part_T = part_pose([s for s in part if s.index in scans], scans, track, _most_searched(part, track))
-        if part_T is not None:
+        if part_T is not None and is_reached(part, part_T, steps, track):
             for step in insert_part(part, part_T, scans, track):
                 steps[step.index] = step
     return replace(track, steps=steps, parts=tuple(parts))
+
+
+def is_reached(part: Sequence[Step], map_T_part: Pose, steps: Steps, track: Track) -> bool:
+    """Return whether the laser can have moved between a part and the poses next to it where the scans pause there."""
+    found = pauses(steps, track.motion.period_s) if track.motion.odometry is None else []
+    for end, others in ((part[0], range(part[0].index - 1, -1, -1)), (part[-1], range(part[-1].index + 1, len(steps)))):
+        other = next((steps[k] for k in others if steps[k].tracked), None)
+        if other is None or not any(min(end.index, other.index) <= k < max(end.index, other.index) for k in found):
+            continue
+        elapsed_s = abs(other.stamp_ns - end.stamp_ns) * NS
+        fastest_m_s = max(highest_speed(part), highest_speed(accepted_steps(track)))
+        if is_too_far(map_T_part @ end.match.map_T_laser, other.match.map_T_laser, elapsed_s, fastest_m_s):
+            return False
+    return True
 
 
 def _most_searched(part: Sequence[Step], track: Track) -> int:

@@ -1,8 +1,9 @@
-"""Pauses in the scans without odometry: how far the laser can have moved, and whether it was found late after one."""
+"""Pauses in the scans: how far the laser can have moved meanwhile, and whether it was found late after one."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
+from itertools import pairwise
 from math import hypot
 from typing import TYPE_CHECKING
 
@@ -11,11 +12,11 @@ import numpy as np
 from mavnav.units import NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from mavnav.pose import Pose
     from mavnav.slam.motion_model import Motion
-    from mavnav.slam.steps import Steps
+    from mavnav.slam.steps import Step, Steps
 
 PAUSE_S, PAUSE_PERIODS = 2.5, 2.5
 """Time between two scans from which it is a pause, and in periods."""
@@ -23,7 +24,10 @@ PAUSE_S, PAUSE_PERIODS = 2.5, 2.5
 LEAST_SPEED_M_S, FASTER, SLACK_M = 0.3, 1.2, 0.5
 """Speed that every vehicle reaches, largest ratio of the mean speed in a pause to the highest before, and slack."""
 
-LATE_SCANS = 16
+ODOMETRY_SHARE = 0.3
+"""Largest error of odometry across a pause, as a share of the motion, besides the slack."""
+
+LATE_SCANS = 32
 """Number of scans after a pause without a pose from which the next pose is doubtful: the laser moved on to new area."""
 
 
@@ -44,14 +48,29 @@ class Pauses:
             self._fastest_m_s = max(self._fastest_m_s, hypot(*motion.twist[:2]))
         self._seen_ns = stamp_ns
 
-    def exclude(self, map_T_laser: Pose, motion: Motion, elapsed_s: float) -> bool:
-        """Return whether a pose after a pause without odometry is farther than the laser can have moved.
+    def exclude(self, map_T_laser: Pose, motion: Motion, stamp_ns: int) -> bool:
+        """Return whether a pose after a pause is not where odometry leads, or without it too far for the laser.
 
         A laser that is lost while its scans go on may have been carried; one whose scans pause has moved as before.
         """
-        if motion.odometry is not None or self._end_ns is None or self._end_ns <= motion.stamp_ns:
+        if self._end_ns is None or self._end_ns <= motion.stamp_ns:
             return False
-        return motion.map_T_laser.gap(map_T_laser)[0] > FASTER * self._fastest_m_s * elapsed_s + SLACK_M
+        ahead = motion.by_odometry(stamp_ns)
+        if ahead is not None:
+            return ahead.gap(map_T_laser)[0] > ODOMETRY_SHARE * ahead.gap(motion.map_T_laser)[0] + SLACK_M
+        return is_too_far(motion.map_T_laser, map_T_laser, motion.elapsed_s(stamp_ns), self._fastest_m_s)
+
+
+def is_too_far(a: Pose, b: Pose, elapsed_s: float, fastest_m_s: float) -> bool:
+    """Return whether a laser of this highest speed cannot have moved so far in a pause."""
+    return a.gap(b)[0] > FASTER * fastest_m_s * elapsed_s + SLACK_M
+
+
+def highest_speed(steps: Sequence[Step]) -> float:
+    """Return the highest usual speed (0.99 quantile) between successive accepted poses, m/s."""
+    pairs = [(a, b, (b.stamp_ns - a.stamp_ns) * NS) for a, b in pairwise(steps)]
+    speeds = [a.match.map_T_laser.gap(b.match.map_T_laser)[0] / s for a, b, s in pairs if 0.0 < s <= PAUSE_S]
+    return max(float(np.quantile(speeds, 0.99)) if speeds else 0.0, LEAST_SPEED_M_S)
 
 
 def shortest_pause_s(period_s: float) -> float:

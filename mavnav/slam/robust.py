@@ -260,7 +260,7 @@ class Robust:
     def gate(self, match: Match, scan: Scan, motion: Motion) -> Verdict:
         """Decide whether to accept the match."""
         elapsed_s = motion.elapsed_s(scan.stamp_ns)
-        if self._pauses.exclude(match.map_T_laser, motion, elapsed_s):
+        if self._pauses.exclude(match.map_T_laser, motion, scan.stamp_ns):
             return Verdict.REFUSED
         return self.acceptance.verdict(match, motion, elapsed_s)
 
@@ -285,7 +285,7 @@ class Robust:
         best = best_of(found, expected, elapsed_s, self.config)
         rules = self.acceptance
         refused = best.ambiguous or rules.conflicts_after_gap(best, motion, elapsed_s)
-        refused = refused or self._pauses.exclude(best.map_T_laser, motion, elapsed_s)
+        refused = refused or self._pauses.exclude(best.map_T_laser, motion, scan.stamp_ns)
         return best if rules.is_good(best) and not refused else None
 
     def insert(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> None:
