@@ -11,6 +11,8 @@ import glob
 import os
 import platform
 import shutil
+import stat
+import sys
 from contextlib import contextmanager, suppress
 from errno import EDQUOT, EEXIST, ENOSPC, ENOTEMPTY
 from functools import cache
@@ -43,8 +45,13 @@ def beside(target: Path, *, exclusive: bool = False) -> Iterator[Path]:
     killed process left is removed by the next call. The old content of ``target`` is replaced in one step, or kept if
     the block fails; a file never replaces a folder. Parent folders are created. Raises OSError for errors of the disk,
     that of a full one with the name of a file, and FileExistsError with ``exclusive`` if another process has written
-    the target in the meantime.
+    the target in the meantime. A device, a FIFO or a stream of this process is written into at the end, not replaced.
     """
+    if is_stream(target):
+        with temporary_folder() as folder:
+            yield folder / target.name
+            _write_into(target, folder / target.name)
+        return
     final = target.resolve()
     final.parent.mkdir(parents=True, exist_ok=True)
     _clear_leftovers(final)
@@ -67,6 +74,38 @@ def beside(target: Path, *, exclusive: bool = False) -> Iterator[Path]:
         raise
     finally:
         _remove(folder)
+
+
+def is_stream(path: Path) -> bool:
+    """Return whether a path is a character device, a FIFO, or stdout or stderr of this process (``/dev/stdout``)."""
+    try:
+        status = path.stat()
+    except OSError:
+        return False
+    kind = status.st_mode
+    return stat.S_ISCHR(kind) or stat.S_ISFIFO(kind) or _own_stream(status) is not None
+
+
+def _own_stream(status: os.stat_result) -> int | None:
+    """Return the number of the stream of this process that a file is; None if it is none."""
+    for number in (1, 2):
+        with suppress(OSError):  # a closed stream
+            if os.path.samestat(status, os.fstat(number)):
+                return number
+    return None
+
+
+def _write_into(stream: Path, content: Path) -> None:
+    """Write a file into a stream; an own one is not opened again, which would write from its beginning."""
+    own = _own_stream(stream.stat())
+    try:
+        for buffered in filter(None, (sys.stdout, sys.stderr)):
+            buffered.flush()
+        with content.open("rb") as file, stream.open("wb") if own is None else os.fdopen(os.dup(own), "wb") as sink:
+            shutil.copyfileobj(file, sink)
+    except OSError as error:
+        error.filename = str(stream)
+        raise
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from mavnav.atomic_files import beside
 from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.page import to_page
 from mavnav.errors import OutputError, UsageError
-from mavnav.outputs.directory import check_parent
+from mavnav.outputs.directory import check_apart
 from mavnav.outputs.document import to_json
 from mavnav.outputs.markdown import inert
 from mavnav.outputs.quantities import number
@@ -60,37 +60,19 @@ def write_text(text: str, path: Path) -> None:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}; make room or name another") from error
 
 
-def check_file(path: Path) -> None:
-    """Raise OutputError for a path that is a directory or cannot be written, before any run."""
-    if path.is_dir():
-        raise OutputError(f"{path} is a directory; name a file")
-    check_parent(path)
-
-
 def check_files(files: Mapping[str, Path], inputs: Iterable[Path], directory: Path) -> None:
     """Raise UsageError for a file that would overwrite an input or a file of the batch, or another one of ``files``.
 
     ``files`` are the files to write by their options, ``directory`` is the directory of the batch.
     """
-    option_of: dict[Path, str] = {}
-    read, own = [(path, _real(path)) for path in inputs], _real(directory)
+    own = Path(os.path.realpath(directory))
     for option, path in files.items():
-        place = _real(path)
-        if place in option_of:
-            raise UsageError(f"{option_of[place]} and {option} are both {path}; name two files")
-        option_of[place] = option
+        place = Path(os.path.realpath(path))
         if place in {own / name for name in (*TEXTS, PAGE_FILE)} or place.is_relative_to(own / "cells"):
             raise UsageError(f"{option}: {path} is a file of the batch itself; name another file")
         if own.is_relative_to(place):
             raise UsageError(f"{option}: {path} is a directory of the batch; name another file")
-        for given, source in read:
-            if place == source or (place.is_relative_to(source) and (source / "metadata.yaml").is_file()):
-                raise UsageError(f"{option}: {path} would overwrite {given}, which the batch reads; name another file")
-
-
-def _real(path: Path) -> Path:
-    """Return a path without links; unlike `Path.resolve` also of links that lead in a circle."""
-    return Path(os.path.realpath(path))
+    check_apart(files, inputs)
 
 
 def append_text(text: str, path: Path) -> None:

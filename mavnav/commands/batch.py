@@ -164,11 +164,11 @@ def batch(
         return
     with reporting(quiet=quiet) as report:
         with loading_modules():
-            from mavnav.batch.files import check_file
             from mavnav.batch.options import Options
+            from mavnav.outputs.directory import check_target
         files = {name: file for name, file in (("--junit", junit), ("--summary", summary)) if file}
         for file in files.values():
-            check_file(file)
+            check_target(file)
         options = Options(
             words=context.obj,
             sources=sources or (),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from mavnav.atomic_files import beside
+from mavnav.atomic_files import beside, is_stream
 from mavnav.errors import OutputError, UsageError
 from mavnav.mapping.occupancy_grid import known_part
 from mavnav.outputs.map_picture import framed
@@ -45,6 +45,8 @@ _PALETTE: Final = ("#ffffff", "#9aa1a8", "#000000", POSE_MAGENTA, START_BLUE, GO
 
 def check_animation(path: Path, *, force: bool) -> None:
     """Raise OutputError where the animation cannot be put, UsageError for another suffix; called before the work."""
+    if is_stream(path):
+        return
     if path.suffix != ".gif":
         raise UsageError(f"{path}: an animation is a GIF; end its name in .gif")
     if path.exists() and not (force and path.is_file()):

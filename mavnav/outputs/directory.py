@@ -7,11 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from mavnav.atomic_files import beside
+from mavnav.atomic_files import beside, is_stream
 from mavnav.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
 
 RUN_FILE: Final = "run.json"
 """The file that makes a directory a run of ours."""
@@ -63,6 +63,42 @@ def check_parent(path: Path) -> None:
             return
         if os.path.lexists(parent):
             raise OutputError(f"{path} cannot be made: {parent} is no directory; choose another place")
+
+
+def check_target(path: Path) -> None:
+    """Raise OutputError for a path that no file can be written to; devices, FIFOs and open streams are written into."""
+    if path.is_dir():
+        raise OutputError(f"{path} is a directory; name a file")
+    if is_stream(path):
+        return
+    if path.exists() and not path.is_file():
+        raise OutputError(f"{path} is a socket or a block device; name a file")
+    check_parent(path)
+
+
+def check_apart(files: Mapping[str, Path | None], inputs: Iterable[Path | None]) -> None:
+    """Raise UsageError for a file that would overwrite an input, or another one of ``files``.
+
+    ``files`` are the files to write by their options. A folder is overwritten with all that is in it; in that of a
+    ROS 2 bag no file may be overwritten. Streams overwrite nothing.
+    """
+    option_of: dict[Path, str] = {}
+    read = [(path, _real(path)) for path in inputs if path]
+    for option, path in files.items():
+        if path is None or is_stream(path):
+            continue
+        place = _real(path)
+        if place in option_of:
+            raise UsageError(f"{option_of[place]} and {option} are both {path}; name two files")
+        option_of[place] = option
+        for given, source in read:
+            if source.is_relative_to(place) or (place.is_relative_to(source) and (source / "metadata.yaml").is_file()):
+                raise UsageError(f"{option}: {path} would overwrite {given}, which is an input; name another file")
+
+
+def _real(path: Path) -> Path:
+    """Return a path without links; unlike `Path.resolve` also of links that lead in a circle."""
+    return Path(os.path.realpath(path))
 
 
 @contextmanager

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mavnav.atomic_files import beside
+from mavnav.atomic_files import beside, is_stream
 from mavnav.errors import OutputError, UsageError
-from mavnav.outputs.directory import check_parent
+from mavnav.outputs.directory import check_target
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,13 +17,13 @@ def check_file(path: Path | None, suffix: str, kind: str, *, force: bool) -> Non
     """Raise UsageError or OutputError for a file that could not be written or has another suffix; None is no file."""
     if path is None:
         return
-    if path.is_dir():
-        raise OutputError(f"{path} is a folder; name a file, for example {path / f'result{suffix}'}")
+    check_target(path)
+    if is_stream(path):
+        return
     if path.suffix.lower() != suffix:
         raise UsageError(f"{path} is no {kind} file; name it with {suffix}, for example {path}{suffix}")
     if path.exists() and not force:
         raise OutputError(f"{path} exists; choose another file, or --force to replace it")
-    check_parent(path)
 
 
 def write_file(path: Path, write: Callable[[Path], None], *, force: bool) -> None:

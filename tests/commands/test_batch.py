@@ -59,7 +59,7 @@ def test_a_folder_is_no_file_and_stays(mavnav: Callable, empty: Path, option: st
 def test_the_verdict_is_told_though_a_file_cannot_be_written(
     mavnav: Callable, empty: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mavnav.batch.files.check_parent", lambda _: None)  # as if it had become a file meanwhile
+    monkeypatch.setattr("mavnav.outputs.directory.check_parent", lambda _: None)  # as if it had become a file meanwhile
     Path("file").write_text("")
     code, out, err = mavnav("batch", "gone.bag", "--junit", "file/batch.xml", "-q")
     assert code == ExitCode.OUTPUT
@@ -111,7 +111,7 @@ def test_help_names_the_extra(mavnav: Callable, monkeypatch: pytest.MonkeyPatch)
     assert "mavnav[cluster]" in mavnav("batch", "--help")[1]
 
 
-INPUT, OWN = "which the batch reads; name another file", "is a file of the batch itself; name another file"
+INPUT, OWN = "which is an input; name another file", "is a file of the batch itself; name another file"
 
 
 @pytest.mark.parametrize("option", ["--junit", "--summary"])

@@ -90,7 +90,7 @@ def test_logs_that_show_nothing(mavnav, tmp_path) -> None:
         ([alone, "--topic", "/a", "--topic", "/b"], 2, "one --topic at a time"),
         ([alone, "--set", "method=paper"], 2, "needs the robust method"),
         ([alone, "--set", "upside_down=true"], 2, "as recorded"),
-        ([alone, "-o", tmp_path], 6, "is a folder"),
+        ([alone, "-o", tmp_path], 6, "is a directory; name a file"),
         ([tmp_path / "gone.mcap"], 2, "no such file"),
         ([empty], 4, "no usable scans"),
         ([torn], 4, "no usable scan"),

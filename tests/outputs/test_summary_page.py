@@ -121,7 +121,7 @@ def test_a_file_is_checked_before_the_work(tmp_path: Path) -> None:
     check_file(there, ".html", "HTML", force=True)
     with pytest.raises(OutputError, match="exists"):
         check_file(there, ".html", "HTML", force=False)
-    with pytest.raises(OutputError, match="is a folder"):
+    with pytest.raises(OutputError, match="is a directory"):
         check_file(tmp_path, ".html", "HTML", force=False)
     with pytest.raises(UsageError, match=r"name it with \.html"):
         check_file(tmp_path / "page", ".html", "HTML", force=False)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct, field
 
-from mavnav.atomic_files import beside
+from mavnav.atomic_files import beside, is_stream
 from mavnav.errors import OutputError, UsageError
 from mavnav.logs.formats.rosbag2 import METADATA
 from mavnav.logs.messages import definitions, ros
@@ -136,6 +136,8 @@ def check_recording(path: Path, *, force: bool) -> None:
             f"{path}: no format of this name can be recorded; end it in .mcap or .bag (ROS 1), "
             "or leave the ending out for the folder of a ROS 2 bag"
         )
+    if path.suffix and is_stream(path):
+        return
     if path.is_dir():
         _check_folder(path)
     elif path.exists() and (not path.suffix or not path.is_file()):
