@@ -183,5 +183,6 @@ def calibrate(
         picture=optional_path(picture, "picture"),
         report=optional_path(report, "report"),
         force=force,
+        config_file=optional_path(config, "config"),
     )
     return calibrated(request, progress or silent)

@@ -95,6 +95,7 @@ def calibrate(
             picture=picture,
             report=report_page,
             force=force,
+            config_file=Path(config) if config else None,
         )
         document = calibrated(request, report)
     if json:

@@ -96,6 +96,15 @@ def read_map(path: Path) -> MapFile:
     return MapFile(Grid(cell_m, (0.0, 0.0), occupied, free), _origin(path, about))
 
 
+def map_files(path: Path) -> tuple[Path, ...]:
+    """Return the files of a map that `read_map` has read, YAML file and picture; of a run directory none."""
+    if path.is_dir():
+        return ()
+    from mavnav.config.yaml_layers import read_yaml  # noqa: PLC0415  yaml takes 10 ms to load
+
+    return path, path.parent / str(read_yaml(path).tree()["image"])
+
+
 def _origin(path: Path, about: dict[str, Any]) -> Pose:
     origin = about.get("origin", [0.0, 0.0, 0.0])
     numbers = isinstance(origin, list) and all(isinstance(v, int | float) for v in origin)

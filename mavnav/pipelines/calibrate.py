@@ -16,6 +16,7 @@ from mavnav.logs.formats.detect import log_name
 from mavnav.metrics.calibration.motion import motions_of
 from mavnav.metrics.calibration.quantities import KINDS, LEAST_TURN_RAD, Calibration, calibration_of, motion_of, refused
 from mavnav.outputs import calibration_picture
+from mavnav.outputs.directory import check_apart
 from mavnav.outputs.document import to_json
 from mavnav.outputs.single_file import check_file, write_file
 from mavnav.outputs.summary_page import calibration_summary, drawn, write_summary
@@ -46,7 +47,7 @@ LONGEST_SWEEP: Final = 1.2
 
 
 class CalibrationRequest(Struct, frozen=True):
-    """The log and what of it, the configuration of the track, and the files to write, if any."""
+    """The log and what of it, the configuration of the track and its file, and the files to write, if any."""
 
     log: Path
     config: Config
@@ -58,6 +59,7 @@ class CalibrationRequest(Struct, frozen=True):
     picture: Path | None = None
     report: Path | None = None
     force: bool = False
+    config_file: Path | None = None
 
 
 def calibrate(request: CalibrationRequest, progress: Progress) -> dict[str, Any]:
@@ -100,6 +102,8 @@ def _check(request: CalibrationRequest) -> None:
     check_file(request.document, ".json", "JSON", force=request.force)
     check_file(request.picture, ".png", "PNG", force=request.force)
     check_file(request.report, ".html", "HTML", force=request.force)
+    files = {"--output": request.document, "--picture": request.picture, "--report": request.report}
+    check_apart(files, (request.log, request.config_file))
 
 
 def _opened(request: CalibrationRequest, progress: Progress) -> Log:

@@ -10,12 +10,13 @@ from msgspec import Struct
 from mavnav import __version__
 from mavnav.config.models import Config
 from mavnav.errors import ExitCode, UsageError
-from mavnav.ground_truth.map_file import occupied_xy_m, read_map
+from mavnav.ground_truth.map_file import map_files, occupied_xy_m, read_map
 from mavnav.kernels import raycast  # noqa: F401  it is compiled with the others
 from mavnav.kernels.building import prepare
 from mavnav.mapping.occupancy_grid import known_part
 from mavnav.metrics.map_difference import View, difference
 from mavnav.outputs import difference_picture
+from mavnav.outputs.directory import check_apart
 from mavnav.outputs.gridmap import read_npz
 from mavnav.outputs.single_file import check_file, write_file
 from mavnav.outputs.summary_page import diff_summary, drawn, write_summary
@@ -60,6 +61,8 @@ def diff_maps(request: DiffRequest, progress: Progress) -> dict[str, Any]:
     check_file(request.picture, ".png", "PNG", force=request.force)
     check_file(request.report, ".html", "HTML", force=request.force)
     a, b = read_walls(request.a), read_walls(request.b)
+    files = {"--output": request.picture, "--report": request.report}
+    check_apart(files, (*map_files(request.a), *map_files(request.b)))
     prepare(progress)
     progress("aligning", 0, None)
     alignment = align(a, b, Config())

@@ -23,7 +23,7 @@ from mavnav.logs.writing.recorder import Recording, check_recording, record
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.metrics.trajectory_error import absolute_error, align, position_errors
 from mavnav.outputs.animation import animate, check_animation
-from mavnav.outputs.directory import check_directory, check_parent
+from mavnav.outputs.directory import check_apart, check_directory, check_parent
 from mavnav.outputs.provenance import Typed, provenance, utc_now
 from mavnav.outputs.run import Mission, Run, Timing, Truth, WallShapes
 from mavnav.outputs.run_json import MissionResult, TruthErrors
@@ -142,6 +142,7 @@ def check_outputs(request: SimulationRequest) -> None:
     check_groups(request.outputs or ())
     config = Path(request.typed.config) if request.typed.config else None
     check_directory(request.directory, force=request.force, inputs=(request.path, config))
+    check_apart({"--record": request.recording, "--animate": request.animation}, (request.path, config))
     if request.recording:
         check_recording(request.recording, force=request.force)
         check_parent(request.recording)

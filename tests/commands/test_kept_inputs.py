@@ -8,9 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 import mavnav as api
 from mavnav.errors import ExitCode, UsageError
+from support.changed_rooms import mapped, rooms, saved
 
 
 @pytest.fixture
@@ -53,6 +55,51 @@ def test_an_input_in_the_output_directory_is_kept(mavnav: Callable, folder: Path
         f"mavnav: error: {name} is an input, and would be lost if r were replaced; choose another directory with -o\n"
     )
     assert {path: path.read_bytes() for path in Path("r").iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        ("calibrate c.json -o c.json", "c.json"),
+        ("calibrate link.json -o c.json", "link.json"),
+        ("calibrate log.mcap --config c.json -o c.json", "c.json"),
+        ("calibrate bag -o bag/found.json", "bag"),
+        ("diff m/map.yaml m -o m/map.png", "m/map.png"),
+        ("diff m m/map.yaml -o m/map.png", "m/map.png"),
+        ("diff m/map.yaml m --report m/page.html", "m/page.html"),
+        ("simulate s.mcap --record s.mcap", "s.mcap"),
+        ("simulate s.gif --animate s.gif", "s.gif"),
+        ("simulate corner --config c.gif --animate c.gif", "c.gif"),
+        ("simulate bag/s.yaml --record bag", "bag/s.yaml"),
+    ],
+)
+def test_an_input_is_not_overwritten_by_a_file(mavnav: Callable, folder: Path, line: str, name: str) -> None:
+    saved(mapped(rooms()), Path("m"))
+    picture = Image.new("L", (40, 40), 254)
+    picture.putpixel((3, 3), 0)
+    for path in ("m/map.png", "m/page.html"):
+        picture.save(path, format="PNG")
+    image = "page.html" if "page" in line else "map.png"
+    Path("m/map.yaml").write_text(f"image: {image}\nresolution: 0.05\norigin: [0, 0, 0]\n")
+    Path("bag").mkdir()
+    Path("bag/metadata.yaml").touch()
+    Path("bag/bag.mcap").write_bytes(Path("log.mcap").read_bytes())
+    shutil.copy("bag/bag.mcap", "c.json")
+    if "--config" in line:
+        for path in ("c.json", "c.gif"):
+            Path(path).write_text("{azimuth: 20}")
+    Path("link.json").symlink_to("c.json")
+    for path in ("s.mcap", "s.gif", "bag/s.yaml"):
+        shutil.copy("r/s.yaml", path)
+    before = {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()}
+    code, out, err = mavnav(*line.split(), "--force", "-q")
+    option, file = line.split()[-2:]
+    assert (code, out) == (ExitCode.USAGE, "")
+    assert err == (
+        f"mavnav: error: {'--output' if option == '-o' else option}: {file} would overwrite {name}, which is an input; "
+        "name another file\n"
+    )
+    assert {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()} == before
 
 
 def test_an_input_in_the_directory_of_a_cell_is_kept(mavnav: Callable, folder: Path) -> None:
