@@ -104,7 +104,7 @@ def _late_warnings(track: Track, parts: Sequence[Part], lost: Sequence[LostInter
     yield from pause_warnings(track.steps, track.motion) if track.prior_map is None else ()
     if track.refiner and track.refiner.builds_map:
         yield from scattered_warnings(track.steps, lost)
-        yield from few_beams_warnings(track.steps)
+        yield from few_beams_warnings(track.steps, odometry=track.motion.odometry is not None)
 
 
 def jump_warnings(steps: Steps, lost: Sequence[LostInterval]) -> Iterator[str]:
@@ -125,13 +125,13 @@ def scattered_warnings(steps: Steps, lost: Sequence[LostInterval]) -> Iterator[s
         )
 
 
-def few_beams_warnings(steps: Steps) -> Iterator[str]:
+def few_beams_warnings(steps: Steps, *, odometry: bool) -> Iterator[str]:
     """Yield a warning if most tracked scans have few points: they may fit at several poses."""
     used = steps.column("beams_used")[steps.column("tracked")]
     if len(used) and (median := float(np.median(used))) < FEW_BEAMS:
         yield (
             f"the scans have only {median:.0f} points in the median: single poses may be off by a meter; "
-            "check the map, or record odometry"
+            f"check the map{'' if odometry else ', or record odometry'}"
         )
 
 
