@@ -113,7 +113,7 @@ def _check_geometry(spec: LaserSpec, where: str) -> None:
     if not 0.0 <= spec.range_min_m < spec.range_max_m:
         raise UsageError(
             f"{where}: its spec has range_min_m={spec.range_min_m:g} and range_max_m={spec.range_max_m:g}; "
-            "give 0 or more, and more"
+            "the first must be 0 or more, the second larger"
         )
 
 

@@ -88,8 +88,7 @@ def without_resets(odom_T_base: Trajectory, topic: str, warn: Callable[[str], No
     if not len(resets) or len(resets) > max(_FEW_RESETS, _RESET_SHARE * len(far)):
         return odom_T_base
     for k in resets.tolist():
-        usual = k > 0 and elapsed_s[k - 1] > 0.0
-        steps[k] = steps[k - 1] * min(elapsed_s[k] / elapsed_s[k - 1], 1.0) if usual else 0.0
+        steps[k] = steps[k - 1] * min(elapsed_s[k] / elapsed_s[k - 1], 1.0) if k else 0.0
     first = int(resets[0])
     since_s = float(odom_T_base.stamps_ns[first + 1] - odom_T_base.stamps_ns[0]) * NS
     poses = [odom_T_base[k] for k in range(first + 1)]

@@ -43,6 +43,7 @@ _MOST_BACKWARD, _FEW_BACKWARD = 0.1, 10
 _SHORTEST_NS, _BURST_SHARE, _LEAST_BURST_SCANS = 5_000_000, 0.3, 10
 """Time between two scans that is too short for a laser, and share and number of such scans of a log with bursts."""
 _MANY_SCANS, _BURST_QUANTILE = 64, 0.95
+"""Number of scans over which their mean period is taken, and quantile of the steps that is one between bursts."""
 _SUSPECT_OFFSET_NS: Final = 10_000_000_000
 """A suspect scan whose stamp is farther from its time of recording than usual, by this, is not plausible."""
 

@@ -53,7 +53,7 @@ class Pauses:
 
         A laser that is lost while its scans go on may have been carried; one whose scans pause has moved as before.
         """
-        if self._end_ns is None or self._end_ns <= motion.stamp_ns:
+        if self._end_ns is None or not motion.stamp_ns < self._end_ns <= stamp_ns:
             return False
         ahead = motion.by_odometry(stamp_ns)
         if ahead is not None:

@@ -25,10 +25,8 @@ if TYPE_CHECKING:
     from mavnav.slam.doubt.record import Doubt, Remedy
     from mavnav.slam.track import Track
 
-
 MOST_SCATTERED = 0.2
 """Share of scans without a pose outside of lost intervals from which there is a warning."""
-
 
 FEW_BEAMS = 70
 """Median number of points of the scans below which there is a warning."""

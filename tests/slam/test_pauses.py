@@ -78,6 +78,7 @@ def test_a_laser_moves_through_a_pause_as_fast_as_before() -> None:
     assert pauses.exclude(Pose(13.0, 0.0), before, now)
     assert not pauses.exclude(Pose(12.0, 0.0), before, now)
     assert not pauses.exclude(Pose(13.0, 0.0), motion_at(now, 0.0), now + S // 10)  # found since
+    assert not pauses.exclude(Pose(13.0, 0.0), before, now - S)  # before the pause ends, as when matched backwards
 
 
 @pytest.mark.parametrize(("x_m", "excluded"), [(20.0, False), (25.0, False), (27.0, True), (14.0, False), (12.0, True)])
