@@ -51,10 +51,11 @@ class Heap(NamedTuple):
 @helper
 def _grown(heap: Heap, count: int) -> Heap:
     """Return a heap with space for more than ``count`` entries."""
-    if count < len(heap.code):
+    had = len(heap.code)
+    if count < had:
         return heap
     cost_m2, code = np.empty(2 * count), np.empty(2 * count, np.int64)
-    cost_m2[:count], code[:count] = heap.cost_m2[:count], heap.code[:count]
+    cost_m2[:had], code[:had] = heap.cost_m2, heap.code
     return Heap(cost_m2, code)
 
 
@@ -227,14 +228,16 @@ def _bound_quarters(
 
 
 @helper
-def _upper_sum(histogram: NDArray[np.int64], after: int, least: int) -> int:
-    """Return the least bound such that at least ``least`` squares have a bound above ``after`` and up to it."""
-    found = 0
-    for upper in range(after + 1, len(histogram)):
+def _upper_sum(histogram: NDArray[np.int64], after: int, least: int) -> tuple[int, int]:
+    """Return the least bound such that at least ``least`` squares have a bound above ``after`` and up to it.
+
+    Also returns the number of these squares.
+    """
+    found, upper = 0, after
+    while found < least and upper < len(histogram) - 1:
+        upper += 1
         found += histogram[upper]
-        if found >= least:
-            return upper
-    return len(histogram) - 1
+    return upper, found
 
 
 @helper
@@ -300,15 +303,16 @@ def lowest_poses(
         if count == 0 or (upper + 1 < len(histogram) and heap.cost_m2[0] >= (upper + 1) * scale):
             if upper + 1 >= len(histogram) or (upper + 1) * scale > limit_m2:
                 break
-            lower, upper = upper, _upper_sum(histogram, upper, slice_size)
+            lower = upper
+            upper, more = _upper_sum(histogram, upper, slice_size)
             slice_size *= 4
+            heap = _grown(heap, count + more)  # not in the loops, where each pass would count references
             for q in range(n_yaws):
                 for row in range(square_rows):
                     if least[q, row] > upper:
                         continue
                     for col in range(square_cols):
                         if lower < int64(sums[q, row, col]) <= upper:
-                            heap = _grown(heap, count)
                             at = q * positions + row * SIDE * index.shape[1] + col * SIDE
                             _push(heap, count, sums[q, row, col] * scale, at)
                             count += 1
@@ -323,10 +327,10 @@ def lowest_poses(
         if level > 0:
             side = 1 << (level - 1)
             bounds = _bound_quarters(cells[q], counts[q], row * step, col * step, side * step, floors[level - 1], limit)
+            heap = _grown(heap, count + 3)
             for k in range(4):
                 r, c = k // 2 * side, k % 2 * side
                 if bounds[k] <= limit and _holds_any(index, row + r, col + c, side):
-                    heap = _grown(heap, count)
                     code = (TOP - level + 1) * kind + at + r * index.shape[1] + c
                     _push(heap, count, bounds[k] * scale, code)
                     count += 1
