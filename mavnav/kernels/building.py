@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 LONG: Final = (
     "line_search.search",
     "polar_search.search",
+    "lowest_poses",
     "polar_search.cost",
     "scan_pairs",
     "hits",

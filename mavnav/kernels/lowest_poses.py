@@ -55,7 +55,8 @@ def _grown(heap: Heap, count: int) -> Heap:
     if count < had:
         return heap
     cost_m2, code = np.empty(2 * count), np.empty(2 * count, np.int64)
-    cost_m2[:had], code[:had] = heap.cost_m2, heap.code
+    for k in range(had):
+        cost_m2[k], code[k] = heap.cost_m2[k], heap.code[k]
     return Heap(cost_m2, code)
 
 
