@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct
 
+from mavnav.config.models import RobustConfig
 from mavnav.logs.stamps import REPEATED_SHARE
-from mavnav.units import DEG, NS
+from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -36,6 +37,9 @@ FIRST_SCANS, SOME_SHARE = 10, 0.01
 SAME_SHARE, SAME_BEAMS, SAME_SCANS = 0.02, 10, 0.5
 """Share and number of the beams of a scan above which its largest range stands for no return, and the share of scans in
 which that is the same value."""
+
+FAR_SHARE: Final = 0.05
+"""Share of the valid returns above which those that are too far to be used are reported."""
 
 SECTOR_DEG, SECTOR_SCANS = 10, 20
 """The narrowest sector without any return that is reported, deg, and the fewest scans that show it."""
@@ -85,6 +89,7 @@ def sensor_health(log: Log) -> SensorHealth:
         *_hidden(sectors),
         *_frozen(log),
         *_saturated(seen.largest_m, len(seen.valid)),
+        *_far(seen),
         *_rate(log),
         *_stamps(log, jitter),
     ]
@@ -104,7 +109,8 @@ def sensor_health(log: Log) -> SensorHealth:
 class _Seen(Struct, frozen=True):
     """Valid beams and stamps of the scans, (n,), degrees (360,) of beams and of valid returns.
 
-    ``largest_m`` are the largest ranges that many beams of a scan share.
+    ``largest_m`` are the largest ranges that many beams of a scan share, ``far`` the number of returns farther than the
+    robust method uses, ``farthest_m`` the farthest return.
     """
 
     valid: NDArray[np.int64]
@@ -112,10 +118,13 @@ class _Seen(Struct, frozen=True):
     covered: NDArray[np.bool_]
     returned: NDArray[np.bool_]
     largest_m: Counter[float]
+    far: int
+    farthest_m: float
 
 
 def _examined(scans: Iterable[Scan]) -> _Seen:
-    valid, stamps_ns, largest_m = [], [], Counter[float]()
+    valid, stamps_ns, largest_m, tops_m, far = [], [], Counter[float](), [0.0], 0
+    limit_m = RobustConfig().far_mm * MM
     covered, returned = np.zeros(360, np.bool_), np.zeros(360, np.bool_)
     spec: LaserSpec | None = None
     degrees = np.zeros((0, 1), np.intp)
@@ -129,9 +138,11 @@ def _examined(scans: Iterable[Scan]) -> _Seen:
         top_m = float(np.max(scan.ranges_m, initial=0.0, where=good))
         if np.count_nonzero(scan.ranges_m == top_m) > max(SAME_SHARE * len(good), SAME_BEAMS):
             largest_m[top_m] += 1
+        tops_m.append(top_m)
+        far += int(np.count_nonzero(scan.ranges_m >= limit_m))
         valid.append(int(np.count_nonzero(good)))
         stamps_ns.append(scan.stamp_ns)
-    return _Seen(np.array(valid), np.array(stamps_ns, np.int64), covered, returned, largest_m)
+    return _Seen(np.array(valid), np.array(stamps_ns, np.int64), covered, returned, largest_m, far, max(tops_m))
 
 
 def _degrees(spec: LaserSpec) -> NDArray[np.intp]:
@@ -218,6 +229,16 @@ def _saturated(largest_m: Counter[float], scans: int) -> Iterator[Finding]:
             "saturated",
             f"in {count} of {scans} scans many beams have the same largest range, {range_m:g} m",
             f"if that stands for no return, replay with --set robust.far_mm={1e3 * range_m - 1.0:g}",
+        )
+
+
+def _far(seen: _Seen) -> Iterator[Finding]:
+    share = seen.far / max(int(seen.valid.sum()), 1)
+    if share > FAR_SHARE:
+        yield Finding(
+            "far",
+            f"{100 * share:.0f} % of the returns are farther than {RobustConfig().far_mm * MM:g} m, and are not used",
+            f"to use them, replay with --set robust.far_mm={1e3 * ceil(seen.farthest_m):.0f}",
         )
 
 

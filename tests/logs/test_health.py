@@ -55,6 +55,14 @@ def saturated() -> list[Message]:
     ]
 
 
+def far() -> list[Message]:
+    messages = scans()
+    for message in messages:
+        message.fields["ranges"][:9] = np.linspace(31.0, 45.5, 9)
+        message.fields["range_max"] = 80.0
+    return messages
+
+
 def at(stamps_ns: list[int]) -> list[Message]:
     found = zip(scans(len(stamps_ns)), stamps_ns, strict=True)
     return [Message(m.topic, m.type, START_NS + ns, m.fields, m.time_ns) for m, ns in found]
@@ -89,6 +97,7 @@ def examined(messages: list[Message], path: Path) -> SensorHealth:
         (hidden, ["dead_sectors"]),
         (repeated, ["repeated"]),
         (saturated, ["saturated"]),
+        (far, ["far"]),
         (gap, ["gaps"]),
         (slow, ["slow"]),
         (jitter, ["jitter"]),
@@ -105,6 +114,12 @@ def test_a_sector_is_given_in_degrees(tmp_path: Path) -> None:
     ((low, high),) = examined(hidden(), tmp_path / "a").dead_sectors_deg
     assert abs(low - 40.0) <= 4.0
     assert abs(high - 80.0) <= 4.0
+
+
+def test_far_returns_are_counted_with_the_setting_that_uses_them(tmp_path: Path) -> None:
+    (finding,) = examined(far(), tmp_path / "a").findings
+    assert "10 % of the returns are farther than 30 m" in finding.what
+    assert finding.advice.endswith("robust.far_mm=46000")
 
 
 def test_the_table_names_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
