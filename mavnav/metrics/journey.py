@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from math import tau
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
+
+from mavnav.scan import SAME_RAD
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -14,6 +18,8 @@ if TYPE_CHECKING:
 
     from mavnav.pose import Trajectory
     from mavnav.scan import LaserSpec, Scan
+
+    Floats = NDArray[np.float64]
 
 NEAR_M: Final = 0.1
 FAR_SHORT_M, FAR_LONG_M, SHORT_SENSOR_M = 4.0, 8.0, 6.0
@@ -35,12 +41,23 @@ class Journey(Struct, frozen=True):
 
 
 class PlacedScans(Struct, frozen=True):
-    """Scans of one geometry: stamps (n,), poses (n, 3) in the map frame (m, m, rad), ranges (n, beams) in m or NaN."""
+    """Scans on the beams of one geometry: stamps (n,), poses (n, 3) in the map frame (m, m, rad), ranges (n, beams).
+
+    Ranges are in m, NaN without a return. ``others`` are the scans, by number, that were recorded with another
+    geometry: in ``ranges_m`` each beam has the range of their nearest one, and none where they did not look.
+    """
 
     spec: LaserSpec
     stamps_ns: NDArray[np.int64]
-    poses: NDArray[np.float64]
-    ranges_m: NDArray[np.float64]
+    poses: Floats
+    ranges_m: Floats
+    others: dict[int, Scan] = field(default_factory=dict)
+
+    def recorded(self, k: int) -> tuple[Floats, Floats]:
+        """Return the ranges (beams,), m, and directions (beams, 2) of scan ``k`` as they were recorded."""
+        if other := self.others.get(k):
+            return other.ranges_m, other.spec.directions
+        return self.ranges_m[k], self.spec.directions
 
 
 def used_ranges_m(spec: LaserSpec) -> tuple[float, float]:
@@ -56,24 +73,32 @@ def spread(n: int, most: int) -> NDArray[np.intp]:
 def placed_scans(journey: Journey, wanted: NDArray[np.intp]) -> PlacedScans | None:
     """Read the scans of some rows of the trajectory; None without any.
 
-    Scans with another geometry than the first are left out, because beams are compared by number.
+    Beams are compared by number: scans are brought to the geometry that most of them have.
     """
     trajectory = journey.map_T_laser
     row_of = {int(trajectory.stamps_ns[row]): row for row in wanted.tolist()}
     rows: list[int] = []
-    ranges: list[NDArray[np.float64]] = []
-    spec = None
+    scans: list[Scan] = []
     for scan in journey.scans():
         row = row_of.pop(scan.stamp_ns, None)
-        if row is None:
-            continue
-        spec = spec or scan.spec
-        if scan.spec is spec or _same_beams(scan.spec, spec):
+        if row is not None:
             rows.append(row)
-            ranges.append(scan.ranges_m)
-    if spec is None:
+            scans.append(scan)
+    if not scans:
         return None
-    return PlacedScans(spec, trajectory.stamps_ns[rows], trajectory.xyyaw[rows], np.array(ranges))
+    ((spec, _),) = Counter(scan.spec for scan in scans).most_common(1)
+    others = {k: scan for k, scan in enumerate(scans) if not (scan.spec is spec or _same_beams(scan.spec, spec))}
+    ranges_m = [_on_beams(scan, spec) if k in others else scan.ranges_m for k, scan in enumerate(scans)]
+    return PlacedScans(spec, trajectory.stamps_ns[rows], trajectory.xyyaw[rows], np.array(ranges_m), others)
+
+
+def _on_beams(scan: Scan, spec: LaserSpec) -> Floats:
+    """Return the ranges (beams,) of a scan on the beams of another geometry, of its nearest beam within half a step."""
+    own, step_rad = scan.spec, max(abs(scan.spec.angle_step_rad), SAME_RAD)
+    off_rad = (spec.angles_rad - own.angle_min_rad) * np.sign(own.angle_step_rad) % tau
+    off_rad[off_rad > tau - 0.5 * step_rad] = 0.0
+    beam = np.floor(off_rad / step_rad + 0.5).astype(np.intp)
+    return np.where(beam < own.beams, scan.ranges_m[np.minimum(beam, own.beams - 1)], np.nan)
 
 
 def _same_beams(a: LaserSpec, b: LaserSpec) -> bool:

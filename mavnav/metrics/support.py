@@ -86,10 +86,11 @@ def explained_share(grid: Grid, occupied: NDArray[np.uint16], scans: PlacedScans
 
     It is low if a part of the map was cut off, or if scans were tracked but are not in the map.
     """
-    near, lattice, directions = near_walls(occupied), grid.lattice, scans.spec.directions
-    sample = spread(len(scans.poses), SAMPLE_SCANS)
-    found = sum(show_ends(scans.ranges_m[k], directions, scans.poses[k], lattice, near, near) for k in sample)
-    points = int(np.count_nonzero(np.isfinite(scans.ranges_m[sample])))
+    near, lattice, found, points = near_walls(occupied), grid.lattice, 0, 0
+    for k in spread(len(scans.poses), SAMPLE_SCANS):
+        ranges_m, directions = scans.recorded(k)
+        found += show_ends(ranges_m, directions, scans.poses[k], lattice, near, near)
+        points += int(np.count_nonzero(np.isfinite(ranges_m)))
     return found / points if points else np.nan
 
 

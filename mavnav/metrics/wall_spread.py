@@ -129,7 +129,8 @@ def wall_points(scans: PlacedScans) -> tuple[Array, Array]:
     xy_m, direction = [np.zeros((0, 2))], [np.zeros(0)]
     for k in spread(len(scans.poses), WALL_SCANS):
         x, y, yaw = scans.poses[k]
-        ends = np.ascontiguousarray(scans.ranges_m[k][:, None] * scans.spec.directions)
+        ranges_m, directions = scans.recorded(k)
+        ends = np.ascontiguousarray(ranges_m[:, None] * directions)
         found = straight_beams(ends, SPACING_M, RADII_M, LEAST_REACH, MAX_RATIO, MIN_POINTS)
         on_wall = np.isfinite(found)
         c, s = np.cos(yaw), np.sin(yaw)

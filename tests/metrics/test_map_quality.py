@@ -148,6 +148,27 @@ def test_a_jump_of_the_poses_leaves_ghosts(tour) -> None:
     assert found.ghost_walls.worst_offset_mm == pytest.approx(120, abs=50)
 
 
+@pytest.mark.parametrize("changed_scans", [slice(0, 1), slice(0, None, 2), slice(0, 90)])
+def test_scans_of_another_geometry_are_compared_as_well(tour, good, changed_scans) -> None:
+    """Scans with every other beam, from one of the first three on, are as good as the others, and show a jump."""
+    scans = list(tour.scans)
+    for k in range(len(scans))[changed_scans]:
+        spec, ranges_m, first = scans[k].spec, scans[k].ranges_m[k % 3 :: 2].copy(), scans[k].spec.angles_rad[k % 3]
+        coarser = replace(spec, beams=len(ranges_m), angle_min_rad=first, angle_step_rad=2 * spec.angle_step_rad)
+        scans[k] = replace(scans[k], spec=coarser, ranges_m=ranges_m)
+    poses = tour.map_T_laser
+    found = map_quality(mapped(tour, poses), Journey(poses, lambda: iter(scans), 1.0))
+    assert found.ghost_walls.count == 0
+    assert found.support.explained_share == pytest.approx(good.support.explained_share, abs=0.01)
+    assert found.revisits.pairs > 0.9 * good.revisits.pairs
+    assert found.revisits.nn_l_mm == pytest.approx(good.revisits.nn_l_mm, rel=0.5)
+    late = np.arange(len(poses)) >= len(poses) // 2
+    jumped = Trajectory(poses.stamps_ns.copy(), poses.xyyaw + late[:, None] * np.array([0.12, 0.12, 0.0]))
+    ghosts = map_quality(mapped(tour, jumped), Journey(jumped, lambda: iter(scans), 1.0)).ghost_walls
+    assert ghosts.count >= 2
+    assert ghosts.worst_offset_mm == pytest.approx(120, abs=50)
+
+
 def test_the_start_does_not_matter(tour, good) -> None:
     """A map seen from another frame, turned by 30 degrees, is as good."""
     other = tour.map_T_laser.seen_from(Pose(0.31, -0.17, np.radians(30)))
