@@ -12,7 +12,7 @@ from mavnav.ground_truth.map_file import occupied_xy_m, read_map
 from mavnav.ground_truth.tables import read_relations, read_tum
 from mavnav.ground_truth.true_map import of_scenario, read_true_map
 from mavnav.metrics.fields import ABSENT
-from mavnav.metrics.map_distance import TrueMap, map_distance
+from mavnav.metrics.map_distance import START_POSE, TrueMap, map_distance
 from mavnav.metrics.reference import AlignedError, Reference
 from mavnav.metrics.relations import TOLERANCE_NS, Relations, relation_errors
 from mavnav.metrics.trajectory_error import absolute_error, matched, relative_error
@@ -57,6 +57,11 @@ class References(Struct, frozen=True):
     def of_poses(self) -> bool:
         """Whether there are references for the poses of a run, not only for its map."""
         return self.truth is not None or self.relations is not None
+
+    @property
+    def of_first_scan(self) -> bool:
+        """Whether the true walls are known only in the frame of the first scan of a log."""
+        return self.true_map is not None and self.true_map.alignment == START_POSE
 
 
 def load_references(

@@ -8,7 +8,7 @@ import numpy as np
 
 from mavnav.errors import UsageError
 from mavnav.ground_truth.map_file import read_map
-from mavnav.metrics.map_distance import TrueMap
+from mavnav.metrics.map_distance import START_POSE, TrueMap
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,7 +50,7 @@ def of_scenario(scenario: Scenario, world_T_map: Pose) -> TrueMap:
     any height, because a cell may be at any height.
     """
     walls, every = scenario.obstacles.seen_from(world_T_map), scenario.world.seen_from(world_T_map)
-    return TrueMap(every.distance_m, points_on(walls), "start pose", walls.segments, walls.arcs)
+    return TrueMap(every.distance_m, points_on(walls), START_POSE, walls.segments, walls.arcs)
 
 
 def _of_map(path: Path) -> TrueMap:

@@ -33,6 +33,10 @@ class TrueMap(Struct, frozen=True):
     arcs_map: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 5)))
 
 
+START_POSE: Final = "start pose"
+"""Alignment of the walls of a scenario, which are relative to the laser's pose at the first scan of the mission."""
+
+
 class MapDistance(Struct, frozen=True):
     """Distances of the occupied cells to the nearest true wall; null without any."""
 

@@ -28,7 +28,7 @@ from mavnav.outputs.document import plain
 from mavnav.outputs.gridmap import read_npz
 from mavnav.pose import Pose, transform_points
 from mavnav.slam.doubt.record import HIGH, NOT_PLANAR
-from mavnav.units import DEG, MM
+from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 SCHEMA_VERSION: Final = 1
 NEEDED_FILES: Final = ("hits.npz", "trajectory.tum", "result.mcap")
 """Files of a run that are measured, besides its document."""
+LATE_S: Final = 1e-3
+"""Times are written in s to about 1 us."""
 
 Progress = Callable[[str, int, int | None], None]
 """What is being done, how much of it is done, how much there is."""
@@ -47,12 +49,16 @@ Place = TypeVar("Place", GhostWall, Wall)
 
 
 class Subject(Struct, frozen=True):
-    """What is measured: a map, where its cells lie in the map frame, and the scans behind it where they are known."""
+    """What is measured: a map, where its cells lie in the map frame, and the scans behind it where they are known.
+
+    ``begins_late`` is set where the map frame is that of a later scan than the first one of the log.
+    """
 
     kind: str
     grid: Grid
     map_T_grid: Pose
     journey: Journey | None = None
+    begins_late: bool = False
 
     @property
     def counted(self) -> bool:
@@ -112,10 +118,20 @@ def _run(directory: Path) -> Subject:
             lost_for_good=document["tracking"]["lost"],
             planar=_planar(document["tracking"].get("doubt")),
         )
+        late = _begins_late(document, journey.map_T_laser)
     except (OSError, ValueError, KeyError, TypeError, MavnavError) as error:
         reason = reason_of(error)
         raise UsageError(f"{directory} is no whole run: {reason}; make it again with mavnav replay --force") from error
-    return Subject("run", grid, Pose(), journey)
+    return Subject("run", grid, Pose(), journey, late)
+
+
+def _begins_late(document: dict[str, Any], map_T_laser: Trajectory) -> bool:
+    """Return whether the map of a run begins with a later scan than the first one of its log."""
+    options = (document.get("provenance") or {}).get("options") or {}
+    first_s = (document.get("input") or {}).get("first_stamp_s")
+    if first_s is None or options.get("map") or options.get("continue_from") or not len(map_T_laser):
+        return False
+    return bool(options.get("start_s")) or map_T_laser.stamps_ns[0] * NS - first_s > LATE_S
 
 
 def _planar(doubt: dict[str, Any] | None) -> bool:
@@ -129,6 +145,11 @@ def _document(path: Path, what: Subject, references: References) -> dict[str, An
     if what.trajectory is not None and len(what.trajectory):
         check_times(references, *(int(what.trajectory.stamps_ns[k]) for k in (0, -1)))
     found = measure_map(grid, what.journey, counted=what.counted)
+    if references.of_first_scan and what.begins_late:
+        raise UsageError(
+            f"{path}: its map begins after the first scan of the mission, to which the walls of a scenario are "
+            "relative; give the true walls as a map file in the frame of the map"
+        )
     sections = found.sections if what.counted else {}  # a map file has no counts
     reference = compared(references, what.trajectory, transform_points(what.map_T_grid, occupied_xy_m(grid)))
     document: dict[str, Any] = plain(

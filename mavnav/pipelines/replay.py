@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager, nullcontext
 from itertools import takewhile
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct, field
 from msgspec.structs import replace as changed
@@ -144,6 +144,12 @@ def _never() -> None:
     """Stop for nothing."""
 
 
+NO_WALLS: Final = (
+    "the map begins after the first scan of the mission, to which the walls of the scenario are relative: "
+    "it is not compared with them"
+)
+
+
 def _unstoppable() -> AbstractContextManager[Stop]:
     return nullcontext(_never)
 
@@ -178,6 +184,11 @@ def replay_log(
         raise UsageError(f"{request.log}: changed since it was first read; run again once it is complete")
     check_times(with_recorded_truth(given.references, log, None), log.first_ns, log.last_ns)
     given_map = request.map is not None or request.continue_from is not None
+    if request.start_s and references.of_first_scan and not given_map:
+        raise UsageError(
+            f"{request.truth_map}: the walls of a scenario are relative to the first scan of the mission; "
+            "leave out --start, or give the true walls as a map file in the frame of the map"
+        )
     compiled_s, compiled_cpu_s = _compiled(request.config, progress, rare=given_map)
     began = Timing(wall_s + compiled_s, cpu_s + compiled_cpu_s, compile_s + compiled_s, stages)
     with stoppable() as stop:
@@ -254,6 +265,9 @@ def _mapped(
     progress("measuring", 0, None)
     own_frame = given.known is None and given.run is None
     references = with_recorded_truth(given.references, log, outcome.begin_ns if own_frame else None)
+    if references.of_first_scan and own_frame and outcome.begin_ns not in {None, log.first_ns}:
+        references = changed(references, true_map=None)
+        outcome = changed(outcome, warnings=(*outcome.warnings, NO_WALLS))
     measured = measured_map(outcome, log)
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
     slices = map_slices_of(outcome, log, request.config)

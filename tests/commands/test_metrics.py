@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from mavnav.commands.quality_rows import quality_rows
+from mavnav.logs import open_log
+from support.log_files import laser, write_mcap
 
 PARTS = {
     "profile", "meaningful", "why", "ghost_walls", "crispness", "revisits", "support", "occupied_share", "corners",
@@ -179,6 +181,38 @@ def test_replay_takes_references(mavnav, sample, tmp_path) -> None:
     assert (code, out) == (2, "")
     assert "share no time" in err
     assert not (tmp_path / "s").exists()
+
+
+def test_the_walls_of_a_scenario_need_the_first_scan_of_the_mission(mavnav, sample, tmp_path) -> None:
+    """With --start 2 the map was compared with walls in the wrong place: 0.6 m off instead of 0.02 m."""
+    late = ("replay", sample, "-o", tmp_path / "r", "--start", 1, "--end", 3, "-q")
+    code, out, err = mavnav(*late, "--truth-map", "corridor")
+    assert (code, out) == (2, "")
+    assert "leave out --start" in err
+    assert not (tmp_path / "r").exists()
+    assert mavnav(*late)[0] == 0
+    code, _, err = mavnav("metrics", tmp_path / "r", "--truth-map", "corridor", "-q")
+    assert code == 2
+    assert "its map begins after the first scan" in err
+
+
+def test_a_map_that_begins_late_is_not_compared_with_a_scenario(mavnav, sample, tmp_path) -> None:
+    scans, rng = list(open_log(sample, end_s=4.0).scans()), np.random.default_rng(0)
+    messages = [
+        laser(
+            k,
+            ranges=rng.uniform(0.3, 3.0, scan.spec.beams) if k < 8 else np.nan_to_num(scan.ranges_m),
+            angle_min=scan.spec.angle_min_rad,
+            angle_increment=scan.spec.angle_step_rad,
+        )
+        for k, scan in enumerate(scans)
+    ]
+    log = write_mcap(tmp_path / "late.mcap", messages)
+    _, out, _ = mavnav("replay", log, "-o", tmp_path / "r", "-q", "--json", "--truth-map", "corridor")
+    document = json.loads(out)
+    assert document["scans"]["tracked"] > 20
+    assert document.get("reference") is None
+    assert any("it is not compared with them" in warning for warning in document["warnings"])
 
 
 def test_places_seen_twice_but_never_by_neighbouring_scans_have_a_row() -> None:
