@@ -293,11 +293,11 @@ def _impossible(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _inside(stamps_ns: NDArray[np.int64], window_s: Window) -> NDArray[np.bool_]:
-    """Return which stamps lie in the window."""
+    """Return which stamps lie in the window, ends included; the ends are rounded to nanoseconds."""
     start_s, end_s = window_s
-    since_s = (stamps_ns - stamps_ns[:1]) * NS
-    late_enough = np.ones(len(stamps_ns), np.bool_) if start_s is None else since_s >= start_s
-    return late_enough if end_s is None else late_enough & (since_s <= end_s)
+    since_ns = stamps_ns - stamps_ns[:1]
+    late_enough = np.ones(len(stamps_ns), np.bool_) if start_s is None else since_ns >= np.rint(start_s / NS)
+    return late_enough if end_s is None else late_enough & (since_ns <= np.rint(end_s / NS))
 
 
 def period_and_gaps(stamps_ns: NDArray[np.int64]) -> tuple[float, tuple[Gap, ...]]:

@@ -31,8 +31,8 @@ OPERATORS: Final[dict[str, Callable[[Any, Any], bool]]] = {
 DEFAULT_HITS: Final = "2"
 """Hit threshold of ``wall_thickness.p95_cells`` if the name does not include one."""
 
-MAP_SECTIONS: Final = ("wall_thickness", "map_quality", "map")
-"""Sections that are not meaningful if the map is not."""
+MAP_SECTIONS: Final = ("wall_thickness", "map_quality", "map", "slices", "reference.map_distance")
+"""Sections, or parts of them, that are not meaningful if the map is not."""
 
 MAX_LISTED: Final = 8
 """Maximum number of names that the message for an unknown name lists."""
@@ -125,7 +125,7 @@ def _judge(gate: Gate, document: Mapping[str, Any]) -> Verdict:
 
 
 def _about_a_meaningless_map(name: str, document: Mapping[str, Any]) -> bool:
-    if name.partition(".")[0] not in MAP_SECTIONS or name == "map_quality.meaningful":
+    if name == "map_quality.meaningful" or not any(name.startswith(f"{section}.") for section in MAP_SECTIONS):
         return False
     return (document.get("map_quality") or {}).get("meaningful", True) is False
 

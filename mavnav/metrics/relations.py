@@ -48,12 +48,14 @@ class RelationErrors(Struct, frozen=True):
 
 def relation_errors(relations: Relations, trajectory: Trajectory) -> dict[str, RelationErrors]:
     """Return the errors of a trajectory of the laser: over ``all`` relations, ``sequential`` ones and ``loops``."""
+    loop = np.abs(np.diff(relations.stamps_ns, axis=1)[:, 0]) > LOOP_NS
+    kinds = {"all": np.full(len(loop), fill_value=True), "sequential": ~loop, "loops": loop}
+    if not len(trajectory):
+        return {name: _errors(np.zeros((0, 3)), int(kind.sum())) for name, kind in kinds.items()}
     rows, gaps_ns = _nearest(trajectory.stamps_ns, relations.stamps_ns)
     poses = trajectory.xyyaw
     error = between(relations.xyyaw, between(poses[rows[:, 0]], poses[rows[:, 1]]))
     scored = (gaps_ns < TOLERANCE_NS).all(axis=1)
-    loop = np.abs(np.diff(relations.stamps_ns, axis=1)[:, 0]) > LOOP_NS
-    kinds = {"all": np.full(len(loop), fill_value=True), "sequential": ~loop, "loops": loop}
     return {name: _errors(error[kind & scored], int(kind.sum())) for name, kind in kinds.items()}
 
 

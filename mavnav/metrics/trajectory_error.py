@@ -22,6 +22,9 @@ MAX_GAP_NS: Final = 1_000_000_000
 DELTA_M: Final = 1.0
 """Length of the stretches of the estimated path for relative errors."""
 
+NO_TURN_RAD: Final = 1e-6
+"""A truth whose headings all lie within this angle has none: quaternions of a constant heading are rounded."""
+
 
 class AbsoluteError(Struct, frozen=True):
     """Absolute trajectory error (Sturm et al. 2012) over ``poses`` positions, in metres; NaN without poses."""
@@ -77,7 +80,8 @@ def relative_error(estimate: NDArray[np.float64], truth: NDArray[np.float64]) ->
     moved, should = between(estimate[first], estimate[last]), between(truth[first], truth[last])
     error = between(should, moved)
     apart = np.hypot(*moved[:, :2].T) - np.hypot(*should[:, :2].T)
-    headed = bool(np.ptp(truth[:, 2]) > 0.0)
+    turned = (truth[:, 2] - truth[0, 2] + np.pi) % (2.0 * np.pi) - np.pi
+    headed = bool(np.ptp(turned) > NO_TURN_RAD)
     return RelativeError(
         pairs=len(first),
         delta_m=DELTA_M,

@@ -1,7 +1,7 @@
 """Wall spread: the width of the hits across a wall, which does not depend on the number of scans.
 
 Single scans show the position and direction of straight walls even if the map is blurred. There the hits of the map are
-summed along the wall, and the width that holds 95 % of them is measured. Definition: docs/metrics.md.
+summed along the wall, and the width that holds 95 % of those in its ridge is measured. Definition: docs/metrics.md.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class WallSpread(Struct, frozen=True):
     median_mm: Annotated[
         Measured,
         number(
-            "width that holds 95 % of the hits; half of the wall length is at most this thick",
+            "width that holds 95 % of the hits of the ridge; half of the wall length is at most this thick",
             title="wall median",
             better="lower",
         ),
@@ -68,7 +68,7 @@ class WallSpread(Struct, frozen=True):
     p95_mm: Annotated[
         Measured,
         number(
-            "width that holds 95 % of the hits; 95 % of the wall length is at most this thick",
+            "width that holds 95 % of the hits of the ridge; 95 % of the wall length is at most this thick",
             title="wall p95",
             better="lower",
         ),
@@ -85,8 +85,8 @@ class WallCuts(Struct, frozen=True):
     """Cuts across the walls that the scans saw, (n,) each.
 
     ``xy_m`` (n, 2) is the middle of the wall in the map frame, ``direction_rad`` its direction. ``width_m`` is the
-    width that holds 95 % of its hits, NaN if the map has no measurable wall there. ``length_m`` is the length of wall
-    that the cut represents.
+    width that holds 95 % of the hits of its ridge, NaN if the map has no measurable wall there. ``length_m`` is the
+    length of wall that the cut represents.
     """
 
     xy_m: Array

@@ -24,10 +24,10 @@ class Quantity(Struct, frozen=True):
     """A number of run.json by its name there; title, description, unit and direction are those of the schema.
 
     It is written times ``factor`` with so many ``digits``, in ``shown_unit`` if that is another; what reads the same
-    counts as the same. ``per_cell`` marks what counts cells of the map, and cannot be compared between maps of
-    different cells. Differences up to the share ``noise`` are none. A ``cost`` is no virtue of the map; what is not
-    ``ranked`` differs from one run to the next, and no run is the best by it. ``otherwise`` is a second name, of runs
-    that do not have the first.
+    counts as the same. ``per_cell`` marks what depends on the cell size of the map, and cannot be compared between
+    maps of different cells. Differences up to the share ``noise`` are none. A ``cost`` is no virtue of the map; what
+    is not ``ranked`` differs from one run to the next, and no run is the best by it. ``otherwise`` is a second name,
+    of runs that do not have the first.
     """
 
     name: str
@@ -86,8 +86,8 @@ class Quantity(Struct, frozen=True):
 
 QUANTITIES: Final = (
     Quantity("map.accepted_share", 1, 100.0, "%"),
-    Quantity("wall_thickness.spread.median_mm", 0, noise=0.05),
-    Quantity("wall_thickness.spread.p95_mm", 0, noise=0.05),
+    Quantity("wall_thickness.spread.median_mm", 0, per_cell=True, noise=0.05),
+    Quantity("wall_thickness.spread.p95_mm", 0, per_cell=True, noise=0.05),
     Quantity("wall_thickness.paper_cells.max", 1, per_cell=True, noise=0.05),
     Quantity("map_quality.ghost_walls.length_m", 1),
     Quantity("map_quality.crispness.occupied_cells_per_m", 1, shown_unit="", per_cell=True, noise=0.02),
@@ -133,14 +133,14 @@ def probably_wrong(run: Run) -> bool:
 
 
 def comparable(quantity: Quantity, runs: Sequence[Run | None]) -> bool:
-    """Return whether a quantity of these runs may be compared: what counts cells, only if all have one cell size."""
+    """Return whether a quantity of these runs may be compared: what is ``per_cell``, only if all have one cell size."""
     return not quantity.per_cell or len({number(run, "map.cell_mm") or 0.0 for run in runs}) == 1
 
 
 def winners(quantity: Quantity, runs: Sequence[Run | None]) -> list[int]:
     """Return which runs are best by a quantity, up to differences that do not count.
 
-    Only meaningful maps compete, at least two, and only of one cell size where it counts cells. Nobody is best
+    Only meaningful maps compete, at least two, and only of one cell size where it is ``per_cell``. Nobody is best
     where all are equal.
     """
     known = {k: quantity.of(run) for k, run in enumerate(runs) if run is not None and not why_not_meaningful(run)}

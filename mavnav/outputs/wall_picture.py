@@ -74,7 +74,7 @@ def _draw_map(axes: Axes, run: Run) -> None:
     left, top, right, _ = axes.box
     lost = run.measured.cuts is not None and not np.isfinite(run.measured.cuts.width_m).all()
     marks = "black: cannot be measured; grey: no straight wall" if lost else "grey: no straight wall"
-    for line, y in (("width that holds 95 % of the hits", 36), (marks, 14)):
+    for line, y in (("width that holds 95 % of the hits of the ridge", 36), (marks, 14)):
         axes.canvas.text(((left + right) / 2, top - y), line, 8.5, MUTED)
 
 

@@ -26,7 +26,7 @@ from mavnav.metrics.walls import Wall
 from mavnav.outputs.directory import RUN_FILE
 from mavnav.outputs.document import plain
 from mavnav.outputs.gridmap import read_npz
-from mavnav.pose import Pose, transform_points
+from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.slam.doubt.record import HIGH, NOT_PLANAR
 from mavnav.units import DEG, MM, NS
 
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.pose import Trajectory
 
 SCHEMA_VERSION: Final = 1
 NEEDED_FILES: Final = ("hits.npz", "trajectory.tum", "result.mcap")
@@ -74,9 +73,12 @@ class Subject(Struct, frozen=True):
 def evaluate(paths: list[Path], references: References, progress: Progress) -> dict[str, Any]:
     """Measure run directories and map files.
 
-    Raises UsageError for what is neither, and for references of poses without a run.
+    Raises UsageError for what is neither, for references of poses without a run, and if no run has a pose.
     """
     subjects = [subject(path) for path in paths]
+    if all(what.trajectory is not None and not len(what.trajectory) for what in subjects):
+        named = ", ".join(map(str, paths))
+        raise UsageError(f"no scan of {named} has a pose: nothing to measure; examine the log with 'mavnav info'")
     if references.of_poses and all(what.trajectory is None for what in subjects):
         raise UsageError(f"{paths[0]}: a map has no poses; --truth and --relations need a run directory")
     prepare(progress)
@@ -111,9 +113,10 @@ def _run(directory: Path) -> Subject:
     try:
         document = read_json(directory / RUN_FILE)
         grid = read_npz(hits)
+        map_T_laser = _poses(poses, document)
         journey = Journey(
-            map_T_laser=read_tum(poses),
-            scans=open_log(recording, odom="off").scans,
+            map_T_laser=map_T_laser,
+            scans=open_log(recording, odom="off").scans if len(map_T_laser) else tuple,
             mapped_share=document["scans"]["accepted"] / max(document["scans"]["processed"], 1),
             lost_for_good=document["tracking"]["lost"],
             planar=_planar(document["tracking"].get("doubt")),
@@ -132,6 +135,13 @@ def _begins_late(document: dict[str, Any], map_T_laser: Trajectory) -> bool:
     if first_s is None or options.get("map") or options.get("continue_from") or not len(map_T_laser):
         return False
     return bool(options.get("start_s")) or map_T_laser.stamps_ns[0] * NS - first_s > LATE_S
+
+
+def _poses(path: Path, document: dict[str, Any]) -> Trajectory:
+    """Read the poses of a run; its file is empty if no scan was accepted."""
+    if path.stat().st_size == 0 and document["scans"]["accepted"] == 0:
+        return Trajectory.of([], [])
+    return read_tum(path)
 
 
 def _planar(doubt: dict[str, Any] | None) -> bool:

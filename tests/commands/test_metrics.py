@@ -108,6 +108,48 @@ def test_a_run_that_is_not_whole(mavnav, run, tmp_path, name) -> None:
     assert err.count("\n") == 1
 
 
+@pytest.fixture(scope="module")
+def lost(run, make_log, tmp_path_factory) -> Path:
+    """Localize a laser that is nowhere in the map: a whole run without a pose."""
+    from mavnav.cli import run as command
+
+    folder = tmp_path_factory.mktemp("runs") / "lost"
+    args = ["replay", make_log("nowhere.mcap", blind_after=0), "-o", folder, "--end", 0.6, "--odom", "off", "-q"]
+    assert command([str(arg) for arg in (*args, "--map", run)]) == 5
+    assert (folder / "trajectory.tum").read_bytes() == b""
+    return folder
+
+
+def test_a_run_without_a_pose_is_listed_without_figures(mavnav, run, lost, tmp_path) -> None:
+    without, other = measured(mavnav, lost, run)
+    assert (without["path"], other["path"]) == (str(lost), str(run))
+    document = json.loads((lost / "run.json").read_text())
+    assert same(without["map_quality"], document["map_quality"])
+    assert same(without["wall_thickness"], document["wall_thickness"])
+    assert without["wall_thickness"]["spread"]["p95_mm"] is None
+    assert other["wall_thickness"]["spread"]["p95_mm"] > 0.0
+    first, last = ((run / "truth.tum").read_text().splitlines()[k].split()[0] for k in (0, -1))
+    (tmp_path / "some.relations").write_text(f"{first} {last} 0 0 0 0 0 0\n")
+    options = ("--truth", run / "truth.tum", "--relations", tmp_path / "some.relations")
+    found = [each["reference"] for each in measured(mavnav, run, lost, *options)]
+    assert [reference["relations"]["all"]["scored"] for reference in found] == [1, 0]
+    assert [reference.get("ate") is None for reference in found] == [False, True]
+
+
+def test_runs_without_a_pose_alone_are_refused(mavnav, lost, tmp_path) -> None:
+    code, out, err = mavnav("metrics", lost, "-q")
+    advice = "nothing to measure; examine the log with 'mavnav info'"
+    assert (code, out, err) == (2, "", f"mavnav: error: no scan of {lost} has a pose: {advice}\n")
+    copy = Path(shutil.copytree(lost, tmp_path / "copy"))
+    document = json.loads((copy / "run.json").read_text())
+    document["scans"]["accepted"] = 7
+    (copy / "run.json").write_text(json.dumps(document))
+    code, out, err = mavnav("metrics", copy, lost, "-q")
+    assert (code, out) == (2, "")
+    assert f"{copy} is no whole run: " in err
+    assert "make it again" in err
+
+
 @pytest.mark.parametrize("change", [{"cell_m": 1e12}, {"counts": -1}, {"passes": -1}], ids=str)
 def test_counts_that_were_edited_are_refused(mavnav, run, tmp_path, change) -> None:
     copy = Path(shutil.copytree(run, tmp_path / "copy"))

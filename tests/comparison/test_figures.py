@@ -86,6 +86,11 @@ def test_cells_of_another_size_are_not_counted_against_each_other() -> None:
     assert winners(runs)[CELLS] is None
 
 
+def test_walls_of_maps_with_other_cells_are_not_compared() -> None:
+    assert winners([run(60), run(40)])[P95] == 1
+    assert winners([run(60), run(40, cell_mm=14.0)])[P95] is None
+
+
 def test_relative_costs_are_ratios_to_the_coarsest_of_the_group() -> None:
     groups = [("a", 440), ("a", 35), ("b", 35), ("b", 120), ("c", 35)]
     found = relative_costs(groups, [run(cpu_s=6), run(cpu_s=2), None, run(cpu_s=5), None])

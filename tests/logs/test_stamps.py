@@ -66,6 +66,13 @@ def test_window_counts_from_the_first_usable_scan(tmp_path: Path) -> None:
     assert log.first_ns == START_NS + 5 * PERIOD_NS
 
 
+@pytest.mark.parametrize("last", range(2, 20))
+def test_both_ends_of_a_window_are_inclusive(last: int, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", [laser(k) for k in range(20)])
+    log = open_log(path, start_s=(last - 1) / 10, end_s=last / 10)
+    assert [(s.stamp_ns - START_NS) // PERIOD_NS for s in log.scans()] == [last - 1, last]
+
+
 def test_windows_that_hold_nothing_are_refused(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a", [laser(k) for k in range(3)])
     with pytest.raises(UsageError, match="--end must be later"):

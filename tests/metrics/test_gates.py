@@ -92,6 +92,17 @@ def test_a_map_that_is_not_meaningful_fails_its_gates() -> None:
     assert verdict("scans.accepted>100", EMPTY)[0]
 
 
+@pytest.mark.parametrize("name", ["reference.map_distance.p95_mm", "slices.0.wall_thickness.paper_cells.max"])
+def test_a_map_that_is_not_meaningful_fails_gates_on_true_walls_and_slices(name: str) -> None:
+    reference = {"map_distance": {"p95_mm": 20.0}, "ate": {"rmse_m": 0.1}}
+    more = {"reference": reference, "slices": [{"wall_thickness": {"paper_cells": {"max": 3.0}}}]}
+    assert verdict(f"{name}<=50", RUN | more)[0]
+    passed, why = verdict(f"{name}<=50", EMPTY | more)
+    assert not passed
+    assert "the map is not meaningful: 0.3 m of wall" in why
+    assert verdict("reference.ate.rmse_m<=0.2", EMPTY | more)[0]
+
+
 @pytest.mark.parametrize(
     ("name", "nearest"),
     [

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mavnav.ground_truth.references import References, compared
 from mavnav.ground_truth.tables import read_tum
-from mavnav.metrics.trajectory_error import absolute_error, align, position_errors
+from mavnav.metrics.trajectory_error import absolute_error, align, position_errors, relative_error
 from mavnav.pose import Pose, Trajectory, transform_points
 from support.synthetic import TOUR, along, drifting_odometry
 
@@ -119,6 +119,18 @@ def test_a_real_run_as_evo_measures_it(real_logs) -> None:
     assert ours.ate.rmse_m == pytest.approx(theirs["rmse_m"], abs=1e-6)
     assert ours.rpe.distance_rmse_m == pytest.approx(theirs["distance_rmse_m"], abs=1e-6)
     assert np.isnan(ours.rpe.translation_rmse_m)
+
+
+@pytest.mark.parametrize(
+    ("at", "turn", "headed"), [(0.0, 0.0, False), (0.0, 2e-9, False), (np.pi, 2e-9, False), (0.0, 1e-3, True)]
+)
+def test_a_truth_whose_heading_is_only_rounded_has_none(at: float, turn: float, headed: bool) -> None:
+    truth = np.column_stack((path(4), at + turn * (np.arange(40) % 2)))
+    truth[:, 2] = (truth[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+    estimate = np.column_stack((truth[:, :2], np.linspace(0.0, 2.0, 40)))
+    found = relative_error(estimate, truth)
+    assert np.isfinite([found.translation_rmse_m, found.rotation_rmse_deg]).all() == headed
+    assert found.distance_rmse_m == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_error_of_every_pose_is_nan_where_the_truth_is_not_known() -> None:

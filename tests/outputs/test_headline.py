@@ -64,3 +64,11 @@ def test_counts_of_cells_of_two_sizes_are_not_among_the_measures_that_hardly_dif
     assert "are equally good by every measure here" in headline(pair)
     pair[0].document["map"]["accepted_share"], pair[1].document["map"]["accepted_share"] = 0.99, 0.97
     assert "no measure differs by more than 2.0 %" in headline(pair)
+
+
+def test_walls_of_maps_with_other_cells_are_not_called_thinner():
+    for cell_mm, named in ((20, True), (14, False)):
+        pair = [entry("robust 10/5x5", p95_mm=90.0), entry(p95_mm=60.0, cell_mm=cell_mm)]
+        pair[0].document["map"]["accepted_share"], pair[1].document["map"]["accepted_share"] = 0.7, 0.9
+        assert headline(pair).startswith("robust 20/10x10 gives the best map")
+        assert ("its walls are thinner" in headline(pair)) == named

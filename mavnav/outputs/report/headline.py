@@ -133,7 +133,7 @@ def _walls(sound: Sequence[Entry], best: Entry) -> str:
     """Return the comparison of a run's wall thickness with that of the coarsest grid of its method; may be empty."""
     coarse = columns.coarsest(sound, best)
     ours, theirs = P95.of(best.document), P95.of(coarse.document)
-    if coarse is best or ours is None or theirs is None:
+    if coarse is best or ours is None or theirs is None or not comparable(P95, [best.document, coarse.document]):
         return ""
     if P95.same(ours, theirs):
         return f"; its walls are as thick as those of {coarse.name} ({_mm(ours)} against {_mm(theirs)} at p95)"
