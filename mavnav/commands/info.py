@@ -157,9 +157,11 @@ def _time(log: Log) -> dict[str, Any]:
 def _health(log: Log) -> dict[str, Any]:
     from msgspec.structs import asdict
 
+    from mavnav.config.models import RobustConfig
     from mavnav.logs.health import sensor_health
+    from mavnav.units import MM
 
-    health = sensor_health(log)
+    health = sensor_health(log, RobustConfig().far_mm * MM)
     return {**asdict(health), "findings": [asdict(finding) for finding in health.findings]}
 
 

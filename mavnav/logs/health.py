@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from itertools import islice
-from math import ceil
+from math import ceil, inf
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec import Struct
 
-from mavnav.config.models import RobustConfig
 from mavnav.logs.stamps import REPEATED_SHARE
-from mavnav.units import DEG, MM, NS
+from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -76,9 +75,9 @@ class SensorHealth(Struct, frozen=True):
     findings: list[Finding]
 
 
-def sensor_health(log: Log) -> SensorHealth:
-    """Examine the first ``MOST_SCANS`` scans of a log, and the stamps of all."""
-    seen = _examined(islice(log.scans(), MOST_SCANS))
+def sensor_health(log: Log, far_m: float = inf) -> SensorHealth:
+    """Examine the first ``MOST_SCANS`` scans of a log, and all stamps; returns from ``far_m`` on are not used."""
+    seen = _examined(islice(log.scans(), MOST_SCANS), far_m)
     share = log.cleaning["valid"] / max(sum(log.cleaning.values()), 1)
     partial, jitter = _partial(seen.valid), _jitter(seen.stamps_ns, log.period_s)
     sectors = _sectors(seen.covered & ~seen.returned) if len(seen.valid) >= SECTOR_SCANS else []
@@ -89,7 +88,7 @@ def sensor_health(log: Log) -> SensorHealth:
         *_hidden(sectors),
         *_frozen(log),
         *_saturated(seen.largest_m, len(seen.valid)),
-        *_far(seen),
+        *_far(seen, far_m),
         *_rate(log),
         *_stamps(log, jitter),
     ]
@@ -110,7 +109,7 @@ class _Seen(Struct, frozen=True):
     """Valid beams and stamps of the scans, (n,), degrees (360,) of beams and of valid returns.
 
     ``largest_m`` are the largest ranges that many beams of a scan share, ``far`` the number of returns farther than the
-    robust method uses, ``farthest_m`` the farthest return.
+    replay uses, ``farthest_m`` the farthest return.
     """
 
     valid: NDArray[np.int64]
@@ -122,9 +121,8 @@ class _Seen(Struct, frozen=True):
     farthest_m: float
 
 
-def _examined(scans: Iterable[Scan]) -> _Seen:
+def _examined(scans: Iterable[Scan], far_m: float) -> _Seen:
     valid, stamps_ns, largest_m, tops_m, far = [], [], Counter[float](), [0.0], 0
-    limit_m = RobustConfig().far_mm * MM
     covered, returned = np.zeros(360, np.bool_), np.zeros(360, np.bool_)
     spec: LaserSpec | None = None
     degrees = np.zeros((0, 1), np.intp)
@@ -139,7 +137,7 @@ def _examined(scans: Iterable[Scan]) -> _Seen:
         if np.count_nonzero(scan.ranges_m == top_m) > max(SAME_SHARE * len(good), SAME_BEAMS):
             largest_m[top_m] += 1
         tops_m.append(top_m)
-        far += int(np.count_nonzero(scan.ranges_m >= limit_m))
+        far += int(np.count_nonzero(scan.ranges_m >= far_m))
         valid.append(int(np.count_nonzero(good)))
         stamps_ns.append(scan.stamp_ns)
     return _Seen(np.array(valid), np.array(stamps_ns, np.int64), covered, returned, largest_m, far, max(tops_m))
@@ -232,12 +230,12 @@ def _saturated(largest_m: Counter[float], scans: int) -> Iterator[Finding]:
         )
 
 
-def _far(seen: _Seen) -> Iterator[Finding]:
+def _far(seen: _Seen, far_m: float) -> Iterator[Finding]:
     share = seen.far / max(int(seen.valid.sum()), 1)
     if share > FAR_SHARE:
         yield Finding(
             "far",
-            f"{100 * share:.0f} % of the returns are farther than {RobustConfig().far_mm * MM:g} m, and are not used",
+            f"{100 * share:.0f} % of the returns are farther than {far_m:g} m, and are not used",
             f"to use them, replay with --set robust.far_mm={1e3 * ceil(seen.farthest_m):.0f}",
         )
 

@@ -85,7 +85,7 @@ def backwards() -> list[Message]:
 
 
 def examined(messages: list[Message], path: Path) -> SensorHealth:
-    return sensor_health(open_log(write_mcap(path, messages)))
+    return sensor_health(open_log(write_mcap(path, messages)), far_m=30.0)
 
 
 @pytest.mark.parametrize(
