@@ -113,12 +113,12 @@ class Motion(NamedTuple):
         return np.array([pose_at(stamp_ns) is not None for stamp_ns in stamps_ns.tolist()], np.bool_)
 
     def twist_at(self, stamp_ns: int) -> Twist:
-        """Return the twist for de-skewing a scan: from odometry, else the running average."""
-        ahead = self.by_odometry(stamp_ns)
+        """Return the twist for de-skewing a scan, also an earlier one: from odometry, else the running average."""
+        ahead, ahead_s = self.by_odometry(stamp_ns), copysign(self.elapsed_s(stamp_ns), stamp_ns - self.stamp_ns)
         if ahead is None or self.stamp_ns == 0:
             turn_rad = self._measured_turn(stamp_ns) if self.yaw_rate_fit.fits else None
-            return self.twist if turn_rad is None else (*self.twist[:2], turn_rad / self.elapsed_s(stamp_ns))
-        return _twist(self.map_T_laser, ahead, self.elapsed_s(stamp_ns))
+            return self.twist if turn_rad is None else (*self.twist[:2], turn_rad / ahead_s)
+        return _twist(self.map_T_laser, ahead, ahead_s)
 
     def moved_to(self, map_T_laser: Pose, stamp_ns: int) -> Motion:
         """Return the motion after a new accepted pose."""

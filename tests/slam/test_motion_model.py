@@ -67,6 +67,7 @@ def test_odometry_moves_the_last_pose() -> None:
     assert close(motion.predict(300 * MS), motion.map_T_laser @ Pose(0.3, 0.0, 0.0))
     assert close(motion.predict(250 * MS), motion.map_T_laser @ Pose(0.15, 0.0, 0.0))
     assert np.allclose(motion.twist_at(300 * MS), (3.0, 0.0, 0.0))
+    assert np.allclose(motion.twist_at(100 * MS), (3.0, 0.0, 0.0))  # a scan that is matched backwards
 
 
 @pytest.mark.parametrize("stamp_ms", [600, 5_000])
