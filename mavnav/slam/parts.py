@@ -45,6 +45,9 @@ SEARCHED_SCANS, SEARCHED_AFTER_PAUSE, LEAST_AGREEING = 6, 24, 3
 More are searched where the scans pause beside the part: it may have only few places in common with that map.
 """
 
+LONG_AGO_NS = 10**18
+"""Time since the last pose of a laser that may be anywhere, 32 years."""
+
 LEAST_TRACKED_SHARE, MOST_LEFT_OUT = 0.5, 0.1
 """Minimum share of scans with a pose, and maximum share of scans in parts that are not joined.
 
@@ -193,7 +196,7 @@ def part_pose(part: list[Step], scans: dict[int, Scan], track: Track, most: int 
     chosen = spread_out(part, most)
     if refiner is None or len(chosen) < LEAST_AGREEING:
         return None
-    anywhere = track.motion._replace(odometry=None).started_at(Pose(), 0)
+    anywhere = track.motion._replace(odometry=None).started_at(Pose(), part[0].stamp_ns - LONG_AGO_NS)
     found: list[tuple[Pose, Pose]] = []
     for left, step in zip(reversed(range(len(chosen))), chosen, strict=True):
         match = refiner.relocalize(scans[step.index], no_match(Pose()), anywhere)

@@ -6,18 +6,22 @@ from functools import cache
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec
 from mavnav.slam.motion_model import Motion
+from mavnav.slam.parts import joined
 from mavnav.slam.pauses import LATE_SCANS, Pauses, first_found_late, pause_warnings
 from mavnav.slam.pipeline import run_slam
+from mavnav.slam.registry import make_method
 from mavnav.slam.result import SlamResult
 from mavnav.slam.scan_matching import first_match, no_match
 from mavnav.slam.steps import Step, Steps
+from mavnav.slam.track import Track
 from mavnav.units import NS
-from support.synthetic import along, polyline, record
+from support.synthetic import along, box, polyline, record, scan_at
 
 S = 10**9
 SPEC = LaserSpec(-np.pi * 2 / 3, np.pi / 180, 241, 0.05, 8.0)
@@ -124,3 +128,26 @@ def test_a_pause_between_two_poses_is_reported() -> None:
     assert not warnings(2.0)
     assert not warnings(7.0, tracked=10)
     assert not warnings(7.0, odometry=Trajectory.of([0], [Pose()]).at)
+
+
+@pytest.mark.parametrize("first_ns", [0, 1_700_000_000 * S])
+def test_a_part_after_a_pause_is_joined_whatever_the_clock_says(first_ns: int) -> None:
+    """The origin of the map was taken for a pose at stamp 0: clocks that begin at 0 refused 100 of 160 scans."""
+    obstacles = [box(5, 0.4, 0.7, 0.5, 0.3), box(11, 5.6, 0.9, 0.5, 1.0), box(16, 0.3, 0.5, 0.8, 0.2)]
+    obstacles += [box(21, 5.6, 0.8, 0.8, 0.6), box(25.5, 0.5, 0.4, 0.9, 0.1), box(28, 5.0, 0.6, 0.3, 0.9)]
+    walls = np.vstack([polyline((0, 0), (30, 0), (30, 6), (0, 6), closed=True), *obstacles, box(2, 5, 0.4, 0.4, 0.1)])
+    spec = LaserSpec(-np.pi, 2 * np.pi / 720, 720, 0.05, 40.0)
+    along_m = [*(1 + 0.03 * k for k in range(60)), *(8 + 0.15 * k for k in range(100))]
+    poses = [Pose(x_m, 3, 0.3 * np.sin(0.2 * (k if k < 60 else k - 60))) for k, x_m in enumerate(along_m)]
+    stamps_ns = [first_ns + k * S // 10 + 4 * S * (k >= 60) for k in range(160)]
+    scans = [
+        scan_at(walls, pose, spec, stamp_ns=stamp_ns, noise=0.002, rng=np.random.default_rng(k))
+        for k, (pose, stamp_ns) in enumerate(zip(poses, stamps_ns, strict=True))
+    ]
+    config, motion = Config(), Motion(0.1)
+    track = Track(lambda: iter(scans), config, motion, make_method(config)).over(scans[:61])
+    other = Track(lambda: iter(scans), config, motion, make_method(config), begin=60).over(scans)
+    missed = [Step(k, stamps_ns[k], no_match(Pose(), 700), tracked=False) for k in range(60, 160)]
+    whole = replace(track, steps=Steps([*track.steps[:60], *missed]))
+    part = tuple(step for step in other.steps if step.tracked)
+    assert joined(whole, [part]).steps.column("tracked").all()
