@@ -11,6 +11,7 @@ from msgspec import Struct, field
 from mavnav.errors import TopicError
 from mavnav.logs.imu import usual_topic
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
+from mavnav.logs.stamps import storable
 from mavnav.logs.transforms import frame_name
 from mavnav.pose import ups_of_quaternions
 
@@ -42,8 +43,8 @@ class AttitudeTrack(Struct):
 
     def add(self, message: TransformMessage, log_ns: int) -> None:
         """Take in one pose."""
-        self.header_ns.append(message.stamp_ns)
-        self.log_ns.append(min(log_ns, (1 << 63) - 1))
+        self.header_ns.append(storable(message.stamp_ns))
+        self.log_ns.append(storable(log_ns))
         self.numbers.extend((*message.xyzw, message.xyz[2]))
 
 

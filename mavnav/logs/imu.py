@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Struct, field
 
 from mavnav.logs.records import Imu
-from mavnav.logs.stamps import in_order
+from mavnav.logs.stamps import in_order, storable
 from mavnav.pose import Rotation
 from mavnav.units import NS
 
@@ -50,8 +50,8 @@ class ImuTrack(Struct):
         rates, accelerations = message.angular_velocity_rad_s, message.acceleration_m_s2
         possible = all(abs(a) <= MOST_M_S2 for a in accelerations)  # False for NaN, too
         if possible and all(abs(rate) <= MOST_RAD_S for rate in rates):
-            self.header_ns.append(message.stamp_ns)
-            self.log_ns.append(min(log_ns, (1 << 63) - 1))
+            self.header_ns.append(storable(message.stamp_ns))
+            self.log_ns.append(storable(log_ns))
             self.numbers.extend((*rates, *accelerations, *(message.xyzw or (np.nan,) * 4)))
 
     def rotation(self, stamp_source: str, half_sweep_ns: int, warn: Callable[[str], None]) -> Rotation | None:

@@ -10,7 +10,7 @@ from msgspec import Struct, field
 
 from mavnav.errors import TopicError
 from mavnav.logs.messages.definitions import POSE, TRANSFORM
-from mavnav.logs.stamps import in_order
+from mavnav.logs.stamps import in_order, storable
 from mavnav.logs.transforms import frame_name, planar_pose
 from mavnav.pose import Pose, Trajectory, motions
 from mavnav.units import NS
@@ -44,8 +44,8 @@ class PoseTrack(Struct):
         pose = planar_pose(message)
         self.unusable += pose is None
         if pose is not None:
-            self.header_ns.append(message.stamp_ns)
-            self.log_ns.append(min(log_ns, (1 << 63) - 1))
+            self.header_ns.append(storable(message.stamp_ns))
+            self.log_ns.append(storable(log_ns))
             self.xyyaw.extend((pose.x_m, pose.y_m, pose.yaw_rad))
 
     def trajectory(self, stamp_source: str, warn: Callable[[str], None]) -> Trajectory:

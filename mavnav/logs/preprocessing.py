@@ -37,6 +37,9 @@ _MOST_BEAMS: Final = 1 << 15
 _AT_MAX_SHARE, _AT_MAX_LEAST = 0.02, 10
 """More readings of exactly the maximum are no wall: simulators and some drivers write it where nothing is in range."""
 
+_LONGEST_SWEEP_S: Final = 60.0
+"""A scan whose time increment makes it longer has no usable increment."""
+
 _MOST_TURNS: Final = 1.1
 """A scan may overlap itself a little; one of several turns has a wrong increment."""
 
@@ -169,9 +172,17 @@ class ScanFilter:
             len(message.ranges_m),
             low,
             high,
-            _finite_or_zero(message.time_increment_s),
+            self._time_increment_s(message),
             _finite_or_zero(message.scan_time_s),
         )
+
+    def _time_increment_s(self, message: LaserMessage) -> float:
+        """Return the time between two beams; 0 if the message gives none, or an impossible one."""
+        increment_s = _finite_or_zero(message.time_increment_s)
+        if abs(increment_s) * len(message.ranges_m) <= _LONGEST_SWEEP_S:
+            return increment_s
+        self._warn(f"{self._topic}: the time between two beams, {increment_s:g} s, is impossible; it is not used")
+        return 0.0
 
     def _check(self, message: LaserMessage) -> None:
         """Warn about fields that contradict the rest and are not used."""

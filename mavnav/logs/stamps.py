@@ -48,6 +48,11 @@ _SUSPECT_OFFSET_NS: Final = 10_000_000_000
 """A suspect scan whose stamp is farther from its time of recording than usual, by this, is not plausible."""
 
 
+def storable(stamp_ns: int) -> int:
+    """Return a stamp within the range of 64 bits; an impossible one stays impossible."""
+    return min(max(stamp_ns, -1), _LATEST_NS)
+
+
 def _later_than_before(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return which stamps (n,) are later than all before them."""
     later = np.ones(len(stamps_ns), np.bool_)
@@ -181,8 +186,8 @@ class TopicScans(Struct):
         if not self._kinds or self._kinds[-1] != kind:
             self._kinds.append(kind)
         header_ns, log_ns = stamps_ns
-        self._header_ns.append(min(max(header_ns, -1), _LATEST_NS))
-        self._log_ns.append(min(max(log_ns, -1), _LATEST_NS))
+        self._header_ns.append(storable(header_ns))
+        self._log_ns.append(storable(log_ns))
         self._kind.append(len(self._kinds) - 1)
         self._suspect.append(suspect)
         self._cleaning.extend(counts)

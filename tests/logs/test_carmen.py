@@ -185,3 +185,14 @@ def test_converted_to_ros_it_is_the_same_log(tmp_path: Path, *, corrected: bool)
         np.testing.assert_allclose(after.truth.world_T_laser.xyyaw, before.truth.world_T_laser.xyyaw, atol=1e-12)
     if before.odometry and after.odometry:
         np.testing.assert_allclose(after.odometry.odom_T_base.xyyaw, before.odometry.odom_T_base.xyyaw, atol=1e-12)
+
+
+@pytest.mark.parametrize("stamp", ["99999999999999999999.0", "-99999999999999999999.0"])
+def test_an_impossible_stamp_of_the_odometry_costs_one_pose(tmp_path: Path, stamp: str) -> None:
+    path = tmp_path / "a.log"
+    lines = [front(k) + f"ODOM {numbers(pose(k))} 0 0 0 {1000 + 0.2 * k:.6f} host {0.2 * k:.6f}\n" for k in range(12)]
+    path.write_text(PARAMETERS + "".join(lines) + f"ODOM {numbers(pose(12))} 0 0 0 {stamp} host 2.4\n")
+    log = open_log(path)
+    assert len(log) == 12
+    assert log.odometry is not None
+    assert 12 <= len(log.odometry.odom_T_base) <= 13

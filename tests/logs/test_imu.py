@@ -127,3 +127,12 @@ def test_a_rosbag_is_converted_with_its_sensor(tmp_path: Path) -> None:
     log = open_log(tmp_path / "two.mcap")
     assert log.imu is not None
     assert len(log.imu.rotation.stamps_ns) == 12
+
+
+@pytest.mark.parametrize("increment_s", [1e12, 3e38])
+def test_an_impossible_time_between_two_beams_is_not_used(tmp_path: Path, increment_s: float) -> None:
+    messages = [laser(k, time_increment=increment_s) for k in range(10)] + [imu(k) for k in range(50)]
+    log = open_log(write_mcap(tmp_path / "slow.mcap", messages))
+    assert log.sensor.time_increment_s == 0.0
+    assert log.imu is not None
+    assert any("the time between two beams" in warning for warning in log.warnings)
