@@ -292,8 +292,8 @@ class Robust:
         """Insert every valid point of the de-skewed scan into lines and grid."""
         self._bounded, self._free = False, None
         xy_map_m, extent_m = self.placed_points(scan, map_T_laser, motion)
+        self.grid.insert(map_T_laser, xy_map_m, extent_m)  # first: it refuses maps that are too large
         self.lines.insert(xy_map_m, extent_m)
-        self.grid.insert(map_T_laser, xy_map_m, extent_m)
 
     def placed_points(self, scan: Scan, map_T_laser: Pose, motion: Motion) -> tuple[NDArray[np.float64], Extent]:
         """Return every valid point (n, 2) of the de-skewed scan, m, map frame, and their extent."""

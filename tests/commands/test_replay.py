@@ -14,12 +14,14 @@ from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mavnav.cli import run
 from mavnav.commands.lost_advice import lost_line
 from mavnav.commands.replay import left_out_text
 from mavnav.errors import ExitCode
+from support.log_files import laser, write_mcap
 
 FEW = ("--end", 2.0, "--quiet")
 
@@ -679,3 +681,15 @@ def test_again_names_the_files_that_differ(mavnav: Callable, with_options: Path,
     code, _, err = mavnav("replay", "--again", made, "-o", tmp_path / "again", "-q")
     assert code == 0
     assert f"1 of {len(document['outputs'])} files differ from those in {made}: map.pgm" in err
+
+
+def test_a_map_that_is_too_large_is_refused_before_it_takes_memory(
+    mavnav: Callable[..., tuple[int, str, str]], tmp_path: Path
+) -> None:
+    far_m = np.full(360, 199.0) + np.arange(360) % 7 * 0.1
+    fields = {"angle_min": -3.14, "angle_increment": 0.01745, "range_max": 250.0, "ranges": far_m}
+    log = write_mcap(tmp_path / "far.mcap", [laser(k, **fields) for k in range(12)])
+    sets = ("--set", "robust.cell_mm=5", "--set", "robust.far_mm=250000")
+    code, _, err = mavnav("replay", log, "-o", tmp_path / "r", "-q", *sets)
+    assert code == 2
+    assert "the map would be 399 m x 399 m in cells of 5 mm" in err

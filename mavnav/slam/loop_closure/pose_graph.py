@@ -52,7 +52,7 @@ def optimized(poses: Sequence[Pose], edges: Sequence[Edge]) -> list[Pose]:
         step = graph.step(here, damping)
         there = here + step
         there_cost = graph.cost(there)
-        if there_cost > cost:
+        if not there_cost <= cost:  # also of a step that is not a number
             damping *= 10.0
         else:
             here, cost, damping = there, there_cost, max(0.1 * damping, 1e-9)
