@@ -94,6 +94,8 @@ class World(Struct, frozen=True, eq=False):
 
     def _first(self, ranges: Array, x: Array, y: Array, dx: Array, dy: Array) -> tuple[Array, Array]:
         """Return the least range of each ray, (n,), and its angle to the normal of that wall."""
+        if not ranges.shape[1]:
+            return np.full(len(ranges), np.inf), np.full(len(ranges), np.nan)
         nearest = ranges.argmin(axis=1)
         ranges = np.take_along_axis(ranges, nearest[:, None], 1)
         with np.errstate(invalid="ignore"):  # inf * 0: a ray along an axis that meets nothing
@@ -117,9 +119,10 @@ class World(Struct, frozen=True, eq=False):
         return normals
 
     def clearance_m(self, xy_m: Array) -> Array:
-        """Return the distance of points (n, 2) to the nearest wall, (n,) in metres."""
+        """Return the distance of points (n, 2) to the nearest wall, (n,) in metres; inf where there is no wall."""
         x, y = xy_m[:, :1], xy_m[:, 1:]
-        nearest: Array = np.hstack((_to_segments(self.segments, x, y), _to_arcs(self.arcs, x, y))).min(axis=1)
+        walls_m = np.hstack((_to_segments(self.segments, x, y), _to_arcs(self.arcs, x, y)))
+        nearest: Array = walls_m.min(axis=1, initial=np.inf)
         return nearest
 
     def seen_from(self, world_T_frame: Pose) -> World:
