@@ -16,7 +16,7 @@ from mavnav.scan import levelled
 from mavnav.simulation.obstacles import Obstacles
 from mavnav.simulation.planner.potential_field import Command, Planner
 from mavnav.simulation.vehicle import disturbance, sweeping, tilts_over, vehicle_of
-from mavnav.simulation.world import LaserModel, Scenario, World, laser_model, take_scan
+from mavnav.simulation.world import LaserModel, Scenario, laser_model, take_scan
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.pipeline import finish
 from mavnav.slam.registry import make_method
@@ -114,7 +114,7 @@ def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -
                 break
             executing = vehicle.execute(decision, disturbance(scenario, noise, decision))
             next(executing)
-        if _closest_m(scenario.obstacles, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
+        if _closest_m(scenario, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
             end = End.COLLISION
             break
     flown = Track(lambda: seen, config, motion, method, steps, on_step=on_step)
@@ -123,6 +123,12 @@ def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -
 
 DONE = object()
 """What a finished command gives instead of a further scan."""
+
+SAMPLES = 6
+"""Number of points of a step at which the clearance is looked at, its ends included."""
+
+SPACING_RADII = 0.5
+"""Largest distance of these points, in radii of the vehicle."""
 
 
 class Pilot:
@@ -199,12 +205,15 @@ def _laser(scenario: Scenario) -> LaserModel:
     return laser if scenario.laser.moving else replace(laser, spec=replace(laser.spec, time_increment_s=0.0))
 
 
-def _closest_m(world: World, poses: list[Pose]) -> float:
-    """Least clearance along the straight path through the poses, looked at every few centimetres."""
+def _closest_m(scenario: Scenario, poses: list[Pose]) -> float:
+    """Least clearance along the straight path through the poses: at points of it, exact in steps too long for that."""
     xy = np.array([(p.x_m, p.y_m) for p in poses])
-    share = np.linspace(0.0, 1.0, 6)[:, None]
+    share = np.linspace(0.0, 1.0, SAMPLES)[:, None]
     path = [a + share * (b - a) for a, b in pairwise(xy)] or [xy]
-    return float(world.clearance_m(np.vstack(path)).min())
+    sampled_m = float(scenario.obstacles.clearance_m(np.vstack(path)).min())
+    long_m = (SAMPLES - 1) * SPACING_RADII * scenario.vehicle.radius_mm * MM
+    long = [(a, b) for a, b in pairwise(xy) if np.hypot(*(b - a)) > long_m]
+    return min([sampled_m, *(scenario.obstacles.least_clearance_m(a, b) for a, b in long)])
 
 
 def _landed(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, outcome: SlamResult) -> Flight:
@@ -220,7 +229,7 @@ def _landed(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, o
     if end is End.GOAL and goal_distance_m > 2.0 * scenario.goal_radius_mm * MM:
         end = End.WRONG_PLACE
     base = Trajectory.of(list(range(len(world_T_base))), world_T_base)
-    mission = Mission(end, n, base.length_m, _closest_m(scenario.obstacles, world_T_base), goal_distance_m)
+    mission = Mission(end, n, base.length_m, _closest_m(scenario, world_T_base), goal_distance_m)
     odom = Trajectory.of(stamps, vehicle.odom_T_base[:n])
     body = vehicle.body
     tilts, attitudes = (tuple(body.true[:n]), tuple(body.measured[:n])) if body else ((), ())

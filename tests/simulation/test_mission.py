@@ -21,6 +21,7 @@ from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 CLEAN = {
     "laser.noise_percent": 0,
@@ -98,6 +99,21 @@ def test_a_wall_between_two_scans_is_hit(monkeypatch: pytest.MonkeyPatch) -> Non
     mission = fly(scenario).mission
     assert (mission.end, mission.steps) == (End.COLLISION, 1)
     assert mission.path_length_m > 2.4
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_a_small_vehicle_does_not_leap_through_a_wall(seed: int, tmp_path: Path) -> None:
+    """It does not see the wall below its beams; points of its steps up to 50 mm apart did not meet it."""
+    path = tmp_path / "leap.yaml"
+    path.write_text(
+        "walls:\n  - polyline: {closed: true, points_m: [[0, 0], [6, 0], [6, 3], [0, 3]]}\n"
+        "  - polyline: {points_m: [[3, 0], [3, 3]], height_m: [0, 1]}\n"
+        "start: {x_m: 0.7, y_m: 0.7}\ngoal_m: [5.2, 2.2]\n"
+        "flight: {height_m: 1.1, tilt_noise_deg: 0, max_tilt_deg: 0, height_noise_mm: 0}\n"
+        "vehicle: {radius_mm: 10}\nplanner: {max_step_mm: 250}\n"
+    )
+    mission = fly(load_scenario(path, (), {"seed": seed})).mission
+    assert (mission.end, mission.min_clearance_m) == (End.COLLISION, 0.0)
 
 
 def test_steps_run_out() -> None:
