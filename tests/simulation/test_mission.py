@@ -167,9 +167,8 @@ def test_a_faster_laser_scans_several_times_a_command() -> None:
     np.testing.assert_allclose(commanded[: len(commanded) // 4 * 4].reshape(-1, 4).std(axis=1), 0.0, atol=1e-12)
 
 
-def test_a_goal_that_only_the_estimate_reached_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The wheels slip: the vehicle stays, and a forged laser shows it the way it thinks it goes."""
-    scenario = load_scenario("corner")
+def slipped(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> Flight:
+    """Fly on slipping wheels: the vehicle stays, and a forged laser shows it the way it thinks it goes."""
     believed = [scenario.world_T_base]
     execute, take = Vehicle.execute, flying.take_scan
 
@@ -183,11 +182,33 @@ def test_a_goal_that_only_the_estimate_reached_is_none(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(Vehicle, "execute", slipping)
     monkeypatch.setattr(flying, "take_scan", forged)
-    mission = fly(scenario).mission
+    return fly(scenario)
+
+
+def test_a_goal_that_only_the_estimate_reached_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    mission = slipped(load_scenario("corner"), monkeypatch).mission
     assert mission.end is End.WRONG_PLACE
     assert not mission.reached
     assert mission.path_length_m == pytest.approx(0.0, abs=1e-9)
     assert mission.goal_distance_m == pytest.approx(np.hypot(3.4 - 0.7, 0.7 - 3.4))
+
+
+def test_a_place_that_only_the_estimate_visited_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The goal is the start, where the vehicle stays."""
+    scenario = load_scenario("corner")
+    start = [scenario.start.x_m, scenario.start.y_m]
+    mission = slipped(load_scenario("corner", ["via_m=[[0.7, 0.7]]", f"goal_m={start}"]), monkeypatch).mission
+    assert (mission.end, mission.reached) == (End.WRONG_WAY, False)
+    assert mission.goal_distance_m == pytest.approx(0.0, abs=1e-9)
+
+
+def test_places_are_visited_in_order_and_between_scans() -> None:
+    path = np.array([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0)])
+    assert flying._visited(path, [(2.0, 0.4), (4.4, 2.0)], 0.5)
+    assert not flying._visited(path, [(4.4, 2.0), (2.0, 0.4)], 0.5)
+    assert not flying._visited(path, [(2.0, 0.6)], 0.5)
+    assert flying._visited(path[:1], [], 0.5)
+    assert flying._visited(path[:1], [(0.0, 0.4)], 0.5)
 
 
 # ---- the seed decides ------------------------------------------------------------------------------------------------
