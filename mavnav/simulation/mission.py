@@ -174,9 +174,9 @@ class Pilot:
         blind = self.rejected - (self.recovery.fly_on_steps if self.accepted else 0)
         if blind >= self.recovery.hover_steps:
             return End.LOST
-        self.commands += 1
         if self.commands == self.max_steps:
             return End.STEP_LIMIT
+        self.commands += 1
         if blind > 0:
             return Command()
         plan = self.planner.plan(grid, here, (self.goals[0].x_m, self.goals[0].y_m))

@@ -209,7 +209,7 @@ def test_a_failed_mission_is_written_and_told(mavnav: Callable, scenario: Path, 
     assert err == f"mavnav: error: the mission failed: step limit; look at {tmp_path / 'r' / 'map.png'}\n"
     document = json.loads((tmp_path / "r" / "run.json").read_text())
     assert (document["exit_code"], document["mission"]["reached"]) == (1, False)
-    assert document["mission"]["steps"] == 3
+    assert document["mission"]["steps"] == 4
 
 
 @pytest.mark.usefixtures("map_picture")

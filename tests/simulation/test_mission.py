@@ -119,7 +119,13 @@ def test_a_small_vehicle_does_not_leap_through_a_wall(seed: int, tmp_path: Path)
 def test_steps_run_out() -> None:
     flight = flown("corner", {"max_steps": 7})
     assert flight.mission.end is End.STEP_LIMIT
-    assert flight.mission.steps == len(flight.slam.steps) == 7
+    assert flight.mission.steps == len(flight.slam.steps) == 8  # the first before any command
+
+
+def test_a_mission_may_use_all_of_its_steps() -> None:
+    needed = flown("corner").mission.steps - 1
+    assert fly(load_scenario("corner", (), {"max_steps": needed})).mission == flown("corner").mission
+    assert fly(load_scenario("corner", (), {"max_steps": needed - 1})).mission.end is End.STEP_LIMIT
 
 
 def test_a_blind_vehicle_hovers_and_gives_up() -> None:
@@ -264,7 +270,7 @@ def test_where_the_world_lies_changes_nothing() -> None:
     """Later on a tie in the planner's grid may be broken by the last digit: half of the way shows it."""
     flight = flown("corner", {"max_steps": 25})
     moved = fly(turned(flight.scenario, Pose(-7.0, 3.0, 0.7)))
-    assert moved.mission.steps == 25
+    assert moved.mission.steps == 26
     np.testing.assert_allclose(moved.slam.trajectory.xyyaw, flight.slam.trajectory.xyyaw, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(moved.map_T_laser.xyyaw, flight.map_T_laser.xyyaw, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(moved.odom_T_base.xyyaw, flight.odom_T_base.xyyaw, rtol=0.0, atol=1e-9)
