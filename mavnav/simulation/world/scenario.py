@@ -126,7 +126,12 @@ class Scenario(Strict):
     start: Start = Field(description="pose of the vehicle's base at the start: x_m, y_m, yaw_deg")
     goal_m: XY = Field(description="position to reach, [x, y]")
     via_m: tuple[XY, ...] = Field((), description="positions to visit before the goal, in order, [[x, y], ...]")
-    goal_radius_mm: float = Field(250.0, gt=0, description="the goal is reached within this distance")
+    goal_radius_mm: float = Field(
+        250.0,
+        gt=0,
+        description="the vehicle stops when its estimated position is within this distance of the goal; reached if the "
+        "true one is within twice that, and the true path passed via_m within twice that",
+    )
     max_steps: int = Field(500, ge=1, le=100_000, description="commands after which the mission is given up")
     seed: int = Field(0, ge=0, le=2**63, description="seed of all random numbers")
     laser: LaserConfig = Field(LaserConfig(), description="sensor: its name, or a section")

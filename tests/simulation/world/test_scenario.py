@@ -192,6 +192,13 @@ def test_the_schema_is_json_and_its_references_hold() -> None:
     assert {"enum": list(LASERS)} in schema["properties"]["laser"]["anyOf"]
 
 
+def test_schema_and_page_say_when_a_goal_is_reached(repo_root: Path) -> None:
+    said = scenario_schema()["properties"]["goal_radius_mm"]["description"]
+    for text in (said, (repo_root / "docs" / "scenarios.md").read_text()):
+        assert "the vehicle stops when its estimated position is within this distance of the goal" in text
+        assert "reached if the true one is within twice that" in text
+
+
 # ---- errors ----------------------------------------------------------------------------------------------------------
 
 
