@@ -98,7 +98,10 @@ class VehicleConfig(Strict):
     noise_xy_mm: float = Field(20.0, ge=0, description="standard deviation of a step in x and in y")
     noise_yaw_deg: float = Field(5.0, ge=0, description="standard deviation of a step in azimuth")
     command_ms: float = Field(
-        100.0, gt=0, le=10_000, description="time that a command takes; a faster laser scans several times meanwhile"
+        100.0,
+        gt=0,
+        le=10_000,
+        description="time that a command takes, rounded to a whole number of scan periods, one at least",
     )
     laser_x_mm: float = Field(0.0, description="laser on the base, forward")
     laser_y_mm: float = Field(0.0, description="laser on the base, to the left")
