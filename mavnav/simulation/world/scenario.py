@@ -127,7 +127,7 @@ class Scenario(Strict):
     ceiling_m: float | None = Field(None, gt=0, le=1000, description="height of the ceiling above the floor, or null")
     measured: tuple[Wall, ...] = Field((), description="walls as measured by hand, drawn over the map")
     start: Start = Field(description="pose of the vehicle's base at the start: x_m, y_m, yaw_deg")
-    goal_m: XY = Field(description="position to reach, [x, y]")
+    goal_m: XY = Field(description="position to reach with the laser, [x, y]")
     via_m: tuple[XY, ...] = Field((), description="positions to visit before the goal, in order, [[x, y], ...]")
     goal_radius_mm: float = Field(
         250.0,
