@@ -98,7 +98,7 @@ def test_steps_of_scans_are_those_of_the_command_on_line(log: Path) -> None:
 
 def test_a_mission(tmp_path: Path) -> None:
     run = mavnav.simulate("corner", seed=3, settings={"max_steps": 4}, record=tmp_path / "flight.mcap")
-    assert run.metrics["mission"]["steps"] == 4
+    assert run.metrics["mission"]["steps"] == 5
     assert len(mavnav.open_log(tmp_path / "flight.mcap")) > 0
 
 

@@ -130,8 +130,10 @@ def reference_rows(reference: dict[str, Any] | None) -> Rows:
             rows.append((f"RPE per {rpe['delta_m']:g} m", _relative(rpe)))
     if "map_distance" in found and found["map_distance"]["cells"]:
         d = found["map_distance"]
-        covered = f"{d['covered_share']:.0%} of the true walls mapped, {d['alignment']}"
-        rows.append(("true map", f"{d['mean_mm']:.0f} mm off, 95 % within {d['p95_mm']:.0f} mm; {covered}"))
+        share = d["covered_share"]
+        covered = f"{share:.0%} of the true walls mapped" if share is not None else "no wall at flight height"
+        off = f"{d['mean_mm']:.0f} mm off, 95 % within {d['p95_mm']:.0f} mm"
+        rows.append(("true map", f"{off}; {covered}, {d['alignment']}"))
     if "relations" in found and found["relations"]["all"]["scored"]:
         r = found["relations"]["all"]
         mean = f"{r['translation_mean_m'] / MM:.1f} mm, {r['rotation_mean_deg']:.2f} deg"

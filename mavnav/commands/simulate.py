@@ -202,7 +202,7 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
             "scans",
             f"{mission['steps']}, {100 * document['scans']['accepted'] / mission['steps']:.0f} % of them accepted",
         ),
-        ("path", f"{mission['path_length_m']:.2f} m, clearance {mission['min_clearance_m']:.2f} m at least"),
+        ("path", f"{mission['path_length_m']:.2f} m, {_clearance(mission['min_clearance_m'])}"),
         *doubt_rows(document["tracking"]["doubt"]),
     ]
     return [
@@ -212,6 +212,10 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
         ("speed", f"{mission['steps'] / timing['wall_s']:.0f} scans/s"),
         *closing_rows(directory, document, "true_map.png"),
     ]
+
+
+def _clearance(least_m: float | None) -> str:
+    return "no wall at flight height" if least_m is None else f"clearance {least_m:.2f} m at least"
 
 
 def _truth_rows(truth: dict[str, Any]) -> list[tuple[str, str]]:

@@ -48,7 +48,10 @@ class MapDistance(Struct, frozen=True):
     median_mm: Annotated[Measured, number("half of the occupied cells are not farther from a true wall")]
     p95_mm: Annotated[Measured, number("95 % of the occupied cells are not farther from a true wall")]
     max_mm: Annotated[Measured, number("distance of the farthest occupied cell from a true wall")]
-    covered_share: Annotated[Measured, number("part of the true walls that has an occupied cell within 0.1 m")]
+    covered_share: Annotated[
+        Measured,
+        number("part of the true walls that has an occupied cell within 0.1 m; null if no wall is at flight height"),
+    ]
 
 
 def map_distance(occupied_xy_m: NDArray[np.float64], truth: TrueMap) -> MapDistance:

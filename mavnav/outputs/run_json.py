@@ -182,7 +182,7 @@ class MissionResult(Struct, frozen=True):
     reason: Annotated[str, text("how the mission ended: goal, or what stopped it")]
     steps: Annotated[int, number("scans taken; a command may take several")]
     path_length_m: Annotated[float, number("length of the true path")]
-    min_clearance_m: Annotated[Measured, number("least distance from a wall")]
+    min_clearance_m: Annotated[Measured, number("least distance from a wall; null if none is at flight height")]
     goal_distance_m: Annotated[Measured, number("distance from the goal at the end")]
     flight_height_m: Annotated[float, number("commanded height of the laser")] = field(default_factory=absent)
     tilt_p95_deg: Annotated[float, number("true tilt of the laser, 95th percentile over the scans")] = field(

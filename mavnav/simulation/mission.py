@@ -16,7 +16,7 @@ from mavnav.scan import levelled
 from mavnav.simulation.obstacles import Obstacles
 from mavnav.simulation.planner.potential_field import Command, Planner
 from mavnav.simulation.vehicle import disturbance, sweeping, tilts_over, vehicle_of
-from mavnav.simulation.world import LaserModel, Scenario, World, laser_model, take_scan
+from mavnav.simulation.world import LaserModel, Scenario, laser_model, take_scan
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.pipeline import finish
 from mavnav.slam.registry import make_method
@@ -26,11 +26,14 @@ from mavnav.slam.tracker import track
 from mavnav.units import MM, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
 
     from mavnav.mapping.occupancy_grid import GridBuilder
     from mavnav.scan import Attitude, Scan
     from mavnav.simulation.vehicle import Vehicle
+    from mavnav.simulation.world.shapes import XY
     from mavnav.slam.result import SlamResult
     from mavnav.slam.steps import Step
 
@@ -40,6 +43,7 @@ class End(StrEnum):
 
     GOAL = "goal"
     WRONG_PLACE = "believed to be at the goal, but is elsewhere"
+    WRONG_WAY = "believed to have visited via_m, but was elsewhere"
     COLLISION = "collision"
     STUCK = "stuck"
     STEP_LIMIT = "step limit"
@@ -60,7 +64,7 @@ class Mission(Struct, frozen=True):
 
     @property
     def reached(self) -> bool:
-        """Whether the vehicle reached the goal, by its own estimate and in truth."""
+        """Whether the vehicle reached via_m and the goal, by its own estimate and in truth."""
         return self.end is End.GOAL
 
 
@@ -114,7 +118,7 @@ def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -
                 break
             executing = vehicle.execute(decision, disturbance(scenario, noise, decision))
             next(executing)
-        if _closest_m(scenario.obstacles, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
+        if _closest_m(scenario, vehicle.world_T_base[-2:]) < scenario.vehicle.radius_mm * MM:
             end = End.COLLISION
             break
     flown = Track(lambda: seen, config, motion, method, steps, on_step=on_step)
@@ -123,6 +127,15 @@ def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -
 
 DONE = object()
 """What a finished command gives instead of a further scan."""
+
+SAMPLES = 6
+"""Number of points of a step at which the clearance is looked at, its ends included."""
+
+SPACING_RADII = 0.5
+"""Largest distance of these points, in radii of the vehicle."""
+
+TOLERANCE_RADII = 2.0
+"""Distance from a position in truth at which it still counts as reached, in radii of the goal."""
 
 
 class Pilot:
@@ -161,9 +174,9 @@ class Pilot:
         blind = self.rejected - (self.recovery.fly_on_steps if self.accepted else 0)
         if blind >= self.recovery.hover_steps:
             return End.LOST
-        self.commands += 1
         if self.commands == self.max_steps:
             return End.STEP_LIMIT
+        self.commands += 1
         if blind > 0:
             return Command()
         plan = self.planner.plan(grid, here, (self.goals[0].x_m, self.goals[0].y_m))
@@ -199,12 +212,29 @@ def _laser(scenario: Scenario) -> LaserModel:
     return laser if scenario.laser.moving else replace(laser, spec=replace(laser.spec, time_increment_s=0.0))
 
 
-def _closest_m(world: World, poses: list[Pose]) -> float:
-    """Least clearance along the straight path through the poses, looked at every few centimetres."""
+def _closest_m(scenario: Scenario, poses: list[Pose]) -> float:
+    """Least clearance along the straight path through the poses: at points of it, exact in steps too long for that."""
     xy = np.array([(p.x_m, p.y_m) for p in poses])
-    share = np.linspace(0.0, 1.0, 6)[:, None]
+    share = np.linspace(0.0, 1.0, SAMPLES)[:, None]
     path = [a + share * (b - a) for a, b in pairwise(xy)] or [xy]
-    return float(world.clearance_m(np.vstack(path)).min())
+    sampled_m = float(scenario.obstacles.clearance_m(np.vstack(path)).min())
+    long_m = (SAMPLES - 1) * SPACING_RADII * scenario.vehicle.radius_mm * MM
+    long = [(a, b) for a, b in pairwise(xy) if np.hypot(*(b - a)) > long_m]
+    return min([sampled_m, *(scenario.obstacles.least_clearance_m(a, b) for a, b in long)])
+
+
+def _visited(xy_m: NDArray[np.float64], places: Sequence[XY], within_m: float) -> bool:
+    """Return whether the straight path through points (n, 2) passes all places in order, each within a distance."""
+    before, way = np.vstack((xy_m[:1], xy_m[:-1])), np.diff(xy_m, axis=0, prepend=xy_m[:1])
+    squared = np.maximum((way**2).sum(axis=1), np.finfo(np.float64).tiny)
+    step = 0
+    for place in places:
+        share = np.clip(((place - before) * way).sum(axis=1) / squared, 0.0, 1.0)
+        near = np.hypot(*(before + share[:, None] * way - place).T) <= within_m
+        if not near[step:].any():
+            return False
+        step += int(near[step:].argmax())
+    return True
 
 
 def _landed(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, outcome: SlamResult) -> Flight:
@@ -214,13 +244,15 @@ def _landed(scenario: Scenario, vehicle: Vehicle, scans: list[Scan], end: End, o
     world_T_map = scenario.world_T_base @ scenario.base_T_laser
     map_T_world = world_T_map.inverse()
     truth = Trajectory.of(stamps, [map_T_world @ p @ vehicle.base_T_laser for p in world_T_base[:n]])
-    goal = scenario.goals_xy_m[-1]
-    last = world_T_base[-1] @ vehicle.base_T_laser
-    goal_distance_m = float(np.hypot(last.x_m - goal[0], last.y_m - goal[1]))
-    if end is End.GOAL and goal_distance_m > 2.0 * scenario.goal_radius_mm * MM:
+    xy_m = np.array([(p.x_m, p.y_m) for p in (pose @ vehicle.base_T_laser for pose in world_T_base)])
+    goal_distance_m = float(np.hypot(*(xy_m[-1] - scenario.goals_xy_m[-1])))
+    tolerance_m = TOLERANCE_RADII * scenario.goal_radius_mm * MM
+    if end is End.GOAL and goal_distance_m > tolerance_m:
         end = End.WRONG_PLACE
+    elif end is End.GOAL and not _visited(xy_m, scenario.via_m, tolerance_m):
+        end = End.WRONG_WAY
     base = Trajectory.of(list(range(len(world_T_base))), world_T_base)
-    mission = Mission(end, n, base.length_m, _closest_m(scenario.obstacles, world_T_base), goal_distance_m)
+    mission = Mission(end, n, base.length_m, _closest_m(scenario, world_T_base), goal_distance_m)
     odom = Trajectory.of(stamps, vehicle.odom_T_base[:n])
     body = vehicle.body
     tilts, attitudes = (tuple(body.true[:n]), tuple(body.measured[:n])) if body else ((), ())

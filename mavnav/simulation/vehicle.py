@@ -10,7 +10,7 @@ from msgspec import Struct, field
 from mavnav.pose import Pose
 from mavnav.simulation.planner.potential_field import Command
 from mavnav.simulation.world import Body
-from mavnav.units import DEG, MM, MS, NS
+from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -71,7 +71,7 @@ class Vehicle(Struct):
 
 def vehicle_of(scenario: Scenario, period_s: float) -> Vehicle:
     """Return the vehicle where it begins."""
-    flight, command_s = scenario.flight, scenario.vehicle.command_ms * MS
+    flight, command_s = scenario.flight, scenario.scans_a_command * period_s
     body = Body(flight, period_s, command_s, scenario.seed) if flight else None
     start, period_ns = scenario.world_T_base, round(period_s / NS)
     return Vehicle(scenario.base_T_laser, period_ns, scenario.scans_a_command, [start], body=body)

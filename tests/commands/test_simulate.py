@@ -209,7 +209,7 @@ def test_a_failed_mission_is_written_and_told(mavnav: Callable, scenario: Path, 
     assert err == f"mavnav: error: the mission failed: step limit; look at {tmp_path / 'r' / 'map.png'}\n"
     document = json.loads((tmp_path / "r" / "run.json").read_text())
     assert (document["exit_code"], document["mission"]["reached"]) == (1, False)
-    assert document["mission"]["steps"] == 3
+    assert document["mission"]["steps"] == 4
 
 
 @pytest.mark.usefixtures("map_picture")
@@ -220,6 +220,26 @@ def test_a_failed_mission_without_pictures_names_none(mavnav: Callable, scenario
     assert err.endswith("step limit; look at map.png of a run with --outputs pictures\n")
     mavnav(*line, "--outputs", "pictures", "--force")
     assert (tmp_path / "r" / "map.png").is_file()
+
+
+def test_a_mission_without_a_wall_at_flight_height(mavnav: Callable, tmp_path: Path) -> None:
+    """Walls end 5 mm below the slice, and begin 5 mm above it: the tilted laser sees them."""
+    outline = "points_m: [[0, 0], [4, 0], [4, 2], [0, 2]], closed: true"
+    path = tmp_path / "slit.yaml"
+    path.write_text(
+        f"walls:\n  - polyline: {{{outline}, height_m: [0, 1.07]}}\n  - polyline: {{{outline}, height_m: [1.13, 2]}}\n"
+        "start: {x_m: 0.7, y_m: 1}\ngoal_m: [3.3, 1]\nflight: {height_m: 1.1, slice_mm: 50}\nseed: 1\n"
+    )
+    log, run = tmp_path / "slit.mcap", tmp_path / "r"
+    code, out, _ = mavnav("simulate", path, "-o", run, "-q", "--record", log, "--outputs", "trajectory")
+    assert code == ExitCode.DONE
+    assert "no wall at flight height" in out
+    document = json.loads((run / "run.json").read_text())
+    assert document["mission"]["min_clearance_m"] is None
+    assert document["truth"]["true_wall_distance_m"] is None
+    code, out, _ = mavnav("replay", log, "--truth-map", path, "-o", run, "-q", "--force", "--outputs", "trajectory")
+    assert code == ExitCode.DONE
+    assert "no wall at flight height, start pose" in out
 
 
 def test_a_lost_mission_is_told(mavnav: Callable, tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from mavnav.units import DEG
 if TYPE_CHECKING:
     from pathlib import Path
 
-STEPS = 20
+SCANS = 20
 
 
 class Flown(NamedTuple):
@@ -39,7 +39,7 @@ class Flown(NamedTuple):
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
     home = tmp_path_factory.mktemp("hover")
-    scenario = load_scenario("hover", ["flight.tilt_noise_deg=8", f"max_steps={STEPS}"])
+    scenario = load_scenario("hover", ["flight.tilt_noise_deg=8", f"max_steps={SCANS - 1}"])
     request = SimulationRequest(
         scenario,
         scenario_path("hover"),
@@ -71,7 +71,7 @@ def test_planar_missions_have_no_word_of_it() -> None:
 def test_the_recording_levels_as_the_flight_did(flown: Flown) -> None:
     log = open_log(flown.folder / "flight.mcap")
     assert log.attitude is not None
-    assert len(log.attitude.stamps_ns) == STEPS
+    assert len(log.attitude.stamps_ns) == SCANS
     for ours, theirs in zip(flown.run.log.scans(), log.scans(), strict=True):
         assert ours.heights_m is not None
         assert theirs.heights_m is not None
@@ -87,7 +87,7 @@ def test_the_attitude_of_every_scan_is_in_the_table_and_drawn(flown: Flown) -> N
     with (flown.folder / "run" / "trajectory.csv").open(encoding="ascii", newline="") as file:
         rows = list(csv.DictReader(file))
     heights = [float(row["height_m"]) for row in rows]
-    assert len(rows) == STEPS
+    assert len(rows) == SCANS
     assert np.mean(heights) == pytest.approx(1.1, abs=0.03)
     assert max(abs(float(row["roll_rad"])) for row in rows) > 3 * DEG
     entry = load(single(flown.document)["cells"][0], flown.folder / "run")

@@ -34,7 +34,7 @@ from mavnav.units import DEG
 def flown(**settings: Any) -> Flight:
     """Fly some steps of the corner, the laser off the middle of the vehicle."""
     mounted = {"vehicle.laser_x_mm": 120, "vehicle.laser_y_mm": -60, "vehicle.laser_yaw_deg": 35}
-    return fly(load_scenario("corner", (), {"max_steps": 15, **mounted, **settings}))
+    return fly(load_scenario("corner", (), {"max_steps": 14, **mounted, **settings}))
 
 
 def estimated(flight: Flight, poses: Trajectory, **more: Any) -> Flight:

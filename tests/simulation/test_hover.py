@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 from mavnav.pipelines.simulate import recorded, truth_errors
+from mavnav.pose import Pose
 from mavnav.scan import Attitude
 from mavnav.simulation.mission import Flight, fly
+from mavnav.simulation.planner.potential_field import Command
+from mavnav.simulation.vehicle import vehicle_of
 from mavnav.simulation.world import load_scenario
 from mavnav.units import DEG
 
@@ -55,6 +58,16 @@ def test_a_flight_has_an_attitude_for_every_scan() -> None:
     again = fly(load_scenario("hover", TILTED))
     assert again.attitudes == flight.attitudes
     assert all(a.ranges_m.tobytes() == b.ranges_m.tobytes() for a, b in zip(again.scans, flight.scans, strict=True))
+
+
+@pytest.mark.parametrize(("period_ms", "command_s"), [(25, 0.1), (30, 0.09), (100, 0.1), (200, 0.2)])
+def test_tilt_is_of_the_time_that_a_command_lasts(period_ms: float, command_s: float) -> None:
+    """A command lasts whole scan periods, the one of 100 ms three of 30 ms or one of 200 ms."""
+    level = ("flight.tilt_noise_deg=0", "flight.max_tilt_deg=20", "flight.response_ms=0.001")
+    scenario = load_scenario("hover", [*level, f"laser.period_ms={period_ms}"])
+    vehicle = vehicle_of(scenario, scenario.laser.spec.scan_time_s)
+    assert len(list(vehicle.execute(Command(0.01, 0.0, 0.0), Pose()))) * period_ms == pytest.approx(1e3 * command_s)
+    assert vehicle.body.true[-1].pitch_rad == pytest.approx(np.arctan(0.01 / command_s**2 / 9.81))
 
 
 def through(folder: Path, height_m: str, *settings: str) -> Flight:

@@ -21,6 +21,7 @@ from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 CLEAN = {
     "laser.noise_percent": 0,
@@ -100,10 +101,31 @@ def test_a_wall_between_two_scans_is_hit(monkeypatch: pytest.MonkeyPatch) -> Non
     assert mission.path_length_m > 2.4
 
 
+@pytest.mark.parametrize("seed", [2, 4])
+def test_a_small_vehicle_does_not_leap_through_a_wall(seed: int, tmp_path: Path) -> None:
+    """It does not see the wall below its beams; points of its steps up to 50 mm apart did not meet it."""
+    path = tmp_path / "leap.yaml"
+    path.write_text(
+        "walls:\n  - polyline: {closed: true, points_m: [[0, 0], [6, 0], [6, 3], [0, 3]]}\n"
+        "  - polyline: {points_m: [[3, 0], [3, 3]], height_m: [0, 1]}\n"
+        "start: {x_m: 0.7, y_m: 0.7}\ngoal_m: [5.2, 2.2]\n"
+        "flight: {height_m: 1.1, tilt_noise_deg: 0, max_tilt_deg: 0, height_noise_mm: 0}\n"
+        "vehicle: {radius_mm: 10}\nplanner: {max_step_mm: 250}\n"
+    )
+    mission = fly(load_scenario(path, (), {"seed": seed})).mission
+    assert (mission.end, mission.min_clearance_m) == (End.COLLISION, 0.0)
+
+
 def test_steps_run_out() -> None:
     flight = flown("corner", {"max_steps": 7})
     assert flight.mission.end is End.STEP_LIMIT
-    assert flight.mission.steps == len(flight.slam.steps) == 7
+    assert flight.mission.steps == len(flight.slam.steps) == 8  # the first before any command
+
+
+def test_a_mission_may_use_all_of_its_steps() -> None:
+    needed = flown("corner").mission.steps - 1
+    assert fly(load_scenario("corner", (), {"max_steps": needed})).mission == flown("corner").mission
+    assert fly(load_scenario("corner", (), {"max_steps": needed - 1})).mission.end is End.STEP_LIMIT
 
 
 def test_a_blind_vehicle_hovers_and_gives_up() -> None:
@@ -151,9 +173,8 @@ def test_a_faster_laser_scans_several_times_a_command() -> None:
     np.testing.assert_allclose(commanded[: len(commanded) // 4 * 4].reshape(-1, 4).std(axis=1), 0.0, atol=1e-12)
 
 
-def test_a_goal_that_only_the_estimate_reached_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The wheels slip: the vehicle stays, and a forged laser shows it the way it thinks it goes."""
-    scenario = load_scenario("corner")
+def slipped(scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> Flight:
+    """Fly on slipping wheels: the vehicle stays, and a forged laser shows it the way it thinks it goes."""
     believed = [scenario.world_T_base]
     execute, take = Vehicle.execute, flying.take_scan
 
@@ -167,11 +188,33 @@ def test_a_goal_that_only_the_estimate_reached_is_none(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(Vehicle, "execute", slipping)
     monkeypatch.setattr(flying, "take_scan", forged)
-    mission = fly(scenario).mission
+    return fly(scenario)
+
+
+def test_a_goal_that_only_the_estimate_reached_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    mission = slipped(load_scenario("corner"), monkeypatch).mission
     assert mission.end is End.WRONG_PLACE
     assert not mission.reached
     assert mission.path_length_m == pytest.approx(0.0, abs=1e-9)
     assert mission.goal_distance_m == pytest.approx(np.hypot(3.4 - 0.7, 0.7 - 3.4))
+
+
+def test_a_place_that_only_the_estimate_visited_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The goal is the start, where the vehicle stays."""
+    scenario = load_scenario("corner")
+    start = [scenario.start.x_m, scenario.start.y_m]
+    mission = slipped(load_scenario("corner", ["via_m=[[0.7, 0.7]]", f"goal_m={start}"]), monkeypatch).mission
+    assert (mission.end, mission.reached) == (End.WRONG_WAY, False)
+    assert mission.goal_distance_m == pytest.approx(0.0, abs=1e-9)
+
+
+def test_places_are_visited_in_order_and_between_scans() -> None:
+    path = np.array([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0)])
+    assert flying._visited(path, [(2.0, 0.4), (4.4, 2.0)], 0.5)
+    assert not flying._visited(path, [(4.4, 2.0), (2.0, 0.4)], 0.5)
+    assert not flying._visited(path, [(2.0, 0.6)], 0.5)
+    assert flying._visited(path[:1], [], 0.5)
+    assert flying._visited(path[:1], [(0.0, 0.4)], 0.5)
 
 
 # ---- the seed decides ------------------------------------------------------------------------------------------------
@@ -227,7 +270,7 @@ def test_where_the_world_lies_changes_nothing() -> None:
     """Later on a tie in the planner's grid may be broken by the last digit: half of the way shows it."""
     flight = flown("corner", {"max_steps": 25})
     moved = fly(turned(flight.scenario, Pose(-7.0, 3.0, 0.7)))
-    assert moved.mission.steps == 25
+    assert moved.mission.steps == 26
     np.testing.assert_allclose(moved.slam.trajectory.xyyaw, flight.slam.trajectory.xyyaw, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(moved.map_T_laser.xyyaw, flight.map_T_laser.xyyaw, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(moved.odom_T_base.xyyaw, flight.odom_T_base.xyyaw, rtol=0.0, atol=1e-9)

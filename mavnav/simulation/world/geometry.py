@@ -94,6 +94,8 @@ class World(Struct, frozen=True, eq=False):
 
     def _first(self, ranges: Array, x: Array, y: Array, dx: Array, dy: Array) -> tuple[Array, Array]:
         """Return the least range of each ray, (n,), and its angle to the normal of that wall."""
+        if not ranges.shape[1]:
+            return np.full(len(ranges), np.inf), np.full(len(ranges), np.nan)
         nearest = ranges.argmin(axis=1)
         ranges = np.take_along_axis(ranges, nearest[:, None], 1)
         with np.errstate(invalid="ignore"):  # inf * 0: a ray along an axis that meets nothing
@@ -117,10 +119,28 @@ class World(Struct, frozen=True, eq=False):
         return normals
 
     def clearance_m(self, xy_m: Array) -> Array:
-        """Return the distance of points (n, 2) to the nearest wall, (n,) in metres."""
+        """Return the distance of points (n, 2) to the nearest wall, (n,) in metres; inf where there is no wall."""
         x, y = xy_m[:, :1], xy_m[:, 1:]
-        nearest: Array = np.hstack((_to_segments(self.segments, x, y), _to_arcs(self.arcs, x, y))).min(axis=1)
+        walls_m = np.hstack((_to_segments(self.segments, x, y), _to_arcs(self.arcs, x, y)))
+        nearest: Array = walls_m.min(axis=1, initial=np.inf)
         return nearest
+
+    def least_clearance_m(self, from_xy_m: Array, to_xy_m: Array) -> float:
+        """Return the least distance of the straight way between two points (2,) to a wall, exact; 0 if they cross."""
+        way = to_xy_m - from_xy_m
+        length_m = np.hypot(*way)
+        met_m, _ = self.cast(from_xy_m, np.arctan2(way[1:], way[:1]))
+        if met_m[0] <= length_m:
+            return 0.0
+        # Else it is at an end of the way, at an end of a wall, or at the way's nearest point to the centre of an arc.
+        share = np.clip((self.arcs[:, :2] - from_xy_m) @ way / max(length_m**2, np.finfo(np.float64).tiny), 0.0, 1.0)
+        on_way = np.vstack((from_xy_m, to_xy_m, from_xy_m + share[:, None] * way))
+        cx, cy, radius, start, sweep = self.arcs.T
+        bearings = np.concatenate((start, start + sweep))
+        turned = np.tile((cx, cy), 2) + np.tile(radius, 2) * (np.cos(bearings), np.sin(bearings))
+        ends = np.vstack((self.segments.reshape(-1, 2), turned.T))
+        beside = _to_segments(np.array([[*from_xy_m, *to_xy_m]]), ends[:, :1], ends[:, 1:])
+        return float(min(self.clearance_m(on_way).min(), beside.min(initial=np.inf)))
 
     def seen_from(self, world_T_frame: Pose) -> World:
         """Return the walls in another frame."""

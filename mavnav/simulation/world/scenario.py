@@ -98,7 +98,10 @@ class VehicleConfig(Strict):
     noise_xy_mm: float = Field(20.0, ge=0, description="standard deviation of a step in x and in y")
     noise_yaw_deg: float = Field(5.0, ge=0, description="standard deviation of a step in azimuth")
     command_ms: float = Field(
-        100.0, gt=0, le=10_000, description="time that a command takes; a faster laser scans several times meanwhile"
+        100.0,
+        gt=0,
+        le=10_000,
+        description="time that a command takes, rounded to a whole number of scan periods, one at least",
     )
     laser_x_mm: float = Field(0.0, description="laser on the base, forward")
     laser_y_mm: float = Field(0.0, description="laser on the base, to the left")
@@ -124,9 +127,14 @@ class Scenario(Strict):
     ceiling_m: float | None = Field(None, gt=0, le=1000, description="height of the ceiling above the floor, or null")
     measured: tuple[Wall, ...] = Field((), description="walls as measured by hand, drawn over the map")
     start: Start = Field(description="pose of the vehicle's base at the start: x_m, y_m, yaw_deg")
-    goal_m: XY = Field(description="position to reach, [x, y]")
+    goal_m: XY = Field(description="position to reach with the laser, [x, y]")
     via_m: tuple[XY, ...] = Field((), description="positions to visit before the goal, in order, [[x, y], ...]")
-    goal_radius_mm: float = Field(250.0, gt=0, description="the goal is reached within this distance")
+    goal_radius_mm: float = Field(
+        250.0,
+        gt=0,
+        description="the vehicle stops when its estimated position is within this distance of the goal; reached if the "
+        "true one is within twice that, and the true path passed via_m within twice that",
+    )
     max_steps: int = Field(500, ge=1, le=100_000, description="commands after which the mission is given up")
     seed: int = Field(0, ge=0, le=2**63, description="seed of all random numbers")
     laser: LaserConfig = Field(LaserConfig(), description="sensor: its name, or a section")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Protocol, Self
 
 import numpy as np
@@ -28,6 +29,15 @@ def in_order(band: Band | None) -> Band | None:
         msg = f"has {band[0]:g} m at its bottom and {band[1]:g} m at its top; give the lower height first"
         raise ValueError(msg)
     return band
+
+
+def all_apart(points_m: tuple[XY, ...]) -> tuple[XY, ...]:
+    """Return points as they are; raise ValueError if one equals the one before: a wall without length."""
+    for a, b in pairwise(points_m):
+        if a == b:
+            msg = f"has [{a[0]:g}, {a[1]:g}] twice in succession, a wall without length; leave one out or move it"
+            raise ValueError(msg)
+    return points_m
 
 
 class Shape(Protocol):
@@ -81,6 +91,8 @@ class Polyline(Simple):
             msg = "needs two points at least"
             raise ValueError(msg)
         return points_m
+
+    _apart = field_validator("points_m")(all_apart)
 
     def segments(self) -> Array:
         """Return the walls from point to point, (n, 4)."""
@@ -139,6 +151,14 @@ class Arc(Simple):
     radius_m: Length = Field(description="radius")
     start_deg: float = Field(0.0, description="bearing of its first end from the centre, counter-clockwise from x")
     sweep_deg: float = Field(360.0, ge=-360.0, le=360.0, description="how far it goes on, counter-clockwise")
+
+    @field_validator("sweep_deg")
+    @classmethod
+    def _some_sweep(cls, sweep_deg: float) -> float:
+        if sweep_deg == 0.0:
+            msg = "makes a wall without length; give a sweep other than 0"
+            raise ValueError(msg)
+        return sweep_deg
 
     def segments(self) -> Array:
         """Return none, (0, 4)."""

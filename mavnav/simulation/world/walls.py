@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from mavnav.config.strict import Strict
 from mavnav.simulation.world.geometry import World
-from mavnav.simulation.world.shapes import XY, Arc, Band, Box, Circle, Length, Polyline, in_order
+from mavnav.simulation.world.shapes import XY, Arc, Band, Box, Circle, Length, Polyline, all_apart, in_order
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ class Opening(Strict):
     open_m: Band = Field(description="lower and upper edge of the opening above the floor; wall below and above it")
 
     _in_order = field_validator("open_m")(in_order)
+    _apart = field_validator("points_m")(all_apart)
 
     def parts(self) -> tuple[Shape, ...]:
         """Return the wall below, unless the opening begins at the floor, and the wall above."""

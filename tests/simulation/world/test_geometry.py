@@ -144,6 +144,26 @@ def test_clearance_equals_its_slow_twin() -> None:
     np.testing.assert_allclose(world.clearance_m(points), slow, atol=3e-3)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_least_clearance_of_a_way_equals_that_of_its_points(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    touched = 0
+    for _ in range(40):
+        world, a, b = scattered(int(rng.integers(1000)), 2, 2), *rng.uniform(-5, 5, (2, 2))
+        fine = world.clearance_m(a + np.linspace(0, 1, 2001)[:, None] * (b - a)).min()
+        least = world.least_clearance_m(a, b)
+        assert least == pytest.approx(fine, abs=np.hypot(*(b - a)) / 4000 + 1e-9)
+        assert least <= fine
+        touched += least == 0.0
+    assert 5 < touched < 35
+
+
+def test_least_clearance_of_a_way_without_length_or_walls() -> None:
+    a = np.array((1.0, 2.0))
+    assert World(np.empty((0, 4)), np.empty((0, 5))).least_clearance_m(a, -a) == np.inf
+    assert World(np.array([(0.0, 0.0, 0.0, 9.0)]), np.empty((0, 5))).least_clearance_m(a, a) == 1.0
+
+
 def test_no_ray_is_shorter_than_the_clearance() -> None:
     world = scattered(3)
     for xy in np.random.default_rng(2).uniform(-3, 3, (20, 2)):

@@ -192,6 +192,13 @@ def test_the_schema_is_json_and_its_references_hold() -> None:
     assert {"enum": list(LASERS)} in schema["properties"]["laser"]["anyOf"]
 
 
+def test_schema_and_page_say_when_a_goal_is_reached(repo_root: Path) -> None:
+    said = scenario_schema()["properties"]["goal_radius_mm"]["description"]
+    for text in (said, (repo_root / "docs" / "scenarios.md").read_text()):
+        assert "the vehicle stops when its estimated position is within this distance of the goal" in text
+        assert "reached if the true one is within twice that" in text
+
+
 # ---- errors ----------------------------------------------------------------------------------------------------------
 
 
@@ -213,6 +220,9 @@ def test_the_schema_is_json_and_its_references_hold() -> None:
         ("radius_m: 0.3}", "radius_m: 0.3}\n    box: {center_m: [3, 2], size_m: [1, 1]}", 4, "it must be one shape"),
         ("radius_m: 0.3", "radius_m: -0.3", 4, "walls.2.circle.radius_m is -0.3, it should be greater than 0; radius"),
         ("[[1, 3], [1.5, 3], [1.5, 3.5]]", "[[1, 3]]", 5, "walls.3.polyline.points_m is [[1, 3]], it needs two points"),
+        ("[[1, 3], [1.5, 3],", "[[1, 3], [1, 3.0],", 5, "it has [1, 3] twice in succession, a wall without length"),
+        ("circle: {", "arc: {sweep_deg: 0, ", 4, "arc.sweep_deg is 0, it makes a wall without length; give a sw"),
+        ("  - circle: {", "  - opening: {points_m: [[1, 2], [1, 2]], open_m: [0, 2]}\n  - circle: {", 4, "2] twice"),
         ("[[1, 3],", "[[1],", 5, "walls.3.polyline.points_m.0.1 is missing"),
         ("[[1, 3],", "[[1, 2e3],", 5, "walls.3.polyline.points_m.0.1 is 2000.0, it should be less"),
         ("start: ", "vehicle: {noise_xy_mm: -20}\nstart: ", 6, "vehicle.noise_xy_mm is -20, it should be greater than"),
@@ -246,6 +256,11 @@ def test_errors_name_the_line_and_what_to_do(tmp_path: Path, old: str, new: str,
     assert message in said
     assert "\n" not in said
     assert caught.value.exit_code == ExitCode.USAGE
+
+
+def test_a_closed_polyline_may_end_where_it_begins(tmp_path: Path) -> None:
+    path = written(tmp_path, GOOD.replace("[0, 4]]", "[0, 4], [0, 0]]"))
+    assert load_scenario(path).world.bounds_m == pytest.approx((0, 0, 6, 4))
 
 
 @pytest.mark.parametrize(
