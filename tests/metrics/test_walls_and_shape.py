@@ -59,6 +59,14 @@ def test_a_room_has_four_walls(angle_deg: float) -> None:
     np.testing.assert_allclose(middle, (1.0 + 150.5 * CELL_M, -2.0 + 150.5 * CELL_M), atol=0.05)
 
 
+@pytest.mark.parametrize("angle_deg", [0, 10, 30, 45, 77])
+@pytest.mark.parametrize("cell_m", [0.1, 0.15, 0.25])
+def test_a_hall_on_coarse_cells_has_four_walls(cell_m: float, angle_deg: float) -> None:
+    hits = (rectangle(angle_deg) == OCCUPIED).astype(np.int32)
+    walls = straight_walls(wall_sections(hits, cell_m, 1), cell_m, (1.0, -2.0))
+    assert [w.length_m / cell_m for w in walls] == pytest.approx([172, 172, 112, 112], abs=6)
+
+
 def test_a_thick_wall_is_told_from_thin_ones() -> None:
     cells = canvas()
     draw(cells, (30, 50), (270, 50), 2.0)
