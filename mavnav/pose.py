@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from math import atan2, cos, pi, sin
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -10,6 +11,10 @@ from msgspec import Struct
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+
+STEP_M, JITTER_RATIO = 0.05, 3.0
+"""Distance that jitter does not reach, and ratio of path to straight line from which a piece of that size is jitter."""
 
 
 def wrap_angle(yaw_rad: float) -> float:
@@ -158,6 +163,25 @@ class Trajectory(Struct, frozen=True):
     def length_m(self) -> float:
         """Length of the path."""
         return float(np.hypot(*np.diff(self.xyyaw[:, :2], axis=0).T).sum())
+
+    @property
+    def travelled_m(self) -> float:
+        """Length of the path without the jitter of a body at rest.
+
+        A piece ends where it is `STEP_M` from its start. If it is over `JITTER_RATIO` times as long as the straight
+        line between its ends, that line counts. The last piece stays within `STEP_M`: it counts up to a length of
+        `JITTER_RATIO` of these.
+        """
+        total_m = piece_m = 0.0
+        xy_m = (self.xyyaw[:, 0] + 1j * self.xyyaw[:, 1]).tolist()
+        start = xy_m[0] if xy_m else 0j
+        for before, here in pairwise(xy_m):
+            piece_m += abs(here - before)
+            line_m = abs(here - start)
+            if line_m >= STEP_M:
+                total_m += piece_m if piece_m <= JITTER_RATIO * line_m else line_m
+                start, piece_m = here, 0.0
+        return total_m + (piece_m if piece_m <= JITTER_RATIO * STEP_M else 0.0)
 
 
 class Rotation(Struct, frozen=True):

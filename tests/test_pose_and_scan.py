@@ -86,6 +86,21 @@ def test_length_and_shapes_of_a_trajectory() -> None:
         Trajectory(np.zeros(2, np.int64), np.zeros((3, 3)))
 
 
+def test_the_jitter_of_a_body_at_rest_is_no_distance_travelled() -> None:
+    def travelled_m(xy_m: np.ndarray) -> float:
+        return Trajectory(np.arange(len(xy_m)), np.column_stack((xy_m, np.zeros(len(xy_m))))).travelled_m
+
+    rest = np.random.default_rng(0).normal(0.0, 0.004, (1200, 2))
+    drive = np.linspace((0.0, 0.0), (3.0, 4.0), 251) + np.random.default_rng(1).normal(0.0, 0.001, (251, 2))
+    drive_m = np.hypot(*np.diff(drive, axis=0).T).sum()
+    assert travelled_m(rest) == 0.0
+    assert travelled_m(drive) == pytest.approx(drive_m)
+    there_and_back = np.vstack((rest, drive, rest + drive[-1], drive[::-1], rest))
+    assert travelled_m(there_and_back) == pytest.approx(2 * drive_m, rel=0.01)
+    assert travelled_m(drive[:3]) == pytest.approx(np.hypot(*np.diff(drive[:3], axis=0).T).sum())  # less than a step
+    assert (travelled_m(drive[:1]), travelled_m(drive[:0])) == (0.0, 0.0)
+
+
 def test_records_are_read_only() -> None:
     scan = Scan(0, np.ones(360), LDS_01)
     track = Trajectory.of([1], [Pose()])

@@ -112,10 +112,11 @@ def _trajectory_errors(
     estimate, true = matched(trajectory, truth)
     if len(estimate) < LEAST_POSES:
         return None, None
+    xy_m, true_xy_m = estimate.xyyaw[:, :2], true.xyyaw[:, :2]
     aligned = AlignedError(
         alignment="best rigid motion",
-        **asdict(absolute_error(estimate[:, :2], true[:, :2])),
+        **asdict(absolute_error(xy_m, true_xy_m)),
         share=len(estimate) / len(trajectory),
-        unaligned_rmse_m=absolute_error(estimate[:, :2], true[:, :2], aligned=False).rmse_m,
+        unaligned_rmse_m=absolute_error(xy_m, true_xy_m, aligned=False).rmse_m,
     )
     return aligned, relative_error(estimate, true)

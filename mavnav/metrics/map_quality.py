@@ -55,7 +55,7 @@ class MapQuality(Struct, frozen=True):
     revisits: Revisits | None
     support: Support
     occupied_share: Annotated[Measured, number("part of the known cells that is occupied")]
-    corners: Annotated[int, number("places where walls change their direction")]
+    corners: Annotated[int, number("places where walls change their direction; coarse maps merge near ones")]
     enclosed_areas: EnclosedAreas
     walls: tuple[Wall, ...]
 

@@ -17,12 +17,20 @@ from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN
 from mavnav.mapping.tiled_arrays import bands, count
 from mavnav.memory import blank
 from mavnav.metrics.fields import number
+from mavnav.metrics.support import widened
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 CORNER_RADIUS_M: Final = 0.15
 """Approximate radius of the window of the structure tensor, and minimum distance of two corners."""
+
+FINE_CELL_M, COARSE_RADIUS_CELLS = 0.02, 8.5
+"""Size up to which cells are fine, and the radius in maps of larger ones, whose walls are widened by a cell first.
+
+In a small window the steps of a slanted wall count as corners, and without widening a wall of one cell at 45 degrees is
+half as strong as one of two.
+"""
 
 CORNER_SHARE: Final = 0.35
 """Minimum strength of the edge across the strongest direction of a corner, as a share of that of walls."""
@@ -60,18 +68,21 @@ def corners(cells: NDArray[np.int8], cell_m: float) -> int:
     There the smaller eigenvalue of the structure tensor (Shi and Tomasi 1994) has a local maximum; its threshold is
     relative to the larger eigenvalue along the walls of the same map.
     """
-    radius = max(CORNER_RADIUS_M / cell_m, 2.0)
+    coarse = cell_m > FINE_CELL_M
+    radius = COARSE_RADIUS_CELLS if coarse else CORNER_RADIUS_M / cell_m
     occupied = np.pad(cells == OCCUPIED, int(2 * radius))
     if not occupied.any():
         return 0
     heights, peaks, walls = blank(occupied.shape, np.float32), np.zeros_like(occupied), []
-    reach = int(4.0 * SLOPE_CELLS + 0.5) + int(2.0 * radius + 0.5) + int(radius)
+    reach = int(4.0 * SLOPE_CELLS + 0.5) + int(2.0 * radius + 0.5) + int(radius) + coarse
     for around, inside, band in bands(occupied.shape, margin=reach):
-        weak, strong = edges(occupied[around].astype(np.float32), radius)
+        image = widened(occupied[around]) if coarse else occupied[around]
+        weak, strong = edges(image.astype(np.float32), radius)
+        walls.append(strong[inside][image[inside]])
+        del image, strong  # bands of large maps have wide margins
         peaks[band] = (weak == highest(weak, int(radius)))[inside]
         some = peaks[band] & (weak[inside] != 0.0)
         heights[band][some] = weak[inside][some]
-        walls.append(strong[inside][occupied[band]])
     least = CORNER_SHARE * float(np.median(np.concatenate(walls)))
     for _, _, band in bands(occupied.shape):
         peaks[band] &= heights[band] >= least

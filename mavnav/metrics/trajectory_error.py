@@ -8,16 +8,17 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.metrics.fields import Measured, number
-from mavnav.pose import Pose, transform_points
+from mavnav.pose import Pose, Trajectory, transform_points
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mavnav.pose import Trajectory
-
 MAX_GAP_NS: Final = 1_000_000_000
 """Longest gap in the truth over which it is interpolated."""
+
+GAP_PERIODS: Final = 2.5
+"""A gap between compared poses is longer than `MAX_GAP_NS` and than this many median steps; no stretch spans it."""
 
 DELTA_M: Final = 1.0
 """Length of the stretches of the estimated path for relative errors."""
@@ -36,12 +37,12 @@ class AbsoluteError(Struct, frozen=True):
 
 
 class RelativeError(Struct, frozen=True):
-    """Relative pose error (Sturm et al. 2012) over stretches of the estimated path; null without a stretch.
+    """Relative pose error (Sturm et al. 2012) over stretches of the estimated path without a gap; null without one.
 
     Translation and rotation are null as well if the truth has no headings.
     """
 
-    pairs: Annotated[int, number("stretches of the path that were compared")]
+    pairs: Annotated[int, number("stretches of the path, without a gap, that were compared")]
     delta_m: Annotated[float, number("length of a stretch")]
     translation_rmse_m: Annotated[Measured, number("root mean square error of the motion over a stretch")]
     rotation_rmse_deg: Annotated[Measured, number("root mean square error of the turn over a stretch")]
@@ -72,15 +73,16 @@ def absolute_error(
     return AbsoluteError(n, float(np.sqrt((error**2).mean())), float(np.median(error)), float(error.max()))
 
 
-def relative_error(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> RelativeError:
-    """Return the errors of motions over stretches of the path; poses (n, 3), m, m, rad, each in its own frame."""
-    first, last = _stretches(estimate[:, :2])
+def relative_error(estimate: Trajectory, truth: Trajectory) -> RelativeError:
+    """Return the errors of motions over stretches of the path; poses at the same times, each in its own frame."""
+    first, last = _stretches(estimate)
     if not len(first):
         return RelativeError(0, DELTA_M, np.nan, np.nan, np.nan)
-    moved, should = between(estimate[first], estimate[last]), between(truth[first], truth[last])
+    moved, should = (between(path.xyyaw[first], path.xyyaw[last]) for path in (estimate, truth))
     error = between(should, moved)
     apart = np.hypot(*moved[:, :2].T) - np.hypot(*should[:, :2].T)
-    turned = (truth[:, 2] - truth[0, 2] + np.pi) % (2.0 * np.pi) - np.pi
+    yaw_rad = truth.xyyaw[:, 2]
+    turned = (yaw_rad - yaw_rad[0] + np.pi) % (2.0 * np.pi) - np.pi
     headed = bool(np.ptp(turned) > NO_TURN_RAD)
     return RelativeError(
         pairs=len(first),
@@ -91,15 +93,16 @@ def relative_error(estimate: NDArray[np.float64], truth: NDArray[np.float64]) ->
     )
 
 
-def matched(estimate: Trajectory, truth: Trajectory) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the estimated poses and the true ones at the same times, (n, 3) each.
+def matched(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, Trajectory]:
+    """Return the estimated poses that have a truth, and the true ones at the same times.
 
     The truth is interpolated; estimates before it, after it and in its longer gaps are left out.
     """
     found = [(k, truth.at(int(stamp_ns), MAX_GAP_NS)) for k, stamp_ns in enumerate(estimate.stamps_ns)]
     rows = [k for k, pose in found if pose is not None]
-    true = np.array([pose.as_array() for _, pose in found if pose is not None], np.float64)
-    return estimate.xyyaw[rows], true.reshape(-1, 3)
+    stamps_ns = estimate.stamps_ns[rows]
+    true = Trajectory.of(stamps_ns.tolist(), [pose for _, pose in found if pose is not None])
+    return Trajectory(stamps_ns, estimate.xyyaw[rows]), true
 
 
 def position_errors(estimate: Trajectory, truth: Trajectory, *, aligned: bool) -> NDArray[np.float64]:
@@ -120,15 +123,24 @@ def between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float6
     return np.column_stack((c * dx + s * dy, c * dy - s * dx, (turn + np.pi) % (2.0 * np.pi) - np.pi))
 
 
-def _stretches(xy_m: NDArray[np.float64]) -> tuple[list[int], list[int]]:
-    """Return the first and last rows of stretches of a path (n, 2), each of `DELTA_M` or just above."""
-    ends, walked_m = [0], 0.0
-    for k, step_m in enumerate(np.hypot(*np.diff(xy_m, axis=0).T), start=1):
+def _stretches(path: Trajectory) -> tuple[list[int], list[int]]:
+    """Return the first and last rows of stretches of a path, each of `DELTA_M` or just above and without a gap."""
+    steps_ns = np.diff(path.stamps_ns)
+    longest_ns = max(MAX_GAP_NS, GAP_PERIODS * float(np.median(steps_ns))) if len(steps_ns) else MAX_GAP_NS
+    first: list[int] = []
+    last: list[int] = []
+    start, walked_m = 0, 0.0
+    steps_m = np.hypot(*np.diff(path.xyyaw[:, :2], axis=0).T)
+    for k, (step_m, step_ns) in enumerate(zip(steps_m, steps_ns, strict=True), start=1):
+        if step_ns > longest_ns:
+            start, walked_m = k, 0.0
+            continue
         walked_m += float(step_m)
         if walked_m >= DELTA_M:
-            ends.append(k)
-            walked_m = 0.0
-    return ends[:-1], ends[1:]
+            first.append(start)
+            last.append(k)
+            start, walked_m = k, 0.0
+    return first, last
 
 
 def _rms(values: NDArray[np.float64]) -> float:

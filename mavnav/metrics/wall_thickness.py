@@ -21,6 +21,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 RADIUS_M: Final = 0.3
+RADIUS_CELLS: Final = 5.75
+"""Minimum radius of a neighborhood: walls of up to three cells have `MIN_CELLS` and `MAX_RATIO` at any angle.
+
+No cell lies exactly on it. With cells of up to 50 mm, `RADIUS_M` is more.
+"""
+
 MIN_CELLS: Final = 6
 MIN_LENGTH_M: Final = 0.25
 MAX_RATIO: Final = 0.1
@@ -129,7 +135,7 @@ def _axis_cuts(hits: NDArray[Any], cell_m: float, min_hits: int, *, diagonal: bo
     of occupied cells of each cut, (n,) each.
     """
     runs = column_runs(hits, min_hits, MAX_GAP_CELLS)
-    cells, var_x, cov, var_y = _moments(hits, runs, min_hits, RADIUS_M / cell_m).T
+    cells, var_x, cov, var_y = _moments(hits, runs, min_hits, max(RADIUS_M / cell_m, RADIUS_CELLS)).T
     mean, half = (var_x + var_y) / 2.0, np.hypot((var_x - var_y) / 2.0, cov)
     wide, thin = mean + half, mean - half
     straight = (cells >= MIN_CELLS) & (np.sqrt(12.0 * wide) * cell_m >= MIN_LENGTH_M) & (thin <= MAX_RATIO * wide)

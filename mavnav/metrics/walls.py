@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 REACH_M: Final = 0.15
+REACH_CELLS: Final = 2.0
+"""Largest distance of two sections of one wall, the larger of the two: sections of large cells are farther apart."""
+
 ACROSS_CELLS: Final = 3.0
 TURN_RAD: Final = 10.0 * DEG
 LEAST_LENGTH_M: Final = 0.3
@@ -39,7 +42,8 @@ class Wall(Struct, frozen=True):
 def straight_walls(sections: Sections, cell_m: float, origin_xy_m: tuple[float, float]) -> tuple[Wall, ...]:
     """Group sections into straight walls of at least ``LEAST_LENGTH_M``, the longest first."""
     xy_m = section_places(sections, cell_m, origin_xy_m)
-    groups = linked(xy_m, sections.direction_rad, reach_m=REACH_M, across_m=ACROSS_CELLS * cell_m, turn_rad=TURN_RAD)
+    reach_m, across_m = max(REACH_M, REACH_CELLS * cell_m), ACROSS_CELLS * cell_m
+    groups = linked(xy_m, sections.direction_rad, reach_m=reach_m, across_m=across_m, turn_rad=TURN_RAD)
     order = np.argsort(groups, kind="stable")
     members = np.split(order, np.flatnonzero(np.diff(groups[order])) + 1) if len(order) else []
     pieces = [piece for group in members for piece in _straight_pieces(xy_m, sections.length_m, group, cell_m)]

@@ -203,7 +203,7 @@ def _tracking(run: Run) -> tracking.Tracking:
         ],
         tracked_share=slam.tracked_share,
         opinions=slam.tracks_compared,
-        path_length_m=slam.trajectory.length_m,
+        path_length_m=slam.trajectory.travelled_m,
         doubt=_doubt(slam.doubt, first_ns),
         frames={"trajectory.tum": ["map", run.log.frame_id]}
         | ({} if run.log.base_T_laser is None else {"trajectory_base.tum": ["map", base_frame(run)]}),

@@ -106,6 +106,29 @@ def test_a_simulated_run_as_evo_measures_it() -> None:
     assert {name: getattr(ours.rpe, name) for name in theirs} == pytest.approx(theirs, abs=1e-6)
 
 
+@pytest.mark.parametrize("side", ["truth", "estimate"])
+def test_no_stretch_of_relative_errors_spans_a_gap(side: str) -> None:
+    truth = along(TOUR, period_s=0.1)
+    estimate = drifting_odometry(truth)
+    whole = compared(References(truth=truth), estimate, np.zeros((0, 2))).rpe
+    elapsed_s = (truth.stamps_ns - truth.stamps_ns[0]) * 1e-9
+    kept = (elapsed_s < 0.2 * elapsed_s[-1]) | (elapsed_s > 0.8 * elapsed_s[-1])
+    ends = {
+        name: Trajectory(path.stamps_ns[kept], path.xyyaw[kept]) if name == side else path
+        for name, path in (("truth", truth), ("estimate", estimate))
+    }
+    found = compared(References(truth=ends["truth"]), ends["estimate"], np.zeros((0, 2))).rpe
+    assert 0.25 * whole.pairs < found.pairs < 0.5 * whole.pairs
+    assert found.translation_rmse_m < 1.2 * whole.translation_rmse_m
+    assert found.rotation_rmse_deg < 1.2 * whole.rotation_rmse_deg
+
+
+def test_a_sparse_path_has_relative_errors() -> None:
+    truth = along(TOUR, period_s=0.1)
+    sparse = Trajectory(truth.stamps_ns[::15].copy(), truth.xyyaw[::15].copy())
+    assert compared(References(truth=truth), sparse, np.zeros((0, 2))).rpe.pairs > 5
+
+
 @pytest.mark.real_logs
 @pytest.mark.filterwarnings("ignore")
 def test_a_real_run_as_evo_measures_it(real_logs) -> None:

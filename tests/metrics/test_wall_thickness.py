@@ -15,8 +15,9 @@ ANGLES = range(0, 91, 3)
 
 
 def naive(walls, hits, min_hits, cell_m=CELL_M):
+    radius_m = max(module.RADIUS_M, module.RADIUS_CELLS * cell_m)
     rows = walls.naive(
-        hits, cell_m, min_hits, radius_m=module.RADIUS_M, min_cells=module.MIN_CELLS, min_length_m=module.MIN_LENGTH_M,
+        hits, cell_m, min_hits, radius_m=radius_m, min_cells=module.MIN_CELLS, min_length_m=module.MIN_LENGTH_M,
         max_ratio=module.MAX_RATIO, max_gap=module.MAX_GAP_CELLS,
     )  # fmt: skip
     return np.array(rows, float).reshape(-1, 5)
@@ -43,7 +44,7 @@ DIAGONAL = np.zeros((4, 5), np.int32)
 DIAGONAL[[0, 1, 2, 3, 3, 3], [0, 2, 4, 1, 2, 3]] = 9, 2, 1, 1, 2, 9
 
 
-# Cells of 0.1 m: small maps have sections too; 0.1003, so that no cell lies exactly on the radius.
+# Cells of 0.1 m: small maps have sections too.
 @given(
     arrays(np.int32, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.sampled_from([0, 0, 0, 1, 2, 9]))
 )
@@ -62,6 +63,14 @@ def test_a_wall_of_one_cell_reads_exactly_one_at_every_angle(walls, angle_deg):
     assert t.max_mm == pytest.approx(20.0)
     assert t.length_m == pytest.approx(2.8, abs=0.1)
     assert t.share > 0.97
+
+
+@pytest.mark.parametrize("angle_deg", ANGLES)
+@pytest.mark.parametrize("cell_m", [0.08, 0.1, 0.15, 0.25])
+def test_a_wall_on_coarse_cells_is_measured_at_every_angle(walls, cell_m, angle_deg):
+    t = wall_thickness(walls.straight(angle_deg, 1), cell_m, 1)
+    assert (t.max_cells, t.median_cells) == (1.0, 1.0)
+    assert t.length_m == pytest.approx(140 * cell_m, rel=0.05)
 
 
 @pytest.mark.parametrize("cells", [2, 3, 5, 7])

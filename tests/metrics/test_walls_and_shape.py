@@ -59,6 +59,14 @@ def test_a_room_has_four_walls(angle_deg: float) -> None:
     np.testing.assert_allclose(middle, (1.0 + 150.5 * CELL_M, -2.0 + 150.5 * CELL_M), atol=0.05)
 
 
+@pytest.mark.parametrize("angle_deg", [0, 10, 30, 45, 77])
+@pytest.mark.parametrize("cell_m", [0.1, 0.15, 0.25])
+def test_a_hall_on_coarse_cells_has_four_walls(cell_m: float, angle_deg: float) -> None:
+    hits = (rectangle(angle_deg) == OCCUPIED).astype(np.int32)
+    walls = straight_walls(wall_sections(hits, cell_m, 1), cell_m, (1.0, -2.0))
+    assert [w.length_m / cell_m for w in walls] == pytest.approx([172, 172, 112, 112], abs=6)
+
+
 def test_a_thick_wall_is_told_from_thin_ones() -> None:
     cells = canvas()
     draw(cells, (30, 50), (270, 50), 2.0)
@@ -82,6 +90,25 @@ def test_a_room_has_four_corners_and_is_one_area(angle_deg: float) -> None:
     assert corners(cells, CELL_M) == 4
     areas = enclosed_areas(cells, CELL_M)
     assert (areas.count, areas.area_m2) == (1, pytest.approx(3.56 * 2.36, rel=0.03))
+
+
+def outline(angle_deg: float, cell_m: float) -> np.ndarray:
+    """Return a rectangle of 8 x 5 m, turned about the origin, its walls one cell thick."""
+    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    points = np.array([(0, 0), (8, 0), (8, 5), (0, 5)]) @ np.array([(c, s), (-s, c)]) + (0.013, 0.007)
+    low_m = points.min(axis=0) - 1
+    cells = canvas(int(12 / cell_m))
+    for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):
+        along_m = a + np.linspace(0, 1, int(40 / cell_m))[:, None] * (b - a)
+        col, row = ((along_m - low_m) / cell_m).astype(int).T
+        cells[row, col] = OCCUPIED
+    return cells
+
+
+@pytest.mark.parametrize("angle_deg", [0, 10, 20, 30, 45, 60, 80])
+@pytest.mark.parametrize("cell_m", [0.02, 0.021, 0.025, 0.03, 0.04, 0.05, 0.1])
+def test_a_room_on_coarse_cells_has_four_corners(cell_m: float, angle_deg: float) -> None:
+    assert corners(outline(angle_deg, cell_m), cell_m) == 4
 
 
 def test_a_wall_drawn_twice_has_more_corners_and_areas() -> None:
@@ -118,7 +145,11 @@ def test_a_map_measured_in_bands_is_the_map_measured_at_once(monkeypatch: pytest
 
     def measured() -> list[np.ndarray]:
         cells = occupancy(grid)
-        return [np.array(corners(cells, CELL_M)), near_walls(only_occupied(grid)), occupied_xy_m(grid)]
+        return [
+            *(np.array(corners(cells, m)) for m in (CELL_M, 0.05)),
+            near_walls(only_occupied(grid)),
+            occupied_xy_m(grid),
+        ]
 
     whole = measured()
     monkeypatch.setattr(tiled_arrays, "BAND_CELLS", 1)
