@@ -150,8 +150,11 @@ def test_a_real_run_as_evo_measures_it(real_logs) -> None:
 def test_a_truth_whose_heading_is_only_rounded_has_none(at: float, turn: float, headed: bool) -> None:
     truth = np.column_stack((path(4), at + turn * (np.arange(40) % 2)))
     truth[:, 2] = (truth[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
-    estimate = np.column_stack((truth[:, :2], np.linspace(0.0, 2.0, 40)))
-    found = relative_error(estimate, truth)
+    estimate, stamps_ns = (
+        np.column_stack((truth[:, :2], np.linspace(0.0, 2.0, 40))),
+        np.arange(40, dtype=np.int64) * 10**8,
+    )
+    found = relative_error(Trajectory(stamps_ns, estimate), Trajectory(stamps_ns, truth))
     assert np.isfinite([found.translation_rmse_m, found.rotation_rmse_deg]).all() == headed
     assert found.distance_rmse_m == pytest.approx(0.0, abs=1e-9)
 
