@@ -21,6 +21,14 @@ class Layer(Struct, frozen=True):
         origins = {k: o for k, o in below.origins.items() if not any(_inside(k, mine) for mine in self.values)}
         return Layer(kept | self.values, origins | self.origins)
 
+    def spelled_out(self, key: Key, within: str) -> Layer:
+        """Return the layer with the short form of a section, a word for it all, as that value within the section."""
+        if not isinstance(self.values.get(key), str):
+            return self
+        inner = (*key, within)
+        origins = {inner: self.origins[key]} if key in self.origins else {}
+        return Layer({(inner if k == key else k): value for k, value in self.values.items()}, self.origins | origins)
+
     def within(self, section: str) -> Layer:
         """Return the layer with all keys prefixed by a section."""
         return Layer(

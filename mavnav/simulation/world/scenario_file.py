@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from mavnav.simulation.world.shapes import XY, Shape
     from mavnav.simulation.world.walls import Wall
 
+LASER_BY_NAME = (("laser",), "preset")
+"""The section that may be written as a word, and the key that the word is."""
+
 STANDS_OUT_M = 0.5
 """How far other walls may stand out of the world's outline: a column in a wall, a porch."""
 
@@ -51,7 +54,7 @@ def load_scenario(
     """
     path = scenario_path(file)
     given = read_yaml(path, f"the YAML file of a scenario, or a shipped one: {', '.join(scenarios())}")
-    layer = overlaid(file_layer(config).within("slam").over(given), sets, overrides or {})
+    layer = overlaid(file_layer(config).within("slam").over(given), sets, overrides or {}, LASER_BY_NAME)
     layer = layer.over(method_layer(layer.values.get(("slam", "method"))).within("slam"))
     layer = layer.over(Layer({("name",): path.stem}))
     scenario = validated(Scenario, layer, str(path))

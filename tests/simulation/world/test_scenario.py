@@ -171,6 +171,23 @@ def test_a_laser_by_name_and_with_changes() -> None:
     assert LaserConfig(field_of_view_deg=360, step_deg=1).spec.beams == 360
 
 
+@pytest.mark.parametrize(
+    "sets",
+    [
+        ["laser.noise_percent=3"],
+        ["laser=ust-10lx", "laser.noise_percent=3"],
+        ["laser.noise_percent=3", "laser=ust-10lx"],
+    ],
+)
+def test_a_laser_by_name_is_kept_under_changes(tmp_path: Path, sets: list[str]) -> None:
+    laser = load_scenario(written(tmp_path, GOOD + "laser: utm-30lx\n"), sets).laser
+    assert (laser.preset, laser.noise_percent) == ("utm-30lx" if len(sets) == 1 else "ust-10lx", 3)
+    with pytest.raises(ConfigError, match=r"mission.yaml:8: laser.preset is 'urg'"):
+        load_scenario(written(tmp_path, GOOD + "laser: urg\n"), ["laser.noise_percent=3"])
+    with pytest.raises(ConfigError, match=r"^--set laser=urg: laser.preset is 'urg'"):
+        load_scenario(written(tmp_path, GOOD + "laser: {preset: utm-30lx}\n"), ["laser=urg"])
+
+
 def minimal(**more: object) -> dict[str, object]:
     walls = [{"arc": {"center_m": [0, 0], "radius_m": 3}}]
     return {"walls": walls, "start": {"x_m": 0, "y_m": 0}, "goal_m": [1, 0], **more}
