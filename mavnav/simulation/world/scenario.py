@@ -172,6 +172,11 @@ class Scenario(Strict):
         """Whether the measured attitude is used."""
         return self.flight is not None and self.slam.attitude != "off"
 
+    @property
+    def uses_odometry(self) -> bool:
+        """Whether commands predict the poses of scans; those of the paper's method always (its Figure 1)."""
+        return self.slam.method == "paper" or self.slam.odom != "off"
+
     @cached_property
     def measured_walls(self) -> World | None:
         """The walls as measured by hand, None where that is not given."""

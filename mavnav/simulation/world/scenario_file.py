@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from mavnav.config.layers import Key, Layer
 from mavnav.config.loading import file_layer, method_layer, origin, overlaid, presets_folder, scenarios, validated
+from mavnav.config.models import OdometryConfig
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import ConfigError
 from mavnav.simulation.world.laser import LASERS
@@ -18,6 +20,7 @@ from mavnav.units import MM
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
+    from mavnav.config.models import Config
     from mavnav.simulation.world.shapes import XY, Shape
     from mavnav.simulation.world.walls import Wall
 
@@ -87,6 +90,7 @@ def _problems(scenario: Scenario) -> Iterator[tuple[Key, str]]:
     """Check the geometry: return each wrong key, and what is wrong with it."""
     if scenario.laser.spec.range_min_m >= scenario.laser.spec.range_max_m:
         yield ("laser",), "has a least range that is not below its greatest; raise range_max_mm or lower range_min_mm"
+    yield from _slam_problems(scenario.slam)
     yield from _height_problems(scenario)
     places: dict[Key, XY] = {("start",): (scenario.start.x_m, scenario.start.y_m), ("goal_m",): scenario.goal_m}
     places |= {("via_m", str(k)): xy_m for k, xy_m in enumerate(scenario.via_m)}
@@ -96,11 +100,22 @@ def _problems(scenario: Scenario) -> Iterator[tuple[Key, str]]:
             yield key, f"[{xy_m[0]:g}, {xy_m[1]:g}] {problem}"
 
 
+def _slam_problems(slam: Config) -> Iterator[tuple[Key, str]]:
+    """Check the settings of a replay that choose or correct the inputs of a log."""
+    if slam.attitude not in ("auto", "off"):
+        yield ("slam", "attitude"), f"is {slam.attitude!r}, a mission has one sensor; write auto or off"
+    if slam.odom not in ("auto", "off"):
+        yield ("slam", "odom"), f"is {slam.odom!r}, the odometry of a mission is its commands; write auto or off"
+    for name, value in asdict(slam.odometry).items():
+        if value != getattr(OdometryConfig(), name):
+            yield ("slam", "odometry", name), f"is {value:g}, commands need no correction; leave it out"
+    if slam.upside_down:
+        yield ("slam", "upside_down"), "is true, the laser of a mission is upright; leave it out"
+
+
 def _height_problems(scenario: Scenario) -> Iterator[tuple[Key, str]]:
     """Check the heights: those of walls need a vehicle with one, which must fit between floor and ceiling."""
     flight, ceiling_m = scenario.flight, scenario.ceiling_m
-    if scenario.slam.attitude not in ("auto", "off"):
-        yield ("slam", "attitude"), f"is {scenario.slam.attitude!r}, a mission has one sensor; write auto or off"
     if flight is None:
         for number, wall in enumerate(scenario.walls):
             if wall.has_heights:
