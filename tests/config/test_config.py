@@ -100,6 +100,14 @@ def test_words_of_yaml_1_1_stay_words(tmp_path: Path) -> None:
     assert config.robust.cell_mm == 20.0
 
 
+def test_an_empty_section_replaces_nothing(tmp_path: Path) -> None:
+    text = "method: paper\npaper: {}\nrobust: {}\n"
+    assert load_config(write(tmp_path, text)) == load_config(None, ["method=paper"])
+    assert load_config(write(tmp_path, text), ["paper.cell_mm=33", "paper={}"]).paper.cell_mm == 33
+    with pytest.raises(ConfigError, match="unknown key rubost"):
+        load_config(write(tmp_path, "rubost: {}\n"))
+
+
 def test_grid_takes_text_and_mapping(tmp_path: Path) -> None:
     assert load_config(write(tmp_path, "grid: {nx: 3, ny: 4}")).grid == GridSize(nx=3, ny=4)
     assert load_config(None, ["grid=3x4"]).grid == load_config(write(tmp_path, "grid: 3X4")).grid

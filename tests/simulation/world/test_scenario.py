@@ -188,6 +188,15 @@ def test_a_laser_by_name_is_kept_under_changes(tmp_path: Path, sets: list[str]) 
         load_scenario(written(tmp_path, GOOD + "laser: {preset: utm-30lx}\n"), ["laser=urg"])
 
 
+@pytest.mark.parametrize("sets", [[], ["flight.slice_mm=300"], ["flight={}"]])
+def test_an_empty_section_of_flight_flies(tmp_path: Path, sets: list[str]) -> None:
+    flight = load_scenario(written(tmp_path, GOOD + "flight: {}\n"), sets).flight
+    assert flight is not None
+    assert (flight.height_m, flight.slice_mm) == (1.2, 300 if "flight.slice_mm=300" in sets else 400)
+    assert load_scenario(written(tmp_path, GOOD), ["flight={}"]).flight is not None
+    assert load_scenario(written(tmp_path, GOOD + "flight: {height_m: 1}\n"), ["flight={}"]).flight.height_m == 1
+
+
 def minimal(**more: object) -> dict[str, object]:
     walls = [{"arc": {"center_m": [0, 0], "radius_m": 3}}]
     return {"walls": walls, "start": {"x_m": 0, "y_m": 0}, "goal_m": [1, 0], **more}
