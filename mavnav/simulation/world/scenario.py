@@ -95,13 +95,13 @@ class VehicleConfig(Strict):
     """The vehicle: its size, the mounting of its laser, and the noise of its commands."""
 
     radius_mm: float = Field(150.0, gt=0, description="closer to a wall is a collision")
-    noise_xy_mm: float = Field(20.0, ge=0, description="standard deviation of a step in x and in y")
-    noise_yaw_deg: float = Field(5.0, ge=0, description="standard deviation of a step in azimuth")
+    noise_xy_mm: float = Field(20.0, ge=0, le=10_000, description="standard deviation of a step in x and in y")
+    noise_yaw_deg: float = Field(5.0, ge=0, le=180, description="standard deviation of a step in azimuth")
     command_ms: float = Field(
         100.0, gt=0, le=10_000, description="time that a command takes; a faster laser scans several times meanwhile"
     )
-    laser_x_mm: float = Field(0.0, description="laser on the base, forward")
-    laser_y_mm: float = Field(0.0, description="laser on the base, to the left")
+    laser_x_mm: float = Field(0.0, ge=-10_000, le=10_000, description="laser on the base, forward")
+    laser_y_mm: float = Field(0.0, ge=-10_000, le=10_000, description="laser on the base, to the left")
     laser_yaw_deg: float = Field(0.0, description="laser on the base, counter-clockwise")
 
 

@@ -307,6 +307,15 @@ def test_errors_of_options_name_the_option(tmp_path: Path) -> None:
         load_scenario("korner.yaml")
 
 
+@pytest.mark.parametrize("key", ["noise_xy_mm", "noise_yaw_deg", "laser_x_mm", "laser_y_mm"])
+def test_the_vehicle_s_numbers_have_bounds(tmp_path: Path, key: str) -> None:
+    path = written(tmp_path, GOOD)
+    with pytest.raises(ConfigError, match=rf"vehicle.{key} is .*, it should be less than or equal to"):
+        load_scenario(path, [f"vehicle.{key}=1e8"])
+    with pytest.raises(ConfigError, match=rf"vehicle.{key} is .*, it should be greater than or equal to"):
+        load_scenario(path, [f"vehicle.{key}=-1e8"])
+
+
 def test_places_are_checked_at_flight_height(tmp_path: Path) -> None:
     text = GOOD.replace("radius_m: 0.3", "radius_m: 0.3, height_m: [0, 0.8]") + "flight: {height_m: 1.2}\n"
     above = load_scenario(written(tmp_path, text.replace("goal_m: [5, 3]", "goal_m: [5.1, 1]")))
