@@ -122,7 +122,9 @@ class Scenario(Strict):
         description="shapes: polyline, box, circle, arc, table or opening", json_schema_extra={"minItems": 1}
     )
     ceiling_m: float | None = Field(None, gt=0, le=1000, description="height of the ceiling above the floor, or null")
-    measured: tuple[Wall, ...] = Field((), description="walls as measured by hand, drawn over the map")
+    measured: tuple[Wall, ...] = Field(
+        (), description="walls as measured by hand, drawn on true_map.png besides the true ones"
+    )
     start: Start = Field(description="pose of the vehicle's base at the start: x_m, y_m, yaw_deg")
     goal_m: XY = Field(description="position to reach, [x, y]")
     via_m: tuple[XY, ...] = Field((), description="positions to visit before the goal, in order, [[x, y], ...]")
