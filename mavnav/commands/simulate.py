@@ -191,13 +191,28 @@ def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> N
         from mavnav.outputs.document import MAP_PICTURE, OTHER_PICTURE
 
         picture = directory / MAP_PICTURE if MAP_PICTURE in document["outputs"] else OTHER_PICTURE
-        note(f"mavnav: error: the mission failed: {document['mission']['reason']}; look at {picture}")
+        note(f"mavnav: error: {_failure(document)}; look at {picture}")
+
+
+def _failure(document: dict[str, Any]) -> str:
+    mission, lost = document["mission"], document["exit_code"] == ExitCode.TRACKING_LOST
+    if mission["reached"]:
+        return "tracking was lost for good, although the goal was reached"
+    also = ", and tracking was lost for good" if lost and mission["reason"] != "tracking lost" else ""
+    return f"the mission failed: {mission['reason']}{also}"
+
+
+def _outcome(document: dict[str, Any]) -> str:
+    mission, lost = document["mission"], document["exit_code"] == ExitCode.TRACKING_LOST
+    if mission["reached"]:
+        return "goal reached, but tracking was lost for good" if lost else "goal reached"
+    return str(mission["reason"])
 
 
 def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]:
     mission, truth, timing = document["mission"], document["truth"], document["timing"]
     rows = [
-        ("mission", "goal reached" if mission["reached"] else mission["reason"]),
+        ("mission", _outcome(document)),
         (
             "scans",
             f"{mission['steps']}, {100 * document['scans']['accepted'] / mission['steps']:.0f} % of them accepted",

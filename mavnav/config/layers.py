@@ -16,10 +16,22 @@ class Layer(Struct, frozen=True):
     origins: dict[Key, str] = field(default_factory=dict)
 
     def over(self, below: Layer) -> Layer:
-        """Merge this layer over another one; a value replaces those of its own key, and of its sub- and super-keys."""
-        kept = {k: v for k, v in below.values.items() if not any(_related(k, mine) for mine in self.values)}
-        origins = {k: o for k, o in below.origins.items() if not any(_inside(k, mine) for mine in self.values)}
-        return Layer(kept | self.values, origins | self.origins)
+        """Merge this layer over another one; a value replaces those of its own key, and of its sub- and super-keys.
+
+        An empty section replaces nothing that lies within it.
+        """
+        values = {k: v for k, v in self.values.items() if v != {} or not any(_inside(b, k) for b in below.values)}
+        kept = {k: v for k, v in below.values.items() if not any(_related(k, mine) for mine in values)}
+        origins = {k: o for k, o in below.origins.items() if not any(_inside(k, mine) for mine in values)}
+        return Layer(kept | values, origins | self.origins)
+
+    def spelled_out(self, key: Key, within: str) -> Layer:
+        """Return the layer with the short form of a section, a word for it all, as that value within the section."""
+        if not isinstance(self.values.get(key), str):
+            return self
+        inner = (*key, within)
+        origins = {inner: self.origins[key]} if key in self.origins else {}
+        return Layer({(inner if k == key else k): value for k, value in self.values.items()}, self.origins | origins)
 
     def within(self, section: str) -> Layer:
         """Return the layer with all keys prefixed by a section."""

@@ -9,7 +9,7 @@ import difflib
 import re
 from dataclasses import fields as fields_of
 from dataclasses import is_dataclass
-from functools import cache
+from functools import cache, reduce
 from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_type_hints
@@ -131,11 +131,17 @@ def load_config(
     return validated(Config, top.over(method_layer(top.values.get(("method",)))))
 
 
-def overlaid(layer: Layer, sets: Iterable[str], overrides: Mapping[str, object]) -> Layer:
-    """Merge ``--set`` and then the command line options over a layer."""
-    for above in (*map(_set_layer, sets), _option_layer(overrides)):
-        layer = above.over(layer)
-    return layer
+def overlaid(
+    layer: Layer, sets: Iterable[str], overrides: Mapping[str, object], short: tuple[Key, str] | None = None
+) -> Layer:
+    """Merge ``--set`` and then the command line options over a layer.
+
+    ``short`` is a section that has a short form, and the key within it that the short form gives.
+    """
+    layers = [layer, *map(_set_layer, sets), _option_layer(overrides)]
+    if short:
+        layers = [each.spelled_out(*short) for each in layers]
+    return reduce(lambda below, above: above.over(below), layers)
 
 
 def method_layer(method: object) -> Layer:

@@ -66,6 +66,10 @@ class GridSize:
         return self.nx * self.ny
 
 
+_SIDE: Final = "0*([2-9]|[1-9][0-9]|1[0-9][0-9]|200)"
+"""Pattern of the points along a side of a search grid, in its text."""
+
+
 class _AsText:
     """The mark of a search grid that is read as text too, and written as text."""
 
@@ -80,7 +84,9 @@ class _AsText:
         }
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> Any:  # noqa: ANN401  pydantic's types
-        return {"type": "string"} if handler.mode == "serialization" else handler(schema)
+        if handler.mode == "serialization":
+            return {"type": "string"}
+        return {"anyOf": [handler(schema), {"type": "string", "pattern": f"^{_SIDE}[xX]{_SIDE}$"}]}
 
 
 MOST_YAW_SAMPLES: Final = 40

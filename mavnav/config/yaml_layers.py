@@ -99,7 +99,7 @@ def _line(mark: Any) -> int:  # noqa: ANN401  yaml has two types of marks
 
 
 def _collect(node: yaml.MappingNode, key: Key, name: str, layer: Layer) -> None:
-    """Add the values of a mapping and their lines to ``layer``, recursively."""
+    """Add the values of a mapping and their lines to ``layer``, recursively; an empty mapping is a value."""
     for key_node, value_node in node.value:
         line = _line(key_node.start_mark)
         if not isinstance(key_node, yaml.ScalarNode):
@@ -108,8 +108,10 @@ def _collect(node: yaml.MappingNode, key: Key, name: str, layer: Layer) -> None:
         if child in layer.origins:
             raise ConfigError(f"{name}:{line}: {'.'.join(child)} is given twice; keep one of them")
         layer.origins[child] = f"{name}:{line}"
-        if isinstance(value_node, yaml.MappingNode):
+        if isinstance(value_node, yaml.MappingNode) and value_node.value:
             _collect(value_node, child, name, layer)
+        elif isinstance(value_node, yaml.MappingNode):
+            layer.values[child] = {}
         else:
             layer.values[child] = _value(value_node, child, name, layer)
 

@@ -219,9 +219,11 @@ class TruthErrors(Struct, frozen=True):
     map_yaw_error_rad: Annotated[float, number("rotation of the whole map, which the first headings leave")] = field(
         default_factory=absent
     )
-    wall_distance_m: Annotated[Measured, number("distance to the walls on the map")] = field(default_factory=absent)
-    true_wall_distance_m: Annotated[Measured, number("distance to the true walls")] = field(default_factory=absent)
-    wall_distance_error_share: Annotated[Measured, number("relative error of the distance to the walls")] = field(
+    wall_distance_m: Annotated[
+        Measured, number("distance to the walls on the map, along the beam with the median relative error")
+    ] = field(default_factory=absent)
+    true_wall_distance_m: Annotated[Measured, number("true distance along that beam")] = field(default_factory=absent)
+    wall_distance_error_share: Annotated[Measured, number("relative error of the distance along that beam")] = field(
         default_factory=absent
     )
 

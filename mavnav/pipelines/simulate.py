@@ -122,8 +122,8 @@ def simulate_mission(request: SimulationRequest, progress: Progress, compile_s: 
 
 
 def _opened(path: Path, scenario: Scenario) -> Log:
-    """Open the recording of a mission; its scans are levelled as they were in flight."""
-    log = open_log(path, attitude=scenario.slam.attitude)
+    """Open the recording of a mission, with the odometry that was used; scans are levelled as they were in flight."""
+    log = open_log(path, odom="auto" if scenario.uses_odometry else "off", attitude=scenario.slam.attitude)
     if log.attitude is None:
         return log
     return replace(log, attitude=replace(log.attitude, ceiling_m=scenario.ceiling_m or inf), _kept=[])

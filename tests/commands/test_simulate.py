@@ -250,6 +250,20 @@ def test_a_lost_mission_is_told(mavnav: Callable, tmp_path: Path) -> None:
     assert "the mission failed: tracking lost" in err
 
 
+def test_tracking_lost_on_the_way_outweighs_the_goal(
+    mavnav: Callable, scenario: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from mavnav.slam.result import SlamResult
+
+    monkeypatch.setattr(SlamResult, "lost_for_good", property(lambda _: True))
+    code, out, err = mavnav("simulate", scenario, "-o", tmp_path / "r", "-q")
+    document = json.loads((tmp_path / "r" / "run.json").read_text())
+    assert (document["mission"]["reached"], document["tracking"]["lost"]) == (True, True)
+    assert code == document["exit_code"] == ExitCode.TRACKING_LOST
+    assert re.search(r"^mission +goal reached, but tracking was lost for good$", out, re.MULTILINE)
+    assert err.startswith("mavnav: error: tracking was lost for good, although the goal was reached; look at ")
+
+
 def test_the_summary(mavnav: Callable, scenario: Path, tmp_path: Path) -> None:
     code, out, err = mavnav("simulate", scenario, "-o", tmp_path / "r", "-q")
     assert (code, err) == (0, "")

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavnav.config.loading import fields, load_config, method_layer, presets, to_yaml, validated
+from mavnav.config.loading import fields, load_config, method_layer, presets, schema_of, to_yaml, validated
 from mavnav.config.models import Config, GridSize, PaperConfig
 from mavnav.errors import ConfigError
+from mavnav.simulation.world import scenario_schema
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -98,6 +100,29 @@ def test_words_of_yaml_1_1_stay_words(tmp_path: Path) -> None:
     config = load_config(write(tmp_path, "odom: off\nrobust: {cell_mm: 2e1}\n"))
     assert config.odom == "off"
     assert config.robust.cell_mm == 20.0
+
+
+def test_the_schema_takes_the_grids_that_are_read() -> None:
+    schemas = (schema_of(Config)["properties"]["grid"], scenario_schema()["$defs"]["Config"]["properties"]["grid"])
+    for schema in schemas:
+        mapping, text = schema["anyOf"]
+        assert mapping == {"$ref": "#/$defs/GridSize"}
+        assert text["type"] == "string"
+        for grid in ("2x2", "10x10", "3X4", "199x200", "007x12"):
+            assert GridSize.parse(grid)
+            assert re.search(text["pattern"], grid)
+        for grid in ("5", "5x", "1x5", "5x201", "5x5x5", "x5", "-5x5", "5x300"):
+            with pytest.raises(ConfigError):
+                GridSize.parse(grid)
+            assert not re.search(text["pattern"], grid)
+
+
+def test_an_empty_section_replaces_nothing(tmp_path: Path) -> None:
+    text = "method: paper\npaper: {}\nrobust: {}\n"
+    assert load_config(write(tmp_path, text)) == load_config(None, ["method=paper"])
+    assert load_config(write(tmp_path, text), ["paper.cell_mm=33", "paper={}"]).paper.cell_mm == 33
+    with pytest.raises(ConfigError, match="unknown key rubost"):
+        load_config(write(tmp_path, "rubost: {}\n"))
 
 
 def test_grid_takes_text_and_mapping(tmp_path: Path) -> None:

@@ -34,6 +34,15 @@ def test_the_headline_of_a_run_says_that_its_track_is_probably_wrong():
     assert unreliable.endswith("2 % mapped; the track is probably wrong (probability 0.81): not planar.")
 
 
+def test_the_headline_of_a_mission_says_that_it_failed():
+    flown = entry()
+    plain = headline([flown])
+    flown.document["mission"] = {"reached": False, "reason": "stuck"}
+    assert headline([flown]) == f"The mission failed: stuck. {plain}"
+    flown.document["mission"] = {"reached": True, "reason": "goal"}
+    assert headline([flown]) == plain
+
+
 def test_a_track_is_probably_wrong_above_the_probability_that_gives_a_warning():
     assert "wrong" not in headline([entry(doubt=HIGH)])
     assert "wrong" in headline([entry(doubt=HIGH + 0.01)])

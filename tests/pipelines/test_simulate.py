@@ -202,3 +202,17 @@ def test_two_poses_measure_nothing() -> None:
     flight = flown()
     few = Trajectory(flight.map_T_laser.stamps_ns[:2].copy(), flight.map_T_laser.xyyaw[:2].copy())
     assert truth_errors(estimated(flight, few)) == TruthErrors(2)
+
+
+def test_the_document_names_the_odometry_that_was_used(tmp_path: Path, repo_root: Path) -> None:
+    def used(name: str, **slam: Any) -> tuple[str, Any]:
+        settings = {"max_steps": 4} | {f"slam.{key}": value for key, value in slam.items()}
+        asked = request(tmp_path / name, settings=settings, outputs=("trajectory",))
+        asked = replace(asked, path=repo_root / "configs" / "corner.yaml")
+        _, document = simulate_mission(asked, lambda *_: None, 0.0)
+        return document["config"]["odom"], document["input"]["odometry"]
+
+    odometry = {"topic": "/odom", "source": "odom"}
+    assert used("with") == ("auto", odometry)
+    assert used("without", odom="off") == ("off", None)
+    assert used("paper", method="paper") == ("off", odometry)

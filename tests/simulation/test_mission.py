@@ -356,3 +356,17 @@ def test_sweeps_are_straightened() -> None:
 
 def test_a_resting_scan_has_no_time_between_its_beams() -> None:
     assert {scan.spec.time_increment_s for scan in flown("corner").scans} == {0.0}
+
+
+def test_a_mission_without_odometry_is_predicted_from_its_velocity(monkeypatch: pytest.MonkeyPatch) -> None:
+    predicting: list[object] = []
+    motion = flying.Motion
+
+    def noted(period_s: float, odometry: object, *more: Any) -> object:
+        predicting.append(odometry)
+        return motion(period_s, odometry, *more)
+
+    monkeypatch.setattr(flying, "Motion", noted)
+    for settings in ({}, {"slam.odom": "off"}, {"slam.odom": "off", "slam.method": "paper"}):
+        fly(load_scenario("corner", (), {"max_steps": 3, **settings}))
+    assert [odometry is None for odometry in predicting] == [False, True, False]

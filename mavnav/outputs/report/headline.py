@@ -35,7 +35,7 @@ def headline(entries: Sequence[Entry]) -> str:
     if not entries:
         return "No run gave a map: each failed, for the reason below."
     if len(entries) == 1:
-        return _of_one(entries[0])
+        return _mission(entries[0]) + _of_one(entries[0])
     sound = [e for e in entries if not why_not_meaningful(e.document)]
     if not sound:
         return f"None of the {len(entries)} maps is worth comparing; the table says why."
@@ -67,6 +67,12 @@ def _wrong(found: Sequence[Entry]) -> str:
 
 def _runs(count: int) -> str:
     return "1 run is" if count == 1 else f"{count} runs are"
+
+
+def _mission(entry: Entry) -> str:
+    """Return the sentence on a mission that failed; empty for others, and for replays."""
+    mission = entry.document.get("mission")
+    return f"The mission failed: {mission['reason']}. " if mission and not mission["reached"] else ""
 
 
 def _of_one(entry: Entry) -> str:

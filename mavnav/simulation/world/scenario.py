@@ -95,16 +95,16 @@ class VehicleConfig(Strict):
     """The vehicle: its size, the mounting of its laser, and the noise of its commands."""
 
     radius_mm: float = Field(150.0, gt=0, description="closer to a wall is a collision")
-    noise_xy_mm: float = Field(20.0, ge=0, description="standard deviation of a step in x and in y")
-    noise_yaw_deg: float = Field(5.0, ge=0, description="standard deviation of a step in azimuth")
+    noise_xy_mm: float = Field(20.0, ge=0, le=10_000, description="standard deviation of a step in x and in y")
+    noise_yaw_deg: float = Field(5.0, ge=0, le=180, description="standard deviation of a step in azimuth")
     command_ms: float = Field(
         100.0,
         gt=0,
         le=10_000,
         description="time that a command takes, rounded to a whole number of scan periods, one at least",
     )
-    laser_x_mm: float = Field(0.0, description="laser on the base, forward")
-    laser_y_mm: float = Field(0.0, description="laser on the base, to the left")
+    laser_x_mm: float = Field(0.0, ge=-10_000, le=10_000, description="laser on the base, forward")
+    laser_y_mm: float = Field(0.0, ge=-10_000, le=10_000, description="laser on the base, to the left")
     laser_yaw_deg: float = Field(0.0, description="laser on the base, counter-clockwise")
 
 
@@ -125,7 +125,9 @@ class Scenario(Strict):
         description="shapes: polyline, box, circle, arc, table or opening", json_schema_extra={"minItems": 1}
     )
     ceiling_m: float | None = Field(None, gt=0, le=1000, description="height of the ceiling above the floor, or null")
-    measured: tuple[Wall, ...] = Field((), description="walls as measured by hand, drawn over the map")
+    measured: tuple[Wall, ...] = Field(
+        (), description="walls as measured by hand, drawn on true_map.png besides the true ones"
+    )
     start: Start = Field(description="pose of the vehicle's base at the start: x_m, y_m, yaw_deg")
     goal_m: XY = Field(description="position to reach with the laser, [x, y]")
     via_m: tuple[XY, ...] = Field((), description="positions to visit before the goal, in order, [[x, y], ...]")
@@ -179,6 +181,11 @@ class Scenario(Strict):
     def levels_scans(self) -> bool:
         """Whether the measured attitude is used."""
         return self.flight is not None and self.slam.attitude != "off"
+
+    @property
+    def uses_odometry(self) -> bool:
+        """Whether commands predict the poses of scans; those of the paper's method always (its Figure 1)."""
+        return self.slam.method == "paper" or self.slam.odom != "off"
 
     @cached_property
     def measured_walls(self) -> World | None:

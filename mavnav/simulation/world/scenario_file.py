@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from mavnav.config.layers import Key, Layer
 from mavnav.config.loading import file_layer, method_layer, origin, overlaid, presets_folder, scenarios, validated
+from mavnav.config.models import OdometryConfig
 from mavnav.config.yaml_layers import read_yaml
 from mavnav.errors import ConfigError
 from mavnav.simulation.world.laser import LASERS
@@ -18,8 +20,12 @@ from mavnav.units import MM
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
+    from mavnav.config.models import Config
     from mavnav.simulation.world.shapes import XY, Shape
     from mavnav.simulation.world.walls import Wall
+
+LASER_BY_NAME = (("laser",), "preset")
+"""The section that may be written as a word, and the key that the word is."""
 
 STANDS_OUT_M = 0.5
 """How far other walls may stand out of the world's outline: a column in a wall, a porch."""
@@ -51,7 +57,7 @@ def load_scenario(
     """
     path = scenario_path(file)
     given = read_yaml(path, f"the YAML file of a scenario, or a shipped one: {', '.join(scenarios())}")
-    layer = overlaid(file_layer(config).within("slam").over(given), sets, overrides or {})
+    layer = overlaid(file_layer(config).within("slam").over(given), sets, overrides or {}, LASER_BY_NAME)
     layer = layer.over(method_layer(layer.values.get(("slam", "method"))).within("slam"))
     layer = layer.over(Layer({("name",): path.stem}))
     scenario = validated(Scenario, layer, str(path))
@@ -84,6 +90,7 @@ def _problems(scenario: Scenario) -> Iterator[tuple[Key, str]]:
     """Check the geometry: return each wrong key, and what is wrong with it."""
     if scenario.laser.spec.range_min_m >= scenario.laser.spec.range_max_m:
         yield ("laser",), "has a least range that is not below its greatest; raise range_max_mm or lower range_min_mm"
+    yield from _slam_problems(scenario.slam)
     yield from _height_problems(scenario)
     places: dict[Key, XY] = {("start",): (scenario.start.x_m, scenario.start.y_m), ("goal_m",): scenario.goal_m}
     places |= {("via_m", str(k)): xy_m for k, xy_m in enumerate(scenario.via_m)}
@@ -93,11 +100,22 @@ def _problems(scenario: Scenario) -> Iterator[tuple[Key, str]]:
             yield key, f"[{xy_m[0]:g}, {xy_m[1]:g}] {problem}"
 
 
+def _slam_problems(slam: Config) -> Iterator[tuple[Key, str]]:
+    """Check the settings of a replay that choose or correct the inputs of a log."""
+    if slam.attitude not in ("auto", "off"):
+        yield ("slam", "attitude"), f"is {slam.attitude!r}, a mission has one sensor; write auto or off"
+    if slam.odom not in ("auto", "off"):
+        yield ("slam", "odom"), f"is {slam.odom!r}, the odometry of a mission is its commands; write auto or off"
+    for name, value in asdict(slam.odometry).items():
+        if value != getattr(OdometryConfig(), name):
+            yield ("slam", "odometry", name), f"is {value:g}, commands need no correction; leave it out"
+    if slam.upside_down:
+        yield ("slam", "upside_down"), "is true, the laser of a mission is upright; leave it out"
+
+
 def _height_problems(scenario: Scenario) -> Iterator[tuple[Key, str]]:
     """Check the heights: those of walls need a vehicle with one, which must fit between floor and ceiling."""
     flight, ceiling_m = scenario.flight, scenario.ceiling_m
-    if scenario.slam.attitude not in ("auto", "off"):
-        yield ("slam", "attitude"), f"is {scenario.slam.attitude!r}, a mission has one sensor; write auto or off"
     if flight is None:
         for number, wall in enumerate(scenario.walls):
             if wall.has_heights:

@@ -171,6 +171,32 @@ def test_a_laser_by_name_and_with_changes() -> None:
     assert LaserConfig(field_of_view_deg=360, step_deg=1).spec.beams == 360
 
 
+@pytest.mark.parametrize(
+    "sets",
+    [
+        ["laser.noise_percent=3"],
+        ["laser=ust-10lx", "laser.noise_percent=3"],
+        ["laser.noise_percent=3", "laser=ust-10lx"],
+    ],
+)
+def test_a_laser_by_name_is_kept_under_changes(tmp_path: Path, sets: list[str]) -> None:
+    laser = load_scenario(written(tmp_path, GOOD + "laser: utm-30lx\n"), sets).laser
+    assert (laser.preset, laser.noise_percent) == ("utm-30lx" if len(sets) == 1 else "ust-10lx", 3)
+    with pytest.raises(ConfigError, match=r"mission.yaml:8: laser.preset is 'urg'"):
+        load_scenario(written(tmp_path, GOOD + "laser: urg\n"), ["laser.noise_percent=3"])
+    with pytest.raises(ConfigError, match=r"^--set laser=urg: laser.preset is 'urg'"):
+        load_scenario(written(tmp_path, GOOD + "laser: {preset: utm-30lx}\n"), ["laser=urg"])
+
+
+@pytest.mark.parametrize("sets", [[], ["flight.slice_mm=300"], ["flight={}"]])
+def test_an_empty_section_of_flight_flies(tmp_path: Path, sets: list[str]) -> None:
+    flight = load_scenario(written(tmp_path, GOOD + "flight: {}\n"), sets).flight
+    assert flight is not None
+    assert (flight.height_m, flight.slice_mm) == (1.2, 300 if "flight.slice_mm=300" in sets else 400)
+    assert load_scenario(written(tmp_path, GOOD), ["flight={}"]).flight is not None
+    assert load_scenario(written(tmp_path, GOOD + "flight: {height_m: 1}\n"), ["flight={}"]).flight.height_m == 1
+
+
 def minimal(**more: object) -> dict[str, object]:
     walls = [{"arc": {"center_m": [0, 0], "radius_m": 3}}]
     return {"walls": walls, "start": {"x_m": 0, "y_m": 0}, "goal_m": [1, 0], **more}
@@ -239,6 +265,9 @@ def test_schema_and_page_say_when_a_goal_is_reached(repo_root: Path) -> None:
         ("start: ", "flight: {height_m: 0.1}\nstart: ", 6, "flight reaches from -0.1 to 0.3 m, into the floor; change"),
         ("start: ", "ceiling_m: 2\nflight: {height_m: 1.9}\nstart: ", 7, "flight reaches from 1.7 to 2.1 m, into the"),
         ("start: ", "slam: {attitude: /imu}\nstart: ", 6, "slam.attitude is '/imu', a mission has one sensor; wr"),
+        ("start: ", "slam: {odom: /odom}\nstart: ", 6, "slam.odom is '/odom', the odometry of a mission is its"),
+        ("start: ", "slam: {odometry: {turn_scale: 2}}\nstart: ", 6, "slam.odometry.turn_scale is 2, commands need no"),
+        ("start: ", "slam:\n  upside_down: true\nstart: ", 7, "slam.upside_down is true, the laser of a mission is u"),
         ("start: ", "flight: {tilt_noise_deg: -1}\nstart: ", 6, "flight.tilt_noise_deg is -1, it should be greater"),
         ("  - box: {", "  - table: {top_m: [1, 1], ", 3, "walls.1.table.top_m is [1, 1], it has 1 m at its bottom"),
         ("  - circle: {", "  - opening: {points_m: [[0, 0]], open_m: [0, 2]}\n  - circle: {", 4, "1 is missing"),
@@ -291,6 +320,15 @@ def test_errors_of_options_name_the_option(tmp_path: Path) -> None:
         load_scenario(path, [], {"seed": -1})
     with pytest.raises(ConfigError, match=r"no such file; .* scenario: complex, complex-paper"):
         load_scenario("korner.yaml")
+
+
+@pytest.mark.parametrize("key", ["noise_xy_mm", "noise_yaw_deg", "laser_x_mm", "laser_y_mm"])
+def test_the_vehicle_s_numbers_have_bounds(tmp_path: Path, key: str) -> None:
+    path = written(tmp_path, GOOD)
+    with pytest.raises(ConfigError, match=rf"vehicle.{key} is .*, it should be less than or equal to"):
+        load_scenario(path, [f"vehicle.{key}=1e8"])
+    with pytest.raises(ConfigError, match=rf"vehicle.{key} is .*, it should be greater than or equal to"):
+        load_scenario(path, [f"vehicle.{key}=-1e8"])
 
 
 def test_places_are_checked_at_flight_height(tmp_path: Path) -> None:
