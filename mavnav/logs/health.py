@@ -233,10 +233,11 @@ def _saturated(largest_m: Counter[float], scans: int) -> Iterator[Finding]:
 def _far(seen: _Seen, far_m: float) -> Iterator[Finding]:
     share = seen.far / max(int(seen.valid.sum()), 1)
     if share > FAR_SHARE:
+        beyond = f"farther than {far_m:g} m, up to {seen.farthest_m:.0f} m"
         yield Finding(
             "far",
-            f"{100 * share:.0f} % of the returns are farther than {far_m:g} m, and are not used",
-            f"to use them, replay with --set robust.far_mm={1e3 * ceil(seen.farthest_m):.0f}",
+            f"{100 * share:.0f} % of the returns are {beyond}, and not used",
+            "if they are walls, replay with a larger robust.far_mm, in mm (--set)",
         )
 
 

@@ -43,7 +43,7 @@ class End(StrEnum):
 
     GOAL = "goal"
     WRONG_PLACE = "believed to be at the goal, but is elsewhere"
-    WRONG_WAY = "believed to have visited via_m, but was elsewhere"
+    WRONG_WAY = "the estimated path passes via_m, the true one does not"
     COLLISION = "collision"
     STUCK = "stuck"
     STEP_LIMIT = "step limit"

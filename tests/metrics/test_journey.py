@@ -40,14 +40,16 @@ def test_another_geometry_is_brought_to_that_of_most_scans_by_the_nearest_beam(o
     assert len(recorded_m) == len(directions) == other.beams
     for k, angle_rad in enumerate(USUAL.angles_rad):
         off_rad = np.abs((other.angles_rad - angle_rad + np.pi) % tau - np.pi)
-        near = recorded_m[off_rad <= off_rad.min() + 1e-9]  # two where both are half a step away
-        inside = off_rad.min() <= 0.5 * abs(other.angle_step_rad)
-        border = abs(off_rad.min() - 0.5 * abs(other.angle_step_rad)) < 1e-9
-        assert placed.ranges_m[0, k] in near if inside and not border else border or np.isnan(placed.ranges_m[0, k])
+        outside_rad = off_rad.min() - 0.5 * abs(other.angle_step_rad)
+        if outside_rad < -1e-9:
+            assert placed.ranges_m[0, k] == recorded_m[off_rad.argmin()]
+        elif outside_rad > 1e-9:
+            assert np.isnan(placed.ranges_m[0, k])
 
 
 def test_one_geometry_is_left_as_it_is() -> None:
     placed = placed_scans(journey(USUAL, USUAL), np.arange(2))
     assert placed is not None
     assert not placed.others
-    assert placed.recorded(1)[0] is not None
+    assert np.array_equal(placed.recorded(1)[0], placed.ranges_m[1])
+    assert placed.recorded(1)[1] is USUAL.directions
