@@ -13,6 +13,7 @@ from mavnav.batch.find_logs import check_found, find_logs
 from mavnav.batch.remote import fetched
 from mavnav.batch.settings import formatted
 from mavnav.errors import ExitCode, MavnavError, UsageError
+from mavnav.ground_truth.map_file import map_files
 from mavnav.ground_truth.references import load_references
 from mavnav.ground_truth.topics import recorded_topic
 from mavnav.jobs.run_cache import REFERENCES, PlannedRun, make_run, references_sha256
@@ -103,6 +104,8 @@ def read_paths(request: BatchRequest) -> Iterator[Path]:
     for entry in request.entries:
         references = filter(None, (getattr(entry, name) for name in REFERENCES))
         yield from (request.base / name for name in (*_logs(request, entry), *references))
+        if entry.truth_map:
+            yield from map_files(request.base / entry.truth_map)
 
 
 def _merged(one: Case, other: Case) -> Case:

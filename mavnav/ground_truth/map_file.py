@@ -6,6 +6,7 @@ read here, PNG by Pillow.
 
 from __future__ import annotations
 
+import os
 import re
 import warnings
 from io import BytesIO
@@ -15,7 +16,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.config.named_files import read_named
-from mavnav.errors import UsageError
+from mavnav.errors import ConfigError, UsageError
 from mavnav.mapping.occupancy_grid import Grid, occupied_cells
 from mavnav.pose import Pose, transform_points
 
@@ -97,12 +98,16 @@ def read_map(path: Path) -> MapFile:
 
 
 def map_files(path: Path) -> tuple[Path, ...]:
-    """Return the files of a map that `read_map` has read, YAML file and picture; of a run directory none."""
-    if path.is_dir():
-        return ()
+    """Return the YAML file of a map, or the one in a run directory, and the picture that it names, if it is there."""
     from mavnav.config.yaml_layers import read_yaml  # noqa: PLC0415  yaml takes 10 ms to load
 
-    return path, path.parent / str(read_yaml(path).tree()["image"])
+    file = path / "map.yaml" if path.is_dir() else path
+    try:
+        image = read_yaml(file).tree().get("image")
+    except ConfigError:
+        return (file,)
+    picture = file.parent / str(image)
+    return (file, picture) if image and os.path.lexists(picture) else (file,)
 
 
 def _origin(path: Path, about: dict[str, Any]) -> Pose:

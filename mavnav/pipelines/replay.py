@@ -14,7 +14,7 @@ from msgspec.structs import replace as changed
 
 from mavnav.config.models import OdometryConfig
 from mavnav.errors import ExitCode, StoppedError, UsageError
-from mavnav.ground_truth.map_file import occupied_xy_m
+from mavnav.ground_truth.map_file import map_files, occupied_xy_m
 from mavnav.ground_truth.references import check_times, compared, load_references
 from mavnav.ground_truth.topics import truth_text
 from mavnav.logs import check_log, open_log
@@ -102,7 +102,8 @@ class ReplayRequest(Struct, frozen=True):
     def inputs(self) -> tuple[Path | None, ...]:
         """The paths that the run reads; None for those that are not given."""
         config = Path(self.typed.config) if self.typed.config else None
-        return self.log, self.map, self.truth, self.truth_map, self.relations, self.continue_from, config
+        named = (self.log, self.map, self.truth, self.truth_map, self.relations, self.continue_from, config)
+        return *named, *(file for path in (self.map, self.truth_map) if path for file in map_files(path))
 
 
 class Given(Struct, frozen=True):

@@ -126,6 +126,7 @@ INPUT, OWN = "which is an input; name another file", "is a file of the batch its
         ("c.yaml", INPUT),
         ("run.yaml", INPUT),
         ("truth.tum", INPUT),
+        ("plan.pgm", INPUT),
         ("before/batch.json", INPUT),
         ("runs/b/batch.json", OWN),
         ("runs/b/batch.csv", OWN),
@@ -141,12 +142,14 @@ def test_a_file_that_is_read_or_written_otherwise_is_refused(
     Path("rosbag").mkdir()
     Path("before").mkdir()
     Path("before/batch.json").write_text('{"cells": [], "mavnav_version": "1"}')
-    for name in ("logs/a.mcap", "rosbag/metadata.yaml", "rosbag/a.db3", "truth.tum"):
+    for name in ("logs/a.mcap", "rosbag/metadata.yaml", "rosbag/a.db3", "truth.tum", "plan.pgm"):
         Path(name).write_text("mine")
     Path("link.mcap").symlink_to("logs/a.mcap")
     Path("c.yaml").write_text("azimuth: 20\n")
     Path("run.yaml").write_text("azimuth: 10\n")
-    Path("m.yaml").write_text("logs: [{log: rosbag, truth: truth.tum}]\nruns: [{config: run.yaml}]\nbaseline: before\n")
+    Path("plan.yaml").write_text("image: plan.pgm\nresolution: 0.05\n")
+    entry = "{log: rosbag, truth: truth.tum, truth_map: plan.yaml}"
+    Path("m.yaml").write_text(f"logs: [{entry}]\nruns: [{{config: run.yaml}}]\nbaseline: before\n")
     before = {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()}
     config = ("--config", "c.yaml") if file == "c.yaml" else ()
     code, out, err = mavnav("batch", "m.yaml", "logs", *config, option, file, "-o", "runs/b", "-q")

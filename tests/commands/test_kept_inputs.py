@@ -25,8 +25,9 @@ def folder(sample: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     Path("r/run.json").write_text("{}")
     Path("r/c.yaml").write_text("azimuth: 20\n")
     Path("r/s.yaml").write_text((sample.parents[1] / "configs" / "corner.yaml").read_text())
-    for name in ("map.yaml", "truth.tum", "pairs.relations"):
+    for name in ("map.yaml", "truth.tum", "pairs.relations", "plan.pgm"):
         Path("r", name).touch()
+    Path("plan.yaml").write_text("image: r/plan.pgm\nresolution: 0.05\n")
     return tmp_path
 
 
@@ -39,6 +40,8 @@ def folder(sample: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
         ("replay log.mcap --map r/map.yaml", "r/map.yaml"),
         ("replay log.mcap --truth r/truth.tum", "r/truth.tum"),
         ("replay log.mcap --truth-map r/map.yaml", "r/map.yaml"),
+        ("replay log.mcap --map plan.yaml", "r/plan.pgm"),
+        ("replay log.mcap --truth-map plan.yaml", "r/plan.pgm"),
         ("replay log.mcap --relations r/pairs.relations", "r/pairs.relations"),
         ("simulate r/s.yaml", "r/s.yaml"),
         ("simulate corner --config r/c.yaml", "r/c.yaml"),
