@@ -186,8 +186,10 @@ def check_again(context: typer.Context, target: Path, *free: str) -> None:
     ``free`` are parameters, besides those of the output, that it does not take from there.
     """
     again = context.params["again"]
-    if os.path.realpath(target) == os.path.realpath(again):
-        raise UsageError(f"{target} is the run to repeat; choose another directory with -o")
+    replaced, kept = Path(os.path.realpath(target)), Path(os.path.realpath(again))
+    if kept.is_relative_to(replaced):
+        what = "is" if kept == replaced else "contains"
+        raise UsageError(f"{target} {what} the run to repeat; choose another directory with -o")
     allowed = {"again", "directory", "force", "report", "outputs", "preview", "json", "quiet", "gates", *free}
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")

@@ -131,12 +131,14 @@ def test_again_says_what_cannot_be_repeated(mavnav: Callable, with_options: Path
         ((tmp_path / "gone.mcap", "--again", with_options), "the log of the run is not there"),
         (("--again", with_options, "--grid", "5x5"), "--again takes --grid from the run"),
         (("--again", with_options, "-o", with_options), "is the run to repeat; choose another directory"),
+        (("--again", with_options, "-o", with_options.parent, "--force"), "contains the run to repeat; choose another"),
         (("--again", tmp_path), "holds no run"),
         ((), "no log; name one"),
     ):
         code, _, err = mavnav("replay", *words, "-q")
         assert code == ExitCode.USAGE
         assert said in err
+    assert (with_options / "run.json").is_file()
     assert "write mavnav replay --again" in mavnav("simulate", "--again", with_options)[2]
 
 
