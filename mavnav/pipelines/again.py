@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import re
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -14,7 +15,7 @@ from msgspec import Struct, ValidationError, convert
 from mavnav import __version__
 from mavnav.config.loading import load_config, validated
 from mavnav.config.named_files import read_json
-from mavnav.errors import UsageError
+from mavnav.errors import ConfigError, UsageError
 from mavnav.ground_truth.topics import recorded_topic
 from mavnav.logs import content_sha256
 from mavnav.metrics.fields import ABSENT
@@ -208,7 +209,8 @@ def _same_log(run: EarlierRun, log: Path | None) -> Path:
 def replay_words(log: str, options: Options, config: Config) -> list[str]:
     """Return the words of a command line that repeats a replay from anywhere, without its configuration file.
 
-    It lists all values that differ from the method's defaults. A log at an address is a batch of one.
+    It lists all values that differ from the method's defaults, or from those of the run that is continued. A log at an
+    address is a batch of one.
     """
     command = "batch" if is_address(log) else "replay"
     given: dict[str, Any] = {
@@ -226,13 +228,21 @@ def replay_words(log: str, options: Options, config: Config) -> list[str]:
     words = ["mavnav", command, log]
     words += [f"{name}={value}" for name, value in given.items() if value is not None]
     words += ["--strict"] if options.strict else []
-    return words + [f"--set={key}={_written(value)}" for key, value in changed_values(config).items()]
+    changed = changed_values(config, _base(options, config))
+    return words + [f"--set={key}={_written(value)}" for key, value in changed.items()]
 
 
-def changed_values(config: Config) -> dict[str, Any]:
-    """Return the values of a configuration, by dotted keys, that differ from the defaults of its method."""
-    default = dict(_flat(load_config(overrides={"method": config.method}).document()))
-    own = dict(_flat(config.document()))
+def _base(options: Options, config: Config) -> Config:
+    """Return the configuration that ``--set`` changes: the defaults of the method, or that of the continued run."""
+    if options.continue_from is not ABSENT:
+        with suppress(ConfigError):  # of another version, whose keys this one does not have
+            return load_config(values=run_layer(options.continue_from))
+    return load_config(overrides={"method": config.method})
+
+
+def changed_values(config: Config, base: Config) -> dict[str, Any]:
+    """Return the method, and the values of a configuration by dotted keys that differ from those of another one."""
+    default, own = dict(_flat(base.document())), dict(_flat(config.document()))
     return {key: value for key, value in own.items() if key == "method" or value != default[key]}
 
 

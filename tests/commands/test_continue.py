@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 from hashlib import sha256
 from pathlib import Path
@@ -59,6 +60,17 @@ def test_three_parts_one_after_another(mavnav, parts, first, tmp_path) -> None:
         assert errors_m(read_tum(runs[2] / file), part, hall.world_T_laser[0]) < 0.05
     code, _, err = mavnav("replay", "--again", runs[1], "-o", tmp_path / "again", "-q")
     assert (code, err) == (0, f"mavnav: all {len(found['outputs']) - 2} files are the same as in {runs[1]}\n")
+
+
+def test_the_printed_command_repeats_a_continued_run(mavnav, parts, tmp_path) -> None:
+    """It lists what differs from the run that was continued, even where that is a default."""
+    coarse, run, again = (tmp_path / name for name in ("coarse", "run", "again"))
+    assert mavnav("replay", parts[0], "-o", coarse, "-q", "--set", "robust.cell_mm=40")[0] == 0
+    assert mavnav("replay", "--continue", coarse, parts[1], "-o", run, "-q", "--set", "robust.cell_mm=20")[0] == 0
+    words = shlex.split(document(run)["provenance"]["again"])
+    assert "--set=robust.cell_mm=20.0" in words
+    assert mavnav(*words[1:], "-o", again, "-q")[0] == 0
+    assert document(again)["outputs"] == document(run)["outputs"]
 
 
 def test_a_merged_map_is_continued_with_another_sensor(mavnav, parts, first, tmp_path) -> None:
