@@ -20,7 +20,7 @@ from mavnav.outputs.directory import check_apart
 from mavnav.outputs.document import to_json
 from mavnav.outputs.single_file import check_file, write_file
 from mavnav.outputs.summary_page import calibration_summary, drawn, write_summary
-from mavnav.pipelines.calibration_lines import option_of, replay_line, transform_line
+from mavnav.pipelines.calibration_lines import option_of, reading_options, replay_line, transform_line
 from mavnav.slam import beam_order
 from mavnav.slam.pipeline import MEASURING, run_slam
 from mavnav.slam.registry import load_kernels
@@ -148,6 +148,7 @@ def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, found:
     quantities = [_row(quantity, log) for quantity in found.quantities]
     upside_down = None if found.mirrored is None else found.mirrored != log.upside_down
     code = ExitCode.GATE_FAILED if all(q["refused"] for q in quantities) else ExitCode.DONE
+    reading = reading_options(request.topic, request.config.odom, strict=request.strict)
     codes = [code, ExitCode.TRACKING_LOST] if outcome.lost_for_good else [code]
     return {
         "schema_version": SCHEMA_VERSION,
@@ -167,7 +168,7 @@ def _document(request: CalibrationRequest, log: Log, outcome: SlamResult, found:
         "range_bias": {"value": None, "in_log": None, "agrees": None, "refused": RANGE_BIAS},
         "lines": {
             "static_transform": transform_line(quantities, log, upside_down=upside_down),
-            "replay": replay_line(request.log, quantities, log, upside_down=upside_down),
+            "replay": replay_line(request.log, reading, quantities, log, upside_down=upside_down),
         },
         "warnings": [*log.warnings, *outcome.warnings],
         "damage": [{"what": damage.what, "where": damage.where} for damage in log.damage],

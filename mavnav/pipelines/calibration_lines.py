@@ -37,15 +37,24 @@ def transform_line(rows: list[dict[str, Any]], log: Log, *, upside_down: bool | 
     return f"ros2 run tf2_ros static_transform_publisher --x {x_m:z.4f} --y {y_m:z.4f} --z 0 {turned} {frames}"
 
 
-def replay_line(path: Path, rows: list[dict[str, Any]], log: Log, *, upside_down: bool | None) -> str | None:
+def reading_options(topic: str | None, odom: str, *, strict: bool) -> list[str]:
+    """Return the options of a replay that read from a log what was calibrated."""
+    given = {"--topic": topic, "--odom": None if odom == "auto" else odom}
+    words = [f"{option} {quote(value)}" for option, value in given.items() if value]
+    return [*words, "--strict"] if strict else words
+
+
+def replay_line(
+    path: Path, reading: list[str], rows: list[dict[str, Any]], log: Log, *, upside_down: bool | None
+) -> str | None:
     """Return the command that replays the log with all that differs from what it says; None where nothing does."""
     differing = {row["name"] for row in rows if row["value"] is not None and not row["agrees"]}
     mounting, overhead = _mounting(rows), _overhead(log, upside_down)
-    words = [quote(str(path))]
+    words: list[str] = []
     if mounting and (differing & {*MOUNTING} or overhead != log.upside_down):
         words += [f"--extrinsic={','.join(f'{value:.4f}' for value in mounting)}", *(OVERHEAD if overhead else ())]
     words += [row["option"] for row in rows if row["option"] and row["name"] in differing]
-    return f"mavnav replay {' '.join(words)}" if len(words) > 1 else None
+    return " ".join(("mavnav replay", quote(str(path)), *reading, *words)) if words else None
 
 
 def _mounting(rows: list[dict[str, Any]]) -> tuple[float, float, float] | None:

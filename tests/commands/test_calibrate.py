@@ -38,9 +38,9 @@ def log(tmp_path_factory) -> Path:
 
 def test_the_log_of_a_robot(mavnav, log, tmp_path) -> None:
     document, picture = tmp_path / "found.json", tmp_path / "found.png"
-    code, out, err = mavnav(
-        "calibrate", log, "-q", "-o", document, "--picture", picture, "--report", tmp_path / "page.html"
-    )
+    reading = ["--topic", "/scan", "--odom", "/odom", "--strict"]
+    files = ["-o", document, "--picture", picture, "--report", tmp_path / "page.html"]
+    code, out, err = mavnav("calibrate", log, "-q", *files, *reading)
     assert "quantities are determined" in (tmp_path / "page.html").read_text()
     assert (code, err) == (0, "")
     found = json.loads(document.read_text())
@@ -55,6 +55,7 @@ def test_the_log_of_a_robot(mavnav, log, tmp_path) -> None:
     transform, replay = out.splitlines()[-3], out.splitlines()[-1]
     assert "--roll 3.14159" in transform
     assert transform.endswith("--frame-id base_link --child-frame-id laser")
+    assert shlex.split(replay)[:8] == ["mavnav", "replay", str(log), *reading]
     words = [*shlex.split(replay)[1:], "-q", "-o", tmp_path / "run", "--outputs", "metrics"]
     code, out, err = mavnav(*words)
     assert (code, err) == (0, "")
