@@ -10,6 +10,7 @@ from __future__ import annotations
 import difflib
 import operator
 import re
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
@@ -33,6 +34,14 @@ DEFAULT_HITS: Final = "2"
 
 MAP_SECTIONS: Final = ("wall_thickness", "map_quality", "map", "slices", "reference.map_distance")
 """Sections, or parts of them, that are not meaningful if the map is not."""
+
+SKIPPED: Final = "scans.skipped"
+SKIP_REASONS: Final = (
+    *("empty", "non_finite_angle", "zero_angle_increment", "impossible_geometry", "no_valid_beam"),
+    *("duplicate_stamp", "backward_stamp", "suspect", "implausible", "impossible_stamp", "outside_window"),
+    "undecodable",
+)
+"""Reasons by which scans are counted; a document lists those that occurred, and the others count as 0."""
 
 MAX_LISTED: Final = 8
 """Maximum number of names that the message for an unknown name lists."""
@@ -140,7 +149,9 @@ def check_names(names: Iterable[str], known: Iterable[str], example: str = _EXAM
     ``known`` are the possible names, with ``*`` for any key or index of a list; ``example`` is what an option with
     such a name looks like.
     """
-    patterns = [name.split(".") for name in known]
+    skipped = [f"{SKIPPED}.{reason}" for reason in SKIP_REASONS]
+    named = chain.from_iterable(skipped if name == f"{SKIPPED}.*" else (name,) for name in known)
+    patterns = [name.split(".") for name in named]
     for name in names:
         if not any(_fits(_parts(name), pattern) for pattern in patterns):
             whole = [".".join(pattern) for pattern in patterns if "*" not in pattern]
@@ -152,7 +163,7 @@ def _fits(parts: Sequence[str], pattern: Sequence[str]) -> bool:
 
 
 def find(document: Mapping[str, Any], name: str) -> Number | None:
-    """Return the number of that name; None if it or a parent is null, or if it is NaN.
+    """Return the number of that name; None if it or a parent is null, or if it is NaN; 0 for an unused skip reason.
 
     Raises UsageError for a name that the document does not have, or that is no number.
     """
@@ -161,6 +172,8 @@ def find(document: Mapping[str, Any], name: str) -> Number | None:
         if value is None:
             return None
         value = _child(value, part)
+    if value is _NOTHING and _did_not_occur(document, name):
+        return 0
     if value is None or isinstance(value, Number):
         return None if value != value else value  # noqa: PLR0124  NaN compares with nothing
     raise UsageError(_unknown(name, names(document)))
@@ -168,6 +181,12 @@ def find(document: Mapping[str, Any], name: str) -> Number | None:
 
 _NOTHING: Final = object()
 """Mark of a missing key."""
+
+
+def _did_not_occur(document: Mapping[str, Any], name: str) -> bool:
+    """Return whether a name is that of a reason for which this document has skipped no scan."""
+    section, _, reason = name.rpartition(".")
+    return section == SKIPPED and reason in SKIP_REASONS and isinstance(_child(document.get("scans"), "skipped"), dict)
 
 
 def _child(value: object, part: str) -> object:

@@ -105,6 +105,15 @@ def test_a_number_that_only_some_runs_have(mavnav: Callable, home: Path) -> None
     assert err.startswith("mavnav: error: no number tracking.intervals.0.scans in run.json")
 
 
+def test_a_skip_reason_that_did_not_occur(mavnav: Callable, home: Path) -> None:
+    write("one", scans={"skipped": {}})
+    write("two", scans={"skipped": {"duplicate_stamp": 3}})
+    gate = "scans.skipped.duplicate_stamp<=0"
+    assert mavnav("check", "one", "--gate", gate) == (0, "one: passed\n", "")
+    code, _, err = mavnav("check", "one", "two", "--gate", gate)
+    assert (code, err) == (1, f"mavnav: error: two: gate {gate} failed: it is 3\n")
+
+
 def test_the_end_of_a_run_is_told_beside_its_gates(mavnav: Callable, home: Path) -> None:
     write("lost", exit_code=5)
     code, out, err = mavnav("check", "lost", "--gate", "scans.accepted>=101", "--json")

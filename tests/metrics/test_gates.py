@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from mavnav.errors import ExitCode, UsageError, worst
-from mavnav.metrics.gates import Gate, check_known, check_names, find, judge, judge_some, names, parse_gate
+from mavnav.metrics.gates import SKIP_REASONS, Gate, check_known, check_names, find, judge, judge_some, names, parse_gate
 from mavnav.outputs.schema import number_names
 
 RUN: dict[str, Any] = {
@@ -60,6 +62,25 @@ def test_what_is_no_gate_is_a_usage_error(text: str) -> None:
 )
 def test_operators(text: str, passed: bool) -> None:
     assert verdict(text)[0] is passed
+
+
+def test_a_skip_reason_that_did_not_occur_counts_as_0() -> None:
+    run = {"scans": {"skipped": {"empty": 2}}}
+    assert verdict("scans.skipped.duplicate_stamp<=0", run)[0]
+    assert verdict("scans.skipped.duplicate_stamp>0", run) == (False, "it is 0")
+    assert verdict("scans.skipped.empty<=0", run) == (False, "it is 2")
+    for name, document in (("scans.skipped.empti", run), ("scans.skipped.empty", RUN)):
+        with pytest.raises(UsageError, match=f"no number {name}"):
+            find(document, name)
+    check_names(["scans.skipped.duplicate_stamp"], number_names())
+    with pytest.raises(UsageError, match=r"did you mean scans.skipped.duplicate_stamp\?"):
+        check_names(["scans.skipped.duplicat_stamp"], number_names())
+
+
+def test_all_skip_reasons_are_known(repo_root: Path) -> None:
+    section = (repo_root / "docs" / "formats.md").read_text().split("## Skipped scans")[1].split("\n* ")[0]
+    rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]
+    assert sorted(re.findall(r"`(\w+)`", " ".join(rows))) == sorted(SKIP_REASONS)
 
 
 def test_null_fails_whatever_the_bound() -> None:
