@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     ``tolerances`` and its value (a tolerance: its full name).
     """
 
-GATE_EXAMPLE: Final = "write for example wall_thickness.p95_cells<=7, or baseline"
+GATE_EXAMPLE: Final = "write for example wall_thickness.spread.p95_mm<=150, or baseline"
 
 
 def _listed(value: object) -> object:
@@ -62,7 +62,7 @@ class Entry(Strict):
     )
     truth_map: str | None = Field(None, description="true map, as of --truth-map")
     relations: str | None = Field(None, description="true relative poses, as of --relations")
-    gates: Texts = Field((), description="bounds such as wall_thickness.p95_cells<=7")
+    gates: Texts = Field((), description="bounds such as wall_thickness.spread.p95_mm<=150")
     accept: Codes = Field((), description="exit codes that count as done, such as 3 for a log known to be damaged")
 
 

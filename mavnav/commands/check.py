@@ -26,7 +26,7 @@ WHOLE_FILES: Final = ("batch.json", "comparison.json")
 EPILOG = """
 [bold]Examples[/bold]
 
-mavnav check runs/drive-robust-20-10x10 --gate 'wall_thickness.p95_cells<=7'
+mavnav check runs/drive-robust-20-10x10 --gate 'wall_thickness.spread.p95_mm<=150'
 
 mavnav check runs/* --gate 'map.accepted_share>=0.95' --gate 'tracking.lost==false'
 """

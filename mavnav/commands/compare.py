@@ -54,7 +54,7 @@ mavnav compare --grid 20x20
 
 mavnav compare a.bag b.mcap --method robust --method paper -j 4 -o grids
 
-mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.p95_cells<=7'
+mavnav compare drive.mcap --grid 40x40 --azimuth 40 --gate 'wall_thickness.spread.p95_mm<=150'
 """
 
 

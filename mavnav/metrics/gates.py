@@ -1,4 +1,4 @@
-"""Quality gates: bounds on the numbers of a run, such as ``wall_thickness.p95_cells<=7``.
+"""Quality gates: bounds on the numbers of a run, such as ``wall_thickness.spread.p95_mm<=150``.
 
 A gate names a number or a truth value of a document (run.json) by its keys, joined by dots. An unknown name raises a
 UsageError with the nearest known name. A null value fails every gate. So does a metric of a map that is not meaningful:
@@ -47,7 +47,7 @@ MAX_LISTED: Final = 8
 """Maximum number of names that the message for an unknown name lists."""
 
 _GATE: Final = re.compile(r"\s*([\w./-]+?)\s*(<=|>=|==|!=|<|>)\s*(\S+)\s*")
-_EXAMPLE: Final = "write for example --gate 'wall_thickness.p95_cells<=7'"
+_EXAMPLE: Final = "write for example --gate 'wall_thickness.spread.p95_mm<=150'"
 
 Number = bool | int | float
 

@@ -437,7 +437,7 @@ def test_what_an_entry_asks_is_read_before_the_logs(home: Path, wrong: str) -> N
     ("wrong", "said"),
     [
         ("gates: [scans.total>=1,\n  tracking.lots==false]", "5: no number tracking.lots in run.json; did you mean"),
-        ("gates: foo<=1", "4: no number foo in run.json; .*, write for example wall_thickness.p95_cells<=7, or base"),
+        ("gates: foo<=1", "4: no number foo in run.json; .*, write for example .*spread.p95_mm<=150, or base"),
         ("gates:\n  - basline", "5: gate 'basline' is not NAME, .* write for example .*, or baseline"),
         ("accept: [3, 99]", "4: accept: 99: mavnav has no such exit code"),
         ("tolerances: {wall_thickness.p95_mm: 5,\n  timing.cpu_s: much}", "5: the tolerance 'much' of timing.cpu_s"),

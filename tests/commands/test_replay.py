@@ -63,6 +63,15 @@ def differing(one: dict, other: dict) -> set[str]:
     return {name for name in one if json.dumps(one[name]) != json.dumps(other[name])}
 
 
+def test_the_gate_that_messages_give_as_an_example_holds(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    code, _, err = mavnav("replay", sample, "-q", "--gate", "thickness")
+    assert code == ExitCode.USAGE
+    gate = err.strip().rpartition("--gate ")[2].strip("'")
+    assert gate.startswith("wall_thickness.spread.")
+    code, _, err = mavnav("replay", sample, "-o", tmp_path / "run", "-q", "--outputs", "trajectory", "--gate", gate)
+    assert (code, err) == (0, "")
+
+
 def test_only_timing_and_provenance_differ(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
     runs = []
     for name in ("a", "b"):

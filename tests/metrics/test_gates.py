@@ -9,7 +9,17 @@ from typing import Any
 import pytest
 
 from mavnav.errors import ExitCode, UsageError, worst
-from mavnav.metrics.gates import SKIP_REASONS, Gate, check_known, check_names, find, judge, judge_some, names, parse_gate
+from mavnav.metrics.gates import (
+    SKIP_REASONS,
+    Gate,
+    check_known,
+    check_names,
+    find,
+    judge,
+    judge_some,
+    names,
+    parse_gate,
+)
 from mavnav.outputs.schema import number_names
 
 RUN: dict[str, Any] = {
@@ -170,7 +180,7 @@ def test_names_are_known_before_there_is_a_run() -> None:
         ("config.robust.cel_mm", "did you mean config.robust.cell_mm?"),
         ("accepted", "did you mean scans.accepted?"),
         ("reference.ate.rmse_m", "it needs --truth, --truth-map or --relations"),
-        ("mission.steps", "write for example --gate 'wall_thickness.p95_cells<=7'"),
+        ("mission.steps", "write for example --gate 'wall_thickness.spread.p95_mm<=150'"),
         ("config.grid", "; config has azimuth, slice_mm, upside_down, final_pass"),
     ],
 )
