@@ -48,7 +48,7 @@ def merge(
         document = merged(request, report)
     for session in document["sessions"]:
         if not session["joined"]:
-            note(f"mavnav: error: {session['name']} did not join: {session['why']}")
+            note(f"mavnav: error: {_named(session)} did not join: {session['why']}")
         _note_input(session)
     if json:
         emit_json(document)
@@ -57,21 +57,27 @@ def merge(
     raise typer.Exit(document["exit_code"])
 
 
+def _named(session: dict[str, Any]) -> str:
+    """Return the name of a session with its log or run: names are numbered if several logs have one name."""
+    return f"{session['name']} ({session['input']})"
+
+
 def _note_input(session: dict[str, Any]) -> None:
     """Print what the user must not miss of the log of a session."""
     tracking, damage = session["tracking"], session["damage"]
     if tracking and tracking["lost"]:
         share = f"{100 * tracking['tracked_share']:.0f} % of the scans have a pose"
-        note(f"mavnav: error: {session['name']}: tracking was lost for good, {share}; replay it alone to see where")
+        note(f"mavnav: error: {_named(session)}: tracking was lost for good, {share}; replay it alone to see where")
     if damage:
         first = f"{damage[0]['what']}, {damage[0]['where']}"
-        note(f"mavnav: warning: {session['name']}: damaged in {len(damage)} place(s), the first: {first}")
+        note(f"mavnav: warning: {_named(session)}: damaged in {len(damage)} place(s), the first: {first}")
 
 
 def _row(session: dict[str, Any]) -> tuple[str, str]:
     if not session["joined"]:
-        return session["name"], f"not joined: {session['why']}"
-    scans, to = f"{session['scans']} scans", ", ".join(other["name"] for other in session["joined_to"])
+        return session["name"], f"{session['input']}, not joined: {session['why']}"
+    scans = f"{session['input']}, {session['scans']} scans"
+    to = ", ".join(other["name"] for other in session["joined_to"])
     if not to:
         return session["name"], f"{scans}, the first of the group"
     evidence = f"{session['closures']} of {session['tested']} key frames agree, {session['residual_mm']:.0f} mm"

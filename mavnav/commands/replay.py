@@ -256,7 +256,7 @@ def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> N
             f" {first['where']}; what is intact was used"
         )
     if "continued" in document:
-        _note_continued(document["continued"])
+        _note_continued(document["continued"], document["input"]["path"])
     if document["tracking"]["lost"] and document["exit_code"] == ExitCode.TRACKING_LOST:
         from mavnav.outputs.document import with_picture
 
@@ -266,15 +266,15 @@ def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> N
         note(f"mavnav: stopped after {scans['processed']} of {scans['usable']} scans; the run is partial")
 
 
-def _note_continued(continued: dict[str, Any]) -> None:
-    """Print what the user must not miss of a run that was continued."""
+def _note_continued(continued: dict[str, Any], log: str) -> None:
+    """Print what the user must not miss of a run to which a log was added."""
     from mavnav.pipelines.continuing import run_to_continue, version_warning
 
     if warning := version_warning(run_to_continue(Path(continued["run"]))):
         note(f"mavnav: warning: {warning}")
     if not continued["joined"]:
         note(
-            f"mavnav: error: {continued['name']} did not join {continued['run']}: {continued['why']}; "
+            f"mavnav: error: {continued['name']} ({log}) did not join {continued['run']}: {continued['why']}; "
             "it is written alone, in a frame of its own"
         )
 

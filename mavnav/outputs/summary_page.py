@@ -59,10 +59,10 @@ def merge_summary(document: dict[str, Any], picture: bytes) -> Summary:
     """Return the page of merge.json and the picture of the map."""
     sessions = document["sessions"]
     headline = f"{document['joined']} of {len(sessions)} sessions are in one map, with {document['scans']} scans."
-    head = ("session", "scans", "joined to", "key frames that agree", "residual", "tracked", "doubt", "damage")
+    head = ("session", "input", "scans", "joined to", "key frames that agree", "residual", "tracked", "doubt", "damage")
     table = Table("Sessions", head, tuple(_session_row(each) for each in sessions))
-    refused = tuple((each["name"], each["why"]) for each in sessions if not each["joined"])
-    others = (Table("Not joined", ("session", "reason"), refused),) if refused else ()
+    refused = tuple((each["name"], each["input"], each["why"]) for each in sessions if not each["joined"])
+    others = (Table("Not joined", ("session", "input", "reason"), refused),) if refused else ()
     return Summary(", ".join(each["name"] for each in sessions), headline, (table, *others), picture)
 
 
@@ -72,6 +72,7 @@ def _session_row(session: dict[str, Any]) -> tuple[str, ...]:
     to = ", ".join(f"{other['name']} ({other['closures']})" for other in session["joined_to"])
     return (
         session["name"],
+        session["input"],
         str(session["scans"]),
         to or ("the first of the group" if session["joined"] else "not joined"),
         f"{session['closures']} of {session['tested']}" if session["tested"] else "",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -56,9 +57,9 @@ def test_what_does_not_join_is_said(mavnav, logs, tmp_path) -> None:
     )
     assert code == 1
     assert "empty.mcap: no usable scans; the file is empty" in err
-    assert "hall did not join: too few of its scans fit" in err
-    assert "cellar did not join" not in err
-    assert "blind did not join" in err
+    assert f"hall ({logs['hall']}) did not join: too few of its scans fit" in err
+    assert "error: cellar" not in err
+    assert f"blind ({logs['blind']}) did not join" in err
     assert [line.split()[0] for line in out.splitlines()] == [*names, "written"]
     assert not (tmp_path / "m" / "session_hall.tum").exists()
     code, out, err = mavnav("merge", logs["hall"], logs["back"], "-o", tmp_path / "m", "-q")
@@ -81,10 +82,15 @@ def test_what_became_of_each_log_is_stated(mavnav, logs, tmp_path) -> None:
     document = json.loads((run / "run.json").read_text())
     document["tracking"]["lost"], document["exit_code"] = True, 5
     (run / "run.json").write_text(json.dumps(document))
-    code, out, err = mavnav("merge", logs["hall"], logs["hall"], run, "-o", tmp_path / "n", "-q")
+    copy = Path(shutil.copy(logs["hall"], tmp_path))
+    code, out, err = mavnav("merge", logs["hall"], copy, run, "-o", tmp_path / "n", "-q")
     assert code == 5
-    assert "hall-2 did not join: it has the scans of hall-1" in err
-    assert "back: tracking was lost for good" in err
+    assert f"hall-2 ({copy}) did not join: it has the scans of hall-1" in err
+    assert [line.split()[:2] for line in out.splitlines()[:2]] == [
+        ["hall-1", f"{logs['hall']},"],
+        ["hall-2", f"{copy},"],
+    ]
+    assert f"back ({run}): tracking was lost for good" in err
     sessions = json.loads((tmp_path / "n" / "merge.json").read_text())["sessions"]
     assert [session["joined"] for session in sessions] == [True, False, True]
 

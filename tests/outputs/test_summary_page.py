@@ -16,8 +16,8 @@ from mavnav.outputs.summary_page import Summary, calibration_summary, diff_summa
 
 PNG = b"\x89PNG picture"
 SESSION: dict[str, Any] = {
-    "name": "monday", "scans": 200, "joined": True, "why": None, "joined_to": [{"name": "friday", "closures": 12}],
-    "closures": 12, "tested": 14, "residual_mm": 8.2,
+    "name": "monday", "input": "logs/monday.bag", "scans": 200, "joined": True, "why": None,
+    "joined_to": [{"name": "friday", "closures": 12}], "closures": 12, "tested": 14, "residual_mm": 8.2,
     "tracking": {"tracked_share": 0.994, "doubt": {"probability": 0.03}},
     "damage": [{}, {}],
 }  # fmt: skip
@@ -26,7 +26,8 @@ MERGED = {
     "scans": 500,
     "sessions": [
         SESSION,
-        SESSION | {"name": "friday", "joined_to": [], "tested": 0, "tracking": None, "damage": []},
+        SESSION
+        | {"name": "friday", "input": "runs/friday", "joined_to": [], "tested": 0, "tracking": None, "damage": []},
         SESSION | {"name": "other <b>", "joined": False, "why": "too few scans fit", "joined_to": [], "tested": 0},
     ],
 }
@@ -65,11 +66,11 @@ def test_a_merge_shows_every_session(tmp_path: Path) -> None:
     text = page(merge_summary(MERGED, PNG), tmp_path)
     assert "2 of 3 sessions are in one map, with 500 scans." in text
     assert rows(text)[1:] == [
-        ["monday", "200", "friday (12)", "12 of 14", "8 mm", "99.4 %", "0.03", "2 place(s)"],
-        ["friday", "200", "the first of the group", "", "", "", "", "none"],
-        ["other <b>", "200", "not joined", "", "", "99.4 %", "0.03", "2 place(s)"],
-        ["session", "reason"],
-        ["other <b>", "too few scans fit"],
+        ["monday", "logs/monday.bag", "200", "friday (12)", "12 of 14", "8 mm", "99.4 %", "0.03", "2 place(s)"],
+        ["friday", "runs/friday", "200", "the first of the group", "", "", "", "", "none"],
+        ["other <b>", "logs/monday.bag", "200", "not joined", "", "", "99.4 %", "0.03", "2 place(s)"],
+        ["session", "input", "reason"],
+        ["other <b>", "logs/monday.bag", "too few scans fit"],
     ]
 
 
