@@ -6,7 +6,8 @@
     ├── UsageError                     2  the command line is not valid
     │   ├── MapTooLargeError           2  the map would not fit into the memory
     │   ├── ConfigError                2  a configuration file or value is wrong
-    │   └── TopicError                 2  no such topic, or several to choose from
+    │   └── TopicError                 2  no such topic
+    │       └── SeveralTopicsError     2  several topics to choose from
     ├── NoScansError                   4  the input has no usable scan, or is no log
     ├── StoppedError                 130  a signal stopped the work before any result (143: SIGTERM)
     └── OutputError                    6  the output cannot be written, or exists
@@ -91,6 +92,15 @@ class ConfigError(UsageError):
 
 class TopicError(UsageError):
     """The requested topic is missing, or there are several scan topics and none is requested."""
+
+
+class SeveralTopicsError(TopicError):
+    """There are several scan topics and none is requested."""
+
+    @property
+    def what(self) -> str:
+        """The message without its advice."""
+        return str(self).rpartition("; ")[0]
 
 
 class NoScansError(MavnavError):

@@ -127,6 +127,7 @@ def test_every_error_has_an_exit_code_of_its_table() -> None:
         "UsageError": 2,
         "ConfigError": 2,
         "TopicError": 2,
+        "SeveralTopicsError": 2,
         "MapTooLargeError": 2,
         "NoScansError": 4,
         "OutputError": 6,

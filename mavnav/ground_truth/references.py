@@ -77,11 +77,14 @@ def load_references(
 
 def check_times(references: References, first_ns: int, last_ns: int) -> None:
     """Raise UsageError if a truth or relations lie outside the time of a log."""
-    known = {"the truth": references.truth, "the relations": references.relations}
-    for what, given in known.items():
-        if given is None:
-            continue
-        first, last = int(given.stamps_ns.min()), int(given.stamps_ns.max())
+    known = {}
+    if references.truth is not None:
+        known["the truth"] = references.truth.stamps_ns
+    if references.relations is not None:
+        columns = references.relations.stamps_ns.T
+        known |= zip(("the first times of the relations", "the second times of the relations"), columns, strict=True)
+    for what, stamps_ns in known.items():
+        first, last = int(stamps_ns.min()), int(stamps_ns.max())
         if last < first_ns - TOLERANCE_NS or first > last_ns + TOLERANCE_NS:
             spans = f"{first * NS:.1f} to {last * NS:.1f} s, and the log, {first_ns * NS:.1f} to {last_ns * NS:.1f} s"
             raise UsageError(f"{what}, {spans}, share no time; give a reference of the same log and clock")

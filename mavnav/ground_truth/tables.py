@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 COLUMNS: Final = 8
 UNIT_TOLERANCE: Final = 0.01
+LEAST_UNITS: Final = 3
+"""Rows of relations that all end in a quaternion of length 1 are those of a TUM file; fewer rows may by chance."""
+
 MAX_BYTES: Final = 100_000_000
 """Maximum size of a file, about a million rows; the arrays take several times as much memory."""
 
@@ -37,7 +40,7 @@ def read_tum(path: Path) -> Trajectory:
     poses = {}
     for where, columns in _rows(path, "a TUM trajectory, t x y z qx qy qz qw"):
         x, y, _, *quaternion = (_number(where, text) for text in columns[1:])
-        if abs(sum(q * q for q in quaternion) - 1.0) > UNIT_TOLERANCE:
+        if not _is_unit(quaternion):
             raise UsageError(f"{where}: the quaternion is not of length 1; mend that line")
         poses[_stamp_ns(where, columns[0])] = (x, y, yaw_of_quaternion(*quaternion))
     stamps_ns = sorted(poses)
@@ -47,14 +50,22 @@ def read_tum(path: Path) -> Trajectory:
 def read_relations(path: Path) -> Relations:
     """Read relations: rows of ``t1 t2 x y z roll pitch yaw`` (s, s, m, rad), the pose at t2 in the frame of that at t1.
 
-    Raises UsageError with file and line.
+    Raises UsageError with file and line, and for a TUM trajectory.
     """
-    stamps_ns, xyyaw = [], []
+    stamps_ns, xyyaw, units = [], [], 0
     for where, columns in _rows(path, "relations, t1 t2 x y z roll pitch yaw"):
-        x, y, _, _, _, yaw = (_number(where, text) for text in columns[2:])
+        x, y, *rest = (_number(where, text) for text in columns[2:])
+        *_, yaw = rest
+        units += _is_unit(rest)
         stamps_ns.append([_stamp_ns(where, text) for text in columns[:2]])
         xyyaw.append((x, y, yaw))
+    if units == len(xyyaw) >= LEAST_UNITS:
+        raise UsageError(f"{path} is a TUM trajectory, t x y z qx qy qz qw; give it with --truth")
     return Relations(np.array(stamps_ns, np.int64), np.array(xyyaw, np.float64))
+
+
+def _is_unit(quaternion: list[float]) -> bool:
+    return abs(sum(q * q for q in quaternion) - 1.0) <= UNIT_TOLERANCE
 
 
 def _rows(path: Path, what: str) -> Iterator[Row]:

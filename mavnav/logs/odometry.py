@@ -153,8 +153,9 @@ class OdometryTracks:
             return self._choose_auto(warn)
         track = self.topics.get(wanted) or (self._of_tf() if wanted.lstrip("/") == TF_TOPIC[1:] else None)
         if track is None:
-            known = ", ".join([*self.topics, *([TF_TOPIC] if self.transforms else [])]) or "none"
-            raise TopicError(f"no odometry on topic {wanted!r}; the log holds: {known}; or write --odom off")
+            known = ", ".join([*self.topics, *([TF_TOPIC] if self.transforms else [])])
+            advice = f"name one that the log holds: {known}" if known else "the log holds none, leave --odom out"
+            raise TopicError(f"no odometry on topic {wanted!r}; {advice}")
         return track
 
     def _choose_auto(self, warn: Callable[[str], None]) -> OdometryTrack | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from mavnav.errors import NoScansError, TopicError
+from mavnav.errors import NoScansError, SeveralTopicsError, TopicError
 from mavnav.logs.messages.decode import LASER_TYPES
 from mavnav.logs.messages.other_scans import OTHER_TYPES
 
@@ -23,7 +23,7 @@ def chosen_topic(found: Survey, topic: str | None) -> str:
         if not named or found.scans or (lasers and topic not in lasers):
             raise TopicError(f"{found.path}: no scans on topic {topic!r}; {_listed(found)}")
     if topic is None and len(found.scans) > 1:
-        raise TopicError(f"{found.path}: several scan topics; choose one with --topic NAME: {_counted(found)}")
+        raise SeveralTopicsError(f"{found.path}: several scan topics: {_counted(found)}; choose one with --topic NAME")
     if not found.scans:
         raise NoScansError(_no_scans(found))
     return topic if topic is not None else next(iter(found.scans))

@@ -14,7 +14,16 @@ from msgspec.structs import replace
 
 from mavnav import __version__
 from mavnav.atomic_files import temporary_folder
-from mavnav.errors import ExitCode, MavnavError, NoScansError, UsageError, reason_of, worst
+from mavnav.errors import (
+    ExitCode,
+    MavnavError,
+    NoScansError,
+    SeveralTopicsError,
+    TopicError,
+    UsageError,
+    reason_of,
+    worst,
+)
 from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import Grid, known_part, occupancy
@@ -159,11 +168,11 @@ def _input(name: str, path: Path, request: MergeRequest, folder: Path, progress:
 
 def _replayed(name: str, log: Path, request: MergeRequest, folder: Path, progress: Progress) -> FinishedRun:
     """Replay a log; return its run."""
-    _, document = replay_log(
-        ReplayRequest(log, folder / name, request.config, outputs=("trajectory", "mcap")),
-        lambda phase, done, total: progress(f"{name}: {phase}", done, total),
-        0.0,
-    )
+    wanted = ReplayRequest(log, folder / name, request.config, outputs=("trajectory", "mcap"))
+    try:
+        _, document = replay_log(wanted, lambda phase, *done: progress(f"{name}: {phase}", *done), 0.0)
+    except SeveralTopicsError as error:
+        raise TopicError(f"{error.what}; write mavnav replay {log} --topic NAME, and merge that run") from error
     return FinishedRun(folder / name, document)
 
 

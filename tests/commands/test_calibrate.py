@@ -86,7 +86,7 @@ def test_logs_that_show_nothing(mavnav, tmp_path) -> None:
     torn.write_bytes(alone.read_bytes()[:300])
     for args, code, word in (
         ([alone], 2, "no odometry; record nav_msgs/Odometry"),
-        ([alone, "--odom", "/wheels"], 2, "no odometry on topic '/wheels'"),
+        ([alone, "--odom", "/wheels"], 2, "no odometry on topic '/wheels'; the log holds none, leave --odom out"),
         ([alone, "--odom", "off"], 2, "leave --odom off away"),
         ([alone, "--topic", "/a", "--topic", "/b"], 2, "one --topic at a time"),
         ([alone, "--set", "method=paper"], 2, "needs the robust method"),

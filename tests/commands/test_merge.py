@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 import mavnav as api
 from mavnav.ground_truth.tables import read_tum
@@ -104,7 +105,11 @@ def test_what_cannot_be_merged(mavnav, logs, tmp_path) -> None:
     (merged / "merge.json").write_text(
         json.dumps({"sessions": rows, "outputs": {}, "config": {}, "mavnav_version": "0.2.0"})
     )
+    two = write_mcap(
+        tmp_path / "two.mcap", [*drive(2), *(replace(m, topic="/rear") for m in drive(2) if m.topic == "/scan")]
+    )
     for args, word in (
+        ([two, logs["hall"]], f"; write mavnav replay {two} --topic NAME, and merge that run"),
         ([logs["hall"]], "nothing to merge"),
         ([logs["hall"], tmp_path / "gone.bag"], "no such file"),
         ([tmp_path / "run", logs["hall"]], "is no whole run"),

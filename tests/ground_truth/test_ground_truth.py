@@ -118,6 +118,19 @@ def test_another_clock_is_told_before_the_work() -> None:
         check_times(References(truth=truth), 10**18, 10**18 + 10**9)
 
 
+def test_a_trajectory_in_the_place_of_relations_is_refused(tmp_path) -> None:
+    rows = [f"{t} {0.1 * t} 0 0 0 0 {np.sin(0.05 * t)} {np.cos(0.05 * t)}\n" for t in range(5)]
+    (tmp_path / "t.tum").write_text("".join(rows))
+    with pytest.raises(UsageError, match=r"t\.tum is a TUM trajectory, .*; give it with --truth"):
+        read_relations(tmp_path / "t.tum")
+
+
+def test_both_times_of_relations_are_those_of_the_log(tmp_path) -> None:
+    (tmp_path / "r.txt").write_text("1700000000 1.75 1 0 0 0 0 0\n1700000001 1.7 1 0 0 0 0 0\n")
+    with pytest.raises(UsageError, match=r"the second times of the relations, 1\.7 to 1\.8 s, .* share no time"):
+        check_times(References(relations=read_relations(tmp_path / "r.txt")), 17 * 10**17, 17 * 10**17 + 10**10)
+
+
 def test_too_few_poses_measure_nothing() -> None:
     truth = wander()
     two = Trajectory(truth.stamps_ns[:2].copy(), truth.xyyaw[:2].copy())
