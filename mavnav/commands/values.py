@@ -68,6 +68,8 @@ class _Reader:
         """Return a value as what the command takes; raises typer's BadParameter where it is none."""
         described = getattr(param, "type_descriptor", None)
         kind = getattr(described, "annotation", None)
+        if info := getattr(described, "parameter_info", None):
+            info.readable = False  # what reads the file says what to do
         if value is None:
             return () if param.multiple or param.nargs == -1 else None
         if kind is str and isinstance(value, str):

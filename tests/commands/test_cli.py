@@ -113,6 +113,25 @@ def test_every_end_has_its_code(
         assert "a bug" not in err
 
 
+@pytest.mark.parametrize("line", ["info LOG", "replay LOG", "calibrate LOG", "convert LOG x.mcap", "merge LOG LOG"])
+def test_a_log_without_permission_gives_one_message(
+    mavnav: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, line: str
+) -> None:
+    """The root user may read every file, so the system's answers are replaced."""
+    log = tmp_path / "a.bag"
+    log.touch()
+
+    def denied(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("os.access", lambda path, mode: not (str(path) == str(log) and mode & os.R_OK))
+    monkeypatch.setattr("mavnav.logs.formats.detect.sniff", denied)
+    code, out, err = mavnav(*line.replace("LOG", str(log)).split())
+    assert (code, out) == (ExitCode.USAGE, "")
+    assert err == f"mavnav: error: {log}: cannot be read (Permission denied); check the file and its permissions\n"
+
+
 def test_debug_shows_the_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("mavnav.config.loading.load_config", lambda *_: 1 / 0)
     for args, env in (
