@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+import socket
 import sys
 from collections.abc import Iterator
 from hashlib import sha256
 from pathlib import Path
+from threading import Thread
 from types import SimpleNamespace
 
 import pytest
@@ -173,6 +175,29 @@ def test_where_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
             connected(scheduler, tmp_path, 1, None, 1),
         ):
             pass
+
+
+@pytest.mark.parametrize("answer", [b"HTTP/1.1 400 Bad Request\r\n\r\n", b""], ids=["at once", "never"])
+def test_where_something_else_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: bytes) -> None:
+    """As the dashboard does, at the port beside that of the scheduler."""
+    monkeypatch.setattr(cluster_client, "CONNECT_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        answered: list[socket.socket] = []
+
+        def serve() -> None:
+            answered.append(server.accept()[0])
+            answered[0].sendall(answer)
+
+        thread = Thread(target=serve)
+        thread.start()
+        scheduler = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with (
+            pytest.raises(UsageError, match=f"no Dask scheduler answers at {scheduler}; is this the port of its dash"),
+            connected(scheduler, tmp_path, 1, None, 1),
+        ):
+            pass
+        thread.join()
+        answered[0].close()
 
 
 def test_without_dask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import pickle
 from contextlib import ExitStack, contextmanager
 from logging import CRITICAL
@@ -170,6 +171,8 @@ def connected(scheduler: str, directory: Path, workers: int, memory_mb: int | No
             address = scheduler
             if scheduler == LOCAL:
                 address = stack.enter_context(_started(workers, memory_mb, tries))
+            else:
+                _check_scheduler(address)
             client = stack.enter_context(distributed.Client(address, timeout=CONNECT_S, set_as_default=False))
             client.wait_for_workers(1, timeout=CONNECT_S)
         except (
@@ -185,6 +188,22 @@ def connected(scheduler: str, directory: Path, workers: int, memory_mb: int | No
             raise UsageError(f"{scheduler}: no scheduler with workers answers; {advice}") from error
         _check_workers(client, directory)
         yield Cluster(client, client.dashboard_link)
+
+
+def _check_scheduler(address: str) -> None:
+    """Raise UsageError where something else than a scheduler answers, or says nothing; a client would wait for ever."""
+    from distributed.comm import connect  # noqa: PLC0415  an extra
+    from distributed.security import Security  # noqa: PLC0415  an extra
+
+    async def greet() -> None:
+        comm = await connect(address, timeout=CONNECT_S, **Security().get_connection_args("client"))
+        await comm.close()
+
+    try:
+        asyncio.run(asyncio.wait_for(greet(), CONNECT_S + POLL_S))
+    except (MemoryError, TimeoutError) as error:  # the text of a web server is read as a length of petabytes
+        advice = "is this the port of its dashboard? Name that of the scheduler, such as tcp://HOST:8786"
+        raise UsageError(f"no Dask scheduler answers at {address}; {advice}") from error
 
 
 @contextmanager
