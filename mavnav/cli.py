@@ -7,6 +7,7 @@ import os
 import sys
 from contextlib import suppress
 from importlib import import_module
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, NoReturn
 
@@ -190,10 +191,15 @@ def _split_debug(args: Sequence[str]) -> tuple[list[str], bool]:
 
 
 def _open_streams() -> None:
-    """Replace streams that were closed before the start, as by ``>&-``, by the null device."""
+    """Replace streams that were closed before the start, as by ``>&-``, by the null device.
+
+    Characters that the encoding of stdout lacks are escaped, as those of stderr are.
+    """
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115  it stays open
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def main(args: Sequence[str] | None = None) -> NoReturn:

@@ -1,4 +1,4 @@
-"""Factors to SI. ``250 * MM`` is 0.25 m; only configuration and reports are in mm and deg."""
+"""Factors to SI, and counts in texts. ``250 * MM`` is 0.25 m; only configuration and reports are in mm and deg."""
 
 from math import pi
 from typing import Final
@@ -8,3 +8,9 @@ MM2: Final = 1e-6
 DEG: Final = pi / 180.0
 MS: Final = 1e-3
 NS: Final = 1e-9
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a count with its noun, which takes an s or es unless there is one."""
+    ending = "" if count == 1 else "es" if noun.endswith("ch") else "s"
+    return f"{count} {noun}{ending}"

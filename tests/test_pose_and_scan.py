@@ -13,6 +13,7 @@ from mavnav import errors
 from mavnav.errors import ExitCode, MavnavError
 from mavnav.pose import Pose, Trajectory, transform_points, wrap_angle, yaw_of_quaternion
 from mavnav.scan import LaserSpec, Scan
+from mavnav.units import counted
 from support.synthetic import LDS_01, URG_04LX, cast, furnished_rooms, record, room, scan_at
 
 metres = st.floats(-1e3, 1e3)
@@ -118,6 +119,11 @@ def test_points_of_a_scan_leave_out_what_is_not_valid() -> None:
     np.testing.assert_allclose(
         Scan(0, np.array([np.nan, 1.0, np.nan, np.nan]), backwards).points(), [(0, -1)], atol=1e-12
     )
+
+
+def test_nouns_agree_with_their_counts() -> None:
+    found = [counted(n, noun) for n, noun in ((0, "place"), (1, "place"), (2, "place"), (1, "stretch"), (3, "stretch"))]
+    assert found == ["0 places", "1 place", "2 places", "1 stretch", "3 stretches"]
 
 
 def test_every_error_has_an_exit_code_of_its_table() -> None:

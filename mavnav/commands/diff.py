@@ -12,6 +12,7 @@ from mavnav.commands.options import Force, Json, Quiet, ReportFile, check_option
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import LISTED, emit, emit_json, note, print_table
 from mavnav.errors import UsageError, worst
+from mavnav.units import counted
 
 if TYPE_CHECKING:
     from mavnav.errors import ExitCode
@@ -82,12 +83,12 @@ def _judged(document: dict[str, Any], bounds: list[Gate]) -> ExitCode:
 
 
 def _print_changes(document: dict[str, Any]) -> None:
-    pose = document["alignment"]
+    pose, same = document["alignment"], f"{100 * document['same_share']:.1f} %"
     rows = [
-        ("gone", f"{document['gone_m2']:.3f} m2 of wall cells in {document['gone']} place(s)"),
-        ("new", f"{document['new_m2']:.3f} m2 of wall cells in {document['new']} place(s)"),
-        ("moved", f"{document['moved']} object(s)"),
-        ("compared", f"{document['compared_m2']:.1f} m2; {document['same_share']:.1%} of the walls are the same"),
+        ("gone", f"{document['gone_m2']:.3f} m² of wall cells in {counted(document['gone'], 'place')}"),
+        ("new", f"{document['new_m2']:.3f} m² of wall cells in {counted(document['new'], 'place')}"),
+        ("moved", counted(document["moved"], "object")),
+        ("compared", f"{document['compared_m2']:.1f} m²; {same} of the walls are the same"),
         (
             "B in A",
             f"{pose['x_m']:z.3f} m, {pose['y_m']:z.3f} m, {pose['yaw_deg']:z.2f} deg; rms {pose['rms_mm']:.0f} mm",
@@ -103,5 +104,5 @@ def _row(change: dict[str, Any]) -> tuple[str, str]:
     place = f"at {change['x_m']:z.2f}, {change['y_m']:z.2f} m"
     return (
         f"change {change['number']}",
-        f"{change['kind']} {place}, {change['m2']:.3f} m2, {change['length_m']:.2f} m long{moved}",
+        f"{change['kind']} {place}, {change['m2']:.3f} m², {change['length_m']:.2f} m long{moved}",
     )

@@ -11,7 +11,7 @@ from mavnav.commands.options import Json, LogFile, Quiet, Strict, Topic, joined_
 from mavnav.commands.progress import reporting
 from mavnav.commands.terminal import LISTED, emit_json, note_problems, print_table
 from mavnav.errors import ExitCode, MavnavError
-from mavnav.units import DEG, NS
+from mavnav.units import DEG, NS, counted
 
 if TYPE_CHECKING:
     from mavnav.logs import Log, Survey
@@ -242,9 +242,9 @@ def _verdict(document: dict[str, Any]) -> str:
     match document["exit_code"]:
         case ExitCode.DONE:
             odd = sum(len(topic["health"]["findings"]) for topic in document["scan_topics"])
-            return f"sound; {odd} thing(s) of the sensor to check" if odd else "sound"
+            return f"sound; {counted(odd, 'finding')} of the sensor to check" if odd else "sound"
         case ExitCode.DAMAGED_INPUT:
-            return f"damaged in {len(document['damage'])} place(s); what is intact can be used"
+            return f"damaged in {counted(len(document['damage']), 'place')}; what is intact can be used"
         case _:
             return "no scan can be used"
 

@@ -10,6 +10,7 @@ import typer
 from mavnav.commands.options import ConfigFile, Force, Json, Quiet, Sets, WriteReport, directory_option
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import emit_json, note, print_table
+from mavnav.units import counted
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -70,7 +71,7 @@ def _note_input(session: dict[str, Any]) -> None:
         note(f"mavnav: error: {_named(session)}: tracking was lost for good, {share}; replay it alone to see where")
     if damage:
         first = f"{damage[0]['what']}, {damage[0]['where']}"
-        note(f"mavnav: warning: {_named(session)}: damaged in {len(damage)} place(s), the first: {first}")
+        note(f"mavnav: warning: {_named(session)}: damaged in {counted(len(damage), 'place')}, the first: {first}")
 
 
 def _row(session: dict[str, Any]) -> tuple[str, str]:

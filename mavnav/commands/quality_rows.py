@@ -20,7 +20,8 @@ def doubt_rows(doubt: dict[str, Any]) -> Rows:
     probability = doubt["probability"]
     if probability is None or probability <= HIGH:
         return []
-    return [("doubtful", f"{probability:.0%}: {', '.join(dict.fromkeys(r['reason'] for r in doubt['reasons']))}")]
+    reasons = ", ".join(dict.fromkeys(reason["reason"] for reason in doubt["reasons"]))
+    return [("doubtful", f"{100 * probability:.0f} %: {reasons}")]
 
 
 def remedy_rows(remedies: list[dict[str, Any]]) -> Rows:
@@ -28,8 +29,9 @@ def remedy_rows(remedies: list[dict[str, Any]]) -> Rows:
     rows = []
     for remedy in remedies:
         before, after = remedy["doubt_before"], remedy["doubt_after"]
-        then = f"then {after:.0%}, {'used' if remedy['used'] else 'not used'}" if after is not None else "given up"
-        rows.append(("tracked again", f"with {remedy['remedy']}: doubt {before:.0%}, {then}"))
+        used = "used" if remedy["used"] else "not used"
+        then = f"then {100 * after:.0f} %, {used}" if after is not None else "given up"
+        rows.append(("tracked again", f"with {remedy['remedy']}: doubt {100 * before:.0f} %, {then}"))
     return rows
 
 
@@ -47,7 +49,7 @@ def wall_rows(document: dict[str, Any]) -> Rows:
 def _spread(spread: dict[str, Any]) -> str:
     if spread["median_mm"] is None:
         return "no straight wall to measure"
-    share = f"{spread['length_m']:.1f} m, {spread['measured_share']:.0%} of the straight walls in the scans"
+    share = f"{spread['length_m']:.1f} m, {100 * spread['measured_share']:.0f} % of the straight walls in the scans"
     return f"median {spread['median_mm']:.0f} mm, p95 {spread['p95_mm']:.0f} mm ({share})"
 
 
@@ -107,11 +109,11 @@ def more_rows(quality: dict[str, Any]) -> Rows:
     if crisp["entropy_bits"] is not None:
         rows.append(("entropy", f"{crisp['entropy_bits']:.3f} bits per hit cell (lower is crisper)"))
     if support["mapped_share"] is not None:
-        rows.append(("accepted", f"{support['mapped_share']:.1%} of the scans"))
+        rows.append(("accepted", f"{100 * support['mapped_share']:.1f} % of the scans"))
     if support["explained_share"] is not None:
-        rows.append(("explained", f"{support['explained_share']:.1%} of what the laser saw lies on the map"))
+        rows.append(("explained", f"{100 * support['explained_share']:.1f} % of what the laser saw lies on the map"))
     if quality["occupied_share"] is not None:
-        rows.append(("occupied", f"{quality['occupied_share']:.1%} of the known cells"))
+        rows.append(("occupied", f"{100 * quality['occupied_share']:.1f} % of the known cells"))
     return [
         *rows,
         ("corners", str(quality["corners"])),
@@ -131,7 +133,7 @@ def reference_rows(reference: dict[str, Any] | None) -> Rows:
     if "map_distance" in found and found["map_distance"]["cells"]:
         d = found["map_distance"]
         share = d["covered_share"]
-        covered = f"{share:.0%} of the true walls mapped" if share is not None else "no wall at flight height"
+        covered = f"{100 * share:.0f} % of the true walls mapped" if share is not None else "no wall at flight height"
         off = f"{d['mean_mm']:.0f} mm off, 95 % within {d['p95_mm']:.0f} mm"
         rows.append(("true map", f"{off}; {covered}, {d['alignment']}"))
     if "relations" in found and found["relations"]["all"]["scored"]:

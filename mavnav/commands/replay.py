@@ -60,6 +60,7 @@ from mavnav.commands.quality_rows import (
 )
 from mavnav.commands.terminal import emit, emit_json, note, print_table
 from mavnav.errors import ExitCode, UsageError
+from mavnav.units import counted
 
 if TYPE_CHECKING:
     from mavnav.config.models import Config
@@ -250,10 +251,10 @@ def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> N
     for warning in document["warnings"]:
         note(f"mavnav: warning: {warning}")
     if document["damage"]:
-        first = document["damage"][0]
+        first, places = document["damage"][0], counted(len(document["damage"]), "place")
         note(
-            f"mavnav: warning: the input is damaged in {len(document['damage'])} place(s), the first: {first['what']},"
-            f" {first['where']}; what is intact was used"
+            f"mavnav: warning: the input is damaged in {places}, the first: {first['what']}, {first['where']}; "
+            "what is intact was used"
         )
     if "continued" in document:
         _note_continued(document["continued"], document["input"]["path"])
@@ -283,11 +284,12 @@ def _summary(document: dict[str, Any], directory: Path) -> list[tuple[str, str]]
     """Return the rows of the table that ends a run."""
     scans, tracking, timing = document["scans"], document["tracking"], document["timing"]
     lost = sum(interval["scans"] for interval in tracking["intervals"])
+    stretches = counted(len(tracking["intervals"]), "stretch")
     rows = [
         ("scans", f"{scans['processed']} of {scans['total']}"),
         ("accepted", f"{100 * scans['accepted'] / max(scans['processed'], 1):.1f} %"),
         ("rejected", f"{scans['rejected']} scans" + (f", {lost} of them lost" if lost else "")),
-        ("lost", f"{lost} scans in {len(tracking['intervals'])} stretch(es)" if tracking["intervals"] else "never"),
+        ("lost", f"{lost} scans in {stretches}" if tracking["intervals"] else "never"),
         *([("left out", text)] if (text := left_out_text(tracking.get("parts", []))) else []),
         ("path", f"{tracking['path_length_m']:.2f} m"),
         *doubt_rows(tracking["doubt"]),
@@ -312,7 +314,7 @@ def _continued(continued: dict[str, Any]) -> str:
     evidence = continued["evidence"]
     place = f", at the end of {evidence['after']}" if evidence["after"] else ""
     agree = f"{evidence['closures']} of {evidence['tested']} key frames agree, {evidence['residual_mm']:.0f} mm"
-    return f"{continued['run']}, {len(continued['sessions'])} session(s){place}: {agree}"
+    return f"{continued['run']}, {counted(len(continued['sessions']), 'session')}{place}: {agree}"
 
 
 def _found(localisation: dict[str, Any]) -> str:

@@ -86,7 +86,7 @@ def read_map(path: Path) -> MapFile:
         raise UsageError(f"{path} describes no map, it has no image or no resolution; name a map_server YAML file")
     cell_m = _number(path, about, "resolution", None)
     if not CELLS_M[0] <= cell_m <= CELLS_M[1]:
-        raise UsageError(f"{path}: resolution {cell_m:g} is no size of a cell; write metres, for example 0.05")
+        raise UsageError(f"{path}: resolution {cell_m:g} is no size of a cell; write meters, for example 0.05")
     picture = path.parent / str(about["image"])
     shade, solid = _read_picture(picture, path)
     occupied, free = (shade.upwards(kind, solid) for kind in _kinds(path, about, shade))

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.logs.stamps import REPEATED_SHARE
-from mavnav.units import DEG, NS
+from mavnav.units import DEG, NS, counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -190,7 +190,7 @@ def _partial_scans(partial: NDArray[np.intp], stamps_ns: NDArray[np.int64]) -> I
         until_s = (stamps_ns[partial[-1]] - stamps_ns[0]) * NS
         yield Finding(
             "partial",
-            f"{len(partial)} scan(s) have less than half of the valid beams of their neighbors{where}, "
+            f"less than half of the valid beams of their neighbors in {counted(len(partial), 'scan')}{where}, "
             f"the last after {until_s:.1f} s",
             "record once the laser turns at full speed, and keep its view free; a replay begins its map after them"
             if len(early)
@@ -246,7 +246,7 @@ def _rate(log: Log) -> Iterator[Finding]:
         longest = max(gap.duration_s for gap in log.gaps)
         yield Finding(
             "gaps",
-            f"{len(log.gaps)} gap(s) between scans, the longest {longest:.2f} s",
+            f"{counted(len(log.gaps), 'gap')} between scans, the longest {longest:.2f} s",
             "see whether the recorder or the network drops scans: record on the robot, with a larger buffer",
         )
     if log.period_s * SLOW_HZ > 1.0:
@@ -257,10 +257,10 @@ def _stamps(log: Log, jitter: float) -> Iterator[Finding]:
     kinds = ("backward_stamp", "duplicate_stamp", "impossible_stamp")
     odd = {kind: log.counts.skipped[kind] for kind in kinds if log.counts.skipped.get(kind)}
     if odd or log.stamp_source == "log":
-        counted = ", ".join(f"{count} {kind.replace('_', ' ')}(s)" for kind, count in odd.items())
+        kinds_of_stamps = ", ".join(counted(count, kind.replace("_", " ")) for kind, count in odd.items())
         yield Finding(
             "stamps",
-            counted or "the stamps of the scans are unusable, the times of recording are used",
+            kinds_of_stamps or "the stamps of the scans are unusable, the times of recording are used",
             "check the clock of the driver: it jumps, stands still, or two drivers publish on the topic",
         )
     if jitter > JITTER:

@@ -21,7 +21,7 @@ class Crispness(Struct, frozen=True):
     """Occupied cells per metre of wall and entropy of the cells; null where unknown."""
 
     occupied_cells_per_m: Annotated[
-        Measured, number("occupied cells per metre of wall", title="cells per m", better="lower")
+        Measured, number("occupied cells per meter of wall", title="cells per m", better="lower")
     ]
     entropy_bits: Annotated[
         Measured, number("mean entropy of a hit cell; lower is crisper", title="entropy", better="lower")

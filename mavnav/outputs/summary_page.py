@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mavnav import __version__
 from mavnav.atomic_files import temporary_folder
+from mavnav.units import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -79,7 +80,7 @@ def _session_row(session: dict[str, Any]) -> tuple[str, ...]:
         f"{session['residual_mm']:.0f} mm" if to else "",
         f"{100 * tracking['tracked_share']:.1f} %" if tracking.get("tracked_share") is not None else "",
         "" if doubt is None else f"{doubt:.2f}",
-        f"{damage} place(s)" if damage else "none",
+        counted(damage, "place") if damage else "none",
     )
 
 
@@ -89,9 +90,10 @@ def diff_summary(document: dict[str, Any], picture: bytes | None) -> Summary:
     if pose is None:
         return Summary(title, "The maps cannot be aligned: too few places of one fit the other.", ())
     headline = (
-        f"{document['gone']} place(s) gone ({document['gone_m2']:.3f} m2), {document['new']} new "
-        f"({document['new_m2']:.3f} m2), {document['moved']} object(s) moved; {document['compared_m2']:.1f} m2 were "
-        f"compared, and {document['same_share']:.1%} of the walls are the same."
+        f"{counted(document['gone'], 'place')} gone ({document['gone_m2']:.3f} m²), {document['new']} new "
+        f"({document['new_m2']:.3f} m²), {counted(document['moved'], 'object')} moved; "
+        f"{document['compared_m2']:.1f} m² were compared, and "
+        f"{100 * document['same_share']:.1f} % of the walls are the same."
     )
     head = ("change", "kind", "x", "y", "area", "length", "moved with")
     rows = (
@@ -100,7 +102,7 @@ def diff_summary(document: dict[str, Any], picture: bytes | None) -> Summary:
             change["kind"],
             f"{change['x_m']:z.2f} m",
             f"{change['y_m']:z.2f} m",
-            f"{change['m2']:.3f} m2",
+            f"{change['m2']:.3f} m²",
             f"{change['length_m']:.2f} m",
             str(change["moved_with"] or ""),
         )

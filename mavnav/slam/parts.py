@@ -20,7 +20,7 @@ from mavnav.slam.pauses import first_found_late, highest_speed, is_too_far, paus
 from mavnav.slam.relocalization import apart
 from mavnav.slam.scan_matching import no_match
 from mavnav.slam.steps import LOST_SCANS, Step, Steps, lost_intervals
-from mavnav.units import NS
+from mavnav.units import NS, counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -255,7 +255,7 @@ def part_warnings(parts: Sequence[Part], first_ns: int) -> Iterator[str]:
     """Yield a warning for every part that could not be joined."""
     for k, part in enumerate(parts):
         from_s, to_s = ((stamp - first_ns) * NS for stamp in (part.start_ns, part.end_ns))
-        what = f"{part.scans} scan(s) from {from_s:.1f} to {to_s:.1f} s"
+        what = f"{counted(part.scans, 'scan')} from {from_s:.1f} to {to_s:.1f} s"
         if not part.joined and k == 0:
             yield f"{what} do not match the later ones and are left out; the map begins after them"
         elif not part.joined:

@@ -132,6 +132,16 @@ def test_a_log_without_permission_gives_one_message(
     assert err == f"mavnav: error: {log}: cannot be read (Permission denied); check the file and its permissions\n"
 
 
+def test_what_the_encoding_of_stdout_lacks_is_escaped(tmp_path: Path) -> None:
+    run = tmp_path / "caf\xe9"
+    run.mkdir()
+    (run / "run.json").write_text('{"exit_code": 0}')
+    env = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, "-m", "mavnav", "check", run], capture_output=True, env=env, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert done.stdout.endswith(rb"caf\xe9: passed" + b"\n")
+
+
 def test_debug_shows_the_traceback(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("mavnav.config.loading.load_config", lambda *_: 1 / 0)
     for args, env in (

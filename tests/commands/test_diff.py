@@ -47,7 +47,7 @@ def test_what_changed_is_listed_and_drawn(mavnav, maps, tmp_path) -> None:
 def test_the_same_map_passes(mavnav, maps) -> None:
     code, out, err = mavnav("diff", maps[0], maps[0], "-q", "--gate", "changed_m2==0", "--gate", "same_share>0.99")
     assert (code, err) == (0, "")
-    assert "100.0% of the walls are the same" in out
+    assert "100.0 % of the walls are the same" in out
     assert "-0.000 m" not in out
 
 

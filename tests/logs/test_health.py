@@ -130,7 +130,7 @@ def test_the_table_names_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert run(["info", str(write_mcap(tmp_path / "b", partial()))]) == 0
     out = capsys.readouterr().out
     assert "a replay begins its map after them" in out
-    assert "sound; 1 thing(s) of the sensor to check" in out
+    assert "sound; 1 finding of the sensor to check" in out
 
 
 @pytest.mark.parametrize("step_rad", [3e38, -1e5])

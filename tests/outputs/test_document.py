@@ -99,7 +99,7 @@ def test_doubt_is_reported_with_its_reasons(run):
     (held, failed) = judge([parse_gate(f"tracking.doubt.probability<={p}") for p in (0.8, 0.5)], document)
     assert held.passed
     assert not failed.passed
-    assert doubt_rows(doubt) == [("doubtful", "75%: slip")]
+    assert doubt_rows(doubt) == [("doubtful", "75 %: slip")]
 
 
 def test_remedies_are_reported_where_one_was_tried(run):
@@ -107,14 +107,14 @@ def test_remedies_are_reported_where_one_was_tried(run):
     tried = replace(run, slam=replace(run.slam, remedies=(Remedy("finer voxels", 0.9, 0.1, used=True),)))
     remedies = strict(run_document(tried, {}))["tracking"]["remedies"]
     assert remedies == [{"remedy": "finer voxels", "doubt_before": 0.9, "doubt_after": 0.1, "used": True}]
-    assert remedy_rows(remedies) == [("tracked again", "with finer voxels: doubt 90%, then 10%, used")]
+    assert remedy_rows(remedies) == [("tracked again", "with finer voxels: doubt 90 %, then 10 %, used")]
 
 
 def test_a_remedy_that_was_given_up_has_no_doubt(run):
     tried = replace(run, slam=replace(run.slam, remedies=(Remedy("finer voxels", 0.9, np.nan, used=False),)))
     remedies = strict(run_document(tried, {}))["tracking"]["remedies"]
     assert remedies[0]["doubt_after"] is None
-    assert remedy_rows(remedies) == [("tracked again", "with finer voxels: doubt 90%, given up")]
+    assert remedy_rows(remedies) == [("tracked again", "with finer voxels: doubt 90 %, given up")]
 
 
 def test_little_doubt_is_no_warning_and_no_row(run):

@@ -66,9 +66,9 @@ def test_a_merge_shows_every_session(tmp_path: Path) -> None:
     text = page(merge_summary(MERGED, PNG), tmp_path)
     assert "2 of 3 sessions are in one map, with 500 scans." in text
     assert rows(text)[1:] == [
-        ["monday", "logs/monday.bag", "200", "friday (12)", "12 of 14", "8 mm", "99.4 %", "0.03", "2 place(s)"],
+        ["monday", "logs/monday.bag", "200", "friday (12)", "12 of 14", "8 mm", "99.4 %", "0.03", "2 places"],
         ["friday", "runs/friday", "200", "the first of the group", "", "", "", "", "none"],
-        ["other <b>", "logs/monday.bag", "200", "not joined", "", "", "99.4 %", "0.03", "2 place(s)"],
+        ["other <b>", "logs/monday.bag", "200", "not joined", "", "", "99.4 %", "0.03", "2 places"],
         ["session", "input", "reason"],
         ["other <b>", "logs/monday.bag", "too few scans fit"],
     ]
@@ -84,8 +84,8 @@ def test_the_picture_stands_in_the_page_which_loads_nothing(tmp_path: Path) -> N
 
 def test_a_difference_shows_every_change_and_the_alignment(tmp_path: Path) -> None:
     text = page(diff_summary(DIFFERENCE, PNG), tmp_path)
-    assert "1 place(s) gone (0.250 m2)" in text
-    assert ["1", "gone", "1.50 m", "2.50 m", "0.250 m2", "0.90 m", ""] in rows(text)
+    assert "1 place gone (0.250 m²)" in text
+    assert ["1", "gone", "1.50 m", "2.50 m", "0.250 m²", "0.90 m", ""] in rows(text)
     assert ["0.100 m", "-0.200 m", "3.00 deg", "11 mm"] in rows(text)
 
 

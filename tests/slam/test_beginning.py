@@ -67,7 +67,7 @@ def test_scans_of_another_room_at_the_beginning_are_left_out_and_reported() -> N
     found = tracked(scans)
     assert found.steps.column("tracked").tolist() == [False] * 12 + [True] * len(tour())
     assert [(part.scans, part.joined) for part in found.parts] == [(12, False), (len(tour()), True)]
-    assert "12 scan(s) from 0.0 to 1.1 s" in found.warnings[0]
+    assert "12 scans from 0.0 to 1.1 s" in found.warnings[0]
     assert found.begin_ns == scans[12].stamp_ns
 
 
