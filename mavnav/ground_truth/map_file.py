@@ -42,6 +42,9 @@ SAVED_UNKNOWN: Final = 205
 SAVED_SHADES: Final = (0, SAVED_UNKNOWN, 254)
 """Shades that map savers write; some also write a ``free_thresh`` of 0.25, by which unknown cells would be free."""
 
+_DEEP_MODES: Final = ("I;16", "I;16B", "I")
+"""Modes of Pillow for greyscale PNG of 16 bits; older versions call it ``I``."""
+
 _GAP: Final = rb"(?:\s|#[^\n\r]*[\n\r])+"
 _HEADER: Final = re.compile(rb"P([25])" + 3 * (_GAP + rb"(\d{1,9})") + rb"\s")
 
@@ -221,11 +224,19 @@ def _read_by_pillow(path: Path, data: bytes) -> tuple[_Shades, NDArray[np.bool_]
                 if image.mode in {"1", "L"} and "transparency" not in image.info:
                     grey = np.asarray(image.convert("L"))
                     return _Shades(grey, np.arange(256.0)), np.ones(grey.shape, np.bool_)
+                if image.mode in _DEEP_MODES:
+                    return _deep(image)
                 return _coloured(image)
     except UnidentifiedImageError as error:
         raise UsageError(f"{path} is no picture of a map (PGM or PNG); mend 'image:'") from error
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise UsageError(f"{path} is no picture of a map (PGM or PNG): {error}; mend 'image:'") from error
+
+
+def _deep(image: Image.Image) -> tuple[_Shades, NDArray[np.bool_]]:
+    """Return the same as `_read_picture` for a PNG of 16 bits a pixel, whose conversions by Pillow clip at 255."""
+    levels = np.asarray(image).astype(np.uint16)
+    return _Shades(levels, np.arange(65536) * 255.0 / 65535), levels != image.info.get("transparency", -1)
 
 
 def _coloured(image: Image.Image) -> tuple[_Shades, NDArray[np.bool_]]:

@@ -50,6 +50,21 @@ def test_png(write_map, mode: str) -> None:
     np.testing.assert_array_equal(kinds(write_map(image.save, "map.png", **THRESHOLDS)), KINDS)
 
 
+@pytest.mark.parametrize(
+    ("levels", "about"),
+    [
+        ((205, 254, 0), {"mode": "trinary"}),
+        ((128, 0, 255), {"negate": 1}),
+        ((128, 254, 0), {"mode": "scale"}),
+        ((255, 0, 100), {"mode": "raw"}),
+    ],
+    ids=["trinary", "negated", "scale", "raw"],
+)
+def test_a_png_of_16_bits_is_the_same_map(write_map, levels, about) -> None:
+    image = Image.fromarray(shades(*levels).astype(np.uint16) * 257)
+    np.testing.assert_array_equal(kinds(write_map(image.save, "map.png", **THRESHOLDS | about)), KINDS)
+
+
 def test_what_is_transparent_is_unknown(write_map) -> None:
     pixels = np.stack([*[shades(0, 254, 0)] * 3, shades(0, 255, 255)], axis=2).astype(np.uint8)
     np.testing.assert_array_equal(kinds(write_map(Image.fromarray(pixels).save, "map.png", **THRESHOLDS)), KINDS)
