@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import warnings
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeGuard
 
 import numpy as np
 from msgspec import Struct
@@ -110,7 +110,7 @@ def map_files(path: Path) -> tuple[Path, ...]:
 
 def _origin(path: Path, about: dict[str, Any]) -> Pose:
     origin = about.get("origin", [0.0, 0.0, 0.0])
-    numbers = isinstance(origin, list) and all(isinstance(v, int | float) for v in origin)
+    numbers = isinstance(origin, list) and all(_is_number(v) for v in origin)
     if not numbers or len(origin) not in {2, 3} or not all(abs(v) <= FARTHEST_ORIGIN_M for v in origin):
         raise UsageError(f"{path}: origin {_short(origin)} is no pose; write [x, y, yaw] in m, m, rad")
     return Pose(*(float(v) for v in origin))
@@ -118,9 +118,13 @@ def _origin(path: Path, about: dict[str, Any]) -> Pose:
 
 def _number(path: Path, about: dict[str, Any], key: str, default: float | None) -> float:
     value = about.get(key, default)
-    if not isinstance(value, int | float) or not abs(value) <= FARTHEST_ORIGIN_M:
+    if not _is_number(value) or not abs(value) <= FARTHEST_ORIGIN_M:
         raise UsageError(f"{path}: {key} {_short(value)} is no number of use; write one")
     return float(value)
+
+
+def _is_number(value: object) -> TypeGuard[int | float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _short(value: object) -> str:
@@ -156,7 +160,8 @@ def _kinds(path: Path, about: dict[str, Any], shades: _Shades) -> tuple[NDArray[
         raise UsageError(
             f"{path}: free_thresh {most:g} is not below occupied_thresh {least:g} within 0 to 1; mend them"
         )
-    negate = bool(_number(path, about, "negate", 0))
+    negate = about.get("negate")
+    negate = negate if isinstance(negate, bool) else _number(path, about, "negate", 0) != 0.0
     if mode == "raw":
         share = np.where(shade <= 100.0, shade / 100.0, np.nan)
     else:
