@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from mavnav.errors import NoScansError, TopicError, UsageError
 from mavnav.logs import open_log
 from mavnav.pose import Pose
-from support.log_files import LASER, ODOM, PERIOD_NS, START_NS, TF, Message, drive, laser, write_mcap
+from support.log_files import LASER, ODOM, PERIOD_NS, START_NS, TF, Message, drive, laser, write_bag1, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -89,6 +89,16 @@ def test_paths_that_cannot_be_read_are_refused_at_once(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     with pytest.raises(NoScansError, match="holds no ROS 2 bag"):
         open_log(tmp_path / "folder")
+
+
+def test_a_folder_of_other_logs_names_them(tmp_path: Path) -> None:
+    write_bag1(tmp_path / "drive.bag", [laser(0)])
+    with pytest.raises(NoScansError, match=r"the folder holds drive\.bag; name it, or use 'mavnav batch FOLDER'"):
+        open_log(tmp_path)
+    write_mcap(tmp_path / "drive.mcap", [laser(0)])
+    names = r"drive\.bag and drive\.mcap; name one, or use 'mavnav batch FOLDER'"
+    with pytest.raises(NoScansError, match=f"the folder holds {names}"):
+        open_log(tmp_path)
 
 
 def test_fifo_in_a_folder_does_not_hang(tmp_path: Path) -> None:

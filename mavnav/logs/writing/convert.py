@@ -91,8 +91,10 @@ def _check(source: Path, target: Path, *, force: bool) -> None:
     check_file(source)
     if target.suffix != ".mcap":
         raise UsageError(f"{target}: a log is written as MCAP; let the name end in .mcap")
-    if target.exists() and (target.samefile(source) or source.resolve() in target.resolve().parents):
-        raise UsageError(f"{target} is the log itself, or a part of it; choose another name for the output")
+    if source.resolve() in target.resolve().parents:
+        raise UsageError(f"{target} is in the folder of the log; choose another place for the output")
+    if target.exists() and target.samefile(source):
+        raise UsageError(f"{target} is the log itself; choose another name for the output")
     if target.exists() and not target.is_file():
         raise UsageError(f"{target} is not a file; choose another name for the output")
     if target.exists() and not force:
