@@ -20,7 +20,7 @@ from mavnav.logs.records import Imu, Odometry, ScanCounts
 from mavnav.logs.stamps import REPEATED_SHARE, comes_in_bursts, period_and_gaps
 from mavnav.logs.survey import Survey, survey
 from mavnav.logs.topic_choice import chosen_topic, no_usable
-from mavnav.logs.transforms import BASE_FRAMES, mounting
+from mavnav.logs.transforms import frame_name, mounting
 from mavnav.logs.truth import laser_truth
 from mavnav.memory import trim
 from mavnav.pose import Pose
@@ -250,8 +250,11 @@ def _scan_warnings(log: Log) -> Iterator[str]:
 def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None, *, upside_down: bool = False) -> Log:
     """Add mounting and odometry, and what there is to warn about time."""
     warnings = [*log.warnings, *_scan_warnings(log)]
-    track = found.odometry.choose(odom, warnings.append)
-    bases = [track.base_frame] if track and track.base_frame else list(BASE_FRAMES)
+    laser = frame_name((log._merged or (log,))[0].frame_id)  # noqa: SLF001  the log is made here
+    track = found.odometry.choose(
+        odom, warnings.append, lambda base: bool(base) and found.frames.find(base, laser) is not None
+    )
+    bases = [track.base_frame] if track and track.base_frame else found.frames.bases(laser)
     place, of_mounting = len(warnings), list[str]()
     mounted = mounting(found.frames, log.frame_id, bases, of_mounting.append)
     base_frame, base_T_laser, overhead = mounted or (bases[0] if track else None, None, False)

@@ -127,6 +127,34 @@ def test_odometry_by_itself_is_the_only_topic_or_odom_or_tf(tmp_path: Path) -> N
     np.testing.assert_allclose(log.odometry.odom_T_base.xyyaw[:, 0], [0.0, 2.0, 4.0, 6.0])
 
 
+def two_robots(tmp_path: Path, motion: list[Message]) -> Path:
+    """Write scans of the second robot of two, and the mountings of both."""
+    mountings = [tf(f"r{n}/base_link", f"r{n}/laser", x=0.1 * n) for n in (1, 2)]
+    return write_mcap(tmp_path / "a", [*(laser(k, frame_id="r2/laser") for k in range(4)), *mountings, *motion])
+
+
+def test_odometry_of_tf_is_that_of_the_laser_s_vehicle(tmp_path: Path) -> None:
+    one = [tf("r1/odom", "r1/base_link", "/tf", k, x=5.0 * k) for k in range(6)]
+    two = [tf("r2/odom", "r2/base_link", "/tf", k, x=2.0 * k) for k in range(4)]
+    log = open_log(two_robots(tmp_path, one + two))
+    assert (log.base_frame, log.base_T_laser) == ("r2/base_link", Pose(0.2, 0.0, 0.0))
+    assert log.odometry is not None
+    np.testing.assert_allclose(log.odometry.odom_T_base.xyyaw[:, 0], [0.0, 2.0, 4.0, 6.0])
+
+
+def test_of_several_odometry_topics_that_of_the_laser_s_vehicle_is_used(tmp_path: Path) -> None:
+    motion = [odom(f"/r{n}/odom", k, child=f"r{n}/base_link") for k in range(4) for n in (1, 2)]
+    log = open_log(two_robots(tmp_path, motion))
+    assert log.odometry is not None
+    assert (log.odometry.topic, log.base_frame) == ("/r2/odom", "r2/base_link")
+    assert not any("several odometry" in text for text in log.warnings)
+
+
+def test_without_odometry_the_base_may_be_in_a_namespace(tmp_path: Path) -> None:
+    log = open_log(two_robots(tmp_path, [tf("r1/base_link", "r2/base_link")]))
+    assert (log.base_frame, log.base_T_laser) == ("r2/base_link", Pose(0.2, 0.0, 0.0))
+
+
 def test_odometry_can_be_named_or_left_out(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a", [laser(0), laser(1), *(odom(t, k) for k in range(2) for t in ("/odom", "/icp"))])
     named = open_log(path, odom="/icp").odometry
