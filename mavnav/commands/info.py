@@ -45,7 +45,10 @@ def info(
         found = survey(log, topic=name, strict=strict, progress=lambda done, total: report("reading", done, total))
     logs, error = _choices(found, name)
     if error is not None:
-        _print_result(document(found, logs, error.exit_code), json=json)
+        shown = document(found, logs, error.exit_code)
+        if not json:  # the error line names its cause
+            shown["damage"] = [each for each in shown["damage"] if each["what"] not in str(error)]
+        _print_result(shown, json=json)
         raise error
     code = ExitCode.DAMAGED_INPUT if found.damage else ExitCode.DONE
     _print_result(document(found, logs, code), json=json)

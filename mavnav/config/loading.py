@@ -19,7 +19,7 @@ from mavnav.config.models import Config
 from mavnav.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from pydantic import TypeAdapter
     from pydantic_core import ErrorDetails
@@ -196,7 +196,23 @@ def validated(model: type[Model], layer: Layer, name: str = "configuration") -> 
     except ConfigError as error:
         grid = next((origin for key, origin in layer.origins.items() if key[-1] == "grid"), "grid")
         raise ConfigError(f"{grid}: {error}") from error
+    for key, value in _taken_for_numbers(layer.tree(), made):
+        wrong: Any = {"type": "float_type", "loc": key, "input": value, "msg": ""}
+        raise ConfigError(_error_message(model, wrong, layer, name))
     return made
+
+
+def _taken_for_numbers(given: object, made: object, key: Key = ()) -> Iterator[tuple[Key, object]]:
+    """Yield the words and truth values that pydantic has taken for numbers, such as ``1_0`` and ``true``."""
+    if isinstance(given, dict):
+        for name, value in given.items():
+            inner = made.get(name) if isinstance(made, dict) else getattr(made, name, None)
+            yield from _taken_for_numbers(value, inner, (*key, name))
+    elif isinstance(given, list) and isinstance(made, tuple) and len(given) == len(made):
+        for number, (value, inner) in enumerate(zip(given, made, strict=True)):
+            yield from _taken_for_numbers(value, inner, (*key, str(number)))
+    elif isinstance(given, str | bool) and isinstance(made, int | float) and not isinstance(made, bool):
+        yield key, given
 
 
 def origin(layer: Layer, key: Key, name: str = "configuration") -> str:

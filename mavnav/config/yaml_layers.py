@@ -1,6 +1,7 @@
 """Reader of strict YAML into layers of configuration values.
 
-Scalars have the types of YAML 1.2 (``off`` is a string, ``1e-3`` a number); aliases, tags, duplicate keys are errors.
+Scalars have the types of YAML 1.2 (``off`` is a string, ``1e-3`` a number, ``010`` is ten); aliases, tags, duplicate
+keys are errors.
 """
 
 from __future__ import annotations
@@ -29,10 +30,19 @@ class _Yaml12(yaml.SafeLoader):
 for _tag, _pattern, _first in (
     ("bool", r"^(?:true|True|TRUE|false|False|FALSE)$", "tTfF"),
     ("null", r"^(?:~|null|Null|NULL|)$", ["~", "n", "N", ""]),
-    ("int", r"^[-+]?[0-9]+$", "-+0123456789"),
+    ("int", r"^(?:[-+]?[0-9]+|0o[0-7]+)$", "-+0123456789"),
     ("float", r"^[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?$", "-+.0123456789"),
 ):
     _Yaml12.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(_pattern), list(_first))
+
+
+def _integer(_loader: _Yaml12, node: yaml.ScalarNode) -> int:
+    """Read an integer: octal if it begins with 0o, else decimal, also with leading zeros."""
+    text = str(node.value)
+    return int(text, 8) if text.startswith("0o") else int(text)
+
+
+_Yaml12.add_constructor("tag:yaml.org,2002:int", _integer)
 
 _SCALAR_TAGS = {f"tag:yaml.org,2002:{name}" for name in ("bool", "null", "int", "float", "str")}
 

@@ -10,7 +10,7 @@ import os
 import re
 import warnings
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeGuard
 
 import numpy as np
 from msgspec import Struct
@@ -42,6 +42,9 @@ FARTHEST_ORIGIN_M: Final = 1e8
 SAVED_UNKNOWN: Final = 205
 SAVED_SHADES: Final = (0, SAVED_UNKNOWN, 254)
 """Shades that map savers write; some also write a ``free_thresh`` of 0.25, by which unknown cells would be free."""
+
+_DEEP_MODES: Final = ("I;16", "I;16B", "I")
+"""Modes of Pillow for greyscale PNG of 16 bits; older versions call it ``I``."""
 
 _GAP: Final = rb"(?:\s|#[^\n\r]*[\n\r])+"
 _HEADER: Final = re.compile(rb"P([25])" + 3 * (_GAP + rb"(\d{1,9})") + rb"\s")
@@ -112,7 +115,7 @@ def map_files(path: Path) -> tuple[Path, ...]:
 
 def _origin(path: Path, about: dict[str, Any]) -> Pose:
     origin = about.get("origin", [0.0, 0.0, 0.0])
-    numbers = isinstance(origin, list) and all(isinstance(v, int | float) for v in origin)
+    numbers = isinstance(origin, list) and all(_is_number(v) for v in origin)
     if not numbers or len(origin) not in {2, 3} or not all(abs(v) <= FARTHEST_ORIGIN_M for v in origin):
         raise UsageError(f"{path}: origin {_short(origin)} is no pose; write [x, y, yaw] in m, m, rad")
     return Pose(*(float(v) for v in origin))
@@ -120,9 +123,13 @@ def _origin(path: Path, about: dict[str, Any]) -> Pose:
 
 def _number(path: Path, about: dict[str, Any], key: str, default: float | None) -> float:
     value = about.get(key, default)
-    if not isinstance(value, int | float) or not abs(value) <= FARTHEST_ORIGIN_M:
+    if not _is_number(value) or not abs(value) <= FARTHEST_ORIGIN_M:
         raise UsageError(f"{path}: {key} {_short(value)} is no number of use; write one")
     return float(value)
+
+
+def _is_number(value: object) -> TypeGuard[int | float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _short(value: object) -> str:
@@ -158,7 +165,8 @@ def _kinds(path: Path, about: dict[str, Any], shades: _Shades) -> tuple[NDArray[
         raise UsageError(
             f"{path}: free_thresh {most:g} is not below occupied_thresh {least:g} within 0 to 1; mend them"
         )
-    negate = bool(_number(path, about, "negate", 0))
+    negate = about.get("negate")
+    negate = negate if isinstance(negate, bool) else _number(path, about, "negate", 0) != 0.0
     if mode == "raw":
         share = np.where(shade <= 100.0, shade / 100.0, np.nan)
     else:
@@ -226,11 +234,19 @@ def _read_by_pillow(path: Path, data: bytes) -> tuple[_Shades, NDArray[np.bool_]
                 if image.mode in {"1", "L"} and "transparency" not in image.info:
                     grey = np.asarray(image.convert("L"))
                     return _Shades(grey, np.arange(256.0)), np.ones(grey.shape, np.bool_)
+                if image.mode in _DEEP_MODES:
+                    return _deep(image)
                 return _coloured(image)
     except UnidentifiedImageError as error:
         raise UsageError(f"{path} is no picture of a map (PGM or PNG); mend 'image:'") from error
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise UsageError(f"{path} is no picture of a map (PGM or PNG): {error}; mend 'image:'") from error
+
+
+def _deep(image: Image.Image) -> tuple[_Shades, NDArray[np.bool_]]:
+    """Return the same as `_read_picture` for a PNG of 16 bits a pixel, whose conversions by Pillow clip at 255."""
+    levels = np.asarray(image).astype(np.uint16)
+    return _Shades(levels, np.arange(65536) * 255.0 / 65535), levels != image.info.get("transparency", -1)
 
 
 def _coloured(image: Image.Image) -> tuple[_Shades, NDArray[np.bool_]]:

@@ -207,8 +207,9 @@ class Log(Struct, frozen=True, eq=False):
 
 def _laser_messages(path: Path, topic: str, report: ReadReport, *, strict: bool) -> Iterator[LaserMessage]:
     decoders: dict[object, Callable[[bytes], LaserMessage] | None] = {}
-    for channel, _, data, suspect in detect.read(path, report):
-        if scan_topic(channel, topic) is None or (strict and suspect):
+    for message in detect.read(path, report):
+        channel = message.channel
+        if scan_topic(channel, topic) is None or (strict and message.suspect):
             continue
         try:
             if channel not in decoders:
@@ -216,6 +217,6 @@ def _laser_messages(path: Path, topic: str, report: ReadReport, *, strict: bool)
                 decoders[channel] = decoder(channel, topic=topic)
             decode = decoders[channel]
             if decode is not None:
-                yield decode(data)
+                yield decode(message.data)
         except DecodeError:
             continue

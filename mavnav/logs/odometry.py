@@ -132,15 +132,20 @@ class OdometryTracks:
                     track = self.transforms[child] = OdometryTrack(topic, child, source="tf")
                 track.add(message, log_ns)
 
-    def choose(self, wanted: str, warn: Callable[[str], None]) -> OdometryTrack | None:
+    def choose(
+        self, wanted: str, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool] = bool
+    ) -> OdometryTrack | None:
         """Return the track to use.
 
         Parameters
         ----------
         wanted
-            ``auto`` (the only nav_msgs/Odometry topic, or ``/odom``, or the odometry of /tf), ``off``, or a topic.
+            ``auto`` (the only nav_msgs/Odometry topic of the laser's vehicle, or ``/odom``, or the odometry of /tf),
+            ``off``, or a topic.
         warn
             Takes a line where ``auto`` cannot choose.
+        leads_to_laser
+            Whether the transforms lead from a frame to the laser; tracks of such frames are preferred.
 
         Raises
         ------
@@ -150,23 +155,26 @@ class OdometryTracks:
         if wanted == "off":
             return None
         if wanted == "auto":
-            return self._choose_auto(warn)
-        track = self.topics.get(wanted) or (self._of_tf() if wanted.lstrip("/") == TF_TOPIC[1:] else None)
+            return self._choose_auto(warn, leads_to_laser)
+        track = self.topics.get(wanted) or (self._of_tf(leads_to_laser) if wanted.lstrip("/") == TF_TOPIC[1:] else None)
         if track is None:
             known = ", ".join([*self.topics, *([TF_TOPIC] if self.transforms else [])])
             advice = f"name one that the log holds: {known}" if known else "the log holds none, leave --odom out"
             raise TopicError(f"no odometry on topic {wanted!r}; {advice}")
         return track
 
-    def _choose_auto(self, warn: Callable[[str], None]) -> OdometryTrack | None:
-        if len(self.topics) == 1:
-            return next(iter(self.topics.values()))
-        if "/odom" in self.topics:
-            return self.topics["/odom"]
-        if self.topics:
-            warn(f"several odometry topics, none is used: {', '.join(self.topics)}; choose with --odom TOPIC")
+    def _choose_auto(self, warn: Callable[[str], None], leads_to_laser: Callable[[str], bool]) -> OdometryTrack | None:
+        fit = {topic: track for topic, track in self.topics.items() if leads_to_laser(track.base_frame)} or self.topics
+        if len(fit) == 1:
+            return next(iter(fit.values()))
+        if "/odom" in fit:
+            return fit["/odom"]
+        if fit:
+            warn(f"several odometry topics, none is used: {', '.join(fit)}; choose with --odom TOPIC")
             return None
-        return self._of_tf()
+        return self._of_tf(leads_to_laser)
 
-    def _of_tf(self) -> OdometryTrack | None:
-        return max(self.transforms.values(), key=lambda track: len(track.header_ns), default=None)
+    def _of_tf(self, leads_to_laser: Callable[[str], bool]) -> OdometryTrack | None:
+        """Return the track of the laser's vehicle, of several the one with the most poses."""
+        rank = {child: (leads_to_laser(child), len(track.header_ns)) for child, track in self.transforms.items()}
+        return self.transforms[max(rank, key=rank.__getitem__)] if rank else None

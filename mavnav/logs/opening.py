@@ -20,7 +20,7 @@ from mavnav.logs.records import Imu, Odometry, ScanCounts
 from mavnav.logs.stamps import REPEATED_SHARE, comes_in_bursts, period_and_gaps
 from mavnav.logs.survey import Survey, survey
 from mavnav.logs.topic_choice import chosen_topic, no_usable
-from mavnav.logs.transforms import BASE_FRAMES, mounting
+from mavnav.logs.transforms import frame_name, mounting
 from mavnav.logs.truth import laser_truth
 from mavnav.memory import trim
 from mavnav.pose import Pose
@@ -169,7 +169,7 @@ def _merged_log(found: Survey, topics: list[str], odom: str, extrinsic: Pose | N
     if found.attitudes.named:
         raise TopicError("--attitude is that of one laser; several --topic are merged as they are: name one of them")
     found = replace(found, attitudes=AttitudeTracks("off"))
-    logs = tuple(choose(found, topic=topic, odom=odom) for topic in topics)
+    logs = tuple(choose(_same_window(found, topics[0], topic), topic=topic, odom=odom) for topic in topics)
     first, bases = logs[0], {log.base_frame for log in logs}
     unmounted = [log.topic for log in logs if log.base_T_laser is None]
     if unmounted or len(bases) > 1:
@@ -192,6 +192,27 @@ def _merged_log(found: Survey, topics: list[str], odom: str, extrinsic: Pose | N
     log = _with_motion(log, found, odom, Pose())
     return replace(
         log, base_frame=first.base_frame, mounting_source="tf_static", warnings=tuple(dict.fromkeys(warnings))
+    )
+
+
+def _same_window(found: Survey, first: str, topic: str) -> Survey:
+    """Return the survey with the window of topic ``first`` in seconds from the first scan of another ``topic``.
+
+    It is wider by half a period of the first, as far as its scans have partners.
+    """
+    if topic == first or not (first in found.scans and topic in found.scans):
+        return found
+    stamps_ns, others_ns = (found.scans[name].timeline().stamps_ns for name in (first, topic))
+    if not (len(stamps_ns) and len(others_ns)):
+        return found
+    later_s, half_s = int(stamps_ns[0] - others_ns[0]) * NS, 0.5 * period_and_gaps(stamps_ns)[0]
+    start_s, end_s = found.window_s
+    return replace(
+        found,
+        window_s=(
+            None if start_s is None else start_s + later_s - half_s,
+            None if end_s is None else end_s + later_s + half_s,
+        ),
     )
 
 
@@ -229,8 +250,11 @@ def _scan_warnings(log: Log) -> Iterator[str]:
 def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None, *, upside_down: bool = False) -> Log:
     """Add mounting and odometry, and what there is to warn about time."""
     warnings = [*log.warnings, *_scan_warnings(log)]
-    track = found.odometry.choose(odom, warnings.append)
-    bases = [track.base_frame] if track and track.base_frame else list(BASE_FRAMES)
+    laser = frame_name((log._merged or (log,))[0].frame_id)  # noqa: SLF001  the log is made here
+    track = found.odometry.choose(
+        odom, warnings.append, lambda base: bool(base) and found.frames.find(base, laser) is not None
+    )
+    bases = [track.base_frame] if track and track.base_frame else found.frames.bases(laser)
     place, of_mounting = len(warnings), list[str]()
     mounted = mounting(found.frames, log.frame_id, bases, of_mounting.append)
     base_frame, base_T_laser, overhead = mounted or (bases[0] if track else None, None, False)

@@ -12,7 +12,9 @@ from mavnav.logs.messages.definitions import CLOUD, FOXGLOVE_SCAN, IMU, MULTI_EC
 from mavnav.logs.records import Damage
 
 if TYPE_CHECKING:
-    from mavnav.logs.records import Channel
+    from collections.abc import Callable
+
+    from mavnav.logs.records import AttachedFile, Channel, MetadataRecord
 
 MAX_DAMAGE = 100
 """Damage is listed singly up to here, so that a log of rubbish does not fill the memory; the rest is counted."""
@@ -35,10 +37,12 @@ KNOWN_ENCODINGS = ("cdr", "ros1", "ros2", "json", "protobuf", "carmen")
 class ReadReport:
     """Notes of one pass over a log.
 
-    ``done_bytes`` grows from 0 to ``total_bytes``, the bytes that are to be read.
+    ``done_bytes`` grows from 0 to ``total_bytes``, the bytes that are to be read. ``take_extra`` gets what a log holds
+    besides messages, or why that cannot be used; without it, that is not read.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, take_extra: Callable[[AttachedFile | MetadataRecord | str], None] | None = None) -> None:
+        self.take_extra = take_extra
         self.channels: dict[tuple[str, str, str], Channel] = {}
         self._declared: dict[tuple[str, str, str], Channel] = {}
         self._warnings: dict[str, None] = {}

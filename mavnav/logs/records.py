@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -24,17 +24,18 @@ class Channel(Struct, frozen=True):
     """A stream of messages of one type on one topic.
 
     ``type`` is spelt as in ROS 2 (``sensor_msgs/msg/LaserScan``), also where the log is of ROS 1; empty where it is
-    written nowhere.
+    written nowhere. ``metadata`` is what the log says besides, as the quality of service, by the names of MCAP.
     """
 
     topic: str
     type: str
     encoding: str
     schema: Schema = Schema()
+    metadata: tuple[tuple[str, str], ...] = ()
 
 
 class RawMessage(NamedTuple):
-    """One message as stored. ``log_ns`` is the time at which it was recorded.
+    """One message as stored. ``log_ns`` is the time at which it was recorded, ``publish_ns`` that of sending, if known.
 
     A ``suspect`` one comes from where a checksum does not match, or could not be checked.
     """
@@ -43,6 +44,31 @@ class RawMessage(NamedTuple):
     log_ns: int
     data: bytes
     suspect: bool = False
+    publish_ns: int | None = None
+
+
+class AttachedFile(Struct, frozen=True):
+    """A file that an MCAP contains besides messages: its times in ns, its name, and its content."""
+
+    log_ns: int
+    created_ns: int
+    name: str
+    media_type: str
+    data: bytes
+
+
+class MetadataRecord(Struct, frozen=True):
+    """A record of texts by name that an MCAP contains besides messages."""
+
+    name: str
+    values: dict[str, str]
+
+
+QOS: Final = "offered_qos_profiles"
+"""Key of the quality of service in a channel's metadata, a text in YAML."""
+
+LATCHING: Final = "latching"
+"""Key of whether ROS 1 sends the last message to late subscribers."""
 
 
 class Topic(Struct, frozen=True):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 from mavnav.errors import NoScansError, SeveralTopicsError, TopicError
 from mavnav.logs.messages.decode import LASER_TYPES
 from mavnav.logs.messages.other_scans import OTHER_TYPES
+from mavnav.units import NS
 
 if TYPE_CHECKING:
     from mavnav.logs.stamps import Timeline, TopicScans
@@ -62,5 +63,7 @@ def no_usable(found: Survey, name: str, scans: TopicScans, timeline: Timeline) -
     reasons = ", ".join(
         f"{count} {reason.replace('_', ' ')}" for reason, count in (scans.refused + timeline.skipped).items()
     )
-    hint = "; check --start and --end" if any(end is not None for end in found.window_s) else ""
+    hint = ""
+    if any(end is not None for end in found.window_s) and len(stamps_ns := scans.timeline().stamps_ns):
+        hint = f"; the scans last {(stamps_ns[-1] - stamps_ns[0]) * NS:.1f} s: check --start and --end"
     return f"{found.path}: none of the {scans.total} scans on {name} is usable ({reasons}){hint}"

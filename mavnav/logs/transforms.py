@@ -84,6 +84,17 @@ class FrameTree(Struct):
         direct = _chain(self.static, base, laser)
         return direct if direct is not None else _chain({**constant, **self.static}, base, laser)
 
+    def bases(self, laser: str) -> list[str]:
+        """Return the frames that a base may have: ``BASE_FRAMES``, and those in namespaces, the laser's first."""
+        space = _namespace(frame_name(laser))
+        frames = {frame for edge in (*self.static, *self.moving) for frame in edge}
+        named = [frame for frame in frames if "/" in frame and frame.rsplit("/", 1)[-1] in BASE_FRAMES]
+        return [*BASE_FRAMES, *sorted(named, key=lambda f: (_namespace(f) != space, not f.endswith(BASE_FRAMES[0]), f))]
+
+
+def _namespace(frame: str) -> str:
+    return frame.rpartition("/")[0]
+
 
 def _chain(edges: dict[tuple[str, str], NDArray[np.float64]], base: str, laser: str) -> NDArray[np.floating] | None:
     """Walk from frame to frame, breadth first, up and down."""

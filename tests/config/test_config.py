@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from mavnav.config.loading import fields, load_config, method_layer, presets, schema_of, to_yaml, validated
 from mavnav.config.models import Config, GridSize, PaperConfig
 from mavnav.errors import ConfigError
-from mavnav.simulation.world import scenario_schema
+from mavnav.simulation.world import load_scenario, scenario_schema
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -100,6 +100,22 @@ def test_words_of_yaml_1_1_stay_words(tmp_path: Path) -> None:
     config = load_config(write(tmp_path, "odom: off\nrobust: {cell_mm: 2e1}\n"))
     assert config.odom == "off"
     assert config.robust.cell_mm == 20.0
+
+
+def test_integers_are_those_of_yaml_1_2(tmp_path: Path) -> None:
+    """Leading zeros do not make a number octal, 0o does."""
+    assert load_config(None, ["robust.cell_mm=010"]).robust.cell_mm == 10.0
+    assert load_config(None, ["azimuth=08"]).azimuth == 8
+    assert load_config(None, ["azimuth=0o10"]).azimuth == 8
+    assert load_config(write(tmp_path, "azimuth: +012")).azimuth == 12
+
+
+@pytest.mark.parametrize("text", ["true", "1_0", "'20'"])
+def test_words_and_truth_values_are_no_numbers(tmp_path: Path, text: str) -> None:
+    with pytest.raises(ConfigError, match=r":2: robust\.cell_mm is .*, it should be a number; cell edge"):
+        load_config(write(tmp_path, f"robust:\n  cell_mm: {text}"))
+    with pytest.raises(ConfigError, match=r"goal_m\.1 is"):
+        load_scenario("corner", [f"goal_m=[1.0, {text}]"])
 
 
 def test_the_schema_takes_the_grids_that_are_read() -> None:

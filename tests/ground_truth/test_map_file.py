@@ -31,6 +31,7 @@ def kinds(path) -> np.ndarray:
         (pgm(shades(205, 254, 0)), {"occupied_thresh": 0.65, "free_thresh": 0.25}),
         (pgm(shades(128, 255, 0)), THRESHOLDS),
         (pgm(shades(128, 0, 255)), THRESHOLDS | {"negate": 1}),
+        (pgm(shades(128, 0, 255)), THRESHOLDS | {"negate": "true"}),
         (pgm(shades(205, 254, 0), "P2"), THRESHOLDS),
         (pgm(shades(50, 100, 0), depth=100), THRESHOLDS),
         (pgm(shades(32896, 65535, 0), depth=65535), THRESHOLDS),
@@ -38,7 +39,19 @@ def kinds(path) -> np.ndarray:
         (pgm(shades(128, 254, 0)), THRESHOLDS | {"mode": "scale"}),
         (pgm(shades(205, 254, 0)), {}),
     ],
-    ids=["saver", "nav2 saver", "128", "negated", "plain", "depth 100", "16 bits", "raw", "scale", "no thresholds"],
+    ids=[
+        "saver",
+        "nav2 saver",
+        "128",
+        "negated",
+        "negated in words",
+        "plain",
+        "depth 100",
+        "16 bits",
+        "raw",
+        "scale",
+        "no thresholds",
+    ],
 )
 def test_the_same_map_in_many_ways(write_map, picture, about) -> None:
     np.testing.assert_array_equal(kinds(write_map(picture, **about)), KINDS)
@@ -48,6 +61,21 @@ def test_the_same_map_in_many_ways(write_map, picture, about) -> None:
 def test_png(write_map, mode: str) -> None:
     image = Image.fromarray(shades(205, 254, 0).astype(np.uint8)).convert(mode)
     np.testing.assert_array_equal(kinds(write_map(image.save, "map.png", **THRESHOLDS)), KINDS)
+
+
+@pytest.mark.parametrize(
+    ("levels", "about"),
+    [
+        ((205, 254, 0), {"mode": "trinary"}),
+        ((128, 0, 255), {"negate": 1}),
+        ((128, 254, 0), {"mode": "scale"}),
+        ((255, 0, 100), {"mode": "raw"}),
+    ],
+    ids=["trinary", "negated", "scale", "raw"],
+)
+def test_a_png_of_16_bits_is_the_same_map(write_map, levels, about) -> None:
+    image = Image.fromarray(shades(*levels).astype(np.uint16) * 257)
+    np.testing.assert_array_equal(kinds(write_map(image.save, "map.png", **THRESHOLDS | about)), KINDS)
 
 
 def test_what_is_transparent_is_unknown(write_map) -> None:
@@ -60,6 +88,10 @@ def test_places_follow_resolution_and_origin(write_map) -> None:
     np.testing.assert_allclose(map_file.occupied_xy_m(), [(-1.0 + 2.5 * 0.05, 2.0 + 0.5 * 0.05)])
     turned = read_map(write_map(pgm(shades(205, 254, 0)), origin=[0, 0, 1.5707963267948966]))
     np.testing.assert_allclose(turned.occupied_xy_m(), [(-0.5 * 0.05, 2.5 * 0.05)], atol=1e-12)
+
+
+def test_leading_zeros_of_an_origin_are_decimal(write_map) -> None:
+    assert read_map(write_map(GOOD, origin="[010, 08, 0]")).map_T_grid == (10.0, 8.0, 0.0)
 
 
 def test_what_is_left_out_is_as_it_usually_is(tmp_path) -> None:
@@ -92,6 +124,8 @@ GOOD = pgm(shades(205, 254, 0))
         (GOOD, {"occupied_thresh": ".inf"}, "no number"),
         (GOOD, {"image": "gone.pgm"}, "cannot be read"),
         (GOOD, {"negate": "yes please"}, "no number"),
+        (GOOD, {"resolution": "true"}, "no number"),
+        (GOOD, {"origin": "[true, 0, 0]"}, "no pose"),
     ],
     ids=lambda value: str(value)[:20] if not isinstance(value, bytes) else "",
 )

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from mavnav.errors import NoScansError, TopicError, UsageError
 from mavnav.logs import open_log
 from mavnav.pose import Pose
-from support.log_files import LASER, ODOM, PERIOD_NS, START_NS, TF, Message, drive, laser, write_mcap
+from support.log_files import LASER, ODOM, PERIOD_NS, START_NS, TF, Message, drive, laser, write_bag1, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -91,6 +91,16 @@ def test_paths_that_cannot_be_read_are_refused_at_once(tmp_path: Path) -> None:
         open_log(tmp_path / "folder")
 
 
+def test_a_folder_of_other_logs_names_them(tmp_path: Path) -> None:
+    write_bag1(tmp_path / "drive.bag", [laser(0)])
+    with pytest.raises(NoScansError, match=r"the folder holds drive\.bag; name it, or use 'mavnav batch FOLDER'"):
+        open_log(tmp_path)
+    write_mcap(tmp_path / "drive.mcap", [laser(0)])
+    names = r"drive\.bag and drive\.mcap; name one, or use 'mavnav batch FOLDER'"
+    with pytest.raises(NoScansError, match=f"the folder holds {names}"):
+        open_log(tmp_path)
+
+
 def test_fifo_in_a_folder_does_not_hang(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "a.db3")
     write_mcap(tmp_path / "b.mcap", [laser(0)])
@@ -115,6 +125,34 @@ def test_odometry_by_itself_is_the_only_topic_or_odom_or_tf(tmp_path: Path) -> N
     assert log.odometry is not None
     assert log.odometry.source == "tf"
     np.testing.assert_allclose(log.odometry.odom_T_base.xyyaw[:, 0], [0.0, 2.0, 4.0, 6.0])
+
+
+def two_robots(tmp_path: Path, motion: list[Message]) -> Path:
+    """Write scans of the second robot of two, and the mountings of both."""
+    mountings = [tf(f"r{n}/base_link", f"r{n}/laser", x=0.1 * n) for n in (1, 2)]
+    return write_mcap(tmp_path / "a", [*(laser(k, frame_id="r2/laser") for k in range(4)), *mountings, *motion])
+
+
+def test_odometry_of_tf_is_that_of_the_laser_s_vehicle(tmp_path: Path) -> None:
+    one = [tf("r1/odom", "r1/base_link", "/tf", k, x=5.0 * k) for k in range(6)]
+    two = [tf("r2/odom", "r2/base_link", "/tf", k, x=2.0 * k) for k in range(4)]
+    log = open_log(two_robots(tmp_path, one + two))
+    assert (log.base_frame, log.base_T_laser) == ("r2/base_link", Pose(0.2, 0.0, 0.0))
+    assert log.odometry is not None
+    np.testing.assert_allclose(log.odometry.odom_T_base.xyyaw[:, 0], [0.0, 2.0, 4.0, 6.0])
+
+
+def test_of_several_odometry_topics_that_of_the_laser_s_vehicle_is_used(tmp_path: Path) -> None:
+    motion = [odom(f"/r{n}/odom", k, child=f"r{n}/base_link") for k in range(4) for n in (1, 2)]
+    log = open_log(two_robots(tmp_path, motion))
+    assert log.odometry is not None
+    assert (log.odometry.topic, log.base_frame) == ("/r2/odom", "r2/base_link")
+    assert not any("several odometry" in text for text in log.warnings)
+
+
+def test_without_odometry_the_base_may_be_in_a_namespace(tmp_path: Path) -> None:
+    log = open_log(two_robots(tmp_path, [tf("r1/base_link", "r2/base_link")]))
+    assert (log.base_frame, log.base_T_laser) == ("r2/base_link", Pose(0.2, 0.0, 0.0))
 
 
 def test_odometry_can_be_named_or_left_out(tmp_path: Path) -> None:

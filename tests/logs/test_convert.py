@@ -80,7 +80,7 @@ def test_refusals_say_why_and_leave_everything_alone(tmp_path: Path) -> None:
     before = source.read_bytes()
     (tmp_path / "empty.mcap").touch()
     (tmp_path / "there.mcap").write_text("old")
-    with pytest.raises(UsageError, match="is the log itself, or a part of it; choose another name for the output"):
+    with pytest.raises(UsageError, match="is the log itself; choose another name for the output"):
         convert_log(source, source, force=True)
     with pytest.raises(UsageError, match=r"end in \.mcap"):
         convert_log(source, tmp_path / "b.bag")
@@ -100,9 +100,17 @@ def test_a_part_of_the_log_is_not_overwritten(tmp_path: Path) -> None:
     bag = write_bag2(tmp_path / "bag", drive(3), "MCAP")
     (part,) = bag.glob("*.mcap")
     before = part.read_bytes()
-    with pytest.raises(UsageError, match="a part of it"):
+    with pytest.raises(UsageError, match="in the folder of the log"):
         convert_log(bag, part, force=True)
     assert part.read_bytes() == before
+
+
+def test_the_folder_of_the_log_gets_no_new_files(tmp_path: Path) -> None:
+    bag = write_bag2(tmp_path / "bag", drive(3))
+    before = {file.name for file in bag.iterdir()}
+    with pytest.raises(UsageError, match="in the folder of the log"):
+        convert_log(bag, bag / "new.mcap")
+    assert {file.name for file in bag.iterdir()} == before
 
 
 def test_a_folder_is_no_target(tmp_path: Path) -> None:

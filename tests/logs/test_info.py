@@ -78,6 +78,12 @@ def test_no_log_exits_with_4_and_still_prints_the_object(tmp_path: Path, capsys:
     assert "not an MCAP file" in err
 
 
+def test_the_cause_of_a_refusal_is_printed_once(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "a.mcap").touch()
+    assert run(["info", str(tmp_path / "a.mcap")]) == 4
+    assert capsys.readouterr().err.count("the file is empty") == 1
+
+
 def test_unusable_scans_exit_with_4_and_say_why(tmp_path: Path, capsys: Capture) -> None:
     code, document, _ = told(capsys, write_mcap(tmp_path / "a", [laser(k, ranges=[0.0, 0.0]) for k in range(3)]))
     assert code == 4

@@ -68,6 +68,23 @@ def test_a_scan_split_over_two_lasers_is_put_together_again(tmp_path: Path) -> N
         np.testing.assert_allclose(a.ranges_m, b.ranges_m, rtol=1e-14)
 
 
+def test_the_window_of_all_lasers_counts_from_the_first_scan_of_the_first(tmp_path: Path) -> None:
+    """The second laser starts 2 scans later, and a little after the first in every pair."""
+    edges = [
+        Message("/tf_static", TF, START_NS, {"parent": "base_link", "child": child, "x": 0.0, "y": 0.0, "yaw": 0.0})
+        for child in ("front", "back")
+    ]
+    front = [half("/front", k, slice(0, MIDDLE), 0.0, 0.0) for k in range(12)]
+    back = [half("/back", k, slice(MIDDLE, None), 0.0, 0.03) for k in range(2, 12)]
+    path = write_mcap(tmp_path / "late.mcap", [*edges, *front, *back])
+    log = open_log(path, topic="/front,/back", start_s=0.4, end_s=0.8)
+    assert log.warnings == ()
+    assert [int(np.isfinite(scan.ranges_m).sum()) > MIDDLE for scan in log] == [True] * 5
+    early = open_log(path, topic="/front,/back", end_s=0.3)
+    assert early.warnings == ()
+    assert [int(np.isfinite(scan.ranges_m).sum()) > MIDDLE for scan in early] == [False, False, True, True]
+
+
 def test_a_scan_without_a_partner_stays_alone(tmp_path: Path) -> None:
     path = split(tmp_path, missing=2)
     scans = list(open_log(path, topic="/front,/back"))

@@ -23,6 +23,7 @@ UNKNOWN = "unknown"
 SUFFIXES = (".mcap", ".bag", ".active", ".db3", ".clf", ".log", ".zst", ".zstd", ".gz", ".bz2")
 """Suffixes of log files; the content decides the format."""
 
+_MOST_NAMED = 4
 _AMBIGUOUS = (".log", ".gz", ".bz2")
 _HEAD_BYTES = 16
 _OLD_BAG = re.compile(rb"#ROS(?:BAG|RECORD|LOG) V(1\.[01])")
@@ -164,7 +165,7 @@ def split_name(name: str) -> tuple[str, str]:
 def refusal(path: Path) -> str:
     """Return the message why a path is not read, and what to do."""
     if path.is_dir():
-        return "the folder holds no ROS 2 bag (no metadata.yaml, no .db3 or .mcap)"
+        return _folder_refusal(path)
     with path.open("rb") as file:
         head = file.read(_SEARCH_BYTES)
     if not head:
@@ -180,6 +181,17 @@ def refusal(path: Path) -> str:
     if packer:
         return f"compressed with {packer}, but the start of what is inside is no log, or does not decompress"
     return "not an MCAP file, ROS 1 bag, ROS 2 bag or CARMEN log"
+
+
+def _folder_refusal(folder: Path) -> str:
+    names = [file.name for file in sorted(folder.iterdir()) if _is_storage(file)]
+    if not names:
+        return "the folder holds no ROS 2 bag (no metadata.yaml, no .db3 or .mcap)"
+    if len(names) > _MOST_NAMED:
+        names[_MOST_NAMED - 1 :] = [f"{len(names) - _MOST_NAMED + 1} other logs"]
+    *others, last = names
+    listed = f"{', '.join(others)} and {last}; name one" if others else f"{last}; name it"
+    return f"the folder holds {listed}, or use 'mavnav batch FOLDER'"
 
 
 def _packer(head: bytes) -> str | None:

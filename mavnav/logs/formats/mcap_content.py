@@ -71,14 +71,14 @@ def apply_record(opcode: int, content: bytes, where: str, state: State) -> RawMe
 
 
 def _message(content: bytes, where: str, state: State) -> RawMessage | None:
-    number, _, log_ns, _ = MESSAGE_HEAD.unpack_from(content)
+    number, _, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content)
     state.messages += 1
     data = content[MESSAGE_HEAD.size :]
     channel = state.channels.get(number) or _spare_channel(number, state)
     if channel is not None and lacks_type(channel):
         channel = state.channels[number] = with_detected_type(channel, data, where, state.report)
     if channel is not None:
-        return RawMessage(channel, log_ns, data)
+        return RawMessage(channel, log_ns, data, publish_ns=publish_ns)
     return _undeclared_message(number, log_ns, data, where, state)
 
 
@@ -114,7 +114,7 @@ def _declare_channel(fields: Fields, where: str, state: State) -> None:
     number, schema_number, topic, encoding = fields.number("H"), fields.number("H"), fields.text(), fields.text()
     schema = state.schemas.get(schema_number, _NO_SCHEMA)
     encoding = encoding or _ENCODING_OF_SCHEMA.get(schema.encoding, "")
-    channel = Channel(topic, ros_type(schema.name), encoding, schema)
+    channel = Channel(topic, ros_type(schema.name), encoding, schema, _metadata(fields))
     before = state.channels.get(number)
     if state.suspect:
         spare = state.spare.get(number) if state.spare_is_sound else None
@@ -125,6 +125,14 @@ def _declare_channel(fields: Fields, where: str, state: State) -> None:
         text = f"channel {number} is declared twice, as {before.topic!r} and {topic!r}; the later counts"
         state.report.damage(text, where)
     state.channels[number] = state.report.declare(channel)
+
+
+def _metadata(fields: Fields) -> tuple[tuple[str, str], ...]:
+    """Return the metadata of a channel; none where they are cut, as the channel can be used without."""
+    try:
+        return tuple(fields.texts().items())
+    except struct.error:
+        return ()
 
 
 def _check_count(content: bytes, where: str, state: State) -> None:

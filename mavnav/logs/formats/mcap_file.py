@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES, TOO_MANY, Allowance, DecompressError, decompress
 from mavnav.logs.formats.mcap_content import State, apply_record
+from mavnav.logs.formats.mcap_extras import EXTRAS, read_extra
 from mavnav.logs.formats.mcap_records import (
     HEAD,
     IN_CHUNKS,
@@ -62,6 +63,8 @@ def read_mcap(path: Path, report: ReadReport) -> Iterator[RawMessage]:
                 yield from _chunk_messages(source, record, state)
             elif record.opcode in _READ:
                 yield from _outside(source, record, state)
+            elif record.opcode in EXTRAS and report.take_extra:
+                report.take_extra(read_extra(source, record))
         if not state.closed:
             report.damage("the file ends without a footer; it was cut or not closed", source.where(source.size))
 

@@ -95,6 +95,15 @@ class Fields:
         """Read a string; bytes that are not UTF-8 are replaced."""
         return self.block().decode(errors="replace")
 
+    def texts(self) -> dict[str, str]:
+        """Read strings by name."""
+        inner = Fields(self.block())
+        found = {}
+        while inner.offset < len(inner._content):
+            name = inner.text()
+            found[name] = inner.text()
+        return found
+
 
 class ChunkHead(NamedTuple):
     """The fields of a chunk before its data; ``start`` is the offset of the data in the content."""

@@ -29,7 +29,7 @@ from mavnav.logs.formats.rosbag1_records import (
 from mavnav.logs.formats.source import Source
 from mavnav.logs.formats.untyped import channel_of, lacks_type, with_detected_type
 from mavnav.logs.read_report import ReadReport
-from mavnav.logs.records import Channel, RawMessage, Schema, ros_type
+from mavnav.logs.records import LATCHING, Channel, RawMessage, Schema, ros_type
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -221,7 +221,9 @@ def _declare(source: Source, record: Record, state: _State) -> None:
     fields = parse_fields(source.read(record.start, record.end - record.start)) or {}
     topic = record.fields[b"topic"].decode(errors="replace")
     name = fields.get(b"type", b"").decode(errors="replace")
-    channel = Channel(topic, ros_type(name), "ros1", Schema(name, "ros1msg", fields.get(b"message_definition", b"")))
+    schema = Schema(name, "ros1msg", fields.get(b"message_definition", b""))
+    latching = fields.get(b"latching", b"").decode(errors="replace")
+    channel = Channel(topic, ros_type(name), "ros1", schema, ((LATCHING, latching),) if latching else ())
     if not name:
         channel = state.spare.get(number, channel)
     state.channels[number] = state.report.declare(channel)

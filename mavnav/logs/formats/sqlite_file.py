@@ -21,7 +21,7 @@ from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
 from mavnav.logs.formats.source import Source
 from mavnav.logs.formats.sqlite_pages import page_size, rows
 from mavnav.logs.formats.untyped import channel_of, lacks_type, with_detected_type
-from mavnav.logs.records import Channel, RawMessage, ros_type
+from mavnav.logs.records import QOS, Channel, RawMessage, ros_type
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -33,7 +33,8 @@ MAGIC = b"SQLite format 3\x00"
 
 _TABLES = """SELECT count(*) FROM sqlite_master
 WHERE type = 'table' AND name IN ('topics', 'messages') AND sql NOT LIKE '%VIRTUAL%'"""
-_TOPICS = "SELECT id, name, type, serialization_format FROM topics"
+_TOPICS = "SELECT id, name, type, serialization_format, {} FROM topics"
+_HAS_QOS = "SELECT count(*) FROM pragma_table_info('topics') WHERE name = 'offered_qos_profiles'"
 _COMPUTED = """SELECT m.name, c.name FROM sqlite_master AS m, pragma_table_xinfo(m.name) AS c
 WHERE m.name IN ('topics', 'messages') AND c.hidden > 1"""
 _MESSAGES = "SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED ORDER BY rowid"
@@ -94,7 +95,8 @@ def _rows(path: Path, state: _State) -> Iterator[RawMessage]:
             raise sqlite3.DatabaseError("there are no tables of messages and topics")
         if computed := connection.execute(_COMPUTED).fetchone():
             raise sqlite3.DatabaseError(f"the column {computed[1]} of {computed[0]} is computed; recorders store it")
-        for row in connection.execute(_TOPICS):
+        (has_qos,) = connection.execute(_HAS_QOS).fetchone()
+        for row in connection.execute(_TOPICS.format("offered_qos_profiles" if has_qos else "NULL")):
             _declare(row, state)
         for number, topic_id, log_ns, data in connection.execute(_MESSAGES):
             if number <= state.last:
@@ -105,10 +107,12 @@ def _rows(path: Path, state: _State) -> Iterator[RawMessage]:
 
 def _declare(row: tuple[object, ...], state: _State) -> None:
     """Declare the channel of a topic; report a topic without a name."""
-    number, name, kind, encoding = row
+    number, name, kind, encoding, qos = row
     if isinstance(number, int) and isinstance(name, str):
         kind, encoding = ("" if text is None else str(text) for text in (kind, encoding))
-        state.channels[number] = state.report.declare(Channel(name, ros_type(kind), encoding))
+        metadata = ((QOS, qos),) if isinstance(qos, str) and qos else ()
+        channel = Channel(name, ros_type(kind), encoding, metadata=metadata)
+        state.channels[number] = state.report.declare(channel)
     else:
         state.report.damage(f"topic {number} has no name", state.path.name)
 

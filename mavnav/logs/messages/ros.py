@@ -12,8 +12,19 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from mavnav.logs.messages.definitions import ODOMETRY, POSE, SCAN, TF
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from mavnav.pose import Pose
     from mavnav.scan import Attitude, Scan
+
+_OLDER = (
+    Stores.ROS2_IRON,
+    Stores.ROS2_HUMBLE,
+    Stores.ROS2_GALACTIC,
+    Stores.ROS2_FOXY,
+    Stores.ROS2_ELOQUENT,
+    Stores.ROS2_DASHING,
+)
 
 
 @cache
@@ -30,9 +41,18 @@ def types_ros1() -> Any:  # noqa: ANN401
     return store
 
 
-def definition(msgtype: str) -> str:
+def all_types_ros2() -> Iterator[Any]:
+    """Yield the type stores of ROS 2: that of ``types_ros2``, then those of older distributions, the newest first."""
+    yield types_ros2()
+    yield from map(_store, _OLDER)
+
+
+_store = cache(get_typestore)
+
+
+def definition(msgtype: str, types: Any = None) -> str:  # noqa: ANN401
     """Return the definition of a message type with the types that it contains (MCAP's ``ros2msg``)."""
-    text, _ = types_ros2().generate_msgdef(msgtype, ros_version=2)
+    text, _ = (types or types_ros2()).generate_msgdef(msgtype, ros_version=2)
     return str(text)
 
 

@@ -1,0 +1,204 @@
+"""Translation of the messages of a log into what ``convert`` writes: ROS 2 messages, where their type is known there.
+
+The definition of a type decides, not its first message, which may be cut, or empty and fit any definition.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from msgspec import Struct, field
+
+from mavnav.logs.messages import ros
+from mavnav.logs.messages.carmen import ENCODING
+from mavnav.logs.messages.decode import decoder
+from mavnav.logs.messages.definitions import TF, TF_ROS1
+from mavnav.logs.messages.records import DecodeError
+from mavnav.logs.records import Channel, Schema
+from mavnav.logs.writing.carmen_as_ros import carmen_to_cdr
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from mavnav.logs.read_report import ReadReport
+
+_ROS1_ONLY: Final = {TF_ROS1: TF}
+_MAX_DEFINITION_BYTES: Final = 1 << 20
+_SIMPLE: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration", "std_msgs/msg/Header")
+"""Types that are translated by name: ROS 1 has them built in, or with a sequence number."""
+
+_BYTES: Final = dict.fromkeys(("int8", "uint8", "byte", "char"), "byte")
+_FILLER: Final = "structure_needs_at_least_one_member"
+
+
+class _Translation(NamedTuple):
+    """The channel to write, and the function that translates a message or raises DecodeError.
+
+    One with a ``warning`` is the last resort: it is for single messages, and others come first for the next.
+    """
+
+    channel: Channel
+    translate: Callable[[bytes], bytes]
+    warning: str = ""
+
+
+class _Choice(Struct):
+    """The translations of a channel: those tried so far, the last that fitted first, and those not tried yet."""
+
+    more: Iterator[_Translation]
+    tried: list[_Translation] = field(default_factory=list)
+
+
+class Translator(Struct):
+    """Translates messages, each by the first translation that fits it."""
+
+    report: ReadReport
+    _choices: dict[Channel, _Choice] = field(default_factory=dict)
+
+    def translated(self, channel: Channel, data: bytes) -> tuple[Channel, bytes]:
+        """Return the channel to write a message to, and its bytes there; raises DecodeError."""
+        choice = self._choices.get(channel)
+        if choice is None:
+            choice = self._choices[channel] = _Choice(_translations(channel))
+        error = None
+        for number, translation in enumerate(_all(choice)):
+            try:
+                message = translation.translate(data)
+            except DecodeError as reason:
+                error = error or reason
+                continue
+            if translation.warning:
+                self.report.warn(translation.warning)
+            elif number:
+                choice.tried.insert(0, choice.tried.pop(number))
+            return translation.channel, message
+        raise error or DecodeError("no definition fits")
+
+
+def _all(choice: _Choice) -> Iterator[_Translation]:
+    yield from list(choice.tried)
+    for translation in choice.more:
+        choice.tried.append(translation)
+        yield translation
+
+
+def _translations(channel: Channel) -> Iterator[_Translation]:
+    """Yield the translations of a channel, the best first."""
+    check = decoder(channel)
+    name = _ROS1_ONLY.get(channel.type, channel.type)
+    known = name in ros.types_ros2().types
+    if channel.encoding == ENCODING:
+        yield _Translation(_ros2(channel, channel.type), _checked(check, carmen_to_cdr(channel)))
+    elif channel.encoding == "ros1" and known and (check or _same_layout(channel, name)):
+        yield _Translation(_ros2(channel, name), _checked(check, lambda message: _to_cdr(message, name)))
+        warning = f"{channel.topic}: messages that do not fit {name} of ROS 2 are copied as they are"
+        yield _Translation(channel, _checked(check, lambda message: _read_ros1(message, name)), warning)
+    elif channel.encoding == "cdr" and not channel.schema.data and known:
+        yield from _with_definition(channel, name, check)
+    else:
+        yield _Translation(channel, _checked(check))
+
+
+def _with_definition(channel: Channel, name: str, check: Callable[[bytes], Any] | None) -> Iterator[_Translation]:
+    """Yield a channel without a definition with those of ROS 2's distributions that fit the bytes, the newest first."""
+    if check:  # a type that has not changed
+        yield _Translation(_ros2(channel, name), _checked(check))
+        return
+    texts = set()
+    for types in ros.all_types_ros2():
+        text = ros.definition(name, types) if name in types.types else ""
+        if text and text not in texts:
+            texts.add(text)
+            yield _Translation(_written(channel, name, text), _checked(_reader(types, name)))
+    warning = f"{channel.topic}: no definition of {name} fits its messages; they are copied without one"
+    yield _Translation(Channel(channel.topic, name, "cdr", Schema(name), channel.metadata), _checked(), warning)
+
+
+def _ros2(channel: Channel, name: str) -> Channel:
+    return _written(channel, name, ros.definition(name))
+
+
+def _written(channel: Channel, name: str, text: str) -> Channel:
+    return Channel(channel.topic, name, "cdr", Schema(name, "ros2msg", text.encode()), channel.metadata)
+
+
+def _checked(
+    check: Callable[[bytes], Any] | None = None, translate: Callable[[bytes], bytes] | None = None
+) -> Callable[[bytes], bytes]:
+    """Return a function that raises DecodeError where ``check`` does, and else translates, or returns the same."""
+
+    def checked(data: bytes) -> bytes:
+        if check:
+            check(data)
+        return translate(data) if translate else data
+
+    return checked
+
+
+def _reader(types: Any, name: str) -> Callable[[bytes], Any]:  # noqa: ANN401  rosbags' types are made at run time
+    return lambda data: _read(types.deserialize_cdr, data, name)
+
+
+def _read_ros1(data: bytes, name: str) -> bytes:
+    """Return a message as it is, if the standard definition of ROS 1 decodes it."""
+    if name not in ros.types_ros1().types:
+        raise DecodeError(f"{name} is not known in ROS 1")
+    _read(ros.types_ros1().deserialize_ros1, data, name)
+    return data
+
+
+def _to_cdr(data: bytes, name: str) -> bytes:
+    return bytes(_read(ros.types_ros2().ros1_to_cdr, data, name))
+
+
+def _read(read: Callable[[bytes, str], Any], data: bytes, name: str) -> Any:  # noqa: ANN401
+    from rosbags.serde import SerdeError  # noqa: PLC0415
+
+    try:
+        return read(data, name)
+    except (SerdeError, ValueError, IndexError, AssertionError) as error:
+        raise DecodeError(str(error)) from error
+
+
+def _same_layout(channel: Channel, name: str) -> bool:
+    """Return whether the ROS 1 definition of a channel has the fields of ROS 2's type, whatever their names."""
+    types = _definitions_ros1(channel.schema.data, channel.type) or ros.types_ros1().fielddefs
+    kind = channel.type if channel.type in types else name
+    return kind not in types or _same_fields(types, kind, name)  # else the messages decide
+
+
+@cache
+def _definitions_ros1(text: bytes, name: str) -> Mapping[str, Any]:
+    """Return the definitions in a ROS 1 bag by type; empty where they cannot be read. They are not compiled."""
+    from rosbags.typesys import TypesysError, get_types_from_msg  # noqa: PLC0415
+
+    if not 0 < len(text) <= _MAX_DEFINITION_BYTES:
+        return {}
+    try:
+        return dict(get_types_from_msg(text.decode(errors="replace"), name))
+    except (TypesysError, ValueError, RecursionError):
+        return {}
+
+
+def _same_fields(types: Mapping[str, Any], one: str, other: str) -> bool:
+    if one == other and one in _SIMPLE:
+        return True
+    there = ros.types_ros2().fielddefs
+    if one not in types or other not in there:
+        return False
+    fields, others = ([kind for word, kind in known[1] if word != _FILLER] for known in (types[one], there[other]))
+    return len(fields) == len(others) and all(_same_kind(types, *pair) for pair in zip(fields, others, strict=True))
+
+
+def _same_kind(types: Mapping[str, Any], one: Any, other: Any) -> bool:  # noqa: ANN401  as rosbags writes them
+    from rosbags.interfaces import Nodetype  # noqa: PLC0415
+
+    if one[0] != other[0]:
+        return False
+    if one[0] == Nodetype.NAME:
+        return _same_fields(types, one[1], other[1])
+    if one[0] == Nodetype.BASE:
+        return bool(_BYTES.get(one[1][0], one[1][0]) == _BYTES.get(other[1][0], other[1][0]))
+    same_length = one[0] == Nodetype.SEQUENCE or one[1][1] == other[1][1]
+    return same_length and _same_kind(types, one[1][0], other[1][0])
