@@ -60,8 +60,8 @@ def write(run: Run, path: Path) -> None:
 def _chart_room(charts: list[_Chart]) -> int:
     """Return the width of the histograms with their titles and the free space on the right, in pixels."""
     lines = [line for chart in charts for line in chart.title.split("\n")]
-    longest, usual = ceil(max(map(font(TITLE_PT).getlength, lines))), HISTOGRAM[0] + EDGE
-    return max(usual, longest + EDGE)
+    longest: int = max(ceil(font(TITLE_PT).getlength(line)) for line in lines)
+    return max(HISTOGRAM[0], longest) + EDGE
 
 
 def _draw_map(axes: Axes, run: Run) -> None:

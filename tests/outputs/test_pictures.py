@@ -16,7 +16,7 @@ from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.wall_spread import WallCuts
 from mavnav.outputs import map_axes, map_picture, merged_picture, wall_picture
 from mavnav.outputs.canvas import Canvas, font, png, rgb_of
-from mavnav.outputs.plot import Axes, ticks
+from mavnav.outputs.plot import Axes, legend_width, ticks
 from mavnav.outputs.viewport import Window, window_of
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.doubt.record import Doubt, Reason
@@ -68,6 +68,16 @@ def test_the_colours_of_the_legend_are_in_the_map(run, tmp_path):
     assert near((0xD6, 0x00, 0x9A)) > 200  # poses
     assert near((0x00, 0x33, 0xFF)) > 50  # start
     assert near((0xE0, 0x00, 0x00)) > 50  # end
+
+
+def test_the_legend_of_the_map_names_its_areas_and_is_whole(run, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
+    map_picture.write(run, tmp_path / "map.png")
+    assert {"start", "end", "free", "unknown"} <= set(drawn)
+    assert any("20 yaw samples, search grid 10x10" in text for text in drawn)
+    marks = [map_axes.LOOP, map_axes.TRUE_WALL, map_axes.DOUBTFUL, map_axes.POSE, map_axes.TRUE_POSE, *map_axes.KNOWN]
+    assert map_picture.legend_room(marks) > legend_width(marks)
 
 
 def test_no_line_is_drawn_where_the_track_was_lost(run):
