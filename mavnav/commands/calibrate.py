@@ -41,17 +41,6 @@ mavnav calibrate drive.bag --odom /wheel_odom -o calibration.json --picture cali
 mavnav calibrate drive.mcap --json | jq -r .lines.static_transform
 """
 
-NAMES: Final = {
-    "x_m": ("x", 3),
-    "y_m": ("y", 3),
-    "yaw_deg": ("yaw", 2),
-    "offset_s": ("time offset", 3),
-    "distance_scale": ("distance scale", 4),
-    "turn_scale": ("turn scale", 4),
-    "veer_deg_per_m": ("veer", 2),
-}
-"""Quantity -> its name in the table, and its digits there."""
-
 MOUNTING: Final = ("x_m", "y_m", "yaw_deg")
 
 
@@ -111,12 +100,14 @@ def calibrate(
 
 
 def _rows(document: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    from mavnav.outputs.summary_page import QUANTITY_NAMES
+
     source = document["input"]
     frames = f"{source['frame_id']} on {source['base_frame']}"
     moved = f"{document['motion']['path_m']:.1f} m, {document['motion']['turned_deg']:.0f} deg in all"
     yield "calibrated", f"{frames}, {source['topic']} with {source['odometry']['topic']}; {moved}"
     for row in document["quantities"]:
-        yield NAMES[row["name"]][0], _text(row)
+        yield QUANTITY_NAMES[row["name"]][0], _text(row)
     yield "upside down", _switch_text(document["upside_down"])
     yield "beams reversed", _switch_text(document["beams_reversed"])
     yield "range bias", _switch_text(document["range_bias"])
@@ -125,7 +116,9 @@ def _rows(document: dict[str, Any]) -> Iterator[tuple[str, str]]:
 def _text(row: dict[str, Any]) -> str:
     if row["refused"]:
         return f"not determined: {row['refused']}"
-    digits, unit = NAMES[row["name"]][1], f" {row['unit']}".rstrip()
+    from mavnav.outputs.summary_page import QUANTITY_NAMES
+
+    digits, unit = QUANTITY_NAMES[row["name"]][1], f" {row['unit']}".rstrip()
     found = f"{row['value']:.{digits}f}{unit} +- {row['ci95']:.{digits}f}"
     if row["in_log"] is None:
         return f"{found}; the log has no transform"

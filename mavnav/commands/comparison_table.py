@@ -54,6 +54,8 @@ WIDE = 200
 
 def print_comparison(document: dict[str, Any]) -> None:
     """Print the table of comparison.json on stdout."""
+    from mavnav.comparison.files import uncompared
+
     out = console()
     if not out.is_terminal:
         out.width = WIDE
@@ -65,6 +67,8 @@ def print_comparison(document: dict[str, Any]) -> None:
             less.add(name)
             table = _table(document, less)
     out.print(table)
+    for line in uncompared(document):
+        out.print(_text(line))
 
 
 def _table(document: dict[str, Any], less: set[str]) -> Table:

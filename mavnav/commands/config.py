@@ -46,7 +46,7 @@ def show(
         ),
     ] = None,
 ) -> None:
-    """Print the effective configuration as YAML, a comment for every value; it can be given to --config."""
+    """Print the effective configuration as YAML with comments; it can be given to --config."""
     from mavnav.config.loading import load_config, to_yaml
 
     emit(to_yaml(load_config(config, sets or [], {"method": method})).rstrip())

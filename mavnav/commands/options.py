@@ -110,9 +110,11 @@ ConfigFile = Annotated[
         autocompletion=completion.presets,
     ),
 ]
-Sets = Annotated[
+sets_option = partial(search_option, "--set", metavar="KEY=VALUE")
+Sets = Annotated[list[str] | None, sets_option(help="Override one configuration value; repeatable.")]
+ScenarioSets = Annotated[
     list[str] | None,
-    search_option("--set", metavar="KEY=VALUE", help="Override one configuration value; repeatable."),
+    sets_option(help="Override one key of the scenario file; those of a replay are below slam. Repeatable."),
 ]
 
 Outputs = Annotated[

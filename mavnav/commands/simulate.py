@@ -21,7 +21,7 @@ from mavnav.commands.options import (
     Method,
     Outputs,
     Quiet,
-    Sets,
+    ScenarioSets,
     WriteReport,
     again_directory,
     check_again,
@@ -102,7 +102,7 @@ def simulate(
     grid: Grid = None,
     azimuth: Azimuth = None,
     config: ConfigFile = None,
-    sets: Sets = None,
+    sets: ScenarioSets = None,
     directory: Annotated[
         Path | None,
         directory_option(help="Run directory (default runs/SCENARIO-METHOD-YAW-GRID)."),
@@ -239,7 +239,10 @@ def _truth_rows(truth: dict[str, Any]) -> list[tuple[str, str]]:
     turned_deg = truth["map_yaw_error_rad"] / DEG
     return [
         ("ATE, aligned", f"{1e3 * truth['ate_rmse_m']:.0f} mm, final {1e3 * truth['final_aligned_error_m']:.0f} mm"),
-        ("from the start", f"final {1e3 * truth['final_error_m']:.0f} mm, map turned by {turned_deg:.1f} deg"),
+        (
+            "from the start",
+            f"drift at the end {1e3 * truth['final_error_m']:.0f} mm, map rotated by {turned_deg:.1f} deg",
+        ),
         ("wall distance", _wall_distance(truth)),
     ]
 

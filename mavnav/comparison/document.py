@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
-from mavnav.comparison.figures import RELATIVE_COSTS, best, relative_costs
+from mavnav.comparison.figures import RELATIVE_COSTS, best, one_best, relative_costs
 from mavnav.errors import ExitCode, worst
 from mavnav.jobs.run_cache import run_row
 from mavnav.metrics.gates import judge_some
@@ -35,7 +35,7 @@ def comparison_document(results: Sequence[CaseResult], directory: Path, gates: S
         "mavnav_version": __version__,
         "profile": next((run["map_quality"]["profile"] for run in runs if run and run.get("map_quality")), None),
         "cells": rows,
-        "winners": _winners(logs),
+        "winners": _winners(logs, runs),
         "logs": logs,
         "price": costs,
         "gates": verdicts,
@@ -62,10 +62,13 @@ def _logs(planned: Sequence[PlannedRun], runs: Sequence[dict[str, Any] | None]) 
     ]
 
 
-def _winners(logs: Sequence[dict[str, Any]]) -> dict[str, int | None]:
-    """Return the best run by each metric, of equal ones the coarser; all None if there are several logs."""
-    found = {name: next(iter(places), None) for name, places in logs[0]["best"].items()}
-    return found if len(logs) == 1 else dict.fromkeys(found)
+def _winners(logs: Sequence[dict[str, Any]], runs: Sequence[dict[str, Any] | None]) -> dict[str, int | None]:
+    """Return the best run by each metric, of equal ones the coarser.
+
+    None where the cell sizes differ and the metric depends on them; all None if there are several logs.
+    """
+    every = one_best(runs)
+    return every if len(logs) == 1 else dict.fromkeys(every)
 
 
 def _judge(gates: Sequence[Gate], run: dict[str, Any], costs: dict[str, list[Any]], k: int) -> list[dict[str, Any]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.outputs.quantities import QUANTITIES, number, winners
+from mavnav.outputs.quantities import QUANTITIES, comparable, competing, number, winners
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,6 +22,12 @@ RELATIVE_COSTS: Final = {
 def best(runs: Sequence[Run | None]) -> dict[str, list[int]]:
     """Return the indices of the best runs by each metric."""
     return {figure.name: winners(figure, runs) for figure in QUANTITIES}
+
+
+def one_best(runs: Sequence[Run | None]) -> dict[str, int | None]:
+    """Return the index of the first of the best runs by each metric; None where not all runs can be compared."""
+    compared = {f.name: comparable(f, [runs[k] for k in competing(f, runs)]) for f in QUANTITIES}
+    return {name: next(iter(places), None) if compared[name] else None for name, places in best(runs).items()}
 
 
 def relative_costs(groups: Sequence[tuple[object, int]], runs: Sequence[Run | None]) -> dict[str, list[Any]]:

@@ -11,7 +11,7 @@ from mavnav.comparison.figures import RELATIVE_COSTS
 from mavnav.errors import OutputError
 from mavnav.outputs.document import to_json
 from mavnav.outputs.markdown import escaped, inert, table_row
-from mavnav.outputs.quantities import QUANTITIES, number
+from mavnav.outputs.quantities import QUANTITIES, not_compared, number
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -54,7 +54,8 @@ def comparison_markdown(document: dict[str, Any]) -> str:
     lines = [f"# mavnav {document['mavnav_version']} compare", "", table_row(titles), table_row(["---"] * len(titles))]
     lines += [table_row(_cells(document, k)) for k in range(len(document["cells"]))]
     failed = [f"- {escaped(problem)}" for problem in problems(document)]
-    return "\n".join([*lines, *(["", *failed] if failed else [])]) + "\n"
+    notes = [escaped(line) for line in uncompared(document)]
+    return "\n".join([*lines, *(["", *notes] if notes else []), *(["", *failed] if failed else [])]) + "\n"
 
 
 def _cells(document: dict[str, Any], k: int) -> list[str]:
@@ -69,6 +70,13 @@ def _cells(document: dict[str, Any], k: int) -> list[str]:
 def winning(document: dict[str, Any], metric: str) -> set[int]:
     """Return the indices of the runs that are the best of their log by a metric."""
     return {k for log in document["logs"] for k in log["best"][metric]}
+
+
+def uncompared(document: dict[str, Any]) -> list[str]:
+    """Return a line for every log whose maps have several cell sizes: what is not compared, and why."""
+    several = len(document["logs"]) > 1
+    found = [(log["log"], not_compared(document["cells"][k]["run"] for k in log["cells"])) for log in document["logs"]]
+    return [f"{log}: {why}" if several else why for log, why in found if why]
 
 
 def ratio(document: dict[str, Any], cost: str, k: int) -> str:

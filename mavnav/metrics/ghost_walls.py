@@ -73,7 +73,7 @@ class GhostWalls(Struct, frozen=True):
     """Walls that are mapped twice, the longest first."""
 
     count: Annotated[int, number("walls that are mapped twice")]
-    length_m: Annotated[float, number("length of walls that stand on the map twice", title="ghosts", better="lower")]
+    length_m: Annotated[float, number("length of walls mapped twice", title="ghosts", better="lower")]
     worst_offset_mm: Annotated[Measured, number("largest distance between the two; null without one")]
     worst_offset_cells: Annotated[Measured, number("largest distance between the two; null without one")]
     places: tuple[GhostWall, ...]

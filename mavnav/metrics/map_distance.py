@@ -42,9 +42,7 @@ class MapDistance(Struct, frozen=True):
 
     alignment: str
     cells: Annotated[int, number("occupied cells")]
-    mean_mm: Annotated[
-        Measured, number("how far the walls lie from the true ones", title="off the map", better="lower")
-    ]
+    mean_mm: Annotated[Measured, number("how far the walls lie from the true ones", title="map error", better="lower")]
     median_mm: Annotated[Measured, number("half of the occupied cells are not farther from a true wall")]
     p95_mm: Annotated[Measured, number("95 % of the occupied cells are not farther from a true wall")]
     max_mm: Annotated[Measured, number("distance of the farthest occupied cell from a true wall")]

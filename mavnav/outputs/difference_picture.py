@@ -13,7 +13,7 @@ import numpy as np
 from mavnav.mapping.occupancy_grid import Grid
 from mavnav.outputs import map_axes
 from mavnav.outputs.canvas import rgb_of
-from mavnav.outputs.plot import Mark, circle, cross, legend, legend_width
+from mavnav.outputs.plot import Area, Mark, circle, cross, legend, legend_width
 from mavnav.outputs.viewport import FREE_GREY, INK, MUTED, window_around
 from mavnav.pose import Pose, transform_points
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.metrics.map_difference import Change, Difference, View
-    from mavnav.outputs.plot import Axes
+    from mavnav.outputs.plot import Axes, Sign
 
 WALL, GONE, NEW = "#8a929a", "#d55e00", "#0072b2"
 FREE_CELL, WALL_CELL, GONE_CELL, NEW_CELL = 1, 2, 3, 4
@@ -34,6 +34,7 @@ MARKS: Final = {
     "gone": Mark(GONE, "gone", _CROSS),
     "new": Mark(NEW, "new", partial(circle, size_pt=7.0, width_pt=1.2)),
 }
+AREAS: Final = (Area(WALL, "wall, no change"), Area(FREE_GREY, "free"), Area("#ffffff", "unknown"))
 MARGINS: Final = (100, 110, 60, 120)
 """Left, top, right and bottom of the map in the picture, in pixels."""
 
@@ -58,7 +59,8 @@ def write(a: View, b: View, a_T_b: Pose, found: Difference, title: str, path: Pa
     _draw_numbers(axes, found.changes[:NUMBERED])
     map_axes.draw_axes(axes)
     axes.names("x [m]", "y [m]")
-    canvas, marks = axes.canvas, list(MARKS.values())
+    canvas = axes.canvas
+    marks: list[Sign] = [*MARKS.values(), *AREAS]
     legend(canvas, marks, canvas.image.height - 28, (canvas.image.width - legend_width(marks)) / 2.0)
     canvas.text((canvas.image.width / 2, 26), title, 10.0, INK, bold=True)
     canvas.text((canvas.image.width / 2, 74), _subtitle(found), 8.5, MUTED)

@@ -12,7 +12,7 @@ from PIL import Image
 from mavnav.mapping.occupancy_grid import FREE
 from mavnav.mapping.tiled_arrays import pooled, unchanged, where
 from mavnav.outputs.canvas import Canvas, dashed, ramp, rgb_of, stroke
-from mavnav.outputs.plot import Axes, Line, Mark, circle, cross, crossed_circle, labelled, ticks
+from mavnav.outputs.plot import Area, Axes, Line, Mark, circle, cross, crossed_circle, labelled, square, ticks
 from mavnav.outputs.viewport import (
     DOUBT_RED,
     FREE_GREY,
@@ -41,13 +41,14 @@ FRAME_GREY: Final = "#cccccc"
 HIT_TICKS: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 
 START: Final = Mark(START_BLUE, "start", partial(cross, size_pt=10.0, width_pt=2.4))
-END: Final = Mark(GOAL_RED, "end", partial(crossed_circle, size_pt=13.0, width_pt=1.4))
-GOAL: Final = Mark(GOAL_RED, "goal", END.draw)
+END: Final = Mark(GOAL_RED, "end", partial(square, size_pt=9.0, width_pt=1.8))
+GOAL: Final = Mark(GOAL_RED, "goal", partial(crossed_circle, size_pt=13.0, width_pt=1.4))
 POSE: Final = Mark(POSE_MAGENTA, "estimated pose", partial(circle, size_pt=4.0, width_pt=0.8))
 TRUE_POSE: Final = Mark("#000000", "true pose", partial(cross, size_pt=3.5, width_pt=0.7))
 LOOP: Final = Line(INK, "closed loop", partial(stroke, width_pt=0.72))
 DOUBTFUL: Final = Line(DOUBT_RED, "doubtful", partial(stroke, width_pt=2.4))
 TRUE_WALL: Final = Line(TRUE_ORANGE, "true wall", dashed)
+KNOWN: Final = (Area(FREE_GREY, "free"), Area("#ffffff", "unknown"))
 MEASURED_WALL: Final = Line(MEASURED_BLUE, "measured by hand", dashed)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import compress
+from math import ceil
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
     from mavnav.metrics.wall_spread import WallSpread
     from mavnav.outputs.canvas import Canvas
-    from mavnav.outputs.plot import Axes, Mark
+    from mavnav.outputs.plot import Axes, Mark, Sign
     from mavnav.outputs.run import Run, Truth
     from mavnav.pose import Trajectory
     from mavnav.slam.result import SlamResult
@@ -43,23 +44,29 @@ def write(run: Run, path: Path) -> None:
     """Draw the map of a run."""
     trajectory = run.slam.trajectory
     window = window_of(run.known, framed(run))
-    axes = map_axes.framed_map(window, 7.5, MARGINS, least=(960, 420))
-    _draw_map(axes, run)
     some = thinned(trajectory.xyyaw[:, :2], CIRCLE_SPACING * max(window.size_m))
     marks = [*path_marks(trajectory, some), *_ends(run, trajectory.stamps_ns[some].tolist())]
+    shown = (run.slam.loops.closed, run.true_walls, doubtful_parts(run.slam))
+    lines = compress((map_axes.LOOP, map_axes.TRUE_WALL, map_axes.DOUBTFUL), shown)
+    named: list[Sign] = [*lines, *(mark for mark, _ in marks), *map_axes.KNOWN]
+    axes = map_axes.framed_map(window, 7.5, MARGINS, least=(max(960, legend_room(named)), 420))
+    _draw_map(axes, run)
     _draw_lines(axes, run)
     for mark, xy_m in marks:
         axes.mark(mark, xy_m)
     map_axes.draw_axes(axes)
     axes.names("x [m]", "y [m]")
-    shown = (run.slam.loops.closed, run.true_walls, doubtful_parts(run.slam))
-    lines = compress((map_axes.LOOP, map_axes.TRUE_WALL, map_axes.DOUBTFUL), shown)
-    centred_legend(axes.canvas, [*lines, *(mark for mark, _ in marks)])
+    centred_legend(axes.canvas, named)
     _title(axes.canvas, run)
     axes.canvas.save(path)
 
 
-def centred_legend(canvas: Canvas, marks: Sequence[Mark | Line]) -> None:
+def legend_room(marks: Sequence[Sign]) -> int:
+    """Return how wide a picture is at least whose legend is whole."""
+    return ceil(legend_width(marks)) + 20
+
+
+def centred_legend(canvas: Canvas, marks: Sequence[Sign]) -> None:
     """Name the marks below the map."""
     legend(canvas, marks, canvas.image.height - 28, (canvas.image.width - legend_width(marks)) / 2.0)
 
@@ -149,7 +156,7 @@ def _subtitle(run: Run) -> str:
     scans = f"{len(slam.trajectory)} of {len(slam.steps)} scans accepted ({slam.tracked_share:.0%})"
     lost = "   LOST before the end" if run.slam.lost_for_good else ""
     cell_mm = run.slam.grid.cell_m / MM
-    how = f"method {config.method}, search grid {config.azimuth} / {config.grid}, cell {cell_mm:g} mm"
+    how = f"method {config.method}, {config.azimuth} yaw samples, search grid {config.grid}, cell {cell_mm:g} mm"
     walls = "" if run.measured.cuts is None else f", {thickness_text(run.walls.spread)}"
     return f"{how}\n{scans}{lost}{walls}"
 

@@ -9,15 +9,15 @@ import numpy as np
 
 from mavnav.outputs import map_axes
 from mavnav.outputs.canvas import stroke
-from mavnav.outputs.map_picture import centred_legend
-from mavnav.outputs.plot import Line, Mark, circle
+from mavnav.outputs.map_picture import centred_legend, legend_room
+from mavnav.outputs.plot import Line, Mark, arrow, circle
 from mavnav.outputs.viewport import INK, MUTED, PATH_GREY, POSE_MAGENTA, Window, wall_lines, window_around
 from mavnav.pose import transform_points
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mavnav.outputs.plot import Axes
+    from mavnav.outputs.plot import Axes, Sign
     from mavnav.outputs.run import Run, Truth
 
 MARGINS: Final = (100, 90, 50, 120)
@@ -30,6 +30,7 @@ ARROW_SHARE: Final = 0.07
 WALL: Final = Line(INK, "wall", partial(stroke, width_pt=1.8))
 PATH: Final = Line(PATH_GREY, "", partial(stroke, width_pt=0.9))
 HEADING: Final = Line(POSE_MAGENTA, "", partial(stroke, width_pt=1.8))
+FIRST_HEADING: Final = Mark(POSE_MAGENTA, "heading at the start", partial(arrow, size_pt=15.0, width_pt=1.8))
 TRUE_POSE: Final = Mark(PATH_GREY, "true path", partial(circle, size_pt=2.4, width_pt=1.2))
 
 
@@ -38,12 +39,13 @@ def write(run: Run, path: Path) -> None:
     if run.truth is None:
         msg = "the truth is not known"
         raise ValueError(msg)
-    axes = map_axes.framed_map(_window(run.truth), 7.0, MARGINS)
+    measured = [map_axes.MEASURED_WALL] if run.truth.measured_by_hand else []
+    named: list[Sign] = [WALL, *measured, TRUE_POSE, map_axes.START, FIRST_HEADING, map_axes.GOAL]
+    axes = map_axes.framed_map(_window(run.truth), 7.0, MARGINS, least=(legend_room(named), 0))
     _draw(axes, run.truth)
     map_axes.draw_axes(axes)
     axes.names("x [m]", "y [m]")
-    measured = [map_axes.MEASURED_WALL] if run.truth.measured_by_hand else []
-    centred_legend(axes.canvas, [WALL, *measured, TRUE_POSE, map_axes.START, map_axes.GOAL])
+    centred_legend(axes.canvas, named)
     middle = axes.canvas.image.width / 2
     axes.canvas.text((middle, 26), f"{run.name}: the true map", 12.0, bold=True)
     axes.canvas.text((middle, 62), _subtitle(run.truth), 8.5, MUTED)

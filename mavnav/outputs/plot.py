@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 MARK_HALF: Final = 20
 """A mark lies in a square of twice this side; lines are narrower."""
+AREA_HALF: Final = 9
+"""Half the side of the square that stands for an area in the legend."""
 
 
 class Axes(Struct, frozen=True):
@@ -159,6 +161,16 @@ class Line(Struct, frozen=True):
         self.pen(on, [(x - half, y), (x + half, y)])
 
 
+class Area(Struct, frozen=True):
+    """A colour of areas, in the legend: a filled square with an outline."""
+
+    colour: str
+    name: str
+
+
+Sign = Mark | Line | Area
+
+
 def cross(on: Any, x: float, y: float, size_pt: float, width_pt: float) -> None:  # noqa: ANN401
     """Draw an x on a mask."""
     half, width = 0.5 * size_pt * POINT * SMOOTH, on_mask(width_pt)
@@ -172,23 +184,45 @@ def circle(on: Any, x: float, y: float, size_pt: float, width_pt: float) -> None
     on.ellipse((x - half, y - half, x + half, y + half), outline=255, width=on_mask(width_pt))
 
 
+def arrow(on: Any, x: float, y: float, size_pt: float, width_pt: float) -> None:  # noqa: ANN401
+    """Draw an arrow to the right on a mask."""
+    half, side = 0.5 * size_pt * POINT * SMOOTH, on_mask(2.0 * width_pt)
+    on.line((x - half, y, x + 0.2 * half, y), fill=255, width=on_mask(width_pt))
+    on.polygon(((x + half, y), (x + 0.1 * half, y - side), (x + 0.1 * half, y + side)), fill=255)
+
+
+def square(on: Any, x: float, y: float, size_pt: float, width_pt: float) -> None:  # noqa: ANN401
+    """Draw a square on a mask."""
+    half = 0.5 * size_pt * POINT * SMOOTH
+    on.rectangle((x - half, y - half, x + half, y + half), outline=255, width=on_mask(width_pt))
+
+
 def crossed_circle(on: Any, x: float, y: float, size_pt: float, width_pt: float) -> None:  # noqa: ANN401
     """Draw a circle with an x inside on a mask."""
     circle(on, x, y, size_pt, width_pt)
     cross(on, x, y, size_pt * 0.7, width_pt)
 
 
-def legend(canvas: Canvas, marks: Sequence[Mark | Line], y: int, left: float, size_pt: float = 8.5) -> None:
+def stamp(canvas: Canvas, mark: Mark | Line, x: int, y: int) -> None:
+    """Draw a mark at a pixel."""
+    box = (x - MARK_HALF, y - MARK_HALF, x + MARK_HALF, y + MARK_HALF)
+    Axes(canvas, box, (-1.0, 1.0, -1.0, 1.0), (MARK_HALF, MARK_HALF)).mark(mark, np.zeros((1, 2)))
+
+
+def legend(canvas: Canvas, marks: Sequence[Sign], y: int, left: float, size_pt: float = 8.5) -> None:
     """Name the marks in a row."""
     for mark in marks:
         middle = round(left) + MARK_HALF
-        box = (middle - MARK_HALF, y - MARK_HALF, middle + MARK_HALF, y + MARK_HALF)
-        Axes(canvas, box, (-1.0, 1.0, -1.0, 1.0), (MARK_HALF, MARK_HALF)).mark(mark, np.zeros((1, 2)))
-        canvas.text((box[2] + 2, y), mark.name, size_pt, anchor="lm")
+        if isinstance(mark, Area):
+            corners = (middle - AREA_HALF, y - AREA_HALF, middle + AREA_HALF, y + AREA_HALF)
+            canvas.draw.rectangle(corners, fill=mark.colour, outline=MUTED)
+        else:
+            stamp(canvas, mark, middle, y)
+        canvas.text((middle + MARK_HALF + 2, y), mark.name, size_pt, anchor="lm")
         left += legend_width([mark], size_pt)
 
 
-def legend_width(marks: Sequence[Mark | Line], size_pt: float = 8.5) -> float:
+def legend_width(marks: Sequence[Sign], size_pt: float = 8.5) -> float:
     """Return how long the row of a legend is."""
     return float(sum(54 + font(size_pt).getlength(mark.name) for mark in marks))
 

@@ -12,7 +12,7 @@ from mavnav.outputs.schema import described
 from mavnav.slam.doubt.record import HIGH
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     Run = Mapping[str, Any]
 
@@ -134,19 +134,54 @@ def probably_wrong(run: Run) -> bool:
 
 def comparable(quantity: Quantity, runs: Sequence[Run | None]) -> bool:
     """Return whether a quantity of these runs may be compared: what is ``per_cell``, only if all have one cell size."""
-    return not quantity.per_cell or len({number(run, "map.cell_mm") or 0.0 for run in runs}) == 1
+    return not quantity.per_cell or len(set(map(_cell_mm, runs))) == 1
 
 
 def winners(quantity: Quantity, runs: Sequence[Run | None]) -> list[int]:
     """Return which runs are best by a quantity, up to differences that do not count.
 
-    Only meaningful maps compete, at least two, and only of one cell size where it is ``per_cell``. Nobody is best
-    where all are equal.
+    Only meaningful maps compete, at least two; where it is ``per_cell``, those of each cell size among themselves.
+    Nobody is best where all are equal.
     """
+    groups: dict[float, dict[int, float]] = {}
+    for k, value in competing(quantity, runs).items():
+        groups.setdefault(_cell_mm(runs[k]) if quantity.per_cell else 0.0, {})[k] = value
+    return sorted(k for group in groups.values() for k in _best(quantity, group))
+
+
+def competing(quantity: Quantity, runs: Sequence[Run | None]) -> dict[int, float]:
+    """Return the rounded values of the runs that are ranked by a quantity, by their index: those of meaningful maps."""
     known = {k: quantity.of(run) for k, run in enumerate(runs) if run is not None and not why_not_meaningful(run)}
     found = {k: round(value, quantity.digits) for k, value in known.items() if value is not None}
-    if not found or not quantity.ranked or not comparable(quantity, [runs[k] for k in found]):
-        return []
+    return found if quantity.ranked else {}
+
+
+def _best(quantity: Quantity, found: dict[int, float]) -> list[int]:
     top = max(found.values(), key=lambda value: quantity.better * value)
     best = [k for k, value in found.items() if quantity.same(value, top)]
     return best if len(best) < len(found) else []
+
+
+def by_cell_mm(runs: Iterable[Run | None]) -> dict[float, list[int]]:
+    """Return the indices of the meaningful maps by their cell size in mm, the largest first."""
+    found: dict[float, list[int]] = {}
+    for k, run in enumerate(runs):
+        if run is not None and not why_not_meaningful(run):
+            found.setdefault(_cell_mm(run), []).append(k)
+    return dict(sorted(found.items(), reverse=True))
+
+
+def not_compared(runs: Iterable[Run | None]) -> str:
+    """Say that the cell sizes of the maps differ, and what is therefore not compared; empty where they do not."""
+    groups = by_cell_mm(runs)
+    if len(groups) < 2:
+        return ""
+    some = max(map(len, groups.values())) > 1
+    how = "compared only among maps of the same cell size" if some else "not compared"
+    sizes = [f"{cell_mm:g}" for cell_mm in groups]
+    because = f"the cell sizes differ ({', '.join(sizes[:-1])} and {sizes[-1]} mm)"
+    return f"wall thickness and crispness are {how}, because {because}"
+
+
+def _cell_mm(run: Run | None) -> float:
+    return float(number(run, "map.cell_mm") or 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import cos, pi, sin
 from typing import TYPE_CHECKING, Any, Final
 
@@ -10,8 +11,10 @@ from msgspec import Struct
 from PIL import Image, ImageDraw
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, occupancy
-from mavnav.outputs.canvas import Canvas, ramp, rgb_of
-from mavnav.outputs.viewport import FREE_GREY, INK, MUTED
+from mavnav.outputs.canvas import Canvas, ramp, rgb_of, stroke
+from mavnav.outputs.map_axes import END, START
+from mavnav.outputs.plot import Line, legend, legend_width, stamp
+from mavnav.outputs.viewport import FREE_GREY, INK, MUTED, POSE_MAGENTA
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,14 +31,14 @@ HEIGHTS: Final = ramp(("#30408f", "#2a7fb8", "#2fb5a5", "#8bd067", "#f5d04c", "#
 TURN_RAD, ABOVE_RAD = -pi / 5.5, pi / 3.6
 """How far the map is turned clockwise, and the angle of the view above the floor."""
 
-LONGEST_PIXELS, MARGIN, TITLE, SCALE = 1150, 60, 120, 190
+LONGEST_PIXELS, MARGIN, TITLE, SCALE = 1150, 70, 120, 190
 SMOOTH: Final = 2
 LEAST_HITS: Final = 2
 MOST_BLOCKS: Final = 160
 """Columns along the longer side of the map at most: cells are pooled."""
 
 SIDE_SHADE, FRONT_SHADE = 0.62, 0.8
-PATH_COLOUR: Final = "#d6009a"
+PATH: Final = Line(POSE_MAGENTA, "path of the laser", partial(stroke, width_pt=1.0))
 
 
 class _Blocks(Struct, frozen=True):
@@ -86,6 +89,7 @@ def write(run: Run, path: Path) -> None:
     canvas = Canvas.of(drawn.width + SCALE, drawn.height + TITLE + MARGIN)
     canvas.image.paste(drawn, (MARGIN // 2, TITLE))
     _draw_scale(canvas, blocks.levels_m)
+    _mark_ends(canvas, view, run.slices.path_m)
     canvas.text((canvas.image.width / 2, 26), run.name, 12.0, INK, bold=True)
     canvas.text((canvas.image.width / 2, 74), _subtitle(run.slices), 8.5, MUTED)
     canvas.save(path)
@@ -202,7 +206,16 @@ def _draw_path(draw: Any, view: _View, path_m: Floats) -> None:  # noqa: ANN401 
     for end in (path_m[0], path_m[-1]):
         foot = view(np.array((end, (end[0], end[1], 0.0)))).tolist()
         draw.line([tuple(p) for p in foot], fill=rgb_of(MUTED), width=SMOOTH)
-    draw.line(points, fill=rgb_of(PATH_COLOUR), width=2 * SMOOTH, joint="curve")
+    draw.line(points, fill=rgb_of(PATH.colour), width=2 * SMOOTH, joint="curve")
+
+
+def _mark_ends(canvas: Canvas, view: _View, path_m: Floats) -> None:
+    """Mark start and end of the path, and name them below."""
+    for mark, end in ((START, path_m[0]), (END, path_m[-1])):
+        x, y = (view(end) / SMOOTH).round().astype(int).tolist()
+        stamp(canvas, mark, MARGIN // 2 + x, TITLE + y)
+    marks = (PATH, START, END)
+    legend(canvas, marks, canvas.image.height - 28, (canvas.image.width - legend_width(marks)) / 2.0)
 
 
 def _draw_scale(canvas: Canvas, levels_m: Floats) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from mavnav import __version__
 from mavnav.atomic_files import temporary_folder
@@ -15,11 +15,12 @@ if TYPE_CHECKING:
 
 
 class Table(NamedTuple):
-    """A table of the page: heading, names of the columns, and rows of texts."""
+    """A table of the page: heading, names of the columns, and rows of texts; ``prose`` for sentences, not numbers."""
 
     heading: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    prose: bool = False
 
 
 class Summary(NamedTuple):
@@ -63,7 +64,7 @@ def merge_summary(document: dict[str, Any], picture: bytes) -> Summary:
     head = ("session", "input", "scans", "joined to", "key frames that agree", "residual", "tracked", "doubt", "damage")
     table = Table("Sessions", head, tuple(_session_row(each) for each in sessions))
     refused = tuple((each["name"], each["input"], each["why"]) for each in sessions if not each["joined"])
-    others = (Table("Not joined", ("session", "input", "reason"), refused),) if refused else ()
+    others = (Table("Not joined", ("session", "input", "reason"), refused, prose=True),) if refused else ()
     return Summary(", ".join(each["name"] for each in sessions), headline, (table, *others), picture)
 
 
@@ -124,14 +125,38 @@ def calibration_summary(document: dict[str, Any], title: str, picture: bytes | N
     every = [*document["quantities"], *switches]
     measured = [each for each in every if not each["refused"]]
     headline = document["refused"] or f"{len(measured)} of {len(every)} quantities are determined."
-    found = (
-        (each["name"], *(_text(each.get(key)) for key in ("value", "ci95", "in_log", "difference")))
-        for each in measured
-    )
-    refused = ((each["name"], each["refused"]) for each in every if each["refused"])
+    found = tuple(_calibrated_row(each) for each in measured)
+    refused = tuple((_quantity_name(each)[0], each["refused"]) for each in every if each["refused"])
     head = ("quantity", "value", "95 % interval", "log or configuration", "difference")
-    tables = _unless_empty("Quantities", head, found) + _unless_empty("Not determined", ("quantity", "reason"), refused)
+    missing = (Table("Not determined", ("quantity", "reason"), refused, prose=True),) if refused else ()
+    tables = _unless_empty("Quantities", head, found) + missing
     return Summary(title, headline, tables, picture, tuple(filter(None, document["lines"].values())))
+
+
+QUANTITY_NAMES: Final = {
+    "x_m": ("x", 3),
+    "y_m": ("y", 3),
+    "yaw_deg": ("yaw", 2),
+    "offset_s": ("time offset", 3),
+    "distance_scale": ("distance scale", 4),
+    "turn_scale": ("turn scale", 4),
+    "veer_deg_per_m": ("veer", 2),
+}
+"""Calibrated quantity -> its name in tables, and its digits there."""
+
+
+def _quantity_name(row: dict[str, Any]) -> tuple[str, int]:
+    return QUANTITY_NAMES.get(row["name"], (row["name"].replace("_", " "), 0))
+
+
+def _calibrated_row(row: dict[str, Any]) -> tuple[str, ...]:
+    """Return name and unit, value, half-width of the interval, what the log says, and the difference."""
+    name, digits = _quantity_name(row)
+    value, within, in_log, difference = (
+        _text(row.get(key), digits) for key in ("value", "ci95", "in_log", "difference")
+    )
+    unit = f", {row['unit']}" if row.get("unit") else ""
+    return f"{name}{unit}", value, f"± {within}" if within else "", in_log, difference
 
 
 def _unless_empty(heading: str, head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> tuple[Table, ...]:
@@ -139,7 +164,7 @@ def _unless_empty(heading: str, head: tuple[str, ...], rows: Iterable[tuple[str,
     return (Table(heading, head, found),) if found else ()
 
 
-def _text(value: float | None) -> str:
+def _text(value: float | None, digits: int) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return "" if value is None else f"{value:.4g}"
+    return "" if value is None else f"{value:z.{digits}f}"

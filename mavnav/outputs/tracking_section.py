@@ -21,7 +21,7 @@ class Interval(Struct, frozen=True):
 class DoubtReason(Struct, frozen=True):
     """A reason to doubt the track, and where it holds; times from the first scan."""
 
-    reason: Annotated[str, text("what speaks for an error")]
+    reason: Annotated[str, text("evidence of an error")]
     from_s: Annotated[float, number("first scan that shows it")]
     to_s: Annotated[float, number("last scan that shows it")]
     value: Annotated[float, number("strength: 1 is much", better="lower")]
@@ -77,7 +77,7 @@ class Tracking(Struct, frozen=True):
     intervals: Annotated[list[Interval], text("stretches of scans without a pose")]
     tracked_share: Annotated[float, number("part of the processed scans with a pose", better="higher")]
     opinions: Annotated[int, number("tracks compared, of which the sharpest was kept")]
-    path_length_m: Annotated[float, number("length of the path of the laser, without its jitter at rest", title="path")]
+    path_length_m: Annotated[float, number("length of the path of the laser, standstill noise left out", title="path")]
     doubt: Doubt
     frames: Annotated[dict[str, list[str]], text("parent and child frame of each trajectory file")]
     parts: Annotated[list[TrackedPart], text("stretches with maps of their own, joined or not")] = field(

@@ -34,6 +34,7 @@ WIDTH_BIN_MM: Final = 10.0
 HISTOGRAM: Final = (560, 110)
 """Width and height of a histogram, in pixels."""
 TITLE_PT: Final = 8.5
+UNMEASURED: Final = "grey: not measured (no scan shows a straight wall there)"
 EDGE: Final = 30
 """Free space on the right of the histograms and their titles, in pixels."""
 
@@ -59,8 +60,8 @@ def write(run: Run, path: Path) -> None:
 def _chart_room(charts: list[_Chart]) -> int:
     """Return the width of the histograms with their titles and the free space on the right, in pixels."""
     lines = [line for chart in charts for line in chart.title.split("\n")]
-    longest, usual = ceil(max(map(font(TITLE_PT).getlength, lines))), HISTOGRAM[0] + EDGE
-    return usual if longest <= usual else longest + EDGE
+    longest: int = max(ceil(font(TITLE_PT).getlength(line)) for line in lines)
+    return max(HISTOGRAM[0], longest) + EDGE
 
 
 def _draw_map(axes: Axes, run: Run) -> None:
@@ -73,9 +74,10 @@ def _draw_map(axes: Axes, run: Run) -> None:
     axes.names("x [m]", "y [m]")
     left, top, right, _ = axes.box
     lost = run.measured.cuts is not None and not np.isfinite(run.measured.cuts.width_m).all()
-    marks = "black: cannot be measured; grey: no straight wall" if lost else "grey: no straight wall"
+    marks = f"black: cannot be measured; {UNMEASURED}" if lost else UNMEASURED
     for line, y in (("width that holds 95 % of the hits of the ridge", 36), (marks, 14)):
-        axes.canvas.text(((left + right) / 2, top - y), line, 8.5, MUTED)
+        middle = max((left + right) / 2, EDGE + font(8.5).getlength(line) / 2)
+        axes.canvas.text((middle, top - y), line, 8.5, MUTED)
 
 
 def _draw_cuts(axes: Axes, cuts: WallCuts) -> None:

@@ -81,7 +81,7 @@ def test_no_head_and_no_cell_is_cut(
     assert max(map(len, [head, *lines])) <= width
     assert head.split()[several : several + 2] == ["method", "grid"]
     assert ("wall p95 mm" in head) == (width >= 60)
-    assert ("off the map mm" in head) == (width >= (80 if several else 60))
+    assert ("map error mm" in head) == (width >= (80 if several else 60))
     assert sum("robust  40/40x40" in line for line in lines) == len(document["cells"])
     assert " ".join(lines).count("meaningful") == len(document["cells"])
 

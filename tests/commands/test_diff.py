@@ -12,7 +12,7 @@ from PIL import Image
 
 import mavnav as api
 from mavnav.outputs.canvas import rgb_of
-from mavnav.outputs.difference_picture import GONE, NEW
+from mavnav.outputs.difference_picture import AREAS, GONE, NEW
 from support.changed_rooms import TURNED, mapped, rooms, saved
 from support.synthetic import room
 
@@ -39,6 +39,8 @@ def test_what_changed_is_listed_and_drawn(mavnav, maps, tmp_path) -> None:
     pixels = np.asarray(Image.open(picture))
     assert b64encode(picture.read_bytes()).decode() in page.read_text()
     assert all((pixels == rgb_of(colour)).all(axis=2).sum() > 50 for colour in (GONE, NEW))
+    legend = pixels[-45:-10]
+    assert all((legend == rgb_of(area.colour)).all(axis=2).sum() > 200 for area in AREAS)
     code, out, err = mavnav("diff", *maps, "-q", "-o", picture)
     assert (code, out) == (6, "")
     assert "--force" in err

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mavnav.comparison.figures import best, relative_costs
+from mavnav.comparison.figures import best, one_best, relative_costs
 from mavnav.outputs.quantities import QUANTITIES
 
 
@@ -24,7 +24,7 @@ def quality(*, meaningful: bool = True, cells_per_m: float | None = None) -> dic
 
 
 def winners(runs: list) -> dict[str, int | None]:
-    return {name: next(iter(places), None) for name, places in best(runs).items()}
+    return one_best(runs)
 
 
 P95, CPU, EVALUATIONS, MAPPED, CELLS = (
@@ -89,6 +89,12 @@ def test_cells_of_another_size_are_not_counted_against_each_other() -> None:
 def test_walls_of_maps_with_other_cells_are_not_compared() -> None:
     assert winners([run(60), run(40)])[P95] == 1
     assert winners([run(60), run(40, cell_mm=14.0)])[P95] is None
+
+
+def test_maps_of_one_cell_size_are_ranked_among_themselves() -> None:
+    runs = [run(100), run(60), run(90, cell_mm=14.0), run(50, cell_mm=14.0), run(10, cell_mm=50.0)]
+    assert best(runs)[P95] == [1, 3]  # the only map with cells of 50 mm competes with none
+    assert winners(runs)[P95] is None
 
 
 def test_relative_costs_are_ratios_to_the_coarsest_of_the_group() -> None:

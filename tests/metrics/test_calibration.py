@@ -8,7 +8,15 @@ from msgspec.structs import replace
 
 from mavnav.metrics.calibration.motion import Wheels, corrected, motions_of
 from mavnav.metrics.calibration.noise import Noise
-from mavnav.metrics.calibration.quantities import Calibration, calibration_of
+from mavnav.metrics.calibration.quantities import (
+    BETTER,
+    DRIVE_MORE,
+    KINDS,
+    Calibration,
+    Motion,
+    _advice,
+    calibration_of,
+)
 from mavnav.pose import Pose, Trajectory
 from support.robots import Robot, odometry_of, path_of, perfect_track
 from support.synthetic import DEG
@@ -162,3 +170,12 @@ def test_noise_is_that_of_its_covariance() -> None:
     assert noise.alone() == pytest.approx(1 / inverse.diagonal())
     assert noise.unforeseen(step) == pytest.approx(inverse @ step / inverse.diagonal())
     assert noise.unlikeliness(step) == pytest.approx(np.linalg.slogdet(matrix)[1] + step @ inverse @ step)
+
+
+def test_the_advice_asks_for_nothing_that_the_log_has() -> None:
+    distance, turns = KINDS[4], KINDS[5]
+    short, long = Motion(2.0, 3.0, 2.0, 3.0, 50), Motion(8.0, 12.0, 8.0, 12.0, 200)
+    assert _advice(distance, short) == DRIVE_MORE == distance.advice
+    assert _advice(turns, short) == turns.advice
+    assert {_advice(distance, long), _advice(turns, long)} == {BETTER}
+    assert _advice(KINDS[3], long) == KINDS[3].advice  # the offset needs starts and stops

@@ -70,9 +70,22 @@ def test_the_share_by_which_no_measure_differs_holds_for_those_within_the_noise_
 
 def test_counts_of_cells_of_two_sizes_are_not_among_the_measures_that_hardly_differ():
     pair = [entry("robust 10/5x5", p95_mm=60.0), entry(p95_mm=60.2, cells_per_m=100.0, cell_mm=40)]
-    assert "are equally good by every measure here" in headline(pair)
+    assert headline(pair).startswith(
+        "The maps of robust 10/5x5 and robust 20/10x10 are equally good by every measure that does not depend on the "
+        "cell size; robust 10/5x5 needs the fewest evaluations. Wall thickness and crispness are not compared, because "
+        "the cell sizes differ (40 and 20 mm)."
+    )
     pair[0].document["map"]["accepted_share"], pair[1].document["map"]["accepted_share"] = 0.99, 0.97
     assert "no measure differs by more than 2.0 %" in headline(pair)
+
+
+def test_maps_of_one_cell_size_are_compared_with_each_other():
+    coarse = [entry("robust 10/5x5", p95_mm=60.0), entry(p95_mm=90.0)]
+    fine = [entry("paper 10/5x5", p95_mm=50.0, cell_mm=14), entry("paper 20/10x10", p95_mm=50.0, cell_mm=14)]
+    text = headline(coarse + fine)
+    assert " compared only among maps of the same cell size, because the cell sizes differ (20 and 14 mm). " in text
+    assert " Cells of 20 mm: robust 10/5x5 gives the best map, by the one measure that differs (wall p95)" in text
+    assert " Cells of 14 mm: The maps of paper 10/5x5 and paper 20/10x10 are equally good by every measure here" in text
 
 
 def test_walls_of_maps_with_other_cells_are_not_called_thinner():

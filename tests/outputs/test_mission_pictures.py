@@ -80,6 +80,13 @@ def test_the_true_map_shows_walls_start_heading_and_goal(mission, tmp_path):
         assert count(picture, colour) > 50
 
 
+def test_the_legend_of_the_true_map_names_the_arrow(mission, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
+    mission_picture.write(mission, tmp_path / "t.png")
+    assert {"start", "heading at the start", "goal"} <= set(drawn)
+
+
 def test_the_true_map_counts_the_scans_as_run_json_does(mission, tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))

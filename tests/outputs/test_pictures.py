@@ -15,12 +15,15 @@ from mavnav.mapping.tiled_arrays import pooled
 from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.wall_spread import WallCuts
 from mavnav.outputs import map_axes, map_picture, merged_picture, wall_picture
-from mavnav.outputs.canvas import Canvas, png, rgb_of
-from mavnav.outputs.plot import Axes, ticks
+from mavnav.outputs.canvas import Canvas, font, png, rgb_of
+from mavnav.outputs.plot import Axes, legend_width, ticks
 from mavnav.outputs.viewport import Window, window_of
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.doubt.record import Doubt, Reason
 from mavnav.slam.loop_closure.detection import Loop, Loops
+
+FULL = "m" * int(wall_picture.HISTOGRAM[0] / font(wall_picture.TITLE_PT).getlength("m") + 1)
+"""A title a little longer than its chart, which fits without a margin."""
 
 WRITERS = pytest.mark.parametrize("write", [map_picture.write, wall_picture.write], ids=["map", "walls"])
 
@@ -65,6 +68,16 @@ def test_the_colours_of_the_legend_are_in_the_map(run, tmp_path):
     assert near((0xD6, 0x00, 0x9A)) > 200  # poses
     assert near((0x00, 0x33, 0xFF)) > 50  # start
     assert near((0xE0, 0x00, 0x00)) > 50  # end
+
+
+def test_the_legend_of_the_map_names_its_areas_and_is_whole(run, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Canvas, "text", lambda _, xy, text, *args, **options: drawn.append(text))
+    map_picture.write(run, tmp_path / "map.png")
+    assert {"start", "end", "free", "unknown"} <= set(drawn)
+    assert any("20 yaw samples, search grid 10x10" in text for text in drawn)
+    marks = [map_axes.LOOP, map_axes.TRUE_WALL, map_axes.DOUBTFUL, map_axes.POSE, map_axes.TRUE_POSE, *map_axes.KNOWN]
+    assert map_picture.legend_room(marks) > legend_width(marks)
 
 
 def test_no_line_is_drawn_where_the_track_was_lost(run):
@@ -131,15 +144,25 @@ def test_long_paths_are_thinned_evenly_along_their_length():
     assert np.diff(xy[some, 0]).max() < 0.3
 
 
-@pytest.mark.parametrize(("title", "wider"), [("a title that fits", False), ("a long title " * 10, True)])
+@pytest.mark.parametrize(("title", "wider"), [("a title that fits", False), (FULL, True), ("a long title " * 10, True)])
 def test_a_picture_is_as_wide_as_the_titles_of_its_charts(run, tmp_path, monkeypatch, title, wider):
-    wall_picture.write(run, tmp_path / "p.png")
-    chart = wall_picture._Chart(f"short\n{title}", "x", np.ones(6), 1.0, np.nan)
-    monkeypatch.setattr(wall_picture, "_charts", lambda _: [chart])
-    wall_picture.write(run, tmp_path / "q.png")
+    for name, longest in (("p.png", "short"), ("q.png", title)):
+        chart = wall_picture._Chart(f"short\n{longest}", "x", np.ones(6), 1.0, np.nan)
+        monkeypatch.setattr(wall_picture, "_charts", lambda _, chart=chart: [chart])
+        wall_picture.write(run, tmp_path / name)
     assert (size_of(tmp_path / "q.png")[0] > size_of(tmp_path / "p.png")[0]) == wider
     with Image.open(tmp_path / "q.png") as image:
-        assert np.asarray(image)[:, -5:].min() == 255
+        assert np.asarray(image)[:, -wall_picture.EDGE + 5 :].min() == 255
+
+
+def test_the_legend_of_a_narrow_map_of_walls_is_whole(run, tmp_path):
+    hits = np.zeros((1500, 20))
+    hits[:, 5] = 7
+    wall_picture.write(with_map(run, hits), tmp_path / "p.png")
+    with Image.open(tmp_path / "p.png") as image:
+        legend = np.asarray(image.convert("L"))[45 : wall_picture.TOP - 2]
+    assert legend[:, : wall_picture.EDGE - 2].min() == 255
+    assert np.flatnonzero(legend.min(axis=0) < 255)[0] < wall_picture.EDGE + 5
 
 
 def test_a_chart_without_a_wall_has_no_ticks_in_y(monkeypatch):

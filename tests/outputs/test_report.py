@@ -182,8 +182,33 @@ def test_a_short_scale_of_costs_is_named_too():
 
 
 def test_a_long_scale_of_costs_is_named_by_few_powers_of_ten():
-    assert [name for _, name in cost_panel.named_costs(0.2, 3e5)] == ["1", "10", "100", "1000", "10000", "1e5"]
-    assert [name for _, name in cost_panel.named_costs(0.05, 3e8)] == ["1", "100", "10000", "1e6", "1e8"]
+    assert [name for _, name in cost_panel.named_costs(0.2, 3e5)] == ["1e0", "1e1", "1e2", "1e3", "1e4", "1e5"]
+    assert [name for _, name in cost_panel.named_costs(0.05, 3e8)] == ["1e0", "1e2", "1e4", "1e6", "1e8"]
+
+
+def test_the_scale_of_costs_ends_near_the_data(entries):
+    scans = entries[0].scans
+    level = replace(scans, cost_mm2=np.full(len(scans.time_s), 500.0), threshold_mm2=np.full(len(scans.time_s), np.nan))
+    (panel,) = map(np.asarray, cost_panel.cost_panels([with_document(replace(entries[0], scans=level), tracking=None)]))
+    blue = np.abs(panel.astype(int) - rgb_of(cost_panel.COST.colour)).sum(axis=2) < 90
+    row, top = np.flatnonzero(blue.sum(axis=1) > 300).mean(), panels.CHART_MARGINS[1] + cost_panel.LEGEND_ROW
+    assert row == pytest.approx(top + panels.CHART[1] / 2, abs=2)  # half and double are the ends
+
+
+def test_the_caption_of_the_costs_explains_what_is_drawn(entries):
+    scans = entries[0].scans
+    every = replace(scans, tracked=np.ones(len(scans.time_s), bool), cost_mm2=np.ones(len(scans.time_s)))
+    plain = with_document(replace(entries[0], scans=every), tracking=None)
+    assert cost_panel.caption([plain]) == ""
+    tracked = every.tracked.copy()
+    tracked[3] = False
+    lost = {"intervals": [{"start_s": 1e6, "end_s": 1e6}]}
+    other = with_document(replace(entries[0], scans=replace(every, tracked=tracked)), tracking=lost, method="paper")
+    shown = cost_panel.caption([plain, other])
+    assert shown == (
+        "Crosses: rejected scans that were matched. Shaded: stretches where the track was lost. "
+        "Costs compare within a method only."
+    )
 
 
 def test_the_curve_of_costs_lies_where_its_ticks_say(entries):
@@ -347,8 +372,16 @@ def test_one_run_has_a_page_with_its_true_walls(run, base, tmp_path):
     )
     write_true_walls(replace(run, truth=truth), base / "one" / "true_walls.json")
     entry = load(cell, base)
+    assert not len(entry.goal_xy_m)  # the walls alone are no mission
     np.testing.assert_allclose(entry.true_walls[0], [[0.0, 1.0], [3.0, 1.0]])
     assert len(entry.true_walls) == 2
+    document = json.loads((base / "one" / "run.json").read_text())
+    (base / "one" / "run.json").write_text(json.dumps(document | {"mission": {"reached": True, "reason": "goal"}}))
+    mission = load(cell, base)
+    assert mission.goal_xy_m.tolist() == [[1.0, 1.0]]
+    red = rgb_of(map_axes.GOAL.colour)
+    drawn = [(np.asarray(draw([e]).maps[0]) == red).all(axis=2).sum() for e in (entry, mission)]
+    assert drawn[1] > drawn[0] + 50
     write_report({"cells": [cell]}, base, tmp_path / "report.html")
     text = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
     assert text.open == [] and not (tmp_path / "closeups.png").exists()

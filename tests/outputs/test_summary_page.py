@@ -40,7 +40,15 @@ SWITCH = {"value": True, "in_log": False, "agrees": False, "refused": None}
 CALIBRATED = {
     "refused": None,
     "quantities": [
-        {"name": "x_m", "value": 0.0302, "ci95": 0.009, "in_log": 0.03, "difference": 0.0002, "refused": None},
+        {
+            "name": "x_m",
+            "unit": "m",
+            "value": 0.0302,
+            "ci95": 0.009,
+            "in_log": 0.03,
+            "difference": 0.0002,
+            "refused": None,
+        },
         {"name": "turn_scale", "value": None, "ci95": None, "in_log": 1, "difference": None, "refused": "no turns"},
     ],
     "upside_down": SWITCH,
@@ -99,16 +107,22 @@ def test_maps_that_cannot_be_aligned_have_a_page_too(tmp_path: Path) -> None:
 def test_a_calibration_shows_what_is_found_and_what_is_not(tmp_path: Path) -> None:
     text = page(calibration_summary(CALIBRATED, "drive", PNG), tmp_path)
     assert "3 of 5 quantities are determined." in text
-    assert ["x_m", "0.0302", "0.009", "0.03", "0.0002"] in rows(text)
-    assert ["upside_down", "yes", "", "no", ""] in rows(text)
-    assert ["turn_scale", "no turns"] in rows(text)
+    assert ["x, m", "0.030", "± 0.009", "0.030", "0.000"] in rows(text)
+    assert ["upside down", "yes", "", "no", ""] in rows(text)
+    assert '<table class="summary prose">' in text
+    assert ["turn scale", "no turns"] in rows(text)
+    assert '<td data-label="reason">no turns</td>' in text
     assert "ros2 run &lt;line&gt;</pre>" in text
 
 
-def test_long_lines_are_whole_on_paper(tmp_path: Path) -> None:
+def test_long_lines_are_whole_on_screen_and_paper(tmp_path: Path) -> None:
     text = page(calibration_summary(CALIBRATED, "drive", PNG), tmp_path)
-    printed = text[text.index("@media print") :]
-    assert re.search(r"\bpre \{ white-space: pre-wrap; overflow-wrap: anywhere; \}", printed)
+    assert "\npre { white-space: pre-wrap; overflow-wrap: anywhere; }" in text[: text.index("@media print")]
+
+
+def test_a_picture_is_not_longer_than_a_sheet_of_paper(tmp_path: Path) -> None:
+    text = page(calibration_summary(CALIBRATED, "drive", PNG), tmp_path)
+    assert re.search(r"figure img \{[^}]*max-height: 23cm;", text[text.index("@media print") :])
 
 
 def test_a_picture_is_drawn_to_bytes() -> None:

@@ -13,6 +13,8 @@ from PIL import Image
 
 import mavnav
 from mavnav.cli import run
+from mavnav.outputs.canvas import rgb_of
+from mavnav.outputs.map_axes import END, START
 from mavnav.pose import transform_points
 from support.log_files import START_NS
 from support.tilted import flight, furnished, write_flight
@@ -99,8 +101,10 @@ def test_the_files_have_one_frame_and_are_listed(flown: Path) -> None:
     outputs = document(flown, "auto")["outputs"]
     assert {"map_3d.png", *(f"{name}.{end}" for name in SLICES for end in ("pgm", "yaml"))} <= set(outputs)
     with Image.open(folder / "map_3d.png") as picture:
-        colours = {colour for count, colour in picture.getcolors(1 << 24) if count > 500}
-    assert len(colours) > 15  # seven heights, three faces each
+        counts = {colour: count for count, colour in picture.getcolors(1 << 24)}
+    assert sum(count > 500 for count in counts.values()) > 15  # seven heights, three faces each
+    for mark in (START, END):  # on the path and in the legend
+        assert counts[rgb_of(mark.colour)] > 100
 
 
 def test_the_page_shows_the_slices(flown: Path) -> None:

@@ -37,6 +37,10 @@ DISTINCT = 100.0
 TURN_MORE: Final = "record turns in both directions, 360 deg in all"
 DRIVE_MORE: Final = "record a drive of 3 m or more"
 CHANGE_MORE: Final = "record starts, stops and turns"
+ENOUGH_TURN_RAD, ENOUGH_PATH_M = 360 * DEG, 3.0
+"""What the advice asks for."""
+BETTER: Final = "drive longer, more slowly, or use better odometry"
+"""The advice where the log has that already."""
 
 
 class Kind(NamedTuple):
@@ -139,7 +143,7 @@ def _unusable(motion: Motion) -> str:
     """Return why motions show nothing at all; empty where they may."""
     if motion.steps < LEAST_STEPS:
         text = f"{motion.steps} steps of {STEP_S} s have tracked scans and odometry"
-        return f"{text}; {LEAST_STEPS} are needed: record {LEAST_STEPS * STEP_S + 2 * LONGEST_OFFSET_S:.0f} s or more"
+        return f"{text}; {LEAST_STEPS} are needed: record half a minute or more"
     if motion.path_m < LEAST_PATH_M and motion.turned_rad < LEAST_TURN_RAD:
         text = f"the laser moves by {motion.path_m:.2f} m and turns by {motion.turned_rad / DEG:.0f} deg in all"
         return f"{text}; {DRIVE_MORE}, with turns of 360 deg in all"
@@ -166,8 +170,15 @@ def _quantity(number: int, fit: Estimate, motion: Motion, start: Start) -> Quant
     if not why and number == OFFSET and start.distinct < DISTINCT:
         why = f"speed and turn rate change too little, and other offsets fit as well; {CHANGE_MORE}"
     if not why and ci95 > kind.widest:
-        why = f"uncertain by {ci95 * kind.per_si:.2g} {kind.unit}".rstrip() + f"; {kind.advice}"
+        why = f"uncertain by {ci95 * kind.per_si:.2g} {kind.unit}".rstrip() + f"; {_advice(kind, motion)}"
     return Quantity(kind, refused=why) if why else Quantity(kind, value * kind.per_si, ci95 * kind.per_si)
+
+
+def _advice(kind: Kind, motion: Motion) -> str:
+    """Return what to record for a shorter interval."""
+    turned, driven = motion.turned_rad >= ENOUGH_TURN_RAD, motion.odom_path_m >= ENOUGH_PATH_M
+    enough = {TURN_MORE: turned, DRIVE_MORE: driven}.get(kind.advice, False)
+    return BETTER if enough else kind.advice
 
 
 def _missing_motion(kind: Kind, motion: Motion) -> str:

@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
-from mavnav.outputs.quantities import DOUBT, QUANTITIES, Quantity, number, why_not_meaningful, winners
+from mavnav.outputs.quantities import (
+    DOUBT,
+    QUANTITIES,
+    Quantity,
+    not_compared,
+    number,
+    why_not_meaningful,
+    winners,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,10 +46,14 @@ class Row(Struct, frozen=True):
 
 
 class Table(Struct, frozen=True):
-    """The runs of one log, with the columns for which any of them has a value."""
+    """The runs of one log, with the columns for which any of them has a value.
+
+    ``not_compared`` says which of them are not compared between all runs, empty if all are.
+    """
 
     columns: tuple[Quantity, ...]
     rows: tuple[Row, ...]
+    not_compared: str
 
 
 def table(entries: Sequence[Entry]) -> Table:
@@ -58,7 +70,7 @@ def table(entries: Sequence[Entry]) -> Table:
         )
         for k, e in enumerate(entries)
     )
-    return Table(columns, rows)
+    return Table(columns, rows, not_compared(runs))
 
 
 MISSING: Final = "\u2013"

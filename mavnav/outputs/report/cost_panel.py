@@ -44,9 +44,22 @@ def cost_panels(entries: Sequence[Entry]) -> list[Image]:
     costs = np.concatenate([e.scans.cost_mm2[e.scans.cost_mm2 > MIN_COST_MM2] for e in entries])
     thresholds = [e.scans.threshold_mm2[np.isfinite(e.scans.threshold_mm2)].max(initial=0.0) for e in entries]
     low = float(np.quantile(costs, BELOW_SCALE_SHARE)) if costs.size else 1.0
-    limits = (0.5 * low, 2.0 * max([float(costs.max(initial=10.0 * low)), *map(float, thresholds)]))
+    limits = (0.5 * low, 2.0 * max([float(costs.max(initial=low)), *map(float, thresholds)]))
     end_s = max(float(e.scans.time_s.max(initial=0.1)) for e in entries)
     return [_panel(e, limits, end_s) for e in entries]
+
+
+def caption(entries: Sequence[Entry]) -> str:
+    """Say what the signs in the panels mean, as far as there are some."""
+    matched = [rejected(e) & np.isfinite(e.scans.cost_mm2) for e in entries]
+    unmatched = any((rejected(e) & ~found).any() for e, found in zip(entries, matched, strict=True))
+    sentences = {
+        "Crosses: rejected scans that were matched.": any(found.any() for found in matched),
+        "Rejected scans without a match are not drawn.": unmatched,
+        "Shaded: stretches where the track was lost.": any(map(_intervals, entries)),
+        "Costs compare within a method only.": len({e.document.get("method") for e in entries}) > 1,
+    }
+    return " ".join(compress(sentences, sentences.values()))
 
 
 def _panel(entry: Entry, limits: tuple[float, float], end_s: float) -> Image:
@@ -77,12 +90,17 @@ def _draw_scans(axes: Axes, entry: Entry, cost: NDArray[np.float64]) -> list[Mar
 
 
 def named_costs(low: float, high: float) -> list[tuple[float, str]]:
-    """Return the ticks with labels: powers of ten, and on a short scale also 2 and 5 times these."""
+    """Return the ticks with labels: powers of ten, and on a short scale also 2 and 5 times these.
+
+    All labels are written in one way: with an exponent if the largest is 1e5 or more.
+    """
     factors = (1, 2, 5) if high < SHORT_SCALE * low else (1,)
     powers = range(floor(log10(low)), floor(log10(high)) + 1)
     every = ceil(len(powers) / MAX_POWERS)
     values = [factor * 10.0**k for k in powers if k % every == 0 for factor in factors]
-    return [(v, f"{v:g}" if v < 1e5 else f"{v:.0e}".replace("e+0", "e")) for v in values if low <= v <= high]
+    shown = [v for v in values if low <= v <= high]
+    plain = max(shown, default=0.0) < 1e5
+    return [(v, f"{v:g}" if plain else f"{v:.0e}".replace("e+0", "e").replace("e-0", "e-")) for v in shown]
 
 
 def between_powers(low: float, high: float) -> list[float]:

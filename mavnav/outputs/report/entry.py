@@ -54,7 +54,8 @@ class Scans(Struct, frozen=True):
 class Entry(Struct, frozen=True):
     """A finished run on the page; ``true_walls`` are lines (k, 2) in the map frame, m, empty if unknown.
 
-    ``view_3d`` is the picture of the slices by height, None without.
+    ``goal_xy_m`` is that of a mission, (1, 2); without one (0, 2). ``view_3d`` is the picture of the slices by height,
+    None without.
     """
 
     log: str
@@ -64,6 +65,7 @@ class Entry(Struct, frozen=True):
     scans: Scans
     cuts: WallCuts
     true_walls: list[NDArray[np.float64]]
+    goal_xy_m: NDArray[np.float64]
     view_3d: Image.Image | None = None
 
 
@@ -96,6 +98,7 @@ def load(cell: dict[str, Any], base: Path) -> Entry | Failure:
             scans=_scans(folder / "trajectory.csv"),
             cuts=wall_table.read(folder / wall_table.WALLS_FILE),
             true_walls=_true_walls(folder),
+            goal_xy_m=_goal_xy_m(document, folder),
             view_3d=_view_3d(folder / "map_3d.png"),
         )
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
@@ -129,6 +132,12 @@ def _view_3d(path: Path) -> Image.Image | None:
         return None
     with Image.open(path) as picture:
         return picture.convert("RGB")
+
+
+def _goal_xy_m(document: dict[str, Any], folder: Path) -> NDArray[np.float64]:
+    path = folder / TRUE_WALLS_FILE
+    goal = read_json(path).get("goal") if document.get("mission") and path.is_file() else None
+    return np.array([goal] if goal else [], np.float64).reshape(-1, 2)
 
 
 def _true_walls(folder: Path) -> list[NDArray[np.float64]]:

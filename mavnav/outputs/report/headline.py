@@ -8,7 +8,9 @@ from mavnav.outputs.quantities import (
     DOUBT,
     NAMED,
     QUANTITIES,
+    by_cell_mm,
     comparable,
+    not_compared,
     number,
     probably_wrong,
     why_not_meaningful,
@@ -100,15 +102,31 @@ def _ghosts(entry: Entry) -> str:
 
 
 def _of_many(sound: Sequence[Entry]) -> str:
+    """Return the sentences for several maps, of which those of one cell size are compared by more metrics."""
+    groups = by_cell_mm(e.document for e in sound)
+    if len(groups) < 2:
+        return _ranked(sound, QUALITY, "measure here")
+    everywhere = tuple(q for q in QUALITY if not q.per_cell)
+    why = not_compared(e.document for e in sound)
+    within = (
+        f"Cells of {cell_mm:g} mm: {_ranked([sound[k] for k in group], QUALITY, 'measure here')}"
+        for cell_mm, group in groups.items()
+        if len(group) > 1
+    )
+    overall = _ranked(sound, everywhere, "measure that does not depend on the cell size")
+    return " ".join((overall, f"{why[0].upper()}{why[1:]}.", *within))
+
+
+def _ranked(sound: Sequence[Entry], quality: Sequence[Quantity], measure: str) -> str:
     """Return the sentence for several maps: the run that is best by most metrics, if there is one."""
-    won = {q.title: winners(q, [e.document for e in sound]) for q in QUALITY}
+    won = {q.title: winners(q, [e.document for e in sound]) for q in quality}
     contested = [title for title, best in won.items() if best]
     if not contested:
         names = _list([e.name for e in sound])
-        return f"The maps of {names} are equally good by every measure here{_fewest_evaluations(sound)}."
-    if max(_spread(sound, q) for q in QUALITY if won[q.title]) < SMALL_SHARE:
+        return f"The maps of {names} are equally good by every {measure}{_fewest_evaluations(sound)}."
+    if max(_spread(sound, q) for q in quality if won[q.title]) < SMALL_SHARE:
         names = _list([e.name for e in sound])
-        most = max(_spread(sound, q) for q in QUALITY)
+        most = max(_spread(sound, q) for q in quality)
         differ = f"no measure differs by more than {100 * most:.1f} %"
         return f"The maps of {names} are as good as equal: {differ}{_fewest_evaluations(sound)}."
     score = [sum(k in won[title] for title in contested) for k in range(len(sound))]

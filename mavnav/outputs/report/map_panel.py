@@ -13,7 +13,7 @@ from mavnav.mapping.occupancy_grid import occupancy
 from mavnav.outputs import map_axes
 from mavnav.outputs.canvas import stroke
 from mavnav.outputs.plot import Axes, Line, Mark, circle, legend
-from mavnav.outputs.report.panels import FONT_PT, panel
+from mavnav.outputs.report.panels import FONT_PT, MAP_MARGINS, panel
 from mavnav.outputs.viewport import GOAL_RED, INK, MUTED, POSE_MAGENTA, Window, window_of
 from mavnav.pose import Pose, transform_points
 from mavnav.units import DEG, MM
@@ -54,7 +54,7 @@ def common_window(entries: Sequence[Entry]) -> Window:
 
 def _framed(entry: Entry) -> Any:  # noqa: ANN401  numpy's stack of arrays
     tracked = entry.scans.xy_m[np.isfinite(entry.scans.xy_m[:, 0])]
-    return np.vstack((tracked, *entry.true_walls))
+    return np.vstack((tracked, *entry.true_walls, entry.goal_xy_m))
 
 
 def shape(window: Window) -> str:
@@ -66,7 +66,7 @@ def shape(window: Window) -> str:
 def map_panel(
     entry: Entry, window: Window, top_hits: float, boxes: Sequence[tuple[str, Window]], *, ends: bool
 ) -> Image:
-    """Draw the map of a run with its close-ups ``boxes``, by letter; ``ends`` marks start and end of the path."""
+    """Draw the map of a run with its close-ups ``boxes``, by letter; ``ends`` marks start, end and goal."""
     longest_in, max_ticks = (WIDE_IN, 16) if shape(window) == "wide" else (LONGEST_IN, 11)
     axes = _panel(entry.name, window.widened(MIN_ASPECT), longest_in)
     draw_map(axes, entry, top_hits, max_ticks, boxes, ends=ends)
@@ -82,7 +82,9 @@ def closeup_panel(entry: Entry, window: Window, top_hits: float, letter: str) ->
 
 def _panel(title: str, window: Window, longest_in: float) -> Axes:
     canvas, box = panel(window.size_pixels(longest_in), title)
-    return map_axes.map_axes(canvas, window, box)
+    axes = map_axes.map_axes(canvas, window, box)
+    axes.names("x [m]", "y [m]", FONT_PT, MAP_MARGINS[0] - 14)
+    return axes
 
 
 def draw_map(
@@ -104,6 +106,7 @@ def draw_map(
         xy_m = entry.scans.xy_m[np.isfinite(entry.scans.xy_m[:, 0])]
         axes.mark(map_axes.START, xy_m[:1])
         axes.mark(map_axes.END, xy_m[-1:])
+        axes.mark(map_axes.GOAL, entry.goal_xy_m)
     for letter, box in boxes:
         _draw_box(axes, letter, box)
     longest_m = max(axes.size)
@@ -138,7 +141,7 @@ def _draw_box(axes: Axes, letter: str, box: Window) -> None:
     axes.canvas.text((x + LETTER / 2, top + LETTER / 2), letter, FONT_PT, "#ffffff", bold=True)
 
 
-def legend_panel(top_hits: float, *, truth: bool, ghost: bool, doubtful: bool, ends: bool) -> Image:
+def legend_panel(top_hits: float, *, truth: bool, ghost: bool, doubtful: bool, ends: bool, goal: bool) -> Image:
     """Draw the color scale of hits that all maps share, and the legend of their lines."""
     canvas, box = panel((390, 21), "", (15, 40, 375, 36))
     axes = Axes.chart(canvas, box, (0.0, 1.0, 0.0, 1.0))
@@ -150,6 +153,8 @@ def legend_panel(top_hits: float, *, truth: bool, ghost: bool, doubtful: bool, e
     first = (canvas.image.height - (len(marks) - 1) * LINE) // 2
     for k, mark in enumerate(marks):
         legend(canvas, [mark], first + k * LINE, box[2] + 24, FONT_PT)
-    for k, mark in enumerate((map_axes.START, map_axes.END) if ends else ()):
-        legend(canvas, [mark], (canvas.image.height - LINE) // 2 + k * LINE, box[2] + 250, FONT_PT)
+    places = list(compress((map_axes.START, map_axes.END, map_axes.GOAL), (ends, ends, ends and goal)))
+    first = (canvas.image.height - (len(places) - 1) * LINE) // 2
+    for k, mark in enumerate(places):
+        legend(canvas, [mark], first + k * LINE, box[2] + 250, FONT_PT)
     return canvas.image

@@ -31,7 +31,7 @@ SHEET_PIXELS: Final = 2800
 FONT_PT: Final = 8.0
 
 
-MAP_MARGINS: Final = (63, 40, 18, 36)
+MAP_MARGINS: Final = (90, 40, 18, 63)
 CHART_MARGINS: Final = (94, 40, 18, 63)
 """Left, top, right and bottom of the axes in a panel, in pixels."""
 CHART: Final = (600, 255)

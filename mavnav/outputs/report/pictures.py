@@ -10,7 +10,7 @@ from msgspec import Struct
 from mavnav.outputs.map_axes import top_of_scale
 from mavnav.outputs.quantities import why_not_meaningful
 from mavnav.outputs.report.closeups import MIN_SIDE_M, differing_places
-from mavnav.outputs.report.cost_panel import cost_panels
+from mavnav.outputs.report.cost_panel import caption, cost_panels
 from mavnav.outputs.report.map_panel import (
     closeup_panel,
     common_window,
@@ -54,6 +54,7 @@ class Pictures(Struct, frozen=True):
     closeups: list[Closeup]
     thickness: list[Image]
     cost: list[Image]
+    cost_caption: str
     motion: Image | None
     views_3d: list[Image]
 
@@ -101,10 +102,12 @@ def draw(entries: Sequence[Entry]) -> Pictures:
             ghost=any(map(ghosts, entries)),
             doubtful=any(e.scans.doubtful.any() for e in entries),
             ends=alone,
+            goal=any(len(e.goal_xy_m) for e in entries),
         ),
         closeups=[_closeup(letter, box, sound, top_hits) for letter, box in boxes],
         thickness=thickness_panels(entries),
         cost=cost_panels(entries),
+        cost_caption=caption(entries),
         motion=motion_panel(entries[0]) if alone else None,
         views_3d=[e.view_3d for e in entries if e.view_3d],
     )
