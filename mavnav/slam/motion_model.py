@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 USUAL_PERIOD_S = 0.1  # scan period where the stamps do not show it
 LONGEST_S = 1.2  # longest extrapolation of a velocity
+GAP_S = 0.5  # time without an accepted pose from which odometry is used that fits only long motions
 NEW_SHARE = 0.7  # weight of a new velocity in the running average
 
 LEAST_FIT_STEPS, FIT_DECAY = 10, 0.98
@@ -67,7 +68,8 @@ class Motion(NamedTuple):
     ``twist`` is the velocity in the laser frame, m/s, m/s, rad/s. ``period_s`` is the sensor's scan period: time steps
     are rounded to whole periods, because many drivers stamp a scan at its arrival, tens of ms early or late. With
     ``expects_rest`` and without odometry the last pose is the prediction. ``rotation`` holds the yaw rates of an
-    inertial sensor, which replace the constant yaw rate while ``yaw_rate_fit`` shows that they fit.
+    inertial sensor, which replace the constant yaw rate while ``yaw_rate_fit`` shows that they fit. ``gap_odometry``
+    is odometry that fits the scans only over long motions; it is the ``odometry`` of a scan after a gap.
     """
 
     period_s: float
@@ -78,6 +80,18 @@ class Motion(NamedTuple):
     twist: Twist = (0.0, 0.0, 0.0)
     rotation: Rotation | None = None
     yaw_rate_fit: YawRateFit = YawRateFit()
+    gap_odometry: Odometry | None = None
+
+    @property
+    def has_odometry(self) -> bool:
+        """Whether there is odometry at least after gaps."""
+        return self.odometry is not None or self.gap_odometry is not None
+
+    def before(self, stamp_ns: int) -> Motion:
+        """Return the motion with the odometry that is used for a scan."""
+        if self.gap_odometry is None:
+            return self
+        return self._replace(odometry=self.gap_odometry if self.elapsed_s(stamp_ns) > GAP_S else None)
 
     def elapsed_s(self, stamp_ns: int) -> float:
         """Return the time from or to the last accepted pose, s, in whole periods, at least one."""
@@ -147,7 +161,7 @@ class Motion(NamedTuple):
 
     def _at(self, map_T_laser: Pose, stamp_ns: int, twist: Twist) -> Motion:
         before = self.period_s, self.odometry, self.expects_rest
-        return Motion(*before, map_T_laser, stamp_ns, twist, self.rotation, self.yaw_rate_fit)
+        return Motion(*before, map_T_laser, stamp_ns, twist, self.rotation, self.yaw_rate_fit, self.gap_odometry)
 
 
 def _twist(a: Pose, b: Pose, elapsed_s: float) -> Twist:

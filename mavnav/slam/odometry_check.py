@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec.structs import replace
 
+from mavnav.slam.motion_model import GAP_S
+from mavnav.slam.odometry_offset import at_offset, fitting_offset_s, size
 from mavnav.slam.steps import tracked_trajectory
+from mavnav.units import NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -32,6 +35,9 @@ WARNING = (
     "odometry contradicts the scans and is not used; check its scale, axes and clock; if they are right, see map.png"
 )
 
+JITTER_WARNING = "odometry contradicts the steps between scans, but fits motions of a second"
+"""Beginning of the warning of odometry whose stamps jitter, or have a time offset."""
+
 
 def while_odometry_fits(track: Track, phase: str = "track", until: Until | None = None) -> Track:
     """Track the log; the track ends early where its odometry plainly contradicts the scans.
@@ -48,7 +54,7 @@ def while_odometry_fits(track: Track, phase: str = "track", until: Until | None 
 
 
 def without_misleading_odometry(track: Track) -> Track:
-    """Track again without odometry where it contradicts the scans."""
+    """Track again without odometry where it contradicts the scans, or with it only after gaps if it fits there."""
     odometry = track.motion.odometry
     if odometry is None:
         return track
@@ -56,11 +62,28 @@ def without_misleading_odometry(track: Track) -> Track:
         return with_coverage(track)
     alone = replace(track, motion=track.motion._replace(odometry=None))
     alone = alone.over(alone.log_scans(), "track again")
-    return (
-        replace(alone.with_warning(WARNING), odometry_contradicts=True)
-        if len(alone.steps) >= len(track.steps)
-        else track
+    if len(alone.steps) < len(track.steps):
+        return track
+    alone = replace(alone, odometry_contradicts=True)
+    offset_s = fitting_offset_s(odometry, tracked_trajectory(alone.steps))
+    if offset_s is None:
+        return alone.with_warning(WARNING)
+    found = with_gap_odometry(alone, at_offset(odometry, offset_s))
+    total_s, used = offset_s + track.config.odometry.offset_s, "not used" if found is None else "used only after gaps"
+    return (found or alone).with_warning(
+        f"{JITTER_WARNING} with {total_s:.2f} s added to its stamps, and is {used}; measure its time offset with "
+        "'mavnav calibrate'"
     )
+
+
+def with_gap_odometry(track: Track, odometry: Odometry) -> Track | None:
+    """Track again with odometry after gaps; None if the track has none, or if the run is stopped."""
+    path = tracked_trajectory(track.steps)
+    if track.steps.column("tracked").all() and np.all(np.diff(path.stamps_ns) * NS <= GAP_S):
+        return None
+    again = replace(track, motion=track.motion._replace(gap_odometry=odometry))
+    again = again.over(track.log_scans(), "track again")
+    return again if len(again.steps) == len(track.steps) else None
 
 
 def with_coverage(track: Track) -> Track:
@@ -112,13 +135,9 @@ def _errors(odometry: Odometry, poses: list[tuple[int, Pose]]) -> NDArray[np.flo
     if then is None or now is None:
         return None
     went, moved = a.between(b), b.between(c)
-    return np.array([_size(p) for p in (then.between(now).between(moved), went.between(moved), moved)])
+    return np.array([size(p) for p in (then.between(now).between(moved), went.between(moved), moved)])
 
 
 def _is_worse(errors: NDArray[np.float64], times: float = 1.0) -> bool:
     by_odometry, by_velocity, motion = errors
     return bool(by_odometry > times * max(by_velocity, MISLEADING * motion))
-
-
-def _size(motion: Pose) -> float:
-    return float(np.hypot(motion.distance_m, motion.yaw_rad))

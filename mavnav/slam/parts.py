@@ -94,7 +94,7 @@ def without_late_poses(track: Track) -> Track:
     Only the scans before it are tracked again; `with_lost_parts` tracks the others, and joins them if several agree. A
     log that is lost for good is left as it is: that is said anyway.
     """
-    if track.refiner is None or not track.refiner.builds_map or track.motion.odometry is not None:
+    if track.refiner is None or not track.refiner.builds_map or track.motion.has_odometry:
         return track
     if lost_for_good(track.steps, list(lost_intervals(track.steps))):
         return track
@@ -169,7 +169,7 @@ def joined(track: Track, others: list[tuple[Step, ...]]) -> Track:
 
 def is_reached(part: Sequence[Step], map_T_part: Pose, steps: Steps, track: Track) -> bool:
     """Return whether the laser can have moved between a part and the poses next to it where the scans pause there."""
-    found = pauses(steps, track.motion.period_s) if track.motion.odometry is None else []
+    found = [] if track.motion.has_odometry else pauses(steps, track.motion.period_s)
     for end, others in ((part[0], range(part[0].index - 1, -1, -1)), (part[-1], range(part[-1].index + 1, len(steps)))):
         other = next((steps[k] for k in others if steps[k].tracked), None)
         if other is None or not any(min(end.index, other.index) <= k < max(end.index, other.index) for k in found):

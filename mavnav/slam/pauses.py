@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.slam.motion_model import GAP_S
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from mavnav.slam.steps import Step, Steps
 
 PAUSE_S, PAUSE_PERIODS = 2.5, 2.5
-"""Time between two scans from which it is a pause, and in periods."""
+"""Time between two scans from which it is a pause, and in periods; with odometry it is one from ``GAP_S`` on."""
 
 LEAST_SPEED_M_S, FASTER, SLACK_M = 0.3, 1.2, 0.5
 """Speed that every vehicle reaches, largest ratio of the mean speed in a pause to the highest before, and slack."""
@@ -42,7 +43,8 @@ class Pauses:
 
     def note(self, stamp_ns: int, motion: Motion) -> None:
         """Take note of a scan and of the motion before it."""
-        if self._seen_ns is not None and (stamp_ns - self._seen_ns) * NS > shortest_pause_s(motion.period_s):
+        shortest_s = shortest_pause_s(motion.period_s, PAUSE_S if motion.odometry is None else GAP_S)
+        if self._seen_ns is not None and (stamp_ns - self._seen_ns) * NS > shortest_s:
             self._end_ns = stamp_ns
         elif motion.stamp_ns == self._seen_ns:
             self._fastest_m_s = max(self._fastest_m_s, hypot(*motion.twist[:2]))
@@ -73,9 +75,9 @@ def highest_speed(steps: Sequence[Step]) -> float:
     return max(float(np.quantile(speeds, 0.99)) if speeds else 0.0, LEAST_SPEED_M_S)
 
 
-def shortest_pause_s(period_s: float) -> float:
+def shortest_pause_s(period_s: float, least_s: float = PAUSE_S) -> float:
     """Return the time between two scans from which it is a pause."""
-    return max(PAUSE_S, PAUSE_PERIODS * period_s)
+    return max(least_s, PAUSE_PERIODS * period_s)
 
 
 def pauses(steps: Steps, period_s: float) -> list[int]:
@@ -98,7 +100,7 @@ def pause_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
     """Yield a warning if the scans pause between two poses of a log without odometry."""
     tracked, stamps_ns = steps.column("tracked"), steps.column("stamp_ns")
     found = [k for k in pauses(steps, motion.period_s) if tracked[: k + 1].any() and tracked[k + 1 :].any()]
-    if not found or motion.odometry is not None:
+    if not found or motion.has_odometry:
         return
     longest = max(found, key=lambda k: stamps_ns[k + 1] - stamps_ns[k])
     at_s, until_s = (float(stamps_ns[k] - stamps_ns[0]) * NS for k in (longest, longest + 1))

@@ -50,8 +50,8 @@ Scans after the last pose of the first track do not count: the other one must co
 16 and 64 lost scans.
 """
 
-KEPT_WARNINGS = (odometry_check.WARNING, beam_order.WARNING)
-"""Warnings about the input that are kept: the remedy does not check it again."""
+KEPT_WARNINGS = (odometry_check.WARNING, odometry_check.JITTER_WARNING, beam_order.WARNING)
+"""Beginnings of warnings about the input that are kept: the remedy does not check it again."""
 
 
 def with_remedy(track: Track, start: Track, recovered: Pass, judged: Pass) -> Track:
@@ -92,7 +92,7 @@ def finer_track(track: Track, start: Track) -> Track:
         config=start.config.with_voxels(FINER),
         motion=track.motion,
         on_step=on_step and (lambda _, done: on_step("track again", done)),
-        warnings=tuple(text for text in track.warnings if text in KEPT_WARNINGS),
+        warnings=tuple(text for text in track.warnings if text.startswith(KEPT_WARNINGS)),
         odometry_contradicts=track.odometry_contradicts,
         resampled=track.resampled,
     )

@@ -42,6 +42,11 @@ class TrackState(NamedTuple):
         """Motion from which the next scan is predicted."""
         return self.trial or self.motion
 
+    def before(self, stamp_ns: int) -> TrackState:
+        """Return the state with the odometry that is used for a scan."""
+        motion, trial = self.motion.before(stamp_ns), self.trial and self.trial.before(stamp_ns)
+        return self if motion is self.motion else self._replace(motion=motion, trial=trial)
+
     def after(self, verdict: Verdict, map_T_laser: Pose, stamp_ns: int) -> TrackState:
         """Return the state after a scan; the scan was accepted if ``missed`` is 0."""
         if self.trial is None and verdict is Verdict.SURE:

@@ -38,6 +38,7 @@ def track(scans: Iterable[Scan], method: Method, motion: Motion, first: int = 0)
             here, tracked = motion, match.converged
             state = TrackState(motion.started_at(match.map_T_laser, scan.stamp_ns)) if tracked else None
         else:
+            state = state.before(scan.stamp_ns)
             here = state.here
             match = method.match(scan, here.predict(scan.stamp_ns), here)
             verdict = method.gate(match, scan, here)
