@@ -158,11 +158,12 @@ def session_names(inputs: tuple[Path, ...]) -> list[str]:
 
 def _input(name: str, path: Path, request: MergeRequest, folder: Path, progress: Progress) -> Input:
     """Read a run, or replay a log."""
+    run = None
     try:
         run = _run(path) if _is_run(path) else _replayed(name, path, request, folder, progress)
         session = _read(name, run, request.config)
     except NoScansError as error:
-        return Input(name, path, why=str(error))
+        return Input(name, path, run=run.document if run else None, why=str(error))
     return Input(name, path, session if session.keys else None, run.document, "no scan was tracked")
 
 
