@@ -49,6 +49,15 @@ MARGIN, BARRIER = 0.15, 0.03
 Without the rise the motion is not observable, which is another reason for doubt.
 """
 
+LEAST_SHARE = 0.15
+"""Least share of the examined scans that fit the same second motion: people and other passers-by show for moments."""
+
+AT_REST_M_S = 0.2
+"""Speed below which a laser is at rest: at a second motion of no speed something moves with the laser, as its own body.
+
+That is no reason to doubt a track that moves, unless it costs less than the track: a vehicle may pass a laser at rest.
+"""
+
 POINTS = 200
 """Number of points, a sample of the scan, that are compared with the earlier scan."""
 
@@ -72,9 +81,10 @@ def second_motion(track: Track, refiner: Refiner, conflicts: Floats) -> Floats:
     if np.isnan(velocities).all():
         return out
     same = np.hypot(*(velocities - np.nanmedian(velocities, axis=0)).T) <= SAME_M_S
+    share = float(np.mean(same))
     for agrees, some in zip(same, rows, strict=False):
-        if agrees:
-            out[some[0] : some[-1] + 1] = np.mean(same)
+        if agrees and share >= LEAST_SHARE:
+            out[some[0] : some[-1] + 1] = share
     return out
 
 
@@ -120,13 +130,19 @@ def rival(
         xy_m, yaw_rad = moved.as_array()[:2] + elapsed_s * tried, np.array([moved.yaw_rad])
         costs = pose_costs(points[row][:POINTS], xy_m, yaw_rad, truncate_m, lines.nearest, lines.lines, lines.geometry)
         shares += costs[0] / (truncate_m**2 * len(later))
-    return second_minimum(shares.reshape(n, n))
+    own_m_s = moved.as_array()[:2] / elapsed_s
+    found = second_minimum(shares.reshape(n, n))
+    if found is None:
+        return None
+    x_m_s, y_m_s, more = found
+    rests = np.hypot(*own_m_s) >= APART_M_S and np.hypot(own_m_s[0] + x_m_s, own_m_s[1] + y_m_s) < AT_REST_M_S
+    return None if rests and more >= 0.0 else (x_m_s, y_m_s)
 
 
-def second_minimum(shares: Floats) -> tuple[float, float] | None:
-    """Return the velocity of the lowest minimum of the cost (n, n) apart from the track's, at velocity 0.
+def second_minimum(shares: Floats) -> tuple[float, float, float] | None:
+    """Return the velocity of the lowest minimum of the cost (n, n) apart from the track's, and its additional cost.
 
-    None if it costs over ``MARGIN`` more, or if the cost does not rise between both.
+    The track's is at velocity 0. None if it costs over ``MARGIN`` more, or if the cost does not rise between both.
     """
     n, middle = len(SPEEDS_M_S), len(SPEEDS_M_S) // 2
     own = float(shares[middle - 1 : middle + 2, middle - 1 : middle + 2].min())
@@ -139,5 +155,5 @@ def second_minimum(shares: Floats) -> tuple[float, float] | None:
             continue
         on_the_way = np.rint(middle + np.outer(np.linspace(0.0, 1.0, n), (i - middle, j - middle))).astype(int)
         if shares[tuple(on_the_way.T)].max() >= max(cost, own) + BARRIER:
-            return float(SPEEDS_M_S[i]), float(SPEEDS_M_S[j])
+            return float(SPEEDS_M_S[i]), float(SPEEDS_M_S[j]), cost - own
     return None
