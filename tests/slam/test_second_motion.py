@@ -16,34 +16,20 @@ from mavnav.slam.pipeline import run_slam
 from mavnav.slam.registry import make_method
 from mavnav.slam.result import SlamResult
 from mavnav.slam.track import Track
-from support.synthetic import Segments, along, box, polyline, scan_at
+from support.synthetic import NOTHING, along, box, corridor_with_rooms, record
 
 SPEC = LaserSpec(-np.pi * 3 / 4, np.pi / 240, 361, 0.05, 10.0)
 PERIOD_NS = 100_000_000
 MIDDLE = len(SPEEDS_M_S) // 2
 
 
-def corridor() -> Segments:
-    """Return a corridor of 24 m, with an open room on either side every 5 m."""
-    walls = [polyline((0.0, -1.2), (0.0, 1.2)), polyline((24.0, -1.2), (24.0, 1.2))]
-    for side in (-1.0, 1.0):
-        door_m = [0.0, *np.ravel([(x, x + 1.0) for x in np.arange(2.0, 24.0, 5.0) + 0.7 * (side > 0)]), 24.0]
-        walls += [polyline((a, 1.2 * side), (b, 1.2 * side)) for a, b in zip(door_m[::2], door_m[1::2], strict=True)]
-        walls += [polyline((0.0, 4.5 * side), (24.0, 4.5 * side))]
-        walls += [polyline((x, 1.2 * side), (x, 4.5 * side)) for x in np.arange(0.0, 25.0, 5.0)]
-        walls += [box(x + 1.0, 3.6 * side, 0.8, 0.6) for x in np.arange(0.5, 24.0, 5.0)]
-    return np.vstack(walls)
-
-
 @cache
 def behind_a_cart(width_m: float, ahead_m: float = 1.0) -> tuple[SlamResult, float]:
     """Return the run of a laser behind a cart, and how long its path truly is, m."""
-    path, walls, rng = along([(2.0, 0.0), (14.0, 0.05)], speed_m_s=0.7), corridor(), np.random.default_rng(1)
-    scans = []
-    for k in range(len(path)):
-        cart = [box(path[k].x_m + ahead_m + 0.5, path[k].y_m, 1.0, width_m)] if width_m else []
-        scans.append(scan_at(np.vstack([walls, *cart]), path[k], SPEC, stamp_ns=k * PERIOD_NS, noise=0.004, rng=rng))
-    return run_slam(lambda: scans, Config(), 0.1), path[0].gap(path[len(path) - 1])[0]
+    cart = box(ahead_m + 0.5, 0.0, 1.0, width_m) if width_m else NOTHING
+    path = along([(2.0, 0.0), (14.0, 0.05)], speed_m_s=0.7)
+    drive = record(corridor_with_rooms(), path, SPEC, noise=0.004, seed=1, carried=cart)
+    return run_slam(lambda: drive.scans, Config(), 0.1), path[0].gap(path[len(path) - 1])[0]
 
 
 def off_m(run: SlamResult, true_m: float) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from mavnav.pose import motions
 from mavnav.slam.doubt.evidence import turns_rad, wrapped
 from mavnav.slam.doubt.record import NOT_PLANAR, SECOND_MOTION
+from mavnav.slam.doubt.second_motion import LEAST_AGREEING
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
@@ -40,9 +41,6 @@ WEAK, FEW_POINTS, CONFLICTS, LEAST_MARGIN = 0.01, 80, 0.05, 0.15
 
 TILT_RAD = 10 * DEG
 """Tilt above which motion is not planar: a wall 3 m away is then met 0.5 m higher or lower."""
-
-RIVAL_SHARE = 0.15
-"""Share of scans that fit a second motion above which that raises doubt."""
 
 GAP_S, REFUSED_LOOPS = 2.0, 10
 """Time without a pose that is long, and number of refused loops that is high."""
@@ -137,7 +135,7 @@ def odometry_contradicts(evidence: Evidence) -> Floats:
 
 def other_motion(evidence: Evidence) -> Floats:
     """Return the share of scans that fit a second motion, at those scans, as a multiple of the bound."""
-    return evidence.second_motion / RIVAL_SHARE
+    return evidence.second_motion / LEAST_AGREEING
 
 
 class Feature(NamedTuple):

@@ -49,7 +49,7 @@ MARGIN, BARRIER = 0.15, 0.03
 Without the rise the motion is not observable, which is another reason for doubt.
 """
 
-LEAST_SHARE = 0.15
+LEAST_AGREEING = 0.15
 """Least share of the examined scans that fit the same second motion: people and other passers-by show for moments."""
 
 AT_REST_M_S = 0.2
@@ -70,20 +70,19 @@ def second_motion(track: Track, refiner: Refiner, conflicts: Floats) -> Floats:
     path, out = tracked_trajectory(track.steps), np.zeros(len(conflicts))
     if track.motion.odometry is not None or np.mean(conflicts >= LEAST_CONFLICTS) < WORTH_A_SEARCH:
         return out
-    rows = examined_rows(path.stamps_ns, track.motion.period_s)
-    points = points_of_rows(track, refiner, {row for some in rows for row in some})
-    found = [
-        rival(some, path.stamps_ns, path.xyyaw, points, track) for some in rows if all(row in points for row in some)
-    ]
-    if len(found) < LEAST_EXAMINED:
+    wanted = examined_rows(path.stamps_ns, track.motion.period_s)
+    points = points_of_rows(track, refiner, {row for some in wanted for row in some})
+    rows = [some for some in wanted if points.keys() >= set(some)]  # a stopped run ends early
+    if len(rows) < LEAST_EXAMINED:
         return out
-    velocities = np.array([v if v is not None else (np.nan, np.nan) for v in found])
+    found = [rival(some, path.stamps_ns, path.xyyaw, points, track) for some in rows]
+    velocities = np.array([velocity or (np.nan, np.nan) for velocity in found])
     if np.isnan(velocities).all():
         return out
     same = np.hypot(*(velocities - np.nanmedian(velocities, axis=0)).T) <= SAME_M_S
     share = float(np.mean(same))
-    for agrees, some in zip(same, rows, strict=False):
-        if agrees and share >= LEAST_SHARE:
+    for agrees, some in zip(same, rows, strict=True):
+        if agrees and share >= LEAST_AGREEING:
             out[some[0] : some[-1] + 1] = share
     return out
 
