@@ -61,11 +61,11 @@ def test_what_moves_with_a_laser_that_moves_is_no_second_motion(
     """Half of the points are on walls, half on a cart, that moves with the laser at 0.8 m/s."""
     rng = np.random.default_rng(0)
     walls, cart = rng.uniform(-6.0, 6.0, (120, 2)), rng.uniform(1.0, 2.0, (120, 2))
-    points = {k: np.vstack((walls - (0.08 * k, 0.0), cart))[rng.permutation(240)] for k in (0, 5, 8)}
-    stamps_ns, xyyaw = np.arange(9) * PERIOD_NS, np.zeros((9, 3))
-    xyyaw[:, 0] = 0.1 * track_m_s * np.arange(9)
+    points = {k: np.vstack((walls - (0.08 * k, 0.0), cart))[rng.permutation(240)] for k in (0, 8, 12)}
+    stamps_ns, xyyaw = np.arange(13) * PERIOD_NS, np.zeros((13, 3))
+    xyyaw[:, 0] = 0.1 * track_m_s * np.arange(13)
     track = Track(list, Config(), Motion(0.1), make_method(Config()))
-    velocity = rival((0, 5, 8), stamps_ns, xyyaw, points, track)
+    velocity = rival((0, 8, 12), stamps_ns, xyyaw, points, track)
     assert velocity == (None if found is None else pytest.approx(found))
 
 
@@ -94,10 +94,10 @@ def test_a_motion_that_walls_do_not_show_is_no_second_one() -> None:
 def test_scans_are_compared_with_later_ones() -> None:
     stamps_ns = np.arange(100, dtype=np.int64) * PERIOD_NS
     rows = examined_rows(stamps_ns, 0.1)
-    assert len(rows) == EXAMINED - 1
-    assert all((b - a, c - a) == (5, 8) for a, b, c in rows)
+    assert len(rows) == EXAMINED - 2  # the last two have no scan 1.2 s later
+    assert all((b - a, c - a) == (8, 12) for a, b, c in rows)
     assert not examined_rows(np.arange(5, dtype=np.int64) * 2 * 10**9, 2.0)  # too far apart
-    assert SPANS_S == (0.5, 0.8)
+    assert SPANS_S == (0.8, 1.2)
 
 
 def test_a_scan_without_a_later_one_in_time_is_left_out() -> None:

@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 EXAMINED, LEAST_EXAMINED = 24, 6
 """Number of scans that are compared with later ones, evenly over the track, and minimum number that means something."""
 
-SPANS_S = (0.5, 0.8)
+SPANS_S = (0.8, 1.2)
 """Times from a scan to those that it is compared with."""
 
-WORTH_A_SEARCH, LEAST_CONFLICTS = 0.05, 0.05
+WORTH_A_SEARCH, LEAST_CONFLICTS = 0.02, 0.05
 """Minimum share of scans with visibility conflicts, and the conflicts of such a scan: what moves shows in these."""
 
 SPEEDS_M_S = np.linspace(-1.5, 1.5, 31)
@@ -43,7 +43,7 @@ SPEEDS_M_S = np.linspace(-1.5, 1.5, 31)
 APART_M_S, SAME_M_S = 0.25, 0.25
 """Least speed of a second motion relative to the track, and the largest difference of two that are the same."""
 
-MARGIN, BARRIER = 0.15, 0.03
+MARGIN, BARRIER = 0.15, 0.02
 """Largest additional cost of a second motion, and least rise of the cost between both, as shares of the worst cost.
 
 Without the rise the motion is not observable, which is another reason for doubt.
