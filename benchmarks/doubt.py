@@ -1,15 +1,16 @@
 """Evaluate how well `tracking.doubt` separates wrong tracks from correct ones: make runs, fit coefficients, report.
 
     python benchmarks/doubt.py collect RUNS.jsonl [--logs FOLDER] [--jobs N] [--only TEXT]
-    python benchmarks/doubt.py fit RUNS.jsonl
+    python benchmarks/doubt.py fit RUNS.jsonl [--only TEXT]
     python benchmarks/doubt.py report RUNS.jsonl [--plot FILE.png]
 
 ``collect`` makes the runs missing in the file: disturbed recorded logs, compared with the undisturbed track, and scenes
 and missions, compared with ground truth. Each line contains the features of a run, always with a second track, and its
 errors. A run is wrong if the motion over any window of 2 or 10 s has an error over 0.2 m or 5 deg. ``fit`` fits the
-coefficients to the even seeds and prints them for mavnav/slam/doubt/coefficients.py. ``report`` evaluates all runs with
-the coefficients in that file, with the second track only if the doubt of the first one requires it. It prints both
-halves, and then every simulated scene with all seeds.
+coefficients to the even seeds and prints them for mavnav/slam/doubt/coefficients.py; with ``--only`` those of the
+features with a text in the name, and the others stay. ``report`` evaluates all runs with the coefficients in that file,
+with the second track only if the doubt of the first one requires it. It prints both halves, and then every simulated
+scene with all seeds.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from scipy.optimize import minimize
 
 from mavnav.config.models import Config
 from mavnav.slam import pipeline
-from mavnav.slam.doubt.coefficients import Weights
+from mavnav.slam.doubt.coefficients import ONE_TRACK, TWO_TRACKS, Weights
 from mavnav.slam.doubt.evidence import evidence_of, with_resampled_track
 from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES, WRONG_M, WRONG_RAD
 from mavnav.slam.doubt.judge import FEWEST, WORTH_A_TRACK, judge_track
@@ -111,29 +112,36 @@ def is_wrong(run: Run) -> bool:
     return bool(run["off_m"] > WRONG_M or run["off_deg"] > WRONG_RAD / DEG)
 
 
-def fitted(runs: list[Run], names: list[str]) -> Weights:
-    """Fit the weights of some features to runs by logistic regression with weights of at least ``LEAST_WEIGHT``."""
+def fitted(runs: list[Run], names: list[str], held: Weights) -> Weights:
+    """Fit the weights of some features to runs by logistic regression with weights of at least ``LEAST_WEIGHT``.
+
+    ``held`` has the weights of other features, which stay; the bias stays, too, if there are any.
+    """
     x = np.array([[doublings(run["features"][name]) for name in names] for run in runs])
-    wrong = np.array([is_wrong(run) for run in runs], dtype=np.float64)
+    base = [sum(w * doublings(run["features"][name]) for name, w in held.weights.items()) for run in runs]
+    log_odds, wrong = held.bias + np.array(base), np.array([is_wrong(run) for run in runs], dtype=np.float64)
 
     def loss(p: np.ndarray) -> tuple[float, np.ndarray]:
-        z, weights = p[0] + x @ p[1:], p[1:]
+        z, weights = log_odds + p[0] + x @ p[1:], p[1:]
         slope = 1.0 / (1.0 + np.exp(-z)) - wrong
         total = (np.logaddexp(0.0, z) - wrong * z).sum() + RIDGE * (weights**2).sum()
         return total, np.concatenate(([slope.sum()], x.T @ slope + 2.0 * RIDGE * weights))
 
-    bounds = [(None, None), *[(LEAST_WEIGHT, None)] * len(names)]
-    found = minimize(loss, np.array([-3.0, *[0.5] * len(names)]), jac=True, bounds=bounds, method="L-BFGS-B").x
-    return Weights(round(found[0], 2), {n: round(w, 2) for n, w in zip(names, found[1:].tolist(), strict=True)})
+    bias = (0.0, 0.0) if held.weights else (None, None)
+    bounds = [bias, *[(LEAST_WEIGHT, None)] * len(names)]
+    found = minimize(loss, np.array([0.0, *[0.5] * len(names)]), jac=True, bounds=bounds, method="L-BFGS-B").x
+    weights = {n: round(w, 2) for n, w in zip(names, found[1:].tolist(), strict=True)}
+    return Weights(round(held.bias + found[0], 2), {**held.weights, **weights})
 
 
-def fit(runs: list[Run]) -> None:
-    """Fit the coefficients to the even seeds and print them."""
+def fit(runs: list[Run], only: str) -> None:
+    """Fit the coefficients to the even seeds and print them; all, or those of the features with a text in the name."""
     some = [run for run in half(runs, 0) if run["features"] and not run["lost"]]
-    cheap = [name for name in FEATURES if name != DISAGREEMENT]
     print(f"{len(some)} runs, {sum(map(is_wrong, some))} of them wrong")
-    for title, names in (("ONE_TRACK", cheap), ("TWO_TRACKS", list(FEATURES))):
-        weights = fitted(some, names)
+    for title, now in (("ONE_TRACK", ONE_TRACK), ("TWO_TRACKS", TWO_TRACKS)):
+        names = [name for name in now.weights if only in name]
+        others = {name: weight for name, weight in now.weights.items() if name not in names}
+        weights = fitted(some, names, Weights(now.bias if others else -3.0, others))
         print(f"{title}: Final = Weights(\n    {weights.bias},\n    {{")
         print("".join(f'        "{name}": {weight},\n' for name, weight in weights.weights.items()) + "    },\n)")
 
@@ -242,7 +250,7 @@ def main() -> None:
     if args.action == "collect":
         collect(args.runs, args.logs, args.jobs, args.only)
     elif args.action == "fit":
-        fit(read(args.runs))
+        fit(read(args.runs), args.only)
     else:
         report(read(args.runs), args.plot)
 

@@ -27,7 +27,18 @@ from mavnav.units import DEG
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
-from support.synthetic import URG_04LX, along, box, drifting_odometry, furnished_rooms, polyline, record, room
+from support.synthetic import (
+    NOTHING,
+    URG_04LX,
+    along,
+    box,
+    corridor_with_rooms,
+    drifting_odometry,
+    furnished_rooms,
+    polyline,
+    record,
+    room,
+)
 
 LOGS = {
     "ccny_demo": ("ccny_demo/ccny_demo.mcap", None, None),
@@ -128,18 +139,15 @@ def recorded(folder: Path, name: str) -> Case:
 
 
 SHORT = LaserSpec(URG_04LX.angle_min_rad, URG_04LX.angle_step_rad, 681, 0.02, 4.0, 0.0, 0.1)
-SCENES = ("plain24", "doors24", "plain80", "doors80", "hall", "round", "wall", "rooms", "square", "boxed")
-
-
-DEGENERATE = ("plain24", "plain80", "hall", "round")
-"""Scenes with an unobservable direction."""
+SCENES = ("plain24", "doors24", "plain80", "doors80", "hall", "round", "wall", "rooms", "square", "boxed", "cart")
+FAR = LaserSpec(-135 * DEG, 0.75 * DEG, 361, 0.05, 10.0)
+HARD = ("plain24", "plain80", "hall", "round", "cart")
+"""Scenes with an unobservable direction, or with a cart that moves ahead of the laser."""
 
 
 def scene_names(seeds: int = 8, more: int = 20) -> list[str]:
-    """Return the names of all simulated runs; ``odo`` has drifting odometry. Degenerate scenes have more seeds."""
-    kinds = {
-        scene: {"plain": more if scene in DEGENERATE else seeds, "every3": seeds, "odo": seeds} for scene in SCENES
-    }
+    """Return the names of all simulated runs; ``odo`` has drifting odometry. Hard scenes have more seeds."""
+    kinds = {scene: {"plain": more if scene in HARD else seeds, "every3": seeds, "odo": seeds} for scene in SCENES}
     return [f"sim-{scene}/{kind}/0/{k}" for scene in SCENES for kind, n in kinds[scene].items() for k in range(n)]
 
 
@@ -150,7 +158,9 @@ def simulated(name: str) -> Case:
     walls, way = scenery(scene, rng)
     speed = float(rng.uniform(0.4, 1.0)) if not scene.endswith("80") else 1.5
     path = along(way, speed_m_s=speed, turn_rad_s=float(rng.uniform(0.6, 2.0)))
-    drive = record(walls, path, SHORT, noise=float(rng.uniform(0.003, 0.015)), seed=int(seed))
+    spec, noise = FAR if scene == "cart" else SHORT, float(rng.uniform(0.003, 0.015))
+    carried = box(rng.uniform(1.5, 4.5), rng.uniform(-0.2, 0.2), 1.0, rng.uniform(0.2, 1.6)) if spec is FAR else NOTHING
+    drive = record(walls, path, spec, noise, int(seed), carried)
     odometry = drifting_odometry(drive.world_T_laser, int(seed)) if kind == "odo" else None
     scans, period_s = (drive.scans[::3], 0.3) if kind == "every3" else (drive.scans, 0.1)
     seen = [scan for scan in scans if np.isfinite(scan.ranges_m).any()]  # readers of logs skip empty scans
@@ -184,6 +194,8 @@ def scenery(scene: str, rng: np.random.Generator) -> tuple[np.ndarray, list[tupl
             *(box(*rng.uniform((1, 1), (6, 4)), *rng.uniform(0.2, 0.6, 2), rng.uniform(0, 3)) for _ in range(4)),
         ]
         return np.vstack(walls), [(0.5, 0.5), (6.4, 0.5 + jitter[0][1] / 3), (6.5, 4.4), (0.5, 4.5), (0.5, 0.9)]
+    if scene == "cart":
+        return corridor_with_rooms(), [(2.0 + jitter[0][0], jitter[0][1]), (14.0, jitter[1][1])]
     return furnished_rooms(), [(0.8, 0.7), (2.8 + jitter[0][0], 0.7), (4.9, 0.7), (5.2, 2.2), (4.65, 3.4), (4.65, 5.0)]
 
 

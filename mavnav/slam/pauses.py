@@ -109,3 +109,29 @@ def pause_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
         f"the scans pause for {until_s - at_s:.1f} s ({at_s:.1f} s after the first{more}): without odometry, where the "
         "laser is afterwards is known from the scans alone; check the map there"
     )
+
+
+def blind_warnings(steps: Steps, motion: Motion) -> Iterator[str]:
+    """Yield a warning if a log without odometry goes on for longer than a pause, and its scans match nowhere meanwhile.
+
+    The laser may have been carried, to a place that looks like an earlier one.
+    """
+    if motion.odometry is not None:
+        return
+    stamps_ns, tracked = steps.column("stamp_ns"), np.flatnonzero(steps.column("tracked"))
+    gaps_s = np.diff(stamps_ns[tracked]) * NS
+    paused = {k + 1 for k in pauses(steps, motion.period_s)}
+    found = [
+        k
+        for k in np.flatnonzero(gaps_s > shortest_pause_s(motion.period_s)).tolist()
+        if not paused.intersection(range(tracked[k] + 1, tracked[k + 1] + 1))
+    ]
+    if not found:
+        return
+    longest = max(found, key=lambda k: gaps_s[k])
+    at_s = float(stamps_ns[tracked[longest]] - stamps_ns[0]) * NS
+    more = f", and {len(found) - 1} more" if len(found) > 1 else ""
+    yield (
+        f"no scan matches for {gaps_s[longest]:.1f} s ({at_s:.1f} s after the first{more}): without odometry, whether "
+        "the laser was carried meanwhile is known from the scans alone; check the map there"
+    )

@@ -11,16 +11,19 @@ from msgspec.structs import replace
 
 from mavnav.slam.degeneracy import UNMEASURED, degeneracy_warning
 from mavnav.slam.motion_model import LONGEST_S
+from mavnav.slam.redraw import motions_along
 from mavnav.slam.scan_matching import with_effort
-from mavnav.slam.steps import Step, Steps
+from mavnav.slam.steps import Step, Steps, tracked_trajectory
 from mavnav.slam.track_state import Verdict
-from mavnav.units import NS
+from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from mavnav.scan import Scan
     from mavnav.slam.method import Refiner
+    from mavnav.slam.motion_model import Motion
+    from mavnav.slam.scan_matching import Match
     from mavnav.slam.track import Track
 
 SHORT_SCANS = 8
@@ -34,6 +37,10 @@ NO_EVIDENCE = (UNMEASURED, *(0.0,) * 7)
 
 BATCH_SCANS = 16
 """Number of scans for which each operation runs in turn: its code and data stay in the processor's caches."""
+
+
+NOTABLE_CONFLICTS, SKEWED_RAD = 0.01, 2 * DEG
+"""Visibility conflicts that raise doubt, and turn during a sweep from which they may be due to the turn alone."""
 
 
 def rematch_rejected(track: Track) -> Track:
@@ -100,7 +107,9 @@ def refine_against_final_map(track: Track) -> Track:
     if track.refiner is None:
         return track
     evidence = array("d")
-    for step in track.reported(refined(track.log_scans(), track.steps, track.refiner, evidence), "final pass"):
+    motions = motions_along(tracked_trajectory(track.steps), track.motion)
+    coming = refined(track.log_scans(), track.steps, track.refiner, evidence, motions)
+    for step in track.reported(coming, "final pass"):
         track.steps[step.index] = step
     columns = np.array(evidence).reshape(-1, 8)
     observed = columns[:, 0]
@@ -113,21 +122,39 @@ def refine_against_final_map(track: Track) -> Track:
     return track.with_warning(warning) if warning else track
 
 
-def refined(scans: Iterable[Scan], steps: Iterable[Step], refiner: Refiner, evidence: array[float]) -> Iterator[Step]:
+def refined(
+    scans: Iterable[Scan],
+    steps: Iterable[Step],
+    refiner: Refiner,
+    evidence: array[float],
+    motions: Iterable[Motion] = (),
+) -> Iterator[Step]:
     """Match every tracked scan once more against the finished map, close to its pose; yield the steps.
 
     If the run is stopped and the scans end early, the remaining steps are yielded unchanged. Observability, visibility
-    conflicts and Hessian of each of the others are appended to ``evidence``.
+    conflicts and Hessian of each of the others are appended to ``evidence``. ``motions`` are those at the tracked
+    scans: the map is made of de-skewed scans, with which a scan as recorded conflicts in a turn.
     """
+    moving = iter(motions)
     waiting, coming = iter(steps), iter(scans)
     while some := list(islice(waiting, BATCH_SCANS)):
-        points = [refiner.match_points(scan) for scan in islice(coming, len(some))]
+        batch = list(islice(coming, len(some)))
+        points = [refiner.match_points(scan) for scan in batch]
         matches = [refiner.refine(p, s.match) if s.tracked else s.match for p, s in zip(points, some, strict=False)]
-        for p, step, match in zip(points, some, matches, strict=False):
+        for scan, p, step, match in zip(batch, points, some, matches, strict=False):
             if not step.tracked:
                 evidence.extend(NO_EVIDENCE)
                 continue
             observed, hessian = refiner.observability(p, match)
-            evidence.extend((observed, refiner.conflicts(p, match), *hessian.tolist()))
+            conflicts, motion = refiner.conflicts(p, match), next(moving, None)
+            if motion and conflicts >= NOTABLE_CONFLICTS and abs(motion.twist[2]) * scan.sweep_s >= SKEWED_RAD:
+                conflicts = min(conflicts, conflicts_deskewed(scan, match, motion, refiner))
+            evidence.extend((observed, conflicts, *hessian.tolist()))
         yield from (Step(*step[:2], match, *step[3:]) for step, match in zip(some, matches, strict=False))
         yield from some[len(matches) :]
+
+
+def conflicts_deskewed(scan: Scan, match: Match, motion: Motion, refiner: Refiner) -> float:
+    """Return the visibility conflicts of a scan that is de-skewed by its motion, with the finished map."""
+    points = refiner.match_points(scan, motion)
+    return refiner.conflicts(points, refiner.refine(points, match))

@@ -18,7 +18,7 @@ from mavnav.slam import beam_order, odometry_check
 from mavnav.slam.beginning import accepted, with_good_beginning
 from mavnav.slam.doubt.features import FEATURES, WINDOWS_S, WRONG_M, WRONG_RAD
 from mavnav.slam.doubt.judge import LEAST_SHARE
-from mavnav.slam.doubt.record import NOT_PLANAR, Remedy
+from mavnav.slam.doubt.record import NOT_PLANAR, SECOND_MOTION, Remedy
 from mavnav.slam.parts import lost_for_good, parts_of
 from mavnav.slam.resampled_track import has_sparse_scans
 from mavnav.slam.steps import lost_intervals
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 FINER, FINER_VOXELS = 3 / 4, "finer voxels"
 
-INHERENT = (NOT_PLANAR, FEATURES["weakly_constrained"].reason)
+INHERENT = (NOT_PLANAR, FEATURES["weakly_constrained"].reason, SECOND_MOTION)
 """Reasons for doubt that another track of the same scans cannot remove."""
 
 MOST_DOUBT = 0.25

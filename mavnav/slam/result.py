@@ -11,8 +11,8 @@ from mavnav.slam.covariance import covariances_of
 from mavnav.slam.doubt.record import NOT_PLANAR
 from mavnav.slam.loop_closure.detection import Loops
 from mavnav.slam.parts import Part, lost_for_good, part_warnings, parts_of
-from mavnav.slam.pauses import pause_warnings
-from mavnav.slam.steps import LostInterval, Steps, lost_intervals, tracked_trajectory
+from mavnav.slam.pauses import blind_warnings, pause_warnings
+from mavnav.slam.steps import LostInterval, Steps, jumps, lost_intervals, tracked_trajectory
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -98,19 +98,25 @@ def summarize(track: Track) -> SlamResult:
 def _late_warnings(track: Track, parts: Sequence[Part], lost: Sequence[LostInterval]) -> Iterator[str]:
     """Yield the warnings that depend on the finished path."""
     yield from part_warnings(parts, track.steps[0].stamp_ns) if parts else ()
-    yield from jump_warnings(track.steps, lost)
-    yield from pause_warnings(track.steps, track.motion) if track.prior_map is None else ()
+    yield from jump_warnings(track.steps)
+    if track.prior_map is None:
+        yield from pause_warnings(track.steps, track.motion)
+        yield from blind_warnings(track.steps, track.motion)
     if track.refiner and track.refiner.builds_map:
         yield from scattered_warnings(track.steps, lost)
         yield from few_beams_warnings(track.steps, odometry=track.motion.odometry is not None)
 
 
-def jump_warnings(steps: Steps, lost: Sequence[LostInterval]) -> Iterator[str]:
-    """Yield a warning if the path jumps between two successive scans."""
-    at_s = [(interval.end_ns - steps[0].stamp_ns) * NS for interval in lost if not interval.scans]
+def jump_warnings(steps: Steps) -> Iterator[str]:
+    """Yield a warning if the path jumps between two successive poses; scans without one may lie between them."""
+    path = tracked_trajectory(steps)
+    at_s = [(int(path.stamps_ns[k + 1]) - steps[0].stamp_ns) * NS for k in np.flatnonzero(jumps(path)[1]).tolist()]
     if at_s:
         when = f"{at_s[0]:.1f} s after the first scan" + (f", and {len(at_s) - 1} more" if len(at_s) > 1 else "")
-        yield f"the path jumps faster than any vehicle ({when}): a wrong match, or scans that repeat; see the map there"
+        yield (
+            f"the path jumps faster than any vehicle ({when}): a wrong match, scans that repeat, or a laser that was "
+            "carried; see the map there"
+        )
 
 
 def scattered_warnings(steps: Steps, lost: Sequence[LostInterval]) -> Iterator[str]:

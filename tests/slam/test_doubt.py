@@ -15,7 +15,7 @@ from mavnav.slam.doubt import judge
 from mavnav.slam.doubt.evidence import Evidence
 from mavnav.slam.doubt.features import DISAGREEMENT, FEATURES
 from mavnav.slam.doubt.model import contributions, doubt_of, probability
-from mavnav.slam.doubt.record import NOT_PLANAR, Doubt, Reason
+from mavnav.slam.doubt.record import NOT_PLANAR, SECOND_MOTION, Doubt, Reason
 from mavnav.slam.pipeline import run_slam
 from mavnav.units import DEG
 from support.synthetic import along, furnished_rooms, record
@@ -42,6 +42,7 @@ def clean(*, compared: bool = False, **changes: object) -> Evidence:
         heading_margins=np.full(N, np.inf),
         resampled=xyyaw.copy() if compared else np.full((N, 3), np.nan),
         tilt_rad=np.zeros(N),
+        second_motion=np.zeros(N),
     )
     return replace(good, **changes)
 
@@ -77,6 +78,7 @@ PLANTED = {
     "too few beams": clean(points=np.full(N, 50)),
     "gap": clean(stamps_ns=late()),
     "unclosed loop": clean(refused=30),
+    SECOND_MOTION: clean(second_motion=some(0.4, 0.0)),
     "odometry contradicts": clean(contradicted=True),
 }
 

@@ -13,7 +13,7 @@ from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec
 from mavnav.slam.motion_model import Motion
 from mavnav.slam.parts import joined
-from mavnav.slam.pauses import LATE_SCANS, Pauses, first_found_late, pause_warnings
+from mavnav.slam.pauses import LATE_SCANS, Pauses, blind_warnings, first_found_late, pause_warnings
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.registry import make_method
 from mavnav.slam.result import SlamResult
@@ -128,6 +128,22 @@ def test_a_pause_between_two_poses_is_reported() -> None:
     assert not warnings(2.0)
     assert not warnings(7.0, tracked=10)
     assert not warnings(7.0, odometry=Trajectory.of([0], [Pose()]).at)
+
+
+def test_scans_that_match_nowhere_for_long_are_reported() -> None:
+    """A laser carried into a room like another one was found there, and nothing told of the carrying."""
+
+    def warnings(blind: range, pause_s: float = 0.0, **motion: object) -> list[str]:
+        stamps_ns = [k * S // 10 + (round(pause_s * S) if k >= 50 else 0) for k in range(100)]
+        steps = Steps(Step(k, stamp_ns, first_match(100), k not in blind) for k, stamp_ns in enumerate(stamps_ns))
+        return list(blind_warnings(steps, Motion(0.1)._replace(**motion)))
+
+    (text,) = warnings(range(40, 70))
+    assert text.startswith("no scan matches for 3.1 s (3.9 s after the first): without odometry")
+    assert not warnings(range(40, 60))
+    assert not warnings(range(70, 100))
+    assert not warnings(range(40, 70), pause_s=3.0)  # the pause is reported
+    assert not warnings(range(40, 70), odometry=Trajectory.of([0], [Pose()]).at)
 
 
 @pytest.mark.parametrize("first_ns", [0, 1_700_000_000 * S])

@@ -21,7 +21,9 @@ from mavnav.slam import registry
 from mavnav.slam.odometry_check import EARLY_STEPS
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.registry import METHODS, RARE_KERNELS
-from mavnav.slam.result import SlamResult
+from mavnav.slam.result import SlamResult, jump_warnings
+from mavnav.slam.scan_matching import first_match
+from mavnav.slam.steps import Step, Steps
 from support.synthetic import (
     LDS_01,
     TOUR,
@@ -155,6 +157,17 @@ def test_a_path_that_jumps_is_told() -> None:
     (warning,) = found.warnings
     assert warning.startswith("the path jumps faster than any vehicle (4.6 s after the first scan): ")
     assert run_slam(lambda: drive.scans, Config(), 0.1).warnings == ()
+
+
+def test_a_path_that_jumps_across_lost_scans_is_told() -> None:
+    def warnings(x_m: float) -> list[str]:
+        poses = [Pose(0.1 * k + (x_m if k >= 10 else 0.0), 0.0) for k in range(20)]
+        steps = [Step(k, k * 10**8, first_match(100)._replace(map_T_laser=p), k != 10) for k, p in enumerate(poses)]
+        return list(jump_warnings(Steps(steps)))
+
+    (text,) = warnings(2.0)
+    assert text.startswith("the path jumps faster than any vehicle (1.1 s after the first scan): ")
+    assert not warnings(0.3)
 
 
 def test_a_log_of_blank_scans_is_lost() -> None:

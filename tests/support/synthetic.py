@@ -40,6 +40,25 @@ def box(x_m: float, y_m: float, width_m: float, depth_m: float, yaw_rad: float =
     return polyline(*map(tuple, xy), closed=True)
 
 
+def moved(segments: Segments, by: Pose) -> Segments:
+    """Return the walls of a frame in the one in which its pose is ``by``."""
+    c, s = np.cos(by.yaw_rad), np.sin(by.yaw_rad)
+    ends = segments.reshape(-1, 2) @ np.array([(c, s), (-s, c)]) + (by.x_m, by.y_m)
+    return ends.reshape(-1, 4)
+
+
+def corridor_with_rooms() -> Segments:
+    """Return a corridor of 24 x 2.4 m along the x axis, with an open, furnished room on either side every 5 m."""
+    walls = [polyline((0.0, -1.2), (0.0, 1.2)), polyline((24.0, -1.2), (24.0, 1.2))]
+    for side in (-1.0, 1.0):
+        door_m = [0.0, *np.ravel([(x, x + 1.0) for x in np.arange(2.0, 24.0, 5.0) + 0.7 * (side > 0)]), 24.0]
+        walls += [polyline((a, 1.2 * side), (b, 1.2 * side)) for a, b in zip(door_m[::2], door_m[1::2], strict=True)]
+        walls += [polyline((0.0, 4.5 * side), (24.0, 4.5 * side))]
+        walls += [polyline((x, 1.2 * side), (x, 4.5 * side)) for x in np.arange(0.0, 25.0, 5.0)]
+        walls += [box(x + 1.0, 3.6 * side, 0.8, 0.6) for x in np.arange(0.5, 24.0, 5.0)]
+    return np.vstack(walls)
+
+
 def room(width_m: float = 6.0, depth_m: float = 4.0) -> Segments:
     """Return an empty room with its lower left corner at the origin."""
     return polyline((0, 0), (width_m, 0), (width_m, depth_m), (0, depth_m), closed=True)
@@ -131,15 +150,22 @@ class Recording(Struct, frozen=True):
         return Trajectory.of(self.world_T_laser.stamps_ns.tolist(), poses)
 
 
+NOTHING: Segments = np.zeros((0, 4))
+
+
 def record(
-    segments: Segments, world_T_laser: Trajectory, spec: LaserSpec = URG_04LX, noise: float = 0.01, seed: int = 0
+    segments: Segments,
+    world_T_laser: Trajectory,
+    spec: LaserSpec = URG_04LX,
+    noise: float = 0.01,
+    seed: int = 0,
+    carried: Segments = NOTHING,
 ) -> Recording:
-    """Return the scans along a trajectory."""
-    rng = np.random.default_rng(seed)
-    scans = [
-        scan_at(segments, world_T_laser[k], spec, stamp_ns=int(stamp), noise=noise, rng=rng)
-        for k, stamp in enumerate(world_T_laser.stamps_ns)
-    ]
+    """Return the scans along a trajectory; ``carried`` (n, 4), in the laser frame, moves with the laser."""
+    rng, scans = np.random.default_rng(seed), []
+    for k, stamp in enumerate(world_T_laser.stamps_ns):
+        seen = np.vstack((segments, moved(carried, world_T_laser[k])))
+        scans.append(scan_at(seen, world_T_laser[k], spec, stamp_ns=int(stamp), noise=noise, rng=rng))
     return Recording(scans, world_T_laser)
 
 

@@ -27,10 +27,11 @@ ONE_TRACK: Final = Weights(
         "few_points": 0.48,
         "gap": 0.1,
         "unclosed_loop": 0.62,
+        "second_motion": 1.78,
         "odometry_contradicts": 0.1,
     },
 )
-"""Weights without a second track."""
+"""Weights without a second track. That of a second motion was fitted later (``fit --only``), and the others held."""
 
 TWO_TRACKS: Final = Weights(
     -6.5,
@@ -45,6 +46,7 @@ TWO_TRACKS: Final = Weights(
         "few_points": 0.14,
         "gap": 0.16,
         "unclosed_loop": 0.37,
+        "second_motion": 1.81,
         "odometry_contradicts": 0.1,
     },
 )

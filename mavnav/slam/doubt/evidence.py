@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from mavnav.slam.doubt.second_motion import second_motion
 from mavnav.slam.loop_closure.remap import points_of
 from mavnav.slam.resampled_track import COARSER
 from mavnav.units import DEG
@@ -37,9 +38,10 @@ class Evidence(Struct, frozen=True):
     points; ``observed`` and ``conflicts`` (n,) observability and visibility conflicts in the finished map;
     ``heading_margins`` (n,) the additional cost of the best other heading, as a share of the worst cost, inf without a
     sharp turn; ``resampled`` (n, 3) the poses of a track with coarser voxels, NaN without one; ``tilt_rad`` (n,) the
-    tilt by an inertial sensor, 0 without one; ``odometry`` (n,): odometry predicts the pose. ``period_s`` is the scan
-    period; ``contradicted``: odometry is not used; ``refused`` is the number of loops that were found and not used,
-    ``closed`` of those that were used.
+    tilt by an inertial sensor, 0 without one; ``second_motion`` (n,) the share of scans that fit another motion too, at
+    those scans; ``odometry`` (n,): odometry predicts the pose. ``period_s`` is the scan period; ``contradicted``:
+    odometry is not used; ``refused`` is the number of loops that were found and not used, ``closed`` of those that were
+    used.
     """
 
     period_s: float
@@ -55,6 +57,7 @@ class Evidence(Struct, frozen=True):
     heading_margins: Floats
     resampled: Floats
     tilt_rad: Floats
+    second_motion: Floats
 
 
 def evidence_of(track: Track, refiner: Refiner) -> Evidence:
@@ -76,6 +79,7 @@ def evidence_of(track: Track, refiner: Refiner) -> Evidence:
         heading_margins=heading_margins(track, refiner, xyyaw[:, 2]),
         resampled=track.resampled[tracked] if len(track.resampled) else np.full(xyyaw.shape, np.nan),
         tilt_rad=np.zeros(len(stamps_ns)) if rotation is None else rotation.tilts_rad(stamps_ns),
+        second_motion=second_motion(track, refiner, track.conflicts[tracked]),
     )
 
 

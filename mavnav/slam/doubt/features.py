@@ -8,7 +8,8 @@ import numpy as np
 
 from mavnav.pose import motions
 from mavnav.slam.doubt.evidence import turns_rad, wrapped
-from mavnav.slam.doubt.record import NOT_PLANAR
+from mavnav.slam.doubt.record import NOT_PLANAR, SECOND_MOTION
+from mavnav.slam.doubt.second_motion import LEAST_AGREEING
 from mavnav.units import DEG, NS
 
 if TYPE_CHECKING:
@@ -132,6 +133,11 @@ def odometry_contradicts(evidence: Evidence) -> Floats:
     return np.full(len(evidence.stamps_ns), 2.0 * evidence.contradicted)
 
 
+def other_motion(evidence: Evidence) -> Floats:
+    """Return the share of scans that fit a second motion, at those scans, as a multiple of the bound."""
+    return evidence.second_motion / LEAST_AGREEING
+
+
 class Feature(NamedTuple):
     """A reason to doubt a track: its strength at each scan, (n,), and the quantile over the scans that is used."""
 
@@ -160,6 +166,7 @@ FEATURES: Final = {
     "few_points": Feature("too few beams", few_points, MANY_SCANS),
     "gap": Feature("gap", gap, ONE_SCAN),
     "unclosed_loop": Feature("unclosed loop", unclosed_loop, ONE_SCAN),
+    "second_motion": Feature(SECOND_MOTION, other_motion, ONE_SCAN),
     "odometry_contradicts": Feature("odometry contradicts", odometry_contradicts, ONE_SCAN),
 }
 """A slip shows at one scan, weak geometry at many."""

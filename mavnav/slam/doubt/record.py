@@ -16,6 +16,9 @@ HIGH: Final = 0.5
 NOT_PLANAR: Final = "not planar"
 """The reason with which a map of the plane is meaningless."""
 
+SECOND_MOTION: Final = "another motion fits as well"
+"""The reason that something large moves with the laser, or past it."""
+
 
 class Reason(NamedTuple):
     """A reason to doubt a track: its stretch from and to a scan, stamps in ns, and its largest value there."""
