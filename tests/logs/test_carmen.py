@@ -156,6 +156,22 @@ def test_lines_that_are_no_messages_are_damage_and_cost_only_themselves(tmp_path
     assert "within it" in log.damage[-1].what
 
 
+def test_parameters_in_other_encodings_are_no_damage(tmp_path: Path) -> None:
+    path = tmp_path / "a.log"
+    path.write_bytes("PARAM robot_name M\u00fcller 0.1 host 0.1\n".encode("latin-1") + front(0).encode())
+    assert opened(path).damage == ()
+
+
+def test_zeros_of_a_crash_are_damage(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.log", *(front(k) for k in range(9)))
+    lines = path.read_bytes().splitlines(keepends=True)
+    lines[6:8] = [bytes(len(lines[6])) + lines[7]]
+    path.write_bytes(b"".join(lines))
+    log = opened(path)
+    assert log.counts.usable == 7
+    assert [d.where for d in log.damage] == ["a.log, line 7"]
+
+
 @pytest.mark.parametrize("yaw", ["inf", "-1e999", "nan", "1e300"])
 def test_a_pose_without_a_finite_yaw_is_the_logs_fault(yaw: str, tmp_path: Path) -> None:
     pose_without = f"ODOM 0 0 {yaw} 0 0 0 1000.1 host 0.1\n"
