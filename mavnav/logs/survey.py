@@ -173,7 +173,7 @@ class _Pass(Struct):
     def conclude(self) -> None:
         """Note what shows at the end only."""
         for topic, scans in self.scans.items():
-            scans.doubt = self.doors[topic].doubt
+            scans.doubt, scans.invalid = self.doors[topic].doubt, self.doors[topic].invalid
             if len(scans.frames) > 1:
                 names = ", ".join(sorted(scans.frames)[:4])
                 self.report.warn(f"{topic}: the frame of the scans changes on the way ({names}); the first is used")

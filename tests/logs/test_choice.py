@@ -54,6 +54,9 @@ def test_log_without_scans_names_its_topics(tmp_path: Path) -> None:
 def test_log_whose_scans_are_all_unusable_says_why(tmp_path: Path) -> None:
     with pytest.raises(NoScansError, match=r"none of the 2 scans on /scan is usable \(2 empty\)"):
         open_log(write_mcap(tmp_path / "a", [laser(k, ranges=[]) for k in range(2)]))
+    far = [laser(k, range_min=20.0, range_max=5000.0) for k in range(2)]
+    with pytest.raises(NoScansError, match=r"94 % below min, 6 % zero, and range_min and range_max are 20 and 5000 m"):
+        open_log(write_mcap(tmp_path / "b", far))
 
 
 @pytest.mark.parametrize(
