@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections import Counter
 from contextlib import suppress
 from functools import partial
 from math import isfinite
@@ -365,9 +366,10 @@ def _run(path: Path, state: _Pass, progress: Callable[[int, int], None] | None) 
 
 
 def _topics(report: ReadReport, kinds: dict[Channel, _Kind]) -> tuple[Topic, ...]:
-    channels = sorted(report.channels.values(), key=lambda c: (c.topic, c.type))
-    counts = {channel: kind.count for channel, kind in kinds.items()}
-    return tuple(Topic(c.topic, c.type, c.encoding, counts.get(c, 0)) for c in channels)
+    counts = Counter[tuple[str, str, str]]()
+    for channel in report.channels.values():
+        counts[channel.topic, channel.type, channel.encoding] += kinds[channel].count if channel in kinds else 0
+    return tuple(Topic(*key, count) for key, count in sorted(counts.items()))
 
 
 def _identity(path: Path) -> tuple[int, str]:

@@ -14,6 +14,7 @@ from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavnav.logs import survey
+from mavnav.logs.records import Topic
 from mavnav.logs.writing.convert import convert_log
 from support.log_files import START_NS, drive, serialized, store, write_bag1
 
@@ -82,6 +83,22 @@ def test_a_type_of_its_own_keeps_its_name_and_definition(tmp_path: Path, *, stor
     assert [topic.type for topic in survey(tmp_path / "b.mcap").topics] == [kind]
     if stored:
         assert [(m.force, m.state) for m in decoded(tmp_path / "b.mcap")] == [(7, "open")]
+
+
+def test_a_merged_bag_keeps_both_definitions_of_a_type(tmp_path: Path) -> None:
+    kind, texts = "my_msgs/msg/Gripper", ("int32 force\n", "int32 force\nint32 speed\n")
+    with Bag1Writer(tmp_path / "a.bag") as writer:
+        for k, text in enumerate(texts):
+            types = get_typestore(Stores.EMPTY)
+            types.register(get_types_from_msg(text, kind))
+            connection = writer.add_connection("/gripper", kind, typestore=types, callerid=f"/node{k}")
+            message = types.types[kind](*range(7, 8 + k))
+            writer.write(connection, START_NS + k, bytes(types.serialize_ros1(message, kind)))
+    done = convert_log(tmp_path / "a.bag", tmp_path / "b.mcap")
+    assert done.topics == survey(tmp_path / "a.bag").topics == (Topic("/gripper", kind, "ros1", 2),)
+    with (tmp_path / "b.mcap").open("rb") as file:
+        found = [(schema.data.decode(), len(message.data)) for schema, _, message in make_reader(file).iter_messages()]
+    assert found == [(texts[0], 4), (texts[1], 8)]
 
 
 def test_messages_that_no_definition_fits_get_none(tmp_path: Path) -> None:
