@@ -246,6 +246,16 @@ def test_mounting_is_composed_along_the_chain_of_frames(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.base_T_laser.as_array(), (1.0, 1.0, pi / 2), atol=1e-12)
 
 
+@pytest.mark.parametrize("options", [{}, {"extrinsic": Pose(0.5, 0.0, 0.0)}])
+def test_mountings_that_contradict_each_other_are_told(options: dict[str, Pose], tmp_path: Path) -> None:
+    twice = [tf("base_link", "laser", x=x) for x in (0.1, 0.1, 0.3)]
+    path = write_mcap(tmp_path / "a", [*twice, tf("base_link", "camera"), laser(0), laser(1)])
+    log = open_log(path, **options)
+    assert log.base_T_laser == (Pose(0.5, 0.0, 0.0) if options else Pose(0.3, 0.0, 0.0))
+    assert any("several transforms from 'base_link' to 'laser'" in w for w in log.warnings) == (not options)
+    assert not open_log(write_mcap(tmp_path / "b", [*twice[:2], laser(0), laser(1)])).warnings
+
+
 def test_transforms_that_move_are_no_mounting(tmp_path: Path) -> None:
     turning = [tf("base_link", "laser", "/tf", k, yaw=0.1 * k) for k in range(3)]
     assert open_log(write_mcap(tmp_path / "a", [laser(0), *turning])).base_T_laser is None
