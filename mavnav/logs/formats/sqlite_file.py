@@ -187,14 +187,15 @@ def _readable_file(path: Path, report: ReadReport) -> Iterator[Path]:
     correct number: complete pages can be read, and a row that reaches into lost pages is an error instead of zeros.
     Rows in a write-ahead log are read from a copy as well, and an unfinished transaction is rolled back.
     """
-    journals = [journal for suffix in _JOURNALS if _has_content(journal := path.with_name(path.name + suffix))]
+    place = path.resolve()  # of a link, journals are beside its target
+    journals = [journal for suffix in _JOURNALS if _has_content(journal := place.with_name(place.name + suffix))]
     sound = not journals and _needs_no_copy(path)
     if sound:
         yield path
         return
     with temporary_folder() as folder:
-        copy = folder / path.name
-        shutil.copyfile(path, copy)
+        copy = folder / place.name
+        shutil.copyfile(place, copy)
         _repair_magic(copy, report)
         for journal in journals:
             _apply_journal(copy, journal, report)
