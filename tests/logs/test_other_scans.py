@@ -184,4 +184,5 @@ def test_a_cloud_without_coordinates_is_damage(tmp_path: Path) -> None:
 
     log = open_log(written(tmp_path / "a.mcap", points=broken))
     assert log.counts.usable == SCANS - 2
+    assert "without the field 'x'" in log.damage[0].what
     assert all("PointCloud2" in damage.what for damage in log.damage)

@@ -57,7 +57,9 @@ def other_scan(message: Any, message_type: str, part: str, state: dict[str, Any]
     """
     try:
         return _echo(message, part) if message_type == MULTI_ECHO else _layer(message, part, state)
-    except (ValueError, IndexError, KeyError, TypeError, OverflowError) as error:
+    except KeyError as error:
+        raise DecodeError(f"no scan in a {message_type} without the field {error}") from error
+    except (ValueError, IndexError, TypeError, OverflowError) as error:
         raise DecodeError(f"no scan in a {message_type} ({error})") from error
 
 
@@ -124,6 +126,8 @@ def _points(message: Any) -> dict[str, Array]:  # noqa: ANN401
         raise ValueError(f"{len(data)} bytes for {count} points of {step}")
     found = {}
     for f in message.fields:
+        if f.datatype not in _KINDS:
+            raise ValueError(f"the field {f.name!r} is of no known type: {f.datatype}")
         kind = f"{order}{_KINDS[int(f.datatype)]}"
         found[f.name] = np.ndarray((count,), kind, data.data, int(f.offset), (step,)).astype(np.float64)
     return {"z": np.zeros(count), **found, "x": found["x"], "y": found["y"]}
