@@ -13,7 +13,7 @@ from mavnav.errors import NoScansError, UsageError
 from mavnav.ground_truth.tables import read_tum
 from mavnav.logs import open_log
 from mavnav.logs.formats.detect import log_name
-from mavnav.outputs.directory import RUN_FILE
+from mavnav.outputs.directory import MERGE_FILE, RUN_FILE
 from mavnav.outputs.sessions import recording_file, trajectory_file
 from mavnav.slam.doubt.record import HIGH
 from mavnav.slam.joining.session import make_session
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.slam.joining.session import Session
 
-MERGE_FILE: Final = "merge.json"
 OWN_FILES: Final = ("trajectory.tum", "result.mcap")
 
 
