@@ -102,7 +102,7 @@ class ScanFilter:
     def doubt(self) -> str:
         """The reason to refuse the whole topic, empty where there is none."""
         if self._far * 2 > self._positive:
-            text = "more than half of the ranges lie beyond 250 m: they look like millimetres, not metres"
+            text = "more than half of the ranges lie beyond 250 m: they look like millimeters, not meters"
             return f"{text}; divide them by 1000, range_min and range_max too"
         return self._turns if self._spec is None else ""
 
