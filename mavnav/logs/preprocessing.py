@@ -115,7 +115,7 @@ class ScanFilter:
         kinds = sorted(zip(self._invalid.tolist(), KINDS, strict=True), reverse=True)
         shares = ", ".join(f"{100 * n / total:.0f} % {kind.replace('_', ' ')}" for n, kind in kinds if n)
         limits = f"range_min and range_max are {self._spec.range_min_m:g} and {self._spec.range_max_m:g} m"
-        return f"their ranges are {shares}, and {limits}: check the laser, and whether all these are in metres"
+        return f"their ranges are {shares}, and {limits}: check the laser, and whether all these are in meters"
 
     def _look_at_units(self, ranges_m: NDArray[np.floating]) -> None:
         """Count what is too far; the farthest value of a scan may be a driver's word for no return."""
