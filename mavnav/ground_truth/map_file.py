@@ -17,7 +17,7 @@ from msgspec import Struct
 
 from mavnav.config.named_files import read_named
 from mavnav.errors import ConfigError, UsageError
-from mavnav.mapping.occupancy_grid import Grid, occupied_cells
+from mavnav.mapping.occupancy_grid import Grid, occupied_xy_m
 from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
@@ -62,13 +62,6 @@ class MapFile(Struct, frozen=True):
     def occupied_xy_m(self) -> NDArray[np.float64]:
         """Return the centres of the occupied cells in the map frame, (n, 2) in m."""
         return transform_points(self.map_T_grid, occupied_xy_m(self.grid))
-
-
-def occupied_xy_m(grid: Grid) -> NDArray[np.float64]:
-    """Return the centres of the occupied cells of a grid, (n, 2) in m, in its frame."""
-    row, col = occupied_cells(grid).T
-    xy_m: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
-    return xy_m
 
 
 def read_map(path: Path) -> MapFile:

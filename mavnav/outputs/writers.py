@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any, Final
 from mavnav.atomic_files import sync
 from mavnav.errors import UsageError
 from mavnav.memory import release_free_memory
-from mavnav.outputs.directory import RUN_FILE, check_directory, staged
+from mavnav.outputs.directory import RUN_FILE, staged
 from mavnav.outputs.document import plain, run_document, to_json, with_picture, write_metrics
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
-from mavnav.outputs.run import Run, Timing, Truth
 from mavnav.outputs.sessions import recording_file, trajectory_file, write_poses, write_scans
 from mavnav.outputs.slices_files import slice_files, write_slice
 from mavnav.outputs.trajectory import (
@@ -33,8 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
     from pathlib import Path
 
-__all__ = ["WRITERS", "Run", "Timing", "Truth", "check_directory", "to_json", "write_page", "write_run"]
-
+    from mavnav.outputs.run import Run
 
 REPORT_FILE: Final = "report.html"
 

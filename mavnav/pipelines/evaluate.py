@@ -11,11 +11,12 @@ from msgspec.structs import replace
 from mavnav import __version__
 from mavnav.config.named_files import read_json
 from mavnav.errors import MavnavError, UsageError, reason_of
-from mavnav.ground_truth.map_file import occupied_xy_m, read_map
+from mavnav.ground_truth.map_file import read_map
 from mavnav.ground_truth.references import References, check_times, compared
 from mavnav.ground_truth.tables import read_tum
 from mavnav.kernels.building import prepare
 from mavnav.logs import open_log
+from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.journey import Journey

@@ -14,12 +14,12 @@ from msgspec.structs import replace as changed
 
 from mavnav.config.models import OdometryConfig
 from mavnav.errors import ExitCode, StoppedError, UsageError
-from mavnav.ground_truth.map_file import map_files, occupied_xy_m
+from mavnav.ground_truth.map_file import map_files
 from mavnav.ground_truth.references import check_times, compared, load_references
 from mavnav.ground_truth.topics import truth_text
 from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import log_name
-from mavnav.mapping.occupancy_grid import known_part, measured_part
+from mavnav.mapping.occupancy_grid import known_part, measured_part, occupied_xy_m
 from mavnav.mapping.slices import placed_with_heights, sliced
 from mavnav.memory import release_free_memory
 from mavnav.metrics.fields import ABSENT

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mavnav.mapping.line_map import LineMap
-from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, GridBuilder, occupancy
+from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, GridBuilder, cell_centres, occupancy
 from mavnav.pose import Pose, transform_points
 from mavnav.slam.localization import MAP_CANDIDATES
 from mavnav.slam.parts import consensus
@@ -141,7 +141,7 @@ def viewpoints(grid: Grid, free: NDArray[np.bool_]) -> NDArray[np.float64]:
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  takes 0.1 s to load
 
     row, col = np.nonzero(distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * grid.cell_m >= CLEARANCE_M)
-    xy_m = _sample((np.column_stack((col, row)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m))
+    xy_m = _sample(cell_centres(grid, row, col))
     chosen, away_m = list[int](), np.full(len(xy_m), np.inf)
     for _ in range(min(VIEWPOINTS, len(xy_m))):
         chosen.append(int(np.argmax(away_m)))
