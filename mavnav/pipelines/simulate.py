@@ -20,7 +20,7 @@ from mavnav.ground_truth.true_map import of_scenario
 from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import Recording, check_recording, record
 from mavnav.mapping.occupancy_grid import GridBuilder, occupied_xy_m
-from mavnav.metrics.trajectory_error import absolute_error, align, position_errors
+from mavnav.metrics.trajectory_error import absolute_error, position_errors
 from mavnav.outputs.animation import animate, check_animation
 from mavnav.outputs.directory import check_apart, check_directory, check_parent
 from mavnav.outputs.provenance import Typed, provenance, utc_now
@@ -28,7 +28,7 @@ from mavnav.outputs.run import Mission, Run, Timing, Truth, WallShapes
 from mavnav.outputs.run_json import MissionResult, TruthErrors
 from mavnav.outputs.writers import WRITERS, check_groups, write_run
 from mavnav.pipelines.replay import Progress, map_slices_of, measured_map
-from mavnav.pose import Pose
+from mavnav.pose import Pose, rigid_fit
 from mavnav.profiling import new_profile
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.vehicle import mid_sweep_s
@@ -229,7 +229,7 @@ def truth_errors(flight: Flight) -> TruthErrors:
         return TruthErrors(len(estimate))
     aligned = absolute_error(estimate.xyyaw[:, :2], truth[:, :2])
     plain = absolute_error(estimate.xyyaw[:, :2], truth[:, :2], aligned=False)
-    motion = align(estimate.xyyaw[:, :2], truth[:, :2])
+    motion = rigid_fit(estimate.xyyaw[:, :2], truth[:, :2])
     last, true = estimate[len(estimate) - 1], Pose(*map(float, truth[-1]))
     error = true.between(last)
     wall, true_wall = wall_distances_m(flight, last, true)

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.pose import Pose
+from mavnav.pose import rigid_fit
 from mavnav.slam.loop_closure.detection import follow
-from mavnav.slam.map_alignment import fitted
 from mavnav.slam.redraw import motions_along
 from mavnav.slam.rematch import refined
 from mavnav.slam.robust import Robust
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
     from mavnav.config.models import Config
     from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.pose import Trajectory
+    from mavnav.pose import Pose, Trajectory
     from mavnav.scan import Scan
     from mavnav.slam.joining.group import Group
     from mavnav.slam.joining.session import Session
@@ -76,8 +75,7 @@ def merged_map(
 
 def frame_of(here: Sequence[Trajectory], there: Sequence[Trajectory]) -> Pose:
     """Return the motion that brings poses best to where they are in another frame: themselves, and a point ahead."""
-    old, new = (np.concatenate([_points(path) for path in paths]).tolist() for paths in (here, there))
-    return fitted([(Pose(*a), Pose(*b)) for a, b in zip(old, new, strict=True)])
+    return rigid_fit(*(np.concatenate([_points(path) for path in paths]) for paths in (here, there)))
 
 
 def _points(path: Trajectory) -> NDArray[np.float64]:
