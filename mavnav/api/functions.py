@@ -34,21 +34,16 @@ from mavnav.atomic_files import naming_full_disk
 from mavnav.config.loading import load_config
 from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import truth_fields
+from mavnav.profiling import silent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from mavnav.api.arguments import File
     from mavnav.outputs.provenance import Typed
-
-    Progress = Callable[[str, int, int | None], None]
-    """Called with what is being done, how much of it is done, and how much there is, None if unknown."""
+    from mavnav.profiling import Progress
 
 Result = TypeVar("Result", Run, Comparison)
-
-
-def silent(_phase: str, _done: int, _total: int | None) -> None:
-    """Report nothing."""
 
 
 def open_log(

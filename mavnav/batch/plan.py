@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.batch.request import BatchRequest
-    from mavnav.pipelines.replay import Progress
+    from mavnav.profiling import Progress
 
 _OWN_FILES: Final = ("cells", BATCH_FILE)
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from mavnav.batch.settings import Setting
     from mavnav.jobs import Event
     from mavnav.metrics.gates import Gate
-    from mavnav.pipelines.replay import Progress
+    from mavnav.profiling import Progress
 
 _OWN_FILES: Final = ("cells", "logs", COMPARISON_FILE)
 

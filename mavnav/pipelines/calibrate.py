@@ -27,16 +27,14 @@ from mavnav.slam.registry import load_kernels
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from mavnav.config.models import Config
     from mavnav.logs import Log
     from mavnav.metrics.calibration.motion import Motions
     from mavnav.metrics.calibration.quantities import Quantity
+    from mavnav.profiling import Progress
     from mavnav.slam.result import SlamResult
-
-    Progress = Callable[[str, int, int | None], None]
 
 SCHEMA_VERSION: Final = 1
 

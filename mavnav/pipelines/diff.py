@@ -29,9 +29,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.metrics.map_difference import Difference
+    from mavnav.profiling import Progress
     from mavnav.slam.map_alignment import Alignment
-
-    Progress = Callable[[str, int, int | None], None]
 
 SCHEMA_VERSION: Final = 1
 

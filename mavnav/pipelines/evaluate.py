@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from msgspec import Struct
@@ -35,15 +34,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.profiling import Progress
 
 SCHEMA_VERSION: Final = 1
 NEEDED_FILES: Final = ("hits.npz", "trajectory.tum", "result.mcap")
 """Files of a run that are measured, besides its document."""
 LATE_S: Final = 1e-3
 """Times are written in s to about 1 us."""
-
-Progress = Callable[[str, int, int | None], None]
-"""What is being done, how much of it is done, how much there is."""
 
 Place = TypeVar("Place", GhostWall, Wall)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property
 from hashlib import sha256
@@ -50,6 +49,7 @@ if TYPE_CHECKING:
 
     from mavnav.config.models import Config
     from mavnav.pose import Pose, Trajectory
+    from mavnav.profiling import Progress
     from mavnav.slam.joining.group import Group
     from mavnav.slam.joining.session import Session
 
@@ -59,8 +59,6 @@ TRACKING: Final = ("lost", "tracked_share", "intervals", "doubt")
 
 OF_LOGS: Final = (ExitCode.DAMAGED_INPUT, ExitCode.TRACKING_LOST)
 """Exit codes of a run that a merge takes over."""
-
-Progress = Callable[[str, int, int | None], None]
 
 
 class MergeRequest(Struct, frozen=True):

@@ -34,7 +34,7 @@ from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
 from mavnav.pipelines.localising import known_map, localisation
 from mavnav.pose import Pose
-from mavnav.profiling import Stage, new_profile, timed
+from mavnav.profiling import Progress, Stage, new_profile, timed
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.registry import load_kernels, uses_odometry
 from mavnav.units import DEG, MM
@@ -58,9 +58,6 @@ if TYPE_CHECKING:
 
 Stop = Callable[[], ExitCode | None]
 """Called between two scans: returns the exit code to end with, None to go on."""
-
-Progress = Callable[[str, int, int | None], None]
-"""What is being done, how much of it is done, how much there is or None."""
 
 
 class ReplayRequest(Struct, frozen=True):

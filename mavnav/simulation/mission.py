@@ -26,7 +26,7 @@ from mavnav.slam.tracker import track
 from mavnav.units import MM, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from mavnav.simulation.world.shapes import XY
     from mavnav.slam.result import SlamResult
     from mavnav.slam.steps import Step
+    from mavnav.slam.track import OnStep
 
 
 class End(StrEnum):
@@ -87,7 +88,7 @@ class Flight(Struct, frozen=True):
     attitudes: tuple[Attitude, ...] = ()
 
 
-def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -> Flight:
+def fly(scenario: Scenario, on_step: OnStep | None = None) -> Flight:
     """Fly a mission until its goal is reached or lost; every number of it follows from the scenario and its seed.
 
     The pilot sees the estimated pose and the map built so far, never the truth.

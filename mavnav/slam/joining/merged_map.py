@@ -17,7 +17,7 @@ from mavnav.slam.scan_matching import no_match
 from mavnav.slam.steps import Step, Steps, tracked_trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -28,9 +28,7 @@ if TYPE_CHECKING:
     from mavnav.slam.joining.group import Group
     from mavnav.slam.joining.session import Session
     from mavnav.slam.motion_model import Motion
-
-    OnStep = Callable[[str, int], None]
-    """Called with what is being done, and the number of scans done."""
+    from mavnav.slam.track import OnStep
 
 AHEAD_M = 1.0
 """Frames are compared by the positions of poses, and by points so far ahead of them."""
