@@ -142,6 +142,27 @@ def test_no_modules_import_each_other() -> None:
     assert sorted(left) == []  # each imports another of them, round in a circle
 
 
+def defined(module: str) -> set[str]:
+    """Return the names that a module defines or imports, anywhere in it."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(MODULES[module].read_text())):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        elif isinstance(node, ast.ImportFrom):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            names.add(node.id)
+    return names
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "benchmarks").glob("*.py")), ids=lambda path: path.stem)
+def test_what_benchmarks_import_exists(path: Path) -> None:
+    """No other test runs them, and mypy reads the package alone."""
+    ours = {name.removeprefix("mavnav.") for name in imports(path) if name.startswith("mavnav.")} - set(MODULES)
+    names = [name.rpartition(".") for name in ours if not (PACKAGE / name.replace(".", "/")).is_dir()]
+    assert [f"{module}.{name}" for module, _, name in names if module and name not in defined(module)] == []
+
+
 def test_sizes() -> None:
     entries = [path.name for path in PACKAGE.iterdir() if path.name != "__pycache__"]
     lines = {module: len(path.read_text().splitlines()) for module, path in MODULES.items()}

@@ -27,7 +27,7 @@ from mavnav.outputs.provenance import Typed, provenance, utc_now
 from mavnav.outputs.run import Mission, Run, Timing, Truth, WallShapes
 from mavnav.outputs.run_json import MissionResult, TruthErrors
 from mavnav.outputs.writers import WRITERS, check_groups, write_run
-from mavnav.pipelines.replay import map_slices_of, measured_map
+from mavnav.pipelines.measuring import map_slices_of, measured_map
 from mavnav.pose import Pose, rigid_fit
 from mavnav.profiling import Progress, new_profile
 from mavnav.simulation.mission import Flight, fly
