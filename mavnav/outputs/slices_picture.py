@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, occupancy
 from mavnav.outputs.canvas import Canvas, ramp, rgb_of, stroke
 from mavnav.outputs.map_axes import END, START
-from mavnav.outputs.plot import Line, legend, legend_width, stamp
+from mavnav.outputs.plot import Line, centred_legend, heading, stamp
 from mavnav.outputs.viewport import FREE_GREY, INK, MUTED, POSE_MAGENTA
 
 if TYPE_CHECKING:
@@ -90,8 +90,7 @@ def write(run: Run, path: Path) -> None:
     canvas.image.paste(drawn, (MARGIN // 2, TITLE))
     _draw_scale(canvas, blocks.levels_m)
     _mark_ends(canvas, view, run.slices.path_m)
-    canvas.text((canvas.image.width / 2, 26), run.name, 12.0, INK, bold=True)
-    canvas.text((canvas.image.width / 2, 74), _subtitle(run.slices), 8.5, MUTED)
+    heading(canvas, run.name, _subtitle(run.slices))
     canvas.save(path)
 
 
@@ -214,8 +213,7 @@ def _mark_ends(canvas: Canvas, view: _View, path_m: Floats) -> None:
     for mark, end in ((START, path_m[0]), (END, path_m[-1])):
         x, y = (view(end) / SMOOTH).round().astype(int).tolist()
         stamp(canvas, mark, MARGIN // 2 + x, TITLE + y)
-    marks = (PATH, START, END)
-    legend(canvas, marks, canvas.image.height - 28, (canvas.image.width - legend_width(marks)) / 2.0)
+    centred_legend(canvas, (PATH, START, END))
 
 
 def _draw_scale(canvas: Canvas, levels_m: Floats) -> None:
