@@ -122,9 +122,13 @@ def _checked(found: _Found, bounds: list[Gate]) -> dict[str, Any]:
     from mavnav.metrics.gates import judge_some
 
     verdicts = [] if found.document is None else judge_some(bounds, found.document)
-    verdict_rows = [{"gate": v.gate.text, "value": v.value, "passed": v.passed, "why": v.why} for v in verdicts]
     code = worst([found.exit_code, *(ExitCode.GATE_FAILED for v in verdicts if not v.passed)])
-    return {"run": found.name, "gates": verdict_rows, "error": found.error, "exit_code": int(code)}
+    return {
+        "run": found.name,
+        "gates": [verdict.row() for verdict in verdicts],
+        "error": found.error,
+        "exit_code": int(code),
+    }
 
 
 def _print_result(rows: list[dict[str, Any]], code: ExitCode, *, json: bool) -> None:
