@@ -324,7 +324,7 @@ def _odometry(
 
 def _imu(log: Log, found: Survey, odom: str, warn: Callable[[str], None]) -> Imu | None:
     """Return the inertial sensor of a log, seen at mid-sweep; None without one."""
-    half_sweep_ns = round(0.5 * abs(log.sensor.time_increment_s) * log.sensor.beams / NS)
+    half_sweep_ns = round(0.5 * log.sensor.sweep_s / NS)
     imu = found.imus.choose(odom, log.stamp_source, half_sweep_ns, warn)
     if imu and not _meet(imu.rotation.stamps_ns, log):
         warn(f"{imu.topic}: inertial sensor and scans share no time; it is not used, check its clock")

@@ -100,7 +100,7 @@ def _late_warnings(track: Track, parts: Sequence[Part], lost: Sequence[LostInter
     yield from part_warnings(parts, track.steps[0].stamp_ns) if parts else ()
     yield from jump_warnings(track.steps, lost)
     yield from pause_warnings(track.steps, track.motion) if track.prior_map is None else ()
-    if track.refiner and track.refiner.builds_map:
+    if track.builds_map:
         yield from scattered_warnings(track.steps, lost)
         yield from few_beams_warnings(track.steps, odometry=track.motion.odometry is not None)
 
