@@ -35,6 +35,19 @@ def finished(tmp_path_factory: pytest.TempPathFactory, sample: Path) -> Path:
     return directory
 
 
+def test_the_profile_is_a_line_a_stage(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    stage = re.compile(r"(\w[\w ]+?) +(\d+\.\d{3}) s +(\d+\.\d)%")
+    _, out, err = mavnav("replay", sample, "-o", tmp_path / "r", *FEW, "--profile")
+    rows = [match.groups() for line in out.splitlines() if (match := stage.fullmatch(line))]
+    seconds = [float(spent_s) for _, spent_s, _ in rows]
+    assert (seconds, err) == (sorted(seconds, reverse=True), "")
+    assert {"reading", "search", "gate", "insert", "measuring"} <= {name for name, _, _ in rows}
+    assert sum(float(share) for _, _, share in rows) == pytest.approx(100.0, abs=0.05 * len(rows))
+    _, out, err = mavnav("replay", sample, "-o", tmp_path / "j", *FEW, "--profile", "--json")
+    assert json.loads(out)["exit_code"] == 0
+    assert {name for line in err.splitlines() for name, _, _ in stage.findall(line)} >= {"reading", "search"}
+
+
 def digest(directory: Path) -> dict[str, str]:
     outputs: dict[str, str] = json.loads((directory / "run.json").read_text())["outputs"]
     return outputs
