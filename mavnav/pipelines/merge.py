@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from functools import cached_property
-from hashlib import sha256
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
@@ -27,7 +26,7 @@ from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import Grid, known_part, occupancy
 from mavnav.outputs import merged_picture
-from mavnav.outputs.directory import RUN_FILE, check_directory, staged
+from mavnav.outputs.directory import RUN_FILE, check_directory, file_sha256, staged
 from mavnav.outputs.document import plain, to_json
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
 from mavnav.outputs.sessions import evidence, recording_file, trajectory_file, write_poses, write_scans
@@ -213,7 +212,7 @@ def _write(request: MergeRequest, drawn: MergedMap, members: list[Session], docu
             write_scans(session.scans(), folder / recording_file(session.name))
         if request.report:
             write_summary(merge_summary(document, (folder / "map.png").read_bytes()), folder / REPORT_FILE)
-        digests = {file.name: sha256(file.read_bytes()).hexdigest() for file in sorted(folder.iterdir())}
+        digests = {file.name: file_sha256(file) for file in sorted(folder.iterdir())}
         document = document | {"outputs": digests, "exit_code": document["exit_code"]}
         (folder / MERGE_FILE).write_text(to_json(document), encoding="utf-8")
     return document
