@@ -19,6 +19,7 @@ from mavnav.config.named_files import read_named
 from mavnav.errors import ConfigError, UsageError
 from mavnav.mapping.occupancy_grid import Grid, occupied_xy_m
 from mavnav.pose import Pose, transform_points
+from mavnav.units import LARGEST_COORDINATE_M
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -35,9 +36,6 @@ MAX_OCCUPIED: Final = 5_000_000
 
 CELLS_M: Final = (1e-4, 100.0)
 """Least and greatest size of a cell of a map, m."""
-
-FARTHEST_ORIGIN_M: Final = 1e8
-"""Largest coordinate of an origin: map coordinates of the whole earth, m; kernels cannot count cells beyond."""
 
 SAVED_UNKNOWN: Final = 205
 SAVED_SHADES: Final = (0, SAVED_UNKNOWN, 254)
@@ -109,14 +107,14 @@ def map_files(path: Path) -> tuple[Path, ...]:
 def _origin(path: Path, about: dict[str, Any]) -> Pose:
     origin = about.get("origin", [0.0, 0.0, 0.0])
     numbers = isinstance(origin, list) and all(_is_number(v) for v in origin)
-    if not numbers or len(origin) not in {2, 3} or not all(abs(v) <= FARTHEST_ORIGIN_M for v in origin):
+    if not numbers or len(origin) not in {2, 3} or not all(abs(v) <= LARGEST_COORDINATE_M for v in origin):
         raise UsageError(f"{path}: origin {_short(origin)} is no pose; write [x, y, yaw] in m, m, rad")
     return Pose(*(float(v) for v in origin))
 
 
 def _number(path: Path, about: dict[str, Any], key: str, default: float | None) -> float:
     value = about.get(key, default)
-    if not _is_number(value) or not abs(value) <= FARTHEST_ORIGIN_M:
+    if not _is_number(value) or not abs(value) <= LARGEST_COORDINATE_M:
         raise UsageError(f"{path}: {key} {_short(value)} is no number of use; write one")
     return float(value)
 
