@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from mavnav.metrics.gates import Gate
 
-RUN_FILE: Final = "run.json"
 WHOLE_FILES: Final = ("batch.json", "comparison.json")
 """The documents of all runs of a directory. Repeated: the modules that write them load longer than a check takes."""
 
@@ -68,6 +67,8 @@ def _found(path: Path) -> list[_Found]:
     Those are the runs of its own document: ``cells`` may hold others, of earlier versions of logs. A comparison or
     batch that was never finished has none; then all runs below it are returned.
     """
+    from mavnav.outputs.directory import RUN_FILE
+
     if path.name in (RUN_FILE, *WHOLE_FILES):
         path = path.parent
     for file in (path / name for name in WHOLE_FILES):
@@ -99,6 +100,8 @@ def _listed(file: Path) -> list[_Found]:
 
 
 def _run(directory: Path, *, accepted: bool = False) -> _Found:
+    from mavnav.outputs.directory import RUN_FILE
+
     file = directory / RUN_FILE
     with _reading(file):
         document: dict[str, Any] = read_json(file)
