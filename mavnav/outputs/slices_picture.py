@@ -176,7 +176,7 @@ def _meter_lines(x: Floats, y: Floats, free: NDArray[np.bool_]) -> Iterator[tupl
 def _draw_columns(draw: Any, view: _View, blocks: _Blocks) -> None:  # noqa: ANN401  Pillow's
     """Draw the faces of the blocks that are seen, the farthest block first and from below."""
     (x, y), z, walls = _corners(blocks), blocks.levels_m, np.pad(blocks.walls, 1)
-    colours = HEIGHTS[np.linspace(0, len(HEIGHTS) - 1, len(z) - 1).round().astype(int)].astype(float)
+    colours = _colours(len(z) - 1).astype(float)
     found = np.argwhere(blocks.walls)
     for k, row, col in found[np.lexsort((found[:, 0], found[:, 2], -found[:, 1]))].tolist():
         x0, x1, y0, y1, z0, z1 = x[col], x[col + 1], y[row], y[row + 1], z[k], z[k + 1]
@@ -189,6 +189,12 @@ def _draw_columns(draw: Any, view: _View, blocks: _Blocks) -> None:  # noqa: ANN
             )
         if not walls[at[0] + 1, at[1], at[2]]:
             _area(draw, view, [(x0, y0, z1), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1)], _shaded(colours[k], 1.0))
+
+
+def _colours(levels: int) -> NDArray[np.uint8]:
+    """Return the colours of the slices (levels, 3), the lowest first."""
+    colours: NDArray[np.uint8] = HEIGHTS[np.linspace(0, len(HEIGHTS) - 1, levels).round().astype(int)]
+    return colours
 
 
 def _shaded(colour: Floats, shade: float) -> tuple[int, ...]:
@@ -222,7 +228,7 @@ def _draw_scale(canvas: Canvas, levels_m: Floats) -> None:
     left, top = canvas.image.width - SCALE + 70, TITLE + MARGIN // 2
     box = (left, top, left + 24, top + height)
     n = len(levels_m) - 1
-    canvas.gradient(box, HEIGHTS[np.linspace(0, len(HEIGHTS) - 1, n).round().astype(int)], upwards=True)
+    canvas.gradient(box, _colours(n), upwards=True)
     for k in range(0, n + 1, max(-(-n // 10), 1)):
         canvas.text((left + 32, top + height * (1 - k / n)), f"{levels_m[k]:.2f}", 7.5, INK, "lm")
     canvas.text((left - 24, top + height / 2), "height above the floor [m]", 7.5, INK, upright=True)

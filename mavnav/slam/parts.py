@@ -213,7 +213,13 @@ def spread_out(part: list[Step], most: int = SEARCHED_SCANS) -> list[Step]:
     for step in part:
         if all(apart(step.match.map_T_laser, other.match.map_T_laser) for other in places):
             places.append(step)
-    return [places[k] for k in np.unique(np.linspace(0, len(places) - 1, most).astype(int))] if places else []
+    return [places[k] for k in evenly(len(places), most)]
+
+
+def evenly(count: int, most: int) -> list[int]:
+    """Choose numbers below a count, so many at most, at even distances."""
+    numbers: list[int] = np.unique(np.linspace(0, count - 1, most).astype(int)).tolist()
+    return numbers if count else []
 
 
 def consensus(found: list[tuple[Pose, Pose]]) -> Pose | None:
