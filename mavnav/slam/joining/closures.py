@@ -13,13 +13,13 @@ from msgspec.structs import replace
 
 from mavnav.pose import Pose
 from mavnav.slam.joining.following import across, end_of
-from mavnav.slam.joining.group import APART_M, Group, own_edges, weights
+from mavnav.slam.joining.group import APART_M, Group, own_edges
 from mavnav.slam.loop_closure.closure import Closure, agree
 from mavnav.slam.loop_closure.detection import LOOP_M, SIGHT_M, consistent, edges_of, track_confirmed
 from mavnav.slam.loop_closure.key_frames import KEY_M, KeyFrame
 from mavnav.slam.loop_closure.matching import find_closure
 from mavnav.slam.loop_closure.path_edges import PATH_SIGMA_M, PATH_SIGMA_RAD
-from mavnav.slam.loop_closure.pose_graph import Edge, optimized
+from mavnav.slam.loop_closure.pose_graph import Edge, optimized, root_information
 from mavnav.slam.parts import evenly
 from mavnav.slam.relocalization import with_conflicts
 from mavnav.slam.scan_matching import no_match
@@ -80,7 +80,7 @@ def tied(group: Group, number: int, group_T_key: Pose) -> Edge:
     """Bind the next key frame of a group, by its pose, to the last one of a session."""
     last = max(k for k in range(len(group.keys)) if group.owner(k) == number)
     start_T_end = group.keys[last].map_T_laser.between(group_T_key)
-    return Edge(last, len(group.keys), start_T_end, weights(PATH_SIGMA_M, PATH_SIGMA_RAD))
+    return Edge(last, len(group.keys), start_T_end, root_information(PATH_SIGMA_M, PATH_SIGMA_RAD))
 
 
 def joined(
