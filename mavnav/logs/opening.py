@@ -309,7 +309,7 @@ def _odometry(
     odom_T_base = track.trajectory(log.stamp_source, warn)
     if not len(odom_T_base):
         return None
-    if not _meet(odom_T_base.stamps_ns, log):
+    if not _share_time(odom_T_base.stamps_ns, log):
         warn(f"{track.topic}: odometry and scans share no time; it is not used, check its clock")
         return None
     if text := jump(odom_T_base):
@@ -326,12 +326,12 @@ def _imu(log: Log, found: Survey, odom: str, warn: Callable[[str], None]) -> Imu
     """Return the inertial sensor of a log, seen at mid-sweep; None without one."""
     half_sweep_ns = round(0.5 * log.sensor.sweep_s / NS)
     imu = found.imus.choose(odom, log.stamp_source, half_sweep_ns, warn)
-    if imu and not _meet(imu.rotation.stamps_ns, log):
+    if imu and not _share_time(imu.rotation.stamps_ns, log):
         warn(f"{imu.topic}: inertial sensor and scans share no time; it is not used, check its clock")
         return None
     return imu
 
 
-def _meet(stamps_ns: NDArray[np.int64], log: Log) -> bool:
+def _share_time(stamps_ns: NDArray[np.int64], log: Log) -> bool:
     """Return whether some time between the first stamp and the last is one of the log's scans."""
     return len(stamps_ns) > 0 and bool(stamps_ns[0] <= log.last_ns and stamps_ns[-1] >= log.first_ns)

@@ -89,7 +89,7 @@ class _Pass(Struct):
     def take(self, message: RawMessage) -> None:
         """Take in one message; one that does not decode is noted and counted."""
         channel = message.channel
-        kind = self.kinds.get(channel) or self._meet(channel)
+        kind = self.kinds.get(channel) or self._new_kind(channel)
         kind.count += 1
         if kind.decode is None:
             return
@@ -107,7 +107,7 @@ class _Pass(Struct):
         else:
             self._take_motion(message, decoded)
 
-    def _meet(self, channel: Channel) -> _Kind:
+    def _new_kind(self, channel: Channel) -> _Kind:
         topic = scan_topic(channel, self.topic)
         self.kinds[channel] = _Kind(self._decoder(channel, topic), topic)
         return self.kinds[channel]
