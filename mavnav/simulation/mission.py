@@ -227,12 +227,12 @@ def _closest_m(scenario: Scenario, poses: list[Pose]) -> float:
 
 def _visited(xy_m: NDArray[np.float64], places: Sequence[XY], within_m: float) -> bool:
     """Return whether the straight path through points (n, 2) passes all places in order, each within a distance."""
-    before, way = np.vstack((xy_m[:1], xy_m[:-1])), np.diff(xy_m, axis=0, prepend=xy_m[:1])
-    squared = np.maximum((way**2).sum(axis=1), np.finfo(np.float64).tiny)
+    before, moves = np.vstack((xy_m[:1], xy_m[:-1])), np.diff(xy_m, axis=0, prepend=xy_m[:1])
+    squared = np.maximum((moves**2).sum(axis=1), np.finfo(np.float64).tiny)
     step = 0
     for place in places:
-        share = np.clip(((place - before) * way).sum(axis=1) / squared, 0.0, 1.0)
-        near = np.hypot(*(before + share[:, None] * way - place).T) <= within_m
+        share = np.clip(((place - before) * moves).sum(axis=1) / squared, 0.0, 1.0)
+        near = np.hypot(*(before + share[:, None] * moves - place).T) <= within_m
         if not near[step:].any():
             return False
         step += int(near[step:].argmax())
