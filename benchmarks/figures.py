@@ -23,11 +23,10 @@ from matplotlib.ticker import LogLocator
 from matplotlib.transforms import Affine2D
 
 from mavnav.config.loading import load_config
-from mavnav.ground_truth.map_file import occupied_xy_m
 from mavnav.ground_truth.references import References, compared
 from mavnav.ground_truth.true_map import of_scenario
 from mavnav.logs import open_log
-from mavnav.mapping.occupancy_grid import Grid
+from mavnav.mapping.occupancy_grid import Grid, occupied_xy_m
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import wall_thickness

@@ -88,12 +88,25 @@ def transform_points(a_T_b: Pose, xy_b_m: NDArray[np.float64]) -> NDArray[np.flo
     return out
 
 
+def rigid_fit(from_xy_m: NDArray[np.float64], to_xy_m: NDArray[np.float64]) -> Pose:
+    """Return the rigid motion that aligns points (n, 2) with their partners by least squares (Umeyama 1991)."""
+    a, b = from_xy_m.mean(axis=0), to_xy_m.mean(axis=0)
+    p, q = from_xy_m - a, to_xy_m - b
+    yaw = float(np.arctan2((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum(), (p * q).sum()))
+    turned = transform_points(Pose(0.0, 0.0, yaw), a[None])[0]
+    return Pose(float(b[0] - turned[0]), float(b[1] - turned[1]), yaw)
+
+
+def between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return poses b in the frames of poses a, (n, 3) each: ``inverse(a) @ b`` row by row, yaw in [-pi, pi)."""
+    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+    dx, dy, turn = (b - a).T
+    return np.column_stack((c * dx + s * dy, c * dy - s * dx, (turn + pi) % (2.0 * pi) - pi))
+
+
 def motions(xyyaw: NDArray[np.float64], start: NDArray[np.intp], end: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return the motion (m, 3) from poses to poses of (n, 3), in the frame of the first: m, m, rad."""
-    x, y, yaw = (xyyaw[end] - xyyaw[start]).T
-    cos_yaw, sin_yaw = np.cos(xyyaw[start, 2]), np.sin(xyyaw[start, 2])
-    turns = (yaw + pi) % (2.0 * pi) - pi
-    return np.column_stack((cos_yaw * x + sin_yaw * y, cos_yaw * y - sin_yaw * x, turns))
+    return between(xyyaw[start], xyyaw[end])
 
 
 class Trajectory(Struct, frozen=True):

@@ -1,4 +1,4 @@
-"""Profile of a run: seconds by stage, each without the stages inside it.
+"""How a run proceeds: progress reports, and its profile, seconds by stage, each without the stages inside it.
 
 Times are wall-clock times: reading processor time takes 5 us, and a scan has twenty stages. There is one profile per
 process; ``new_profile`` starts a new one. Time outside of all stages is ``other``.
@@ -6,22 +6,30 @@ process; ``new_profile`` starts a new one. Time outside of all stages is ``other
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import wraps
 from time import perf_counter
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterable, Iterator
     from types import TracebackType
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+Progress = Callable[[str, int, int | None], None]
+"""Called with what is being done, how much of it is done, and how much there is, None if unknown."""
 
 OTHER = "other"
 
 _spent_s: dict[str, float] = {}
 _on = OTHER
 _since_s = 0.0
+
+
+def silent(_phase: str, _done: int, _total: int | None) -> None:
+    """Report no progress."""
 
 
 def new_profile(**before_s: float) -> dict[str, float]:

@@ -25,6 +25,10 @@ NEAR_M, NEAR_SHARE = 0.1, 0.02
 """Returns of tilted beams no farther from floor or ceiling, in m and as a share of the range, are taken as its own."""
 
 
+LONGEST_SWEEP: Final = 1.2
+"""Largest number of scan periods of a sweep; if it takes more, the recorded time between the beams is wrong."""
+
+
 class Attitude(NamedTuple):
     """Tilt and height of the laser (REP-103 axes: x forward, y left, z up), rad and m above the floor.
 
@@ -67,6 +71,11 @@ class LaserSpec(Struct, frozen=True, dict=True):
     def field_of_view_rad(self) -> float:
         """Angle between the first beam and the last."""
         return abs(self.angle_step_rad) * max(self.beams - 1, 0)
+
+    @property
+    def sweep_s(self) -> float:
+        """Time that the beams of a steady sweep take."""
+        return abs(self.time_increment_s) * self.beams
 
     def turned_over(self) -> LaserSpec:
         """Return the sensor as seen from above where it is mounted upside down: turned about its x axis."""
@@ -112,10 +121,8 @@ class Scan(Struct, frozen=True):
 
     @property
     def sweep_s(self) -> float:
-        """Time from the first beam to the last."""
-        if self.times_s is not None:
-            return float(np.ptp(self.times_s))
-        return abs(self.spec.time_increment_s) * self.spec.beams
+        """Time that the beams take."""
+        return self.spec.sweep_s if self.times_s is None else float(np.ptp(self.times_s))
 
     def seen_at_mid_sweep(self, twist: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return ranges (beams,) and directions (beams, 2) as from the pose at mid-sweep, of merged lasers.

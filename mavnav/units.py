@@ -1,4 +1,7 @@
-"""Factors to SI, and counts in texts. ``250 * MM`` is 0.25 m; only configuration and reports are in mm and deg."""
+"""Factors to SI, the largest coordinate, and counts in texts.
+
+``250 * MM`` is 0.25 m; only configuration and reports are in mm and deg.
+"""
 
 from math import pi
 from typing import Final
@@ -8,6 +11,9 @@ MM2: Final = 1e-6
 DEG: Final = pi / 180.0
 MS: Final = 1e-3
 NS: Final = 1e-9
+
+LARGEST_COORDINATE_M: Final = 1e8
+"""Largest coordinate of a pose or a map: map coordinates of the whole earth, m; kernels cannot count cells beyond."""
 
 
 def counted(count: int, noun: str) -> str:

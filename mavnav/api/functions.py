@@ -7,48 +7,34 @@ what is wrong, where, and what to do next.
 
 from __future__ import annotations
 
-import shutil
-import weakref
 from pathlib import Path
-from tempfile import mkdtemp
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from msgspec.structs import replace as changed
 
 from mavnav import logs
 from mavnav.api.arguments import (
     config_of,
-    count_of,
     named,
     optional_path,
     path_of,
-    paths_of,
     pose_of,
     sets_of,
     text_of,
     topic_of,
-    values_of,
 )
-from mavnav.api.results import Comparison, Run
-from mavnav.atomic_files import naming_full_disk
+from mavnav.api.results import Run, in_directory
 from mavnav.config.loading import load_config
 from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import truth_fields
+from mavnav.profiling import silent
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from mavnav.api.arguments import File
     from mavnav.outputs.provenance import Typed
-
-    Progress = Callable[[str, int, int | None], None]
-    """Called with what is being done, how much of it is done, and how much there is, None if unknown."""
-
-Result = TypeVar("Result", Run, Comparison)
-
-
-def silent(_phase: str, _done: int, _total: int | None) -> None:
-    """Report nothing."""
+    from mavnav.profiling import Progress
 
 
 def open_log(
@@ -226,7 +212,7 @@ def replay(
         replay_log(changed(request, directory=target), progress or silent, 0.0)
         return Run(target)
 
-    return _finished(work, directory)
+    return in_directory(work, directory)
 
 
 def simulate(
@@ -298,93 +284,7 @@ def simulate(
         simulate_mission(request, progress or silent, 0.0)
         return Run(target)
 
-    return _finished(work, directory)
-
-
-def compare(
-    log: File | Sequence[File],
-    *,
-    grids: Sequence[str] = (),
-    methods: Sequence[str] = (),
-    azimuths: Sequence[int] = (),
-    config: File | None = None,
-    settings: Mapping[str, object] | None = None,
-    online: bool = False,
-    directory: File | None = None,
-    force: bool = False,
-    workers: int | None = None,
-    progress: Progress | None = None,
-) -> Comparison:
-    """Replay one or more logs with several search grids or methods, as ``mavnav compare`` does.
-
-    Parameters
-    ----------
-    log
-        A log, or several.
-    grids
-        Search grids; 5x5, 10x10 and 20x20 if none is given.
-    methods
-        SLAM methods.
-    azimuths
-        Numbers of yaw samples: one for all grids, or one for each.
-    config
-        Configuration file or preset of all runs.
-    settings
-        Values over the configuration by dotted key, as for `replay`.
-    online
-        Causal mode: no loop closure, no final pass.
-    directory
-        Where to write the comparison; by default it is kept as long as the object that is returned.
-    force
-        Whether to make finished runs again.
-    workers
-        How many runs at a time, by default one for each core.
-    progress
-        Called as ``progress(phase, done, total)`` while work goes on; ``total`` is None if it is unknown.
-
-    Raises
-    ------
-    MavnavError
-        UsageError, ConfigError or OutputError. A run that fails stops no other.
-    """
-    from mavnav.batch.plan import load_kernels  # noqa: PLC0415  heavy
-    from mavnav.comparison import pipeline  # noqa: PLC0415
-    from mavnav.comparison.grids import comparison_settings  # noqa: PLC0415
-    from mavnav.jobs import usable_cores  # noqa: PLC0415
-    from mavnav.outputs.writers import write_page  # noqa: PLC0415
-
-    names = paths_of(log, "log")
-    if not names:
-        raise UsageError("no log to compare; name one")
-    shared: dict[str, object] = {"final_pass": False} if online else {}
-    options = values_of(methods, "methods"), values_of(grids, "grids"), values_of(azimuths, "azimuths")
-    chosen = comparison_settings(config_of(config), sets_of(settings), *options, shared)
-    cores = count_of(workers, "workers") or usable_cores()
-
-    def work(target: Path) -> Comparison:
-        request = pipeline.comparison_request(names, chosen, target, {}, workers=cores, force=force)
-        plan = pipeline.plan_comparison(request, progress or silent)
-        load_kernels(plan, progress or silent)
-        document = pipeline.run_comparison(plan, lambda _event: None)
-        write_page(document, target)
-        return Comparison(target, document)
-
-    return _finished(work, directory)
-
-
-def _finished(work: Callable[[Path], Result], directory: File | None) -> Result:
-    """Return the result of work that writes to a directory; a temporary one goes with the result."""
-    if directory is not None:
-        return work(path_of(directory, "directory"))
-    folder = mkdtemp(prefix="mavnav-")
-    try:
-        with naming_full_disk(Path(folder)):
-            result = work(Path(folder) / "run")
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    weakref.finalize(result, shutil.rmtree, folder, ignore_errors=True)
-    return result
+    return in_directory(work, directory)
 
 
 def _typed(config: File | None) -> Typed:

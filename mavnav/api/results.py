@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import json
 import shutil
+import weakref
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from mavnav.api.arguments import path_of
+from mavnav.atomic_files import naming_full_disk
 from mavnav.errors import UsageError
 from mavnav.ground_truth.tables import read_tum
 from mavnav.outputs.directory import RUN_FILE, staged
 from mavnav.outputs.gridmap import read_npz
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Callable
 
     from mavnav.api.arguments import File
     from mavnav.mapping.occupancy_grid import Grid
@@ -105,6 +109,24 @@ class Comparison:
         """The runs by name, in the order of the table; those that failed are left out."""
         cells = self.document["cells"]
         return {cell["name"]: Run(self.directory / cell["directory"], self) for cell in cells if cell["directory"]}
+
+
+Result = TypeVar("Result", Run, Comparison)
+
+
+def in_directory(work: Callable[[Path], Result], directory: File | None) -> Result:
+    """Return the result of work that writes to a directory; a temporary one goes with the result."""
+    if directory is not None:
+        return work(path_of(directory, "directory"))
+    folder = mkdtemp(prefix="mavnav-")
+    try:
+        with naming_full_disk(Path(folder)):
+            result = work(Path(folder) / "run")
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    weakref.finalize(result, shutil.rmtree, folder, ignore_errors=True)
+    return result
 
 
 def load_run(directory: File) -> Run:

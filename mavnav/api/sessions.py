@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from mavnav.api.arguments import config_of, optional_path, path_of, paths_of, sets_of, text_of
-from mavnav.api.functions import silent
 from mavnav.config.loading import load_config
+from mavnav.profiling import silent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from mavnav.api.arguments import File
-    from mavnav.api.functions import Progress
+    from mavnav.profiling import Progress
 
 
 def merge(

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mavnav.batch.request import BatchRequest
     from mavnav.batch.settings import Setting
     from mavnav.jobs import Outcome
-    from mavnav.pipelines.replay import Progress
+    from mavnav.profiling import Progress
 
 BASELINE_GATE = "baseline"
 """Name of the gate that passes if nothing is worse than in the baseline."""

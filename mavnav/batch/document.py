@@ -32,7 +32,7 @@ def judged_row(result: CaseResult, request: BatchRequest) -> dict[str, Any]:
     """
     case, rules, row = result.case, request.rules, _row(result, request.directory)
     verdicts = [] if result.document is None else judge_some((*rules.gates, *case.gates), result.document)
-    gates = [{"gate": v.gate.text, "value": v.value, "passed": v.passed, "why": v.why} for v in verdicts]
+    gates = [verdict.row() for verdict in verdicts]
     found = None
     if rules.baseline:
         absent = [] if request.new_baseline else lacking(row, rules.baseline, rules.watched)

@@ -12,6 +12,7 @@ from mavnav.atomic_files import beside
 from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.page import to_page
 from mavnav.errors import OutputError, UsageError
+from mavnav.jobs.run_cache import RUNS_FOLDER
 from mavnav.outputs.directory import check_apart
 from mavnav.outputs.document import to_json
 from mavnav.outputs.markdown import inert
@@ -68,7 +69,7 @@ def check_files(files: Mapping[str, Path], inputs: Iterable[Path], directory: Pa
     own = Path(os.path.realpath(directory))
     for option, path in files.items():
         place = Path(os.path.realpath(path))
-        if place in {own / name for name in (*TEXTS, PAGE_FILE)} or place.is_relative_to(own / "cells"):
+        if place in {own / name for name in (*TEXTS, PAGE_FILE)} or place.is_relative_to(own / RUNS_FOLDER):
             raise UsageError(f"{option}: {path} is a file of the batch itself; name another file")
         if own.is_relative_to(place):
             raise UsageError(f"{option}: {path} is a directory of the batch; name another file")

@@ -14,16 +14,16 @@ from mavnav.outputs.addresses import public_address
 from mavnav.pipelines.replay import replay_log
 
 if TYPE_CHECKING:
-    from mavnav.jobs import Report
     from mavnav.pipelines.replay import ReplayRequest
+    from mavnav.profiling import Progress
 
 
-def replay_local(request: ReplayRequest, report: Report) -> None:
+def replay_local(request: ReplayRequest, report: Progress) -> None:
     """Replay one log into its run directory; the kernels are compiled already, and nothing is returned."""
     replay_log(request, report, compile_s=0.0)
 
 
-def replay_remote(request: ReplayRequest, report: Report) -> None:
+def replay_remote(request: ReplayRequest, report: Progress) -> None:
     """Download a log and replay it; errors contain its address instead of its path."""
     report("fetching", 0, None)
     address = str(request.address)

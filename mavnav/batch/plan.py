@@ -12,7 +12,7 @@ from mavnav.batch.document import BATCH_FILE
 from mavnav.batch.files import check_files
 from mavnav.batch.manifest import GATE_EXAMPLE, located
 from mavnav.errors import UsageError
-from mavnav.jobs.run_cache import check_cache_directory, is_finished
+from mavnav.jobs.run_cache import RUNS_FOLDER, check_cache_directory, is_finished
 from mavnav.metrics.gates import check_names
 from mavnav.outputs.schema import number_names
 from mavnav.slam import registry
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.batch.request import BatchRequest
-    from mavnav.pipelines.replay import Progress
+    from mavnav.profiling import Progress
 
-_OWN_FILES: Final = ("cells", BATCH_FILE)
+_OWN_FILES: Final = (RUNS_FOLDER, BATCH_FILE)
 
 
 class BatchPlan(Struct, frozen=True):

@@ -50,8 +50,8 @@ if TYPE_CHECKING:
     from mavnav.batch.options import Options
     from mavnav.batch.plan import BatchPlan
     from mavnav.batch.request import BatchRequest
-    from mavnav.commands.progress import Report
     from mavnav.jobs.dask import Cluster
+    from mavnav.profiling import Progress
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -208,7 +208,7 @@ def batch(
     raise typer.Exit(document["exit_code"])
 
 
-def _planned(options: Options, report: Report) -> BatchPlan:
+def _planned(options: Options, report: Progress) -> BatchPlan:
     """Read manifest and logs, and load the kernels here."""
     from mavnav.batch.options import request_of
     from mavnav.batch.plan import load_kernels, plan_batch

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
-from mavnav.commands.terminal import console, emit, json_text, note, printable
+from mavnav.commands.terminal import emit, json_text, note, printable, table_console
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
 MAX_ROWS = 60
 """Maximum number of runs in the table; the worst ones are shown."""
-
-WIDE = 200
 
 
 def row_printer(total: int, *, json: bool, quiet: bool) -> Callable[[dict[str, Any]], None]:
@@ -58,10 +56,7 @@ def print_verdict(document: dict[str, Any], results: Path, *, json: bool) -> Non
     if json:
         emit(_line({"event": "batch", **{k: v for k, v in document.items() if k != "cells"}}))
         return
-    out = console()
-    if not out.is_terminal:
-        out.width = WIDE
-    out.print(_table(document))
+    table_console().print(_table(document))
     emit(f"\n{printable(batch_headline(document))}; {printable(results)}")
     for kind, text in missing_lines(document):
         note(f"mavnav: {kind}: {text}")

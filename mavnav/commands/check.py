@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from mavnav.metrics.gates import Gate
 
-RUN_FILE: Final = "run.json"
 WHOLE_FILES: Final = ("batch.json", "comparison.json")
 """The documents of all runs of a directory. Repeated: the modules that write them load longer than a check takes."""
 
@@ -68,6 +67,8 @@ def _found(path: Path) -> list[_Found]:
     Those are the runs of its own document: ``cells`` may hold others, of earlier versions of logs. A comparison or
     batch that was never finished has none; then all runs below it are returned.
     """
+    from mavnav.outputs.directory import RUN_FILE
+
     if path.name in (RUN_FILE, *WHOLE_FILES):
         path = path.parent
     for file in (path / name for name in WHOLE_FILES):
@@ -99,6 +100,8 @@ def _listed(file: Path) -> list[_Found]:
 
 
 def _run(directory: Path, *, accepted: bool = False) -> _Found:
+    from mavnav.outputs.directory import RUN_FILE
+
     file = directory / RUN_FILE
     with _reading(file):
         document: dict[str, Any] = read_json(file)
@@ -122,9 +125,13 @@ def _checked(found: _Found, bounds: list[Gate]) -> dict[str, Any]:
     from mavnav.metrics.gates import judge_some
 
     verdicts = [] if found.document is None else judge_some(bounds, found.document)
-    verdict_rows = [{"gate": v.gate.text, "value": v.value, "passed": v.passed, "why": v.why} for v in verdicts]
     code = worst([found.exit_code, *(ExitCode.GATE_FAILED for v in verdicts if not v.passed)])
-    return {"run": found.name, "gates": verdict_rows, "error": found.error, "exit_code": int(code)}
+    return {
+        "run": found.name,
+        "gates": [verdict.row() for verdict in verdicts],
+        "error": found.error,
+        "exit_code": int(code),
+    }
 
 
 def _print_result(rows: list[dict[str, Any]], code: ExitCode, *, json: bool) -> None:

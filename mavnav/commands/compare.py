@@ -43,7 +43,7 @@ from mavnav.errors import UsageError
 
 if TYPE_CHECKING:
     from mavnav.batch.plan import BatchPlan
-    from mavnav.commands.progress import Report
+    from mavnav.profiling import Progress
 
 EPILOG = """
 [bold]Examples[/bold]
@@ -139,7 +139,7 @@ def compare(
     raise typer.Exit(document["exit_code"])
 
 
-def _sample(directory: Path, report: Report) -> tuple[list[Path], Path]:
+def _sample(directory: Path, report: Progress) -> tuple[list[Path], Path]:
     """Return the sample corridor, simulated and kept in the directory where it is not shipped, and its true map."""
     from mavnav.comparison.pipeline import check_comparison_directory
 

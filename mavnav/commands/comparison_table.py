@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
-from mavnav.commands.terminal import can_print, console, printable
+from mavnav.commands.terminal import can_print, printable, table_console
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -48,17 +48,12 @@ Metrics, relative costs and bars are left out; the names of logs and the remarks
 FOLDED = {LOGS: 14, REMARKS: 12}
 """Width in characters of a column that is folded."""
 
-WIDE = 200
-"""Width in characters if the output is no terminal, so that no line is folded."""
-
 
 def print_comparison(document: dict[str, Any]) -> None:
     """Print the table of comparison.json on stdout."""
     from mavnav.comparison.files import uncompared
 
-    out = console()
-    if not out.is_terminal:
-        out.width = WIDE
+    out = table_console()
     unbounded = out.options.update_width(1000)
     less: set[str] = set()
     table = _table(document, less)

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mavnav.commands.gating import gates_of
+from mavnav.commands.gating import gated_code, gates_of
 from mavnav.commands.options import Force, Json, Quiet, ReportFile, check_option, output_option
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.terminal import LISTED, emit, emit_json, note, print_table
-from mavnav.errors import UsageError, worst
+from mavnav.errors import UsageError
 from mavnav.units import counted
 
 if TYPE_CHECKING:
@@ -70,16 +70,11 @@ def _check_names(bounds: list[Gate], known: tuple[str, ...]) -> None:
 
 def _judged(document: dict[str, Any], bounds: list[Gate]) -> ExitCode:
     """Return the exit code of a comparison and its gates, and report on stderr what failed."""
-    from mavnav.metrics.gates import judge
-
-    failed = [verdict for verdict in judge(bounds, document) if not verdict.passed]
     if document["alignment"] is None:
         note(
             f"mavnav: error: {document['a']} and {document['b']} cannot be aligned; too few places of one fit the other"
         )
-    for verdict in failed:
-        note(f"mavnav: error: gate {verdict.gate.text} failed: {verdict.why}")
-    return worst([document["exit_code"], *(1 for _ in failed)])
+    return gated_code(document, bounds)
 
 
 def _print_changes(document: dict[str, Any]) -> None:

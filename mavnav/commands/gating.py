@@ -49,9 +49,9 @@ def check_gates(gates: list[Gate], *sections: str) -> None:
 
 
 def gated_code(document: dict[str, Any], gates: list[Gate]) -> ExitCode:
-    """Return the exit code of a run and its gates, and report on stderr which of them do not hold.
+    """Return the exit code of a document and its gates, and report on stderr which of them do not hold.
 
-    Raises UsageError for a name that is a number in other runs only: the run is written by then.
+    Raises UsageError for a name that is a number in other runs only: a run is written by then.
     """
     if not gates:
         return ExitCode(document["exit_code"])

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from mavnav.config.models import Config
+    from mavnav.pipelines.again import EarlierRun
 
 INPUT, SEARCH, OUTPUT, CHECKS, RESOURCES = "Input", "Search", "Output", "Checks", "Resources"
 """Panels of the help."""
@@ -182,7 +183,23 @@ def again_directory(again: Path) -> Path:
     return Path("runs") / f"{again.resolve().name}-again"
 
 
-def check_again(context: typer.Context, target: Path, *free: str) -> None:
+def run_to_repeat(
+    context: typer.Context, again: Path, directory: Path | None, *free: str, simulated: bool
+) -> EarlierRun:
+    """Return the run that ``--again`` repeats, of a mission or a replay, and report what differs since.
+
+    Raises UsageError for what is no such run, and as `_check_again` does; ``free`` are parameters as there.
+    """
+    from mavnav.pipelines.again import earlier_run
+
+    _check_again(context, directory or again_directory(again), *free)
+    run = earlier_run(again, simulated=simulated)
+    for difference in run.differences():
+        note(f"mavnav: warning: {difference}")
+    return run
+
+
+def _check_again(context: typer.Context, target: Path, *free: str) -> None:
     """Raise UsageError where ``--again`` would replace the run that it repeats, or an option that it takes from there.
 
     ``free`` are parameters, besides those of the output, that it does not take from there.
@@ -201,9 +218,10 @@ def check_again(context: typer.Context, target: Path, *free: str) -> None:
 
 def note_repetition(again: Path, document: dict[str, Any]) -> None:
     """Print whether a repetition has the files of the run that it repeats."""
+    from mavnav.outputs.directory import RUN_FILE
     from mavnav.pipelines.again import EarlierRun
 
-    made = json.loads((again / "run.json").read_text(encoding="utf-8"))
+    made = json.loads((again / RUN_FILE).read_text(encoding="utf-8"))
     note(f"mavnav: {EarlierRun(again, made).outcome(document)}")
 
 

@@ -12,22 +12,19 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav.commands import signals
 from mavnav.commands.terminal import console, note
+from mavnav.profiling import silent
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from rich.progress import Progress as Bars
 
-    Report = Callable[[str, int, int | None], None]
+    from mavnav.profiling import Progress
 
 BAR_PERIOD_S = 0.1
 LINE_PERIOD_S = 5.0
 ANNOUNCE_AFTER_S = 1.0
 TICK_S = 0.25
-
-
-def silent(phase: str, done: int, total: int | None) -> None:
-    """Ignore a progress report."""
 
 
 REPLAY: Final = {
@@ -95,7 +92,7 @@ class _State:
 
 
 @contextmanager
-def reporting(*, quiet: bool, stages: dict[str, int] | None = None) -> Iterator[Report]:
+def reporting(*, quiet: bool, stages: dict[str, int] | None = None) -> Iterator[Progress]:
     """Yield the progress callback of a long job: it takes the phase, the amount done, and the total, None if unknown.
 
     With ``stages``, each line contains the number of the stage, and the remaining time is that of the whole job. The
@@ -130,7 +127,7 @@ def loading_modules() -> Iterator[None]:
 
 
 @contextmanager
-def _reporting(stages: dict[str, int], *, quiet: bool) -> Iterator[Report]:
+def _reporting(stages: dict[str, int], *, quiet: bool) -> Iterator[Progress]:
     if quiet:
         yield silent
     elif sys.stderr.isatty():
@@ -159,7 +156,7 @@ def bars() -> Bars:
     )
 
 
-def _bar_report(shown: Bars, stages: dict[str, int]) -> Report:
+def _bar_report(shown: Bars, stages: dict[str, int]) -> Progress:
     state = _State(BAR_PERIOD_S, stages)
 
     def report(phase: str, done: int, total: int | None) -> None:
@@ -175,7 +172,7 @@ def _bar_report(shown: Bars, stages: dict[str, int]) -> Report:
     return report
 
 
-def _line_report(state: _State) -> Report:
+def _line_report(state: _State) -> Progress:
     def report(phase: str, done: int, total: int | None) -> None:
         fresh = phase != state.phase
         if state.due(phase, done, total) and not fresh and total:

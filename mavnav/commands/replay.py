@@ -38,7 +38,6 @@ from mavnav.commands.options import (
     TruthMap,
     WriteReport,
     again_directory,
-    check_again,
     directory_option,
     given_values,
     joined_topics,
@@ -47,6 +46,7 @@ from mavnav.commands.options import (
     output_option,
     output_values,
     parse_pose,
+    run_to_repeat,
     search_option,
 )
 from mavnav.commands.progress import REPLAY, loading_modules, reporting
@@ -210,12 +210,9 @@ def replay(
 
 def _repeated(context: typer.Context, again: Path, log: Path | None, directory: Path | None) -> dict[str, Any]:
     """Return the fields of a request that repeat a run, and report what differs; ``log`` is given if it has moved."""
-    from mavnav.pipelines.again import earlier_run, replay_again, typed_again
+    from mavnav.pipelines.again import replay_again, typed_again
 
-    check_again(context, directory or again_directory(again), "log", "profile")
-    run = earlier_run(again, simulated=False)
-    for difference in run.differences():
-        note(f"mavnav: warning: {difference}")
+    run = run_to_repeat(context, again, directory, "log", "profile", simulated=False)
     return replay_again(run, log) | {"typed": typed_again(run, context.obj)}
 
 

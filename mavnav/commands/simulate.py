@@ -24,12 +24,12 @@ from mavnav.commands.options import (
     ScenarioSets,
     WriteReport,
     again_directory,
-    check_again,
     directory_option,
     input_option,
     note_repetition,
     output_option,
     output_values,
+    run_to_repeat,
     schema_option,
 )
 from mavnav.commands.progress import MISSION, loading_modules, reporting
@@ -157,13 +157,9 @@ def simulate(
 
 def _repeated(context: typer.Context, again: Path, directory: Path | None) -> dict[str, Any]:
     """Return the fields of a request that repeat a mission, and report what differs."""
-    from mavnav.pipelines.again import earlier_run, simulation_again
+    from mavnav.pipelines.again import simulation_again
 
-    check_again(context, directory or again_directory(again), "record", "animate")
-    run = earlier_run(again, simulated=True)
-    for difference in run.differences():
-        note(f"mavnav: warning: {difference}")
-    return simulation_again(run)
+    return simulation_again(run_to_repeat(context, again, directory, "record", "animate", simulated=True))
 
 
 def _show(*, schema: bool) -> None:

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 LISTED: Final = 10
 """Maximum number of items of a list that are printed."""
 
+UNFOLDED: Final = 200
+"""Width in characters of a table if the output is no terminal, so that no line is folded."""
+
 
 def printable(text: object) -> str:
     """Escape text that could control a terminal, or that a CI runner could take for a workflow command.
@@ -49,6 +52,14 @@ def console(*, stderr: bool = False) -> Console:
     from rich.console import Console
 
     return Console(stderr=stderr, highlight=False, markup=False, soft_wrap=True)
+
+
+def table_console() -> Console:
+    """Return a console for a table on stdout; where that is no terminal, it is so wide that no line is folded."""
+    out = console()
+    if not out.is_terminal:
+        out.width = UNFOLDED
+    return out
 
 
 def note(text: str) -> None:

@@ -73,10 +73,7 @@ def _winners(logs: Sequence[dict[str, Any]], runs: Sequence[dict[str, Any] | Non
 
 def _judge(gates: Sequence[Gate], run: dict[str, Any], costs: dict[str, list[Any]], k: int) -> list[dict[str, Any]]:
     document = run | {"price": {name: costs[name][k] for name in RELATIVE_COSTS}}
-    return [
-        {"gate": verdict.gate.text, "cell": k, "value": verdict.value, "passed": verdict.passed, "why": verdict.why}
-        for verdict in judge_some(gates, document)
-    ]
+    return [{"gate": verdict.gate.text, "cell": k, **verdict.row()} for verdict in judge_some(gates, document)]
 
 
 def _code(verdict: dict[str, Any]) -> ExitCode:

@@ -23,7 +23,7 @@ from mavnav.comparison.files import COMPARISON_FILE, write_comparison
 from mavnav.config.named_files import read_json
 from mavnav.errors import UsageError
 from mavnav.ground_truth.topics import recorded_topic
-from mavnav.jobs.run_cache import REFERENCES, check_cache_directory
+from mavnav.jobs.run_cache import REFERENCES, RUNS_FOLDER, check_cache_directory
 from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.document import plain
 from mavnav.outputs.provenance import Typed
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from mavnav.batch.settings import Setting
     from mavnav.jobs import Event
     from mavnav.metrics.gates import Gate
-    from mavnav.pipelines.replay import Progress
+    from mavnav.profiling import Progress
 
-_OWN_FILES: Final = ("cells", "logs", COMPARISON_FILE)
+_OWN_FILES: Final = (RUNS_FOLDER, "logs", COMPARISON_FILE)
 
 
 def comparison_request(

@@ -18,7 +18,7 @@ from mavnav.simulation.mission import fly
 from mavnav.simulation.world import load_scenario
 
 if TYPE_CHECKING:
-    from mavnav.pipelines.replay import Progress
+    from mavnav.profiling import Progress
 
 SCENARIO: Final = "corridor"
 SETS: Final = ("seed=1", "vehicle.laser_x_mm=60")

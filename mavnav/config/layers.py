@@ -51,6 +51,14 @@ class Layer(Struct, frozen=True):
         return root
 
 
+def by_dotted_key(section: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return the values of nested dictionaries by their dotted keys; an empty one has none."""
+    found: dict[str, Any] = {}
+    for key, value in section.items():
+        found |= by_dotted_key(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return found
+
+
 def _related(a: Key, b: Key) -> bool:
     shorter = min(len(a), len(b))
     return a[:shorter] == b[:shorter]

@@ -17,8 +17,9 @@ from msgspec import Struct
 
 from mavnav.config.named_files import read_named
 from mavnav.errors import ConfigError, UsageError
-from mavnav.mapping.occupancy_grid import Grid, occupied_cells
+from mavnav.mapping.occupancy_grid import Grid, occupied_xy_m
 from mavnav.pose import Pose, transform_points
+from mavnav.units import LARGEST_COORDINATE_M
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -35,9 +36,6 @@ MAX_OCCUPIED: Final = 5_000_000
 
 CELLS_M: Final = (1e-4, 100.0)
 """Least and greatest size of a cell of a map, m."""
-
-FARTHEST_ORIGIN_M: Final = 1e8
-"""Largest coordinate of an origin: map coordinates of the whole earth, m; kernels cannot count cells beyond."""
 
 SAVED_UNKNOWN: Final = 205
 SAVED_SHADES: Final = (0, SAVED_UNKNOWN, 254)
@@ -62,13 +60,6 @@ class MapFile(Struct, frozen=True):
     def occupied_xy_m(self) -> NDArray[np.float64]:
         """Return the centres of the occupied cells in the map frame, (n, 2) in m."""
         return transform_points(self.map_T_grid, occupied_xy_m(self.grid))
-
-
-def occupied_xy_m(grid: Grid) -> NDArray[np.float64]:
-    """Return the centres of the occupied cells of a grid, (n, 2) in m, in its frame."""
-    row, col = occupied_cells(grid).T
-    xy_m: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
-    return xy_m
 
 
 def read_map(path: Path) -> MapFile:
@@ -116,14 +107,14 @@ def map_files(path: Path) -> tuple[Path, ...]:
 def _origin(path: Path, about: dict[str, Any]) -> Pose:
     origin = about.get("origin", [0.0, 0.0, 0.0])
     numbers = isinstance(origin, list) and all(_is_number(v) for v in origin)
-    if not numbers or len(origin) not in {2, 3} or not all(abs(v) <= FARTHEST_ORIGIN_M for v in origin):
+    if not numbers or len(origin) not in {2, 3} or not all(abs(v) <= LARGEST_COORDINATE_M for v in origin):
         raise UsageError(f"{path}: origin {_short(origin)} is no pose; write [x, y, yaw] in m, m, rad")
     return Pose(*(float(v) for v in origin))
 
 
 def _number(path: Path, about: dict[str, Any], key: str, default: float | None) -> float:
     value = about.get(key, default)
-    if not _is_number(value) or not abs(value) <= FARTHEST_ORIGIN_M:
+    if not _is_number(value) or not abs(value) <= LARGEST_COORDINATE_M:
         raise UsageError(f"{path}: {key} {_short(value)} is no number of use; write one")
     return float(value)
 

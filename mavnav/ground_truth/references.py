@@ -8,9 +8,8 @@ from msgspec import Struct
 from msgspec.structs import asdict
 
 from mavnav.errors import UsageError
-from mavnav.ground_truth.map_file import occupied_xy_m, read_map
 from mavnav.ground_truth.tables import read_relations, read_tum
-from mavnav.ground_truth.true_map import of_scenario, read_true_map
+from mavnav.ground_truth.true_map import read_true_map
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.map_distance import START_POSE, TrueMap, map_distance
 from mavnav.metrics.reference import AlignedError, Reference
@@ -26,18 +25,6 @@ if TYPE_CHECKING:
 
     from mavnav.metrics.trajectory_error import RelativeError
     from mavnav.pose import Trajectory
-
-__all__ = [
-    "LEAST_POSES",
-    "References",
-    "check_times",
-    "compared",
-    "load_references",
-    "occupied_xy_m",
-    "of_scenario",
-    "read_map",
-    "read_tum",
-]
 
 LEAST_POSES = 3
 """Minimum number of poses with a truth: fewer fit any truth, or nearly so, after the best rigid motion."""

@@ -6,7 +6,7 @@ and end when their parent dies. Their output to stdout and stderr is discarded.
 """
 
 from mavnav.jobs.pool import run_jobs, usable_cores
-from mavnav.jobs.records import Ended, Event, Job, Outcome, Progressed, Report, Retried, Started, Status
+from mavnav.jobs.records import Ended, Event, Job, Outcome, Progressed, Retried, Started, Status
 from mavnav.jobs.retry import run_with_retries
 from mavnav.jobs.worker import attempt, failed
 
@@ -16,7 +16,6 @@ __all__ = [
     "Job",
     "Outcome",
     "Progressed",
-    "Report",
     "Retried",
     "Started",
     "Status",

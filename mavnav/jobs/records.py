@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct
 
 from mavnav.errors import ExitCode
 
-Report = Callable[[str, int, int | None], None]
-"""Progress callback: the current phase, the amount done, and the total amount, None if unknown."""
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 class Job(Struct, frozen=True):
     """A function call to run in another process: ``work(*args, report)``.
 
-    ``work`` is a module-level function whose result can be pickled; ``report`` is a `Report`. ``name`` is the display
+    ``work`` is a module-level function whose result can be pickled; ``report`` is a `Progress`. ``name`` is the display
     name.
     """
 
@@ -58,7 +57,7 @@ class Started(Struct, frozen=True):
 
 
 class Progressed(Struct, frozen=True):
-    """Job ``index`` reported its progress; see `Report`."""
+    """Job ``index`` reported its progress; see `Progress`."""
 
     index: int
     phase: str

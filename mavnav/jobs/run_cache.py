@@ -16,7 +16,7 @@ from msgspec.structs import asdict, replace
 from mavnav import __version__
 from mavnav.config.named_files import read_json
 from mavnav.errors import ExitCode, OutputError
-from mavnav.outputs.directory import RUN_FILE, check_link
+from mavnav.outputs.directory import RUN_FILE, check_link, file_sha256
 from mavnav.outputs.run_json import RunDocument
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.replay import replay_directory
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from mavnav.ground_truth.references import References
     from mavnav.jobs import Outcome
     from mavnav.pipelines.replay import ReplayRequest
+
+RUNS_FOLDER: Final = "cells"
+"""Where in the directory of a comparison or a batch the directories of its runs are."""
 
 SECTIONS: Final = (
     "scans",
@@ -87,7 +90,7 @@ def make_run(request: ReplayRequest, log_sha256: str, references: str) -> Planne
     """
     key = run_key(request, log_sha256, references)
     name = f"{replay_directory(request.log, request.config).name}-{key[:8]}"
-    return PlannedRun(replace(request, directory=request.directory / "cells" / name, log_sha256=log_sha256), key)
+    return PlannedRun(replace(request, directory=request.directory / RUNS_FOLDER / name, log_sha256=log_sha256), key)
 
 
 def check_cache_directory(directory: Path, own_files: Sequence[str]) -> None:
@@ -170,8 +173,7 @@ def is_finished(run: PlannedRun) -> bool:
 
 def _has_digest(path: Path, digest: str) -> bool:
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest() == digest
+        return file_sha256(path) == digest
     except (OSError, ValueError):
         return False
 

@@ -12,10 +12,12 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from mavnav.errors import ExitCode, MavnavError, lacks_memory
-from mavnav.jobs.records import Ended, Job, Outcome, Progressed, Report, Status
+from mavnav.jobs.records import Ended, Job, Outcome, Progressed, Status
 
 if TYPE_CHECKING:
     from multiprocessing import connection
+
+    from mavnav.profiling import Progress
 
 REPORT_PERIOD_S = 0.2
 """Minimum time between two progress reports of one phase, in s."""
@@ -67,7 +69,7 @@ def _attempt(index: int, packed: bytes, channel: connection.Connection[Any, Any]
     return attempt(job, _reporter(index, channel))
 
 
-def attempt(job: Job, report: Report) -> Outcome:
+def attempt(job: Job, report: Progress) -> Outcome:
     """Run one job in this process; an exception becomes an outcome."""
     began_s = monotonic()
     try:
@@ -93,7 +95,7 @@ def _described(error: Exception) -> str:
     return f"a bug: {type(error).__name__}: {error}"
 
 
-def _reporter(index: int, channel: connection.Connection[Any, Any]) -> Report:
+def _reporter(index: int, channel: connection.Connection[Any, Any]) -> Progress:
     """Return the progress callback of a job; it drops reports within ``REPORT_PERIOD_S`` of the last one of a phase."""
     sent_s, sent_phase = 0.0, ""
 

@@ -3,10 +3,11 @@
 ``survey`` reads a log once and reports what is there; ``open_log`` also chooses what to use; ``Log.scans`` streams it.
 """
 
+from mavnav.logs.content import check_log, content_sha256
 from mavnav.logs.log import Log
 from mavnav.logs.opening import choose, open_log
 from mavnav.logs.records import Damage, Odometry, ScanCounts, Topic
-from mavnav.logs.survey import Survey, check_log, content_sha256, motion_and_scan_topics, survey
+from mavnav.logs.survey import Survey, motion_and_scan_topics, survey
 
 __all__ = [
     "Damage",

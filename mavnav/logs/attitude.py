@@ -11,7 +11,7 @@ from msgspec import Struct, field
 from mavnav.errors import TopicError
 from mavnav.logs.imu import usual_topic
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
-from mavnav.logs.stamps import storable
+from mavnav.logs.stamps import Stamps
 from mavnav.logs.transforms import frame_name
 from mavnav.pose import ups_of_quaternions
 
@@ -37,14 +37,12 @@ class AttitudeTrack(Struct):
 
     topic: str
     body_frame: str
-    header_ns: array[int] = field(default_factory=lambda: array("q"))
-    log_ns: array[int] = field(default_factory=lambda: array("q"))
+    stamps: Stamps = field(default_factory=Stamps)
     numbers: array[float] = field(default_factory=lambda: array("f"))
 
     def add(self, message: TransformMessage, log_ns: int) -> None:
         """Take in one pose."""
-        self.header_ns.append(storable(message.stamp_ns))
-        self.log_ns.append(storable(log_ns))
+        self.stamps.add(message.stamp_ns, log_ns)
         self.numbers.extend((*message.xyzw, message.xyz[2]))
 
 
@@ -54,8 +52,7 @@ class Source(NamedTuple):
     topic: str
     kind: Literal["pose", "odom", "imu"]
     body_frame: str
-    header_ns: array[int]
-    log_ns: array[int]
+    stamps: Stamps
     ups: Floats
     height_m: Floats
 
@@ -113,11 +110,11 @@ def _of_poses(track: AttitudeTrack) -> Source:
     numbers = np.array(track.numbers, np.float64).reshape(-1, 5)
     kind: Literal["pose", "odom"] = "odom" if track.body_frame else "pose"
     ups = ups_of_quaternions(numbers[:, :4])
-    return Source(track.topic, kind, track.body_frame, track.header_ns, track.log_ns, ups, numbers[:, 4])
+    return Source(track.topic, kind, track.body_frame, track.stamps, ups, numbers[:, 4])
 
 
 def _of_imu(imus: ImuTracks, topic: str) -> Source:
     track = imus.topics[topic]
     ups = ups_of_quaternions(np.array(track.numbers, np.float64).reshape(-1, 10)[:, 6:])
     unknown = np.full(len(ups), np.nan)
-    return Source(topic, "imu", frame_name(track.frame_id), track.header_ns, track.log_ns, ups, unknown)
+    return Source(topic, "imu", frame_name(track.frame_id), track.stamps, ups, unknown)

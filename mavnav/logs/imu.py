@@ -9,8 +9,8 @@ import numpy as np
 from msgspec import Struct, field
 
 from mavnav.logs.records import Imu
-from mavnav.logs.stamps import in_order, storable
-from mavnav.pose import Rotation
+from mavnav.logs.stamps import Stamps, in_order
+from mavnav.pose import Rotation, ups_of_quaternions
 from mavnav.units import NS
 
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.logs.messages.records import ImuMessage
+    from mavnav.logs.stamps import StampSource
 
     Floats = NDArray[np.float64]
 
@@ -41,8 +42,7 @@ class ImuTrack(Struct):
 
     topic: str
     frame_id: str = ""
-    header_ns: array[int] = field(default_factory=lambda: array("q"))
-    log_ns: array[int] = field(default_factory=lambda: array("q"))
+    stamps: Stamps = field(default_factory=Stamps)
     numbers: array[float] = field(default_factory=lambda: array("f"))
 
     def add(self, message: ImuMessage, log_ns: int) -> None:
@@ -50,14 +50,12 @@ class ImuTrack(Struct):
         rates, accelerations = message.angular_velocity_rad_s, message.acceleration_m_s2
         possible = all(abs(a) <= MOST_M_S2 for a in accelerations)  # False for NaN, too
         if possible and all(abs(rate) <= MOST_RAD_S for rate in rates):
-            self.header_ns.append(storable(message.stamp_ns))
-            self.log_ns.append(storable(log_ns))
+            self.stamps.add(message.stamp_ns, log_ns)
             self.numbers.extend((*rates, *accelerations, *(message.xyzw or (np.nan,) * 4)))
 
-    def rotation(self, stamp_source: str, half_sweep_ns: int, warn: Callable[[str], None]) -> Rotation | None:
+    def rotation(self, stamp_source: StampSource, half_sweep_ns: int, warn: Callable[[str], None]) -> Rotation | None:
         """Return the rotation at mid-sweep by the stamps of scans; None of too few messages."""
-        stamps, recorded = (np.array(each, np.int64) for each in (self.header_ns, self.log_ns))
-        stamps = stamps if stamp_source == "header" else recorded
+        stamps, recorded = self.stamps.by(stamp_source)
         keep = in_order(stamps, recorded, self.topic, warn)
         if len(keep) < LEAST_MESSAGES:
             if len(stamps) >= LEAST_MESSAGES:
@@ -76,8 +74,7 @@ class ImuTrack(Struct):
 def _ups(stamps_ns: NDArray[np.int64], accelerations: Floats, xyzw: Floats) -> Floats:
     """Return the upward direction in the sensor's frame, (n, 3): by its orientation, else by gravity, else z."""
     if np.isfinite(xyzw).all() and (np.linalg.norm(xyzw, axis=1) > 0.5).all() and np.ptp(xyzw, axis=0).any():
-        x, y, z, w = _unit(xyzw).T
-        return np.column_stack((2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)))
+        return ups_of_quaternions(xyzw)
     gravity = np.linalg.norm(np.median(accelerations, axis=0))
     in_m_s2, in_g = abs(gravity / STANDARD_GRAVITY_M_S2 - 1.0), abs(gravity - 1.0)
     if min(in_m_s2, in_g) > GRAVITY_SHARE:
@@ -116,12 +113,14 @@ class ImuTracks:
             self.topics[topic] = ImuTrack(topic, message.frame_id)
         self.topics[topic].add(message, log_ns)
 
-    def choose(self, odom: str, stamp_source: str, half_sweep_ns: int, warn: Callable[[str], None]) -> Imu | None:
+    def choose(
+        self, odom: str, stamp_source: StampSource, half_sweep_ns: int, warn: Callable[[str], None]
+    ) -> Imu | None:
         """Return the sensor to use, with its stamps half a sweep earlier; None without one, or with ``odom`` off.
 
         Of several without a usual name none is used, with a warning.
         """
-        names = [name for name, track in self.topics.items() if len(track.header_ns)]
+        names = [name for name, track in self.topics.items() if len(track.stamps)]
         if odom == "off" or not names:
             return None
         usual = usual_topic(names)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.logs.attitude import Source
+    from mavnav.logs.stamps import StampSource
     from mavnav.logs.transforms import FrameTree
     from mavnav.scan import Scan
 
@@ -111,7 +112,7 @@ def laser_attitude(
     frames: FrameTree,
     laser_frame: str,
     stamps_ns: NDArray[np.int64],
-    stamp_source: str,
+    stamp_source: StampSource,
     *,
     named: bool,
     upside_down: bool,
@@ -162,14 +163,13 @@ def _mounted(source: Source, frames: FrameTree, laser_frame: str) -> NDArray[np.
 def _resolved(
     source: Source,
     body_T_laser: NDArray[np.floating],
-    stamp_source: str,
+    stamp_source: StampSource,
     upside_down: bool,
     warn: Callable[[str], None],
 ) -> RecordedAttitude:
     """Return the attitude of the laser, as seen from above, without messages that are not finite or not in order."""
     finite = _finite(source)
-    stamps_ns, recorded_ns = (np.array(each, np.int64)[finite] for each in (source.header_ns, source.log_ns))
-    stamps_ns = stamps_ns if stamp_source == "header" else recorded_ns
+    stamps_ns, recorded_ns = (each[finite] for each in source.stamps.by(stamp_source))
     order = in_order(stamps_ns, recorded_ns, source.topic, warn)
     stamps_ns, ups, height_m = stamps_ns[order], source.ups[finite][order], source.height_m[finite][order]
     height_m = height_m + ups @ body_T_laser[:3, 3]

@@ -10,7 +10,7 @@ from msgspec import Struct, field
 
 from mavnav.errors import TopicError
 from mavnav.logs.messages.definitions import POSE, TRANSFORM
-from mavnav.logs.stamps import in_order, storable
+from mavnav.logs.stamps import Stamps, in_order
 from mavnav.logs.transforms import frame_name, planar_pose
 from mavnav.pose import Pose, Trajectory, motions
 from mavnav.units import NS
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from mavnav.logs.messages.records import TransformMessage
     from mavnav.logs.records import Channel
+    from mavnav.logs.stamps import StampSource
 
 TF_TOPIC = "/tf"
 _ODOM_FRAME = "odom"
@@ -34,8 +35,7 @@ class PoseTrack(Struct):
 
     topic: str
     base_frame: str
-    header_ns: array[int] = field(default_factory=lambda: array("q"))
-    log_ns: array[int] = field(default_factory=lambda: array("q"))
+    stamps: Stamps = field(default_factory=Stamps)
     xyyaw: array[float] = field(default_factory=lambda: array("d"))
     unusable: int = 0
 
@@ -44,14 +44,12 @@ class PoseTrack(Struct):
         pose = planar_pose(message)
         self.unusable += pose is None
         if pose is not None:
-            self.header_ns.append(storable(message.stamp_ns))
-            self.log_ns.append(storable(log_ns))
+            self.stamps.add(message.stamp_ns, log_ns)
             self.xyyaw.extend((pose.x_m, pose.y_m, pose.yaw_rad))
 
-    def trajectory(self, stamp_source: str, warn: Callable[[str], None]) -> Trajectory:
+    def trajectory(self, stamp_source: StampSource, warn: Callable[[str], None]) -> Trajectory:
         """Return ``fixed_T_base`` with the stamps of a source; poses whose stamps do not ascend are left out."""
-        stamps, recorded = (np.array(each, np.int64) for each in (self.header_ns, self.log_ns))
-        stamps = stamps if stamp_source == "header" else recorded
+        stamps, recorded = self.stamps.by(stamp_source)
         poses = np.array(self.xyyaw, dtype=np.float64).reshape(-1, 3)
         if self.unusable:
             text = f"{self.unusable} of {self.unusable + len(stamps)} poses are left out"
@@ -176,5 +174,5 @@ class OdometryTracks:
 
     def _of_tf(self, leads_to_laser: Callable[[str], bool]) -> OdometryTrack | None:
         """Return the track of the laser's vehicle, of several the one with the most poses."""
-        rank = {child: (leads_to_laser(child), len(track.header_ns)) for child, track in self.transforms.items()}
+        rank = {child: (leads_to_laser(child), len(track.stamps)) for child, track in self.transforms.items()}
         return self.transforms[max(rank, key=rank.__getitem__)] if rank else None

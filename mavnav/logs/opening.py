@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from mavnav.logs.odometry import OdometryTrack
+
 LEAST_CONSTANT = 10
 """Number of scans of one stamp, besides the first, that make no log."""
 
@@ -274,18 +276,7 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None, *, 
         )
     base_T_laser = extrinsic or base_T_laser
     source: Literal["tf_static", "option"] | None = "tf_static" if mounted else None
-    odometry = None
-    odom_T_base = track.trajectory(log.stamp_source, warnings.append) if track else None
-    if track and odom_T_base and not _meet(odom_T_base.stamps_ns, log):
-        warnings.append(f"{track.topic}: odometry and scans share no time; it is not used, check its clock")
-    elif track and odom_T_base and (text := jump(odom_T_base)):
-        warnings.append(f"{track.topic}: the odometry {text}; it is not used, check it or write --odom off")
-    elif track and odom_T_base:
-        if base_T_laser is None:
-            text = f"no transform from {base_frame!r} to {log.frame_id!r}; the odometry is taken as the laser's own"
-            warnings.append(f"{text} (give the mounting with --extrinsic x,y,yaw)")
-        odom_T_base = without_resets(odom_T_base, track.topic, warnings.append)
-        odometry = Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()))
+    odometry = _odometry(track, log, base_frame, base_T_laser, warnings.append) if track else None
     upside_down = upside_down or (overhead and extrinsic is None)
     attitude = laser_attitude(
         found.attitudes.sources(found.imus, found.topics),
@@ -316,16 +307,36 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None, *, 
     return log if attitude is None else replace(log, attitude=with_ceiling(attitude, log), _kept=[])
 
 
+def _odometry(
+    track: OdometryTrack, log: Log, base_frame: str | None, base_T_laser: Pose | None, warn: Callable[[str], None]
+) -> Odometry | None:
+    """Return the odometry of a track, without resets; None, with a warning, where it does not fit the scans."""
+    odom_T_base = track.trajectory(log.stamp_source, warn)
+    if not len(odom_T_base):
+        return None
+    if not _share_time(odom_T_base.stamps_ns, log):
+        warn(f"{track.topic}: odometry and scans share no time; it is not used, check its clock")
+        return None
+    if text := jump(odom_T_base):
+        warn(f"{track.topic}: the odometry {text}; it is not used, check it or write --odom off")
+        return None
+    if base_T_laser is None:
+        text = f"no transform from {base_frame!r} to {log.frame_id!r}; the odometry is taken as the laser's own"
+        warn(f"{text} (give the mounting with --extrinsic x,y,yaw)")
+    odom_T_base = without_resets(odom_T_base, track.topic, warn)
+    return Odometry(track.topic, track.source, odom_T_base, odom_T_base.compose(base_T_laser or Pose()))
+
+
 def _imu(log: Log, found: Survey, odom: str, warn: Callable[[str], None]) -> Imu | None:
     """Return the inertial sensor of a log, seen at mid-sweep; None without one."""
-    half_sweep_ns = round(0.5 * abs(log.sensor.time_increment_s) * log.sensor.beams / NS)
+    half_sweep_ns = round(0.5 * log.sensor.sweep_s / NS)
     imu = found.imus.choose(odom, log.stamp_source, half_sweep_ns, warn)
-    if imu and not _meet(imu.rotation.stamps_ns, log):
+    if imu and not _share_time(imu.rotation.stamps_ns, log):
         warn(f"{imu.topic}: inertial sensor and scans share no time; it is not used, check its clock")
         return None
     return imu
 
 
-def _meet(stamps_ns: NDArray[np.int64], log: Log) -> bool:
+def _share_time(stamps_ns: NDArray[np.int64], log: Log) -> bool:
     """Return whether some time between the first stamp and the last is one of the log's scans."""
     return len(stamps_ns) > 0 and bool(stamps_ns[0] <= log.last_ns and stamps_ns[-1] >= log.first_ns)

@@ -48,9 +48,30 @@ _SUSPECT_OFFSET_NS: Final = 10_000_000_000
 """A suspect scan whose stamp is farther from its time of recording than usual, by this, is not plausible."""
 
 
-def storable(stamp_ns: int) -> int:
+def _storable(stamp_ns: int) -> int:
     """Return a stamp within the range of 64 bits; an impossible one stays impossible."""
     return min(max(stamp_ns, -1), _LATEST_NS)
+
+
+class Stamps(Struct):
+    """Both stamps of the messages of a topic as they came, 16 bytes each: of their headers, and of their recording."""
+
+    header_ns: array[int] = field(default_factory=lambda: array("q"))
+    log_ns: array[int] = field(default_factory=lambda: array("q"))
+
+    def __len__(self) -> int:
+        """Return the number of messages."""
+        return len(self.header_ns)
+
+    def add(self, header_ns: int, log_ns: int) -> None:
+        """Take in the stamps of one message."""
+        self.header_ns.append(_storable(header_ns))
+        self.log_ns.append(_storable(log_ns))
+
+    def by(self, source: StampSource) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the stamps of a source, and those of recording, (n,) each."""
+        header_ns, log_ns = np.array(self.header_ns, np.int64), np.array(self.log_ns, np.int64)
+        return (header_ns if source == "header" else log_ns), log_ns
 
 
 def _later_than_before(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -159,8 +180,7 @@ class TopicScans(Struct):
     doubt: str = ""
     invalid: str = ""
     ranges: list[tuple[LaserSpec, NDArray[np.float64]]] | None = field(default_factory=list)
-    _header_ns: array[int] = field(default_factory=lambda: array("q"))
-    _log_ns: array[int] = field(default_factory=lambda: array("q"))
+    _stamps: Stamps = field(default_factory=Stamps)
     _kind: array[int] = field(default_factory=lambda: array("I"))
     _suspect: bytearray = field(default_factory=bytearray)
     _repeated: bytearray = field(default_factory=bytearray)
@@ -186,9 +206,7 @@ class TopicScans(Struct):
         kind = (spec, frame_id)
         if not self._kinds or self._kinds[-1] != kind:
             self._kinds.append(kind)
-        header_ns, log_ns = stamps_ns
-        self._header_ns.append(storable(header_ns))
-        self._log_ns.append(storable(log_ns))
+        self._stamps.add(*stamps_ns)
         self._kind.append(len(self._kinds) - 1)
         self._suspect.append(suspect)
         self._cleaning.extend(counts)
@@ -206,18 +224,18 @@ class TopicScans(Struct):
         ``_MOST_BACKWARD`` of the scans; scans recorded twice are not such. The window's ends are in seconds from the
         first usable scan, both inclusive.
         """
-        header, log = (self._chosen(stamps) for stamps in (self._header_ns, self._log_ns))
-        zero = len(header) > 0 and self._header_ns[header[-1]] == 0
+        header, log = self._chosen("header"), self._chosen("log")
+        zero = len(header) > 0 and self._stamps.header_ns[header[-1]] == 0
         constant = len(header) == 1 and len(log) > 1
-        backward = self._skipped(_frozen(self._header_ns), header)["backward_stamp"] if len(header) < len(log) else 0
+        backward = self._skipped("header", header)["backward_stamp"] if len(header) < len(log) else 0
         set_back = min(backward, len(log) - len(header)) > max(_MOST_BACKWARD * len(log), _FEW_BACKWARD)
         if len(log) and (zero or constant or set_back or 2 * len(header) < len(log)):
-            return self._timeline("log", self._log_ns, log, window_s)
-        return self._timeline("header", self._header_ns, header, window_s)
+            return self._timeline("log", log, window_s)
+        return self._timeline("header", header, window_s)
 
-    def _chosen(self, stamps: array[int]) -> NDArray[np.int64]:
+    def _chosen(self, source: StampSource) -> NDArray[np.int64]:
         """Return the numbers of the scans to use, in the order of the file, or of recording where that keeps more."""
-        stamps_ns, log_ns = _frozen(stamps), _frozen(self._log_ns)
+        stamps_ns, log_ns = self._stamps.by(source)
         possible = np.flatnonzero(~_impossible(stamps_ns) & self._plausible())
         return _better_order(possible, log_ns, lambda numbers: self._ascending(stamps_ns, numbers))
 
@@ -242,20 +260,19 @@ class TopicScans(Struct):
         if not suspect.any() or suspect.all():
             return np.ones(len(suspect), np.bool_)
         kinds = np.array(self._kind)
-        offsets = _frozen(self._header_ns) - _frozen(self._log_ns)
+        header_ns, log_ns = self._stamps.by("header")
+        offsets = header_ns - log_ns
         usual = np.median(offsets[~suspect])
         known = {_geometry(self._kinds[kind]) for kind in np.unique(kinds[~suspect]).tolist()}
         like = np.array([_geometry(kind) in known for kind in self._kinds])
         plausible: NDArray[np.bool_] = like[kinds] & (np.abs(offsets - usual) < _SUSPECT_OFFSET_NS)
         return plausible | ~suspect
 
-    def _timeline(
-        self, source: StampSource, stamps: array[int], chosen: NDArray[np.int64], window_s: Window
-    ) -> Timeline:
-        stamps_ns = _frozen(stamps)[chosen]
+    def _timeline(self, source: StampSource, chosen: NDArray[np.int64], window_s: Window) -> Timeline:
+        stamps_ns = self._stamps.by(source)[0][chosen]
         inside = _inside(stamps_ns, window_s)
         order = chosen[inside]
-        skipped = self._skipped(_frozen(stamps), chosen)
+        skipped = self._skipped(source, chosen)
         skipped["outside_window"] = len(chosen) - len(order)
         return Timeline(
             source=source,
@@ -268,8 +285,9 @@ class TopicScans(Struct):
             first=self._kinds[self._kind[order[0]]] if len(order) else None,
         )
 
-    def _skipped(self, stamps_ns: NDArray[np.int64], chosen: NDArray[np.int64]) -> Counter[str]:
+    def _skipped(self, source: StampSource, chosen: NDArray[np.int64]) -> Counter[str]:
         """Count the scans that are not chosen by reason."""
+        stamps_ns, _ = self._stamps.by(source)
         left = np.ones(len(stamps_ns), np.bool_)
         left[chosen] = False
         impossible = left & _impossible(stamps_ns)
@@ -285,10 +303,6 @@ def _geometry(kind: tuple[LaserSpec, str]) -> tuple[LaserSpec, str]:
     """Return a kind of scan without its times, which some drivers measure anew for every scan."""
     spec, frame_id = kind
     return replace(spec, time_increment_s=0.0, scan_time_s=0.0), frame_id
-
-
-def _frozen(stamps: array[int]) -> NDArray[np.int64]:
-    return np.array(stamps, dtype=np.int64)
 
 
 def _impossible(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
 from collections import Counter
 from contextlib import suppress
 from functools import partial
-from math import isfinite
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from mavnav.errors import MavnavError, NoScansError, UsageError, lacks_memory
+from mavnav.errors import MavnavError
 from mavnav.logs.attitude import AttitudeTracks
+from mavnav.logs.content import check_file, check_window, size_and_sha256, unreadable
 from mavnav.logs.formats import detect
-from mavnav.logs.formats.rosbag2 import METADATA
-from mavnav.logs.formats.source import Source
 from mavnav.logs.imu import ImuTracks
 from mavnav.logs.messages.decode import decoder, is_laser, scan_topic
 from mavnav.logs.messages.definitions import IMU, ODOMETRY, POSE
@@ -40,11 +36,6 @@ if TYPE_CHECKING:
     from mavnav.logs.messages.records import LaserMessage
 
 _PROGRESS_STEPS = 200
-_MOST_HOLES_BYTES = 4 << 30
-"""Holes take no space on the disk, but must be hashed as zeros; no recorder leaves any."""
-
-_MOST_EXTENTS = 10_000
-_ZEROS = memoryview(bytes(1 << 16))
 
 
 class Survey(Struct, frozen=True):
@@ -88,7 +79,7 @@ class _Pass(Struct):
     strict: bool
     report: ReadReport
     kinds: dict[Channel, _Kind] = field(default_factory=dict)
-    doors: dict[str, ScanFilter] = field(default_factory=dict)
+    filters: dict[str, ScanFilter] = field(default_factory=dict)
     scans: dict[str, TopicScans] = field(default_factory=dict)
     odometry: OdometryTracks = field(default_factory=OdometryTracks)
     imus: ImuTracks = field(default_factory=ImuTracks)
@@ -99,7 +90,7 @@ class _Pass(Struct):
     def take(self, message: RawMessage) -> None:
         """Take in one message; one that does not decode is noted and counted."""
         channel = message.channel
-        kind = self.kinds.get(channel) or self._meet(channel)
+        kind = self.kinds.get(channel) or self._new_kind(channel)
         kind.count += 1
         if kind.decode is None:
             return
@@ -117,7 +108,7 @@ class _Pass(Struct):
         else:
             self._take_motion(message, decoded)
 
-    def _meet(self, channel: Channel) -> _Kind:
+    def _new_kind(self, channel: Channel) -> _Kind:
         topic = scan_topic(channel, self.topic)
         self.kinds[channel] = _Kind(self._decoder(channel, topic), topic)
         return self.kinds[channel]
@@ -151,7 +142,7 @@ class _Pass(Struct):
     def _take_scan(self, topic: str, message: RawMessage, laser: LaserMessage) -> None:
         scans = self._scans(topic)
         scans.total += 1
-        admitted = self.doors[topic].admit(laser)
+        admitted = self.filters[topic].admit(laser)
         if isinstance(admitted, str):
             scans.refused[admitted] += 1
             return
@@ -167,14 +158,14 @@ class _Pass(Struct):
 
     def _scans(self, topic: str) -> TopicScans:
         if topic not in self.scans:
-            self.doors[topic] = ScanFilter(topic, self.report.warn)
+            self.filters[topic] = ScanFilter(topic, self.report.warn)
             self.scans[topic] = TopicScans()
         return self.scans[topic]
 
     def conclude(self) -> None:
         """Note what shows at the end only."""
         for topic, scans in self.scans.items():
-            scans.doubt, scans.invalid = self.doors[topic].doubt, self.doors[topic].invalid
+            scans.doubt, scans.invalid = self.filters[topic].doubt, self.filters[topic].invalid
             if len(scans.frames) > 1:
                 names = ", ".join(sorted(scans.frames)[:4])
                 self.report.warn(f"{topic}: the frame of the scans changes on the way ({names}); the first is used")
@@ -220,7 +211,8 @@ def survey(
         No such file, not a regular file or folder, not readable, or an empty window. What is wrong with the content
         never raises: it stands in the survey.
     """
-    _check(path, start_s, end_s)
+    check_file(path)
+    check_window(start_s, end_s)
     again = partial(_survey, window_s=(start_s, end_s), strict=strict, truth=truth, odom=odom, attitude=attitude)
     found = again(path, topic, progress=progress)
     others = [t.name for t in found.topics if t.type in OTHER_TYPES and t.count]
@@ -252,7 +244,7 @@ def _survey(
         else:
             _run(path, state, progress)
             state.conclude()
-        size_bytes, sha256 = _identity(path)
+        size_bytes, sha256 = size_and_sha256(path)
     except OSError as error:
         raise unreadable(path, error) from error
     return Survey(
@@ -290,68 +282,6 @@ def motion_and_scan_topics(path: Path, most_s: float) -> tuple[set[str], set[str
     return {channel.topic for channel in channels if channel.type == ODOMETRY}, scans
 
 
-def content_sha256(path: Path) -> str:
-    """Return the SHA-256 by which a survey knows a log's content, without reading its messages; raises UsageError."""
-    _check(path, None, None)
-    try:
-        return _identity(path)[1]
-    except OSError as error:
-        raise unreadable(path, error) from error
-
-
-def check_log(path: Path, start_s: float | None = None, end_s: float | None = None) -> None:
-    """Raise UsageError or NoScansError for what shows at a glance: no such log, no log at all, an empty window."""
-    _check(path, start_s, end_s)
-    try:
-        if detect.sniff(path) == detect.UNKNOWN:
-            raise NoScansError(f"{path}: no usable scans; {detect.refusal(path)}")
-    except OSError as error:
-        raise unreadable(path, error) from error
-
-
-def unreadable(path: Path, error: OSError) -> UsageError | MemoryError:
-    """Return what is raised where the system cannot read a log."""
-    if lacks_memory(error):
-        return MemoryError(str(error))
-    return UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions")
-
-
-def _check(path: Path, start_s: float | None, end_s: float | None) -> None:
-    check_file(path)
-    for name, value in (("--start", start_s), ("--end", end_s)):
-        if value is not None and not (isfinite(value) and value >= 0.0):
-            raise UsageError(f"{name} {value:g} is no time; it counts in seconds from the first usable scan, 0 or more")
-    if start_s is not None and end_s is not None and end_s <= start_s:
-        raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
-
-
-def check_file(path: Path) -> None:
-    """Raise UsageError where there is no file or folder, NoScansError where a file is hardly more than holes."""
-    if not path.exists():
-        raise UsageError(f"{path}: no such file or folder; give the path of a log")
-    if not (path.is_file() or path.is_dir()):
-        raise UsageError(f"{path}: neither a regular file nor a folder; give the path of a log")
-    if path.is_file() and (holes_bytes := _holes(path)) > _MOST_HOLES_BYTES:
-        text = f"{holes_bytes / 1e9:.0f} GB of the file are holes that no recorder wrote"
-        raise NoScansError(f"{path}: no usable scans; {text}; get a whole copy, or cut it with truncate")
-
-
-def _holes(path: Path) -> int:
-    """Count the bytes of a file before its end that the file system does not keep; 0 where few can be missing."""
-    status = path.stat()
-    if status.st_size - getattr(status, "st_blocks", status.st_size) * 512 <= _MOST_HOLES_BYTES:
-        return 0
-    holes_bytes, end = 0, 0
-    with path.open("rb") as file:
-        for _ in range(_MOST_EXTENTS):
-            start = os.lseek(file.fileno(), end, os.SEEK_HOLE)
-            end = Source(file, status.st_size).next_data(start)
-            holes_bytes += end - start
-            if end >= status.st_size:
-                break
-    return holes_bytes
-
-
 def _run(path: Path, state: _Pass, progress: Callable[[int, int], None] | None) -> None:
     reported = -1
     for message in detect.read(path, state.report):
@@ -370,28 +300,3 @@ def _topics(report: ReadReport, kinds: dict[Channel, _Kind]) -> tuple[Topic, ...
     for channel in report.channels.values():
         counts[channel.topic, channel.type, channel.encoding] += kinds[channel].count if channel in kinds else 0
     return tuple(Topic(*key, count) for key, count in sorted(counts.items()))
-
-
-def _identity(path: Path) -> tuple[int, str]:
-    """Return size and SHA-256: of a file; of a folder, over the lines ``<sha256>  <name>`` of its bag's files."""
-    if path.is_file():
-        return path.stat().st_size, _sha256(path)
-    files = sorted({*detect.parts(path, ReadReport()), *[f for f in [path / METADATA] if f.is_file()]})
-    lines = "".join(f"{_sha256(file)}  {file.relative_to(path)}\n" for file in files)
-    return sum(file.stat().st_size for file in files), hashlib.sha256(lines.encode()).hexdigest()
-
-
-def _sha256(path: Path) -> str:
-    """Return the SHA-256 of a file; the zeros of its holes are not read, which would take longer than to count them."""
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        source = Source(file, path.stat().st_size)
-        offset = 0
-        while offset < source.size:
-            data_at = min(source.next_data(offset), source.size)
-            for at in range(offset, data_at, len(_ZEROS)):
-                digest.update(_ZEROS[: data_at - at])
-            block = source.read(data_at, len(_ZEROS))
-            digest.update(block)
-            offset = data_at + len(_ZEROS)
-    return digest.hexdigest()

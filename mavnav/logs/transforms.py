@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import Struct, field
 
 from mavnav.pose import Pose, yaw_of_quaternion
+from mavnav.units import LARGEST_COORDINATE_M
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
     from mavnav.logs.messages.records import TransformMessage
 
 BASE_FRAMES = ("base_link", "base_footprint")
-
-FARTHEST_M = 1e8
-"""Coordinates of the whole earth are below; what is beyond is no pose, and would be no cell of a map either."""
 
 _SAME = 1e-6
 _UPRIGHT = cos(radians(10.0))
@@ -36,7 +34,7 @@ def matrix_of(message: TransformMessage) -> NDArray[np.float64] | None:
     """Return ``parent_T_child`` as (4, 4); None where it is not finite, too far, or its quaternion is zero."""
     q = np.array(message.xyzw, dtype=np.float64)
     norm = float(np.linalg.norm(q))
-    if not (np.abs(message.xyz).max() <= FARTHEST_M and np.isfinite(norm) and norm > _SAME):
+    if not (np.abs(message.xyz).max() <= LARGEST_COORDINATE_M and np.isfinite(norm) and norm > _SAME):
         return None
     x, y, z, w = q / norm
     matrix = np.eye(4)
@@ -53,7 +51,7 @@ def planar_pose(message: TransformMessage) -> Pose | None:
     """Return x, y and yaw of a transform; None where they are not finite, or too far."""
     x, y, _ = message.xyz
     yaw = yaw_of_quaternion(*message.xyzw)
-    near = abs(x) <= FARTHEST_M and abs(y) <= FARTHEST_M  # False for NaN, too
+    near = abs(x) <= LARGEST_COORDINATE_M and abs(y) <= LARGEST_COORDINATE_M  # False for NaN, too
     return Pose(x, y, yaw) if near and np.isfinite(yaw) and any(message.xyzw) else None
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from mavnav.logs.messages.records import TransformMessage
     from mavnav.logs.records import Channel, Topic
+    from mavnav.logs.stamps import StampSource
     from mavnav.logs.transforms import FrameTree
 
 AUTO: Final = "auto"
@@ -60,11 +61,11 @@ class TruthTracks(Struct):
         """
         if self.wanted is None:
             return None
-        found = {name: track for name, track in sorted(self.topics.items()) if track.header_ns}
+        found = {name: track for name, track in sorted(self.topics.items()) if len(track.stamps)}
         if len(found) == 1:
             return next(iter(found.values()))
         if found:
-            names = ", ".join(f"{name} ({len(track.header_ns)})" for name, track in found.items())
+            names = ", ".join(f"{name} ({len(track.stamps)})" for name, track in found.items())
             raise TopicError(f"several ground truth topics: {names}; choose one with --truth topic:NAME")
         poses = ", ".join(f"{t.name} ({t.type}, {t.count})" for t in topics if t.type in TYPES) or "none"
         if self.wanted == AUTO:
@@ -76,7 +77,7 @@ class TruthTracks(Struct):
 
 def laser_truth(
     track: PoseTrack,
-    stamp_source: str,
+    stamp_source: StampSource,
     laser_frame: str,
     frames: FrameTree,
     base_T_laser: Pose | None,

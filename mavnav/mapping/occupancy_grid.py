@@ -123,8 +123,7 @@ class GridBuilder(Struct):
         """Remove the hits of dynamic cells; return the centres of these cells (n, 2), m."""
         row, col = dynamic_cells(self.hits, self.passes, self.shielded).T
         self.hits[col // WIDE, row, col % WIDE] = 0
-        middles: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * self.cell_m + np.array(self.origin_xy_m)
-        return middles
+        return cell_centres(self, row, col)
 
     @timed("virtual scan")
     def virtual_scan(
@@ -198,6 +197,17 @@ def occupancy(grid: Grid) -> NDArray[np.int8]:
         out[band] = np.where(seen > 0, FREE, UNKNOWN)
         out[band][(hits > 0) & (hits >= OCCUPIED_SHARE * seen)] = OCCUPIED
     return out
+
+
+def cell_centres(grid: Grid | GridBuilder, row: NDArray[Any], col: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the centres of cells (n,) of a grid, which may lie between whole ones, (n, 2) in m, in its frame."""
+    xy_m: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
+    return xy_m
+
+
+def occupied_xy_m(grid: Grid) -> NDArray[np.float64]:
+    """Return the centres of the occupied cells of a grid, (n, 2) in m, in its frame."""
+    return cell_centres(grid, *occupied_cells(grid).T)
 
 
 def occupied_cells(grid: Grid) -> NDArray[np.int64]:

@@ -16,7 +16,7 @@ from msgspec import Struct
 from mavnav.kernels.scan_pairs import best_alignments, wall_gaps, wall_normals
 from mavnav.metrics.ghost_walls import GhostWall, GhostWalls, as_ghost_walls
 from mavnav.metrics.journey import spread, used_ranges_m
-from mavnav.metrics.lines import fit_line, linked
+from mavnav.metrics.lines import fit_line, linked, members
 from mavnav.units import DEG, MM, NS
 
 if TYPE_CHECKING:
@@ -251,9 +251,7 @@ def _explained(before: NDArray[np.int64], after: NDArray[np.int64]) -> NDArray[n
 def _places(found: _Doubled, keys: _Keys) -> list[GhostWall]:
     """Link doubled points along their direction, and return the groups with enough evidence."""
     groups = linked(found.xy_m, found.direction_rad, reach_m=REACH_M, across_m=ACROSS_M, turn_rad=TURN_RAD)
-    order = np.argsort(groups, kind="stable")
-    members = np.split(order, np.flatnonzero(np.diff(groups[order])) + 1) if len(order) else []
-    places = (_place(found, group, keys) for group in members)
+    places = (_place(found, group, keys) for group in members(groups))
     return [place for place in places if place is not None]
 
 

@@ -73,6 +73,10 @@ class Verdict(Struct, frozen=True):
         """Whether the gate holds."""
         return not self.why
 
+    def row(self) -> dict[str, Any]:
+        """Return the verdict as documents have it."""
+        return {"gate": self.gate.text, "value": self.value, "passed": self.passed, "why": self.why}
+
 
 def parse_gate(text: str, what: str = "--gate", example: str = _EXAMPLE) -> Gate:
     """Parse ``name OP bound``; raises UsageError, which says ``what`` is wrong and gives the ``example``."""

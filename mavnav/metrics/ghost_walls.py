@@ -14,7 +14,7 @@ from msgspec import Struct
 
 from mavnav.kernels.profiles import wall_profiles
 from mavnav.metrics.fields import Measured, number
-from mavnav.metrics.lines import fit_line, linked
+from mavnav.metrics.lines import fit_line, linked, members
 from mavnav.units import DEG, MM
 
 if TYPE_CHECKING:
@@ -200,9 +200,8 @@ def _places(twins: _Twins, grid: Grid) -> list[GhostWall]:
     xy_m = (twins.xy_cells + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
     groups = linked(xy_m, twins.direction_rad, reach_m=REACH_M, across_m=ACROSS_CELLS * grid.cell_m, turn_rad=TURN_RAD)
     places = []
-    for group in range(groups.max() + 1 if len(groups) else 0):
-        here = groups == group
-        line = fit_line(xy_m[here], np.ones(here.sum()), SPACING_CELLS * grid.cell_m)
+    for here in members(groups):
+        line = fit_line(xy_m[here], np.ones(len(here)), SPACING_CELLS * grid.cell_m)
         offset_mm = float(np.median(twins.offset_cells[here])) * grid.cell_m / MM
         if line.length_m >= LEAST_LENGTH_M:
             places.append(GhostWall(line.x_m, line.y_m, line.direction_rad / DEG, line.length_m, offset_mm))

@@ -56,6 +56,12 @@ def linked(
     )
 
 
+def members(groups: NDArray[np.int32]) -> list[NDArray[np.intp]]:
+    """Return the points of each group, as their numbers; ``groups`` (n,) are those of `linked`."""
+    order = np.argsort(groups, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(groups[order])) + 1) if len(order) else []
+
+
 def half_turn(angle_rad: float) -> float:
     """Return a line's direction in [0, pi); a rounding error below 0 becomes 0, not pi."""
     angle_rad %= np.pi

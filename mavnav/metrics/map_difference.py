@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from msgspec import Struct
 
-from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, known_part, occupancy
+from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, cell_centres, known_part, occupancy
 from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
@@ -93,10 +93,7 @@ class View:
 
     def middles(self, cells: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Return the centres of the cells of a mask (rows, cols), in row-major order, (n, 2) in m."""
-        row, col = np.nonzero(cells)
-        corner = np.array(self.grid.origin_xy_m)
-        xy_m: NDArray[np.float64] = (np.column_stack((col, row)) + 0.5) * self.grid.cell_m + corner
-        return xy_m
+        return cell_centres(self.grid, *np.nonzero(cells))
 
     def at(self, cells: NDArray[np.bool_], xy_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return the values of a mask (rows, cols) at points (n, 2), m; False outside."""
@@ -137,10 +134,9 @@ def _changes(
     labels, _ = label(binary_dilation(cells, np.ones((3, 3), bool), iterations=reach), np.ones((3, 3), int))
     changes: list[Change] = []
     places = [np.zeros((0, 2))]
-    corner = np.array(having.grid.origin_xy_m)
     for number, box in enumerate(find_objects(labels), start=1):
         row, col = np.nonzero(cells[box] & (labels[box] == number))
-        xy_m = (np.column_stack((col + box[1].start, row + box[0].start)) + 0.5) * having.grid.cell_m + corner
+        xy_m = cell_centres(having.grid, row + box[0].start, col + box[1].start)
         change = _change(kind, transform_points(a_T_having, xy_m), having.grid.cell_m)
         if change.m2 >= LEAST_M2 and change.length_m >= LEAST_LENGTH_M:
             changes.append(change)

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.metrics.fields import Measured, number
-from mavnav.metrics.trajectory_error import between
+from mavnav.pose import between
 from mavnav.units import DEG
 
 if TYPE_CHECKING:

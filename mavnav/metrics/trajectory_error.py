@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.metrics.fields import Measured, number
-from mavnav.pose import Pose, Trajectory, transform_points
+from mavnav.pose import Trajectory, between, rigid_fit, transform_points
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
@@ -51,15 +51,6 @@ class RelativeError(Struct, frozen=True):
     ]
 
 
-def align(from_xy_m: NDArray[np.float64], to_xy_m: NDArray[np.float64]) -> Pose:
-    """Return the rigid motion that aligns points (n, 2) with their partners by least squares (Umeyama 1991)."""
-    a, b = from_xy_m.mean(axis=0), to_xy_m.mean(axis=0)
-    p, q = from_xy_m - a, to_xy_m - b
-    yaw = float(np.arctan2((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum(), (p * q).sum()))
-    turned = transform_points(Pose(0.0, 0.0, yaw), a[None])[0]
-    return Pose(float(b[0] - turned[0]), float(b[1] - turned[1]), yaw)
-
-
 def absolute_error(
     estimate_xy_m: NDArray[np.float64], truth_xy_m: NDArray[np.float64], *, aligned: bool = True
 ) -> AbsoluteError:
@@ -68,7 +59,7 @@ def absolute_error(
     if n == 0:
         return AbsoluteError(0, np.nan, np.nan, np.nan)
     if aligned:
-        estimate_xy_m = transform_points(align(estimate_xy_m, truth_xy_m), estimate_xy_m)
+        estimate_xy_m = transform_points(rigid_fit(estimate_xy_m, truth_xy_m), estimate_xy_m)
     error = np.hypot(*(estimate_xy_m - truth_xy_m).T)
     return AbsoluteError(n, float(np.sqrt((error**2).mean())), float(np.median(error)), float(error.max()))
 
@@ -111,16 +102,9 @@ def position_errors(estimate: Trajectory, truth: Trajectory, *, aligned: bool) -
     true_xy_m = np.array([(np.nan, np.nan) if pose is None else pose[:2] for pose in found]).reshape(-1, 2)
     known, xy_m = np.isfinite(true_xy_m[:, 0]), estimate.xyyaw[:, :2]
     if aligned and known.any():
-        xy_m = transform_points(align(xy_m[known], true_xy_m[known]), xy_m)
+        xy_m = transform_points(rigid_fit(xy_m[known], true_xy_m[known]), xy_m)
     errors_m: NDArray[np.float64] = np.hypot(*(xy_m - true_xy_m).T)
     return errors_m
-
-
-def between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return poses b in the frames of poses a, (n, 3) each: ``inverse(a) @ b`` row by row, yaw in [-pi, pi)."""
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    dx, dy, turn = (b - a).T
-    return np.column_stack((c * dx + s * dy, c * dy - s * dx, (turn + np.pi) % (2.0 * np.pi) - np.pi))
 
 
 def _stretches(path: Trajectory) -> tuple[list[int], list[int]]:

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.metrics.fields import number
-from mavnav.metrics.lines import Line, fit_line, linked
+from mavnav.metrics.lines import Line, fit_line, linked, members
 from mavnav.metrics.wall_thickness import Sections, quantiles
 from mavnav.units import DEG, MM
 
@@ -44,9 +44,7 @@ def straight_walls(sections: Sections, cell_m: float, origin_xy_m: tuple[float, 
     xy_m = section_places(sections, cell_m, origin_xy_m)
     reach_m, across_m = max(REACH_M, REACH_CELLS * cell_m), ACROSS_CELLS * cell_m
     groups = linked(xy_m, sections.direction_rad, reach_m=reach_m, across_m=across_m, turn_rad=TURN_RAD)
-    order = np.argsort(groups, kind="stable")
-    members = np.split(order, np.flatnonzero(np.diff(groups[order])) + 1) if len(order) else []
-    pieces = [piece for group in members for piece in _straight_pieces(xy_m, sections.length_m, group, cell_m)]
+    pieces = [piece for group in members(groups) for piece in _straight_pieces(xy_m, sections.length_m, group, cell_m)]
     walls = [_wall(line, sections, group, cell_m) for line, group in pieces]
     return tuple(sorted(walls, key=lambda w: (-w.length_m, w.x_m, w.y_m)))
 

@@ -14,6 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from mavnav.atomic_files import beside, is_stream
 from mavnav.errors import OutputError, UsageError
 from mavnav.mapping.occupancy_grid import known_part
+from mavnav.metrics.journey import spread
 from mavnav.outputs.map_picture import framed
 from mavnav.outputs.replay_log import placed_scans
 from mavnav.outputs.viewport import GOAL_RED, POSE_MAGENTA, START_BLUE, Window, wall_lines, window_of
@@ -125,7 +126,7 @@ def _frames(run: Run) -> Iterator[Image.Image]:
     window = window_of(known_part(run.slam.grid), framed(run))
     canvas = _Canvas(window, max(window.size_m) / LONGEST_PIXELS)
     count = len(run.slam.trajectory)
-    shown = set(np.linspace(0, count - 1, min(count, MAX_FRAMES)).round().astype(int).tolist())
+    shown = set(spread(count, MAX_FRAMES).tolist())
     poses: list[tuple[int, Pose]] = []
     for k, (scan, map_T_laser) in enumerate(placed_scans(run)):
         poses.append((scan.stamp_ns, map_T_laser))

@@ -13,8 +13,8 @@ import numpy as np
 from mavnav.mapping.occupancy_grid import Grid
 from mavnav.outputs import map_axes
 from mavnav.outputs.canvas import rgb_of
-from mavnav.outputs.plot import Area, Mark, circle, cross, legend, legend_width
-from mavnav.outputs.viewport import FREE_GREY, INK, MUTED, window_around
+from mavnav.outputs.plot import Area, Mark, centred_legend, circle, cross, heading
+from mavnav.outputs.viewport import FREE_GREY, INK, window_around
 from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mavnav.metrics.map_difference import Change, Difference, View
-    from mavnav.outputs.plot import Axes, Sign
+    from mavnav.outputs.plot import Axes
 
 WALL, GONE, NEW = "#8a929a", "#d55e00", "#0072b2"
 FREE_CELL, WALL_CELL, GONE_CELL, NEW_CELL = 1, 2, 3, 4
@@ -59,12 +59,9 @@ def write(a: View, b: View, a_T_b: Pose, found: Difference, title: str, path: Pa
     _draw_numbers(axes, found.changes[:NUMBERED])
     map_axes.draw_axes(axes)
     axes.names("x [m]", "y [m]")
-    canvas = axes.canvas
-    marks: list[Sign] = [*MARKS.values(), *AREAS]
-    legend(canvas, marks, canvas.image.height - 28, (canvas.image.width - legend_width(marks)) / 2.0)
-    canvas.text((canvas.image.width / 2, 26), title, 10.0, INK, bold=True)
-    canvas.text((canvas.image.width / 2, 74), _subtitle(found), 8.5, MUTED)
-    canvas.save(path)
+    centred_legend(axes.canvas, [*MARKS.values(), *AREAS])
+    heading(axes.canvas, title, _subtitle(found), 10.0)
+    axes.canvas.save(path)
 
 
 def _maps(a: View, b: View, a_T_b: Pose) -> tuple[tuple[View, Pose], tuple[View, Pose]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import contextmanager
+from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -18,6 +19,12 @@ RUN_FILE: Final = "run.json"
 
 MERGE_FILE: Final = "merge.json"
 """The file that makes a directory a merge of ours."""
+
+
+def file_sha256(path: Path) -> str:
+    """Return the SHA-256 by which a run knows a file of its directory; raises OSError."""
+    with path.open("rb") as file:
+        return file_digest(file, sha256).hexdigest()
 
 
 def check_directory(

@@ -10,6 +10,7 @@ import numpy as np
 
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid
 from mavnav.mapping.tiled_arrays import bands
+from mavnav.units import LARGEST_COORDINATE_M
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,9 +24,6 @@ MAX_NPZ_BYTES: Final = 1 << 32
 
 CELLS_M: Final = (1e-4, 10.0)
 """Least and greatest size of a cell of a run's map, m: a tenth of the least setting, forty times the greatest."""
-
-FARTHEST_ORIGIN_M: Final = 1e8
-"""Largest coordinate of an origin: map coordinates of the whole earth, m; kernels cannot count cells beyond."""
 
 _PACKED: Final = 1
 """Of zlib's levels: a fifth of the time of 6, up to a fifth larger."""
@@ -96,7 +94,7 @@ def read_npz(path: Path) -> Grid:
     except Exception as error:  # numpy, zipfile and zlib have many
         raise ValueError(f"{path.name} is damaged ({type(error).__name__})") from error
     sound = hits.shape == passes.shape and _are_counts(hits) and _are_counts(passes)
-    placed = CELLS_M[0] <= cell_m <= CELLS_M[1] and abs(x_m) <= FARTHEST_ORIGIN_M and abs(y_m) <= FARTHEST_ORIGIN_M
+    placed = CELLS_M[0] <= cell_m <= CELLS_M[1] and all(abs(v) <= LARGEST_COORDINATE_M for v in (x_m, y_m))
     if not (sound and placed):
         raise ValueError(f"{path.name} holds no counts of a map")
     return Grid(cell_m, (x_m, y_m), hits, passes)

@@ -12,7 +12,19 @@ from PIL import Image
 from mavnav.mapping.occupancy_grid import FREE
 from mavnav.mapping.tiled_arrays import pooled, unchanged, where
 from mavnav.outputs.canvas import Canvas, dashed, ramp, rgb_of, stroke
-from mavnav.outputs.plot import Area, Axes, Line, Mark, circle, cross, crossed_circle, labelled, square, ticks
+from mavnav.outputs.plot import (
+    Area,
+    Axes,
+    Line,
+    Mark,
+    circle,
+    colour_bar,
+    cross,
+    crossed_circle,
+    labelled,
+    square,
+    ticks,
+)
 from mavnav.outputs.viewport import (
     DOUBT_RED,
     FREE_GREY,
@@ -39,6 +51,9 @@ VIRIDIS: Final = ("#440154", "#482878", "#3e4989", "#31688e", "#26828e", "#1f9e8
 HIT_COLOURS: Final = ramp(VIRIDIS[::-1])
 FRAME_GREY: Final = "#cccccc"
 HIT_TICKS: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
+
+MARGINS: Final = (100, 110, 130, 120)
+"""Left, top, right and bottom of a map with a scale of hits in its picture, in pixels."""
 
 START: Final = Mark(START_BLUE, "start", partial(cross, size_pt=10.0, width_pt=2.4))
 END: Final = Mark(GOAL_RED, "end", partial(square, size_pt=9.0, width_pt=1.8))
@@ -129,6 +144,14 @@ def draw_hits(axes: Axes, grid: Grid, top: float) -> None:
         return np.asarray(HIT_COLOURS[np.round(share * (len(HIT_COLOURS) - 1)).astype(np.intp)])
 
     draw_cells(axes, grid, grid.hits, colour_of)
+
+
+def draw_counts(axes: Axes, grid: Grid, occupancy: NDArray[np.int8]) -> None:
+    """Draw free cells and hits of a map, and the scale of its hits at the right."""
+    top = top_of_scale([grid])
+    draw_free(axes, grid, occupancy)
+    draw_hits(axes, grid, top)
+    colour_bar(axes, HIT_COLOURS, hit_ticks(top), "laser hits per cell")
 
 
 def top_of_scale(grids: Iterable[Grid]) -> float:

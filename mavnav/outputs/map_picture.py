@@ -8,25 +8,22 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import compress
-from math import ceil
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from mavnav.outputs import map_axes
 from mavnav.outputs.canvas import stroke
-from mavnav.outputs.plot import Line, colour_bar, legend, legend_width
-from mavnav.outputs.viewport import INK, MUTED, wall_lines, window_of
+from mavnav.outputs.plot import Line, centred_legend, heading, legend_room
+from mavnav.outputs.viewport import wall_lines, window_of
 from mavnav.units import MM
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from mavnav.metrics.wall_spread import WallSpread
-    from mavnav.outputs.canvas import Canvas
     from mavnav.outputs.plot import Axes, Mark, Sign
     from mavnav.outputs.run import Run, Truth
     from mavnav.pose import Trajectory
@@ -35,8 +32,6 @@ if TYPE_CHECKING:
 CIRCLE_SPACING: Final = 0.018
 """Between two circles along the path, of the picture's longer side: so that they touch at most."""
 
-MARGINS: Final = (100, 110, 130, 120)
-"""Left, top, right and bottom of the map in the picture, in pixels."""
 PATH: Final = Line(map_axes.POSE.colour, "", partial(stroke, width_pt=0.72, opacity=150 / 255))
 
 
@@ -49,40 +44,16 @@ def write(run: Run, path: Path) -> None:
     shown = (run.slam.loops.closed, run.true_walls, doubtful_parts(run.slam))
     lines = compress((map_axes.LOOP, map_axes.TRUE_WALL, map_axes.DOUBTFUL), shown)
     named: list[Sign] = [*lines, *(mark for mark, _ in marks), *map_axes.KNOWN]
-    axes = map_axes.framed_map(window, 7.5, MARGINS, least=(max(960, legend_room(named)), 420))
-    _draw_map(axes, run)
+    axes = map_axes.framed_map(window, 7.5, map_axes.MARGINS, least=(max(960, legend_room(named)), 420))
+    map_axes.draw_counts(axes, run.known, run.cells)
     _draw_lines(axes, run)
     for mark, xy_m in marks:
         axes.mark(mark, xy_m)
     map_axes.draw_axes(axes)
     axes.names("x [m]", "y [m]")
     centred_legend(axes.canvas, named)
-    _title(axes.canvas, run)
+    heading(axes.canvas, run.name, _subtitle(run))
     axes.canvas.save(path)
-
-
-def legend_room(marks: Sequence[Sign]) -> int:
-    """Return how wide a picture is at least whose legend is whole."""
-    return ceil(legend_width(marks)) + 20
-
-
-def centred_legend(canvas: Canvas, marks: Sequence[Sign]) -> None:
-    """Name the marks below the map."""
-    legend(canvas, marks, canvas.image.height - 28, (canvas.image.width - legend_width(marks)) / 2.0)
-
-
-def _title(canvas: Canvas, run: Run) -> None:
-    middle = canvas.image.width / 2
-    canvas.text((middle, 26), run.name, 12.0, INK, bold=True)
-    canvas.text((middle, 74), _subtitle(run), 8.5, MUTED)
-
-
-def _draw_map(axes: Axes, run: Run) -> None:
-    """Draw free cells and hits, and the scale of hits."""
-    top = map_axes.top_of_scale([run.known])
-    map_axes.draw_free(axes, run.known, run.cells)
-    map_axes.draw_hits(axes, run.known, top)
-    colour_bar(axes, map_axes.HIT_COLOURS, map_axes.hit_ticks(top), "laser hits per cell")
 
 
 def framed(run: Run) -> NDArray[np.float64]:

@@ -9,8 +9,7 @@ import numpy as np
 
 from mavnav.outputs import map_axes
 from mavnav.outputs.canvas import stroke
-from mavnav.outputs.map_picture import centred_legend, legend_room
-from mavnav.outputs.plot import Line, Mark, arrow, circle
+from mavnav.outputs.plot import Line, Mark, arrow, centred_legend, circle, legend_room
 from mavnav.outputs.viewport import INK, MUTED, PATH_GREY, POSE_MAGENTA, Window, wall_lines, window_around
 from mavnav.pose import transform_points
 

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct
 
 from mavnav.outputs.canvas import POINT, SMOOTH, Canvas, font, on_mask
-from mavnav.outputs.viewport import MUTED
+from mavnav.outputs.viewport import INK, MUTED
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -222,9 +222,26 @@ def legend(canvas: Canvas, marks: Sequence[Sign], y: int, left: float, size_pt: 
         left += legend_width([mark], size_pt)
 
 
+def centred_legend(canvas: Canvas, marks: Sequence[Sign]) -> None:
+    """Name the marks in the middle of the lower edge of a picture."""
+    legend(canvas, marks, canvas.image.height - 28, (canvas.image.width - legend_width(marks)) / 2.0)
+
+
+def legend_room(marks: Sequence[Sign]) -> int:
+    """Return how wide a picture is at least whose legend is whole."""
+    return ceil(legend_width(marks)) + 20
+
+
 def legend_width(marks: Sequence[Sign], size_pt: float = 8.5) -> float:
     """Return how long the row of a legend is."""
     return float(sum(54 + font(size_pt).getlength(mark.name) for mark in marks))
+
+
+def heading(canvas: Canvas, title: str, subtitle: str, title_pt: float = 12.0) -> None:
+    """Write the title of a picture, and below it what one has to know of it, in one or two lines."""
+    middle = canvas.image.width / 2
+    canvas.text((middle, 26), title, title_pt, INK, bold=True)
+    canvas.text((middle, 74), subtitle, 8.5, MUTED)
 
 
 def ticks(low: float, high: float, most: int = 9) -> list[float]:

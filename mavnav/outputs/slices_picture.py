@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw
 from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, occupancy
 from mavnav.outputs.canvas import Canvas, ramp, rgb_of, stroke
 from mavnav.outputs.map_axes import END, START
-from mavnav.outputs.plot import Line, legend, legend_width, stamp
+from mavnav.outputs.plot import Line, centred_legend, heading, stamp
 from mavnav.outputs.viewport import FREE_GREY, INK, MUTED, POSE_MAGENTA
 
 if TYPE_CHECKING:
@@ -90,8 +90,7 @@ def write(run: Run, path: Path) -> None:
     canvas.image.paste(drawn, (MARGIN // 2, TITLE))
     _draw_scale(canvas, blocks.levels_m)
     _mark_ends(canvas, view, run.slices.path_m)
-    canvas.text((canvas.image.width / 2, 26), run.name, 12.0, INK, bold=True)
-    canvas.text((canvas.image.width / 2, 74), _subtitle(run.slices), 8.5, MUTED)
+    heading(canvas, run.name, _subtitle(run.slices))
     canvas.save(path)
 
 
@@ -177,7 +176,7 @@ def _meter_lines(x: Floats, y: Floats, free: NDArray[np.bool_]) -> Iterator[tupl
 def _draw_columns(draw: Any, view: _View, blocks: _Blocks) -> None:  # noqa: ANN401  Pillow's
     """Draw the faces of the blocks that are seen, the farthest block first and from below."""
     (x, y), z, walls = _corners(blocks), blocks.levels_m, np.pad(blocks.walls, 1)
-    colours = HEIGHTS[np.linspace(0, len(HEIGHTS) - 1, len(z) - 1).round().astype(int)].astype(float)
+    colours = _colours(len(z) - 1).astype(float)
     found = np.argwhere(blocks.walls)
     for k, row, col in found[np.lexsort((found[:, 0], found[:, 2], -found[:, 1]))].tolist():
         x0, x1, y0, y1, z0, z1 = x[col], x[col + 1], y[row], y[row + 1], z[k], z[k + 1]
@@ -190,6 +189,12 @@ def _draw_columns(draw: Any, view: _View, blocks: _Blocks) -> None:  # noqa: ANN
             )
         if not walls[at[0] + 1, at[1], at[2]]:
             _area(draw, view, [(x0, y0, z1), (x1, y0, z1), (x1, y1, z1), (x0, y1, z1)], _shaded(colours[k], 1.0))
+
+
+def _colours(levels: int) -> NDArray[np.uint8]:
+    """Return the colours of the slices (levels, 3), the lowest first."""
+    colours: NDArray[np.uint8] = HEIGHTS[np.linspace(0, len(HEIGHTS) - 1, levels).round().astype(int)]
+    return colours
 
 
 def _shaded(colour: Floats, shade: float) -> tuple[int, ...]:
@@ -214,8 +219,7 @@ def _mark_ends(canvas: Canvas, view: _View, path_m: Floats) -> None:
     for mark, end in ((START, path_m[0]), (END, path_m[-1])):
         x, y = (view(end) / SMOOTH).round().astype(int).tolist()
         stamp(canvas, mark, MARGIN // 2 + x, TITLE + y)
-    marks = (PATH, START, END)
-    legend(canvas, marks, canvas.image.height - 28, (canvas.image.width - legend_width(marks)) / 2.0)
+    centred_legend(canvas, (PATH, START, END))
 
 
 def _draw_scale(canvas: Canvas, levels_m: Floats) -> None:
@@ -224,7 +228,7 @@ def _draw_scale(canvas: Canvas, levels_m: Floats) -> None:
     left, top = canvas.image.width - SCALE + 70, TITLE + MARGIN // 2
     box = (left, top, left + 24, top + height)
     n = len(levels_m) - 1
-    canvas.gradient(box, HEIGHTS[np.linspace(0, len(HEIGHTS) - 1, n).round().astype(int)], upwards=True)
+    canvas.gradient(box, _colours(n), upwards=True)
     for k in range(0, n + 1, max(-(-n // 10), 1)):
         canvas.text((left + 32, top + height * (1 - k / n)), f"{levels_m[k]:.2f}", 7.5, INK, "lm")
     canvas.text((left - 24, top + height / 2), "height above the floor [m]", 7.5, INK, upright=True)

@@ -6,17 +6,15 @@ A new file is one function ``(Run, Path) -> None`` and one line in `WRITERS`.
 from __future__ import annotations
 
 from functools import partial
-from hashlib import file_digest, sha256
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.atomic_files import sync
 from mavnav.errors import UsageError
 from mavnav.memory import release_free_memory
-from mavnav.outputs.directory import RUN_FILE, check_directory, staged
+from mavnav.outputs.directory import RUN_FILE, file_sha256, staged
 from mavnav.outputs.document import plain, run_document, to_json, with_picture, write_metrics
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
-from mavnav.outputs.run import Run, Timing, Truth
 from mavnav.outputs.sessions import recording_file, trajectory_file, write_poses, write_scans
 from mavnav.outputs.slices_files import slice_files, write_slice
 from mavnav.outputs.trajectory import (
@@ -33,8 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection
     from pathlib import Path
 
-__all__ = ["WRITERS", "Run", "Timing", "Truth", "check_directory", "to_json", "write_page", "write_run"]
-
+    from mavnav.outputs.run import Run
 
 REPORT_FILE: Final = "report.html"
 
@@ -167,5 +164,4 @@ def _write(write: Callable[[Run, Path], None], run: Run, path: Path) -> str:
         release_free_memory()
         write(run, path)
         sync(path)
-        with path.open("rb") as file:
-            return file_digest(file, sha256).hexdigest()
+        return file_sha256(path)

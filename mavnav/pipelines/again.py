@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct, ValidationError, convert
 
 from mavnav import __version__
+from mavnav.config.layers import by_dotted_key
 from mavnav.config.loading import load_config, validated
 from mavnav.config.named_files import read_json
 from mavnav.errors import ConfigError, UsageError
@@ -242,20 +243,13 @@ def _base(options: Options, config: Config) -> Config:
 
 def changed_values(config: Config, base: Config) -> dict[str, Any]:
     """Return the method, and the values of a configuration by dotted keys that differ from those of another one."""
-    default, own = dict(_flat(base.document())), dict(_flat(config.document()))
+    default, own = by_dotted_key(base.document()), by_dotted_key(config.document())
     return {key: value for key, value in own.items() if key == "method" or value != default[key]}
 
 
 def _written(value: object) -> str:
     """Write a value as YAML; a plain word without quotes, which a shell would need quotes for."""
     return value if isinstance(value, str) and _WORD.fullmatch(value) else json.dumps(value)
-
-
-def _flat(section: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    pairs: list[tuple[str, Any]] = []
-    for key, value in section.items():
-        pairs += _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else [(prefix + key, value)]
-    return pairs
 
 
 def _joined(pose: GivenPose | None) -> str | None:

@@ -21,29 +21,25 @@ from mavnav.outputs.document import to_json
 from mavnav.outputs.single_file import check_file, write_file
 from mavnav.outputs.summary_page import calibration_summary, drawn, write_summary
 from mavnav.pipelines.calibration_lines import option_of, reading_options, replay_line, transform_line
+from mavnav.scan import LONGEST_SWEEP
 from mavnav.slam import beam_order
 from mavnav.slam.pipeline import MEASURING, run_slam
 from mavnav.slam.registry import load_kernels
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from mavnav.config.models import Config
     from mavnav.logs import Log
     from mavnav.metrics.calibration.motion import Motions
     from mavnav.metrics.calibration.quantities import Quantity
+    from mavnav.profiling import Progress
     from mavnav.slam.result import SlamResult
-
-    Progress = Callable[[str, int, int | None], None]
 
 SCHEMA_VERSION: Final = 1
 
 RANGE_BIAS: Final = "an additive bias of all ranges moves the walls, not the track; measure a known distance"
-
-LONGEST_SWEEP: Final = 1.2
-"""A sweep that takes more periods is no sweep: the time between beams is wrong."""
 
 
 class CalibrationRequest(Struct, frozen=True):
@@ -126,10 +122,9 @@ def _opened(request: CalibrationRequest, progress: Progress) -> Log:
 
 def _motions(log: Log, outcome: SlamResult) -> Motions:
     assert log.odometry  # noqa: S101  checked by `_opened`
-    sweep_s = abs(log.sensor.time_increment_s) * log.sensor.beams
-    return motions_of(
-        outcome.trajectory, log.odometry.odom_T_base, sweep_s if sweep_s <= LONGEST_SWEEP * log.period_s else 0.0
-    )
+    sweep_s = log.sensor.sweep_s
+    sweep_s = sweep_s if sweep_s <= LONGEST_SWEEP * log.period_s else 0.0
+    return motions_of(outcome.trajectory, log.odometry.odom_T_base, sweep_s)
 
 
 def _doubtful(outcome: SlamResult) -> str:

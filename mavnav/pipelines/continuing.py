@@ -21,19 +21,18 @@ from mavnav.slam.joining.merged_map import merged_map, trajectories
 from mavnav.slam.joining.session import make_session
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from mavnav.config.models import Config
     from mavnav.logs import Log
     from mavnav.mapping.occupancy_grid import Grid
     from mavnav.pipelines.sessions import FinishedRun
+    from mavnav.profiling import Progress
     from mavnav.scan import Scan
     from mavnav.slam.joining.group import Group
     from mavnav.slam.joining.session import Session
     from mavnav.slam.result import SlamResult
-
-    Progress = Callable[[str, int, int | None], None]
 
 ANY_PAUSE_S: Final = np.inf
 """However long after the end of a run a log begins, it is tried there: the robot may have been switched off."""

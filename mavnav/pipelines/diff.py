@@ -10,10 +10,10 @@ from msgspec import Struct
 from mavnav import __version__
 from mavnav.config.models import Config
 from mavnav.errors import ExitCode, UsageError
-from mavnav.ground_truth.map_file import map_files, occupied_xy_m, read_map
+from mavnav.ground_truth.map_file import map_files, read_map
 from mavnav.kernels import raycast  # noqa: F401  it is compiled with the others
 from mavnav.kernels.building import prepare
-from mavnav.mapping.occupancy_grid import known_part
+from mavnav.mapping.occupancy_grid import known_part, occupied_xy_m
 from mavnav.metrics.map_difference import View, difference
 from mavnav.outputs import difference_picture
 from mavnav.outputs.directory import check_apart
@@ -29,9 +29,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.metrics.map_difference import Difference
+    from mavnav.profiling import Progress
     from mavnav.slam.map_alignment import Alignment
-
-    Progress = Callable[[str, int, int | None], None]
 
 SCHEMA_VERSION: Final = 1
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from msgspec import Struct
@@ -11,11 +10,12 @@ from msgspec.structs import replace
 from mavnav import __version__
 from mavnav.config.named_files import read_json
 from mavnav.errors import MavnavError, UsageError, reason_of
-from mavnav.ground_truth.map_file import occupied_xy_m, read_map
+from mavnav.ground_truth.map_file import read_map
 from mavnav.ground_truth.references import References, check_times, compared
 from mavnav.ground_truth.tables import read_tum
 from mavnav.kernels.building import prepare
 from mavnav.logs import open_log
+from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.ghost_walls import GhostWall
 from mavnav.metrics.journey import Journey
@@ -34,15 +34,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from mavnav.mapping.occupancy_grid import Grid
+    from mavnav.profiling import Progress
 
 SCHEMA_VERSION: Final = 1
 NEEDED_FILES: Final = ("hits.npz", "trajectory.tum", "result.mcap")
 """Files of a run that are measured, besides its document."""
 LATE_S: Final = 1e-3
 """Times are written in s to about 1 us."""
-
-Progress = Callable[[str, int, int | None], None]
-"""What is being done, how much of it is done, how much there is."""
 
 Place = TypeVar("Place", GhostWall, Wall)
 

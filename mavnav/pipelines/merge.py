@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property
-from hashlib import sha256
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
@@ -28,7 +26,7 @@ from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import Grid, known_part, occupancy
 from mavnav.outputs import merged_picture
-from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, check_directory, staged
+from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, check_directory, file_sha256, staged
 from mavnav.outputs.document import plain, to_json
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
 from mavnav.outputs.sessions import evidence, recording_file, trajectory_file, write_poses, write_scans
@@ -50,6 +48,7 @@ if TYPE_CHECKING:
 
     from mavnav.config.models import Config
     from mavnav.pose import Pose, Trajectory
+    from mavnav.profiling import Progress
     from mavnav.slam.joining.group import Group
     from mavnav.slam.joining.session import Session
 
@@ -59,8 +58,6 @@ TRACKING: Final = ("lost", "tracked_share", "intervals", "doubt")
 
 OF_LOGS: Final = (ExitCode.DAMAGED_INPUT, ExitCode.TRACKING_LOST)
 """Exit codes of a run that a merge takes over."""
-
-Progress = Callable[[str, int, int | None], None]
 
 
 class MergeRequest(Struct, frozen=True):
@@ -216,7 +213,7 @@ def _write(request: MergeRequest, drawn: MergedMap, members: list[Session], docu
             write_scans(session.scans(), folder / recording_file(session.name))
         if request.report:
             write_summary(merge_summary(document, (folder / "map.png").read_bytes()), folder / REPORT_FILE)
-        digests = {file.name: sha256(file.read_bytes()).hexdigest() for file in sorted(folder.iterdir())}
+        digests = {file.name: file_sha256(file) for file in sorted(folder.iterdir())}
         document = document | {"outputs": digests, "exit_code": document["exit_code"]}
         (folder / MERGE_FILE).write_text(to_json(document), encoding="utf-8")
     return document

@@ -7,25 +7,22 @@ from contextlib import AbstractContextManager, nullcontext
 from itertools import takewhile
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, field
 from msgspec.structs import replace as changed
 
 from mavnav.config.models import OdometryConfig
 from mavnav.errors import ExitCode, StoppedError, UsageError
-from mavnav.ground_truth.map_file import map_files, occupied_xy_m
-from mavnav.ground_truth.references import check_times, compared, load_references
+from mavnav.ground_truth.map_file import map_files
+from mavnav.ground_truth.references import compared, load_references
 from mavnav.ground_truth.topics import truth_text
 from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import log_name
-from mavnav.mapping.occupancy_grid import known_part, measured_part
-from mavnav.mapping.slices import placed_with_heights, sliced
+from mavnav.mapping.occupancy_grid import occupied_xy_m
 from mavnav.memory import release_free_memory
 from mavnav.metrics.fields import ABSENT
-from mavnav.metrics.journey import Journey
-from mavnav.metrics.map_quality import measure_map
-from mavnav.metrics.trajectory_error import MAX_GAP_NS, position_errors
+from mavnav.metrics.trajectory_error import position_errors
 from mavnav.outputs.directory import check_directory
 from mavnav.outputs.provenance import Typed, provenance, utc_now
 from mavnav.outputs.run import Run, Timing
@@ -33,11 +30,13 @@ from mavnav.outputs.run_json import GivenPose, Options
 from mavnav.outputs.writers import check_groups, write_run
 from mavnav.pipelines.again import replay_words
 from mavnav.pipelines.localising import known_map, localisation
+from mavnav.pipelines.map_references import check_references, references_in_map
+from mavnav.pipelines.measuring import map_slices_of, measured_map
 from mavnav.pose import Pose
-from mavnav.profiling import Stage, new_profile, timed
+from mavnav.profiling import Progress, Stage, new_profile, timed
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.registry import load_kernels, uses_odometry
-from mavnav.units import DEG, MM
+from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,8 +44,6 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.ground_truth.references import References
     from mavnav.logs import Log
-    from mavnav.mapping.slices import PlacedScan, Slices
-    from mavnav.metrics.map_quality import MeasuredMap
     from mavnav.outputs.run_json import Provenance
     from mavnav.pipelines.continuing import Continuation
     from mavnav.pipelines.sessions import FinishedRun
@@ -58,9 +55,6 @@ if TYPE_CHECKING:
 
 Stop = Callable[[], ExitCode | None]
 """Called between two scans: returns the exit code to end with, None to go on."""
-
-Progress = Callable[[str, int, int | None], None]
-"""What is being done, how much of it is done, how much there is or None."""
 
 
 class ReplayRequest(Struct, frozen=True):
@@ -118,6 +112,11 @@ class Given(Struct, frozen=True):
     run: FinishedRun | None = None
     earlier: tuple[Session, ...] = ()
 
+    @property
+    def own_frame(self) -> bool:
+        """Whether the map is in a frame of its own, not in that of a map or run that is given."""
+        return self.known is None and self.run is None
+
 
 def _to_continue(request: ReplayRequest) -> tuple[FinishedRun | None, tuple[Session, ...]]:
     """Read the run to be continued, and its sessions; raises UsageError for what is none."""
@@ -145,12 +144,6 @@ def _never() -> None:
     """Stop for nothing."""
 
 
-NO_WALLS: Final = (
-    "the map begins after the first scan of the mission, to which the walls of the scenario are relative: "
-    "it is not compared with them"
-)
-
-
 def _unstoppable() -> AbstractContextManager[Stop]:
     return nullcontext(_never)
 
@@ -172,9 +165,8 @@ def replay_log(
     check_log(request.log, request.start_s, request.end_s)
     check_groups(request.outputs or ())
     check_directory(request.directory, force=request.force, inputs=request.inputs)
-    references = load_references(request.truth, request.truth_map, request.relations)
     given = Given(
-        references,
+        load_references(request.truth, request.truth_map, request.relations),
         known_map(request.map, request.start_pose, request.config.method),
         replay_provenance(request),
         *_to_continue(request),
@@ -183,14 +175,8 @@ def replay_log(
     log = _open(request, progress)
     if request.log_sha256 not in {None, log.sha256}:
         raise UsageError(f"{request.log}: changed since it was first read; run again once it is complete")
-    check_times(with_recorded_truth(given.references, log, None), log.first_ns, log.last_ns)
-    given_map = request.map is not None or request.continue_from is not None
-    if request.start_s and references.of_first_scan and not given_map:
-        raise UsageError(
-            f"{request.truth_map}: the walls of a scenario are relative to the first scan of the mission; "
-            "leave out --start, or give the true walls as a map file in the frame of the map"
-        )
-    compiled_s, compiled_cpu_s = _compiled(request.config, progress, rare=given_map)
+    check_references(given.references, log, request.truth_map, request.start_s, own_frame=given.own_frame)
+    compiled_s, compiled_cpu_s = _compiled(request.config, progress, rare=not given.own_frame)
     began = Timing(wall_s + compiled_s, cpu_s + compiled_cpu_s, compile_s + compiled_s, stages)
     with stoppable() as stop:
         return _mapped(request, log, given, progress, stop, began)
@@ -235,18 +221,6 @@ def _text(path: Path | None) -> str | None:
     return None if path is None else str(path)
 
 
-def with_recorded_truth(references: References, log: Log, begin_ns: int | None) -> References:
-    """Add the truth that the log holds, if it was asked for, in the map frame: that of the scan which begins the map.
-
-    Where that scan is unknown, or has no truth, it stays in its own frame.
-    """
-    if log.truth is None:
-        return references
-    truth = log.truth.world_T_laser
-    first = None if begin_ns is None else truth.at(begin_ns, MAX_GAP_NS)
-    return changed(references, truth=truth.seen_from(first.inverse()) if first else truth)
-
-
 def _mapped(
     request: ReplayRequest,
     log: Log,
@@ -264,11 +238,8 @@ def _mapped(
     continuation = _continued(outcome, log, given, request.config, progress, stopped=stopped is not None)
     outcome = continuation.outcome if continuation else outcome
     progress("measuring", 0, None)
-    own_frame = given.known is None and given.run is None
-    references = with_recorded_truth(given.references, log, outcome.begin_ns if own_frame else None)
-    if references.of_first_scan and own_frame and outcome.begin_ns not in {None, log.first_ns}:
-        references = changed(references, true_map=None)
-        outcome = changed(outcome, warnings=(*outcome.warnings, NO_WALLS))
+    references, warnings = references_in_map(given.references, log, outcome.begin_ns if given.own_frame else None)
+    outcome = changed(outcome, warnings=(*outcome.warnings, *warnings))
     measured = measured_map(outcome, log)
     timing = changed(began, wall_s=perf_counter() - began.wall_s, cpu_s=process_time() - began.cpu_s)
     slices = map_slices_of(outcome, log, request.config)
@@ -305,28 +276,6 @@ def _continued(
 
     with Stage("joining"):
         return continued_run(given.run, given.earlier, outcome, log, config, progress, stopped=stopped)
-
-
-@timed("measuring")
-def measured_map(outcome: SlamResult, log: Log) -> MeasuredMap:
-    """Measure the known part of the map of a run, with the scans behind it."""
-    journey = Journey(
-        outcome.trajectory, log.scans, outcome.tracked_share, outcome.lost_for_good, planar=outcome.planar
-    )
-    return measure_map(measured_part(outcome.grid), journey)
-
-
-def map_slices_of(outcome: SlamResult, log: Log, config: Config) -> Slices | None:
-    """Cut the map of a run into slices by height; None where the height of the laser is not known, or hardly varies."""
-    attitude = log.attitude
-    if attitude is None or not attitude.has_heights:
-        return None
-
-    def placed() -> Iterator[PlacedScan]:
-        return placed_with_heights(log.scans(), outcome.trajectory, attitude.height_at)
-
-    with Stage("slices"):
-        return sliced(placed, known_part(outcome.grid), config.slice_mm * MM)
 
 
 def _open(request: ReplayRequest, progress: Progress) -> Log:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,7 +12,7 @@ from mavnav.errors import NoScansError, UsageError
 from mavnav.ground_truth.tables import read_tum
 from mavnav.logs import open_log
 from mavnav.logs.formats.detect import log_name
-from mavnav.outputs.directory import MERGE_FILE, RUN_FILE
+from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, file_sha256
 from mavnav.outputs.sessions import recording_file, trajectory_file
 from mavnav.slam.doubt.record import HIGH
 from mavnav.slam.joining.session import make_session
@@ -91,9 +90,8 @@ class FinishedRun(Struct, frozen=True):
         path = self.directory / name
         if digest is None or not path.is_file():
             raise UsageError(f"it has no {name}")
-        with path.open("rb") as file:
-            if file_digest(file, sha256).hexdigest() != digest:
-                raise UsageError(f"{name} has been altered since it was written")
+        if file_sha256(path) != digest:
+            raise UsageError(f"{name} has been altered since it was written")
 
 
 def _merged(row: dict[str, Any]) -> Stored:

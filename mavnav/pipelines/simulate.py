@@ -15,22 +15,21 @@ from msgspec.structs import asdict, replace
 
 from mavnav.atomic_files import short_name, temporary_folder
 from mavnav.errors import NoScansError, UsageError
-from mavnav.ground_truth.map_file import occupied_xy_m
 from mavnav.ground_truth.references import LEAST_POSES, References, compared
 from mavnav.ground_truth.true_map import of_scenario
 from mavnav.logs import open_log
 from mavnav.logs.writing.recorder import Recording, check_recording, record
-from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.metrics.trajectory_error import absolute_error, align, position_errors
+from mavnav.mapping.occupancy_grid import GridBuilder, occupied_xy_m
+from mavnav.metrics.trajectory_error import absolute_error, position_errors
 from mavnav.outputs.animation import animate, check_animation
 from mavnav.outputs.directory import check_apart, check_directory, check_parent
 from mavnav.outputs.provenance import Typed, provenance, utc_now
 from mavnav.outputs.run import Mission, Run, Timing, Truth, WallShapes
 from mavnav.outputs.run_json import MissionResult, TruthErrors
 from mavnav.outputs.writers import WRITERS, check_groups, write_run
-from mavnav.pipelines.replay import Progress, map_slices_of, measured_map
-from mavnav.pose import Pose
-from mavnav.profiling import new_profile
+from mavnav.pipelines.measuring import map_slices_of, measured_map
+from mavnav.pose import Pose, rigid_fit
+from mavnav.profiling import Progress, new_profile
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.vehicle import mid_sweep_s
 from mavnav.simulation.world.laser import EDGE_M
@@ -230,7 +229,7 @@ def truth_errors(flight: Flight) -> TruthErrors:
         return TruthErrors(len(estimate))
     aligned = absolute_error(estimate.xyyaw[:, :2], truth[:, :2])
     plain = absolute_error(estimate.xyyaw[:, :2], truth[:, :2], aligned=False)
-    motion = align(estimate.xyyaw[:, :2], truth[:, :2])
+    motion = rigid_fit(estimate.xyyaw[:, :2], truth[:, :2])
     last, true = estimate[len(estimate) - 1], Pose(*map(float, truth[-1]))
     error = true.between(last)
     wall, true_wall = wall_distances_m(flight, last, true)

@@ -26,7 +26,7 @@ from mavnav.slam.tracker import track
 from mavnav.units import MM, NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from mavnav.simulation.world.shapes import XY
     from mavnav.slam.result import SlamResult
     from mavnav.slam.steps import Step
+    from mavnav.slam.track import OnStep
 
 
 class End(StrEnum):
@@ -87,7 +88,7 @@ class Flight(Struct, frozen=True):
     attitudes: tuple[Attitude, ...] = ()
 
 
-def fly(scenario: Scenario, on_step: Callable[[str, int], None] | None = None) -> Flight:
+def fly(scenario: Scenario, on_step: OnStep | None = None) -> Flight:
     """Fly a mission until its goal is reached or lost; every number of it follows from the scenario and its seed.
 
     The pilot sees the estimated pose and the map built so far, never the truth.
@@ -226,12 +227,12 @@ def _closest_m(scenario: Scenario, poses: list[Pose]) -> float:
 
 def _visited(xy_m: NDArray[np.float64], places: Sequence[XY], within_m: float) -> bool:
     """Return whether the straight path through points (n, 2) passes all places in order, each within a distance."""
-    before, way = np.vstack((xy_m[:1], xy_m[:-1])), np.diff(xy_m, axis=0, prepend=xy_m[:1])
-    squared = np.maximum((way**2).sum(axis=1), np.finfo(np.float64).tiny)
+    before, moves = np.vstack((xy_m[:1], xy_m[:-1])), np.diff(xy_m, axis=0, prepend=xy_m[:1])
+    squared = np.maximum((moves**2).sum(axis=1), np.finfo(np.float64).tiny)
     step = 0
     for place in places:
-        share = np.clip(((place - before) * way).sum(axis=1) / squared, 0.0, 1.0)
-        near = np.hypot(*(before + share[:, None] * way - place).T) <= within_m
+        share = np.clip(((place - before) * moves).sum(axis=1) / squared, 0.0, 1.0)
+        near = np.hypot(*(before + share[:, None] * moves - place).T) <= within_m
         if not near[step:].any():
             return False
         step += int(near[step:].argmax())

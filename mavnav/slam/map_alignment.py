@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mavnav.mapping.line_map import LineMap
-from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, GridBuilder, occupancy
-from mavnav.pose import Pose, transform_points
+from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, Grid, GridBuilder, cell_centres, occupancy
+from mavnav.pose import Pose, rigid_fit, transform_points
 from mavnav.slam.localization import MAP_CANDIDATES
 from mavnav.slam.parts import consensus
 from mavnav.slam.relocalization import AMBIGUITY_MARGIN, apart, around, candidates, everywhere, unambiguous
@@ -113,12 +113,7 @@ class _Target:
 
 def fitted(pairs: list[Placed]) -> Pose:
     """Return the transform from the positions of the first poses to those of the second, by least squares."""
-    first, second = (np.array([pair[k][:2] for pair in pairs]) for k in (0, 1))
-    p, q = first - first.mean(axis=0), second - second.mean(axis=0)
-    turned_rad = np.arctan2((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum(), (p * q).sum())
-    turn = Pose(0.0, 0.0, float(turned_rad))
-    x_m, y_m = second.mean(axis=0) - transform_points(turn, first.mean(axis=0)[None])[0]
-    return Pose(float(x_m), float(y_m), turn.yaw_rad)
+    return rigid_fit(*(np.array([pair[k][:2] for pair in pairs]) for k in (0, 1)))
 
 
 def virtual_scans(known: PriorMap, config: Config) -> list[tuple[Pose, NDArray[np.float64]]]:
@@ -141,7 +136,7 @@ def viewpoints(grid: Grid, free: NDArray[np.bool_]) -> NDArray[np.float64]:
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  takes 0.1 s to load
 
     row, col = np.nonzero(distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] * grid.cell_m >= CLEARANCE_M)
-    xy_m = _sample((np.column_stack((col, row)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m))
+    xy_m = _sample(cell_centres(grid, row, col))
     chosen, away_m = list[int](), np.full(len(xy_m), np.inf)
     for _ in range(min(VIEWPOINTS, len(xy_m))):
         chosen.append(int(np.argmax(away_m)))

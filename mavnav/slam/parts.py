@@ -77,7 +77,7 @@ def lost_for_good(steps: Steps, lost: Sequence[LostInterval], parts: Sequence[Pa
 
 def with_lost_parts(track: Track) -> Track:
     """Track the lost stretches of a log that was lost for good on separate maps; join them where possible."""
-    if track.refiner is None or not track.refiner.builds_map:
+    if not track.builds_map:
         return track
     found = lost_parts(track) if lost_for_good(track.steps, list(lost_intervals(track.steps))) else []
     largest = max([track, *found], key=accepted)
@@ -94,7 +94,7 @@ def without_late_poses(track: Track) -> Track:
     Only the scans before it are tracked again; `with_lost_parts` tracks the others, and joins them if several agree. A
     log that is lost for good is left as it is: that is said anyway.
     """
-    if track.refiner is None or not track.refiner.builds_map or track.motion.has_odometry:
+    if not track.builds_map or track.motion.has_odometry:
         return track
     if lost_for_good(track.steps, list(lost_intervals(track.steps))):
         return track
@@ -213,7 +213,13 @@ def spread_out(part: list[Step], most: int = SEARCHED_SCANS) -> list[Step]:
     for step in part:
         if all(apart(step.match.map_T_laser, other.match.map_T_laser) for other in places):
             places.append(step)
-    return [places[k] for k in np.unique(np.linspace(0, len(places) - 1, most).astype(int))] if places else []
+    return [places[k] for k in evenly(len(places), most)]
+
+
+def evenly(count: int, most: int) -> list[int]:
+    """Choose numbers below a count, so many at most, at even distances."""
+    numbers: list[int] = np.unique(np.linspace(0, count - 1, most).astype(int)).tolist()
+    return numbers if count else []
 
 
 def consensus(found: list[tuple[Pose, Pose]]) -> Pose | None:

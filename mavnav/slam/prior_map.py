@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct
 
-from mavnav.mapping.occupancy_grid import Grid, counts, occupied_cells
+from mavnav.mapping.occupancy_grid import Grid, counts, occupied_xy_m
 from mavnav.pose import Pose, transform_points
 
 if TYPE_CHECKING:
@@ -37,9 +37,7 @@ def prior_map_of(grid: Grid, map_T_grid: Pose, start: Pose | None = None) -> Pri
 
     Each new cell is a copy of the old one at its centre.
     """
-    rows, cols = occupied_cells(grid).T
-    walls_xy_m = (np.column_stack((cols, rows)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
-    return PriorMap(_upright(grid, map_T_grid), transform_points(map_T_grid, walls_xy_m), start)
+    return PriorMap(_upright(grid, map_T_grid), transform_points(map_T_grid, occupied_xy_m(grid)), start)
 
 
 def _upright(grid: Grid, map_T_grid: Pose) -> Grid:

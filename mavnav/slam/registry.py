@@ -11,9 +11,8 @@ from mavnav.slam.paper import Paper
 from mavnav.slam.robust import Robust
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from mavnav.config.models import Config
+    from mavnav.profiling import Progress
     from mavnav.slam.method import Method
     from mavnav.slam.prior_map import PriorMap
 
@@ -36,7 +35,7 @@ RARE_KERNELS: Final = ("cost_floors", "free_cells", "height_slices", "lowest_pos
 """Modules that only loops, lost scans, slices and given maps need: compiled in 5 s when first used, or by warmup."""
 
 
-def load_kernels(config: Config, progress: Callable[[str, int, int | None], None], *, rare: bool = False) -> None:
+def load_kernels(config: Config, progress: Progress, *, rare: bool = False) -> None:
     """Compile missing kernels of the imported modules, except those of other methods, and rare ones unless asked for.
 
     ``progress`` is called while kernels are compiled, which happens once on a machine.

@@ -25,7 +25,7 @@ COARSER = 4 / 3
 
 def with_coarser_voxels(track: Track) -> Track:
     """Track again with coarser voxels where scans are sparse; keep the sharper of the two maps."""
-    if track.refiner is None or not track.refiner.builds_map or not has_sparse_scans(track.steps):
+    if not track.builds_map or not has_sparse_scans(track.steps):
         return track
     other = track.again(replace(track, config=track.config.with_voxels(COARSER)))
     if other is None:

@@ -102,7 +102,7 @@ def _late_warnings(track: Track, parts: Sequence[Part], lost: Sequence[LostInter
     if track.prior_map is None:
         yield from pause_warnings(track.steps, track.motion)
         yield from blind_warnings(track.steps, track.motion)
-    if track.refiner and track.refiner.builds_map:
+    if track.builds_map:
         yield from scattered_warnings(track.steps, lost)
         yield from few_beams_warnings(track.steps, odometry=track.motion.odometry is not None)
 

@@ -13,6 +13,7 @@ from mavnav.mapping.line_map import LineMap
 from mavnav.mapping.occupancy_grid import GridBuilder
 from mavnav.pose import Pose
 from mavnav.profiling import timed
+from mavnav.scan import LONGEST_SWEEP
 from mavnav.slam.acceptance import FOUND_CONFLICTS, Acceptance
 from mavnav.slam.budget import WHOLE_EACH, WHOLE_FIRST, WIDE_EACH, WIDE_FIRST, WIDE_MOST, Budget, search_work
 from mavnav.slam.degeneracy import LEAST_OBSERVABILITY
@@ -343,7 +344,8 @@ class Robust:
         if last and last[0] is scan and last[1] is motion:
             return last[2]
         spec, twist, increment_s = scan.spec, AT_REST, 0.0
-        longest = 1.2 if scan.times_s is None else 2.2  # one of several merged lasers may start half a period later
+        # One of several merged lasers may start half a period later.
+        longest = LONGEST_SWEEP if scan.times_s is None else LONGEST_SWEEP + 1.0
         if self.config.robust.deskew != "off" and motion and scan.sweep_s <= longest * motion.period_s:
             twist, increment_s = np.array(motion.twist_at(scan.stamp_ns)), spec.time_increment_s
         seen = (scan.ranges_m, spec.directions) if scan.times_s is None else scan.seen_at_mid_sweep(twist)

@@ -77,6 +77,11 @@ class Track(Struct, frozen=True):
         """Refiner for the passes after tracking; None if the method has none, or in causal mode."""
         return self.method.refiner if self.config.final_pass else None
 
+    @property
+    def builds_map(self) -> bool:
+        """Whether passes after tracking may change the map: they run, and the map is not given."""
+        return self.refiner is not None and self.refiner.builds_map
+
     def with_warning(self, text: str) -> Track:
         """Return the track with one more warning for the user."""
         return replace(self, warnings=(*self.warnings, text))

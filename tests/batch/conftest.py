@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -37,3 +39,10 @@ def home(finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     copy = Path(shutil.copytree(finished, tmp_path / "home"))
     monkeypatch.chdir(copy)
     return copy
+
+
+@pytest.fixture
+def document(home: Path) -> dict[str, Any]:
+    """Return batch.json of the batch there."""
+    loaded: dict[str, Any] = json.loads(Path("runs/batch/batch.json").read_text())
+    return loaded

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +12,6 @@ import xmlschema
 from mavnav.batch.junit import to_junit
 
 SCHEMA = xmlschema.XMLSchema(Path(__file__).with_name("junit.xsd"))
-
-
-@pytest.fixture
-def document(home: Path) -> dict[str, Any]:
-    loaded: dict[str, Any] = json.loads(Path("runs/batch/batch.json").read_text())
-    return loaded
 
 
 def read(text: str) -> junitparser.JUnitXml:

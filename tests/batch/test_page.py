@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import io
-import json
 import re
 from base64 import b64decode, b64encode
 from hashlib import sha256
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -17,44 +15,7 @@ from PIL import Image
 
 from mavnav.batch.page import to_page
 from mavnav.batch.thumbnail import MAX_PIXELS, thumbnail
-
-VOID = {"meta", "link", "img", "input"}
-
-
-class Page(HTMLParser):
-    """Every tag with its attributes, the rows with their words, and whether the tags close one another."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.open: list[str] = []
-        self.rows: list[str] = []
-        self.feed(text)
-        self.close()
-        assert self.open == []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-        if tag == "tr":
-            self.rows.append("")
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if "tbody" in self.open:
-            self.rows[-1] += data
-
-    def all(self, tag: str) -> list[dict[str, str | None]]:
-        return [attrs for name, attrs in self.tags if name == tag]
-
-
-@pytest.fixture
-def document(home: Path) -> dict[str, Any]:
-    loaded: dict[str, Any] = json.loads(Path("runs/batch/batch.json").read_text())
-    return loaded
+from support.html_page import Page
 
 
 def test_a_batch_leaves_its_page_worst_first(home: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +9,6 @@ import pytest
 
 from mavnav.batch.summary import MAX_ROWS, github_commands, to_summary
 from mavnav.cli import run
-
-
-@pytest.fixture
-def document(home: Path) -> dict[str, Any]:
-    loaded: dict[str, Any] = json.loads(Path("runs/batch/batch.json").read_text())
-    return loaded
 
 
 def table(text: str) -> list[list[str]]:

@@ -13,7 +13,6 @@ from mavnav.batch.document import BATCH_FILE
 from mavnav.commands import check as command
 from mavnav.comparison.files import COMPARISON_FILE
 from mavnav.errors import ExitCode
-from mavnav.outputs.directory import RUN_FILE
 
 RUN = {"exit_code": 0, "scans": {"accepted": 100}, "tracking": {"intervals": []}}
 
@@ -160,5 +159,4 @@ def test_nothing_there(mavnav: Callable, home: Path) -> None:
 
 
 def test_the_files_that_check_reads_are_those_that_are_written() -> None:
-    assert command.RUN_FILE == RUN_FILE
     assert set(command.WHOLE_FILES) == {BATCH_FILE, COMPARISON_FILE}

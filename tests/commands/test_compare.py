@@ -54,7 +54,7 @@ def test_a_narrow_terminal_gets_fewer_figures(
     comparison: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     document = json.loads((comparison / "comparison.json").read_text())
-    monkeypatch.setattr("mavnav.commands.comparison_table.WIDE", 80)
+    monkeypatch.setattr("mavnav.commands.terminal.UNFOLDED", 80)
     print_comparison(document)
     head, *lines = capsys.readouterr().out.splitlines()
     assert len(lines) == len(document["cells"])
@@ -75,7 +75,7 @@ def test_no_head_and_no_cell_is_cut(
         cell["run"]["reference"] = {"ate": {"rmse_m": 0.0123}, "map_distance": {"mean_mm": 12.3}}
         cell["run"]["map_quality"]["meaningful"] = False
     document["logs"] *= 2 if several else 1
-    monkeypatch.setattr("mavnav.commands.comparison_table.WIDE", width)
+    monkeypatch.setattr("mavnav.commands.terminal.UNFOLDED", width)
     print_comparison(document)
     head, *lines = capsys.readouterr().out.splitlines()
     assert max(map(len, [head, *lines])) <= width

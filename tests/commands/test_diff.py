@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from base64 import b64encode
 from pathlib import Path
 
@@ -41,6 +42,10 @@ def test_what_changed_is_listed_and_drawn(mavnav, maps, tmp_path) -> None:
     assert all((pixels == rgb_of(colour)).all(axis=2).sum() > 50 for colour in (GONE, NEW))
     legend = pixels[-45:-10]
     assert all((legend == rgb_of(area.colour)).all(axis=2).sum() > 200 for area in AREAS)
+    code, out, err = mavnav("diff", *maps, "-q")
+    rows = dict(re.split(r"  +", line, maxsplit=1) for line in out.splitlines())
+    assert (code, err, rows["moved"]) == (0, "", "1 object")
+    assert re.fullmatch(r"(gone|new) at .* m², 0\.\d\d m long, moved with 2", rows["change 1"])
     code, out, err = mavnav("diff", *maps, "-q", "-o", picture)
     assert (code, out) == (6, "")
     assert "--force" in err

@@ -133,6 +133,15 @@ def test_what_cannot_be_merged(mavnav, logs, tmp_path) -> None:
         assert word in err, args
 
 
+def test_a_run_that_was_altered_is_not_merged(mavnav, logs, tmp_path) -> None:
+    api.replay(logs["back"], directory=tmp_path / "back")
+    with (tmp_path / "back" / "trajectory.tum").open("a") as file:
+        file.write("# mine\n")
+    code, out, err = mavnav("merge", tmp_path / "back", logs["hall"], "-o", tmp_path / "m", "-q")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "back is no whole run: trajectory.tum has been altered since it was written" in err
+
+
 @pytest.mark.parametrize(
     ("inputs", "names"),
     [

@@ -21,6 +21,7 @@ from mavnav.cli import run
 from mavnav.commands.lost_advice import lost_line
 from mavnav.commands.replay import left_out_text
 from mavnav.errors import ExitCode
+from support.error_lines import expect_error
 from support.log_files import laser, write_mcap
 
 FEW = ("--end", 2.0, "--quiet")
@@ -32,6 +33,19 @@ def finished(tmp_path_factory: pytest.TempPathFactory, sample: Path) -> Path:
     directory = tmp_path_factory.mktemp("runs") / "first"
     assert run(["replay", str(sample), "-o", str(directory), *map(str, FEW)]) == 0
     return directory
+
+
+def test_the_profile_is_a_line_a_stage(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    stage = re.compile(r"(\w[\w ]+?) +(\d+\.\d{3}) s +(\d+\.\d)%")
+    _, out, err = mavnav("replay", sample, "-o", tmp_path / "r", *FEW, "--profile")
+    rows = [match.groups() for line in out.splitlines() if (match := stage.fullmatch(line))]
+    seconds = [float(spent_s) for _, spent_s, _ in rows]
+    assert (seconds, err) == (sorted(seconds, reverse=True), "")
+    assert {"reading", "search", "gate", "insert", "measuring"} <= {name for name, _, _ in rows}
+    assert sum(float(share) for _, _, share in rows) == pytest.approx(100.0, abs=0.05 * len(rows))
+    _, out, err = mavnav("replay", sample, "-o", tmp_path / "j", *FEW, "--profile", "--json")
+    assert json.loads(out)["exit_code"] == 0
+    assert {name for line in err.splitlines() for name, _, _ in stage.findall(line)} >= {"reading", "search"}
 
 
 def digest(directory: Path) -> dict[str, str]:
@@ -334,62 +348,56 @@ def test_a_link_is_named_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 # --- errors: one line, one code -----------------------------------------------------------------------------------
 
 
-def expect(result: tuple[int, str, str], code: int, *words: str) -> None:
-    got, out, err = result
-    assert got == code, err
-    assert out == ""
-    assert err.startswith("mavnav: error: ")
-    assert err.count("\n") == 1, err
-    for word in words:
-        assert word in err
-
-
 def test_no_such_file(mavnav: Callable, tmp_path: Path) -> None:
-    expect(mavnav("replay", tmp_path / "none.mcap", "-q"), ExitCode.USAGE, "none.mcap", "no such file")
+    expect_error(mavnav("replay", tmp_path / "none.mcap", "-q"), ExitCode.USAGE, "none.mcap", "no such file")
 
 
 def test_not_a_log(mavnav: Callable, tmp_path: Path) -> None:
     text = tmp_path / "notes.txt"
     text.write_text("no log at all, just words\n" * 20)
-    expect(mavnav("replay", text, "-o", tmp_path / "r", "-q"), ExitCode.NO_SCANS, "notes.txt")
+    expect_error(mavnav("replay", text, "-o", tmp_path / "r", "-q"), ExitCode.NO_SCANS, "notes.txt")
     assert not (tmp_path / "r").exists()
 
 
 def test_no_scan_topic(mavnav: Callable, make_log: Callable, tmp_path: Path) -> None:
     log = make_log("odometry.mcap", scan=[])
-    expect(mavnav("replay", log, "-o", tmp_path / "r", "-q"), ExitCode.NO_SCANS, "no LaserScan", "/odom")
+    expect_error(mavnav("replay", log, "-o", tmp_path / "r", "-q"), ExitCode.NO_SCANS, "no LaserScan", "/odom")
 
 
 def test_two_scan_topics(mavnav: Callable, make_log: Callable, finished: Path, tmp_path: Path) -> None:
     log = make_log("two.mcap", scan=["/front", "/rear"])
     front = f"/front ({scans_in(finished)} scans)"
-    expect(mavnav("replay", log, "-o", tmp_path / "r", "-q"), ExitCode.USAGE, front, "/rear", "--topic")
+    expect_error(mavnav("replay", log, "-o", tmp_path / "r", "-q"), ExitCode.USAGE, front, "/rear", "--topic")
     assert mavnav("replay", log, "-o", tmp_path / "r", *FEW, "--topic", "/rear")[0] == 0
 
 
 def test_no_such_topic(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
-    expect(mavnav("replay", sample, "-o", tmp_path, "-q", "--force", "--topic", "/no"), ExitCode.USAGE, "/no", "/scan")
-    expect(mavnav("replay", sample, "-o", tmp_path, "-q", "--force", "--odom", "/no"), ExitCode.USAGE, "/no", "/odom")
+    expect_error(
+        mavnav("replay", sample, "-o", tmp_path, "-q", "--force", "--topic", "/no"), ExitCode.USAGE, "/no", "/scan"
+    )
+    expect_error(
+        mavnav("replay", sample, "-o", tmp_path, "-q", "--force", "--odom", "/no"), ExitCode.USAGE, "/no", "/odom"
+    )
 
 
 def test_an_existing_output_stays_without_force(mavnav: Callable, sample: Path, finished: Path) -> None:
     before = (finished / "run.json").read_bytes()
-    expect(mavnav("replay", sample, "-o", finished, *FEW), ExitCode.OUTPUT, "exists", "--force")
+    expect_error(mavnav("replay", sample, "-o", finished, *FEW), ExitCode.OUTPUT, "exists", "--force")
     assert (finished / "run.json").read_bytes() == before
 
 
 def test_an_unwritable_output_is_told_before_the_work(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
-    expect(mavnav("replay", sample, "-o", file / "run", "-q"), ExitCode.OUTPUT, str(file), "-o")
-    expect(mavnav("replay", sample, "-o", "/proc/run", "-q"), ExitCode.OUTPUT, "/proc/run")
+    expect_error(mavnav("replay", sample, "-o", file / "run", "-q"), ExitCode.OUTPUT, str(file), "-o")
+    expect_error(mavnav("replay", sample, "-o", "/proc/run", "-q"), ExitCode.OUTPUT, "/proc/run")
 
 
 def test_unknown_configuration_key(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
     config = tmp_path / "my.yaml"
     config.write_text("azimuth: 20\nrobust:\n  cel_mm: 25\n")
     result = mavnav("replay", sample, "-o", tmp_path / "r", "-q", "--config", config)
-    expect(result, ExitCode.USAGE, f"{config}:3", "robust.cel_mm", "did you mean robust.cell_mm?")
+    expect_error(result, ExitCode.USAGE, f"{config}:3", "robust.cel_mm", "did you mean robust.cell_mm?")
 
 
 @pytest.mark.parametrize(
@@ -417,7 +425,7 @@ def test_options_that_cannot_be(
     mavnav: Callable, sample: Path, tmp_path: Path, options: list[str], words: list[str]
 ) -> None:
     code = ExitCode.NO_SCANS if "--start" in options else ExitCode.USAGE
-    expect(mavnav("replay", sample, "-o", tmp_path / "r", "-q", *options), code, *words)
+    expect_error(mavnav("replay", sample, "-o", tmp_path / "r", "-q", *options), code, *words)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -553,7 +561,7 @@ def test_a_map_without_walls_is_refused(mavnav: Callable, sample: Path, tmp_path
     (tmp_path / "empty.pgm").write_bytes(b"P5 2 2 255\n" + bytes([254] * 4))
     (tmp_path / "empty.yaml").write_text("image: empty.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n")
     result = mavnav("replay", sample, "-o", tmp_path / "r", "-q", "--map", tmp_path / "empty.yaml")
-    expect(result, ExitCode.USAGE, "no occupied cell")
+    expect_error(result, ExitCode.USAGE, "no occupied cell")
 
 
 # --- signals ------------------------------------------------------------------------------------------------------

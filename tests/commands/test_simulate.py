@@ -15,6 +15,7 @@ import pytest
 
 from mavnav.errors import ExitCode
 from mavnav.metrics.trajectory_error import absolute_error
+from support.error_lines import expect_error
 
 PICTURES = ("map.png", "true_map.png", "wall_thickness.png")
 
@@ -313,16 +314,6 @@ def test_the_schema_is_json(mavnav: Callable) -> None:
 # ---- errors: one line, one code, before the flight -------------------------------------------------------------------
 
 
-def expect(result: tuple[int, str, str], code: int, *words: str) -> None:
-    got, out, err = result
-    assert got == code, err
-    assert out == ""
-    assert err.startswith("mavnav: error: ")
-    assert err.count("\n") == 1, err
-    for word in words:
-        assert word in err
-
-
 @pytest.fixture
 def grounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fail where a mission is flown."""
@@ -350,7 +341,7 @@ def test_scenarios_that_cannot_be(
     mavnav: Callable, scenario: Path, tmp_path: Path, old: str, new: str, words: list[str]
 ) -> None:
     scenario.write_text(GOOD.replace(old, new, 1))
-    expect(mavnav("simulate", scenario, "-o", tmp_path / "r", "-q"), ExitCode.USAGE, str(scenario), *words)
+    expect_error(mavnav("simulate", scenario, "-o", tmp_path / "r", "-q"), ExitCode.USAGE, str(scenario), *words)
     assert list(tmp_path.iterdir()) == [scenario]
 
 
@@ -379,7 +370,7 @@ def test_arguments_that_cannot_be(
     mavnav: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], words: list[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    expect(mavnav("simulate", *arguments, "-q"), ExitCode.USAGE, *words)
+    expect_error(mavnav("simulate", *arguments, "-q"), ExitCode.USAGE, *words)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -395,7 +386,7 @@ def test_what_exists_is_refused_before_the_flight(
         (there / "run.json").touch()
     else:
         there.touch()
-    expect(mavnav("simulate", scenario, option, there, "-q"), ExitCode.OUTPUT, there.name, "exists", "--force")
+    expect_error(mavnav("simulate", scenario, option, there, "-q"), ExitCode.OUTPUT, there.name, "exists", "--force")
 
 
 def test_force_replaces_all_three(mavnav: Callable, scenario: Path, tmp_path: Path) -> None:
@@ -410,5 +401,5 @@ def test_force_replaces_all_three(mavnav: Callable, scenario: Path, tmp_path: Pa
 
 def test_a_blind_laser_is_no_bug(mavnav: Callable, scenario: Path, tmp_path: Path) -> None:
     result = mavnav("simulate", scenario, "-o", tmp_path / "r", "-q", "--set", "laser.range_max_mm=100")
-    expect(result, ExitCode.NO_SCANS, str(scenario), "the laser saw too little")
+    expect_error(result, ExitCode.NO_SCANS, str(scenario), "the laser saw too little")
     assert not (tmp_path / "r").exists()

@@ -29,13 +29,10 @@ from mavnav.errors import ExitCode, OutputError, UsageError
 from mavnav.jobs import Event, Started
 from mavnav.jobs.run_cache import run_key
 from mavnav.metrics.gates import parse_gate
+from mavnav.profiling import silent
 
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "corridor.mcap"
 GRIDS = ("5x5", "12x12")
-
-
-def silent(phase: str, done: int, total: int | None) -> None:
-    pass
 
 
 def request(directory: Path, *logs: Path, grids: tuple[str, ...] = GRIDS, **more: object) -> BatchRequest:

@@ -10,12 +10,9 @@ import pytest
 from mavnav.comparison import sample
 from mavnav.ground_truth.true_map import read_true_map
 from mavnav.logs import open_log
+from mavnav.profiling import silent
 
 ROOT = Path(__file__).parents[2]
-
-
-def silent(phase: str, done: int, total: int | None) -> None:
-    pass
 
 
 def test_a_checkout_has_it(tmp_path: Path) -> None:

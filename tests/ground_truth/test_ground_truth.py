@@ -14,6 +14,7 @@ from mavnav.ground_truth.true_map import of_scenario, read_true_map
 from mavnav.metrics.reference import Reference
 from mavnav.pose import Pose, Trajectory
 from mavnav.simulation.world import load_scenario
+from support.map_files import pgm
 
 TUM = (
     "# t x y z qx qy qz qw\n2.000000002 1 2 9 0 0 0.7071067811865476 0.7071067811865476\n\n1.5 0 0 0 0 0 0 1 # first\n"
@@ -172,3 +173,15 @@ def test_neither_scenario_nor_map(tmp_path) -> None:
     (tmp_path / "x.yaml").write_text("a: 1\n")
     with pytest.raises(UsageError, match="neither a scenario"):
         read_true_map(tmp_path / "x.yaml")
+
+
+def test_a_map_file_is_true_in_its_own_frame(tmp_path) -> None:
+    (tmp_path / "map.pgm").write_bytes(pgm(np.array([[254, 0], [254, 254]])))
+    (tmp_path / "map.yaml").write_text("image: map.pgm\nresolution: 0.5\norigin: [1, 2, 0]\n")
+    truth = read_true_map(tmp_path / "map.yaml")
+    assert truth.xy_m.tolist() == [[1.75, 2.75]]
+    assert truth.distance_m(np.array([(1.75, 2.25), (1.75, 2.75)])).tolist() == [0.5, 0.0]
+    assert not References(true_map=truth).of_first_scan
+    (tmp_path / "map.pgm").write_bytes(pgm(np.full((2, 2), 254)))
+    with pytest.raises(UsageError, match="no occupied cell"):
+        read_true_map(tmp_path / "map.yaml")

@@ -16,7 +16,7 @@ import pytest
 from mavnav.errors import ExitCode
 from mavnav.jobs import Ended, Event, Job, Outcome, Progressed, Started, Status, run_jobs, usable_cores
 from mavnav.jobs.worker import failed
-from mavnav.logs.survey import unreadable
+from mavnav.logs.content import unreadable
 from support import strange_jobs as strange
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from mavnav.cli import run
 from mavnav.logs import survey
-from support.log_files import drive, foxglove_json, laser, write_mcap
+from support.log_files import IMU, PERIOD_NS, START_NS, Message, drive, foxglove_json, laser, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,9 +52,15 @@ def test_json_holds_the_fixed_fields(tmp_path: Path, capsys: Capture) -> None:
     assert (document["damage"], document["warnings"]) == ([], [])
 
 
-def test_sha256_is_that_of_the_file(tmp_path: Path, capsys: Capture) -> None:
-    import hashlib
+def test_an_inertial_sensor_has_its_rate(tmp_path: Path, capsys: Capture) -> None:
+    turning = [Message("/imu", IMU, START_NS + k * PERIOD_NS // 2, {"rates": (0.0, 0.0, 0.5)}) for k in range(20)]
+    path = write_mcap(tmp_path / "a", [*(laser(k) for k in range(10)), *turning])
+    assert told(capsys, path)[1]["imu"] == {"topic": "/imu", "messages": 20, "rate_hz": pytest.approx(20.0)}
+    run(["info", str(path)])
+    assert "/imu, 20 messages, 20 Hz" in capsys.readouterr().out
 
+
+def test_sha256_is_that_of_the_file(tmp_path: Path, capsys: Capture) -> None:
     path = write_mcap(tmp_path / "a", [laser(0)])
     assert told(capsys, path)[1]["input"]["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
 

@@ -7,8 +7,7 @@ from math import hypot
 import pytest
 
 from mavnav.config.models import Config
-from mavnav.ground_truth.map_file import occupied_xy_m
-from mavnav.mapping.occupancy_grid import Grid, known_part
+from mavnav.mapping.occupancy_grid import Grid, known_part, occupied_xy_m
 from mavnav.metrics.map_difference import Change, View, difference, paired
 from mavnav.pose import Pose
 from mavnav.slam.map_alignment import align

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from mavnav.ground_truth.references import References, compared
 from mavnav.ground_truth.tables import read_tum
-from mavnav.metrics.trajectory_error import absolute_error, align, position_errors, relative_error
-from mavnav.pose import Pose, Trajectory, transform_points
+from mavnav.metrics.trajectory_error import absolute_error, position_errors, relative_error
+from mavnav.pose import Pose, Trajectory, rigid_fit, transform_points
 from support.synthetic import TOUR, along, drifting_odometry
 
 coordinate = st.floats(-50, 50)
@@ -25,7 +25,7 @@ def path(seed: int, n: int = 40) -> np.ndarray:
 def test_a_rigid_motion_is_no_error(seed: int, x: float, y: float, yaw: float) -> None:
     truth = path(seed)
     moved = transform_points(Pose(x, y, yaw), truth)
-    found = align(moved, truth) @ Pose(x, y, yaw)
+    found = rigid_fit(moved, truth) @ Pose(x, y, yaw)
     assert np.allclose(found.as_array(), 0.0, atol=1e-8)
     assert absolute_error(moved, truth).max_m < 1e-8
 

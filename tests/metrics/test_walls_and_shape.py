@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavnav.ground_truth.map_file import occupied_xy_m
 from mavnav.mapping import tiled_arrays
-from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy
+from mavnav.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, Grid, occupancy, occupied_xy_m
 from mavnav.metrics.map_quality import only_occupied
 from mavnav.metrics.shape import corners, enclosed_areas, occupied_share
 from mavnav.metrics.support import near_walls

@@ -16,7 +16,7 @@ from mavnav.metrics.map_quality import measure_map
 from mavnav.metrics.wall_spread import WallCuts
 from mavnav.outputs import map_axes, map_picture, merged_picture, wall_picture
 from mavnav.outputs.canvas import Canvas, font, png, rgb_of
-from mavnav.outputs.plot import Axes, legend_width, ticks
+from mavnav.outputs.plot import Axes, legend_room, legend_width, ticks
 from mavnav.outputs.viewport import Window, window_of
 from mavnav.pose import Pose, Trajectory
 from mavnav.slam.doubt.record import Doubt, Reason
@@ -77,7 +77,7 @@ def test_the_legend_of_the_map_names_its_areas_and_is_whole(run, tmp_path, monke
     assert {"start", "end", "free", "unknown"} <= set(drawn)
     assert any("20 yaw samples, search grid 10x10" in text for text in drawn)
     marks = [map_axes.LOOP, map_axes.TRUE_WALL, map_axes.DOUBTFUL, map_axes.POSE, map_axes.TRUE_POSE, *map_axes.KNOWN]
-    assert map_picture.legend_room(marks) > legend_width(marks)
+    assert legend_room(marks) > legend_width(marks)
 
 
 def test_no_line_is_drawn_where_the_track_was_lost(run):

@@ -2,7 +2,6 @@
 
 import json
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -25,33 +24,9 @@ from mavnav.outputs.run import Truth
 from mavnav.outputs.trajectory import write_csv, write_true_walls
 from mavnav.outputs.viewport import MUTED, Window
 from mavnav.pose import Trajectory
+from support.html_page import Page
 
 EVIL = 'logs/<script>alert(1)</script>"onload="x.mcap'
-VOID = {"meta", "link", "img", "br"}
-
-
-class Page(HTMLParser):
-    """Every tag with its attributes, the text, and whether the tags close one another."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.tags, self.open, self.words = [], [], []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        self.words.append(data)
-
-    def all(self, tag):
-        return [attrs for name, attrs in self.tags if name == tag]
 
 
 def leave(run, folder: Path, **changes) -> dict:

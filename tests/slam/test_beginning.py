@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from mavnav.config.models import Config
 from mavnav.ground_truth.references import References
-from mavnav.pipelines.replay import with_recorded_truth
+from mavnav.pipelines.map_references import references_in_map
 from mavnav.pose import Pose, Trajectory
 from mavnav.scan import LaserSpec, Scan
 from mavnav.slam.motion_model import Motion
@@ -84,10 +84,9 @@ def test_the_parts_before_and_after_a_lost_middle_are_joined(first_is_largest: b
     assert len(found.trajectory) == len(scans) - len(middle)
     assert not found.lost_for_good
     truth = Trajectory(found.trajectory.stamps_ns, np.vstack((first.world_T_laser.xyyaw, second.world_T_laser.xyyaw)))
-    in_map = with_recorded_truth(
-        References(), SimpleNamespace(truth=SimpleNamespace(world_T_laser=truth)), found.begin_ns
-    ).truth
-    assert np.abs(in_map.xyyaw - found.trajectory.xyyaw).max() < 0.05
+    log = SimpleNamespace(truth=SimpleNamespace(world_T_laser=truth))
+    in_map, _ = references_in_map(References(), log, found.begin_ns)
+    assert np.abs(in_map.truth.xyyaw - found.trajectory.xyyaw).max() < 0.05
 
 
 def test_the_larger_of_two_rooms_is_the_map_and_the_log_is_lost() -> None:

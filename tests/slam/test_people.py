@@ -10,24 +10,12 @@ from mavnav.pose import Pose, transform_points
 from mavnav.scan import Scan
 from mavnav.slam.pipeline import run_slam
 from mavnav.slam.result import SlamResult
-from support.synthetic import URG_04LX, Segments, box, cast, room
+from support.synthetic import URG_04LX, box, cast, room
+from support.walls import walking_people
 
-SCANS, STEP_M = 60, 0.09
+SCANS = 60
 AT = Pose(2.9, 1.0, 1.2)
 FURNITURE = np.vstack((room(), box(1.9, 2.0, 0.7, 0.5, 0.3), box(4.2, 1.9, 0.4, 0.6, -0.2)))
-
-
-def walks(people: int, rng: np.random.Generator) -> list[Segments]:
-    """Return the outlines of people, step by step; they turn at walls and before the laser."""
-    xy, heading = rng.uniform((0.8, 0.6), (5.2, 3.4), (people, 2)), rng.uniform(-np.pi, np.pi, people)
-    outlines = []
-    for _ in range(SCANS):
-        for k in range(people):
-            ahead = xy[k] + STEP_M * np.array([np.cos(heading[k]), np.sin(heading[k])])
-            free = 0.8 < ahead[0] < 5.2 and 0.6 < ahead[1] < 3.4 and np.hypot(*(ahead - (AT.x_m, AT.y_m))) > 0.5
-            xy[k], heading[k] = (ahead, heading[k]) if free else (xy[k], heading[k] + rng.uniform(0.5, 1.5))
-        outlines.append(np.vstack([box(x, y, 0.35, 0.25, 0.4) for x, y in xy]))
-    return outlines
 
 
 def watched(people: int, seed: int) -> SlamResult:
@@ -35,7 +23,7 @@ def watched(people: int, seed: int) -> SlamResult:
     still = cast(FURNITURE, (AT.x_m, AT.y_m), bearings)
     scans = [
         Scan(k * 100_000_000, np.minimum(still, cast(outline, (AT.x_m, AT.y_m), bearings)) * fuzz, URG_04LX)
-        for k, outline in enumerate(walks(people, rng))
+        for k, outline in enumerate(walking_people(rng, people, SCANS))
         for fuzz in [1.0 + 0.01 * rng.standard_normal(URG_04LX.beams)]
     ]
     return run_slam(lambda: scans, Config(), 0.1)

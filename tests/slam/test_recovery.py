@@ -11,9 +11,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav.config.models import Config
-from mavnav.metrics.trajectory_error import align
 from mavnav.metrics.wall_thickness import wall_thickness
-from mavnav.pose import Pose, Trajectory, transform_points, wrap_angle
+from mavnav.pose import Pose, Trajectory, rigid_fit, transform_points, wrap_angle
 from mavnav.scan import Scan
 from mavnav.simulation.mission import Flight, fly
 from mavnav.simulation.world import World, laser_model, load_scenario, take_scan
@@ -122,7 +121,7 @@ def true_map(drive: Drive, outcome: SlamResult) -> Pose:
     before = [s for s in outcome.steps[:FAULT] if s.tracked]
     xy = [[(p.x_m, p.y_m) for p in poses] for poses in (
         [s.match.map_T_laser for s in before], [drive.map_T_laser[s.index] for s in before])]  # fmt: skip
-    return align(np.array(xy[0]), np.array(xy[1]))
+    return rigid_fit(np.array(xy[0]), np.array(xy[1]))
 
 
 def scans_until_right(drive: Drive, outcome: SlamResult) -> int:

@@ -10,7 +10,7 @@ from mavnav.logs.formats import mcap_file, mcap_records, rosbag1, rosbag1_record
 from mavnav.logs.formats.carmen import is_carmen, read_carmen
 from mavnav.logs.formats.decompress import PACKERS, first_bytes, unpacked_file
 from mavnav.logs.formats.rosbag2 import METADATA, compare_count, read_metadata, storage_files
-from mavnav.logs.formats.source import Source
+from mavnav.logs.formats.source import MAGIC_WITHIN_BYTES, Source
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -27,7 +27,6 @@ _MOST_NAMED = 4
 _AMBIGUOUS = (".log", ".gz", ".bz2")
 _HEAD_BYTES = 16
 _OLD_BAG = re.compile(rb"#ROS(?:BAG|RECORD|LOG) V(1\.[01])")
-_SEARCH_BYTES = 1 << 16
 _HEADLESS_BYTES = 1 << 20
 _STORAGE_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _REFUSED = {
@@ -52,9 +51,9 @@ def sniff(path: Path) -> str:
 
 def _sniff_strictly(path: Path) -> str:
     with path.open("rb") as file:
-        head = file.read(_SEARCH_BYTES)
+        head = file.read(MAGIC_WITHIN_BYTES)
     if packer := _packer(head):
-        inner = _sniff_head(first_bytes(path, packer, _SEARCH_BYTES))
+        inner = _sniff_head(first_bytes(path, packer, MAGIC_WITHIN_BYTES))
         return UNKNOWN if inner == UNKNOWN else f"{inner}-{packer}"
     return _sniff_head(head)
 
@@ -66,7 +65,7 @@ def _sniff_head(head: bytes) -> str:
 
 def _sniff_damaged(path: Path) -> str:
     with path.open("rb") as file:
-        head = file.read(_SEARCH_BYTES)
+        head = file.read(MAGIC_WITHIN_BYTES)
         file.seek(max(path.stat().st_size - _HEAD_BYTES, 0))
         tail = file.read()
     if _OLD_BAG.match(head) or _packer(head) or _refused_packer(head):
@@ -167,7 +166,7 @@ def refusal(path: Path) -> str:
     if path.is_dir():
         return _folder_refusal(path)
     with path.open("rb") as file:
-        head = file.read(_SEARCH_BYTES)
+        head = file.read(MAGIC_WITHIN_BYTES)
     if not head:
         return "the file is empty"
     if old := _OLD_BAG.match(head):
@@ -175,7 +174,7 @@ def refusal(path: Path) -> str:
     if packer := _refused_packer(head):
         return f"compressed with {packer}, which is not read ({', '.join(PACKERS)} are); decompress it first"
     packer = _packer(head)
-    inside = first_bytes(path, packer, _SEARCH_BYTES) if packer else head
+    inside = first_bytes(path, packer, MAGIC_WITHIN_BYTES) if packer else head
     if known := next((text for pattern, text in OTHERS.items() if re.search(pattern, inside)), None):
         return known
     if packer:

@@ -29,7 +29,7 @@ from mavnav.logs.formats.mcap_records import (
     record_at,
 )
 from mavnav.logs.formats.mcap_summary import read_data_section, read_summary
-from mavnav.logs.formats.source import Source
+from mavnav.logs.formats.source import MAGIC_WITHIN_BYTES, Source
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 _READ = frozenset({Op.HEADER, Op.FOOTER, Op.SCHEMA, Op.CHANNEL, Op.MESSAGE, Op.CHUNK, Op.STATISTICS, Op.DATA_END})
 _BLOCK_BYTES = 1 << 20
 _FREE_SEARCH_BYTES = 1 << 28
-_SEARCH_BYTES = 1 << 16
 _CHECKED_RECORD_COST = 4
 """Cost of a record of a chunk that is read with checks, in records that are read without them."""
 
@@ -88,7 +87,7 @@ def _outside(source: Source, record: Record, state: State) -> Iterator[RawMessag
 
 def _begin(source: Source, state: State) -> int:
     """Return the offset of the magic, which may be damaged or have other bytes before it."""
-    at = source.read(0, _SEARCH_BYTES).find(MAGIC)
+    at = source.read(0, MAGIC_WITHIN_BYTES).find(MAGIC)
     if at == 0:
         return 0
     state.report.damage("the file does not begin with the magic of MCAP", source.where(0))

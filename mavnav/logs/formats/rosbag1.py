@@ -26,7 +26,7 @@ from mavnav.logs.formats.rosbag1_records import (
     parse_header,
     sound_records,
 )
-from mavnav.logs.formats.source import Source
+from mavnav.logs.formats.source import MAGIC_WITHIN_BYTES, Source
 from mavnav.logs.formats.untyped import channel_of, lacks_type, with_detected_type
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import LATCHING, Channel, RawMessage, Schema, ros_type
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 MAGIC = b"#ROSBAG V2.0\n"
 OLD_MAGIC = b"#ROSRECORD V1.2\n"
 
-_SEARCH_BYTES = 1 << 16
 _U32_PAIR = struct.Struct("<II")
 
 
@@ -81,7 +80,7 @@ def read_rosbag1(path: Path, report: ReadReport) -> Iterator[RawMessage]:
 
 def _begin(source: Source, report: ReadReport) -> int:
     """Return the offset after the magic line, which may be damaged or have other bytes before it."""
-    head = source.read(0, _SEARCH_BYTES)
+    head = source.read(0, MAGIC_WITHIN_BYTES)
     for magic in (MAGIC, OLD_MAGIC):
         at = head.find(magic)
         if at >= 0:

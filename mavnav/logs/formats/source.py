@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import errno
 import os
-from typing import IO
+from typing import IO, Final
 
 from msgspec import Struct, field
 
 from mavnav.logs.formats.decompress import Allowance
+
+MAGIC_WITHIN_BYTES: Final = 1 << 16
+"""The magic of a format is searched in so many bytes: others may lie before it."""
 
 
 class Source(Struct, frozen=True):

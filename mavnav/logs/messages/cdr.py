@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
     from mavnav.scan import Scan
 
-_LITTLE_ENDIAN: Final = b"\0\1\0\0"
+LITTLE_ENDIAN: Final = b"\0\1\0\0"
+"""The encapsulation header of plain CDR."""
+
 _STAMP: Final = struct.Struct("<iI")
 _COUNT: Final = struct.Struct("<I")
 _POSE: Final = struct.Struct("<7d")
@@ -47,13 +49,13 @@ def transforms(parent: str, child: str) -> Callable[[int, Pose], bytes]:
     """Return the function that serializes a TFMessage of one transform from stamp (ns) and ``parent_T_child``."""
     one, outer = _COUNT.pack(1), _text(12, parent, 4)
     inner = _text(12 + len(outer), child, 8)
-    return lambda stamp_ns, pose: b"".join((_LITTLE_ENDIAN, one, _stamp(stamp_ns), outer, inner, _pose(pose)))
+    return lambda stamp_ns, pose: b"".join((LITTLE_ENDIAN, one, _stamp(stamp_ns), outer, inner, _pose(pose)))
 
 
 def poses(frame: str) -> Callable[[int, Pose], bytes]:
     """Return the function that serializes a PoseStamped from stamp (ns) and pose."""
     name = _text(8, frame, 8)
-    return lambda stamp_ns, pose: b"".join((_LITTLE_ENDIAN, _stamp(stamp_ns), name, _pose(pose)))
+    return lambda stamp_ns, pose: b"".join((LITTLE_ENDIAN, _stamp(stamp_ns), name, _pose(pose)))
 
 
 def scans(frame: str) -> Callable[[Scan], bytes]:
@@ -68,7 +70,7 @@ def scans(frame: str) -> Callable[[Scan], bytes]:
             spec.angle_min_rad, last, spec.angle_step_rad, *times, spec.range_min_m, spec.range_max_m, spec.beams
         )
         ranges = scan.ranges_m.astype(np.dtype("<f4")).tobytes()
-        return b"".join((_LITTLE_ENDIAN, _stamp(scan.stamp_ns), name, head, ranges, none))
+        return b"".join((LITTLE_ENDIAN, _stamp(scan.stamp_ns), name, head, ranges, none))
 
     return write
 
@@ -77,7 +79,7 @@ def path(stamp_ns: int, frame: str, stamps_ns: NDArray[np.int64], xyyaw: NDArray
     """Serialize a Path of poses (n, 3), m and rad, with stamps (n,), ns, all in one frame."""
     head = _stamp(stamp_ns) + _text(8, frame, 4) + _COUNT.pack(len(stamps_ns))
     if not len(stamps_ns):
-        return _LITTLE_ENDIAN + head
+        return LITTLE_ENDIAN + head
     # Each pose begins where the one before ends, at a multiple of 8; only the first may need other padding.
     first, name = _text(len(head) + 8, frame, 8), _text(8, frame, 8)
     rows = np.zeros(len(stamps_ns), [("s", "<i4"), ("ns", "<u4"), ("name", f"V{len(name)}"), ("pose", "<f8", 7)])
@@ -86,7 +88,7 @@ def path(stamp_ns: int, frame: str, stamps_ns: NDArray[np.int64], xyyaw: NDArray
     rows["pose"][:, :2] = xyyaw[:, :2]
     rows["pose"][:, 5], rows["pose"][:, 6] = np.sin(xyyaw[:, 2] / 2.0), np.cos(xyyaw[:, 2] / 2.0)
     body = rows.view(np.uint8).data
-    return b"".join((_LITTLE_ENDIAN, head, body[:8], first, body[8 + len(name) :]))
+    return b"".join((LITTLE_ENDIAN, head, body[:8], first, body[8 + len(name) :]))
 
 
 def occupancy_grid(
@@ -98,4 +100,4 @@ def occupancy_grid(
     head = stamp + _text(8, frame, 4) + stamp + struct.pack("<fII", cell_m, cols, rows)
     gap = b"\0" * (-len(head) % 8)
     origin, size = _pose(Pose(*origin_xy_m)), _COUNT.pack(cells.size)
-    return b"".join((_LITTLE_ENDIAN, head, gap, origin, size, np.ascontiguousarray(cells).data))
+    return b"".join((LITTLE_ENDIAN, head, gap, origin, size, np.ascontiguousarray(cells).data))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+from mavnav.logs.messages.cdr import LITTLE_ENDIAN
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -14,8 +16,6 @@ if TYPE_CHECKING:
 
 LINE_STRIP, LINE_LIST, TEXT = 4, 5, 9
 """Types of visualization_msgs/Marker that are written."""
-
-_LITTLE_ENDIAN: Final = b"\0\1\0\0"
 
 
 class Marker(NamedTuple):
@@ -39,7 +39,7 @@ def marker_array(stamp_ns: int, frame: str, markers: Sequence[Marker]) -> bytes:
     out.put("I", len(markers))
     for marker in markers:
         _write(out, stamp_ns, frame, marker)
-    return _LITTLE_ENDIAN + bytes(out.data)
+    return LITTLE_ENDIAN + bytes(out.data)
 
 
 def _write(out: _Writer, stamp_ns: int, frame: str, marker: Marker) -> None:

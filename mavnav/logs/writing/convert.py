@@ -10,12 +10,12 @@ from msgspec import Struct, field
 
 from mavnav.atomic_files import beside
 from mavnav.errors import NoScansError, OutputError, UsageError
+from mavnav.logs.content import check_file, unreadable
 from mavnav.logs.formats import detect
 from mavnav.logs.formats.decompress import DecompressError, unpack_message
 from mavnav.logs.messages.records import DecodeError
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import LATCHING, QOS, Channel, Damage, MetadataRecord, RawMessage, Schema, Topic
-from mavnav.logs.survey import check_file, unreadable
 from mavnav.logs.writing.mcap_writer import CHUNK_BYTES, qos_text
 from mavnav.logs.writing.mcap_writer import Channel as Written
 from mavnav.logs.writing.translation import Translator

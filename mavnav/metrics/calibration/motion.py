@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 NAMES: Final = ("x_m", "y_m", "yaw_rad", "offset_s", "distance_scale", "turn_scale", "veer_rad_m")
 
+YAW, OFFSET, DISTANCE, TURN = range(2, 6)
+"""Their numbers, as far as they are used one by one."""
+
 STEP_S: Final = 0.3
 """Steps take at least so long: shorter ones are as small as the noise of the odometry."""
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from msgspec import Struct
 
-from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, STEP_S
-from mavnav.metrics.calibration.solve import DISTANCE, LEAST_STEPS, OFFSET, estimate
+from mavnav.metrics.calibration.motion import DISTANCE, LONGEST_OFFSET_S, OFFSET, STEP_S
+from mavnav.metrics.calibration.solve import LEAST_STEPS, estimate
 from mavnav.metrics.calibration.start import start_of
 from mavnav.units import DEG, MM
 

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Struct
 from scipy.special import stdtrit
 
-from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, NAMES
+from mavnav.metrics.calibration.motion import DISTANCE, LONGEST_OFFSET_S, OFFSET, TURN, YAW
 from mavnav.metrics.calibration.noise import NoiseModel
 from mavnav.units import DEG
 
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from mavnav.metrics.calibration.start import Start
 
     Array = NDArray[np.float64]
-
-X, Y, YAW, OFFSET, DISTANCE, TURN, VEER = range(len(NAMES))
 
 ROUNDS, LIKELIEST, CLOSE = 20, (0, 2, 5), 1e-5
 """Rounds at most; those in which the noise is estimated anew; changes below this end them."""

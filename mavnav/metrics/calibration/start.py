@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, Steps
+from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, OFFSET, Steps
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -39,7 +39,7 @@ class Start(NamedTuple):
     @property
     def offset_s(self) -> float:
         """Time to add to the stamps of the odometry."""
-        return float(self.parameters[3])
+        return float(self.parameters[OFFSET])
 
 
 def start_of(motions: Motions, *, turning: bool) -> Start:

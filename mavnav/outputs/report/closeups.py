@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
+from mavnav.mapping.occupancy_grid import cell_centres
 from mavnav.outputs.viewport import Window
 
 if TYPE_CHECKING:
@@ -54,8 +55,7 @@ def differing_places(grids: Sequence[Grid], window: Window) -> list[Window]:
 def wall_cells(grid: Grid, window: Window, cell_m: float) -> NDArray[np.bool_]:
     """Return which cells (rows, cols) of a grid over the window contain a wall of the map; row 0 at the minimum y."""
     cols, rows = (max(1, int(np.ceil(length / cell_m))) for length in window.size_m)
-    row, col = np.nonzero(grid.hits >= MIN_HITS)
-    middle = (np.column_stack((col, row)) + 0.5) * grid.cell_m + np.array(grid.origin_xy_m)
+    middle = cell_centres(grid, *np.nonzero(grid.hits >= MIN_HITS))
     at = np.floor((middle - (window.x0_m, window.y0_m)) / cell_m).astype(np.int64)
     inside = np.all((at >= 0) & (at < (cols, rows)), axis=1)
     walls = np.zeros((rows, cols), np.bool_)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
+from mavnav.config.layers import by_dotted_key
 from mavnav.outputs.report.columns import MISSING, text
 from mavnav.outputs.report.map_panel import ghosts
 
@@ -28,23 +29,15 @@ class Settings(Struct, frozen=True):
 def settings(entries: Sequence[Entry]) -> Settings:
     """Compare the configurations of runs, without the sections of methods that no run used."""
     used = {e.document.get("method") for e in entries}
-    flat = [dict(_flat(e.document.get("config") or {})) for e in entries]
+    flat = [by_dotted_key(e.document.get("config") or {}) for e in entries]
     keys = [
         key for key in dict.fromkeys(k for f in flat for k in f) if key.partition(".")[0] not in set(METHODS) - used
     ]
-    rows = [(key, [f.get(key, MISSING) for f in flat]) for key in keys]
+    rows = [(key, [str(f.get(key, MISSING)) for f in flat]) for key in keys]
     return Settings(
         common=[(key, values[0]) for key, values in rows if len(set(values)) == 1],
         differing=[(key, values) for key, values in rows if len(set(values)) > 1],
     )
-
-
-def _flat(section: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    for key, value in section.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", str(value)
 
 
 def inputs(entries: Sequence[Entry]) -> list[tuple[str, str]]:

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from mavnav.kernels import potential
 from mavnav.pose import wrap_angle
-from mavnav.simulation.planner.shortest_path import aim_on_shortest_way
+from mavnav.simulation.planner.shortest_path import aim_on_shortest_path
 from mavnav.units import MM
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def _field(scene: Scene, memory: Memory) -> Drive:
 
 def _wavefront(scene: Scene, memory: Memory) -> Drive:
     """Drive along the shortest path round the known walls; these bend the path but do not hold the vehicle back."""
-    aim = aim_on_shortest_way(scene.walls_xy_map_m, scene.xy_map_m, scene.goal_xy_map_m, scene.config)
+    aim = aim_on_shortest_path(scene.walls_xy_map_m, scene.xy_map_m, scene.goal_xy_map_m, scene.config)
     if aim is None:
         return _look_round(scene, memory)
     towards = unit(aim - scene.xy_map_m)

@@ -23,7 +23,7 @@ _NEAR_SAFETY, _UNDER_SAFETY, _UNDER_LEAST = 3, 10, 100  # times as much: a metre
 _SEEDS_CELLS = 4  # a goal in a blocked cell is reached from within this distance
 
 
-def aim_on_shortest_way(
+def aim_on_shortest_path(
     walls_xy_map_m: NDArray[np.float64],
     xy_map_m: NDArray[np.float64],
     goal_xy_map_m: NDArray[np.float64],

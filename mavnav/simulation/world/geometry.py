@@ -126,21 +126,21 @@ class World(Struct, frozen=True, eq=False):
         return nearest
 
     def least_clearance_m(self, from_xy_m: Array, to_xy_m: Array) -> float:
-        """Return the least distance of the straight way between two points (2,) to a wall, exact; 0 if they cross."""
-        way = to_xy_m - from_xy_m
-        length_m = np.hypot(*way)
-        met_m, _ = self.cast(from_xy_m, np.arctan2(way[1:], way[:1]))
+        """Return the least distance of the straight path between two points (2,) to a wall, exact; 0 if they cross."""
+        along = to_xy_m - from_xy_m
+        length_m = np.hypot(*along)
+        met_m, _ = self.cast(from_xy_m, np.arctan2(along[1:], along[:1]))
         if met_m[0] <= length_m:
             return 0.0
-        # Else it is at an end of the way, at an end of a wall, or at the way's nearest point to the centre of an arc.
-        share = np.clip((self.arcs[:, :2] - from_xy_m) @ way / max(length_m**2, np.finfo(np.float64).tiny), 0.0, 1.0)
-        on_way = np.vstack((from_xy_m, to_xy_m, from_xy_m + share[:, None] * way))
+        # Else it is at an end of the path, at an end of a wall, or at the path's nearest point to the centre of an arc.
+        share = np.clip((self.arcs[:, :2] - from_xy_m) @ along / max(length_m**2, np.finfo(np.float64).tiny), 0.0, 1.0)
+        on_path = np.vstack((from_xy_m, to_xy_m, from_xy_m + share[:, None] * along))
         cx, cy, radius, start, sweep = self.arcs.T
         bearings = np.concatenate((start, start + sweep))
         turned = np.tile((cx, cy), 2) + np.tile(radius, 2) * (np.cos(bearings), np.sin(bearings))
         ends = np.vstack((self.segments.reshape(-1, 2), turned.T))
         beside = _to_segments(np.array([[*from_xy_m, *to_xy_m]]), ends[:, :1], ends[:, 1:])
-        return float(min(self.clearance_m(on_way).min(), beside.min(initial=np.inf)))
+        return float(min(self.clearance_m(on_path).min(), beside.min(initial=np.inf)))
 
     def seen_from(self, world_T_frame: Pose) -> World:
         """Return the walls in another frame."""

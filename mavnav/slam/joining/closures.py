@@ -13,14 +13,14 @@ from msgspec.structs import replace
 
 from mavnav.pose import Pose
 from mavnav.slam.joining.following import across, end_of
-from mavnav.slam.joining.group import APART_M, Group, own_edges, weights
-from mavnav.slam.joining.witnesses import evenly
+from mavnav.slam.joining.group import APART_M, Group, own_edges
 from mavnav.slam.loop_closure.closure import Closure, agree
 from mavnav.slam.loop_closure.detection import LOOP_M, SIGHT_M, consistent, edges_of, track_confirmed
 from mavnav.slam.loop_closure.key_frames import KEY_M, KeyFrame
 from mavnav.slam.loop_closure.matching import find_closure
 from mavnav.slam.loop_closure.path_edges import PATH_SIGMA_M, PATH_SIGMA_RAD
-from mavnav.slam.loop_closure.pose_graph import Edge, optimized
+from mavnav.slam.loop_closure.pose_graph import Edge, optimized, root_information
+from mavnav.slam.parts import evenly
 from mavnav.slam.relocalization import with_conflicts
 from mavnav.slam.scan_matching import no_match
 from mavnav.units import DEG
@@ -80,7 +80,7 @@ def tied(group: Group, number: int, group_T_key: Pose) -> Edge:
     """Bind the next key frame of a group, by its pose, to the last one of a session."""
     last = max(k for k in range(len(group.keys)) if group.owner(k) == number)
     start_T_end = group.keys[last].map_T_laser.between(group_T_key)
-    return Edge(last, len(group.keys), start_T_end, weights(PATH_SIGMA_M, PATH_SIGMA_RAD))
+    return Edge(last, len(group.keys), start_T_end, root_information(PATH_SIGMA_M, PATH_SIGMA_RAD))
 
 
 def joined(
@@ -201,9 +201,9 @@ def searched(keys: Sequence[KeyFrame], first: int, config: Config) -> list[int]:
     xy_m = np.array([key.map_T_laser[:2] for key in keys])
     usable = [k for k in range(first, len(keys)) if len(keys[k].points) >= config.robust.min_points]
     near = [k for k in usable if (np.hypot(*(xy_m[:first] - xy_m[k]).T) <= SIGHT_M).any()]
-    chosen = [near[k] for k in evenly(len(near), MOST_SEARCHED)] if near else []
+    chosen = [near[k] for k in evenly(len(near), MOST_SEARCHED)]
     others = [k for k in usable if k not in near]
-    chosen += [others[k] for k in evenly(len(others), MOST_SEARCHED - len(chosen))] if others else []
+    chosen += [others[k] for k in evenly(len(others), MOST_SEARCHED - len(chosen))]
     return sorted(chosen)
 
 

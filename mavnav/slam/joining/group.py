@@ -13,12 +13,10 @@ from mavnav.slam.loop_closure.closure import SIGMA_M, SIGMA_RAD
 from mavnav.slam.loop_closure.detection import LOOP_M
 from mavnav.slam.loop_closure.key_frames import KEY_M, KEY_RAD, KeyFrame
 from mavnav.slam.loop_closure.path_edges import PATH_SIGMA_M, PATH_SIGMA_RAD
-from mavnav.slam.loop_closure.pose_graph import Edge
+from mavnav.slam.loop_closure.pose_graph import Edge, root_information
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
 
     from mavnav.slam.joining.session import Session
 
@@ -95,7 +93,7 @@ def group_in_frame(sessions: Sequence[Session]) -> Group:
         edges += own_edges(session, first)
         if number:
             pairs = [pair for pair in revisits(keys, first) if pair[0] < first] or [nearest_pair(keys, first)]
-            firm = weights(SIGMA_M, SIGMA_RAD)
+            firm = root_information(SIGMA_M, SIGMA_RAD)
             edges += [Edge(i, j, keys[i].map_T_laser.between(keys[j].map_T_laser), firm) for i, j in pairs]
     return Group(tuple(sessions), tuple(keys), tuple(edges), tuple(Join(session.name) for session in sessions))
 
@@ -111,13 +109,13 @@ def nearest_pair(keys: Sequence[KeyFrame], first: int) -> tuple[int, int]:
 def own_edges(session: Session, first: int) -> Iterator[Edge]:
     """Bind the key frames of a session as its run placed them; ``first`` is the number of its first one."""
     keys, times = session.keys, DOUBTFUL if session.doubtful else 1.0
-    poses, path = [key.map_T_laser for key in keys], weights(PATH_SIGMA_M, PATH_SIGMA_RAD) / times
+    poses, path = [key.map_T_laser for key in keys], root_information(PATH_SIGMA_M, PATH_SIGMA_RAD) / times
     for k, (a, b) in enumerate(pairwise(poses)):
         a_T_b = a.between(b)
         share = max(a_T_b.distance_m / KEY_M, abs(a_T_b.yaw_rad) / KEY_RAD)
         yield Edge(first + k, first + k + 1, a_T_b, path / np.sqrt(min(max(share, SHORT), 1.0)))
     for i, j in revisits(keys, 0):
-        yield Edge(first + i, first + j, poses[i].between(poses[j]), weights(SIGMA_M, SIGMA_RAD) / times)
+        yield Edge(first + i, first + j, poses[i].between(poses[j]), root_information(SIGMA_M, SIGMA_RAD) / times)
 
 
 def revisits(keys: Sequence[KeyFrame], begin: int) -> Iterator[tuple[int, int]]:
@@ -128,8 +126,3 @@ def revisits(keys: Sequence[KeyFrame], begin: int) -> Iterator[tuple[int, int]]:
         i = int(np.argmin(off_m)) if len(off_m) else 0
         if len(off_m) and off_m[i] <= NEAR_M:
             yield i, j
-
-
-def weights(sigma_m: float, sigma_rad: float) -> NDArray[np.float64]:
-    """Return the square root (3, 3) of the information matrix of a pose with these standard deviations."""
-    return np.diag(1.0 / np.array((sigma_m, sigma_m, sigma_rad)))

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.mapping.occupancy_grid import GridBuilder
-from mavnav.pose import Pose
+from mavnav.pose import rigid_fit
 from mavnav.slam.loop_closure.detection import follow
-from mavnav.slam.map_alignment import fitted
 from mavnav.slam.redraw import motions_along
 from mavnav.slam.rematch import refined
 from mavnav.slam.robust import Robust
@@ -18,20 +17,18 @@ from mavnav.slam.scan_matching import no_match
 from mavnav.slam.steps import Step, Steps, tracked_trajectory
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from mavnav.config.models import Config
     from mavnav.mapping.occupancy_grid import Grid
-    from mavnav.pose import Trajectory
+    from mavnav.pose import Pose, Trajectory
     from mavnav.scan import Scan
     from mavnav.slam.joining.group import Group
     from mavnav.slam.joining.session import Session
     from mavnav.slam.motion_model import Motion
-
-    OnStep = Callable[[str, int], None]
-    """Called with what is being done, and the number of scans done."""
+    from mavnav.slam.track import OnStep
 
 AHEAD_M = 1.0
 """Frames are compared by the positions of poses, and by points so far ahead of them."""
@@ -76,8 +73,7 @@ def merged_map(
 
 def frame_of(here: Sequence[Trajectory], there: Sequence[Trajectory]) -> Pose:
     """Return the motion that brings poses best to where they are in another frame: themselves, and a point ahead."""
-    old, new = (np.concatenate([_points(path) for path in paths]).tolist() for paths in (here, there))
-    return fitted([(Pose(*a), Pose(*b)) for a, b in zip(old, new, strict=True)])
+    return rigid_fit(*(np.concatenate([_points(path) for path in paths]) for paths in (here, there)))
 
 
 def _points(path: Trajectory) -> NDArray[np.float64]:

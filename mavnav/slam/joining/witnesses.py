@@ -9,7 +9,7 @@ import numpy as np
 from mavnav.slam.joining.group import Join
 from mavnav.slam.loop_closure.matching import AMBIGUITY_MARGIN, fits
 from mavnav.slam.map_alignment import fitted
-from mavnav.slam.parts import consensus
+from mavnav.slam.parts import LEAST_AGREEING, consensus, evenly
 from mavnav.slam.relocalization import apart, candidates, everywhere, unambiguous
 
 if TYPE_CHECKING:
@@ -40,7 +40,11 @@ def sought(session: Session, part: Part, config: Config) -> tuple[Join, Pose | N
     pairs, searched = witnesses(session, part, config)
     group_T_session, join = consensus(pairs), Join(session.name, searched, len(pairs))
     if group_T_session is None:
-        few = "too few of its scans fit in one place of the others' map" if len(pairs) < 3 else "its scans disagree"
+        few = (
+            "too few of its scans fit in one place of the others' map"
+            if len(pairs) < LEAST_AGREEING
+            else "its scans disagree"
+        )
         return join._replace(why=few), None
     agreeing = [pair for pair in pairs if not apart(group_T_session @ pair[0], pair[1])]
     return join._replace(agreeing=len(agreeing)), fitted(agreeing)
@@ -86,9 +90,3 @@ def _only_place(key: KeyFrame, part: Part, region: Region, config: Config) -> Ma
         candidates(key.points, part.lines, part.grid, region, config, MOST_PLACES), AMBIGUITY_MARGIN, config
     )
     return best if best and fits(best) else None
-
-
-def evenly(count: int, most: int) -> list[int]:
-    """Choose numbers up to a count, so many at most, at even distances."""
-    numbers: list[int] = np.unique(np.linspace(0, count - 1, most).astype(int)).tolist()
-    return numbers

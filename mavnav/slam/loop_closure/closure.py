@@ -5,15 +5,16 @@ from __future__ import annotations
 from math import cos, sin
 from typing import TYPE_CHECKING
 
-import numpy as np
 from msgspec import Struct
 
 from mavnav.pose import Pose
+from mavnav.slam.loop_closure.pose_graph import root_information
 from mavnav.units import DEG
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from mavnav.slam.loop_closure.key_frames import KeyFrame
@@ -58,7 +59,7 @@ class Closure(Struct, frozen=True):
     @property
     def sqrt_information(self) -> NDArray[np.float64]:
         """Square root (3, 3) of the information matrix of x, y and yaw, frame of ``start``; 1/m, 1/m and 1/rad."""
-        root = np.diag(1.0 / np.array((SIGMA_M, SIGMA_M, SIGMA_RAD)))
+        root = root_information(SIGMA_M, SIGMA_RAD)
         if self.weak_rad is not None:
             c, s = cos(self.weak_rad), sin(self.weak_rad)
             root[:2] = (0.0, 0.0, 0.0), (-s / SIGMA_M, c / SIGMA_M, 0.0)

@@ -40,6 +40,11 @@ class Edge(Struct, frozen=True):
     sqrt_information: NDArray[np.float64]
 
 
+def root_information(sigma_m: float, sigma_rad: float) -> NDArray[np.float64]:
+    """Return the square root (3, 3) of the information matrix of a pose with these standard deviations."""
+    return np.diag(1.0 / np.array((sigma_m, sigma_m, sigma_rad)))
+
+
 def optimized(poses: Sequence[Pose], edges: Sequence[Edge]) -> list[Pose]:
     """Return the poses that fit the edges best; the first pose does not change.
 

@@ -1,0 +1,111 @@
+"""A log before its messages are read: whether it can be one at all, and by what its content is known."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from math import isfinite
+from typing import TYPE_CHECKING, Final
+
+from mavnav.errors import NoScansError, UsageError, lacks_memory
+from mavnav.logs.formats import detect
+from mavnav.logs.formats.rosbag2 import METADATA
+from mavnav.logs.formats.source import Source
+from mavnav.logs.read_report import ReadReport
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_MOST_HOLES_BYTES: Final = 4 << 30
+"""Holes take no space on the disk, but must be hashed as zeros; no recorder leaves any."""
+
+_MOST_EXTENTS: Final = 10_000
+_ZEROS: Final = memoryview(bytes(1 << 16))
+
+
+def check_log(path: Path, start_s: float | None = None, end_s: float | None = None) -> None:
+    """Raise UsageError or NoScansError for what shows at a glance: no such log, no log at all, an empty window."""
+    check_file(path)
+    check_window(start_s, end_s)
+    try:
+        if detect.sniff(path) == detect.UNKNOWN:
+            raise NoScansError(f"{path}: no usable scans; {detect.refusal(path)}")
+    except OSError as error:
+        raise unreadable(path, error) from error
+
+
+def check_file(path: Path) -> None:
+    """Raise UsageError where there is no file or folder, NoScansError where a file is hardly more than holes."""
+    if not path.exists():
+        raise UsageError(f"{path}: no such file or folder; give the path of a log")
+    if not (path.is_file() or path.is_dir()):
+        raise UsageError(f"{path}: neither a regular file nor a folder; give the path of a log")
+    if path.is_file() and (holes_bytes := _holes(path)) > _MOST_HOLES_BYTES:
+        text = f"{holes_bytes / 1e9:.0f} GB of the file are holes that no recorder wrote"
+        raise NoScansError(f"{path}: no usable scans; {text}; get a whole copy, or cut it with truncate")
+
+
+def check_window(start_s: float | None, end_s: float | None) -> None:
+    """Raise UsageError for ends of a window, s from the first usable scan, that are no times or out of order."""
+    for name, value in (("--start", start_s), ("--end", end_s)):
+        if value is not None and not (isfinite(value) and value >= 0.0):
+            raise UsageError(f"{name} {value:g} is no time; it counts in seconds from the first usable scan, 0 or more")
+    if start_s is not None and end_s is not None and end_s <= start_s:
+        raise UsageError(f"the window from {start_s:g} s to {end_s:g} s is empty; --end must be later than --start")
+
+
+def unreadable(path: Path, error: OSError) -> UsageError | MemoryError:
+    """Return what is raised where the system cannot read a log."""
+    if lacks_memory(error):
+        return MemoryError(str(error))
+    return UsageError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions")
+
+
+def content_sha256(path: Path) -> str:
+    """Return the SHA-256 by which a survey knows a log's content, without reading its messages; raises UsageError."""
+    check_file(path)
+    try:
+        return size_and_sha256(path)[1]
+    except OSError as error:
+        raise unreadable(path, error) from error
+
+
+def size_and_sha256(path: Path) -> tuple[int, str]:
+    """Return size and SHA-256: of a file; of a folder, over the lines ``<sha256>  <name>`` of its bag's files."""
+    if path.is_file():
+        return path.stat().st_size, _sha256(path)
+    files = sorted({*detect.parts(path, ReadReport()), *[f for f in [path / METADATA] if f.is_file()]})
+    lines = "".join(f"{_sha256(file)}  {file.relative_to(path)}\n" for file in files)
+    return sum(file.stat().st_size for file in files), hashlib.sha256(lines.encode()).hexdigest()
+
+
+def _sha256(path: Path) -> str:
+    """Return the SHA-256 of a file; the zeros of its holes are not read, which would take longer than to count them."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        source = Source(file, path.stat().st_size)
+        offset = 0
+        while offset < source.size:
+            data_at = min(source.next_data(offset), source.size)
+            for at in range(offset, data_at, len(_ZEROS)):
+                digest.update(_ZEROS[: data_at - at])
+            block = source.read(data_at, len(_ZEROS))
+            digest.update(block)
+            offset = data_at + len(_ZEROS)
+    return digest.hexdigest()
+
+
+def _holes(path: Path) -> int:
+    """Count the bytes of a file before its end that the file system does not keep; 0 where few can be missing."""
+    status = path.stat()
+    if status.st_size - getattr(status, "st_blocks", status.st_size) * 512 <= _MOST_HOLES_BYTES:
+        return 0
+    holes_bytes, end = 0, 0
+    with path.open("rb") as file:
+        for _ in range(_MOST_EXTENTS):
+            start = os.lseek(file.fileno(), end, os.SEEK_HOLE)
+            end = Source(file, status.st_size).next_data(start)
+            holes_bytes += end - start
+            if end >= status.st_size:
+                break
+    return holes_bytes

@@ -1,0 +1,62 @@
+"""The references of a replay in the frame of its map, and those that do not fit the log or that frame."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
+
+from mavnav.errors import UsageError
+from mavnav.ground_truth.references import check_times
+from mavnav.metrics.trajectory_error import MAX_GAP_NS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mavnav.ground_truth.references import References
+    from mavnav.logs import Log
+
+NO_WALLS: Final = (
+    "the map begins after the first scan of the mission, to which the walls of the scenario are relative: "
+    "it is not compared with them"
+)
+
+
+def check_references(
+    references: References, log: Log, truth_map: Path | None, start_s: float | None, *, own_frame: bool
+) -> None:
+    """Raise UsageError for references of another time than the log, or of a frame that its map will not have.
+
+    ``truth_map`` is the file of the true map, ``start_s`` where in the log the run starts. In its ``own_frame`` a map
+    begins at a scan of the log, else it is in that of a given map or run.
+    """
+    check_times(_with_recorded_truth(references, log, None), log.first_ns, log.last_ns)
+    if start_s and references.of_first_scan and own_frame:
+        raise UsageError(
+            f"{truth_map}: the walls of a scenario are relative to the first scan of the mission; "
+            "leave out --start, or give the true walls as a map file in the frame of the map"
+        )
+
+
+def references_in_map(references: References, log: Log, begin_ns: int | None) -> tuple[References, tuple[str, ...]]:
+    """Return the references that a map is compared with, in its frame, and warnings of those left out.
+
+    ``begin_ns`` is the stamp of the scan that begins the map and defines its frame, None where that is no scan of the
+    log.
+    """
+    references = _with_recorded_truth(references, log, begin_ns)
+    if references.of_first_scan and begin_ns not in {None, log.first_ns}:
+        return replace(references, true_map=None), (NO_WALLS,)
+    return references, ()
+
+
+def _with_recorded_truth(references: References, log: Log, begin_ns: int | None) -> References:
+    """Add the truth that the log holds, if it was asked for, in the map frame: that of the scan which begins the map.
+
+    Where that scan is unknown, or has no truth, it stays in its own frame.
+    """
+    if log.truth is None:
+        return references
+    truth = log.truth.world_T_laser
+    first = None if begin_ns is None else truth.at(begin_ns, MAX_GAP_NS)
+    return replace(references, truth=truth.seen_from(first.inverse()) if first else truth)

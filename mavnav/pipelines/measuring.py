@@ -1,0 +1,43 @@
+"""What is measured of a tracked log before it is written: its map, and the slices of that by height."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mavnav.mapping.occupancy_grid import known_part, measured_part
+from mavnav.mapping.slices import placed_with_heights, sliced
+from mavnav.metrics.journey import Journey
+from mavnav.metrics.map_quality import measure_map
+from mavnav.profiling import Stage, timed
+from mavnav.units import MM
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mavnav.config.models import Config
+    from mavnav.logs import Log
+    from mavnav.mapping.slices import PlacedScan, Slices
+    from mavnav.metrics.map_quality import MeasuredMap
+    from mavnav.slam.result import SlamResult
+
+
+@timed("measuring")
+def measured_map(outcome: SlamResult, log: Log) -> MeasuredMap:
+    """Measure the known part of the map of a run, with the scans behind it."""
+    journey = Journey(
+        outcome.trajectory, log.scans, outcome.tracked_share, outcome.lost_for_good, planar=outcome.planar
+    )
+    return measure_map(measured_part(outcome.grid), journey)
+
+
+def map_slices_of(outcome: SlamResult, log: Log, config: Config) -> Slices | None:
+    """Cut the map of a run into slices by height; None where the height of the laser is not known, or hardly varies."""
+    attitude = log.attitude
+    if attitude is None or not attitude.has_heights:
+        return None
+
+    def placed() -> Iterator[PlacedScan]:
+        return placed_with_heights(log.scans(), outcome.trajectory, attitude.height_at)
+
+    with Stage("slices"):
+        return sliced(placed, known_part(outcome.grid), config.slice_mm * MM)
