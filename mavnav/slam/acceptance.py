@@ -61,7 +61,7 @@ class Acceptance:
 
     def conflicts_after_gap(self, match: Match, motion: Motion, elapsed_s: float) -> bool:
         """Return whether a pose after a long gap without odometry has too many visibility conflicts."""
-        long = motion.odometry is None and elapsed_s > max(LONG_GAP_S, motion.period_s)
+        long = elapsed_s > max(LONG_GAP_S, motion.period_s)
         return long and match.conflicts > self.found_conflicts
 
     def verdict(self, match: Match, motion: Motion, elapsed_s: float) -> Verdict:
