@@ -29,6 +29,11 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
     return files
 
 
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Remove the backslash before bars in code: GitHub needs it in tables, Python-Markdown would show it."""
+    return re.sub(r"`[^`\n]*`", lambda code: code[0].replace("\\|", "|"), markdown)
+
+
 def commands_page() -> str:
     """Return the reference of all commands and options, as ``--help`` shows them."""
     group = get_command(app_for([]))

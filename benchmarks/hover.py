@@ -130,9 +130,7 @@ def cells_of(xy_m: np.ndarray, cell_m: float) -> np.ndarray:
 
 def slices(scenario: str, seeds: int, folder: Path) -> None:
     """Print how much of the true walls is in each slice, and how much is false; means of the missions that have it."""
-    print(
-        "\n| slice, m (missions) | true wall cells | found | met by beams | found of these | occupied cells | false |"
-    )
+    print("\n| slice, m (missions) | true wall cells | found | seen | found of these | occupied cells | false |")
     print("|---|---|---|---|---|---|---|")
     counts: dict[tuple[float, float], np.ndarray] = {}
     for seed in range(seeds):
@@ -144,8 +142,8 @@ def slices(scenario: str, seeds: int, folder: Path) -> None:
             key = (layer.from_m, layer.to_m)
             counts[key] = counts.get(key, np.zeros(7)) + np.array([*compared(layer, world, ends), 1])
     for (low_m, high_m), (true, found, seen, seen_found, occupied, false, n) in sorted(counts.items()):
-        shares = f"{found / true:.0%} | {seen / n:.0f} | {seen_found / seen:.1%} | {occupied / n:.0f}"
-        print(f"| {low_m:.2f} to {high_m:.2f} ({n:.0f}) | {true / n:.0f} | {shares} | {false / occupied:.1%} |")
+        shares = f"{100 * found / true:.0f} % | {seen / n:.0f} | {100 * seen_found / seen:.1f} % | {occupied / n:.0f}"
+        print(f"| {low_m:.2f} to {high_m:.2f} ({n:.0f}) | {true / n:.0f} | {shares} | {100 * false / occupied:.1f} % |")
 
 
 def costs(scenario: str, folder: Path) -> Iterator[str]:

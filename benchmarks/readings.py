@@ -28,7 +28,7 @@ from mavnav.config.loading import load_config
 from mavnav.logs import open_log
 from mavnav.metrics.map_quality import map_quality
 from mavnav.metrics.wall_thickness import wall_thickness
-from mavnav.pipelines.replay import measured_quality, measured_sections
+from mavnav.pipelines.replay import measured_map
 from mavnav.pipelines.simulate import truth_errors
 from mavnav.profiling import new_profile
 from mavnav.simulation.mission import End, fly
@@ -231,7 +231,7 @@ def _replay(task: tuple[Reading, str, str]) -> str:
     log = open_log(Path(folder) / name / f"{name}.mcap", odom="off")
     sets = [s.removeprefix("slam.") for s in reading.sets if s.startswith("slam.")]
     outcome = run_slam(log.scans, load_config(reading.preset, sets), log.period_s)
-    quality = measured_quality(outcome, log, measured_sections(outcome.grid))
+    quality = measured_map(outcome, log).quality
     apart_mm = quality.revisits.nn_l_mm if quality.revisits else np.nan
     ended = "" if not outcome.lost_for_good else ", lost"
     return f"{100 * outcome.steps.share('tracked'):.0f} %, {apart_mm:.1f}{ended}"

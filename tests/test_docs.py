@@ -197,6 +197,12 @@ def test_the_generated_pages_have_every_option_and_every_key() -> None:
     )
 
 
+def test_code_in_the_tables_of_the_site_has_no_backslash() -> None:
+    page = hooks().on_page_markdown((DOCS / "cli.md").read_text())
+    assert "| `mavnav metrics RUN|MAP.yaml ...` |" in page
+    assert "\\|" not in page
+
+
 def test_settings_on_the_pages_exist() -> None:
     known = {".".join(key) for key, _ in fields()}
     for page in ("settings.md", "problems.md"):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from mavnav.errors import NoScansError, UsageError
 from mavnav.logs.formats.detect import SUFFIXES, is_named_like_a_log
 from mavnav.outputs.addresses import is_address
-from mavnav.outputs.directory import RUN_FILE
+from mavnav.outputs.directory import MERGE_FILE, RUN_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -74,8 +74,12 @@ def _hidden(path: Path, pattern: Path) -> bool:
 
 
 def _is_result(path: Path) -> bool:
-    """Return whether a log is the result of a run."""
-    return path.name == "result.mcap" and (path.parent / RUN_FILE).is_file()
+    """Return whether a log is the result of a run, or a session of a merge."""
+    return (path.name == "result.mcap" or path.name.startswith("session_")) and _is_run(path.parent)
+
+
+def _is_run(folder: Path) -> bool:
+    return any((folder / name).is_file() for name in (RUN_FILE, MERGE_FILE))
 
 
 def _logs(paths: Sequence[Path]) -> list[Path]:
@@ -94,7 +98,7 @@ def _logs(paths: Sequence[Path]) -> list[Path]:
         visited.add(place)
         if not folder or (path / "metadata.yaml").is_file():
             found.append(path)
-        elif not (path / RUN_FILE).is_file():
+        elif not _is_run(path):
             inner = [each for each in path.iterdir() if not each.name.startswith(".") and _may_be_log(each)]
             waiting.extendleft(each for each in inner if not each.is_symlink())
             waiting.extend(each for each in inner if each.is_symlink())

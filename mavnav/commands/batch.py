@@ -42,6 +42,7 @@ from mavnav.commands.options import (
 from mavnav.commands.progress import loading_modules, reporting
 from mavnav.commands.run_progress import watching
 from mavnav.commands.terminal import emit_json, note
+from mavnav.units import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -256,7 +257,7 @@ def _cluster(request: BatchRequest, *, quiet: bool) -> Iterator[Cluster | None]:
 
     with connected(limits.scheduler, request.directory, limits.workers, limits.memory_mb, limits.tries) as cluster:
         if not quiet:
-            note(f"mavnav: {cluster.workers} workers; dashboard at {cluster.dashboard}")
+            note(f"mavnav: {counted(cluster.workers, 'worker')}; dashboard at {cluster.dashboard}")
         yield cluster
 
 

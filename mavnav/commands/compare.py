@@ -166,7 +166,7 @@ def _compared(plan: BatchPlan, *, quiet: bool) -> tuple[dict[str, Any], Path]:
 
 def _print_result(document: dict[str, Any], page: Path, *, json: bool) -> None:
     """Print the result on stdout, and on stderr what the user must not miss."""
-    from mavnav.comparison.files import problems
+    from mavnav.comparison.files import problems, remarks
 
     if json:
         emit_json(document)
@@ -175,6 +175,8 @@ def _print_result(document: dict[str, Any], page: Path, *, json: bool) -> None:
         emit(f"\nreport  {page}")
     for problem in problems(document):
         note(f"mavnav: error: {problem}")
+    for remark in remarks(document):
+        note(f"mavnav: warning: {remark}")
 
 
 def _show_maps(document: dict[str, Any], directory: Path, *, stderr: bool) -> None:

@@ -55,7 +55,7 @@ def show(
 @app.command(cls=Command)
 def schema(
     document: Annotated[
-        Literal["config", "run"], typer.Argument(help="config: configuration files; run: run.json.")
+        Literal["config", "run"], typer.Argument(metavar="config|run", help="Of configuration files, or of run.json.")
     ] = "config",
 ) -> None:
     """Print the JSON Schema of configuration files, for editors that check while you type, or of run.json."""

@@ -23,7 +23,7 @@ EPILOG = """
 
 mavnav diff runs/monday runs/friday -o diff.png
 
-mavnav diff map.yaml runs/friday --gate 'changed_m2<=2'
+mavnav diff map.yaml runs/friday --gate 'changed_m2<=0.2'
 
 mavnav diff runs/monday runs/friday --json | jq '.changes[] | select(.kind == "new")'
 """

@@ -132,7 +132,7 @@ Outputs = Annotated[
 ReportFile = Annotated[
     Path | None, output_option("--report", metavar="FILE.html", help="Also write the result as one page.")
 ]
-WriteReport = Annotated[bool, output_option("--report", help="Also write the run as one page, report.html.")]
+WriteReport = Annotated[bool, output_option("--report", help="Also write the result as one page, report.html.")]
 Force = Annotated[bool, output_option("--force", help="Overwrite the output if it exists.")]
 RunAgain = Annotated[bool, output_option("--force", help="Ignore finished runs and repeat them.")]
 Json = Annotated[bool, output_option("--json", help="Print one JSON document on stdout and nothing else.")]

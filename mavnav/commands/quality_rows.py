@@ -92,7 +92,7 @@ def quality_rows(quality: dict[str, Any]) -> Rows:
             )
         ]
     if revisits and revisits["nn_l_mm"] is not None:
-        near = "" if revisits["nn_s_mm"] is None else f", neighbours {revisits['nn_s_mm']:.1f} mm"
+        near = "" if revisits["nn_s_mm"] is None else f", neighbors {revisits['nn_s_mm']:.1f} mm"
         rows.append(("revisits", f"{revisits['nn_l_mm']:.1f} mm apart{near}"))
     rows.append(("straight walls", f"{support['wall_m']:.1f} m in the occupied cells of the map"))
     return rows + [("not meaningful", why) for why in quality["why"]]

@@ -263,8 +263,9 @@ def _print_result(document: dict[str, Any], directory: Path, *, json: bool) -> N
 
         note(with_picture(lost_line(document), document["outputs"]))
     if document["partial"]:
-        scans = document["scans"]
-        note(f"mavnav: stopped after {scans['processed']} of {scans['usable']} scans; the run is partial")
+        done, usable = document["scans"]["processed"], document["scans"]["usable"]
+        where = f"after {done} of {usable} scans" if done < usable else "in the passes over the whole log"
+        note(f"mavnav: stopped {where}; the run is partial")
 
 
 def _note_continued(continued: dict[str, Any], log: str) -> None:
@@ -328,7 +329,7 @@ def print_stages(stages: dict[str, float], *, stderr: bool) -> None:
     """Print the seconds by stage, the longest first, and each one's share."""
     total_s = max(sum(stages.values()), 1e-9)
     for name, spent_s in sorted(stages.items(), key=lambda stage: -stage[1]):
-        line = f"{name:<14}{spent_s:>9.3f} s {spent_s / total_s:>6.1%}"
+        line = f"{name:<14}{spent_s:>9.3f} s {100 * spent_s / total_s:>5.1f} %"
         if stderr:
             note(line)
         else:

@@ -7,6 +7,7 @@ import io
 from typing import TYPE_CHECKING, Any, Final
 
 from mavnav.atomic_files import beside
+from mavnav.batch.document import ENDS
 from mavnav.comparison.figures import RELATIVE_COSTS
 from mavnav.errors import OutputError
 from mavnav.outputs.document import to_json
@@ -53,7 +54,7 @@ def comparison_markdown(document: dict[str, Any]) -> str:
     titles = ["log", "method", "yaw samples/grid", *(f.head for f in QUANTITIES), "evaluations ratio", "cpu ratio"]
     lines = [f"# mavnav {document['mavnav_version']} compare", "", table_row(titles), table_row(["---"] * len(titles))]
     lines += [table_row(_cells(document, k)) for k in range(len(document["cells"]))]
-    failed = [f"- {escaped(problem)}" for problem in problems(document)]
+    failed = [f"- {escaped(line)}" for line in (*problems(document), *remarks(document))]
     notes = [escaped(line) for line in uncompared(document)]
     return "\n".join([*lines, *(["", *notes] if notes else []), *(["", *failed] if failed else [])]) + "\n"
 
@@ -94,6 +95,11 @@ def problems(document: dict[str, Any]) -> list[str]:
         if not gate["passed"]
     ]
     return failed + gates
+
+
+def remarks(document: dict[str, Any]) -> list[str]:
+    """Return a line for every run of a damaged log, and every one that lost its track for good."""
+    return [f"{c['name']}: {ENDS[c['exit_code']]}" for c in document["cells"] if c["run"] and c["exit_code"]]
 
 
 TEXTS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {

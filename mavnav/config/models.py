@@ -113,7 +113,7 @@ class PaperConfig:
     cell_mm: float = setting(14.0, ge=1, le=250, description="cell edge of the map")
     near_mm: float = setting(100.0, ge=0, le=100_000, description="cost step vi: nearer points are left out")
     far_mm: float = setting(5000.0, gt=0, le=300_000, description="cost step vi: farther points are left out")
-    mixed_pixel_mm: float = setting(100.0, gt=0, le=100_000, description="cost step vii: least jump to both neighbours")
+    mixed_pixel_mm: float = setting(100.0, gt=0, le=100_000, description="cost step vii: least jump to both neighbors")
     occlusion_mm: float = setting(
         300.0, gt=0, le=100_000, description="cost step viii: larger radius differences are occlusions"
     )

@@ -60,6 +60,9 @@ class ImuTrack(Struct):
         stamps = stamps if stamp_source == "header" else recorded
         keep = in_order(stamps, recorded, self.topic, warn)
         if len(keep) < LEAST_MESSAGES:
+            if len(stamps) >= LEAST_MESSAGES:
+                text = f"the stamps of the inertial sensor ascend in {len(keep)} of {len(stamps)} messages"
+                warn(f"{self.topic}: {text}; it is not used, check its clock")
             return None
         numbers = np.array(self.numbers, np.float64).reshape(-1, 10)[keep]
         stamps, rates, ups = stamps[keep], numbers[:, :3], _ups(stamps[keep], numbers[:, 3:6], numbers[:, 6:])

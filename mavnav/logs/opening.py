@@ -258,6 +258,11 @@ def _with_motion(log: Log, found: Survey, odom: str, extrinsic: Pose | None, *, 
     place, of_mounting = len(warnings), list[str]()
     mounted = mounting(found.frames, log.frame_id, bases, of_mounting.append)
     base_frame, base_T_laser, overhead = mounted or (bases[0] if track else None, None, False)
+    if mounted and not extrinsic and found.frames.contradicts(mounted.base_frame, laser):
+        warnings.append(
+            f"/tf_static gives several transforms from {base_frame!r} to {log.frame_id!r}; the last is used: see what "
+            "publishes them, or give the mounting with --extrinsic x,y,yaw"
+        )
     if overhead and not upside_down:
         done = (
             "used as recorded, as --extrinsic knows the plane alone"

@@ -96,14 +96,26 @@ class ScanFilter:
         self._far, self._positive = 0, 0
         self._turns = ""
         self._max_is_none = False
+        self._invalid = np.zeros(len(KINDS), np.int64)
 
     @property
     def doubt(self) -> str:
         """The reason to refuse the whole topic, empty where there is none."""
         if self._far * 2 > self._positive:
-            text = "more than half of the ranges lie beyond 250 m: they look like millimetres, not metres"
+            text = "more than half of the ranges lie beyond 250 m: they look like millimeters, not meters"
             return f"{text}; divide them by 1000, range_min and range_max too"
         return self._turns if self._spec is None else ""
+
+    @property
+    def invalid(self) -> str:
+        """What the ranges of scans without a valid one are, and what to check; empty where there is no such scan."""
+        total = int(self._invalid.sum())
+        if not total or self._spec is None:
+            return ""
+        kinds = sorted(zip(self._invalid.tolist(), KINDS, strict=True), reverse=True)
+        shares = ", ".join(f"{100 * n / total:.0f} % {kind.replace('_', ' ')}" for n, kind in kinds if n)
+        limits = f"range_min and range_max are {self._spec.range_min_m:g} and {self._spec.range_max_m:g} m"
+        return f"their ranges are {shares}, and {limits}: check the laser, and whether all these are in meters"
 
     def _look_at_units(self, ranges_m: NDArray[np.floating]) -> None:
         """Count what is too far; the farthest value of a scan may be a driver's word for no return."""
@@ -128,6 +140,7 @@ class ScanFilter:
         spec = self._spec_of(message)
         cleaned, counts = clean(message.ranges_m, spec.range_min_m, self._farthest_m(message.ranges_m, spec))
         if not counts[0]:
+            self._invalid += counts
             return "no_valid_beam"
         return spec, cleaned, counts
 

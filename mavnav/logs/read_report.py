@@ -14,7 +14,7 @@ from mavnav.logs.records import Damage
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from mavnav.logs.records import AttachedFile, Channel, MetadataRecord
+    from mavnav.logs.records import AttachedFile, Channel, MetadataRecord, Schema
 
 MAX_DAMAGE = 100
 """Damage is listed singly up to here, so that a log of rubbish does not fill the memory; the rest is counted."""
@@ -43,8 +43,8 @@ class ReadReport:
 
     def __init__(self, take_extra: Callable[[AttachedFile | MetadataRecord | str], None] | None = None) -> None:
         self.take_extra = take_extra
-        self.channels: dict[tuple[str, str, str], Channel] = {}
-        self._declared: dict[tuple[str, str, str], Channel] = {}
+        self.channels: dict[tuple[str, str, str, Schema], Channel] = {}
+        self._declared: dict[tuple[str, str, str, Schema], Channel] = {}
         self._warnings: dict[str, None] = {}
         self._more_warnings = 0
         self.total_bytes = 0
@@ -56,21 +56,22 @@ class ReadReport:
     def declare(self, channel: Channel) -> Channel:
         """Note a channel, with or without messages; return the one to use for it.
 
-        Where a letter or two of a type are wrong, as from a flipped bit, it is the one that is known.
+        Merged logs may define a type of one topic in several ways; each is a channel of its own. Where a letter or two
+        of a type are wrong, as from a flipped bit, it is the one that is known.
         """
-        key = (channel.topic, channel.type, channel.encoding)
+        key = _key(channel)
         if key not in self._declared:
             mended = _mended(channel)
             if mended != channel:
                 was, now = (f"{c.type} ({c.encoding})" for c in (channel, mended))
                 self.damage(f"the type {was} is damaged, and taken for {now}", channel.topic)
-            self._declared[key] = self.channels.setdefault((mended.topic, mended.type, mended.encoding), mended)
+            self._declared[key] = self.channels.setdefault(_key(mended), mended)
         return self._declared[key]
 
     def only(self, message_type: str) -> Channel | None:
-        """Return the channel of this type, if there is just one."""
+        """Return the channel of this type, if there is just one topic of it."""
         found = [channel for channel in self.channels.values() if channel.type == message_type]
-        return found[0] if len(found) == 1 else None
+        return found[0] if len({(channel.topic, channel.encoding) for channel in found}) == 1 else None
 
     def damage(self, what: str, where: str) -> None:
         """Note something that could not be read, or is suspect."""
@@ -114,6 +115,10 @@ class ReadReport:
         """Return what was noted, the unlisted rest in one line a kind."""
         rest = (Damage(f"{what} ({count} more)", "further on") for what, count in self._unlisted.items())
         return (*self._damage, *rest)
+
+
+def _key(channel: Channel) -> tuple[str, str, str, Schema]:
+    return channel.topic, channel.type, channel.encoding, channel.schema
 
 
 def _shortened(text: str) -> str:

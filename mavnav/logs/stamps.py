@@ -151,12 +151,13 @@ class TopicScans(Struct):
 
     Some 50 bytes a scan. ``ranges`` are the admitted scans themselves, so that a short log is read once; None where
     they would take more than `KEPT_BYTES`. ``doubt`` says why the whole topic cannot be what it claims, as where its
-    unit is wrong.
+    unit is wrong, and ``invalid`` what the ranges of scans without a valid one are.
     """
 
     total: int = 0
     refused: Counter[str] = field(default_factory=Counter)
     doubt: str = ""
+    invalid: str = ""
     ranges: list[tuple[LaserSpec, NDArray[np.float64]]] | None = field(default_factory=list)
     _header_ns: array[int] = field(default_factory=lambda: array("q"))
     _log_ns: array[int] = field(default_factory=lambda: array("q"))

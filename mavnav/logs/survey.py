@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections import Counter
 from contextlib import suppress
 from functools import partial
 from math import isfinite
@@ -173,7 +174,7 @@ class _Pass(Struct):
     def conclude(self) -> None:
         """Note what shows at the end only."""
         for topic, scans in self.scans.items():
-            scans.doubt = self.doors[topic].doubt
+            scans.doubt, scans.invalid = self.doors[topic].doubt, self.doors[topic].invalid
             if len(scans.frames) > 1:
                 names = ", ".join(sorted(scans.frames)[:4])
                 self.report.warn(f"{topic}: the frame of the scans changes on the way ({names}); the first is used")
@@ -365,9 +366,10 @@ def _run(path: Path, state: _Pass, progress: Callable[[int, int], None] | None) 
 
 
 def _topics(report: ReadReport, kinds: dict[Channel, _Kind]) -> tuple[Topic, ...]:
-    channels = sorted(report.channels.values(), key=lambda c: (c.topic, c.type))
-    counts = {channel: kind.count for channel, kind in kinds.items()}
-    return tuple(Topic(c.topic, c.type, c.encoding, counts.get(c, 0)) for c in channels)
+    counts = Counter[tuple[str, str, str]]()
+    for channel in report.channels.values():
+        counts[channel.topic, channel.type, channel.encoding] += kinds[channel].count if channel in kinds else 0
+    return tuple(Topic(*key, count) for key, count in sorted(counts.items()))
 
 
 def _identity(path: Path) -> tuple[int, str]:

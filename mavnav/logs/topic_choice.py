@@ -66,4 +66,6 @@ def no_usable(found: Survey, name: str, scans: TopicScans, timeline: Timeline) -
     hint = ""
     if any(end is not None for end in found.window_s) and len(stamps_ns := scans.timeline().stamps_ns):
         hint = f"; the scans last {(stamps_ns[-1] - stamps_ns[0]) * NS:.1f} s: check --start and --end"
+    elif scans.refused["no_valid_beam"] * 2 > scans.total:
+        hint = f"; {scans.invalid}"
     return f"{found.path}: none of the {scans.total} scans on {name} is usable ({reasons}){hint}"

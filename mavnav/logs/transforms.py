@@ -58,9 +58,13 @@ def planar_pose(message: TransformMessage) -> Pose | None:
 
 
 class FrameTree(Struct):
-    """Transforms met in a log: ``static`` ones (the last word counts), and those of /tf, noted if they ``changed``."""
+    """Transforms met in a log: ``static`` ones (the last counts), and those of /tf, noted if they ``changed``.
+
+    ``first_static`` are the static ones as they were first.
+    """
 
     static: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
+    first_static: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
     moving: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
     changed: set[tuple[str, str]] = field(default_factory=set)
 
@@ -75,6 +79,7 @@ class FrameTree(Struct):
                 continue
             if static:
                 self.static[edge] = matrix
+                self.first_static.setdefault(edge, matrix)
             elif not np.allclose(self.moving.setdefault(edge, matrix), matrix, atol=_SAME, rtol=0.0):
                 self.changed.add(edge)
 
@@ -83,6 +88,11 @@ class FrameTree(Struct):
         constant = {edge: matrix for edge, matrix in self.moving.items() if edge not in self.changed}
         direct = _chain(self.static, base, laser)
         return direct if direct is not None else _chain({**constant, **self.static}, base, laser)
+
+    def contradicts(self, base: str, laser: str) -> bool:
+        """Return whether the static transforms as they were first give another ``base_T_laser`` than the last."""
+        first, last = (_chain(edges, base, laser) for edges in (self.first_static, self.static))
+        return first is not None and last is not None and not np.allclose(first, last, atol=_SAME, rtol=0.0)
 
     def bases(self, laser: str) -> list[str]:
         """Return the frames that a base may have: ``BASE_FRAMES``, and those in namespaces, the laser's first."""

@@ -46,7 +46,7 @@ class Revisits(Struct, frozen=True):
     points that the other scan could see, 150 mm at most.
     """
 
-    nn_s_mm: Annotated[Measured, number("how far scans lie from their neighbours in time", title="neighbours")]
+    nn_s_mm: Annotated[Measured, number("how far scans lie from their neighbors in time", title="neighbors")]
     nn_l_mm: Annotated[
         Measured,
         number(

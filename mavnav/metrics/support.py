@@ -71,13 +71,16 @@ def reasons(support: Support, measured_share: float, journey: Journey | None = N
     if support.wall_m < LEAST_WALL_M:
         found.append(f"{support.wall_m:.1f} m of straight wall, {LEAST_WALL_M:g} m are needed")
     if support.mapped_share < LEAST_MAPPED_SHARE:
-        found.append(f"{support.mapped_share:.0%} of the scans were accepted, {LEAST_MAPPED_SHARE:.0%} are needed")
+        share, least = support.mapped_share, LEAST_MAPPED_SHARE
+        found.append(f"{100 * share:.0f} % of the scans were accepted, {100 * least:.0f} % are needed")
     if support.explained_share < LEAST_EXPLAINED_SHARE:
         share, least = support.explained_share, LEAST_EXPLAINED_SHARE
-        found.append(f"{share:.0%} of what the laser saw lies on the map, {least:.0%} are needed")
+        found.append(f"{100 * share:.0f} % of what the laser saw lies on the map, {100 * least:.0f} % are needed")
     if measured_share < LEAST_MEASURED_SHARE:
         share, least = measured_share, LEAST_MEASURED_SHARE
-        found.append(f"{share:.0%} of the walls that the laser saw can be measured, {least:.0%} are needed")
+        found.append(
+            f"{100 * share:.0f} % of the walls that the laser saw can be measured, {100 * least:.0f} % are needed"
+        )
     return tuple(found)
 
 

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 RUN_FILE: Final = "run.json"
 """The file that makes a directory a run of ours."""
 
+MERGE_FILE: Final = "merge.json"
+"""The file that makes a directory a merge of ours."""
+
 
 def check_directory(
     directory: Path, *, force: bool, marker: str = RUN_FILE, inputs: Iterable[Path | None] = ()

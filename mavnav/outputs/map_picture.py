@@ -153,7 +153,7 @@ def thinned(xy_m: NDArray[np.float64], spacing_m: float) -> NDArray[np.intp]:
 
 def _subtitle(run: Run) -> str:
     config, slam = run.config, run.slam
-    scans = f"{len(slam.trajectory)} of {len(slam.steps)} scans accepted ({slam.tracked_share:.0%})"
+    scans = f"{len(slam.trajectory)} of {len(slam.steps)} scans accepted ({100 * slam.tracked_share:.0f} %)"
     lost = "   LOST before the end" if run.slam.lost_for_good else ""
     cell_mm = run.slam.grid.cell_m / MM
     how = f"method {config.method}, {config.azimuth} yaw samples, search grid {config.grid}, cell {cell_mm:g} mm"

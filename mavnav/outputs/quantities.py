@@ -124,7 +124,7 @@ def why_not_meaningful(run: Run) -> str:
     if run.get("exit_code") == ExitCode.TRACKING_LOST or number(run, "tracking.lost"):
         return "the track was lost for good"
     share = number(run, "map.accepted_share") or 0.0
-    return "" if share >= LEAST_MAPPED_SHARE else f"only {share:.0%} of the scans were accepted"
+    return "" if share >= LEAST_MAPPED_SHARE else f"only {100 * share:.0f} % of the scans were accepted"
 
 
 def probably_wrong(run: Run) -> bool:

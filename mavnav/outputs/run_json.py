@@ -331,7 +331,7 @@ class RunDocument(Struct, frozen=True, kw_only=True):
     damage: Annotated[list[Damage], text("what could not be read, or is suspect")]
     warnings: Annotated[list[str], text("what is odd about the log or the run, a line each")]
     outputs: Annotated[dict[str, str], text("SHA-256 of each file written, by its name")]
-    partial: Annotated[bool, text("whether the run was stopped before the last scan")]
+    partial: Annotated[bool, text("whether tracking, or a pass over the whole log after it, was stopped")]
     exit_code: Annotated[int, number("exit code of the run, before gates")]
 
 

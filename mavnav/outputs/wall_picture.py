@@ -136,7 +136,7 @@ def _width_chart(cuts: WallCuts, spread: WallSpread) -> _Chart:
         return _Chart("no straight wall to measure", "thickness [mm]", metres, WIDTH_BIN_MM, np.nan)
     title = (
         f"thickness: median {spread.median_mm:.0f} mm, p95 {spread.p95_mm:.0f} mm\n"
-        f"{spread.length_m:.1f} m of wall, {spread.measured_share:.0%} of the straight walls in the scans"
+        f"{spread.length_m:.1f} m of wall, {100 * spread.measured_share:.0f} % of the straight walls in the scans"
     )
     return _Chart(title, "thickness [mm]", metres, WIDTH_BIN_MM, spread.p95_mm)
 
@@ -148,7 +148,7 @@ def _cells_chart(hits: int, found: Sections, t: WallThickness, most: int, cell_m
     if t.sections:
         numbers = (
             f"median {t.median_cells:.1f}, p95 {t.p95_cells:.1f}, max {t.max_cells:.1f} cells of {cell_m / MM:g} mm\n"
-            f"{t.length_m:.1f} m of wall in {t.sections} sections, {t.share:.0%} of the cells"
+            f"{t.length_m:.1f} m of wall in {t.sections} sections, {100 * t.share:.0f} % of the cells"
         )
     title = f"cells with \N{GREATER-THAN OR EQUAL TO} {hits} hit{'s' if hits > 1 else ''}: {numbers}"
     return _Chart(title, "thickness [cells]", metres, 1.0, t.p95_cells + 0.5)

@@ -135,9 +135,8 @@ def _motions(log: Log, outcome: SlamResult) -> Motions:
 def _doubtful(outcome: SlamResult) -> str:
     """Return why no track of the laser can be compared with anything; empty where it can."""
     if outcome.lost_for_good:
-        return (
-            f"tracking was lost: {outcome.tracked_share:.0%} of the scans have a pose; try a part with --start, --end"
-        )
+        poses = f"{100 * outcome.tracked_share:.0f} % of the scans have a pose"
+        return f"tracking was lost: {poses}; try a part with --start, --end"
     if outcome.doubt and outcome.doubt.high:
         reasons = ", ".join(dict.fromkeys(reason.name for reason in outcome.doubt.reasons)) or "see mavnav replay"
         return f"the track is doubtful ({reasons}); look at map.png of a replay, or try a part with --start and --end"

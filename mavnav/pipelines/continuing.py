@@ -9,7 +9,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from mavnav import __version__
-from mavnav.errors import MavnavError, UsageError
+from mavnav.errors import MavnavError, NoScansError, UsageError
 from mavnav.logs.formats.detect import log_name
 from mavnav.outputs.continued_section import Continued, EarlierSession
 from mavnav.outputs.sessions import evidence, recording_file, trajectory_file
@@ -67,6 +67,8 @@ def earlier_sessions(run: FinishedRun, config: Config) -> list[Session]:
     """Read the sessions of a run; raises UsageError where its files are not those that it wrote."""
     try:
         return run.sessions(config)
+    except NoScansError as error:
+        raise UsageError(f"{run.directory} cannot be continued: {error}; replay the log by itself") from error
     except (OSError, ValueError, LookupError, TypeError, MavnavError) as error:
         again = "repeat it with all its outputs and continue that"
         raise UsageError(f"{run.directory} cannot be continued: {error}; {again}") from error

@@ -28,14 +28,14 @@ from mavnav.logs import check_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import Grid, known_part, occupancy
 from mavnav.outputs import merged_picture
-from mavnav.outputs.directory import RUN_FILE, check_directory, staged
+from mavnav.outputs.directory import MERGE_FILE, RUN_FILE, check_directory, staged
 from mavnav.outputs.document import plain, to_json
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
 from mavnav.outputs.sessions import evidence, recording_file, trajectory_file, write_poses, write_scans
 from mavnav.outputs.summary_page import merge_summary, write_summary
 from mavnav.outputs.writers import REPORT_FILE
 from mavnav.pipelines.replay import ReplayRequest, replay_log
-from mavnav.pipelines.sessions import MERGE_FILE, FinishedRun, finished_run
+from mavnav.pipelines.sessions import FinishedRun, finished_run
 from mavnav.slam.joining.group import Join
 from mavnav.slam.joining.growth import grown
 from mavnav.slam.joining.merged_map import frame_of, merged_map, trajectories
@@ -158,11 +158,12 @@ def session_names(inputs: tuple[Path, ...]) -> list[str]:
 
 def _input(name: str, path: Path, request: MergeRequest, folder: Path, progress: Progress) -> Input:
     """Read a run, or replay a log."""
+    run = None
     try:
         run = _run(path) if _is_run(path) else _replayed(name, path, request, folder, progress)
         session = _read(name, run, request.config)
     except NoScansError as error:
-        return Input(name, path, why=str(error))
+        return Input(name, path, run=run.document if run else None, why=str(error))
     return Input(name, path, session if session.keys else None, run.document, "no scan was tracked")
 
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct
 
 from mavnav.config.named_files import read_json
-from mavnav.errors import UsageError
+from mavnav.errors import NoScansError, UsageError
 from mavnav.ground_truth.tables import read_tum
 from mavnav.logs import open_log
 from mavnav.logs.formats.detect import log_name
-from mavnav.outputs.directory import RUN_FILE
+from mavnav.outputs.directory import MERGE_FILE, RUN_FILE
 from mavnav.outputs.sessions import recording_file, trajectory_file
 from mavnav.slam.doubt.record import HIGH
 from mavnav.slam.joining.session import make_session
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from mavnav.config.models import Config
     from mavnav.slam.joining.session import Session
 
-MERGE_FILE: Final = "merge.json"
 OWN_FILES: Final = ("trajectory.tum", "result.mcap")
 
 
@@ -75,9 +74,14 @@ class FinishedRun(Struct, frozen=True):
         return [self.session(stored, config) for stored in self.stored]
 
     def session(self, stored: Stored, config: Config, name: str = "") -> Session:
-        """Read a session; raises UsageError where a file is missing, or another one than was written."""
+        """Read a session.
+
+        Raises UsageError where a file is missing, or another one than was written, and NoScansError without any pose.
+        """
         for file in (stored.trajectory, stored.recording):
             self._check(file)
+        if not (self.directory / stored.trajectory).stat().st_size:
+            raise NoScansError("no scan was tracked")
         trajectory = read_tum(self.directory / stored.trajectory)
         log = open_log(self.directory / stored.recording, odom="off")
         return make_session(name or stored.name, log.scans, trajectory, config, doubtful=stored.doubtful)

@@ -25,6 +25,10 @@ def logs(tmp_path: Path) -> Path:
     done.mkdir()
     (done / "run.json").write_text("{}")
     (done / "result.mcap").write_bytes(b"")
+    merged = tmp_path / "logs" / "sub" / "merged"
+    merged.mkdir()
+    (merged / "merge.json").write_text("{}")
+    (merged / "session_a.mcap").write_bytes(b"")
     return tmp_path
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -38,6 +40,15 @@ def test_a_line_of_json_a_run_and_a_last_one(mavnav: Callable, empty: Path) -> N
     assert [event["event"] for event in events] == ["run", "run", "batch"]
     assert [event["exit_code"] for event in events] == [4, 2, code]
     assert "cells" not in events[-1]
+
+
+@pytest.mark.parametrize(("workers", "text"), [(1, "1 worker;"), (2, "2 workers;")])
+def test_a_cluster_is_reported_with_its_workers(
+    mavnav: Callable, empty: Path, monkeypatch: pytest.MonkeyPatch, workers: int, text: str
+) -> None:
+    found = SimpleNamespace(workers=workers, dashboard="http://127.0.0.1:8787/status")
+    monkeypatch.setattr("mavnav.jobs.dask.connected", lambda *_: nullcontext(found))
+    assert f"mavnav: {text} dashboard at {found.dashboard}\n" in mavnav("batch", "gone.bag", "--scheduler", "local")[2]
 
 
 def test_nothing_at_all_leaves_nothing(mavnav: Callable, empty: Path) -> None:

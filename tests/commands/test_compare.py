@@ -144,6 +144,17 @@ def test_a_log_without_scans(mavnav: Callable, tmp_path: Path) -> None:
     assert err.splitlines()[-1].startswith("mavnav: error: empty.mcap robust 20/10x10: ")
 
 
+def test_a_damaged_log_is_named(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(sample.read_bytes()[:150_000])
+    code, _, err = mavnav("compare", path, "-o", tmp_path / "out", "--grid", "5x5", "-q")
+    assert code == ExitCode.DAMAGED_INPUT
+    assert err.splitlines() == [
+        f"mavnav: warning: cut.mcap robust {grid}: the log is damaged; what is intact was used"
+        for grid in ("10/5x5", "20/10x10")
+    ]
+
+
 def lines_of(process) -> Iterator[str]:
     yield from iter(process.stderr.readline, "")
 

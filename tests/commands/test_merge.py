@@ -12,7 +12,7 @@ from msgspec.structs import replace
 import mavnav as api
 from mavnav.ground_truth.tables import read_tum
 from mavnav.pipelines.merge import session_names
-from support.log_files import drive, write_mcap
+from support.log_files import drive, laser, write_mcap
 from support.sessions import CELLAR, errors_m, tour, written
 
 
@@ -66,6 +66,18 @@ def test_what_does_not_join_is_said(mavnav, logs, tmp_path) -> None:
     code, out, err = mavnav("merge", logs["hall"], logs["back"], "-o", tmp_path / "m", "-q")
     assert (code, out) == (6, "")
     assert "--force" in err
+
+
+def test_a_log_without_any_pose_does_not_join(mavnav, logs, tmp_path) -> None:
+    log = write_mcap(tmp_path / "few.mcap", [laser(k, beams=8) for k in range(20)])
+    code, _, err = mavnav("merge", log, logs["hall"], "-o", tmp_path / "m", "-q")
+    assert code == 5
+    assert f"few ({log}) did not join: no scan was tracked" in err
+    assert f"few ({log}): tracking was lost for good, 0 % of the scans have a pose" in err
+    api.replay(log, directory=tmp_path / "few")
+    code, _, err = mavnav("replay", "--continue", tmp_path / "few", logs["hall"], "-o", tmp_path / "c", "-q")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "cannot be continued: no scan was tracked" in err
 
 
 def test_what_became_of_each_log_is_stated(mavnav, logs, tmp_path) -> None:

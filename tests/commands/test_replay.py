@@ -642,6 +642,31 @@ def test_a_signal_after_the_last_scan_comes_too_late_to_make_the_run_partial(sam
     assert done.stderr.splitlines()[-1] == "mavnav: the signal came after the work was done: the result is complete"
 
 
+WHILE_REDRAWING = """
+import os, signal, sys
+from mavnav.cli import main
+from mavnav.slam import redraw
+redrawn = redraw.redrawn
+
+def befallen(track, refiner):
+    os.kill(os.getpid(), signal.SIGINT)
+    return redrawn(track, refiner)
+
+redraw.redrawn = befallen
+main(sys.argv[1:])
+"""
+
+
+def test_a_signal_in_a_pass_over_the_whole_log_says_so(sample: Path, tmp_path: Path) -> None:
+    line = ["replay", str(sample), "-o", str(tmp_path / "run"), "-q", "--end", "1"]
+    command = [sys.executable, "-c", WHILE_REDRAWING, *line]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
+    document = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert (done.returncode, document["partial"]) == (ExitCode.INTERRUPTED, True)
+    assert document["scans"]["processed"] == document["scans"]["usable"]
+    assert "mavnav: stopped in the passes over the whole log; the run is partial" in done.stderr
+
+
 @pytest.mark.parametrize("numbers", [(signal.SIGKILL,), (signal.SIGTERM, signal.SIGTERM)])
 def test_a_run_that_dies_while_it_is_written_leaves_the_old_one(
     numbers: tuple[int, ...], sample: Path, tmp_path: Path

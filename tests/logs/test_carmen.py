@@ -137,6 +137,16 @@ def test_a_log_that_is_cut_in_its_compressed_file(tmp_path: Path) -> None:
     assert 50 < cut.counts.usable < 99
 
 
+@pytest.mark.parametrize("suffix", [".gz", ".bz2"])
+def test_what_comes_before_other_bytes_in_a_compressed_file_is_read(suffix: str, tmp_path: Path) -> None:
+    text = written(tmp_path / "a.log", *(front(k) for k in range(9))).read_bytes()
+    packed = tmp_path / f"a.log{suffix}"
+    packed.write_bytes(gzip.compress(text) + b"rubbish" if suffix == ".gz" else bz2.compress(text)[:-4])
+    log = opened(packed)
+    assert log.damage
+    assert log.counts.usable == 9
+
+
 def test_lines_that_are_no_messages_are_damage_and_cost_only_themselves(tmp_path: Path) -> None:
     broken = "FLASER 181 1.0 2.0\nODOM x y z 0 0 0 1 host 1\nFLASER 1e9 3\nPARAM alone\nFLASER -3 4 5 6 7 8 9 0 1 2\n"
     path = written(tmp_path / "a.log", front(0), broken, front(1), front(2)[:300])
@@ -144,6 +154,22 @@ def test_lines_that_are_no_messages_are_damage_and_cost_only_themselves(tmp_path
     assert log.counts.usable == 2
     assert [d.where for d in log.damage] == [f"a.log, line {k}" for k in (5, 6, 7, 8, 9, 11)]
     assert "within it" in log.damage[-1].what
+
+
+def test_parameters_in_other_encodings_are_no_damage(tmp_path: Path) -> None:
+    path = tmp_path / "a.log"
+    path.write_bytes("PARAM robot_name M\u00fcller 0.1 host 0.1\n".encode("latin-1") + front(0).encode())
+    assert opened(path).damage == ()
+
+
+def test_zeros_of_a_crash_are_damage(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.log", *(front(k) for k in range(9)))
+    lines = path.read_bytes().splitlines(keepends=True)
+    lines[6:8] = [bytes(len(lines[6])) + lines[7]]
+    path.write_bytes(b"".join(lines))
+    log = opened(path)
+    assert log.counts.usable == 7
+    assert [d.where for d in log.damage] == ["a.log, line 7"]
 
 
 @pytest.mark.parametrize("yaw", ["inf", "-1e999", "nan", "1e300"])

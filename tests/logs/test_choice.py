@@ -54,6 +54,9 @@ def test_log_without_scans_names_its_topics(tmp_path: Path) -> None:
 def test_log_whose_scans_are_all_unusable_says_why(tmp_path: Path) -> None:
     with pytest.raises(NoScansError, match=r"none of the 2 scans on /scan is usable \(2 empty\)"):
         open_log(write_mcap(tmp_path / "a", [laser(k, ranges=[]) for k in range(2)]))
+    far = [laser(k, range_min=20.0, range_max=5000.0) for k in range(2)]
+    with pytest.raises(NoScansError, match=r"94 % below min, 6 % zero, and range_min and range_max are 20 and 5000 m"):
+        open_log(write_mcap(tmp_path / "b", far))
 
 
 @pytest.mark.parametrize(
@@ -241,6 +244,16 @@ def test_mounting_is_composed_along_the_chain_of_frames(tmp_path: Path) -> None:
     assert (log.base_frame, log.mounting_source) == ("base_footprint", "tf_static")
     assert log.base_T_laser is not None
     np.testing.assert_allclose(log.base_T_laser.as_array(), (1.0, 1.0, pi / 2), atol=1e-12)
+
+
+@pytest.mark.parametrize("options", [{}, {"extrinsic": Pose(0.5, 0.0, 0.0)}])
+def test_mountings_that_contradict_each_other_are_told(options: dict[str, Pose], tmp_path: Path) -> None:
+    twice = [tf("base_link", "laser", x=x) for x in (0.1, 0.1, 0.3)]
+    path = write_mcap(tmp_path / "a", [*twice, tf("base_link", "camera"), laser(0), laser(1)])
+    log = open_log(path, **options)
+    assert log.base_T_laser == (Pose(0.5, 0.0, 0.0) if options else Pose(0.3, 0.0, 0.0))
+    assert any("several transforms from 'base_link' to 'laser'" in w for w in log.warnings) == (not options)
+    assert not open_log(write_mcap(tmp_path / "b", [*twice[:2], laser(0), laser(1)])).warnings
 
 
 def test_transforms_that_move_are_no_mounting(tmp_path: Path) -> None:

@@ -13,6 +13,8 @@ from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from mavnav.logs import survey
+from mavnav.logs.records import Topic
 from mavnav.logs.writing.convert import convert_log
 from support.log_files import START_NS, drive, serialized, store, write_bag1
 
@@ -23,10 +25,10 @@ RANGE = "sensor_msgs/msg/Range"
 MARKERS = "visualization_msgs/msg/MarkerArray"
 
 
-def without_definitions(folder: Path, topic: str, kind: str, messages: list[bytes]) -> Path:
+def without_definitions(folder: Path, topic: str, kind: str, messages: list[bytes], types: Any = None) -> Path:
     """Write a bag as ROS 2 did before it stored definitions."""
     with Bag2Writer(folder, version=8) as writer:
-        connection = writer.add_connection(topic, kind, typestore=store(2))
+        connection = writer.add_connection(topic, kind, typestore=types or store(2))
         for k, message in enumerate(messages):
             writer.write(connection, START_NS + k, message)
     with closing(sqlite3.connect(next(folder.glob("*.db3")))) as database:
@@ -62,6 +64,41 @@ def test_a_definition_fits_the_recorded_layout(tmp_path: Path, variance: tuple[f
     messages = decoded(tmp_path / "b.mcap")
     assert [message.range for message in messages] == [1.5, 2.0]
     assert [hasattr(message, "variance") for message in messages] == [bool(variance)] * 2
+
+
+@pytest.mark.parametrize("stored", [True, False])
+def test_a_type_of_its_own_keeps_its_name_and_definition(tmp_path: Path, *, stored: bool) -> None:
+    kind, text = "my_msgs/msg/Gripper", "int32 force\nstring state\n"
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    types.register(get_types_from_msg(text, kind))
+    bag, message = tmp_path / "bag", bytes(types.serialize_cdr(types.types[kind](7, "open"), kind))
+    if stored:
+        with Bag2Writer(bag, version=9) as writer:
+            writer.write(writer.add_connection("/gripper", kind, typestore=types), START_NS, message)
+    else:
+        without_definitions(bag, "/gripper", kind, [message], types)
+    done = convert_log(bag, tmp_path / "b.mcap")
+    missing = (f"/gripper: no definition of {kind} fits its messages; they are copied without one",)
+    assert done.warnings == (() if stored else missing)
+    assert [topic.type for topic in survey(tmp_path / "b.mcap").topics] == [kind]
+    if stored:
+        assert [(m.force, m.state) for m in decoded(tmp_path / "b.mcap")] == [(7, "open")]
+
+
+def test_a_merged_bag_keeps_both_definitions_of_a_type(tmp_path: Path) -> None:
+    kind, texts = "my_msgs/msg/Gripper", ("int32 force\n", "int32 force\nint32 speed\n")
+    with Bag1Writer(tmp_path / "a.bag") as writer:
+        for k, text in enumerate(texts):
+            types = get_typestore(Stores.EMPTY)
+            types.register(get_types_from_msg(text, kind))
+            connection = writer.add_connection("/gripper", kind, typestore=types, callerid=f"/node{k}")
+            message = types.types[kind](*range(7, 8 + k))
+            writer.write(connection, START_NS + k, bytes(types.serialize_ros1(message, kind)))
+    done = convert_log(tmp_path / "a.bag", tmp_path / "b.mcap")
+    assert done.topics == survey(tmp_path / "a.bag").topics == (Topic("/gripper", kind, "ros1", 2),)
+    with (tmp_path / "b.mcap").open("rb") as file:
+        found = [(schema.data.decode(), len(message.data)) for schema, _, message in make_reader(file).iter_messages()]
+    assert found == [(texts[0], 4), (texts[1], 8)]
 
 
 def test_messages_that_no_definition_fits_get_none(tmp_path: Path) -> None:

@@ -215,6 +215,13 @@ def test_a_name_that_no_file_can_have_is_told(tmp_path: Path) -> None:
         assert any("cannot be a file's name" in d.what for d in found.damage)
 
 
+def test_a_listed_link_to_itself_is_missing(tmp_path: Path) -> None:
+    folder = write_bag2(tmp_path / "bag", [laser(k) for k in range(3)])
+    (folder / "loop.db3").symlink_to("loop.db3")
+    (folder / "metadata.yaml").write_text('rosbag2_bagfile_information: {relative_file_paths: ["loop.db3"]}')
+    assert [d.what for d in survey(folder).damage] == ["listed file 'loop.db3' is missing"]
+
+
 def test_damage_of_metadata_names_its_file_once(tmp_path: Path) -> None:
     folder = write_bag2(tmp_path / "bag", [laser(k) for k in range(3)])
     (name,) = (file.name for file in folder.glob("*.db3"))

@@ -121,6 +121,15 @@ def test_a_sensor_of_another_clock_is_not_used(tmp_path: Path) -> None:
     assert any("share no time" in text for text in log.warnings)
 
 
+def test_a_sensor_whose_clock_stands_still_is_not_used(tmp_path: Path) -> None:
+    still = [Message("/imu", IMU, 0, {"rates": (0.0, 0.0, RATE)}, START_NS + k) for k in range(20)]
+    log = open_log(write_mcap(tmp_path / "still.mcap", [laser(k) for k in range(10)] + still))
+    assert log.imu is None
+    assert [text for text in log.warnings if "imu" in text] == [
+        "/imu: the stamps of the inertial sensor ascend in 1 of 20 messages; it is not used, check its clock"
+    ]
+
+
 def test_a_rosbag_is_converted_with_its_sensor(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "one.mcap", [laser(0), *[imu(k) for k in range(12)]], ros=1)
     convert_log(source, tmp_path / "two.mcap")

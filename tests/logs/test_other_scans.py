@@ -152,6 +152,27 @@ def test_two_such_topics_need_a_choice(tmp_path: Path) -> None:
     assert not survey(path).scans
 
 
+@pytest.mark.parametrize("topic", [None, "/points/ring_1"])
+def test_empty_clouds_are_empty_scans(topic: str | None, tmp_path: Path) -> None:
+    def late(k: int) -> Any:
+        message = cloud(k, rings=3)
+        if k in (0, 3):
+            message.width, message.data = 0, message.data[:0]
+        return message
+
+    path = written(tmp_path / "a.mcap", points=late)
+    log = open_log(path, topic=topic)
+    assert log.damage == ()
+    assert log.counts.skipped == {"empty": 1, "no_valid_beam": 1}
+    for found, wanted in zip(seen(path, topic), [truth()[k] for k in range(SCANS) if k not in (0, 3)], strict=True):
+        np.testing.assert_allclose(found, wanted, atol=2e-3)
+
+
+def test_a_layer_without_points_has_no_scans(tmp_path: Path) -> None:
+    with pytest.raises(NoScansError, match=rf"none of the {SCANS} scans on /points/z_5_6 is usable \({SCANS} empty\)"):
+        open_log(written(tmp_path / "a.mcap", points=cloud), topic="/points/z_5_6")
+
+
 def test_a_cloud_without_coordinates_is_damage(tmp_path: Path) -> None:
     def broken(k: int) -> Any:
         message = cloud(k)
@@ -163,4 +184,5 @@ def test_a_cloud_without_coordinates_is_damage(tmp_path: Path) -> None:
 
     log = open_log(written(tmp_path / "a.mcap", points=broken))
     assert log.counts.usable == SCANS - 2
+    assert "without the field 'x'" in log.damage[0].what
     assert all("PointCloud2" in damage.what for damage in log.damage)

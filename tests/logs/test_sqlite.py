@@ -39,8 +39,14 @@ def crashed(source: Path, folder: Path) -> tuple[Path, Path]:
     return target, folder / "crashed.db3-wal"
 
 
-def test_a_log_of_writes_beside_the_file_is_taken_in_whole(sound: Path, tmp_path: Path) -> None:
-    log = open_log(crashed(sound, tmp_path)[0])
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_log_of_writes_beside_the_file_is_taken_in_whole(sound: Path, tmp_path: Path, *, linked: bool) -> None:
+    path = crashed(sound, tmp_path)[0]
+    if linked:
+        (link := tmp_path / "logs" / "drive.db3").parent.mkdir()
+        link.symlink_to(path)
+        path = link
+    log = open_log(path)
     assert (log.counts.usable, log.counts.suspect, log.damage) == (SCANS, 0, ())
     assert any("beside it was read too" in warning for warning in log.warnings)
 

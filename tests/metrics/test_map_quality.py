@@ -63,7 +63,7 @@ def test_the_same_map_gives_the_same_numbers(grid, journey, good) -> None:
 def test_half_of_the_scans_dropped(tour, journey) -> None:
     half = map_quality(mapped(tour, tour.map_T_laser, every=2), replace(journey, mapped_share=0.5))
     assert not half.meaningful
-    assert "50% of the scans" in half.why[0]
+    assert "50 % of the scans" in half.why[0]
 
 
 @pytest.mark.parametrize("sigma_cells", [1.0, 2.0, 4.0])

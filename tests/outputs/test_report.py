@@ -362,7 +362,7 @@ def test_a_run_without_the_profile_is_judged_by_its_scans(entries):
     few = with_document(bare, map={"accepted_share": 0.02})
     lost = with_document(bare, tracking={"lost": True})
     whys = [row.why_not for row in columns.table([bare, few, lost]).rows]
-    assert whys == ["", "only 2% of the scans were accepted", "the track was lost for good"]
+    assert whys == ["", "only 2 % of the scans were accepted", "the track was lost for good"]
 
 
 def test_one_run_has_a_page_with_its_true_walls(run, base, tmp_path):

@@ -19,6 +19,7 @@ from msgspec.structs import asdict
 from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import Ended, Event, Job, Outcome, Progressed, Started, Status, run_with_retries
 from mavnav.jobs.dask.worker import JobContext, our_version, run_on_worker, sees
+from mavnav.units import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -140,7 +141,7 @@ def _outcome(job: _Submitted) -> Outcome:
     error = future.exception()
     if isinstance(error, KilledWorker):
         count = error.allowed_failures + 1
-        text = f"{count} workers died of it, the last {error.last_worker.address}"
+        text = f"{counted(count, 'worker')} died of it, the last {error.last_worker.address}"
         return Outcome(Status.DIED, 0, seconds, error=text, exit_code=ExitCode.BUG)
     text = f"its worker could not run it: {type(error).__name__}: {error}"
     return Outcome(Status.FAILED, 0, seconds, error=text, exit_code=ExitCode.BUG)

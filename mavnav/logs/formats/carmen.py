@@ -136,13 +136,15 @@ def _messages(line: bytes, state: _State) -> Iterator[RawMessage]:
     if LASER_LINE.match(line):
         yield from _scan(line, state)
     elif line.startswith(b"PARAM "):
-        _, name, value, *_ = line.decode("utf-8").split()
+        _, name, value, *_ = line.decode(errors="replace").split()
         if name in _NUMBERS:
             state.parameters[name] = repr(float(value))
     elif line.startswith(b"ODOM ") and state.poses is not Poses.CORRECTED:
         words = line.split()
         pose_of(words[1:4])
         yield RawMessage(state.channel("/odom", ODOMETRY), stamp_ns(words[7]), line)
+    elif b"\0" in line:
+        raise ValueError("zeros, as a crash leaves them, are no text")
 
 
 def _scan(line: bytes, state: _State) -> Iterator[RawMessage]:

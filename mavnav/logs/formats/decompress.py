@@ -251,7 +251,7 @@ def first_bytes(path: Path, packer: str, count: int) -> bytes:
     """Return the first ``count`` decompressed bytes of a file, fewer if it is damaged; ``packer`` is in ``PACKERS``."""
     found = b""
     with path.open("rb") as file, suppress(*_file_errors(packer)), PACKERS[packer][1](file) as stream:
-        while len(found) < count and (block := stream.read(_PIECE_BYTES)):
+        while len(found) < count and (block := stream.read1(_PIECE_BYTES)):
             found += block
     return found[:count]
 
@@ -268,7 +268,7 @@ def unpacked_file(path: Path, packer: str, report: ReadReport) -> Iterator[Path]
         size = 0
         with target.open("wb") as file, PACKERS[packer][1](packed) as stream:
             try:
-                while size <= limit and (block := stream.read(_PIECE_BYTES)):
+                while size <= limit and (block := stream.read1(_PIECE_BYTES)):
                     size += file.write(block)
             except _file_errors(packer) as error:
                 if no_space(error):

@@ -190,7 +190,7 @@ def _time_ns(record: Record) -> int:
 def _old_channel(record: Record, state: _State) -> Channel:
     """Return the channel of a message of format 1.2, whose header has topic and type."""
     topic, kind = (record.fields[name].decode(errors="replace") for name in (b"topic", b"type"))
-    return state.report.declare(Channel(topic, ros_type(kind), "ros1"))
+    return state.report.declare(Channel(topic, ros_type(kind), "ros1", Schema(kind, "ros1msg")))
 
 
 def _channel(record: Record, state: _State) -> Channel | None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct
@@ -11,7 +13,6 @@ from mavnav.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
-    from pathlib import Path
 
     from mavnav.logs.read_report import ReadReport
 
@@ -88,7 +89,7 @@ def _inside(folder: Path, name: str, report: ReadReport) -> Path | None:
 
 
 def _listed_file(folder: Path, name: str, report: ReadReport) -> Path | None:
-    if not (folder / name).resolve().is_relative_to(folder.resolve()):
+    if not Path(os.path.realpath(folder / name)).is_relative_to(folder.resolve()):
         report.damage(f"listed file {name!r} leads out of the folder; it is not read", METADATA)
         return None
     # Before version 4 names began with the folder; a file that was decompressed by hand is listed with its old suffix.

@@ -21,7 +21,7 @@ from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
 from mavnav.logs.formats.source import Source
 from mavnav.logs.formats.sqlite_pages import page_size, rows
 from mavnav.logs.formats.untyped import channel_of, lacks_type, with_detected_type
-from mavnav.logs.records import QOS, Channel, RawMessage, ros_type
+from mavnav.logs.records import QOS, Channel, RawMessage, Schema, ros_type
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,8 +35,11 @@ _TABLES = """SELECT count(*) FROM sqlite_master
 WHERE type = 'table' AND name IN ('topics', 'messages') AND sql NOT LIKE '%VIRTUAL%'"""
 _TOPICS = "SELECT id, name, type, serialization_format, {} FROM topics"
 _HAS_QOS = "SELECT count(*) FROM pragma_table_info('topics') WHERE name = 'offered_qos_profiles'"
+_HAS_DEFINITIONS = """SELECT count(*) FROM sqlite_master
+WHERE type = 'table' AND name = 'message_definitions' AND sql NOT LIKE '%VIRTUAL%'"""
+_DEFINITIONS = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
 _COMPUTED = """SELECT m.name, c.name FROM sqlite_master AS m, pragma_table_xinfo(m.name) AS c
-WHERE m.name IN ('topics', 'messages') AND c.hidden > 1"""
+WHERE m.name IN ('topics', 'messages', 'message_definitions') AND c.hidden > 1"""
 _MESSAGES = "SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED ORDER BY rowid"
 _COUNT_AT = 28
 _JOURNALS = ("-wal", "-journal")
@@ -51,6 +54,7 @@ class _State(Struct):
 
     path: Path
     report: ReadReport
+    schemas: dict[str, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     missing: list[range] = field(default_factory=list)
     messages: int = 0
@@ -95,6 +99,7 @@ def _rows(path: Path, state: _State) -> Iterator[RawMessage]:
             raise sqlite3.DatabaseError("there are no tables of messages and topics")
         if computed := connection.execute(_COMPUTED).fetchone():
             raise sqlite3.DatabaseError(f"the column {computed[1]} of {computed[0]} is computed; recorders store it")
+        state.schemas = _schemas(connection, state)
         (has_qos,) = connection.execute(_HAS_QOS).fetchone()
         for row in connection.execute(_TOPICS.format("offered_qos_profiles" if has_qos else "NULL")):
             _declare(row, state)
@@ -105,13 +110,24 @@ def _rows(path: Path, state: _State) -> Iterator[RawMessage]:
             yield from _message(topic_id, log_ns, data, state)
 
 
+def _schemas(connection: sqlite3.Connection, state: _State) -> dict[str, Schema]:
+    """Return the definitions of message types by name; recorders before ROS 2 Iron store none."""
+    (has_definitions,) = connection.execute(_HAS_DEFINITIONS).fetchone()
+    try:
+        found = connection.execute(_DEFINITIONS).fetchall() if has_definitions else []
+    except sqlite3.Error as error:
+        state.report.damage(f"the definitions of messages cannot be read: {error}", state.path.name)
+        return {}
+    return {str(name): Schema(str(name), str(encoding), str(text).encode()) for name, encoding, text in found}
+
+
 def _declare(row: tuple[object, ...], state: _State) -> None:
     """Declare the channel of a topic; report a topic without a name."""
     number, name, kind, encoding, qos = row
     if isinstance(number, int) and isinstance(name, str):
         kind, encoding = ("" if text is None else str(text) for text in (kind, encoding))
         metadata = ((QOS, qos),) if isinstance(qos, str) and qos else ()
-        channel = Channel(name, ros_type(kind), encoding, metadata=metadata)
+        channel = Channel(name, ros_type(kind), encoding, state.schemas.get(kind, Schema(kind)), metadata)
         state.channels[number] = state.report.declare(channel)
     else:
         state.report.damage(f"topic {number} has no name", state.path.name)
@@ -159,7 +175,8 @@ def _is_missing(number: int, state: _State) -> bool:
 def _recover_channels(source: Source, state: _State) -> None:
     for number, (_, name, kind, encoding, *_) in rows(source):
         if isinstance(encoding, str) and "/" in str(kind):
-            state.channels[number] = state.report.declare(Channel(str(name), ros_type(str(kind)), encoding))
+            channel = Channel(str(name), ros_type(str(kind)), encoding, Schema(str(kind)))
+            state.channels[number] = state.report.declare(channel)
 
 
 @contextmanager
@@ -170,14 +187,15 @@ def _readable_file(path: Path, report: ReadReport) -> Iterator[Path]:
     correct number: complete pages can be read, and a row that reaches into lost pages is an error instead of zeros.
     Rows in a write-ahead log are read from a copy as well, and an unfinished transaction is rolled back.
     """
-    journals = [journal for suffix in _JOURNALS if _has_content(journal := path.with_name(path.name + suffix))]
+    place = path.resolve()  # of a link, journals are beside its target
+    journals = [journal for suffix in _JOURNALS if _has_content(journal := place.with_name(place.name + suffix))]
     sound = not journals and _needs_no_copy(path)
     if sound:
         yield path
         return
     with temporary_folder() as folder:
-        copy = folder / path.name
-        shutil.copyfile(path, copy)
+        copy = folder / place.name
+        shutil.copyfile(place, copy)
         _repair_magic(copy, report)
         for journal in journals:
             _apply_journal(copy, journal, report)

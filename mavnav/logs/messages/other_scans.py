@@ -52,12 +52,14 @@ def part_of(channel: Channel, topic: str | None) -> str | None:
 def other_scan(message: Any, message_type: str, part: str, state: dict[str, Any]) -> LaserMessage:  # noqa: ANN401
     """Convert a deserialized message to a scan.
 
-    ``state`` is kept between messages: the first message of a point cloud decides on its layer and bearings. Raises
-    DecodeError if the message contains no scan.
+    ``state`` is kept between messages: the first point cloud with points decides on the layer, the first with points in
+    it on the bearings; before that a scan has no beams. Raises DecodeError if the message contains no scan.
     """
     try:
         return _echo(message, part) if message_type == MULTI_ECHO else _layer(message, part, state)
-    except (ValueError, IndexError, KeyError, TypeError, OverflowError) as error:
+    except KeyError as error:
+        raise DecodeError(f"no scan in a {message_type} without the field {error}") from error
+    except (ValueError, IndexError, TypeError, OverflowError) as error:
         raise DecodeError(f"no scan in a {message_type} ({error})") from error
 
 
@@ -87,17 +89,11 @@ def _echo(message: Any, part: str) -> LaserMessage:  # noqa: ANN401
 
 
 def _layer(message: Any, part: str, state: dict[str, Any]) -> LaserMessage:  # noqa: ANN401
-    points = _points(message)
-    if "pick" not in state:
-        state["pick"] = _picker(points, part)
-    used = state["pick"](points) & np.isfinite(points["x"]) & np.isfinite(points["y"])
-    x, y = points["x"][used], points["y"][used]
+    x, y = _points_in_layer(message, part, state)
     bearing_rad, range_m = np.arctan2(y, x), np.hypot(x, y)
-    if "bearings" not in state:
-        if not len(x):
-            raise ValueError("the first cloud has no point in the layer")
+    if "bearings" not in state and len(x):
         state["bearings"] = _bearings(bearing_rad)
-    first_rad, step_rad, beams = state["bearings"]
+    first_rad, step_rad, beams = state.get("bearings", (0.0, _DEFAULT_STEP_RAD, 0))
     beam = np.round((bearing_rad - first_rad) / step_rad).astype(np.int64) % beams
     ranges_m = np.full(beams, inf)
     np.minimum.at(ranges_m, beam, range_m)
@@ -105,6 +101,17 @@ def _layer(message: Any, part: str, state: dict[str, Any]) -> LaserMessage:  # n
     return LaserMessage(
         _stamp_ns(message), frame, first_rad, step_rad, None, 0.0, inf, 0.0, 0.0, ranges_m, has_limits=False
     )
+
+
+def _points_in_layer(message: Any, part: str, state: dict[str, Any]) -> tuple[Array, Array]:  # noqa: ANN401
+    """Return x and y, m, of the points in the layer, (n,) each; none of an empty cloud, as drivers publish at first."""
+    if not (message.width and message.height):
+        return np.empty(0), np.empty(0)
+    points = _points(message)
+    if "pick" not in state:
+        state["pick"] = _picker(points, part)
+    used = state["pick"](points) & np.isfinite(points["x"]) & np.isfinite(points["y"])
+    return points["x"][used], points["y"][used]
 
 
 def _points(message: Any) -> dict[str, Array]:  # noqa: ANN401
@@ -119,6 +126,8 @@ def _points(message: Any) -> dict[str, Array]:  # noqa: ANN401
         raise ValueError(f"{len(data)} bytes for {count} points of {step}")
     found = {}
     for f in message.fields:
+        if f.datatype not in _KINDS:
+            raise ValueError(f"the field {f.name!r} is of no known type: {f.datatype}")
         kind = f"{order}{_KINDS[int(f.datatype)]}"
         found[f.name] = np.ndarray((count,), kind, data.data, int(f.offset), (step,)).astype(np.float64)
     return {"z": np.zeros(count), **found, "x": found["x"], "y": found["y"]}

@@ -94,7 +94,7 @@ def _translations(channel: Channel) -> Iterator[_Translation]:
         yield _Translation(_ros2(channel, name), _checked(check, lambda message: _to_cdr(message, name)))
         warning = f"{channel.topic}: messages that do not fit {name} of ROS 2 are copied as they are"
         yield _Translation(channel, _checked(check, lambda message: _read_ros1(message, name)), warning)
-    elif channel.encoding == "cdr" and not channel.schema.data and known:
+    elif channel.encoding == "cdr" and name and not channel.schema.data:
         yield from _with_definition(channel, name, check)
     else:
         yield _Translation(channel, _checked(check))

@@ -117,9 +117,9 @@ class Polyline(Simple):
 class Box(Simple):
     """A solid rectangle."""
 
-    center_m: XY = Field(description="centre, [x, y]")
+    center_m: XY = Field(description="center, [x, y]")
     size_m: tuple[Length, Length] = Field(description="edges, [along x, along y] before it is turned")
-    yaw_deg: float = Field(0.0, description="how far it is turned about its centre, counter-clockwise")
+    yaw_deg: float = Field(0.0, description="how far it is turned about its center, counter-clockwise")
 
     def _outline(self) -> Polyline:
         c, s = np.cos(self.yaw_deg * DEG), np.sin(self.yaw_deg * DEG)
@@ -147,9 +147,9 @@ class Box(Simple):
 class Arc(Simple):
     """A round wall that one can stand on both sides of; a sweep of 360 makes a round room."""
 
-    center_m: XY = Field(description="centre, [x, y]")
+    center_m: XY = Field(description="center, [x, y]")
     radius_m: Length = Field(description="radius")
-    start_deg: float = Field(0.0, description="bearing of its first end from the centre, counter-clockwise from x")
+    start_deg: float = Field(0.0, description="bearing of its first end from the center, counter-clockwise from x")
     sweep_deg: float = Field(360.0, ge=-360.0, le=360.0, description="how far it goes on, counter-clockwise")
 
     @field_validator("sweep_deg")
@@ -176,7 +176,7 @@ class Arc(Simple):
 class Circle(Simple):
     """A solid, round column."""
 
-    center_m: XY = Field(description="centre, [x, y]")
+    center_m: XY = Field(description="center, [x, y]")
     radius_m: Length = Field(description="radius")
 
     def segments(self) -> Array:

@@ -27,9 +27,9 @@ EVERYWHERE = (0.0, 0.0, inf, inf, 0.0, 0.0)
 class Table(Strict):
     """A top on four legs; the legs stand at its corners."""
 
-    center_m: XY = Field(description="centre, [x, y]")
+    center_m: XY = Field(description="center, [x, y]")
     size_m: tuple[Length, Length] = Field(description="edges of the top, [along x, along y] before it is turned")
-    yaw_deg: float = Field(0.0, description="how far it is turned about its centre, counter-clockwise")
+    yaw_deg: float = Field(0.0, description="how far it is turned about its center, counter-clockwise")
     top_m: Band = Field((0.7, 0.75), description="lower and upper side of the top above the floor")
     leg_m: Length = Field(0.05, description="edge of a leg")
 

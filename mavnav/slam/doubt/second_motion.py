@@ -58,6 +58,9 @@ AT_REST_M_S = 0.2
 That is no reason to doubt a track that moves, unless it costs less than the track: a vehicle may pass a laser at rest.
 """
 
+NEAREST_M = 0.5
+"""Distance up to which points may be on the vehicle itself, and are left out."""
+
 POINTS = 200
 """Number of points, a sample of the scan, that are compared with the earlier scan."""
 
@@ -101,13 +104,17 @@ def examined_rows(stamps_ns: NDArray[np.int64], period_s: float) -> list[tuple[i
 
 
 def points_of_rows(track: Track, refiner: Refiner, rows: set[int]) -> dict[int, Floats]:
-    """Return the match points (n, 2) of the tracked scans in some rows of the trajectory, de-skewed; m, laser frame."""
+    """Return the match points (n, 2) of the tracked scans in some rows of the trajectory, de-skewed; m, laser frame.
+
+    Without those within ``NEAREST_M``.
+    """
     tracked = ((s, scan) for s, scan in zip(track.steps, track.log_scans(), strict=False) if s.tracked)
     motions = motions_along(tracked_trajectory(track.steps), track.motion)
     found = {}
     for row, ((_, scan), motion) in enumerate(zip(tracked, motions, strict=False)):
         if row in rows:
-            found[row] = refiner.match_points(scan, motion).copy()
+            points = refiner.match_points(scan, motion)
+            found[row] = points[np.hypot(*points.T) > NEAREST_M]
     return found
 
 
