@@ -63,12 +63,18 @@ def most_moving(map_T_laser: Trajectory) -> list[Window]:
 
 def rms_error(odometry: Odometry, windows: list[Window], offset_s: float) -> float:
     """Return the error of odometry with an offset; infinite if it covers few of the windows."""
-    shifted, errors = at_offset(odometry, offset_s), []
+    errors = errors_m(at_offset(odometry, offset_s), windows)
+    return float(np.sqrt(np.mean(np.square(errors)))) if errors else np.inf
+
+
+def errors_m(odometry: Odometry, windows: list[Window]) -> list[float]:
+    """Return the errors of odometry in the windows that it covers; none if these are few."""
+    errors = []
     for start_ns, end_ns, moved in windows:
-        then, now = shifted(start_ns), shifted(end_ns)
+        then, now = odometry(start_ns), odometry(end_ns)
         if then is not None and now is not None:
             errors.append(size(then.between(now).between(moved)))
-    return float(np.sqrt(np.mean(np.square(errors)))) if len(errors) >= LEAST_WINDOWS else np.inf
+    return errors if len(errors) >= LEAST_WINDOWS else []
 
 
 def size(moved: Pose) -> float:

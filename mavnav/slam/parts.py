@@ -16,6 +16,7 @@ from msgspec.structs import replace
 
 from mavnav.pose import Pose
 from mavnav.slam.beginning import accepted, until_missing
+from mavnav.slam.part_by_odometry import neighbours, placed_warning, pose_by_odometry
 from mavnav.slam.pauses import first_found_late, highest_speed, is_too_far, pauses
 from mavnav.slam.relocalization import apart
 from mavnav.slam.scan_matching import no_match
@@ -153,26 +154,34 @@ def with_all_scans(track: Track, steps: Steps) -> Track:
 
 
 def joined(track: Track, others: list[tuple[Step, ...]]) -> Track:
-    """Join parts to a track where they fit its map, the longest first; each one extends the map for the next."""
+    """Join parts to a track where they fit its map, the longest first; each one extends the map for the next.
+
+    A part that shows nothing of the map is placed by odometry if that can be relied on.
+    """
     steps, parts = Steps(track.steps), sorted(others, key=len, reverse=True)
+    warnings: list[str] = []
     for part in parts:
         wanted = {step.index for step in part if not steps[step.index].tracked}
         scans = (
             {k: scan for k, scan in enumerate(track.log_scans()) if k in wanted} if len(wanted) >= LOST_SCANS else {}
         )
-        part_T = part_pose([s for s in part if s.index in scans], scans, track, _most_searched(part, track))
+        inside = [step for step in part if step.index in scans]
+        part_T = part_pose(inside, scans, track, _most_searched(part, track))
+        if part_T is None and inside:
+            chosen = ((step, scans[step.index]) for step in spread_out(inside, SEARCHED_AFTER_PAUSE))
+            part_T = pose_by_odometry(inside, chosen, steps, track)
+            warnings += [placed_warning(inside, steps[0].stamp_ns)] if part_T else []
         if part_T is not None and is_reached(part, part_T, steps, track):
             for step in insert_part(part, part_T, scans, track):
                 steps[step.index] = step
-    return replace(track, steps=steps, parts=tuple(parts))
+    return replace(track, steps=steps, parts=tuple(parts), warnings=(*track.warnings, *warnings))
 
 
 def is_reached(part: Sequence[Step], map_T_part: Pose, steps: Steps, track: Track) -> bool:
     """Return whether the laser can have moved between a part and the poses next to it where the scans pause there."""
     found = [] if track.motion.has_odometry else pauses(steps, track.motion.period_s)
-    for end, others in ((part[0], range(part[0].index - 1, -1, -1)), (part[-1], range(part[-1].index + 1, len(steps)))):
-        other = next((steps[k] for k in others if steps[k].tracked), None)
-        if other is None or not any(min(end.index, other.index) <= k < max(end.index, other.index) for k in found):
+    for end, other in neighbours(part, steps):
+        if not any(min(end.index, other.index) <= k < max(end.index, other.index) for k in found):
             continue
         elapsed_s = abs(other.stamp_ns - end.stamp_ns) * NS
         fastest_m_s = max(highest_speed(part), highest_speed(accepted_steps(track)))
