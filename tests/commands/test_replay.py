@@ -36,7 +36,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory, sample: Path) -> Path:
 
 
 def test_the_profile_is_a_line_a_stage(mavnav: Callable, sample: Path, tmp_path: Path) -> None:
-    stage = re.compile(r"(\w[\w ]+?) +(\d+\.\d{3}) s +(\d+\.\d)%")
+    stage = re.compile(r"(\w[\w ]+?) +(\d+\.\d{3}) s +(\d+\.\d) %")
     _, out, err = mavnav("replay", sample, "-o", tmp_path / "r", *FEW, "--profile")
     rows = [match.groups() for line in out.splitlines() if (match := stage.fullmatch(line))]
     seconds = [float(spent_s) for _, spent_s, _ in rows]

@@ -267,6 +267,6 @@ def test_after_a_long_gap_little_may_speak_against_a_place() -> None:
     assert method.gate(match, late, here) is Verdict.REFUSED
     assert method.gate(match._replace(conflicts=0.03), late, here) is Verdict.PROBABLE
     led = here._replace(odometry=lambda _: Pose())
-    assert method.gate(match, late, led) is Verdict.PROBABLE
+    assert method.gate(match, late, led) is Verdict.REFUSED  # odometry does not notice that a vehicle is carried
     known = prior_map_of(method.grid.by_rows(), Pose())
     assert Localizer(Config(), known).gate(match, late, here) is Verdict.PROBABLE
