@@ -35,11 +35,12 @@ MOST_CONFLICTS = 0.1
 
 def pose_by_odometry(
     part: Sequence[Step], scans: Iterable[tuple[Step, Scan]], steps: Steps, track: Track
-) -> Pose | None:
+) -> tuple[Pose, float] | None:
     """Return the pose of a part's map in the map of a track by odometry from the nearest pose in time.
 
-    None if odometry does not cover the time between, if it errs by more than the drift for which loop closure allows
-    after such a path, or if the ``scans`` of the part, with their steps, conflict with the map.
+    Also returns the error to be expected, m. None if odometry does not cover the time between, if the error is larger
+    than the drift for which loop closure allows after such a path, or if the ``scans`` of the part, with their steps,
+    conflict with the map.
     """
     odometry, beside = track.motion.odometry or track.motion.gap_odometry, list(neighbours(part, steps))
     if odometry is None or not beside:
@@ -49,11 +50,12 @@ def pose_by_odometry(
     if across is None:
         return None
     path_m = sum(size(a.between(b)) for a, b in pairwise(across))
-    if error_share(odometry, tracked_trajectory(steps)) * path_m > drift_bound(path_m)[0]:
+    error_m = error_share(odometry, tracked_trajectory(steps)) * path_m
+    if error_m > drift_bound(path_m)[0]:
         return None
     pose = there.match.map_T_laser @ across[0].between(across[-1])
     map_T_part = pose @ here.match.map_T_laser.inverse()
-    return map_T_part if median_conflicts(map_T_part, scans, track) <= MOST_CONFLICTS else None
+    return (map_T_part, error_m) if median_conflicts(map_T_part, scans, track) <= MOST_CONFLICTS else None
 
 
 def neighbours(part: Sequence[Step], steps: Steps) -> Iterator[tuple[Step, Step]]:
@@ -90,10 +92,10 @@ def median_conflicts(map_T_part: Pose, scans: Iterable[tuple[Step, Scan]], track
     return float(np.median([refiner.conflicts(refiner.match_points(scan), match) for match, scan in placed]))
 
 
-def placed_warning(part: Sequence[Step], first_ns: int) -> str:
+def placed_warning(part: Sequence[Step], first_ns: int, error_m: float) -> str:
     """Return the warning of a part that was placed by odometry."""
     from_s, to_s = ((step.stamp_ns - first_ns) * NS for step in (part[0], part[-1]))
     return (
         f"{counted(len(part), 'scan')} from {from_s:.1f} to {to_s:.1f} s do not match the map of the others and are "
-        "placed by odometry alone; check the map there"
+        f"placed by odometry alone, to about {max(error_m, 0.1):.1f} m; check the map there"
     )

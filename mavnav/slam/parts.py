@@ -159,7 +159,7 @@ def joined(track: Track, others: list[tuple[Step, ...]]) -> Track:
     A part that shows nothing of the map is placed by odometry if that can be relied on.
     """
     steps, parts = Steps(track.steps), sorted(others, key=len, reverse=True)
-    warnings: list[str] = []
+    warnings, errors_m = list(track.warnings), np.zeros(len(steps))
     for part in parts:
         wanted = {step.index for step in part if not steps[step.index].tracked}
         scans = (
@@ -169,12 +169,15 @@ def joined(track: Track, others: list[tuple[Step, ...]]) -> Track:
         part_T = part_pose(inside, scans, track, _most_searched(part, track))
         if part_T is None and inside:
             chosen = ((step, scans[step.index]) for step in spread_out(inside, SEARCHED_AFTER_PAUSE))
-            part_T = pose_by_odometry(inside, chosen, steps, track)
-            warnings += [placed_warning(inside, steps[0].stamp_ns)] if part_T else []
+            placed = pose_by_odometry(inside, chosen, steps, track)
+            if placed:
+                part_T, error_m = placed
+                errors_m[[step.index for step in inside]] = error_m
+                warnings.append(placed_warning(inside, steps[0].stamp_ns, error_m))
         if part_T is not None and is_reached(part, part_T, steps, track):
             for step in insert_part(part, part_T, scans, track):
                 steps[step.index] = step
-    return replace(track, steps=steps, parts=tuple(parts), warnings=(*track.warnings, *warnings))
+    return replace(track, steps=steps, parts=tuple(parts), warnings=tuple(warnings), by_odometry_m=errors_m)
 
 
 def is_reached(part: Sequence[Step], map_T_part: Pose, steps: Steps, track: Track) -> bool:

@@ -49,7 +49,8 @@ class Track(Struct, frozen=True):
     ``conflicts`` (n,) are the observability and the visibility conflicts of the steps in the finished map, ``hessians``
     (n, 6) their Hessians, from which covariances are computed; empty before the final pass. ``resampled`` (n, 3) are
     the poses of the steps in a track with coarser voxels, NaN for scans without a pose there; empty without such a
-    track. ``remedies`` are other tracks that were made because of the doubt.
+    track. ``by_odometry_m`` (n,) is the error to be expected of the steps that are placed by odometry alone, 0 for the
+    others; empty without parts. ``remedies`` are other tracks that were made because of the doubt.
     """
 
     log_scans: LogScans
@@ -70,6 +71,7 @@ class Track(Struct, frozen=True):
     hessians: NDArray[np.float64] = field(default_factory=partial(np.zeros, (0, 6)))
     doubt: Doubt | None = None
     resampled: NDArray[np.float64] = field(default_factory=partial(np.zeros, (0, 3)))
+    by_odometry_m: NDArray[np.float64] = field(default_factory=partial(np.zeros, 0))
     remedies: tuple[Remedy, ...] = ()
 
     @property

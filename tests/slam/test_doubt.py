@@ -43,6 +43,7 @@ def clean(*, compared: bool = False, **changes: object) -> Evidence:
         resampled=xyyaw.copy() if compared else np.full((N, 3), np.nan),
         tilt_rad=np.zeros(N),
         second_motion=np.zeros(N),
+        by_odometry_m=np.zeros(N),
     )
     return replace(good, **changes)
 
@@ -79,6 +80,7 @@ PLANTED = {
     "gap": clean(stamps_ns=late()),
     "unclosed loop": clean(refused=30),
     SECOND_MOTION: clean(second_motion=some(0.4, 0.0)),
+    "placed by odometry alone": clean(by_odometry_m=some(0.3, 0.0)),
     "odometry contradicts": clean(contradicted=True),
 }
 

@@ -51,6 +51,10 @@ def test_odometry_leads_across_a_hall() -> None:
     assert not run.lost_for_good
     assert sum(PLACED in text for text in run.warnings) == 1
     assert all(part.joined for part in run.parts)
+    assert run.doubt is not None
+    (reason,) = (reason for reason in run.doubt.reasons if PLACED in reason.name)
+    assert reason.start_ns in {part.start_ns for part in run.parts}
+    assert run.doubt.high
     rows = np.searchsorted(truth.stamps_ns, run.trajectory.stamps_ns)
     last = len(rows) - 1
     found, true = (path[a].between(path[b]) for path, a, b in ((run.trajectory, 0, last), (truth, rows[0], rows[-1])))

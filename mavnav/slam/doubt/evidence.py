@@ -39,7 +39,8 @@ class Evidence(Struct, frozen=True):
     ``heading_margins`` (n,) the additional cost of the best other heading, as a share of the worst cost, inf without a
     sharp turn; ``resampled`` (n, 3) the poses of a track with coarser voxels, NaN without one; ``tilt_rad`` (n,) the
     tilt by an inertial sensor, 0 without one; ``second_motion`` (n,) the share of scans that fit another motion too, at
-    those scans; ``odometry`` (n,): odometry predicts the pose. ``period_s`` is the scan period; ``contradicted``:
+    those scans; ``by_odometry_m`` (n,) the error to be expected where odometry alone gives the pose, 0 elsewhere;
+    ``odometry`` (n,): odometry predicts the pose. ``period_s`` is the scan period; ``contradicted``:
     odometry is not used; ``refused`` is the number of loops that were found and not used, ``closed`` of those that were
     used.
     """
@@ -58,6 +59,7 @@ class Evidence(Struct, frozen=True):
     resampled: Floats
     tilt_rad: Floats
     second_motion: Floats
+    by_odometry_m: Floats
 
 
 def evidence_of(track: Track, refiner: Refiner) -> Evidence:
@@ -80,6 +82,7 @@ def evidence_of(track: Track, refiner: Refiner) -> Evidence:
         resampled=track.resampled[tracked] if len(track.resampled) else np.full(xyyaw.shape, np.nan),
         tilt_rad=np.zeros(len(stamps_ns)) if rotation is None else rotation.tilts_rad(stamps_ns),
         second_motion=second_motion(track, refiner, track.conflicts[tracked]),
+        by_odometry_m=track.by_odometry_m[tracked] if len(track.by_odometry_m) else np.zeros(len(stamps_ns)),
     )
 
 

@@ -138,6 +138,11 @@ def other_motion(evidence: Evidence) -> Floats:
     return evidence.second_motion / LEAST_AGREEING
 
 
+def placed_by_odometry(evidence: Evidence) -> Floats:
+    """Return the expected error of poses that odometry alone gives, as a multiple of the bound for wrong."""
+    return evidence.by_odometry_m / WRONG_M
+
+
 class Feature(NamedTuple):
     """A reason to doubt a track: its strength at each scan, (n,), and the quantile over the scans that is used."""
 
@@ -167,6 +172,7 @@ FEATURES: Final = {
     "gap": Feature("gap", gap, ONE_SCAN),
     "unclosed_loop": Feature("unclosed loop", unclosed_loop, ONE_SCAN),
     "second_motion": Feature(SECOND_MOTION, other_motion, ONE_SCAN),
+    "placed_by_odometry": Feature("placed by odometry alone", placed_by_odometry, ONE_SCAN),
     "odometry_contradicts": Feature("odometry contradicts", odometry_contradicts, ONE_SCAN),
 }
 """A slip shows at one scan, weak geometry at many."""
