@@ -1,7 +1,8 @@
 """The noise of steps between poses: each pose has an error of its own, and each step a slip of the wheels.
 
 The error of a pose enters the steps before and behind it with opposite signs, so the covariance is tridiagonal. It has
-a constant part and one that grows with the speed, as of stamps that jitter. Slips grow with the motion.
+a constant part and one that grows with the speed, as of stamps that jitter. Slips grow with the distance and with the
+turn, each by a factor of its own (Thrun, Burgard, Fox, *Probabilistic Robotics*, 2005, section 5.4).
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ APART: Final = 1e6
 CLIP: Final = 2.5
 """A step that is wrong by more of its standard deviations counts as if it were wrong by so many."""
 
-START: Final = np.log((0.2, 0.2, 0.5))
-"""Shares of poses, stamps and slips in the variance of the steps, at which the search for them begins."""
+START: Final = np.log((0.2, 0.2, 0.3, 0.3))
+"""Shares of poses, stamps, and slips by distance and by turn in the variance of the steps: where the search begins."""
 
 SEARCH: Final = {
     "maxfev": 300,
     "xatol": 0.03,
     "fatol": 0.03,
-    "initial_simplex": START + np.vstack((np.zeros(3), -3.0 * np.eye(3))),
+    "initial_simplex": START + np.vstack((np.zeros(len(START)), -3.0 * np.eye(len(START)))),
 }
 """Twice the logarithm of the likelihood changes by less than ``fatol`` at the end."""
 
@@ -77,13 +78,21 @@ class Noise(Struct, frozen=True):
         unforeseen: Array = weighted * self.alone()
         return unforeseen
 
+    def of_odometry(self, errors: Array) -> Array:
+        """Return the part of each error (n,) that is expected to be the odometry's."""
+        expected: Array = self.slips * self.unforeseen(errors) / self.alone()
+        return expected
+
     def clipped(self, errors: Array) -> Noise:
-        """Return the covariance in which steps with errors (n,) out of all proportion are as uncertain as that."""
+        """Return the covariance in which steps with errors (n,) out of all proportion are as uncertain as that.
+
+        Such errors are taken for slips.
+        """
         noise = self
         for _ in range(3):  # a large error first hides what is expected of its neighbours
             added = noise.diagonal - self.diagonal
-            more = np.square(noise.unforeseen(errors) / CLIP) - (noise.alone() - added)
-            noise = Noise(self.diagonal + np.maximum(more, 0.0), self.between, self.slips)
+            more = np.maximum(np.square(noise.unforeseen(errors) / CLIP) - (noise.alone() - added), 0.0)
+            noise = Noise(self.diagonal + more, self.between, self.slips + more)
         return noise
 
 
@@ -98,24 +107,28 @@ def _pivots(diagonal: Array, between: Array) -> Array:
 
 
 class NoiseModel(Struct, frozen=True):
-    """What the noise depends on: ``speeds`` (n + 1,) at the poses, ``motions`` (n,) of the steps, ``linked`` (n,)."""
+    """What the noise depends on: ``speeds`` (n + 1,) at the poses, in m/s or rad/s, and what steps (n) are.
+
+    ``motions`` (n, 2) are their distances, m, and turns, rad, none negative; ``linked`` (n,) is false across gaps.
+    """
 
     speeds: Array
     motions: Array
     linked: NDArray[np.bool_]
 
     def noise(self, variances: Array, added: Array | float = 0.0) -> Noise:
-        """Return the covariance by the variances (3,) of poses, stamps and slips; some steps have ``added`` more."""
-        pose, stamp, slip = variances
+        """Return the covariance by the variances (4,) of poses, stamps and slips; some steps have ``added`` more."""
+        pose, stamp, *slip = variances
+        slips = self.motions @ slip
         of_pose = pose + stamp * np.square(self.speeds)
-        diagonal = of_pose[:-1] + of_pose[1:] + slip * self.motions + LEAST + added
+        diagonal = of_pose[:-1] + of_pose[1:] + slips + LEAST + added
         between = np.where(self.linked[:-1] & self.linked[1:], -of_pose[1:-1], 0.0)
-        return Noise(np.where(self.linked, diagonal, APART), between, slip * self.motions)
+        return Noise(np.where(self.linked, diagonal, APART), between, slips)
 
     def fitted(self, errors: Array, added: Array) -> Noise:
         """Return the likeliest covariance for errors (n,), 0 across gaps; some steps have ``added`` (n,) variance."""
         total = float(np.square(errors[self.linked]).mean()) + LEAST
-        shares = 1.0, np.square(self.speeds).mean() + LEAST, self.motions[self.linked].mean() + LEAST
+        shares = 1.0, np.square(self.speeds).mean() + LEAST, *(self.motions[self.linked].mean(axis=0) + LEAST)
 
         def variances(logs: Array) -> Array:
             scaled: Array = total * np.exp(np.clip(logs, -14.0, 4.0)) / np.array(shares)

@@ -1,8 +1,10 @@
 """The parameters that fit laser and odometry best, by generalized least squares, and how far they may be wrong.
 
-A derivative with respect to the offset is taken over a whole step, and the noise of the odometry in its own derivatives
-is taken out: both would bias the result (errors in variables). Uncertainties are those of a jackknife over parts of the
-log, with Student's t for the number of parts that constrain a parameter.
+Noise of the odometry in its own derivatives would bias the result (errors in variables). So a derivative with respect
+to the offset is taken over a whole step, and the others where odometry and laser together expect the base: the
+conditional score of Stefanski and Carroll, *Conditional scores and optimal scores for generalized linear
+measurement-error models*, Biometrika 1987. Uncertainties are those of a jackknife over parts of the log, with
+Student's t for the number of parts that constrain a parameter.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ import numpy as np
 from msgspec import Struct
 from scipy.special import stdtrit
 
-from mavnav.metrics.calibration.motion import DISTANCE, LONGEST_OFFSET_S, OFFSET, TURN, YAW
+from mavnav.metrics.calibration.motion import LONGEST_OFFSET_S, OFFSET, YAW
 from mavnav.metrics.calibration.noise import NoiseModel
 from mavnav.units import DEG
 
@@ -43,11 +45,6 @@ HIGH: Final = np.array((100.0, 100.0, np.inf, LONGEST_OFFSET_S, 3.0, 3.0, 1.0))
 FLOOR: Final = np.array((1e-3, 1e-3, 0.05 * DEG, 1e-3, 2.5e-3, 5e-4, 0.01 * DEG))
 """Standard deviations of what is wrong with all steps alike: of the track, measured with odometry without noise; and of
 the distances, as wheels that slip turn too far."""
-
-DIFFERENCES: Final = np.array((1e-3, 1e-3, 1e-3, 0.0, 1e-3, 1e-3, 1e-3))
-
-TURN_M_RAD: Final = 0.3
-"""A turn makes as much slip as a path of this length a radian."""
 
 
 class Estimate(Struct, frozen=True):
@@ -116,9 +113,9 @@ def _centre(start: Array) -> Array:
 def _models(motions: Motions) -> list[NoiseModel]:
     """Return what the noise depends on, for x, y and yaw in the laser's frame."""
     laser, elapsed_s = motions.measured(), np.diff(motions.laser_s)
-    size_m = np.abs(laser.moved) + TURN_M_RAD * np.abs(laser.turned)
+    sizes = np.column_stack((np.abs(laser.moved), np.abs(laser.turned)))
     steps = (laser.moved.real, laser.moved.imag, laser.turned)
-    return [NoiseModel(_at_poses(step / elapsed_s), size_m, motions.linked) for step in steps]
+    return [NoiseModel(_at_poses(step / elapsed_s), sizes, motions.linked) for step in steps]
 
 
 def _at_poses(speeds: Array) -> Array:
@@ -136,19 +133,32 @@ def _errors(motions: Motions, values: Array) -> Array:
 
 
 def _equations(motions: Motions, values: Array, errors: Array, noises: list[Noise]) -> _Equations:
-    differences = DIFFERENCES.copy()
-    differences[OFFSET] = np.median(np.diff(motions.laser_s))
-    shifts = np.diag(differences)
-    derivatives = np.stack(
-        [(_errors(motions, values + d) - _errors(motions, values - d)) / (2.0 * d.sum()) for d in shifts], axis=-1
-    )
+    of_odometry = [noise.of_odometry(error) for noise, error in zip(noises, errors.T, strict=True)]
+    derivatives = _derivatives(motions, values, np.column_stack(of_odometry))
     rows = np.array([noise.whitened(derivatives[:, c]) for c, noise in enumerate(noises)])
     left = np.array([noise.whitened(errors[:, c]) for c, noise in enumerate(noises)])
-    score = np.einsum("cni,cn->ni", rows, left)
-    attenuation = np.array([np.where(motions.linked, noise.slips / noise.alone(), 0.0) for noise in noises])
-    score[:, DISTANCE] -= (attenuation[0] + attenuation[1]) / values[DISTANCE]
-    score[:, TURN] -= attenuation[2] / values[TURN]
-    return _Equations(rows, score)
+    return _Equations(rows, np.einsum("cni,cn->ni", rows, left))
+
+
+def _derivatives(motions: Motions, values: Array, of_odometry: Array) -> Array:
+    """Return the derivatives of the errors, (n, 3, 7), for odometry without its expected errors (n, 3), m, m, rad."""
+    x_m, y_m, yaw_rad, _, distance_scale, turn_scale, veer_rad_m = values.tolist()
+    ahead, arm, view = motions.predicted(values), complex(x_m, y_m), np.exp(-1j * yaw_rad)
+    moved = ahead.moved - of_odometry[:, 0] - 1j * of_odometry[:, 1]
+    turned = ahead.turned - of_odometry[:, 2]
+    lever, by_turn = 2j * np.sin(0.5 * turned), 1j * np.cos(0.5 * turned) * arm
+    driven = (moved / view - lever * arm) / distance_scale
+    turns = np.column_stack(((turned - veer_rad_m * driven.real) / turn_scale, driven.real))
+    plane = (
+        np.column_stack((lever, 1j * lever, -1j * moved / view, 0.0 * lever, driven, by_turn[:, None] * turns)) * view
+    )
+    yaw = np.column_stack((np.zeros((len(turned), 5)), turns))
+    derivatives = np.stack((plane.real, plane.imag, yaw), axis=1)
+    shift = np.zeros(len(values))
+    shift[OFFSET] = np.median(np.diff(motions.laser_s))
+    later, earlier = (_errors(motions, values + by) for by in (shift, -shift))
+    derivatives[:, :, OFFSET] = (later - earlier) / (2.0 * shift[OFFSET])
+    return np.where(motions.linked[:, None, None], derivatives, 0.0)
 
 
 def _uncertainty(equations: _Equations) -> tuple[Array, Array]:
