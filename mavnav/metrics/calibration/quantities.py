@@ -28,6 +28,9 @@ STILL_M, STILL_RAD = 10 * MM, 0.5 * DEG
 STRIDES = (1, 10)
 """Numbers of steps over which motion is distinguished from rest: the single steps of a slow robot are small."""
 
+SLOWEST_ODOM_S: Final = 0.6
+"""Longest period of the odometry: between its poses the motion is interpolated, which at 1 Hz biases all quantities."""
+
 ALIKE, MOST_SCALE = 0.5, 2.0
 """Least correlation of the turns of one robot; odometry that is wrong by a larger factor is in other units."""
 
@@ -105,7 +108,7 @@ class Calibration(Struct, frozen=True):
 def calibration_of(motions: Motions) -> Calibration:
     """Estimate what the motions show, and refuse the rest."""
     motion = motion_of(motions)
-    if why := _unusable(motion):
+    if why := _unusable(motion) or _sparse(motions):
         return refused(why, motion)
     turning = motion.turned_rad >= LEAST_TURN_RAD
     start = start_of(motions, turning=turning)
@@ -150,6 +153,14 @@ def _unusable(motion: Motion) -> str:
     if motion.odom_path_m < 0.1 * motion.path_m and motion.odom_turned_rad < 0.1 * motion.turned_rad:
         return "the odometry stands still while the laser moves; see that the wheel encoders report"
     return ""
+
+
+def _sparse(motions: Motions) -> str:
+    """Return why the odometry comes too rarely; empty where it does not."""
+    period_s = float(np.median(np.diff(motions.odom_s)))
+    if period_s <= SLOWEST_ODOM_S:
+        return ""
+    return f"the odometry comes every {period_s:.2g} s; record it at 10 Hz or more"
 
 
 def _contradiction(start: Start, motion: Motion) -> str:
