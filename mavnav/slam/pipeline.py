@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from mavnav.slam.beam_order import with_reversed_beams
 from mavnav.slam.beginning import rematch_beginning, with_good_beginning
+from mavnav.slam.contradicted import without_contradicted
 from mavnav.slam.deskewed_track import match_deskewed
 from mavnav.slam.doubt.judge import judge_track
 from mavnav.slam.loop_closure.remap import close_loops
@@ -52,6 +53,7 @@ RECOVERING: Final[tuple[Pass, ...]] = (
 
 CHECKING: Final[tuple[Pass, ...]] = (
     close_loops,  # step 11
+    without_contradicted,  # "Localization in a given map"
     remove_dynamic_cells,  # step 12
     refine_against_final_map,  # step 13
     judge_track,  # "Doubt"
