@@ -18,6 +18,7 @@ from mavnav.errors import ExitCode, UsageError
 from mavnav.jobs import usable_cores
 from mavnav.jobs.dask import LOCAL
 from mavnav.metrics.gates import Gate, full_name, parse_gate
+from mavnav.outputs.addresses import is_address
 from mavnav.outputs.provenance import Typed
 
 if TYPE_CHECKING:
@@ -115,7 +116,7 @@ def _default_directory(path: Path | None) -> Path:
 def _entries(options: Options, manifest: Manifest, base: Path) -> tuple[Entry, ...]:
     """Return the entries of the manifest and of the command line, whose paths start at the current folder."""
     logs = [source for source in options.sources if not source.endswith(MANIFEST_SUFFIXES)]
-    absolute = [log if "://" in log or not base.parts else str(Path(log).absolute()) for log in logs]
+    absolute = [log if is_address(log) or not base.parts else str(Path(log).absolute()) for log in logs]
     entries = (*manifest.logs, *((Entry(log=tuple(absolute)),) if absolute else ()))
     return tuple(entry.model_copy(update=dict(options.reading)) for entry in entries)
 

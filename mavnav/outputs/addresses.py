@@ -7,6 +7,7 @@ from typing import Final
 from urllib.parse import unquote
 
 _SCHEME: Final = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
+_ADDRESS: Final = re.compile(rf"(?:[a-z][a-z0-9+.-]*::)*{_SCHEME.pattern}", re.IGNORECASE)
 _IN_TEXT: Final = re.compile(rf"{_SCHEME.pattern}[^\s'\"<>]+", re.IGNORECASE)
 _IN_LINE: Final = re.compile(
     r"(?P<scheme>[a-z][a-z0-9+.-]+):(?P<slashes>//?)(?P<rest>[^\s'\"<>]*[?#@][^\s'\"<>]*)", re.IGNORECASE
@@ -16,8 +17,8 @@ _LEAST_SECRET: Final = 4
 
 
 def is_address(text: str) -> bool:
-    """Return whether a text is an address (``s3://bucket/drive.mcap``), not a path."""
-    return _SCHEME.match(text) is not None
+    """Return whether a text is an address (``s3://bucket/drive.mcap``, ``simplecache::s3://...``), not a path."""
+    return _ADDRESS.match(text) is not None
 
 
 def public_address(address: str) -> str:

@@ -116,7 +116,10 @@ def test_elsewhere_is_told_in_full(logs: Path, tmp_path_factory: pytest.TempPath
 def test_addresses_are_left_alone(logs: Path) -> None:
     assert find_logs(["s3://bucket/*.mcap"], logs) == ["s3://bucket/*.mcap"]
     assert is_address("HTTPS://host/a.bag")
+    assert is_address("simplecache::s3://bucket/a.bag")
+    assert is_address("zip://a.bag::https://host/logs.zip")
     assert not is_address("C:/logs/a.bag")
+    assert not is_address("logs/s3://a.bag")
 
 
 def test_a_folder_that_cannot_be_read(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
