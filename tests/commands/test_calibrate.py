@@ -15,7 +15,8 @@ import mavnav as api
 from mavnav.logs.writing.recorder import Recording, record
 from mavnav.pose import Pose, Trajectory
 from support.log_files import drive, write_mcap
-from support.robots import SMALL, Robot, path_of, scans_of, written
+from support.robots import SMALL, Robot, odometry_of, path_of, scans_of, written
+from support.robots import drive as drive_of
 from support.synthetic import DEG
 
 ROBOT = Robot(
@@ -101,6 +102,44 @@ def test_logs_that_show_nothing(mavnav, tmp_path) -> None:
         found, out, err = mavnav("calibrate", *args, "-q")
         assert (found, out, err.count("\n")) == (code, "", 1), (args, err)
         assert word in err, (args, err)
+
+
+def test_reversed_beams_are_found(mavnav, tmp_path) -> None:
+    backwards = written(replace(ROBOT, mirrored=False, backwards=True), 3, tmp_path / "drive.mcap")
+    code, _, _ = mavnav("calibrate", backwards, "-q", "-o", tmp_path / "found.json")
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert code == 0
+    assert found["beams_reversed"] == {"value": True, "in_log": False, "agrees": False, "refused": None}
+    assert found["upside_down"]["value"] is False
+
+
+def test_a_lost_track_calibrates_nothing(mavnav, tmp_path) -> None:
+    """From a fifth of the scans on all ranges are random."""
+    recording, rng = drive_of(ROBOT, 3), np.random.default_rng(0)
+    first = len(recording.scans) // 5
+    noise = [replace(scan, ranges_m=rng.uniform(0.3, 3.5, scan.spec.beams)) for scan in recording.scans[first:]]
+    record(replace(recording, scans=[*recording.scans[:first], *noise]), tmp_path / "lost.mcap")
+    code, out, err = mavnav("calibrate", tmp_path / "lost.mcap", "-q", "-o", tmp_path / "found.json")
+    assert (code, out) == (5, "")
+    assert "tracking was lost: 20 % of the scans have a pose" in err
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert found["tracking"]["lost"] is True
+    assert all(row["refused"] and row["value"] is None for row in found["quantities"])
+
+
+def test_a_doubtful_track_calibrates_nothing(mavnav, tmp_path) -> None:
+    """Between two walls without ends nothing shows the motion along them."""
+    robot, rng = replace(ROBOT, mirrored=False, moving=False), np.random.default_rng(0)
+    path = path_of(robot, [(0.0, 0.0), (6.0, 0.3), (9.0, 0.0), (14.0, 0.2)])
+    walls = np.array([[-50.0, -1.0, 50.0, -1.0], [-50.0, 1.0, 50.0, 1.0]])
+    corridor = scans_of(robot, path, rng, walls)
+    record(Recording(corridor, odometry_of(robot, path, rng), Trajectory.of([], [])), tmp_path / "corridor.mcap")
+    code, out, err = mavnav("calibrate", tmp_path / "corridor.mcap", "-q", "-o", tmp_path / "found.json")
+    assert (code, out) == (1, "")
+    assert "the track is doubtful (weakly constrained pose" in err
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert found["tracking"]["doubt"] > 0.5
+    assert all(row["refused"] and row["value"] is None for row in found["quantities"])
 
 
 def test_from_python(tmp_path) -> None:

@@ -93,12 +93,13 @@ def laser_at(robot: Robot, base: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.column_stack((base[:, 0] + c * x - s * y, base[:, 1] + s * x + c * y, base[:, 2] + yaw))
 
 
-def scans_of(robot: Robot, path: TruePath, rng: np.random.Generator) -> list[Scan]:
-    """Scan along a path, with 1 % of noise."""
+def scans_of(robot: Robot, path: TruePath, rng: np.random.Generator, walls: Segments | None = None) -> list[Scan]:
+    """Scan the furnished rooms, or other walls, along a path, with 1 % of noise."""
     spec = robot.spec if robot.moving else replace(robot.spec, time_increment_s=0.0)
     late_s = np.arange(spec.beams) * spec.time_increment_s
     late_s = late_s[::-1] if robot.backwards else late_s
-    bearings, walls, scans = spec.angles_rad * (-1 if robot.mirrored else 1), robot.size * furnished_rooms(), []
+    walls = robot.size * furnished_rooms() if walls is None else walls
+    bearings, scans = spec.angles_rad * (-1 if robot.mirrored else 1), []
     for at_s in np.arange(START_S, path.seconds[-1] - 0.2, spec.scan_time_s):
         poses = laser_at(robot, path.at(at_s + late_s))
         ranges = cast_from(walls, poses[:, :2], bearings + poses[:, 2])
