@@ -218,8 +218,8 @@ def _at_bearing(x: Floats, y: Floats, range_m: Floats, bearing_rad: Floats, ahea
     """
     found, c, s = range_m, np.cos(bearing_rad), np.sin(bearing_rad)
     apart_m = np.maximum(JUMP_M, JUMP_SHARE * range_m)
-    for side in (~ahead, ahead):
-        other = (np.arange(len(x)) + np.where(side, 1, -1)).clip(0, len(x) - 1)
+    for side in (~ahead, ahead):  # at the end of a full turn the neighbor is at its begin
+        other = (np.arange(len(x)) + np.where(side, 1, -1)) % max(len(x), 1)
         along_x, along_y = x[other] - x, y[other] - y
         with np.errstate(invalid="ignore", divide="ignore"):
             moved_m = (x * along_y - y * along_x) / (c * along_y - s * along_x)

@@ -6,7 +6,7 @@ from math import inf, nan, pi
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
@@ -30,6 +30,7 @@ def near_corner(spec: LaserSpec, pose: Pose, walls: np.ndarray) -> np.ndarray:
 
 
 @settings(max_examples=25, deadline=None)
+@example(0.0, 0.1 * 195 * DEG, 1.5, 0.7, LDS_01, False)  # the last beam has its neighbor beyond the end of the turn
 @given(tilts_rad, tilts_rad, st.floats(1.0, 2.0), yaws_rad, st.sampled_from([FINE, LDS_01]), st.booleans())
 def test_a_levelled_scan_is_that_of_a_level_laser(
     roll_rad: float, pitch_rad: float, height_m: float, yaw_rad: float, spec: LaserSpec, turned: bool
