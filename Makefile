@@ -10,11 +10,12 @@ FUZZ_SEED ?= 0
 FUZZ_COUNT ?= 1000000
 FUZZ_FAULTS ?= 1000
 BOUNDS := tests/kernels tests/mapping
+OLDEST := tests
 
-.PHONY: help demo test fuzz bounds check format-check lint types bench bench-peers figures docs samples golden clean
+.PHONY: help demo test oldest fuzz bounds check format-check lint types bench bench-peers figures docs samples golden clean
 
 help:
-	@echo "make demo | test | fuzz | bounds | check | bench | bench-peers | figures | docs | samples | golden | clean"
+	@echo "make demo | test | oldest | fuzz | bounds | check | bench | bench-peers | figures | docs | samples | golden | clean"
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=..."; exit 1; }
@@ -35,6 +36,16 @@ demo: $(VENV)/.run
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2
+
+$(VENV)-oldest/.dev: pyproject.toml
+	$(PYTHON) -m venv $(VENV)-oldest
+	$(VENV)-oldest/bin/python -m pip install --quiet --upgrade "pip>=25.1"
+	sed -nE '/^dependencies/,/^]/s/^ *"([a-z0-9]+)>=([0-9.]+).*/\1==\2/p' pyproject.toml > $(VENV)-oldest/versions.txt
+	$(VENV)-oldest/bin/python -m pip install --quiet --constraint $(VENV)-oldest/versions.txt --editable . --group dev
+	@touch $@
+
+oldest: $(VENV)-oldest/.dev
+	$(VENV)-oldest/bin/python -m pytest -n 2 $(OLDEST)
 
 fuzz: $(VENV)/.dev
 	$(BIN)/python benchmarks/fuzz_logs.py --seed $(FUZZ_SEED) --count $(FUZZ_COUNT) --attacks $(FUZZ_COUNT) \
@@ -86,5 +97,5 @@ golden: $(VENV)/.dev
 	MAVNAV_UPDATE_GOLDEN=1 $(BIN)/python -m pytest tests/pipelines/test_golden.py
 
 clean:
-	rm -rf $(VENV) runs build dist site .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(VENV)-oldest runs build dist site .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
 	find mavnav tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +

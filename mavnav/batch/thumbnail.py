@@ -7,7 +7,7 @@ from base64 import b64encode
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,7 +28,7 @@ def thumbnail(directory: Path) -> str | None:
     try:
         with Image.open(directory / "map.pgm") as image:
             cells = np.asarray(image)
-    except (OSError, UnidentifiedImageError):
+    except (OSError, ValueError):  # the latter before pillow 13, for a file that is cut
         return None
     seen = _downsampled(_cropped(cells))
     shades = np.where(seen < _UNKNOWN, _SHADES["wall"], np.where(seen == _UNKNOWN, _SHADES["unknown"], _SHADES["free"]))

@@ -170,7 +170,8 @@ def _part_library() -> Any:  # noqa: ANN401
                 super().finalize()
                 return
             for library in dict.fromkeys(self._linking_libraries):
-                self._reload_init.update(library._reload_init)  # noqa: SLF001
+                if hasattr(library, "_reload_init"):  # from numba 0.63 on
+                    self._reload_init.update(library._reload_init)  # noqa: SLF001
                 self._final_module.link_in(library._get_module_for_linking(), preserve=True)  # noqa: SLF001
             self._finalized = True
 
