@@ -12,6 +12,7 @@ from msgspec import Struct, field
 
 from mavnav import __version__
 from mavnav.logs.messages.definitions import definition
+from mavnav.logs.writing.mcap_stream import McapStream
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -75,25 +76,22 @@ def write_serialized(
     Messages are bytes in CDR; ``stamp_ns`` is their time of recording. A chunk is closed when it holds ``chunk_bytes``
     or more. The extras are written first.
     """
-    from mcap.writer import Writer  # noqa: PLC0415  most importers of this module do not write
-
     with path.open("wb") as file:
-        writer = Writer(file, chunk_size=chunk_bytes)
-        writer.start("ros2", f"mavnav {__version__}")
+        stream = McapStream(file, chunk_bytes, "ros2", f"mavnav {__version__}")
         kinds = dict.fromkeys(channel.type for channel in channels.values())
-        schemas = {kind: writer.register_schema(kind, "ros2msg", definition(kind).encode()) for kind in kinds}
+        schemas = {kind: stream.schema(kind, "ros2msg", definition(kind).encode()) for kind in kinds}
         numbers = {
-            topic: writer.register_channel(topic, "cdr", schemas[c.type], {"offered_qos_profiles": qos_text(c)})
+            topic: stream.channel(topic, "cdr", schemas[c.type], {"offered_qos_profiles": qos_text(c)})
             for topic, c in channels.items()
         }
 
         for name, values in extras.metadata.items():
-            writer.add_metadata(name, values)
+            stream.metadata(name, values)
         for a in extras.attachments:
-            writer.add_attachment(extras.stamp_ns, extras.stamp_ns, a.name, a.media_type, a.data)
+            stream.attachment(extras.stamp_ns, a.name, a.media_type, a.data)
 
         def put(topic: str, stamp_ns: int, message: bytes) -> None:
-            writer.add_message(numbers[topic], stamp_ns, message, stamp_ns)
+            stream.message(numbers[topic], stamp_ns, message)
 
         yield put
-        writer.finish()
+        stream.finish()
