@@ -16,7 +16,6 @@ from contextlib import suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from tempfile import NamedTemporaryFile, TemporaryFile, mkdtemp
 from typing import Final, cast
 
 _IMPORT = re.compile(rb"\nfrom ([\w.]+) import ")  # an eighth of the time that ^ takes
@@ -50,6 +49,8 @@ def share_private_directory(key: str) -> None:
 
 def is_kept(key: str) -> bool:
     """Return whether the user's directory can be written, so that new entries outlast the process."""
+    from tempfile import TemporaryFile  # noqa: PLC0415  runs with all kernels on disk do without
+
     folder = user_directory() / key
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
@@ -60,6 +61,8 @@ def is_kept(key: str) -> bool:
 
 def _private_directory() -> Path:
     """Return the private directory; the first process that needs it creates it and removes it at exit."""
+    from tempfile import mkdtemp  # noqa: PLC0415
+
     if not os.environ.get(PRIVATE):
         os.environ[PRIVATE] = made = mkdtemp(prefix="mavnav-")
         atexit.register(_remove, made, os.getpid())
@@ -93,6 +96,8 @@ def write_code(key: str, name: str, code: bytes) -> None:
 
 
 def _write(folder: Path, name: str, content: bytes) -> None:
+    from tempfile import NamedTemporaryFile  # noqa: PLC0415
+
     folder.mkdir(parents=True, exist_ok=True)
     file = NamedTemporaryFile(dir=folder, prefix=".", delete=False)  # noqa: SIM115  it is renamed below
     try:

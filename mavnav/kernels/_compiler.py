@@ -10,14 +10,16 @@ unoptimized, and the kernel is optimized once with all code that it calls.
 from __future__ import annotations
 
 import pickle
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numba
 import numpy as np
+from msgspec.structs import astuple
 
-from mavnav.kernels._loader import MachineCode
+from mavnav.kernels._loader import MachineCode, copied
+from mavnav.kernels._object_file import image_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -48,7 +50,7 @@ def compiled(function: Callable[..., Any], signature: Signature) -> tuple[Callab
     made.disable_compile()
     (result,) = made.overloads.values()
     try:
-        return made, _packed(result)
+        return made, _packed(function, result)
     except (AttributeError, ImportError, TypeError, ValueError):
         return made, None  # a numba with other internals: kernels compile at every start
 
@@ -86,19 +88,31 @@ def _initialize(context: Any) -> None:  # noqa: ANN401
         context.refresh()
 
 
-def _packed(result: Any) -> MachineCode:  # noqa: ANN401
-    """Return the machine code of a compiled function, without the parts for calls by other compiled functions."""
+def _packed(function: Callable[..., Any], result: Any) -> MachineCode:  # noqa: ANN401
+    """Return the machine code of a compiled function: an image if it can be loaded, else all that numba needs."""
+    (_, _, (code, _)), *_ = result._reduce()  # noqa: SLF001
+    wrapper = result.fndesc.llvm_cpython_wrapper_name
+    try:
+        environment, dtypes, symbols = _needs(result)
+    except (AttributeError, LookupError):
+        return MachineCode(code=code, rest=_rest(result))
+    with suppress(Exception):  # another system, other internals of numba
+        image = astuple(image_of(code, (wrapper, environment)))
+        entry = MachineCode(wrapper, environment, dtypes, image)
+        copied(entry, function.__module__, function.__qualname__)
+        return entry
+    return MachineCode(wrapper, environment, dtypes, None, code, symbols, _rest(result))
+
+
+def _rest(result: Any) -> bytes:  # noqa: ANN401
+    """Return what numba needs to load the code, without the parts for calls by other compiled functions."""
     from llvmlite.binding import parse_assembly  # noqa: PLC0415
     from numba.core.serialize import dumps  # noqa: PLC0415
 
-    (name, kind, (code, _)), *rest = result._reduce()  # noqa: SLF001
-    wrapper = result.fndesc.llvm_cpython_wrapper_name
-    names = f'define void @"{wrapper}"() {{ ret void }}'
-    packed = dumps(((name, kind, (b"", parse_assembly(names).as_bitcode())), *rest))
-    try:
-        return MachineCode(code, wrapper, *_needs(result), packed)
-    except (AttributeError, LookupError):
-        return MachineCode(code, "", "", (), (), packed)
+    (name, kind, _), *rest = result._reduce()  # noqa: SLF001
+    names = f'define void @"{result.fndesc.llvm_cpython_wrapper_name}"() {{ ret void }}'
+    packed: bytes = dumps(((name, kind, (b"", parse_assembly(names).as_bitcode())), *rest))
+    return packed
 
 
 def _needs(result: Any) -> tuple[str, tuple[str, ...], tuple[str, ...]]:  # noqa: ANN401
@@ -116,7 +130,9 @@ def _needs(result: Any) -> tuple[str, tuple[str, ...], tuple[str, ...]]:  # noqa
 
 @contextmanager
 def whole_kernels(context: Any) -> Iterator[None]:  # noqa: ANN401
-    """Link parts unoptimized within the block; a numba with other internals compiles as usual.
+    """Link parts unoptimized within the block, and vectorize statements as well as loops, which saves 2 % of the time.
+
+    A numba with other internals compiles as usual.
 
     ``context`` is the target context of a numba function.
     """
@@ -127,10 +143,12 @@ def whole_kernels(context: Any) -> Iterator[None]:  # noqa: ANN401
         yield
         return
     codegen.set_env = _set_env_of_loaded(codegen)
+    vectorized, numba.config.SLP_VECTORIZE = numba.config.SLP_VECTORIZE, 1
     try:
         yield
     finally:
         codegen._library_class = before  # noqa: SLF001
+        numba.config.SLP_VECTORIZE = vectorized
         del codegen.set_env
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
 from mavnav.kernels._cache import read_code, source_stamp, write_code
-from mavnav.kernels._loader import MachineCode, cache_key, loaded
+from mavnav.kernels._loader import MachineCode, cache_key, copied, linked
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,8 +61,9 @@ class Kernel:
         try:
             for k, ndim, dtype, mask in self.arrays:
                 array = args[k]
-                same = array.dtype is dtype or array.dtype == dtype  # almost always the same object
-                if not same or array.ndim != ndim or array.flags.num & mask != mask:
+                if array.ndim != ndim or array.flags.num & mask != mask:
+                    raise TypeError(self._mismatch(args))
+                if array.dtype is not dtype and array.dtype != dtype:  # almost always the same object
                     raise TypeError(self._mismatch(args))
         except (AttributeError, IndexError):
             raise TypeError(self._mismatch(args)) from None
@@ -106,17 +108,17 @@ class Kernel:
         self.run, self.loaded, self.code = run, True, None  # type: ignore[method-assign]
 
     def _from_disk(self, content: memoryview) -> Callable[..., Any] | None:
-        """Load the code without numba, else with numba; None if the content is not valid."""
+        """Load the code without LLVM, else without numba, else with numba; None if the content is not valid."""
         try:
             entry = MachineCode.unpacked(content)
         except (ValueError, EOFError, TypeError):
             return None
-        try:
-            return loaded(entry, self.module, self.name)
-        except Exception:  # other internals of numba, which numba itself can load
-            from mavnav.kernels._compiler import loaded_by_numba  # noqa: PLC0415
+        for load in (copied, linked):
+            with suppress(Exception):  # there is no image, or numba has other internals, which it can load itself
+                return load(entry, self.module, self.name)
+        from mavnav.kernels._compiler import loaded_by_numba  # noqa: PLC0415
 
-            return loaded_by_numba(entry, self.function, self.signature)
+        return loaded_by_numba(entry, self.function, self.signature)
 
 
 KERNELS: list[Kernel] = []

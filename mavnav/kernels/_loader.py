@@ -1,7 +1,7 @@
-"""Load the machine code of kernels with LLVM and numba's C runtime, without the rest of numba.
+"""Load the machine code of kernels without numba, except for its C functions that the code calls.
 
-Importing numba takes 0.2 s of processor time, this module 0.04. It uses internal names of numba; if one is missing,
-`loaded` raises, and numba loads or compiles the kernel.
+Importing numba takes 0.2 s of processor time, LLVM 0.04. Where possible the code is an image, which needs neither. Both
+ways use internal names of numba; if one is missing, they raise, and numba loads or compiles the kernel.
 """
 
 from __future__ import annotations
@@ -10,39 +10,43 @@ import builtins
 import ctypes
 import os
 import pickle
+import platform
 import sys
 from functools import cache
 from hashlib import sha256
 from importlib.machinery import EXTENSION_SUFFIXES
-from importlib.metadata import version
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from marshal import dumps, loads
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import astuple
+
+from mavnav.kernels._image import Image, placed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 
 class MachineCode(Struct, frozen=True):
-    """An entry of the cache.
+    """An entry of the cache: an image if possible, else an object file.
 
-    ``code`` is an object file, ``wrapper`` its function for Python, ``environment`` its variable for numba's constants,
-    ``dtypes`` the types of the arrays that it makes, ``symbols`` its unresolved symbols, and ``rest`` the additional
-    data for loading it with numba. Without ``wrapper`` only numba can load it.
+    ``wrapper`` is its function for Python, ``environment`` its variable for numba's constants, ``dtypes`` are the types
+    of the arrays that it makes, and ``image`` are the fields of its `Image`. ``code`` is the object file, ``symbols``
+    are its unresolved symbols, and ``rest`` is the additional data for loading it with numba. Without ``wrapper`` only
+    numba can load it.
     """
 
-    code: bytes
-    wrapper: str
-    environment: str
-    dtypes: tuple[str, ...]
-    symbols: tuple[str, ...]
-    rest: bytes
+    wrapper: str = ""
+    environment: str = ""
+    dtypes: tuple[str, ...] = ()
+    image: tuple[Any, ...] | None = None
+    code: bytes = b""
+    symbols: tuple[str, ...] = ()
+    rest: bytes = b""
 
     def packed(self) -> bytes:
         """Return the content of the entry's file."""
@@ -54,37 +58,86 @@ class MachineCode(Struct, frozen=True):
         return cls(*loads(content))  # noqa: S302  the checksum has been compared
 
 
+_CPUINFO: Final = Path("/proc/cpuinfo")
+_OF_PROCESSOR: Final = ("vendor_id", "cpu family", "model", "flags", "CPU implementer", "CPU part", "Features")
+"""Its lines that say what code a processor runs."""
+
+
 @cache
 def cache_key() -> str:
     """Return a key of what machine code depends on besides its source: numba, Python, the system and the processor."""
-    llvm = _llvm()
     names = ("CPU_NAME", "CPU_FEATURES", "OPT", "ENABLE_AVX", "BOUNDSCHECK")
     chosen = [os.environ.get(f"NUMBA_{name}", "") for name in names]
-    processor = [llvm.get_process_triple(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten(), *chosen]
-    digest = sha256(repr(processor).encode()).hexdigest()[:16]
-    return f"numba-{version('numba')}-py{sys.version_info.major}{sys.version_info.minor}-{digest}"
+    digest = sha256(repr([sys.platform, platform.machine(), _processor(), *chosen]).encode()).hexdigest()[:16]
+    return f"numba-{_version()}-py{sys.version_info.major}{sys.version_info.minor}-{digest}"
 
 
-def loaded(entry: MachineCode, module: str, name: str) -> Callable[..., Any]:
-    """Return the function for Python; the caller must check that its arguments have the types of the kernel.
+def _processor() -> list[str]:
+    """Return what the system says of the first processor, or LLVM where it says nothing."""
+    try:
+        with _CPUINFO.open(encoding="utf-8", errors="replace") as file:
+            first = file.read(1 << 14).partition("\n\n")[0]
+    except OSError:
+        first = ""
+    lines = [line.split(":", 1) for line in first.splitlines() if ":" in line]
+    known = [f"{name.strip()}:{value}" for name, value in lines if name.strip() in _OF_PROCESSOR]
+    llvm = None if known else _llvm()
+    return [llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()] if llvm else known
 
-    Raises AttributeError, ImportError, LookupError, OSError or RuntimeError if internals of numba are missing.
+
+def _version() -> str:
+    """Return the version of numba, from the name of the folder beside it: importlib.metadata takes 15 ms to import."""
+    folders = [path.stem for path in _root().parent.glob("numba-*.dist-info")]
+    if len(folders) == 1:
+        return folders[0].removeprefix("numba-")
+    from importlib.metadata import version  # noqa: PLC0415
+
+    return version("numba")
+
+
+def copied(entry: MachineCode, module: str, name: str) -> Callable[..., Any]:
+    """Return the function for Python of an image; the caller must check that its arguments have the kernel's types.
+
+    Raises AttributeError, ImportError, LookupError or OSError if there is no image, if internals of numba are missing,
+    or if the system does not allow it.
     """
-    llvm, engine, runtime = _llvm(), _engine(), _runtime()
+    if entry.image is None:
+        raise LookupError("no image")
+    image = Image(*entry.image)
+    memory, start = placed(image, _address)
+    variable = image.offsets.get(entry.environment)
+    address = start + image.offsets[entry.wrapper]
+    return _function(entry, module, name, address, None if variable is None else start + variable, memory)
+
+
+def linked(entry: MachineCode, module: str, name: str) -> Callable[..., Any]:
+    """Return the function for Python of an object file, loaded by LLVM; otherwise like `copied`."""
+    if not (entry.wrapper and entry.code):
+        raise LookupError("only an image, or only numba can load it")
+    llvm, engine = _llvm(), _engine()
     for symbol in entry.symbols:
-        _resolve(symbol)
-    if not entry.wrapper:
-        raise LookupError("numba alone can load it")
+        llvm.add_symbol(symbol, _address(symbol))  # LLVM would end the process without it
     engine.add_object_file(llvm.ObjectFileRef.from_data(entry.code))
     address = engine.get_function_address(entry.wrapper)  # MCJIT finalizes the object before it gives its address
     if not address:
         raise LookupError(entry.wrapper)
-    environment = runtime.Environment({})
+    return _function(entry, module, name, address, engine.get_global_value_address(entry.environment), engine)
+
+
+def _function(
+    entry: MachineCode, module: str, name: str, address: int, variable: int | None, kept: object
+) -> Callable[..., Any]:
+    """Make the function for Python at an address, and store its constants in the variable for them.
+
+    ``kept`` is what must live as long as the function.
+    """
+    dynamic = _extension("_dynfunc")
+    environment = dynamic.Environment({})
     environment.consts[:] = map(np.dtype, entry.dtypes)
-    if variable := engine.get_global_value_address(entry.environment):
+    if variable:
         ctypes.c_void_p.from_address(variable).value = id(environment)
-    made: Callable[..., Any] = runtime.make_function(
-        sys.modules[module], name, name, address, environment, (engine, environment)
+    made: Callable[..., Any] = dynamic.make_function(
+        sys.modules[module], name, name, address, environment, (kept, environment)
     )
     return made
 
@@ -106,17 +159,27 @@ def _engine() -> Any:  # noqa: ANN401
 
 
 @cache
-def _runtime() -> Any:  # noqa: ANN401
-    """Register numba's C functions in LLVM under the names that numba gives them; return ``_dynfunc``."""
-    add_symbol, dynamic = _llvm().add_symbol, _extension("_dynfunc")
-    helpers, memory = _helpers(), _extension("core.runtime._nrt_python").c_helpers
-    known = {f"numba_{name}": address for name, address in {**helpers, **dynamic.c_helpers}.items()}
+def _address(symbol: str) -> int:
+    """Return the address of what machine code calls a symbol; raises LookupError."""
+    if symbol in (known := _numbas()):
+        return known[symbol]
+    if symbol.startswith("PyExc_"):
+        return id(getattr(builtins, symbol.removeprefix("PyExc_")))
+    try:
+        return ctypes.cast(getattr(ctypes.pythonapi, symbol), ctypes.c_void_p).value or 0
+    except AttributeError:
+        raise LookupError(symbol) from None
+
+
+@cache
+def _numbas() -> dict[str, int]:
+    """Return the addresses of numba's C functions by the names that numba gives them in machine code."""
+    helpers: dict[str, int] = _extension("_helperlib").c_helpers  # mathematical ones have their own names
+    memory = _extension("core.runtime._nrt_python").c_helpers
+    known = {f"numba_{name}": address for name, address in {**helpers, **_extension("_dynfunc").c_helpers}.items()}
     known |= {name if name.startswith("_") else f"NRT_{name}": address for name, address in memory.items()}
-    for name, address in known.items():
-        add_symbol(name, address)
-    add_symbol("_Py_NoneStruct", id(None))
     _set_unpickling(helpers["unpickle"])
-    return dynamic
+    return helpers | known | {"_Py_NoneStruct": id(None)}
 
 
 def _set_unpickling(address: int) -> None:
@@ -141,20 +204,13 @@ def _unpickled(content: bytes) -> Any:  # noqa: ANN401
     return pickle.loads(content)  # noqa: S301  a part of the machine code
 
 
-def _helpers() -> dict[str, int]:
-    """Return the addresses of numba's C functions, mathematical ones under their own names."""
-    helpers: dict[str, int] = _extension("_helperlib").c_helpers
-    return helpers
-
-
 @cache
 def _extension(name: str) -> Any:  # noqa: ANN401
     """Import an extension module of numba, but not numba."""
     full = f"numba.{name}"
     if full in sys.modules:
         return sys.modules[full]
-    (root,) = getattr(find_spec("numba"), "submodule_search_locations", None) or [""]
-    path = Path(root, *name.split(".")).with_suffix(EXTENSION_SUFFIXES[0])
+    path = _root().joinpath(*name.split(".")).with_suffix(EXTENSION_SUFFIXES[0])
     spec = spec_from_file_location(full, path)
     if spec is None or spec.loader is None:
         raise ImportError(full)
@@ -164,12 +220,7 @@ def _extension(name: str) -> Any:  # noqa: ANN401
 
 
 @cache
-def _resolve(symbol: str) -> None:
-    """Register the address of a symbol in LLVM, which would end the process without it; raises LookupError."""
-    llvm, helpers = _llvm(), _helpers()
-    if symbol in helpers:
-        llvm.add_symbol(symbol, helpers[symbol])
-    elif symbol.startswith("PyExc_"):
-        llvm.add_symbol(symbol, id(getattr(builtins, symbol.removeprefix("PyExc_"))))
-    elif llvm.address_of_symbol(symbol) is None:
-        raise LookupError(symbol)
+def _root() -> Path:
+    """Return the folder of numba, which is not imported for it."""
+    (root,) = getattr(find_spec("numba"), "submodule_search_locations", None) or [""]
+    return Path(root)
