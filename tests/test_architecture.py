@@ -18,7 +18,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "mavnav"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-SHARED = {"atomic_files", "errors", "memory", "pose", "profiling", "scan", "units"}
+SHARED = {"arrays", "atomic_files", "errors", "pose", "profiling", "scan", "units"}
 """Modules that import nothing of ours but errors, and that every package but the kernels may import."""
 
 ALLOWED: dict[str, set[str]] = {

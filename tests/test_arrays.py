@@ -1,4 +1,4 @@
-"""Memory is taken when it is written to, and given back when it is done with."""
+"""Memory is taken when it is written to, and given back when it is done with; what is found by sorting is NumPy's."""
 
 from __future__ import annotations
 
@@ -10,19 +10,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from numba import njit
 
-from mavnav import memory
-from mavnav.kernels.layout import WIDE
-from mavnav.mapping.tiled_arrays import blank_strips, moved
-from mavnav.memory import (
+from mavnav import arrays as memory
+from mavnav.arrays import (
     SMALL_BYTES,
     blank,
-    keep_free_memory,
+    contained,
+    distinct,
+    median,
+    quantile,
     release_compiler_code,
     release_free_memory,
     release_rows,
 )
+from mavnav.commands.heap import keep_free_memory
+from mavnav.kernels.layout import WIDE
+from mavnav.mapping.tiled_arrays import blank_strips, moved
 from support.memory_use import in_use_mb, taking_less_than
 
 MB = 1 << 20
@@ -111,3 +118,31 @@ def code_kb(library: str) -> int:
     areas = re.split(r"^(?=[0-9a-f]+-[0-9a-f]+ )", text, flags=re.MULTILINE)
     codes = [area for area in areas if " r-xp " in area and library in area]
     return sum(int(kb) for area in codes for kb in re.findall(r"^Rss: +(\d+) kB", area, flags=re.MULTILINE))
+
+
+VALUES = st.one_of(
+    arrays(np.float64, st.integers(1, 40), elements=st.floats(-1e6, 1e6)),
+    arrays(np.int64, st.integers(1, 40), elements=st.integers(-(2**62), 2**62)),
+    arrays(np.uint16, st.integers(1, 40)),
+    st.lists(st.floats(-10, 10), min_size=1),
+)
+
+
+@given(VALUES, st.floats(0.0, 1.0))
+def test_medians_and_quantiles_equal_numpys_to_the_last_bit(values, share) -> None:
+    assert median(values) == np.median(values)
+    assert quantile(values, share) == np.quantile(values, share)
+
+
+@given(VALUES, VALUES)
+def test_distinct_and_contained_values_are_those_of_numpy(values, others) -> None:
+    assert np.array_equal(distinct(values), np.unique(values))
+    assert np.array_equal(contained(np.asarray(values), others), np.isin(values, others))
+
+
+def test_what_no_value_decides_is_nan() -> None:
+    for nothing in ([], [1.0, np.nan]):
+        assert np.isnan(median(nothing))
+        assert np.isnan(quantile(nothing, 0.3))
+    assert len(distinct([])) == 0
+    assert not contained(np.ones(2), []).any()

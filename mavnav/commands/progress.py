@@ -6,9 +6,8 @@ import gc
 import sys
 import threading
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from time import monotonic
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
 from mavnav.commands import signals
 from mavnav.commands.terminal import console, note
@@ -34,18 +33,14 @@ MISSION: Final = {"fly": 75, "close loops": 5, "final pass": 8, "draw map": 7, "
 """The stages of a job in their order, each with its typical share of the time, in %; a share of 0 is not estimated."""
 
 
-@dataclass(slots=True)
 class _State:
     """State of the progress: phase, amount done, and time of the last report."""
 
-    period_s: float
-    stages: dict[str, int]
-    phase: str = ""
-    began_s: float = 0.0
-    job_began_s: float | None = None
-    reported_s: float = field(default_factory=monotonic)
-    done: int = 0
-    total: int | None = None
+    def __init__(self, period_s: float, stages: dict[str, int]) -> None:
+        """Start without a phase."""
+        self.period_s, self.stages = period_s, stages
+        self.phase, self.done, self.total = "", 0, cast("int | None", None)
+        self.began_s, self.job_began_s, self.reported_s = 0.0, cast("float | None", None), monotonic()
 
     def due(self, phase: str, done: int, total: int | None) -> bool:
         """Store a report; return whether to show it: its phase is new, or a period has passed since the last one."""
@@ -111,9 +106,12 @@ def reporting(*, quiet: bool, stages: dict[str, int] | None = None) -> Iterator[
 def loading_modules() -> Iterator[None]:
     """Context for imports that take long; a signal ends the process immediately.
 
-    Garbage collection is disabled, and the imported objects are excluded from it later: that saves 0.1 s. Afterwards
-    the process keeps some free memory.
+    Garbage collection is disabled, and the imported objects are excluded from it later: that saves 0.1 s. The process
+    keeps some free memory from here on.
     """
+    from mavnav.commands.heap import keep_free_memory
+
+    keep_free_memory()
     gc.disable()
     try:
         with signals.at_once():
@@ -121,9 +119,6 @@ def loading_modules() -> Iterator[None]:
     finally:
         gc.freeze()
         gc.enable()
-    from mavnav.memory import keep_free_memory
-
-    keep_free_memory()
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct
 
+from mavnav.arrays import median, quantile
 from mavnav.logs.stamps import REPEATED_SHARE
 from mavnav.units import DEG, NS, counted
 
@@ -81,9 +82,9 @@ def sensor_health(log: Log, far_m: float = inf) -> SensorHealth:
     share = log.cleaning["valid"] / max(sum(log.cleaning.values()), 1)
     partial, jitter = _partial(seen.valid), _jitter(seen.stamps_ns, log.period_s)
     sectors = _sectors(seen.covered & ~seen.returned) if len(seen.valid) >= SECTOR_SCANS else []
-    median = float(np.median(seen.valid)) if len(seen.valid) else 0.0
+    usual = median(seen.valid) if len(seen.valid) else 0.0
     findings = [
-        *_sparse(share, median),
+        *_sparse(share, usual),
         *_partial_scans(partial, seen.stamps_ns),
         *_hidden(sectors),
         *_frozen(log),
@@ -96,7 +97,7 @@ def sensor_health(log: Log, far_m: float = inf) -> SensorHealth:
         healthy=not findings,
         examined=len(seen.valid),
         valid_share=share,
-        median_valid_beams=median,
+        median_valid_beams=usual,
         partial=len(partial),
         repeated=log.counts.repeated,
         dead_sectors_deg=sectors,
@@ -161,7 +162,7 @@ def _partial(valid: NDArray[np.int64]) -> NDArray[np.intp]:
 def _jitter(stamps_ns: NDArray[np.int64], period_s: float) -> float:
     steps_s = np.diff(stamps_ns) * NS
     steps_s = steps_s[steps_s <= 3.0 * period_s]
-    return float(np.quantile(np.abs(steps_s - period_s), 0.9)) / period_s if len(steps_s) and period_s else 0.0
+    return quantile(np.abs(steps_s - period_s), 0.9) / period_s if len(steps_s) and period_s else 0.0
 
 
 def _sectors(dead: NDArray[np.bool_]) -> list[tuple[float, float]]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from msgspec.structs import replace
 
+from mavnav.arrays import trim
 from mavnav.errors import NoScansError, TopicError
 from mavnav.logs.attitude import AttitudeTracks
 from mavnav.logs.ceiling import with_ceiling
@@ -22,7 +23,6 @@ from mavnav.logs.survey import Survey, survey
 from mavnav.logs.topic_choice import chosen_topic, no_usable
 from mavnav.logs.transforms import frame_name, mounting
 from mavnav.logs.truth import laser_truth
-from mavnav.memory import trim
 from mavnav.pose import Pose
 from mavnav.units import NS
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct, field
 
+from mavnav.arrays import blank
 from mavnav.kernels.layout import FAR, NEAR, REACH_CELLS
 from mavnav.kernels.linemap import insert_points, rebuild
 from mavnav.kernels.points import extent
 from mavnav.mapping.cost_floors import CostFloors
 from mavnav.mapping.tiled_arrays import NO_EXTENT, covered_extent, covering, moved, within
-from mavnav.memory import blank
 from mavnav.profiling import timed
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mavnav.arrays import SMALL_BYTES, blank, release_free_memory, release_rows
 from mavnav.kernels.layout import WIDE
-from mavnav.memory import SMALL_BYTES, blank, release_free_memory, release_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

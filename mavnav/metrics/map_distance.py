@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct, field
 
+from mavnav.arrays import quantile
 from mavnav.metrics.fields import Measured, number
 from mavnav.units import MM
 
@@ -60,14 +61,13 @@ def map_distance(occupied_xy_m: NDArray[np.float64], truth: TrueMap) -> MapDista
     if n == 0:
         return MapDistance(truth.alignment, 0, np.nan, np.nan, np.nan, np.nan, 0.0)
     distance_mm = truth.distance_m(occupied_xy_m) / MM
-    median, p95 = np.quantile(distance_mm, (0.5, 0.95))
     gap_m, _ = cKDTree(occupied_xy_m).query(truth.xy_m)
     return MapDistance(
         alignment=truth.alignment,
         cells=n,
         mean_mm=float(distance_mm.mean()),
-        median_mm=float(median),
-        p95_mm=float(p95),
+        median_mm=quantile(distance_mm, 0.5),
+        p95_mm=quantile(distance_mm, 0.95),
         max_mm=float(distance_mm.max()),
         covered_share=float((gap_m <= COVERED_M).mean()) if len(gap_m) else np.nan,
     )

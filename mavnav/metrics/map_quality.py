@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct
 
+from mavnav.arrays import blank, distinct
 from mavnav.mapping.occupancy_grid import UNKNOWN, occupancy, occupied_cells
 from mavnav.mapping.tiled_arrays import pooled
-from mavnav.memory import blank
 from mavnav.metrics.crispness import Crispness, crispness
 from mavnav.metrics.doubled_walls import doubled_walls, key_rows
 from mavnav.metrics.fields import Measured, number
@@ -131,7 +131,7 @@ def _compare_scans(journey: Journey) -> tuple[Revisits, PlacedScans | None]:
     trajectory = journey.map_T_laser
     pairs = pairs_of(trajectory)
     rows = (pairs.rows, spread(len(trajectory), max(SAMPLE_SCANS, WALL_SCANS)), key_rows(trajectory))
-    scans = placed_scans(journey, np.unique(np.concatenate(rows)))
+    scans = placed_scans(journey, distinct(np.concatenate(rows)))
     return revisits(trajectory, pairs, scans), scans
 
 

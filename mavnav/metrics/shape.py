@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct
 
+from mavnav.arrays import blank, median
 from mavnav.kernels.regions import region_sizes
 from mavnav.kernels.smoothing import smoothed
 from mavnav.mapping.occupancy_grid import OCCUPIED, UNKNOWN
 from mavnav.mapping.tiled_arrays import bands, count
-from mavnav.memory import blank
 from mavnav.metrics.fields import number
 from mavnav.metrics.support import widened
 
@@ -83,7 +83,7 @@ def corners(cells: NDArray[np.int8], cell_m: float) -> int:
         peaks[band] = (weak == highest(weak, int(radius)))[inside]
         some = peaks[band] & (weak[inside] != 0.0)
         heights[band][some] = weak[inside][some]
-    least = CORNER_SHARE * float(np.median(np.concatenate(walls)))
+    least = CORNER_SHARE * median(np.concatenate(walls))
     for _, _, band in bands(occupied.shape):
         peaks[band] &= heights[band] >= least
     return len(region_sizes(peaks, True))

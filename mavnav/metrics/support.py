@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 from msgspec import Struct
 
+from mavnav.arrays import blank
 from mavnav.kernels.hits import show_ends
 from mavnav.mapping.occupancy_grid import OCCUPIED
 from mavnav.mapping.tiled_arrays import bands
-from mavnav.memory import blank
 from mavnav.metrics.fields import Measured, number
 from mavnav.metrics.journey import spread
 

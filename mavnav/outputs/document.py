@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import sys
-from importlib.metadata import version
+from functools import cache
 from math import hypot, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -15,6 +15,7 @@ from msgspec import Struct
 from msgspec.structs import asdict, astuple
 
 from mavnav import __version__
+from mavnav.arrays import median
 from mavnav.config.models import Config
 from mavnav.metrics.fields import ABSENT
 from mavnav.outputs import run_json as model
@@ -81,6 +82,7 @@ def run_document(run: Run, outputs: dict[str, str]) -> model.RunDocument:
     )
 
 
+@cache
 def _versions() -> dict[str, str]:
     """Return the versions of the libraries: of a loaded one its own attribute, which cannot be that of another copy.
 
@@ -90,7 +92,13 @@ def _versions() -> dict[str, str]:
     folders = (path.stem for path in Path(np.__file__).parents[1].glob("*.dist-info"))
     found = {name.lower(): number for name, _, number in (folder.partition("-") for folder in folders)}
     loaded = {name: getattr(sys.modules.get(name), "__version__", None) for name in LIBRARIES}
-    return {name: loaded[name] or found.get(name) or version(name) for name in LIBRARIES}
+    return {name: loaded[name] or found.get(name) or _searched_version(name) for name in LIBRARIES}
+
+
+def _searched_version(name: str) -> str:
+    from importlib.metadata import version  # noqa: PLC0415  it takes 8 ms to load
+
+    return version(name)
 
 
 def write_metrics(run: Run, path: Path) -> None:
@@ -101,7 +109,12 @@ def write_metrics(run: Run, path: Path) -> None:
 
 def to_json(document: object) -> str:
     """Write as JSON; numbers that JSON has no word for (NaN, infinities) become null."""
-    return json.dumps(plain(document), indent=2, allow_nan=False) + "\n"
+    return plain_json(plain(document))
+
+
+def plain_json(document: dict[str, Any]) -> str:
+    """Write what `plain` returned as JSON."""
+    return json.dumps(document, indent=2, allow_nan=False) + "\n"
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401  any JSON value
@@ -277,7 +290,7 @@ def _search(run: Run) -> model.Search:
 def _spread(values: NDArray[Any]) -> model.Spread:
     if not len(values):
         return model.Spread(np.nan, np.nan, np.nan, np.nan)
-    return model.Spread(float(np.mean(values)), float(np.median(values)), values.min().item(), values.max().item())
+    return model.Spread(float(np.mean(values)), median(values), values.min().item(), values.max().item())
 
 
 def _map(run: Run) -> model.Map:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from mavnav.arrays import contained, distinct
 from mavnav.outputs import map_axes
 from mavnav.outputs.canvas import stroke
 from mavnav.outputs.plot import Line, centred_legend, heading, legend_room
@@ -84,7 +85,8 @@ def doubtful_parts(slam: SlamResult) -> list[NDArray[np.float64]]:
     """Return the positions (n, 2) of the doubtful stretches of the path."""
     stamps_ns = slam.trajectory.stamps_ns
     marked, breaks = slam.doubtful(stamps_ns), [lost.start_ns for lost in slam.lost]
-    ends = np.union1d(np.flatnonzero(np.diff(marked)) + 1, np.searchsorted(stamps_ns, breaks, side="right"))
+    turns, gaps = np.flatnonzero(np.diff(marked)) + 1, np.searchsorted(stamps_ns, breaks, side="right")
+    ends = distinct(np.concatenate((turns, gaps)))
     parts = zip(np.split(slam.trajectory.xyyaw[:, :2], ends), np.split(marked, ends), strict=True)
     return [xy_m for xy_m, doubtful in parts if doubtful.any()]
 
@@ -105,7 +107,7 @@ def _ends(run: Run, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64
 def truth_marks(truth: Truth, stamps_ns: list[int]) -> list[tuple[Mark, NDArray[np.float64]]]:
     """Mark the true poses at the stamps, the true start and the goal."""
     xy_m = truth.map_T_laser.xyyaw[:, :2]
-    at = np.isin(truth.map_T_laser.stamps_ns, stamps_ns)
+    at = contained(truth.map_T_laser.stamps_ns, stamps_ns)
     return [
         (map_axes.TRUE_POSE, xy_m[at]),
         (map_axes.START, xy_m[:1]),
@@ -119,7 +121,7 @@ def thinned(xy_m: NDArray[np.float64], spacing_m: float) -> NDArray[np.intp]:
         return np.empty(0, np.intp)
     along = np.concatenate(([0.0], np.hypot(*np.diff(xy_m, axis=0).T).cumsum()))
     circles = max(2, int(along[-1] / spacing_m) + 1)
-    return np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], circles)))
+    return distinct(np.searchsorted(along, np.linspace(0.0, along[-1], circles)))
 
 
 def _subtitle(run: Run) -> str:

@@ -9,11 +9,10 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
-from mavnav.atomic_files import sync
+from mavnav.arrays import release_free_memory
 from mavnav.errors import UsageError
-from mavnav.memory import release_free_memory
 from mavnav.outputs.directory import RUN_FILE, file_sha256, staged
-from mavnav.outputs.document import plain, run_document, to_json, with_picture, write_metrics
+from mavnav.outputs.document import plain, plain_json, run_document, with_picture, write_metrics
 from mavnav.outputs.gridmap import write_npz, write_pgm, write_yaml
 from mavnav.outputs.sessions import recording_file, trajectory_file, write_poses, write_scans
 from mavnav.outputs.slices_files import slice_files, write_slice
@@ -55,9 +54,9 @@ WRITERS: Final[dict[str, Callable[[Run, Path], None]]] = {
     "map_scale.yaml": partial(_late, "scale_map"),
     "pose_graph.g2o": partial(_late, "graph_file"),
     "walls.csv": partial(_late, "wall_table"),
+    "wall_thickness.png": partial(_late, "wall_picture"),  # first, because the smaller pictures reuse its memory
     "map.png": partial(_late, "map_picture"),
     "true_map.png": partial(_late, "mission_picture"),
-    "wall_thickness.png": partial(_late, "wall_picture"),
     "map_3d.png": partial(_late, "slices_picture"),
     "result.mcap": partial(_late, "replay_log"),
     "foxglove_layout.json": partial(_late, "foxglove_layout"),
@@ -114,8 +113,7 @@ def write_run(
         document: dict[str, Any] = plain(run_document(run, digests))
         document["warnings"] = [with_picture(line, digests) for line in document["warnings"]]
         path = folder / RUN_FILE
-        path.write_text(to_json(document), encoding="utf-8")
-        sync(path)
+        path.write_text(plain_json(document), encoding="utf-8")
         if report:
             write_page(import_module("mavnav.outputs.report").single(document), folder)
     return document
@@ -159,9 +157,8 @@ def _scans_of(number: int, run: Run, path: Path) -> None:
 
 
 def _write(write: Callable[[Run, Path], None], run: Run, path: Path) -> str:
-    """Write one file to the disk and return its SHA-256."""
+    """Write one file and return its SHA-256."""
     with Stage("pictures" if path.suffix == ".png" else "outputs"):
         release_free_memory()
         write(run, path)
-        sync(path)
         return file_sha256(path)

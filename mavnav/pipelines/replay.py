@@ -12,15 +12,14 @@ from typing import TYPE_CHECKING, Any
 from msgspec import Struct, field
 from msgspec.structs import replace as changed
 
+from mavnav.arrays import release_free_memory
 from mavnav.config.models import OdometryConfig
 from mavnav.errors import ExitCode, StoppedError, UsageError
-from mavnav.ground_truth.map_file import map_files
 from mavnav.ground_truth.references import compared, load_references
 from mavnav.ground_truth.topics import truth_text
 from mavnav.logs import check_log, open_log
 from mavnav.logs.formats.detect import log_name
 from mavnav.mapping.occupancy_grid import occupied_xy_m
-from mavnav.memory import release_free_memory
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.trajectory_error import position_errors
 from mavnav.outputs.directory import check_directory
@@ -97,6 +96,10 @@ class ReplayRequest(Struct, frozen=True):
         """The paths that the run reads; None for those that are not given."""
         config = Path(self.typed.config) if self.typed.config else None
         named = (self.log, self.map, self.truth, self.truth_map, self.relations, self.continue_from, config)
+        if not (self.map or self.truth_map):
+            return named
+        from mavnav.ground_truth.map_file import map_files  # noqa: PLC0415  few runs need it
+
         return *named, *(file for path in (self.map, self.truth_map) if path for file in map_files(path))
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mavnav.arrays import median
 from mavnav.slam.loop_closure.drift import drift_bound
 from mavnav.slam.odometry_offset import errors_m, most_moving, size
 from mavnav.slam.scan_matching import no_match
@@ -80,7 +81,7 @@ def error_share(odometry: Odometry, map_T_laser: Trajectory) -> float:
     errors = errors_m(odometry, windows)
     if not errors:
         return np.inf
-    return float(np.median(errors) / max(np.median([size(window.moved) for window in windows]), 1e-6))
+    return float(median(errors) / max(median([size(window.moved) for window in windows]), 1e-6))
 
 
 def median_conflicts(map_T_part: Pose, scans: Iterable[tuple[Step, Scan]], track: Track) -> float:
@@ -89,7 +90,7 @@ def median_conflicts(map_T_part: Pose, scans: Iterable[tuple[Step, Scan]], track
     if refiner is None:
         return np.inf
     placed = ((no_match(map_T_part @ step.match.map_T_laser), scan) for step, scan in scans)
-    return float(np.median([refiner.conflicts(refiner.match_points(scan), match) for match, scan in placed]))
+    return median([refiner.conflicts(refiner.match_points(scan), match) for match, scan in placed])
 
 
 def placed_warning(part: Sequence[Step], first_ns: int, error_m: float) -> str:

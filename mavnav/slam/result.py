@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct, field
 
+from mavnav.arrays import median
 from mavnav.slam.covariance import covariances_of
 from mavnav.slam.doubt.record import NOT_PLANAR
 from mavnav.slam.loop_closure.detection import Loops
@@ -132,9 +133,9 @@ def scattered_warnings(steps: Steps, lost: Sequence[LostInterval]) -> Iterator[s
 def few_beams_warnings(steps: Steps, *, odometry: bool) -> Iterator[str]:
     """Yield a warning if most tracked scans have few points: they may fit at several poses."""
     used = steps.column("beams_used")[steps.column("tracked")]
-    if len(used) and (median := float(np.median(used))) < FEW_BEAMS:
+    if len(used) and (usual := median(used)) < FEW_BEAMS:
         yield (
-            f"the scans have only {median:.0f} points in the median: single poses may be off by a meter; "
+            f"the scans have only {usual:.0f} points in the median: single poses may be off by a meter; "
             f"check the map{'' if odometry else ', or record odometry'}"
         )
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mavnav.arrays import blank
 from mavnav.config.loading import load_config
 from mavnav.config.models import Config
 from mavnav.kernels.conflicts import conflicts
 from mavnav.mapping.tiled_arrays import blank_strips
-from mavnav.memory import blank
 from mavnav.pose import Pose
 from mavnav.scan import Scan
 from mavnav.slam import relocalization

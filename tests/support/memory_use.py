@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mavnav.memory import trim
+from mavnav.arrays import trim
 
 STATUS, REFS = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
