@@ -7,7 +7,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mavnav.kernels._jit import helper, kernel
-from mavnav.kernels._types import F64_1D, F64_2D, I8_2D, float64, int8, int16, int32, int64, uint16, uint64, void
+from mavnav.kernels._types import (
+    F64_1D,
+    F64_2D,
+    I8_2D,
+    boolean,
+    float64,
+    int8,
+    int16,
+    int32,
+    int64,
+    uint16,
+    uint64,
+    void,
+)
 from mavnav.kernels.layout import MOST, MOST_SHIELDED, SHIFT, WIDE
 
 if TYPE_CHECKING:
@@ -111,7 +124,7 @@ def path_cells(
     return int(cols + rows)
 
 
-@kernel(void(F64_2D, F64_1D, F64_1D, uint16[:, :, ::1], uint16[:, ::1], int16[:, :, ::1]))
+@kernel(void(F64_2D, F64_1D, F64_1D, uint16[:, :, ::1], uint16[:, ::1], int16[:, :, ::1], boolean))
 def add_scan(
     xy_map_m: NDArray[np.float64],
     laser_xy_m: NDArray[np.float64],
@@ -119,12 +132,15 @@ def add_scan(
     hits: NDArray[np.uint16],
     passes: NDArray[np.uint16],
     shielded: NDArray[np.int16],
+    room: bool,
 ) -> None:
     """Count every end point (n, 2) in ``hits`` and the cells between the laser and it in ``passes``, up to `MOST`.
 
     ``shielded`` counts the crossings of cells with an end point of the same scan near. ``shielded`` and ``hits`` are in
     strips, see ``mavnav.mapping.tiled_arrays``. ``lattice`` is (3,): x and y of the corner of cell [0, 0], and the cell
-    edge, in m. All points and the laser must be inside.
+    edge, in m. All points and the laser must be inside. With ``room``, no cell is crossed so often that another n beams
+    could exceed `MOST`, so that crossings are counted without a test; a beam may count a cell at whose corner it passes
+    twice.
     """
     (ox, oy, cell), (laser_x, laser_y) = lattice, laser_xy_m
     u0, v0 = (laser_x - ox) / cell, (laser_y - oy) / cell
@@ -139,11 +155,17 @@ def add_scan(
     for k in range(len(xy_map_m)):
         row, col = int(np.floor(ends[k, 1])), int(np.floor(ends[k, 0]))
         flat[begin] += flat[begin] < MOST
-        for i in range(path_cells(u0, v0, ends[k, 0], ends[k, 1], float64(cols), steps, path)):
-            at = uint64(path[uint64(i)])
-            if flat[at] < MOST:
-                flat[at] += 1
-        passes[row, col] -= passes[row, col] < MOST  # the beam ends there
+        entered = path_cells(u0, v0, ends[k, 0], ends[k, 1], float64(cols), steps, path)
+        if room:
+            for i in range(entered):
+                flat[uint64(path[uint64(i)])] += 1
+        else:
+            for i in range(entered):
+                at = uint64(path[uint64(i)])
+                if flat[at] < MOST:
+                    flat[at] += 1
+        crossed = passes[row, col]
+        passes[row, col] -= (crossed > 0) & (crossed < MOST)  # the beam ends there; 0 if it met a corner on its way
         ended = hits[col >> SHIFT, row]
         ended[col & (WIDE - 1)] += ended[col & (WIDE - 1)] < MOST
     flat_shielded = shielded.ravel()

@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import force_setattr
 
+from mavnav.arrays import SMALL_BYTES
 from mavnav.errors import MapTooLargeError
 from mavnav.kernels import hits as hits_kernel
 from mavnav.kernels.dynamic_cells import dynamic_cells
@@ -87,6 +88,8 @@ class GridBuilder(Struct):
     """Corner of cell [0, 0] and cell edge in m, shape (3,), as the kernels take it."""
 
     _covered_m: Extent = NO_EXTENT
+    _room: int = 0
+    """Number of crossings that cannot fill a cell; negative where that is not known."""
 
     def __post_init__(self) -> None:
         """Make the array of the lattice for the kernels."""
@@ -117,7 +120,21 @@ class GridBuilder(Struct):
             high = (floor(max(x1, x) / self.cell_m) + 1, floor(max(y1, y) / self.cell_m) + 1)
             self._cover(low, high)
             self._covered_m = covered_extent(self.origin_xy_m, self.passes.shape, self.cell_m, 1)
-        hits_kernel.add_scan(xy_map_m, np.array([x, y]), self.lattice, self.hits, self.passes, self.shielded)
+        room = self._has_room(2 * len(xy_map_m))
+        hits_kernel.add_scan(xy_map_m, np.array([x, y]), self.lattice, self.hits, self.passes, self.shielded, room)
+
+    def _has_room(self, crossings: int) -> bool:
+        """Return whether no cell can be full after so many more crossings; the most crossings are found now and then.
+
+        They are not looked for any more once a cell is more than half full, nor in large maps.
+        """
+        if 0 <= self._room < crossings and self.passes.nbytes < SMALL_BYTES:
+            room = MOST - int(self.passes.max(initial=0))
+            self._room = room if room > MOST // 2 else -1
+        if self._room < crossings:
+            return False
+        self._room -= crossings
+        return True
 
     def remove_dynamic_cells(self) -> NDArray[np.float64]:
         """Remove the hits of dynamic cells; return the centres of these cells (n, 2), m."""

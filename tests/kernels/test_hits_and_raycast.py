@@ -31,12 +31,12 @@ def directions(n: int = 90) -> np.ndarray:
 
 
 @settings(max_examples=50, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_add_scan_is_its_twin(seed: int) -> None:
+@given(seed=st.integers(0, 2**32 - 1), room=st.booleans())
+def test_add_scan_is_its_twin(seed: int, room: bool) -> None:
     rng = np.random.default_rng(seed)
     points, laser = rng.uniform((-0.9, -0.4), (2.9, 1.4), (20, 2)), rng.uniform(0, 1, 2)
     fast, slow = blanks(), np.zeros((3, 40, 80), np.int32)
-    hits.add_scan(points, laser, LATTICE, *fast)
+    hits.add_scan(points, laser, LATTICE, *fast, room)
     naive.add_scan(points, laser, LATTICE, *slow)
     np.testing.assert_array_equal(by_rows(fast), slow)
 
@@ -57,7 +57,7 @@ def test_show_ends_is_its_twin(seed: int) -> None:
 def test_beams_along_the_axes_and_through_corners_end_where_they_end() -> None:
     counts = blanks()
     ends = np.array([(0.025, 0.525), (0.525, 0.025), (-0.475, 0.025), (0.025, -0.475), (0.525, 0.525), (0.025, 0.025)])
-    hits.add_scan(ends, np.array([0.025, 0.025]), LATTICE, *counts)
+    hits.add_scan(ends, np.array([0.025, 0.025]), LATTICE, *counts, True)
     fast = by_rows(counts)
     for x, y in ends:
         assert fast[0][naive.cell_of((x + 1.0, y + 0.5), 0.05)] == 1
@@ -71,9 +71,29 @@ def test_counts_that_have_ended_stay() -> None:
         full[:] = most - 2
     ends = np.array([(0.525, 0.025 + 0.01 * k) for k in range(20)] * 3)
     for _ in range(2):
-        hits.add_scan(ends, np.array([0.025, 0.025]), LATTICE, *counts)
+        hits.add_scan(ends, np.array([0.025, 0.025]), LATTICE, *counts, False)
         assert [full.max() for full in counts] == [hits.MOST, hits.MOST, hits.MOST_SHIELDED]
         assert all(full.min() >= most - 2 for full, most in zip(counts, (65535, 65535, 32767), strict=True))
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_crossings_never_exceed_what_two_bytes_hold(moving: bool) -> None:
+    """A laser at rest fills its cell; one that moves leaves room, which is found anew after every 65535 beams."""
+    grid, known = GridBuilder(0.05), 0
+    ends = np.array([(1.0, 0.01 * k) for k in range(-500, 500)])
+    for k in range(150):
+        x = 0.05 * k if moving else 0.0
+        grid.insert(Pose(x), ends + np.array([x, 0.0]))
+        known += grid._room >= 0
+    assert (grid.passes.max() == hits.MOST) == (not moving)
+    assert known == 150 if moving else 40 < known < 60
+
+
+def test_a_beam_that_meets_a_corner_leaves_no_count_below_zero() -> None:
+    counts = blanks()
+    ends = np.array([(0.05 * k, 0.05 * m) for k in range(-15, 50) for m in range(-8, 25)])
+    hits.add_scan(ends, np.array([0.0, 0.0]), LATTICE, *counts, True)
+    assert by_rows(counts)[1].max() <= len(ends)
 
 
 @settings(max_examples=40, deadline=None)
