@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from mavnav import __version__
 from mavnav.logs.writing.mcap_writer import Attachment, Extras
-from mavnav.outputs.document import plain, run_document, to_json
+from mavnav.outputs.document import plain, plain_json, run_document, to_json
 from mavnav.outputs.gridmap import pgm_rows, yaml_text
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def extras(run: Run) -> Extras:
     for key in ("sha256", "size_bytes") if run.mission else ():
         del document["input"][key]
     texts = {
-        "run.json": ("application/json", to_json(document)),
+        "run.json": ("application/json", plain_json(document)),
         "config.json": ("application/json", to_json(run.config)),
         "map.yaml": ("application/yaml", yaml_text(run)),
     }
