@@ -18,7 +18,6 @@ from errno import EDQUOT, EEXIST, ENOSPC, ENOTEMPTY
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from time import time
 from typing import TYPE_CHECKING
 
@@ -111,6 +110,8 @@ def _write_into(stream: Path, content: Path) -> None:
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
     """Yield a folder that is removed at the end; raises OutputError if it cannot be made, or its disk is full."""
+    from tempfile import TemporaryDirectory  # noqa: PLC0415  few runs need it
+
     try:
         made = TemporaryDirectory(prefix="mavnav-", ignore_cleanup_errors=True)
     except OSError as error:

@@ -9,7 +9,7 @@ from contextlib import suppress
 from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, NoReturn
+from typing import TYPE_CHECKING, Annotated, Final, NoReturn, get_type_hints
 
 import typer
 
@@ -115,7 +115,9 @@ def app_for(args: Sequence[str]) -> typer.Typer:
             for command in module.app.registered_commands:
                 command.epilog = epilog
         else:
-            app.command(cls=Command, epilog=epilog)(getattr(module, name))
+            command = getattr(module, name)
+            command.__annotations__ = get_type_hints(command, include_extras=True)  # typer would do so four times
+            app.command(cls=Command, epilog=epilog)(command)
     return app
 
 

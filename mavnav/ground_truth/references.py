@@ -8,8 +8,6 @@ from msgspec import Struct
 from msgspec.structs import asdict
 
 from mavnav.errors import UsageError
-from mavnav.ground_truth.tables import read_relations, read_tum
-from mavnav.ground_truth.true_map import read_true_map
 from mavnav.metrics.fields import ABSENT
 from mavnav.metrics.map_distance import START_POSE, TrueMap, map_distance
 from mavnav.metrics.reference import AlignedError, Reference
@@ -55,6 +53,11 @@ def load_references(
     truth: Path | None = None, truth_map: Path | None = None, relations: Path | None = None
 ) -> References:
     """Read the given files; raises UsageError."""
+    if truth is None and truth_map is None and relations is None:
+        return References()
+    from mavnav.ground_truth.tables import read_relations, read_tum  # noqa: PLC0415  few runs need them
+    from mavnav.ground_truth.true_map import read_true_map  # noqa: PLC0415
+
     return References(
         truth=None if truth is None else read_tum(truth),
         true_map=None if truth_map is None else read_true_map(truth_map),

@@ -127,15 +127,15 @@ def cut_walls(grid: Grid, scans: PlacedScans | None, tracked: int) -> WallCuts:
 def wall_points(scans: PlacedScans) -> tuple[Array, Array]:
     """Return the end points (n, 2) on straight walls, map frame, and the walls' directions there (n,), rad."""
     xy_m, direction = [np.zeros((0, 2))], [np.zeros(0)]
+    c, s = np.cos(scans.poses[:, 2]), np.sin(scans.poses[:, 2])
+    turns = np.stack((c, s, -s, c), axis=1).reshape(-1, 2, 2)
     for k in spread(len(scans.poses), WALL_SCANS):
-        x, y, yaw = scans.poses[k]
         ranges_m, directions = scans.recorded(k)
-        ends = np.ascontiguousarray(ranges_m[:, None] * directions)
+        ends = ranges_m[:, None] * directions
         found = straight_beams(ends, SPACING_M, RADII_M, LEAST_REACH, MAX_RATIO, MIN_POINTS)
         on_wall = np.isfinite(found)
-        c, s = np.cos(yaw), np.sin(yaw)
-        xy_m.append(ends[on_wall] @ np.array(((c, s), (-s, c))) + (x, y))
-        direction.append(found[on_wall] + yaw)
+        xy_m.append(ends[on_wall] @ turns[k] + scans.poses[k, :2])
+        direction.append(found[on_wall] + scans.poses[k, 2])
     return np.concatenate(xy_m), np.concatenate(direction)
 
 

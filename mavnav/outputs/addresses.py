@@ -6,19 +6,19 @@ import re
 from typing import Final
 from urllib.parse import unquote
 
-_SCHEME: Final = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
-_ADDRESS: Final = re.compile(rf"(?:[a-z][a-z0-9+.-]*::)*{_SCHEME.pattern}", re.IGNORECASE)
-_IN_TEXT: Final = re.compile(rf"{_SCHEME.pattern}[^\s'\"<>]+", re.IGNORECASE)
-_IN_LINE: Final = re.compile(
-    r"(?P<scheme>[a-z][a-z0-9+.-]+):(?P<slashes>//?)(?P<rest>[^\s'\"<>]*[?#@][^\s'\"<>]*)", re.IGNORECASE
-)
+_SCHEME: Final = r"(?i:[a-z][a-z0-9+.-]+://)"
+_ADDRESS: Final = rf"(?i:[a-z][a-z0-9+.-]*::)*{_SCHEME}"
+_IN_TEXT: Final = rf"{_SCHEME}[^\s'\"<>]+"
+_IN_LINE: Final = r"(?P<scheme>(?i:[a-z][a-z0-9+.-]+)):(?P<slashes>//?)(?P<rest>[^\s'\"<>]*[?#@][^\s'\"<>]*)"
+"""Patterns, compiled only for texts that may hold an address: few runs do."""
+
 _LEAST_SECRET: Final = 4
 """Shorter parts of an address stand for other things in a text, too."""
 
 
 def is_address(text: str) -> bool:
     """Return whether a text is an address (``s3://bucket/drive.mcap``, ``simplecache::s3://...``), not a path."""
-    return _ADDRESS.match(text) is not None
+    return "://" in text and re.match(_ADDRESS, text) is not None
 
 
 def public_address(address: str) -> str:
@@ -28,13 +28,13 @@ def public_address(address: str) -> str:
 
 def public_word(word: str) -> str:
     """Return a word of a command line, in which an address may extend from anywhere to the end."""
-    begin = _SCHEME.search(word)
+    begin = re.search(_SCHEME, word) if "://" in word else None
     return word if begin is None else word[: begin.start()] + public_address(word[begin.start() :])
 
 
 def public_line(text: str) -> str:
     """Return a text for people in which all addresses are public, also those that a path has taken a slash from."""
-    return _IN_LINE.sub(_public_found, text) if ":/" in text else text
+    return re.sub(_IN_LINE, _public_found, text) if ":/" in text else text
 
 
 def _public_found(found: re.Match[str]) -> str:
@@ -46,7 +46,7 @@ def _public_found(found: re.Match[str]) -> str:
 
 def public_text(text: str, address: str) -> str:
     """Return a text, such as an error of a library, that may hold ``address``, others, or the secrets of it."""
-    text = _IN_TEXT.sub(lambda found: public_address(found[0]), text.replace(address, public_address(address)))
+    text = re.sub(_IN_TEXT, lambda found: public_address(found[0]), text.replace(address, public_address(address)))
     for secret in _secrets(address):
         text = text.replace(secret, "***")
     return text

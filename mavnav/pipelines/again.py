@@ -6,7 +6,6 @@ import json
 import platform
 import re
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -85,6 +84,8 @@ def _versions(document: dict[str, Any]) -> dict[str, str]:
 
 
 def _installed(library: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  it takes 8 ms to load
+
     try:
         return version(library)
     except PackageNotFoundError:

@@ -688,13 +688,13 @@ def test_a_run_that_dies_while_it_is_written_leaves_the_old_one(
     assert all(path.name.startswith(".run.") for path in tmp_path.iterdir() if path != directory)
 
 
-def test_a_warm_run_loads_neither_scipy_nor_message_definitions(tmp_path) -> None:
+def test_a_warm_run_loads_no_library_that_it_does_not_need(tmp_path) -> None:
     log, run = Path(__file__).parents[2] / "sample_logs/corridor.mcap", tmp_path / "run"
     code = "import sys\nfrom mavnav.cli import run\nassert run(sys.argv[1:]) == 0\nprint(*sys.modules, file=sys.stderr)"
-    command = [sys.executable, "-c", code, "replay", log, "--end", "0.5", "-q", "-o", run]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    command = [sys.executable, "-c", code, "replay", log, "--end", "0.5", "-q", "--force", "-o", run]
+    done = [subprocess.run(command, capture_output=True, text=True, check=True) for _ in range(2)][-1]
     heavy = {"scipy.linalg", "scipy.ndimage", "scipy.spatial", "rosbags", "jinja2"}
-    heavy |= {"numba.np.arraymath"}
+    heavy |= {"numba", "llvmlite", "mcap", "pydantic", "yaml", "numpy.ma", "importlib.metadata", "sqlite3"}
     heavy |= {f"mavnav.kernels.{name}" for name in ("beams", "polar_search.cost", "polar_search.search", "raycast")}
     assert not heavy & set(done.stderr.split())
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bz2
-import gzip
 import zlib
 from contextlib import contextmanager, suppress
 from io import BytesIO
@@ -12,6 +11,7 @@ from typing import IO, TYPE_CHECKING, Any, Protocol
 from mavnav.atomic_files import no_space, temporary_folder
 
 if TYPE_CHECKING:
+    import gzip
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
@@ -287,6 +287,8 @@ def _zstd_stream(file: IO[bytes]) -> Any:  # noqa: ANN401  (zstandard is untyped
 
 
 def _gzip_stream(file: IO[bytes]) -> gzip.GzipFile:
+    import gzip  # noqa: PLC0415  few logs need it
+
     return gzip.open(file)
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from mavnav.atomic_files import short_name
-from mavnav.logs.formats import mcap_file, mcap_records, rosbag1, rosbag1_records, sqlite_file, sqlite_pages
-from mavnav.logs.formats.carmen import is_carmen, read_carmen
 from mavnav.logs.formats.decompress import PACKERS, first_bytes, unpacked_file
+from mavnav.logs.formats.mcap_records import MAGIC, find_record
 from mavnav.logs.formats.rosbag2 import METADATA, compare_count, read_metadata, storage_files
-from mavnav.logs.formats.source import MAGIC_WITHIN_BYTES, Source
+from mavnav.logs.formats.source import BAG_MAGIC, MAGIC_WITHIN_BYTES, OLD_BAG_MAGIC, SQLITE_MAGIC, Source
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -60,7 +60,7 @@ def _sniff_strictly(path: Path) -> str:
 
 def _sniff_head(head: bytes) -> str:
     found = next((name for magic, name in MAGICS.items() if head.startswith(magic)), UNKNOWN)
-    return "carmen" if found == UNKNOWN and is_carmen(head) else found
+    return "carmen" if found == UNKNOWN and _module("carmen").is_carmen(head) else found
 
 
 def _sniff_damaged(path: Path) -> str:
@@ -82,11 +82,11 @@ def _sniff_headless(path: Path, head: bytes) -> str:
     """Recognize a log without its beginning by a later record; the suffix decides the kind of record."""
     with path.open("rb") as file:
         source = Source(file, min(path.stat().st_size, _HEADLESS_BYTES))
-        if path.suffix == ".mcap" and mcap_records.find_record(source, 0) < source.size:
+        if path.suffix == ".mcap" and find_record(source, 0) < source.size:
             return "mcap"
-        if path.suffix in (".bag", ".active") and rosbag1_records.OP_FIELD in head:
+        if path.suffix in (".bag", ".active") and _module("rosbag1_records").OP_FIELD in head:
             return "rosbag1"
-        if path.suffix == ".db3" and next(sqlite_pages.rows(source), None) is not None:
+        if path.suffix == ".db3" and next(_module("sqlite_pages").rows(source), None) is not None:
             return "rosbag2-sqlite3"
     return UNKNOWN
 
@@ -150,9 +150,16 @@ def _read_file(path: Path, report: ReadReport) -> Iterator[RawMessage]:
         with unpacked_file(path, packer, report) as inner:
             yield from _read_file(inner, report)
     elif name in READERS:
-        yield from READERS[name](path, report)
+        module, reader = READERS[name]
+        read_messages: Callable[[Path, ReadReport], Iterator[RawMessage]] = getattr(_module(module), reader)
+        yield from read_messages(path, report)
     else:
         report.damage(refusal(path), path.name)
+
+
+def _module(name: str) -> Any:  # noqa: ANN401
+    """Import a module of a format, when a log needs it: most runs read one format."""
+    return import_module(f"{__package__}.{name}")
 
 
 def split_name(name: str) -> tuple[str, str]:
@@ -202,17 +209,18 @@ def _refused_packer(head: bytes) -> str | None:
 
 
 MAGICS: dict[bytes, str] = {
-    mcap_records.MAGIC: "mcap",
-    rosbag1.MAGIC: "rosbag1",
-    rosbag1.OLD_MAGIC: "rosbag1",
-    sqlite_file.MAGIC: "rosbag2-sqlite3",
+    MAGIC: "mcap",
+    BAG_MAGIC: "rosbag1",
+    OLD_BAG_MAGIC: "rosbag1",
+    SQLITE_MAGIC: "rosbag2-sqlite3",
 }
-READERS: dict[str, Callable[[Path, ReadReport], Iterator[RawMessage]]] = {
-    "mcap": mcap_file.read_mcap,
-    "rosbag1": rosbag1.read_rosbag1,
-    "rosbag2-sqlite3": sqlite_file.read_sqlite,
-    "carmen": read_carmen,
+READERS: dict[str, tuple[str, str]] = {
+    "mcap": ("mcap_file", "read_mcap"),
+    "rosbag1": ("rosbag1", "read_rosbag1"),
+    "rosbag2-sqlite3": ("sqlite_file", "read_sqlite"),
+    "carmen": ("carmen", "read_carmen"),
 }
+"""Format -> module and function of its reader, ``(Path, ReadReport) -> Iterator[RawMessage]``."""
 
 _DRIVER = "replay it into the driver of the laser, and record its scans with `ros2 bag record`"
 _RECORD = "record the LaserScan topic with `ros2 bag record`"

@@ -26,7 +26,7 @@ from mavnav.logs.formats.rosbag1_records import (
     parse_header,
     sound_records,
 )
-from mavnav.logs.formats.source import MAGIC_WITHIN_BYTES, Source
+from mavnav.logs.formats.source import BAG_MAGIC, MAGIC_WITHIN_BYTES, OLD_BAG_MAGIC, Source
 from mavnav.logs.formats.untyped import channel_of, lacks_type, with_detected_type
 from mavnav.logs.read_report import ReadReport
 from mavnav.logs.records import LATCHING, Channel, RawMessage, Schema, ros_type
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-MAGIC = b"#ROSBAG V2.0\n"
-OLD_MAGIC = b"#ROSRECORD V1.2\n"
 
 _U32_PAIR = struct.Struct("<II")
 
@@ -81,22 +79,22 @@ def read_rosbag1(path: Path, report: ReadReport) -> Iterator[RawMessage]:
 def _begin(source: Source, report: ReadReport) -> int:
     """Return the offset after the magic line, which may be damaged or have other bytes before it."""
     head = source.read(0, MAGIC_WITHIN_BYTES)
-    for magic in (MAGIC, OLD_MAGIC):
+    for magic in (BAG_MAGIC, OLD_BAG_MAGIC):
         at = head.find(magic)
         if at >= 0:
             if at:
                 report.damage(f"{at} bytes that are no bag lie before the magic line", source.where(0))
             return at + len(magic)
     report.damage("the bag does not begin with its magic line", source.where(0))
-    return head.find(b"\n", 0, len(OLD_MAGIC)) + 1
+    return head.find(b"\n", 0, len(OLD_BAG_MAGIC)) + 1
 
 
 def _index_connections(source: Source) -> dict[int, Channel]:
     """Return the connections of the index, which are needed only if the chunk that declares them is damaged."""
     spare = _State(ReadReport())
-    bag = parse_header(source, len(MAGIC))
+    bag = parse_header(source, len(BAG_MAGIC))
     index_at = _index_pos(bag) if bag else 0
-    record = parse_header(source, index_at) if len(MAGIC) < index_at < source.size else None
+    record = parse_header(source, index_at) if len(BAG_MAGIC) < index_at < source.size else None
     while record is not None and record.opcode == Op.CONNECTION and record.end <= source.size:
         for _ in _take(source, record, spare):
             pass

@@ -13,6 +13,10 @@ from mavnav.logs.formats.decompress import Allowance
 MAGIC_WITHIN_BYTES: Final = 1 << 16
 """The magic of a format is searched in so many bytes: others may lie before it."""
 
+BAG_MAGIC: Final = b"#ROSBAG V2.0\n"
+OLD_BAG_MAGIC: Final = b"#ROSRECORD V1.2\n"
+SQLITE_MAGIC: Final = b"SQLite format 3\x00"
+
 
 class Source(Struct, frozen=True):
     """A sequence of records in a file or in memory.

@@ -18,7 +18,7 @@ from msgspec import Struct, field
 
 from mavnav.atomic_files import temporary_folder
 from mavnav.logs.formats.decompress import MAX_CHUNK_BYTES
-from mavnav.logs.formats.source import Source
+from mavnav.logs.formats.source import SQLITE_MAGIC, Source
 from mavnav.logs.formats.sqlite_pages import page_size, rows
 from mavnav.logs.formats.untyped import channel_of, lacks_type, with_detected_type
 from mavnav.logs.records import QOS, Channel, RawMessage, Schema, ros_type
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
     from mavnav.logs.read_report import ReadReport
 
-MAGIC = b"SQLite format 3\x00"
 
 _TABLES = """SELECT count(*) FROM sqlite_master
 WHERE type = 'table' AND name IN ('topics', 'messages') AND sql NOT LIKE '%VIRTUAL%'"""
@@ -210,7 +209,7 @@ def _has_content(path: Path) -> bool:
 def _needs_no_copy(path: Path) -> bool:
     with path.open("rb") as file:
         head = file.read(_COUNT_AT + 4)
-    return head.startswith(MAGIC) and path.stat().st_size >= page_size(head) * _pages(head)
+    return head.startswith(SQLITE_MAGIC) and path.stat().st_size >= page_size(head) * _pages(head)
 
 
 def _pages(head: bytes) -> int:
@@ -220,10 +219,10 @@ def _pages(head: bytes) -> int:
 
 def _repair_magic(copy: Path, report: ReadReport) -> None:
     with copy.open("r+b") as file:
-        if file.read(len(MAGIC)) != MAGIC:
+        if file.read(len(SQLITE_MAGIC)) != SQLITE_MAGIC:
             report.damage("the file does not begin with the magic of sqlite", copy.name)
             file.seek(0)
-            file.write(MAGIC)
+            file.write(SQLITE_MAGIC)
 
 
 def _apply_journal(copy: Path, journal: Path, report: ReadReport) -> None:
