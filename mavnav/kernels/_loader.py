@@ -61,6 +61,11 @@ class MachineCode(Struct, frozen=True):
 _CPUINFO: Final = Path("/proc/cpuinfo")
 _OF_PROCESSOR: Final = ("vendor_id", "cpu family", "model", "flags", "CPU implementer", "CPU part", "Features")
 """Its lines that say what code a processor runs."""
+_INSTRUCTIONS: Final = (
+    "sse", "ssse", "avx", "amx", "fma", "f16c", "bmi", "abm", "popcnt", "movbe", "adx", "aes", "pclmul", "vaes",
+    "vpclmul", "gfni", "sha", "xop", "tbm", "cx16", "lahf", "rd",
+)  # fmt: skip
+"""Beginnings of the flags for instructions that compilers use; the others change with the kernel of the system."""
 
 
 @cache
@@ -79,8 +84,9 @@ def _processor() -> list[str]:
             first = file.read(1 << 14).partition("\n\n")[0]
     except OSError:
         first = ""
-    lines = [line.split(":", 1) for line in first.splitlines() if ":" in line]
-    known = [f"{name.strip()}:{value}" for name, value in lines if name.strip() in _OF_PROCESSOR]
+    lines = {name.strip(): value.split() for name, _, value in (line.partition(":") for line in first.splitlines())}
+    known = [f"{name}: {lines[name]}" for name in _OF_PROCESSOR if name in lines and name != "flags"]
+    known += [flag for flag in lines.get("flags", ()) if flag.startswith(_INSTRUCTIONS)]
     llvm = None if known else _llvm()
     return [llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()] if llvm else known
 

@@ -10,9 +10,11 @@ from hashlib import sha256
 from shutil import copytree
 from typing import TYPE_CHECKING, Any
 
+import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
+from mavnav.kernels import _loader
 from mavnav.kernels._cache import VERSIONS_KEPT
 from mavnav.kernels.points import extent, placed
 
@@ -278,3 +280,29 @@ def test_kernels_that_are_not_used_are_left_out(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
     (entry,) = tmp_path.glob("*/*")
     assert entry.name.startswith("mavnav.kernels.regions.region_sizes-")
+
+
+CPUINFO = "processor\t: 0\nvendor_id\t: Maker\nmodel\t\t: {}\nflags\t\t: fpu {}\n\nprocessor\t: 1\nmodel\t\t: 9\n"
+
+
+def test_the_key_of_a_processor_is_made_of_its_model_and_its_instructions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def key(model: str, flags: str) -> str:
+        (tmp_path / "cpuinfo").write_text(CPUINFO.format(model, flags))
+        return _loader.cache_key.__wrapped__()
+
+    monkeypatch.setattr(_loader, "_CPUINFO", tmp_path / "cpuinfo")
+    one = key("85", "sse2 avx2")
+    assert one == key("85", "sse2 avx2 md_clear user_shstk")  # what a newer kernel of the system adds
+    assert len({one, key("85", "sse2 avx2 avx512f"), key("86", "sse2 avx2"), key("85", "sse2")}) == 4
+    monkeypatch.setenv("NUMBA_BOUNDSCHECK", "1" if os.environ.get("NUMBA_BOUNDSCHECK") != "1" else "0")
+    assert key("85", "sse2 avx2") != one
+
+
+def test_llvm_names_a_processor_of_which_the_system_says_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_loader, "_CPUINFO", tmp_path / "none")
+    name, features = _loader._processor()
+    assert (name, features) == (llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten())
