@@ -10,9 +10,10 @@ by the metadata of the fields, which are keyword arguments of ``pydantic.Field``
 
 from __future__ import annotations
 
-from dataclasses import MISSING, Field, FrozenInstanceError, asdict, dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, TypeVar, dataclass_transform, get_args
+from dataclasses import asdict, field, replace
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args
 
+from mavnav.config.sections import Section, section
 from mavnav.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -28,56 +29,6 @@ _STRICT: Final = {"extra": "forbid", "allow_inf_nan": False}
 def setting(default: Any, **checks: Any) -> Any:  # noqa: ANN401  the default of a field of any type
     """Return a field with its default; ``checks`` are its bounds and its description."""
     return field(default=default, metadata=checks)
-
-
-class Section:
-    """What all sections share: frozen, with keyword arguments, equal if all values are.
-
-    ``dataclass`` would generate these methods for every class, which takes 4 ms of processor time in every run.
-    """
-
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
-
-    def __init__(self, **values: Any) -> None:  # noqa: ANN401  of the fields
-        """Set the given values and the defaults of the others; raises TypeError for a name that is no field."""
-        for each in fields(self):
-            default = each.default if each.default_factory is MISSING else each.default_factory()
-            object.__setattr__(self, each.name, values.pop(each.name, default))
-        if values:
-            raise TypeError(f"{type(self).__name__} has no {', '.join(values)}")
-        self.__post_init__()
-
-    def __post_init__(self) -> None:
-        """Do what follows from the values."""
-
-    def __setattr__(self, name: str, value: object) -> None:
-        """Raise FrozenInstanceError."""
-        raise FrozenInstanceError(f"{name} cannot be set to {value}")
-
-    def __delattr__(self, name: str) -> None:
-        """Raise FrozenInstanceError."""
-        raise FrozenInstanceError(f"{name} cannot be deleted")
-
-    def __eq__(self, other: object) -> bool:
-        """Return whether the classes and all values are equal."""
-        return type(self) is type(other) and vars(self) == vars(other)
-
-    def __hash__(self) -> int:
-        """Return a hash of all values."""
-        return hash(tuple(vars(self).values()))
-
-    def __repr__(self) -> str:
-        """Write as a call of the class."""
-        return f"{type(self).__name__}({', '.join(f'{name}={value!r}' for name, value in vars(self).items())})"
-
-
-Made = TypeVar("Made", bound=Section)
-
-
-@dataclass_transform(kw_only_default=True, frozen_default=True)
-def section(made: type[Made]) -> type[Made]:
-    """Make a subclass of `Section` a dataclass, which pydantic can check."""
-    return dataclass(init=False, repr=False, eq=False, kw_only=True)(made)
 
 
 @section

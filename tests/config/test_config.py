@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import pickle
 import re
+from copy import copy
+from dataclasses import FrozenInstanceError, replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -11,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavnav.config.loading import fields, load_config, method_layer, presets, schema_of, to_yaml, validated
-from mavnav.config.models import Config, GridSize, PaperConfig
+from mavnav.config.models import Config, GridSize, PaperConfig, RobustConfig
 from mavnav.errors import ConfigError
 from mavnav.simulation.world import load_scenario, scenario_schema
 
@@ -233,3 +236,22 @@ def test_grid_sizes_round_trip(nx: int, ny: int) -> None:
 def test_bad_grid_sizes_are_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="--grid 10x10"):
         GridSize.parse(text)
+
+
+def test_sections_are_frozen_and_equal_by_value(tmp_path: Path) -> None:
+    path = write(tmp_path, "robust: {cell_mm: 25}\ngrid: 12x8\n")
+    read, made = load_config(path), Config(grid=GridSize(ny=8, nx=12), robust=RobustConfig(cell_mm=25.0))
+    assert read == made
+    assert hash(read) == hash(made)
+    assert len({read, made, Config()}) == 2
+    assert eval(repr(made.robust), {"RobustConfig": RobustConfig}) == made.robust
+    assert pickle.loads(pickle.dumps(made)) == copy(made) == replace(made) == made
+    assert replace(made, azimuth=7).azimuth == 7
+    assert made != Config()
+    assert made.robust != made.paper
+    with pytest.raises(FrozenInstanceError):
+        made.azimuth = 3  # type: ignore[misc]
+    with pytest.raises(FrozenInstanceError):
+        del made.azimuth
+    with pytest.raises(TypeError, match="Config has no colour"):
+        Config(colour=1)
