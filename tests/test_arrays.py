@@ -122,7 +122,7 @@ def code_kb(library: str) -> int:
 
 VALUES = st.one_of(
     arrays(np.float64, st.integers(1, 40), elements=st.floats(-1e6, 1e6)),
-    arrays(np.int64, st.integers(1, 40), elements=st.integers(-(2**62), 2**62)),
+    arrays(np.int64, st.integers(1, 40), elements=st.integers(-(2**52), 2**52)),
     arrays(np.uint16, st.integers(1, 40)),
     st.lists(st.floats(-10, 10), min_size=1),
 )

@@ -36,7 +36,7 @@ class Section:
 
     def __eq__(self, other: object) -> bool:
         """Return whether the classes and all values are equal."""
-        return type(self) is type(other) and vars(self) == vars(other)
+        return vars(self) == vars(other) if type(self) is type(other) else NotImplemented
 
     def __hash__(self) -> int:
         """Return a hash of all values."""

@@ -125,6 +125,7 @@ def source_stamp(module: str) -> bytes:
     """Return the hash of a module's source and of the modules it imports, at any depth, of its package and of this one.
 
     Imports must have the form ``from package.module import name`` at the start of a line; the modules must be loaded.
+    The sources of what compiles and lays out machine code, which is imported only then, are included.
     """
     packages = {name.partition(".")[0].encode() for name in (module, __name__)}
     digests: dict[str, bytes] = {}
@@ -134,7 +135,14 @@ def source_stamp(module: str) -> bytes:
         if name not in digests:
             digests[name], imported = _source(name)
             left += [other.decode() for other in imported if other.split(b".")[0] in packages]
-    return sha256(b"".join(name.encode() + digests[name] for name in sorted(digests))).digest()
+    return sha256(_compilers() + b"".join(name.encode() + digests[name] for name in sorted(digests))).digest()
+
+
+@cache
+def _compilers() -> bytes:
+    """Return the hash of the sources of the compiler."""
+    names = ("_compiler.py", "_object_file.py")
+    return sha256(b"".join(Path(__file__).with_name(name).read_bytes() for name in names)).digest()
 
 
 @cache

@@ -143,7 +143,8 @@ def whole_kernels(context: Any) -> Iterator[None]:  # noqa: ANN401
         yield
         return
     codegen.set_env = _set_env_of_loaded(codegen)
-    vectorized, numba.config.SLP_VECTORIZE = numba.config.SLP_VECTORIZE, 1
+    vectorized = getattr(numba.config, "SLP_VECTORIZE", 0)
+    numba.config.SLP_VECTORIZE = 1
     try:
         yield
     finally:

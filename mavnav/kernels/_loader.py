@@ -63,7 +63,7 @@ _OF_PROCESSOR: Final = ("vendor_id", "cpu family", "model", "flags", "CPU implem
 """Its lines that say what code a processor runs."""
 _INSTRUCTIONS: Final = (
     "sse", "ssse", "avx", "amx", "fma", "f16c", "bmi", "abm", "popcnt", "movbe", "adx", "aes", "pclmul", "vaes",
-    "vpclmul", "gfni", "sha", "xop", "tbm", "cx16", "lahf", "rd",
+    "vpclmul", "gfni", "sha", "xop", "tbm", "cx16", "lahf",
 )  # fmt: skip
 """Beginnings of the flags for instructions that compilers use; the others change with the kernel of the system."""
 
@@ -78,7 +78,7 @@ def cache_key() -> str:
 
 
 def _processor() -> list[str]:
-    """Return what the system says of the first processor, or LLVM where it says nothing."""
+    """Return what the system says of the first processor, or LLVM where it names no instruction sets."""
     try:
         with _CPUINFO.open(encoding="utf-8", errors="replace") as file:
             first = file.read(1 << 14).partition("\n\n")[0]
@@ -87,7 +87,7 @@ def _processor() -> list[str]:
     lines = {name.strip(): value.split() for name, _, value in (line.partition(":") for line in first.splitlines())}
     known = [f"{name}: {lines[name]}" for name in _OF_PROCESSOR if name in lines and name != "flags"]
     known += [flag for flag in lines.get("flags", ()) if flag.startswith(_INSTRUCTIONS)]
-    llvm = None if known else _llvm()
+    llvm = None if {"flags", "Features"} & lines.keys() else _llvm()
     return [llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()] if llvm else known
 
 

@@ -154,6 +154,7 @@ def add_scan(
     begin = uint64(int(np.floor(v0)) * cols + int(np.floor(u0)))
     for k in range(len(xy_map_m)):
         row, col = int(np.floor(ends[k, 1])), int(np.floor(ends[k, 0]))
+        before = passes[row, col]
         flat[begin] += flat[begin] < MOST
         entered = path_cells(u0, v0, ends[k, 0], ends[k, 1], float64(cols), steps, path)
         if room:
@@ -164,8 +165,7 @@ def add_scan(
                 at = uint64(path[uint64(i)])
                 if flat[at] < MOST:
                     flat[at] += 1
-        crossed = passes[row, col]
-        passes[row, col] -= (crossed > 0) & (crossed < MOST)  # the beam ends there; 0 if it met a corner on its way
+        passes[row, col] = before  # the beam ends there; at a corner it may have counted a neighbor instead
         ended = hits[col >> SHIFT, row]
         ended[col & (WIDE - 1)] += ended[col & (WIDE - 1)] < MOST
     flat_shielded = shielded.ravel()

@@ -144,7 +144,7 @@ def _picker(points: dict[str, Array], part: str) -> Pick:
         return partial(_between, low_m=float(low), high_m=float(high))
     if part.startswith("ring_"):
         return partial(_in_ring, ring=int(part.removeprefix("ring_")))
-    if "ring" in points and len(rings := distinct(points["ring"])) > 1:
+    if "ring" in points and len(rings := distinct(points["ring"][np.isfinite(points["ring"])])) > 1:
         level = np.abs(np.arctan2(points["z"], np.hypot(points["x"], points["y"])))
         slopes = [np.nanmedian(level[points["ring"] == ring]) for ring in rings]
         return partial(_in_ring, ring=int(rings[int(np.argmin(slopes))]))
