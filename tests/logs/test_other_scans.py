@@ -12,6 +12,7 @@ from mcap.writer import Writer
 
 from mavnav.errors import NoScansError
 from mavnav.logs import open_log, survey
+from mavnav.logs.messages.other_scans import _picker
 from mavnav.scan import LaserSpec
 from support.log_files import store
 
@@ -186,3 +187,9 @@ def test_a_cloud_without_coordinates_is_damage(tmp_path: Path) -> None:
     assert log.counts.usable == SCANS - 2
     assert "without the field 'x'" in log.damage[0].what
     assert all("PointCloud2" in damage.what for damage in log.damage)
+
+
+@pytest.mark.parametrize("rings", [[np.nan] * 4, [np.nan, 3.0, 3.0, np.nan]])
+def test_points_without_a_choice_of_rings_are_chosen_by_height(rings: list[float]) -> None:
+    points = {"x": np.ones(4), "y": np.ones(4), "z": np.array((0.0, 0.05, 0.5, -2.0)), "ring": np.array(rings)}
+    assert _picker(points, "")(points).tolist() == [True, True, False, False]
