@@ -67,7 +67,7 @@ def test_a_new_account_begins_empty_and_the_real_clock_runs() -> None:
     new_profile()
     spent = new_profile()
     with Stage("busy"):
-        end = time.process_time() + 0.01
-        while time.process_time() < end:
+        end = time.perf_counter() + 0.01
+        while time.perf_counter() < end:
             pass
     assert 0.01 <= spent["busy"] < 0.5
